@@ -1,0 +1,34 @@
+# Each target does its own set-up in .venv; python3 (3.11 or newer, with venv), git and make suffice.
+PYTHON ?= python3
+DATA ?= qube-servo2
+OUT ?= results/reproduce
+SEEDS ?= 1
+BIN := .venv/bin
+
+.PHONY: reproduce test check clean
+
+reproduce: .venv/installed
+	$(BIN)/tustinnet reproduce --data $(DATA) --out $(OUT) --seeds $(SEEDS)
+
+test: check
+	$(BIN)/pytest -q
+
+check: .venv/installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/basedpyright
+	$(BIN)/lint-imports
+
+.venv/installed: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "tustinnet needs Python 3.11 or newer: make PYTHON=python3.11"; exit 1; }
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	@touch $@
+
+.venv/installed-dev: .venv/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+clean:
+	rm -rf .venv results

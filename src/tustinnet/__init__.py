@@ -1,0 +1,86 @@
+"""From logs of a mechanical system to a model that simulates it.
+
+The public names. JAX is loaded when a name that needs it is first used.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tustinnet.artifact.model_file import load_model, read_header, save
+    from tustinnet.data.catalog import load
+    from tustinnet.data.dataset import DataSet, from_arrays
+    from tustinnet.data.experiment import Coordinate, Experiment, Input
+    from tustinnet.data.inspection import inspect_experiment
+    from tustinnet.data.loading import from_frame
+    from tustinnet.errors import InputError
+    from tustinnet.evaluation.free_run import evaluate, free_run, mean_rmse, rmse_ahead
+    from tustinnet.models.tustin import TustinNet
+    from tustinnet.simulation.initial_state import initial_state
+    from tustinnet.simulation.rollout import rollout
+    from tustinnet.training.fit import FitResult, fit
+    from tustinnet.training.recipe import Recipe, read_recipe
+
+_HOMES = {
+    "Coordinate": "data.experiment",
+    "DataSet": "data.dataset",
+    "Experiment": "data.experiment",
+    "FitResult": "training.fit",
+    "Input": "data.experiment",
+    "InputError": "errors",
+    "Recipe": "training.recipe",
+    "TustinNet": "models.tustin",
+    "evaluate": "evaluation.free_run",
+    "fit": "training.fit",
+    "free_run": "evaluation.free_run",
+    "from_arrays": "data.dataset",
+    "from_frame": "data.loading",
+    "initial_state": "simulation.initial_state",
+    "inspect_experiment": "data.inspection",
+    "load": "data.catalog",
+    "load_model": "artifact.model_file",
+    "mean_rmse": "evaluation.free_run",
+    "read_header": "artifact.model_file",
+    "read_recipe": "training.recipe",
+    "rmse_ahead": "evaluation.free_run",
+    "rollout": "simulation.rollout",
+    "save": "artifact.model_file",
+}
+
+__all__ = [
+    "Coordinate",
+    "DataSet",
+    "Experiment",
+    "FitResult",
+    "Input",
+    "InputError",
+    "Recipe",
+    "TustinNet",
+    "evaluate",
+    "fit",
+    "free_run",
+    "from_arrays",
+    "from_frame",
+    "initial_state",
+    "inspect_experiment",
+    "load",
+    "load_model",
+    "mean_rmse",
+    "read_header",
+    "read_recipe",
+    "rmse_ahead",
+    "rollout",
+    "save",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'tustinnet' has no attribute '{name}'")
+    value = getattr(import_module(f"tustinnet.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

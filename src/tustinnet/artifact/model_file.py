@@ -1,0 +1,148 @@
+"""The model file: one safetensors file, arrays plus a JSON header."""
+
+import dataclasses
+import json
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import safetensors
+import safetensors.numpy
+
+from tustinnet.artifact.files import finite, write_atomically
+from tustinnet.data.experiment import Coordinate, Input
+from tustinnet.errors import InputError
+from tustinnet.models.base import DiscreteModel
+from tustinnet.models.tustin import Affine, Scaling, TustinNet
+
+FORMAT = 1
+KEY = "tustinnet"  # where the header stands in the safetensors metadata
+_KIND = "tustin-net"
+_PACKAGES = ("tustinnet", "jax", "jaxlib", "equinox", "optax", "numpy")
+
+
+def save(model: DiscreteModel, path: str | Path, **header: Any) -> None:
+    """Writes a model file, whole or not at all.
+
+    Args:
+        model: the model.
+        path: the file, usually ending in `.safetensors`.
+        header: what else the file shall say: recipe, data, scores.
+
+    Raises:
+        InputError: not a Tustin-Net, or the file cannot be written.
+    """
+    if not isinstance(model, TustinNet):
+        raise InputError(path, f"a model of type {type(model).__name__}", "a Tustin-Net")
+    content = {
+        "format": FORMAT,
+        "kind": _KIND,
+        "structure": _structure(model),
+        "coordinates": [dataclasses.asdict(c) for c in model.coordinates],
+        "inputs": [dataclasses.asdict(i) for i in model.inputs],
+        "dt": model.dt,
+        **header,
+        "versions": {name: metadata.version(name) for name in _PACKAGES},
+    }
+    arrays = {name: np.asarray(array) for name, array in _named_arrays(model).items()}
+    text = json.dumps(finite(content), ensure_ascii=False)
+    write_atomically(Path(path), safetensors.numpy.save(arrays, {KEY: text}))
+
+
+def load_model(path: str | Path) -> TustinNet:
+    """Reads the model of a model file.
+
+    Raises:
+        InputError: no such file, cut short, of another kind, or of a newer version.
+    """
+    header, arrays = read_file(Path(path), _KIND)
+    try:
+        return _build(header, arrays)
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            path, f"header and arrays do not fit ({error})", "a file written by tustinnet"
+        ) from error
+
+
+def read_header(path: str | Path) -> dict[str, Any]:
+    """The JSON header of a model file (errors as in `load_model`)."""
+    return read_file(Path(path), _KIND)[0]
+
+
+def read_file(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Header and arrays of a file of this package and of the given kind."""
+    if not path.is_file():
+        raise InputError(path, "no such file", "a model file (.safetensors)")
+    try:
+        with safetensors.safe_open(path, framework="numpy") as file:
+            described = file.metadata() or {}
+            # copied: a tensor may be a view into a mapping that is gone once the file is replaced
+            arrays = {name: np.array(file.get_tensor(name)) for name in file.keys()}  # noqa: SIM118
+    except (safetensors.SafetensorError, OSError) as error:
+        raise InputError(
+            path,
+            f"not a safetensors file, or cut short ({error})",
+            f"a {kind} file",
+            "copy or train it again",
+        ) from error
+    try:
+        header = json.loads(described[KEY])
+        found, version = header["kind"], int(header["format"])
+    except (KeyError, ValueError, TypeError):
+        raise InputError(
+            path,
+            "a safetensors file without a tustinnet header",
+            f"a {kind} file",
+            "give a file that tustinnet has written",
+        ) from None
+    if version > FORMAT:
+        raise InputError(
+            path, f"format version {version}", f"at most {FORMAT}", "upgrade tustinnet to read it"
+        )
+    if found != kind:
+        raise InputError(path, f"a file of kind '{found}'", f"kind '{kind}'")
+    return header, arrays
+
+
+def _structure(model: TustinNet) -> dict[str, Any]:
+    return {
+        "hidden": [layer.weight.shape[0] for layer in model.hidden],
+        "stem": None if model.stem is None else model.stem.weight.shape[0],
+        "activation": model.activation,
+        "output_bias": model.output.bias is not None,
+    }
+
+
+def _named_arrays(model: TustinNet) -> dict[str, Any]:
+    paths = jax.tree_util.tree_leaves_with_path(eqx.filter(model, eqx.is_array))
+    return {jax.tree_util.keystr(path, simple=True, separator="."): leaf for path, leaf in paths}
+
+
+def _build(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> TustinNet:
+    structure = header["structure"]
+
+    def affine(name: str, *, bias: bool = True) -> Affine:
+        weight = jnp.asarray(arrays[f"{name}.weight"])
+        return Affine(weight, jnp.asarray(arrays[f"{name}.bias"]) if bias else None)
+
+    limits = [tuple(i["limits"]) if i["limits"] else None for i in header["inputs"]]
+    scaling = {
+        f.name: jnp.asarray(arrays[f"scaling.{f.name}"]) for f in dataclasses.fields(Scaling)
+    }
+    return TustinNet(
+        stem=affine("stem") if structure["stem"] else None,
+        hidden=tuple(affine(f"hidden.{m}") for m in range(len(structure["hidden"]))),
+        output=affine("output", bias=structure["output_bias"]),
+        scaling=Scaling(**scaling),
+        activation=structure["activation"],
+        coordinates=tuple(Coordinate(**c) for c in header["coordinates"]),
+        inputs=tuple(
+            Input(**{**i, "limits": limit})
+            for i, limit in zip(header["inputs"], limits, strict=True)
+        ),
+        dt=header["dt"],
+    )

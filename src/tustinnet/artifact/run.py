@@ -1,0 +1,264 @@
+"""Run folders: training that leaves a log, checkpoints and models on disk.
+
+folder/seed-0/log.jsonl               one line an epoch
+folder/seed-0/checkpoint.safetensors  what `resume` goes on from
+folder/seed-0/model.safetensors       the best weights of that seed
+folder/model.safetensors              those of the best seed
+folder/summary.json                   every seed and the spread
+"""
+
+import dataclasses
+import json
+import shutil
+import statistics
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tustinnet.artifact.checkpoint import Checkpointer, fingerprint, read_checkpoint
+from tustinnet.artifact.files import (
+    finite,
+    require_writable_folder,
+    to_json,
+    write_atomically,
+)
+from tustinnet.artifact.model_file import save
+from tustinnet.data.dataset import DataSet
+from tustinnet.errors import InputError
+from tustinnet.evaluation.free_run import Score, evaluate, mean_rmse
+from tustinnet.training.fit import FitResult, Plan, plan, run_plan
+from tustinnet.training.loop import EpochReport, Listener, Progress, Weights
+from tustinnet.training.recipe import Recipe
+
+MODEL = "model.safetensors"
+SUMMARY = "summary.json"
+_CHECKPOINT = "checkpoint.safetensors"
+_LOG = "log.jsonl"
+
+
+@dataclass(frozen=True)
+class SeedRun:
+    """One seed's training.
+
+    Attributes:
+        result: the model and how it came about.
+        scores: free runs of the judged records, in float64.
+        folder: where its files are.
+    """
+
+    result: FitResult
+    scores: tuple[Score, ...]
+    folder: Path
+
+    @property
+    def mean(self) -> float:
+        """Mean RMSE over the judged records [rad or m]."""
+        return mean_rmse(self.scores)
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Trainings of one recipe from several seeds.
+
+    Attributes:
+        seeds: per seed.
+        judged: the split whose free runs rank them.
+        start: where these start.
+        folder: where the files are.
+    """
+
+    seeds: tuple[SeedRun, ...]
+    judged: str
+    start: str
+    folder: Path
+
+    @property
+    def best(self) -> SeedRun:
+        """The seed with the lowest mean RMSE."""
+        return min(self.seeds, key=lambda run: run.mean)
+
+    def spread(self) -> dict[str, float]:
+        """Median, mean, standard deviation, lowest and highest mean RMSE [rad or m]."""
+        means = [run.mean for run in self.seeds]
+        return {
+            "median": statistics.median(means),
+            "mean": statistics.fmean(means),
+            "std": statistics.stdev(means) if len(means) > 1 else 0.0,
+            "min": min(means),
+            "max": max(means),
+        }
+
+
+def train_runs(
+    data: DataSet,
+    recipe: Recipe,
+    seeds: Sequence[int],
+    folder: Path,
+    *,
+    resume: bool = False,
+    overwrite: bool = False,
+    tell: Callable[[Plan], Callable[[EpochReport], None]] = lambda plan: lambda report: None,
+) -> Runs:
+    """Trains a recipe from several seeds and keeps everything in a folder.
+
+    Args:
+        data: the records.
+        recipe: what to do.
+        seeds: one training each; none touches another.
+        folder: where the files go.
+        resume: go on from the checkpoints that are there; seeds without one start.
+        overwrite: discard what an earlier run left in the folder.
+        tell: given the plan of a seed, returns who is told after every epoch.
+
+    Raises:
+        InputError: the folder cannot be written, holds an earlier run and neither `resume` nor
+            `overwrite` is set, or its checkpoints belong to another run; see also `plan`.
+    """
+    require_writable_folder(folder)
+    earlier = sorted(folder.glob("seed-*"))
+    if earlier and overwrite:
+        for old in [*earlier, folder / MODEL, folder / SUMMARY]:
+            shutil.rmtree(old) if old.is_dir() else old.unlink(missing_ok=True)
+    elif earlier and not resume:
+        raise InputError(
+            folder,
+            f"holds an earlier run ({earlier[0].name}, ...)",
+            "a new folder",
+            "add --resume to go on with it, --overwrite to discard it, or choose another --out",
+        )
+    judged = "validation" if "validation" in data.splits else "train"
+    records = list(data.split(judged) if data.splits else data)
+    runs = []
+    for seed in seeds:
+        prepared = plan(data, recipe, seed)
+        place = folder / f"seed-{seed}"
+        result = _train_seed(data, prepared, place, resume=resume, told=tell(prepared))
+        scores = tuple(evaluate(result.model, records, prepared.start))
+        save(result.model, place / MODEL, **_header(data, result, judged, scores))
+        runs.append(SeedRun(result, scores, place))
+    done = Runs(tuple(runs), judged, runs[0].result.start, folder)
+    save(
+        done.best.result.model,
+        folder / MODEL,
+        **_header(data, done.best.result, judged, done.best.scores),
+    )
+    write_atomically(folder / SUMMARY, to_json(summary(done)))
+    return done
+
+
+def summary(runs: Runs) -> dict[str, Any]:
+    """The runs as plain values, every seed and the spread."""
+    return {
+        "recipe": runs.seeds[0].result.recipe.name,
+        "split": runs.judged,
+        "start": runs.start,
+        "best_seed": runs.best.result.seed,
+        "spread": runs.spread(),
+        "seeds": [
+            {
+                "seed": run.result.seed,
+                "outcome": run.result.outcome,
+                "mean": run.mean,
+                "rmse": {score.experiment: score.rmse for score in run.scores},
+                "train_seconds": run.result.train_seconds,
+                "windows": list(run.result.windows),
+                "window_lengths": list(run.result.window_lengths),
+                "epochs": list(run.result.epochs),
+                "model": (run.folder / MODEL).relative_to(runs.folder).as_posix(),
+            }
+            for run in runs.seeds
+        ],
+    }
+
+
+def read_log(folder: Path) -> list[dict[str, Any]]:
+    """The training log of a seed's folder, a mapping an epoch."""
+    return [json.loads(line) for line in (folder / _LOG).read_text(encoding="utf-8").splitlines()]
+
+
+def _train_seed(
+    data: DataSet,
+    prepared: Plan,
+    folder: Path,
+    *,
+    resume: bool,
+    told: Callable[[EpochReport], None],
+) -> FitResult:
+    require_writable_folder(folder)
+    belongs_to = fingerprint(data, prepared.recipe, prepared.seed)
+    path = folder / _CHECKPOINT
+    state: tuple[Weights, Progress] | None = None
+    if resume and path.is_file():
+        state = read_checkpoint(path, prepared, belongs_to)
+    log = _Log(folder / _LOG, prepared, state[1] if state else None)
+
+    def epoch(report: EpochReport) -> None:
+        log.write(report)
+        told(report)
+
+    try:
+        return run_plan(prepared, Listener(epoch, Checkpointer(path, belongs_to)), state)
+    finally:
+        log.close()
+
+
+class _Log:
+    """A line of JSON an epoch; a resumed run drops the lines it is about to repeat."""
+
+    def __init__(self, path: Path, prepared: Plan, resumed: Progress | None) -> None:
+        self._stages = [stage.recipe.name for stage in prepared.stages]
+        kept = self._lines_before(path, resumed) if resumed and path.is_file() else []
+        write_atomically(path, "".join(line + "\n" for line in kept))
+        self._file = path.open("a", encoding="utf-8")
+
+    def _lines_before(self, path: Path, resumed: Progress) -> list[str]:
+        kept = []
+        for line in path.read_text(encoding="utf-8").splitlines():
+            try:
+                entry = json.loads(line)
+            except json.JSONDecodeError:
+                break  # the line that was being written when the run was killed
+            if (self._stages.index(entry["stage"]), entry["epoch"]) <= (
+                resumed.stage,
+                resumed.epoch,
+            ):
+                kept.append(line)
+        return kept
+
+    def write(self, report: EpochReport) -> None:
+        self._file.write(json.dumps(finite(dataclasses.asdict(report))) + "\n")
+        self._file.flush()
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def _header(
+    data: DataSet, result: FitResult, judged: str, scores: Sequence[Score]
+) -> dict[str, Any]:
+    """What a model file says of its training."""
+    return {
+        "recipe": result.recipe.model_dump(),
+        "training": {
+            "seed": result.seed,
+            "outcome": result.outcome,
+            "windows": list(result.windows),
+            "window_lengths": list(result.window_lengths),
+            "epochs": list(result.epochs),
+        },
+        "data": {
+            "name": data.name,
+            "records": [
+                {"name": e.name, "split": e.split, "source": e.source, "sha256": e.sha256}
+                for e in data
+            ],
+        },
+        "scores": {
+            "split": judged,
+            "start": result.start,
+            "unit": "rad" if all(c.kind == "angular" for c in data.coordinates) else "SI",
+            "rmse": {score.experiment: score.rmse for score in scores},
+            "mean": mean_rmse(scores),
+        },
+    }

@@ -1,0 +1,23 @@
+"""Simulated records as CSV files."""
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from tustinnet.artifact.files import write_atomically
+from tustinnet.data.experiment import Experiment
+
+
+def write_simulation(
+    path: Path, experiment: Experiment, states: Float[np.ndarray, "n n_x"]
+) -> None:
+    """Writes time, inputs, simulated positions and velocities of a record, SI units, header."""
+    import polars as pl
+
+    n_q = len(experiment.coordinates)
+    columns = {"time": experiment.t}
+    columns |= {c.name: experiment.u[:, j] for j, c in enumerate(experiment.inputs)}
+    columns |= {c.name: states[:, j] for j, c in enumerate(experiment.coordinates)}
+    columns |= {f"{c.name}_dot": states[:, n_q + j] for j, c in enumerate(experiment.coordinates)}
+    write_atomically(path, pl.DataFrame(columns).write_csv())

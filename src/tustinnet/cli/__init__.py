@@ -1,0 +1,1 @@
+"""The command `tustinnet`: one file per verb, no numerics."""

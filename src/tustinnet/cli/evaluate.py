@@ -1,0 +1,100 @@
+"""`tustinnet evaluate`: score a model on records."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tustinnet.cli import options, terminal
+
+if TYPE_CHECKING:
+    from tustinnet.data.experiment import Coordinate
+    from tustinnet.evaluation.free_run import Score
+    from tustinnet.report.tables import Table
+
+
+def evaluate(
+    model: options.Model,
+    data: options.Data,
+    split: options.Split = None,
+    start: options.Start = None,
+    card: options.Card = None,
+    ahead: Annotated[
+        int | None,
+        typer.Option(min=1, metavar="K", help="Also the k-step-ahead RMSE for k = 1..K."),
+    ] = None,
+    figures: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Draw every free run into this folder.")
+    ] = None,
+    json: options.Json = False,
+) -> None:
+    """Score free runs: RMSE, per coordinate, NRMSE, fit in percent, k steps ahead."""
+    terminal.use_float64()
+    from tustinnet.artifact.model_file import load_model
+    from tustinnet.data.catalog import load
+    from tustinnet.evaluation.free_run import evaluate as score_records
+    from tustinnet.evaluation.free_run import mean_rmse, rmse_ahead
+    from tustinnet.simulation.initial_state import default_start
+
+    judged = load_model(model)
+    loaded = load(data, card)
+    records = list(loaded.split(split) if split else loaded)
+    begin = start or default_start(records)
+    scores = score_records(judged, records, begin)
+    errors = None if ahead is None else rmse_ahead(judged, records, ahead)
+    if figures is not None:
+        from tustinnet.report.figures import ahead_figure, free_run_figure, write_figure
+
+        for e, score in zip(records, scores, strict=True):
+            write_figure(free_run_figure(e, {model.stem: score}), figures / f"{e.name}.png")
+        if errors is not None:
+            write_figure(ahead_figure({model.stem: errors}, judged.dt), figures / "ahead.png")
+        terminal.messages().print(f"figures: {figures}")
+    if json:
+        content: dict[str, Any] = {
+            "start": begin,
+            "coordinates": [c.name for c in judged.coordinates],
+            "experiments": [_plain(score) for score in scores],
+            "mean": mean_rmse(scores),
+        }
+        if errors is not None:
+            content["ahead"] = {"dt": judged.dt, "rmse": errors.tolist()}
+        terminal.print_json(content)
+        return
+    terminal.print_tables(_score_table(scores, judged.coordinates, begin))
+    if errors is not None:
+        from tustinnet.report.tables import Table, number
+
+        marks = sorted({k for k in (1, 2, 5, 10, 20, 50, 100, 200, 500) if k < len(errors)})
+        rows = [[str(k), f"{k * judged.dt:g}", number(errors[k - 1], 4)]
+                for k in [*marks, len(errors)]]  # fmt: skip
+        terminal.print_tables(Table(["k", "horizon [s]", "RMSE"], rows, title="k steps ahead"))
+
+
+def _plain(score: "Score") -> dict[str, Any]:
+    return {
+        "experiment": score.experiment,
+        "rmse": score.rmse,
+        "coordinate_rmse": list(score.coordinate_rmse),
+        "nrmse": list(score.nrmse),
+        "fit_percent": list(score.fit_percent),
+    }
+
+
+def _score_table(
+    scores: list["Score"], coordinates: tuple["Coordinate", ...], start: str
+) -> "Table":
+    from tustinnet.evaluation.free_run import mean_rmse
+    from tustinnet.report.tables import Table, number
+
+    columns = ["record", "RMSE"]
+    for c in coordinates:
+        columns += [f"{c.name} [{c.unit}]", "NRMSE", "fit [%]"]
+    rows = []
+    for s in scores:
+        row = [s.experiment, number(s.rmse)]
+        for error, relative, percent in zip(s.coordinate_rmse, s.nrmse, s.fit_percent, strict=True):
+            row += [number(error), number(relative), number(percent, 1)]
+        rows.append(row)
+    rows.append(["mean", number(mean_rmse(scores)), *[""] * (3 * len(coordinates))])
+    return Table(columns, rows, title=f"Free runs, start '{start}'")

@@ -1,0 +1,101 @@
+"""`tustinnet fit`: train a model on a folder of logs."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tustinnet.cli import options, terminal
+
+if TYPE_CHECKING:
+    from tustinnet.artifact.run import Runs
+    from tustinnet.data.dataset import DataSet
+    from tustinnet.report.tables import Table
+
+
+def fit(
+    data: options.Data,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the run is kept.")],
+    recipe: Annotated[
+        str, typer.Option(metavar="NAME", help="A packaged recipe, or a TOML file.")
+    ] = "transfer",
+    seeds: options.Seeds = 1,
+    seed: Annotated[int, typer.Option(min=0, help="The first seed.")] = 0,
+    card: options.Card = None,
+    resume: options.Resume = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Discard an earlier run in --out.")
+    ] = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Train a Tustin-Net; keeps model, log, checkpoints and figures in --out."""
+    terminal.use_float64()
+    from tustinnet.artifact.run import summary, train_runs
+    from tustinnet.data.catalog import load
+    from tustinnet.report.progress import TrainingProgress
+    from tustinnet.training.recipe import read_recipe
+
+    chosen = read_recipe(recipe)
+    loaded = load(data, card)
+    told = terminal.messages()
+    if "validation" not in loaded.splits:
+        told.print(
+            "note: no validation split; the training loss chooses the best weights and the "
+            "scores below are of the training records"
+        )
+    with TrainingProgress(told, quiet=quiet) as progress:
+        runs = train_runs(
+            loaded, chosen, range(seed, seed + seeds), out,
+            resume=resume, overwrite=overwrite, tell=progress.follow,
+        )  # fmt: skip
+    _draw(runs, loaded)
+    if json:
+        terminal.print_json(summary(runs))
+    else:
+        terminal.print_tables(_table(runs))
+        typer.echo(f"model: {out / 'model.safetensors'}   figures: {out / 'figures'}")
+    unfinished = [run.result for run in runs.seeds if not run.result.finished]
+    for result in unfinished:
+        told.print(f"seed {result.seed}: {result.outcome}")
+    if len(unfinished) == len(runs.seeds):
+        raise typer.Exit(1)
+
+
+def _table(runs: "Runs") -> "Table":
+    from tustinnet.report.tables import Table, number
+
+    rows = [
+        [
+            str(run.result.seed),
+            number(run.mean),
+            " + ".join(map(str, run.result.windows)),
+            " + ".join(map(str, run.result.epochs)),
+            f"{run.result.train_seconds:.0f}",
+            run.result.outcome.split(":")[0],
+        ]
+        for run in runs.seeds
+    ]
+    if len(rows) > 1:
+        spread = runs.spread()
+        told = f"{spread['median']:.3f} ({spread['min']:.3f}..{spread['max']:.3f})"
+        rows.append(["median (range)", told, "", "", "", ""])
+    return Table(
+        ["seed", "mean RMSE", "windows", "epochs", "seconds", "outcome"],
+        rows,
+        title=f"{runs.seeds[0].result.recipe.name}: free runs of the {runs.judged} records, "
+        f"start '{runs.start}'",
+    )
+
+
+def _draw(runs: "Runs", data: "DataSet") -> None:
+    from tustinnet.artifact.run import read_log
+    from tustinnet.report.figures import free_run_figure, training_figure, write_figure
+
+    folder = runs.folder / "figures"
+    histories = {run.result.seed: read_log(run.folder) for run in runs.seeds}
+    write_figure(training_figure(histories), folder / "training.png")
+    for score in runs.best.scores:
+        label = f"seed {runs.best.result.seed}"
+        picture = free_run_figure(data[score.experiment], {label: score})
+        write_figure(picture, folder / f"{score.experiment}.png")

@@ -1,0 +1,53 @@
+"""The command's entry: verbs, and errors as one line."""
+
+import sys
+from typing import Annotated
+
+import typer
+
+from tustinnet.cli.evaluate import evaluate
+from tustinnet.cli.fit import fit
+from tustinnet.cli.inspect import inspect
+from tustinnet.cli.reproduce import reproduce
+from tustinnet.cli.show import show
+from tustinnet.cli.simulate import simulate
+from tustinnet.errors import InputError
+
+app = typer.Typer(
+    name="tustinnet",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # loading rich would double the time that --help takes
+)
+for verb in (inspect, fit, simulate, evaluate, show, reproduce):
+    app.command()(verb)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        from importlib.metadata import version
+
+        typer.echo(f"tustinnet {version('tustinnet')}")
+        raise typer.Exit
+
+
+@app.callback()
+def tustinnet(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """From logs of a mechanical system to a model that simulates it.
+
+    Exit codes: 0 done, 1 failed (one line says why), 2 wrong usage.
+    """
+
+
+def run(arguments: list[str] | None = None) -> None:
+    """Runs the command; bad input ends as one line on standard error and exit code 1."""
+    try:
+        app(arguments)
+    except InputError as error:
+        sys.stderr.write(f"error: {error}\n")
+        sys.exit(1)

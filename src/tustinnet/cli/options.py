@@ -1,0 +1,33 @@
+"""Arguments and options that several verbs share."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Data = Annotated[
+    str,
+    typer.Argument(
+        metavar="DATA",
+        help="Folder with dataset.toml, a data card, or a name of the catalog (qube-servo2).",
+    ),
+]
+Model = Annotated[Path, typer.Argument(metavar="MODEL", help="Model file (.safetensors).")]
+Card = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Data card for a folder that has none.")
+]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")]
+Split = Annotated[
+    str | None, typer.Option(metavar="NAME", help="train, validation or test; all by default.")
+]
+Start = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="Start of the free runs: file (first row as stored) or derived-6 (parabola through "
+        "6 samples). Default: file where velocities are stored, else derived-6.",
+    ),
+]
+Resume = Annotated[bool, typer.Option("--resume", help="Go on from the checkpoints in --out.")]
+Seeds = Annotated[int, typer.Option(min=1, metavar="K", help="How many seeds to train.")]

@@ -1,0 +1,80 @@
+"""`tustinnet reproduce`: the paper's table and figures from the measured data."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tustinnet.cli import options, terminal
+
+
+def reproduce(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where tables, figures, models go.")],
+    data: Annotated[
+        str,
+        typer.Option(
+            metavar="DIR",
+            help="Folder of the Qube-Servo 2 data; 'qube-servo2' looks in TUSTINNET_DATA, then in "
+            "the cache, then downloads.",
+        ),
+    ] = "qube-servo2",
+    split: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="test or validation. Default: test if present."),
+    ] = None,
+    seeds: options.Seeds = 1,
+    models: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAMES",
+            help="authors, tustin-standard, tustin-transfer, tustin-text-standard, "
+            "tustin-text-transfer; separated by commas or repeated. Default: the first three.",
+        ),
+    ] = None,
+    experiment: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Record of the figures.")
+    ] = None,
+    resume: options.Resume = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Reproduce the neural rows of Table 1 and the free-run figures of the paper."""
+    terminal.use_float64()
+    from tustinnet.artifact.files import require_writable_folder, to_json, write_atomically
+    from tustinnet.data.catalog import QUBE_SERVO2, locate
+    from tustinnet.data.loading import load_folder
+    from tustinnet.paper import figures, table1
+    from tustinnet.report.progress import TrainingProgress
+
+    told = terminal.messages()
+    folder, card = locate(data)
+    records = load_folder(folder, card)
+    scored = table1.choose_split(records, split)
+    wanted = [name.strip() for names in models or [] for name in names.split(",") if name.strip()]
+    chosen, remark = table1.choose_models(wanted, folder)
+    drawn = figures.choose_experiment(records, scored, experiment)
+    require_writable_folder(out)
+    told.print(f"data: {folder}; scoring the {scored} split, start '{table1.START}'")
+    differing = QUBE_SERVO2.differing(folder)
+    if differing:
+        told.print(
+            f"warning: {len(differing)} files are not the published ones: {differing[0]}, ..."
+        )
+    if remark:
+        told.print(f"note: {remark}")
+    with TrainingProgress(told, quiet=quiet) as progress:
+        rows = table1.build_rows(
+            records, folder, chosen, scored, seeds, out / "runs", resume=resume,
+            tell=lambda name: lambda plan: progress.follow(plan, name),
+        )  # fmt: skip
+    content = table1.as_json(rows, scored)
+    table = table1.as_table(rows, scored)
+    write_atomically(out / "table1.json", to_json(content))
+    write_atomically(out / "table1.md", table.markdown())
+    write_atomically(out / "table1.tex", table.latex())
+    written = figures.draw(records, rows, scored, drawn, out)
+    if json:
+        terminal.print_json(content)
+    else:
+        terminal.print_tables(table)
+    told.print(f"written to {out}: table1.json, table1.md, table1.tex and {len(written)} figures")

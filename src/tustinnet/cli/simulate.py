@@ -1,0 +1,52 @@
+"""`tustinnet simulate`: free runs as files."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tustinnet.cli import options, terminal
+
+
+def simulate(
+    model: options.Model,
+    data: options.Data,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the simulations go, as CSV.")],
+    split: options.Split = None,
+    experiment: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Only this record; may be repeated.")
+    ] = None,
+    start: options.Start = None,
+    card: options.Card = None,
+    json: options.Json = False,
+) -> None:
+    """Simulate records from their start with only the input; one CSV file each."""
+    terminal.use_float64()
+    from tustinnet.artifact.files import require_writable_folder
+    from tustinnet.artifact.model_file import load_model
+    from tustinnet.artifact.simulation_file import write_simulation
+    from tustinnet.data.catalog import load
+    from tustinnet.evaluation.free_run import evaluate
+    from tustinnet.report.tables import Table, number
+    from tustinnet.simulation.initial_state import default_start
+
+    simulator = load_model(model)
+    loaded = load(data, card)
+    records = list(loaded.split(split) if split else loaded)
+    if experiment:
+        records = [loaded[name] for name in experiment]
+    begin = start or default_start(records)
+    scores = evaluate(simulator, records, begin)
+    require_writable_folder(out)
+    written = []
+    for e, score in zip(records, scores, strict=True):
+        path = out / f"{e.name}.csv"
+        write_simulation(path, e, score.simulated)
+        written.append({"experiment": e.name, "rmse": score.rmse, "file": str(path)})
+    if json:
+        terminal.print_json({"start": begin, "simulations": written})
+        return
+    rows = [[w["experiment"], number(w["rmse"]), w["file"]] for w in written]
+    terminal.print_tables(
+        Table(["record", "RMSE", "file"], rows, title=f"Free runs, start '{begin}'")
+    )

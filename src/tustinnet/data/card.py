@@ -1,0 +1,234 @@
+"""The data card: a TOML file that says what the columns of a folder of logs mean."""
+
+from typing import Literal, Self
+
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from tustinnet.data.declaration import Declaration
+from tustinnet.data.experiment import Coordinate, Hold, Input, Kind
+
+SplitName = Literal["train", "validation", "test"]
+ColumnKey = int | str  # a number counts from 1
+
+_ANGLE = {"rad": 1.0, "deg": np.pi / 180, "rev": 2 * np.pi, "mrad": 1e-3}
+_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
+_TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+
+class VelocityCard(Declaration):
+    """A velocity column.
+
+    Attributes:
+        column: name or number.
+        unit: e.g. `rad/s`, `deg/s`, `rpm`, `mm/s`; the coordinate's unit per second by default.
+        measured: whether a sensor measured it; a column that was computed is not `measured`,
+            and training derives velocities from the positions instead.
+    """
+
+    column: ColumnKey
+    unit: str | None = None
+    measured: bool = False
+
+
+class CoordinateCard(Declaration):
+    """A coordinate: `SI value = sign * factor(unit) * (column - offset)`.
+
+    Attributes:
+        name: what it is called.
+        kind: `angular` or `linear`.
+        column: name or number of the position column.
+        unit: rad, deg, rev, mrad; m, cm, mm, um, in; or `counts` of the encoder.
+        sign: 1 or -1; also applies to the velocity column.
+        offset: what the column reads where the coordinate is 0, in the column's unit.
+        resolution: encoder count in rad or m.
+        counts_per_revolution: the same for an angle, as counts in a turn.
+        unwrap: whether jumps of more than half a turn are taken for wraps and removed.
+        velocity: the velocity column, if there is one.
+    """
+
+    name: str
+    kind: Kind
+    column: ColumnKey
+    unit: str | None = None
+    sign: Literal[1, -1] = 1
+    offset: float = 0.0
+    resolution: float | None = Field(default=None, gt=0)
+    counts_per_revolution: float | None = Field(default=None, gt=0)
+    unwrap: bool = True
+    velocity: VelocityCard | None = None
+
+    @model_validator(mode="after")
+    def _units_fit(self) -> Self:
+        known = [*self._units, "counts"]
+        if self.unit is not None and self.unit not in known:
+            raise ValueError(f"unit '{self.unit}' of a {self.kind} coordinate; known: {known}")
+        if self.unit == "counts" and self.count is None:
+            raise ValueError("unit 'counts' needs `resolution` or `counts_per_revolution`")
+        if self.counts_per_revolution and self.kind == "linear":
+            raise ValueError("`counts_per_revolution` of a linear coordinate; give `resolution`")
+        if self.velocity is not None:
+            self.velocity_factor()
+        return self
+
+    @property
+    def _units(self) -> dict[str, float]:
+        return _ANGLE if self.kind == "angular" else _LENGTH
+
+    @property
+    def count(self) -> float | None:
+        """Encoder count [rad or m]."""
+        if self.resolution is None and self.counts_per_revolution is not None:
+            return 2 * np.pi / self.counts_per_revolution
+        return self.resolution
+
+    def factor(self) -> float:
+        """SI units in one unit of the position column."""
+        if self.unit == "counts":
+            return float(self.count or np.nan)
+        return 1.0 if self.unit is None else self._units[self.unit]
+
+    def velocity_factor(self) -> float:
+        """SI units in one unit of the velocity column."""
+        unit = self.velocity.unit if self.velocity else None
+        if unit is None:
+            return self.factor()
+        if unit == "rpm" and self.kind == "angular":
+            return 2 * np.pi / 60
+        length, _, per = unit.partition("/")
+        units = {**self._units, **({"counts": self.count} if self.count else {})}
+        if length not in units or per not in _TIME:
+            raise ValueError(f"velocity unit '{unit}' of a {self.kind} coordinate")
+        return float(units[length]) / _TIME[per]
+
+    def coordinate(self) -> Coordinate:
+        """What the records will say of this coordinate."""
+        return Coordinate(self.name, self.kind, self.count)
+
+
+class InputCard(Declaration):
+    """An input: `value = sign * scale * (column - offset)`.
+
+    Attributes:
+        name: what it is called.
+        column: name or number.
+        unit: the unit of `value`.
+        scale: units of `value` in one unit of the column.
+        sign: 1 or -1.
+        offset: what the column reads where the input is 0.
+        hold: `zero-order` or `first-order`.
+        limits: smallest and largest `value` of the actuator.
+    """
+
+    name: str
+    column: ColumnKey
+    unit: str = "V"
+    scale: float = 1.0
+    sign: Literal[1, -1] = 1
+    offset: float = 0.0
+    hold: Hold = "zero-order"
+    limits: tuple[float, float] | None = None
+
+    def input(self) -> Input:
+        """What the records will say of this input."""
+        return Input(self.name, self.unit, self.hold, self.limits)
+
+
+class TimeCard(Declaration):
+    """The time column and what to do where it is irregular.
+
+    Attributes:
+        column: name or number.
+        unit: s, ms, us or ns.
+        tolerance: largest |interval - dt| that is accepted as jitter, as a share of dt.
+        irregular: beyond it, `refuse` the record, `resample` it onto a grid, or `keep` the
+            samples as they are.
+    """
+
+    column: ColumnKey
+    unit: Literal["s", "ms", "us", "ns"] = "s"
+    tolerance: float = Field(default=0.05, ge=0)
+    irregular: Literal["refuse", "resample", "keep"] = "refuse"
+
+    def factor(self) -> float:
+        """Seconds in one unit of the column."""
+        return _TIME[self.unit]
+
+
+class FileCard(Declaration):
+    """One file, or a range of its rows, as a record.
+
+    Attributes:
+        file: path below the card's folder, or a pattern (`train/*.csv`).
+        name: what the record is called; the file's name without ending by default.
+        rows: first row and the row after the last, counted from 0 after any header.
+        k_bar: end of the transient as a row of the record, instead of the detected one.
+    """
+
+    file: str
+    name: str | None = None
+    rows: tuple[int, int] | None = None
+    k_bar: int | None = Field(default=None, ge=0)
+
+
+class FormatCard(Declaration):
+    """How text files are laid out.
+
+    Attributes:
+        header: whether the first row names the columns.
+        delimiter: what separates the columns.
+        columns: how many columns there must be, if that is to be checked.
+    """
+
+    header: bool = True
+    delimiter: str = Field(default=",", min_length=1, max_length=1)
+    columns: int | None = Field(default=None, gt=0)
+
+
+class Card(Declaration):
+    """The data card.
+
+    Attributes:
+        name: what the data set is called.
+        description: a sentence for people.
+        dt: nominal sampling period [s]; the median interval where it is left out.
+        splits: files of `train`, `validation` and `test`.
+        optional_splits: splits whose files may all be absent.
+        format: layout of text files.
+        time: the time column; without it samples are taken to be `dt` apart.
+        coordinates: at least one.
+        inputs: any number.
+    """
+
+    name: str
+    description: str = ""
+    dt: float | None = Field(default=None, gt=0)
+    splits: dict[SplitName, list[FileCard]] = Field(default_factory=dict)
+    optional_splits: list[SplitName] = Field(default_factory=list)
+    format: FormatCard = FormatCard()
+    time: TimeCard | None = None
+    coordinates: list[CoordinateCard] = Field(min_length=1)
+    inputs: list[InputCard] = Field(default_factory=list)
+
+    @field_validator("splits", mode="before")
+    @classmethod
+    def _paths_are_files(cls, splits: object) -> object:
+        # "train/*.csv" is short for { file = "train/*.csv" }
+        if not isinstance(splits, dict):
+            return splits
+        return {
+            split: [{"file": f} if isinstance(f, str) else f for f in files]
+            if isinstance(files, list)
+            else files
+            for split, files in splits.items()
+        }
+
+    @model_validator(mode="after")
+    def _names_and_period(self) -> Self:
+        names = [c.name for c in self.coordinates] + [i.name for i in self.inputs]
+        doubled = sorted({name for name in names if names.count(name) > 1})
+        if doubled:
+            raise ValueError(f"two channels are called '{doubled[0]}'")
+        if self.dt is None and self.time is None:
+            raise ValueError("neither `dt` nor a time column says how far apart samples are")
+        return self

@@ -1,0 +1,179 @@
+"""Data sets by name, by card or by folder."""
+
+import difflib
+import hashlib
+import os
+from dataclasses import dataclass
+from importlib import resources
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Any, cast
+
+import platformdirs
+
+from tustinnet.data.card import Card
+from tustinnet.data.dataset import DataSet
+from tustinnet.data.declaration import read_declaration
+from tustinnet.data.loading import load_folder
+from tustinnet.errors import InputError
+
+CARD_NAME = "dataset.toml"
+DATA_VARIABLE = "TUSTINNET_DATA"
+
+
+@dataclass(frozen=True)
+class KnownDataSet:
+    """A published data set whose card and checksums are part of the package.
+
+    Attributes:
+        name: what it goes by.
+        stem: name of the packaged card and checksum file.
+        address: where its files are served.
+    """
+
+    name: str
+    stem: str
+    address: str
+
+    def card(self) -> Card:
+        """The packaged data card."""
+        with resources.as_file(self._resource(".toml")) as path:
+            return read_declaration(path, Card)
+
+    def checksums(self) -> dict[str, str]:
+        """SHA-256 of every file, by path below the data set's folder."""
+        lines = self._resource(".sha256").read_text(encoding="utf-8").split("\n")
+        return {file: digest for digest, file in (line.split() for line in lines if line)}
+
+    def cache(self) -> Path:
+        """Where downloaded files are kept."""
+        return Path(platformdirs.user_cache_dir("tustinnet")) / self.stem
+
+    def differing(self, folder: Path) -> list[str]:
+        """Files that are in a folder but are not the published ones."""
+        return [
+            file
+            for file, digest in self.checksums().items()
+            if (folder / file).is_file()
+            and hashlib.sha256((folder / file).read_bytes()).hexdigest() != digest
+        ]
+
+    def is_in(self, folder: Path) -> bool:
+        """Whether a folder holds files that go by the names of this data set."""
+        return any((folder / file).is_file() for file in self.checksums())
+
+    def _resource(self, ending: str) -> Traversable:
+        return resources.files("tustinnet.data") / "cards" / f"{self.stem}{ending}"
+
+
+QUBE_SERVO2 = KnownDataSet(
+    name="qube-servo2",
+    stem="qube_servo2",
+    address="https://raw.githubusercontent.com/svanesch/tustinNetTransferLearning/"
+    "178ba573691489d9f79a504b2010247663ed3bc2/data/",
+)
+CATALOG = {known.name: known for known in (QUBE_SERVO2,)}
+
+
+def load(data: str | Path, card: str | Path | None = None) -> DataSet:
+    """Reads a data set.
+
+    Args:
+        data: a name of the catalog (`qube-servo2`), a data card, or a folder that holds
+            `dataset.toml` or the files of a data set of the catalog.
+        card: a data card for the folder `data`, where it has none of its own.
+
+    Raises:
+        InputError: nothing usable there; the message says what was looked for.
+    """
+    folder, declared = locate(data, card)
+    return load_folder(folder, declared)
+
+
+def locate(data: str | Path, card: str | Path | None = None) -> tuple[Path, Card]:
+    """The folder and the card that a name, card or folder stands for (see `load`)."""
+    path = Path(data)
+    if str(data) in CATALOG and card is None:
+        known = CATALOG[str(data)]
+        return find_folder(known), known.card()
+    if card is not None:
+        _require_folder(path)
+        return path, read_declaration(Path(card), Card)
+    if path.suffix == ".toml":
+        return path.parent, read_declaration(path, Card)
+    _require_folder(path)
+    if (path / CARD_NAME).is_file():
+        return path, read_declaration(path / CARD_NAME, Card)
+    for known in CATALOG.values():
+        if known.is_in(path):
+            return path, known.card()
+    raise InputError(
+        path,
+        f"no {CARD_NAME} and no data set of the catalog in this folder",
+        "a data card that says what the columns mean",
+        "write one (docs/data.md shows how) or give --card FILE",
+    )
+
+
+def find_folder(known: KnownDataSet) -> Path:
+    """The folder of a known data set: TUSTINNET_DATA, else the cache, else a download."""
+    named = os.environ.get(DATA_VARIABLE)
+    if named:
+        for folder in (Path(named), Path(named) / known.stem, Path(named) / known.name):
+            if known.is_in(folder):
+                return folder
+        raise InputError(
+            f"{DATA_VARIABLE}={named}",
+            f"no files of '{known.name}' there",
+            f"a folder with {_some(known)}",
+            f"correct or unset {DATA_VARIABLE}",
+        )
+    return _download(known)
+
+
+def _download(known: KnownDataSet) -> Path:
+    """Fetches what the cache lacks, each file checked against its checksum."""
+    # imported here: loading requests takes longer than `tustinnet --help` may
+    import pooch
+    import requests
+
+    cache = known.cache()
+    fetcher = pooch.create(
+        path=cache,
+        base_url=known.address,
+        registry={file: f"sha256:{digest}" for file, digest in known.checksums().items()},
+    )
+    pooch.get_logger().setLevel("WARNING")
+    # pooch's own type of a downloader names the arguments of its processors
+    downloader = cast(Any, pooch.HTTPDownloader(timeout=30))
+    for file in fetcher.registry:
+        try:
+            fetcher.fetch(file, downloader=downloader)
+        except (requests.RequestException, OSError, ValueError) as error:
+            reason = str(error).split("(Caused by")[0].splitlines()[0][:160]
+            raise InputError(
+                f"data set '{known.name}'",
+                f"{known.address}{file} could not be fetched ({type(error).__name__}: {reason})",
+                f"{len(fetcher.registry)} files ({_some(known)})",
+                f"put them into {cache} in these subfolders, or give their folder with "
+                f"--data PATH or {DATA_VARIABLE}=PATH",
+            ) from error
+    return cache
+
+
+def _some(known: KnownDataSet) -> str:
+    files = sorted(known.checksums())
+    folders = sorted({Path(file).parent.as_posix() for file in files})
+    return f"{files[0]}, ... in the subfolders {', '.join(folders)}"
+
+
+def _require_folder(path: Path) -> None:
+    if path.is_dir():
+        return
+    near = difflib.get_close_matches(str(path), CATALOG, n=1)
+    raise InputError(
+        path,
+        "no such folder",
+        f"a folder, a data card or a name of the catalog ({', '.join(CATALOG)})",
+        f"did you mean '{near[0]}'?" if near else "",
+    )

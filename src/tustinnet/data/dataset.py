@@ -1,0 +1,196 @@
+"""Several records of one system as one data set."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, overload
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from tustinnet.data.experiment import Coordinate, Experiment, Input
+from tustinnet.errors import InputError
+
+_PERIOD_TOLERANCE = 1e-6  # relative; two records of one data set share one period
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """Records of one system, of any lengths, with the same coordinates, inputs and period.
+
+    Attributes:
+        name: what the data set is called.
+        experiments: the records.
+    """
+
+    name: str
+    experiments: tuple[Experiment, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "experiments", tuple(self.experiments))
+        if not self.experiments:
+            raise InputError(self.name, "no experiments", "at least one")
+        first, seen = self.experiments[0], set()
+        for experiment in self.experiments:
+            if experiment.name in seen:
+                raise InputError(self.name, f"two experiments named '{experiment.name}'", "one")
+            seen.add(experiment.name)
+            require_same_system(experiment, first.coordinates, first.inputs, first.name)
+            if abs(experiment.dt / first.dt - 1) > _PERIOD_TOLERANCE:
+                raise InputError(
+                    experiment.name,
+                    f"sampling period {experiment.dt:g} s, but {first.name} has {first.dt:g} s",
+                    "one period in a data set",
+                    "resample one of them",
+                )
+
+    def __len__(self) -> int:
+        return len(self.experiments)
+
+    def __iter__(self) -> Iterator[Experiment]:
+        return iter(self.experiments)
+
+    @overload
+    def __getitem__(self, key: int | str) -> Experiment: ...
+    @overload
+    def __getitem__(self, key: slice) -> "DataSet": ...
+    def __getitem__(self, key: Any) -> "Experiment | DataSet":
+        if isinstance(key, slice):
+            return replace(self, experiments=self.experiments[key])
+        if isinstance(key, str):
+            for experiment in self.experiments:
+                if experiment.name == key:
+                    return experiment
+            names = ", ".join(e.name for e in self.experiments)
+            raise InputError(self.name, f"no experiment '{key}'", f"one of {names}")
+        return self.experiments[key]
+
+    def __repr__(self) -> str:
+        return f"DataSet({self.name!r}, {len(self)} experiments)"
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """The coordinates that all records share."""
+        return self.experiments[0].coordinates
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """The inputs that all records share."""
+        return self.experiments[0].inputs
+
+    @property
+    def dt(self) -> float:
+        """The sampling period that all records share [s]."""
+        return self.experiments[0].dt
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """The splits that occur, in order of appearance."""
+        return tuple(dict.fromkeys(e.split for e in self.experiments if e.split is not None))
+
+    def split(self, name: str) -> "DataSet":
+        """The records of one split."""
+        chosen = tuple(e for e in self.experiments if e.split == name)
+        if not chosen:
+            known = ", ".join(self.splits) or "none (the records are not split)"
+            raise InputError(self.name, f"no split '{name}'", f"one of: {known}")
+        return replace(self, experiments=chosen)
+
+    def trim(self, start: float = 0.0, stop: float | None = None) -> "DataSet":
+        """Every record between two times [s], counted from its own first sample."""
+        return replace(self, experiments=tuple(e.trim(start, stop) for e in self.experiments))
+
+    def exclude(self, *names: str) -> "DataSet":
+        """The data set without some records."""
+        for name in names:
+            self[name]
+        kept = tuple(e for e in self.experiments if e.name not in names)
+        return replace(self, experiments=kept)
+
+    def merge(self, *others: "DataSet | Iterable[Experiment]") -> "DataSet":
+        """The records of several data sets as one."""
+        added = [e for other in others for e in other]
+        return replace(self, experiments=(*self.experiments, *added))
+
+
+def from_arrays(
+    q: ArrayLike,
+    u: ArrayLike | None = None,
+    *,
+    dt: float,
+    coordinates: Sequence[Coordinate | str],
+    inputs: Sequence[Input | str] = (),
+    t: ArrayLike | None = None,
+    v: ArrayLike | None = None,
+    v_measured: bool = True,
+    name: str = "experiment",
+    split: str | None = None,
+) -> Experiment:
+    """One record from arrays.
+
+    Args:
+        q: positions in radians or metres, (n, n_q), or (n,) for one coordinate.
+        u: inputs, (n, n_u), or (n,) for one input.
+        dt: sampling period [s].
+        coordinates: the columns of `q`; a name stands for an angular coordinate.
+        inputs: the columns of `u`; a name stands for an input in volts under a zero-order hold.
+        t: timestamps [s]; multiples of `dt` by default.
+        v: velocities, shaped like `q`.
+        v_measured: whether a sensor measured them.
+        name: what the record is called.
+        split: `train`, `validation`, `test` or None.
+
+    Raises:
+        InputError: shapes that do not fit, numbers that are not finite.
+    """
+    positions = _columns(q)
+    n = len(positions)
+    return Experiment(
+        name=name,
+        t=np.arange(n) * dt if t is None else np.asarray(t, dtype=float),
+        q=positions,
+        u=np.zeros((n, 0)) if u is None else _columns(u),
+        v=None if v is None else _columns(v),
+        v_measured=v is not None and v_measured,
+        dt=dt,
+        coordinates=tuple(Coordinate(c) if isinstance(c, str) else c for c in coordinates),
+        inputs=tuple(Input(i) if isinstance(i, str) else i for i in inputs),
+        split=split,
+    )
+
+
+def _columns(values: ArrayLike) -> Float[np.ndarray, "n c"]:
+    array = np.asarray(values, dtype=float)
+    return array[:, None] if array.ndim == 1 else array
+
+
+def require_same_system(
+    experiment: Experiment,
+    coordinates: tuple[Coordinate, ...],
+    inputs: tuple[Input, ...],
+    where: str,
+) -> None:
+    """Raises unless an experiment has these coordinates and inputs (names, kinds, order)."""
+    for what, have, want in (
+        (
+            "coordinates",
+            [(c.name, c.kind) for c in experiment.coordinates],
+            [(c.name, c.kind) for c in coordinates],
+        ),
+        (
+            "inputs",
+            [(i.name, i.hold) for i in experiment.inputs],
+            [(i.name, i.hold) for i in inputs],
+        ),
+    ):
+        if have != want:
+            raise InputError(
+                experiment.name,
+                f"{what} {_listed(have)}",
+                f"{_listed(want)} as in {where}",
+                "check the data card: names, kinds and order must agree",
+            )
+
+
+def _listed(pairs: list[tuple[str, str]]) -> str:
+    return ", ".join(f"{name} ({kind})" for name, kind in pairs) or "(none)"

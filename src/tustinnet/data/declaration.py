@@ -1,0 +1,72 @@
+"""TOML files that declare something (a data set, a recipe), read strictly."""
+
+import difflib
+import tomllib
+from pathlib import Path
+from typing import Any, TypeVar, get_args
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from tustinnet.errors import InputError
+
+
+class Declaration(BaseModel):
+    """A table of a TOML file: frozen, no key but the declared ones."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+Declared = TypeVar("Declared", bound=Declaration)
+
+
+def read_declaration(path: Path, kind: type[Declared]) -> Declared:
+    """Reads a TOML file as a declaration.
+
+    Raises:
+        InputError: no such file, no TOML, an unknown key (with the nearest known one), a value
+            of the wrong kind; the message names the key.
+    """
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(path, "no such file", "a TOML file") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(path, f"not valid TOML ({error})", "key = value lines") from error
+    return declare(content, kind, path)
+
+
+def declare(content: dict[str, Any], kind: type[Declared], where: object) -> Declared:
+    """Validates a mapping as a declaration; `where` names it in errors."""
+    try:
+        return kind.model_validate(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        location = [str(part) for part in first["loc"]]
+        key = ".".join(location) or "the file"
+        if first["type"] == "extra_forbidden":
+            known = _known_keys(kind, first["loc"][:-1])
+            near = difflib.get_close_matches(location[-1], known, n=1)
+            hint = f"did you mean '{near[0]}'?" if near else f"known keys: {', '.join(known)}"
+            raise InputError(f"{where}, {key}", "unknown key", "", hint) from None
+        if first["type"] == "missing":
+            raise InputError(f"{where}, {key}", "missing", "a value for this key") from None
+        received = repr(first.get("input"))
+        message = first["msg"].removeprefix("Value error, ")
+        raise InputError(f"{where}, {key}", f"{message} (got {received[:60]})") from None
+
+
+def _known_keys(kind: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    """The keys of the table at a location: follows field types, through lists and unions."""
+    models = [kind]
+    for part in location:
+        if isinstance(part, str):
+            fields = [m.model_fields[part].annotation for m in models if part in m.model_fields]
+            # a part that is no field is a union's tag or a mapping's key: the models stay
+            models = [m for field in fields for m in _models_in(field)] if fields else models
+    return sorted({name for model in models for name in model.model_fields})
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models_in(part)]

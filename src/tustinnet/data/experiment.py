@@ -1,0 +1,286 @@
+"""One recorded run of a mechanical system."""
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from tustinnet.errors import InputError
+from tustinnet.signals import resampling
+from tustinnet.signals.derivatives import VelocityMethod, differentiate
+
+Kind = Literal["angular", "linear"]
+Hold = Literal["zero-order", "first-order"]
+VelocitySource = Literal["auto", "file", "stencil", "savgol", "kalman"]
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """A generalised coordinate of the system.
+
+    Attributes:
+        name: what it is called.
+        kind: `angular` (radians, not wrapped) or `linear` (metres).
+        resolution: encoder count [rad or m], if known.
+    """
+
+    name: str
+    kind: Kind = "angular"
+    resolution: float | None = None
+
+    @property
+    def unit(self) -> str:
+        """`rad` or `m`."""
+        return "rad" if self.kind == "angular" else "m"
+
+
+@dataclass(frozen=True)
+class Input:
+    """An input of the system.
+
+    Attributes:
+        name: what it is called.
+        unit: its unit, as it stands in the data.
+        hold: what happens between samples: held (`zero-order`) or a straight line (`first-order`).
+        limits: smallest and largest value the actuator takes, if known.
+    """
+
+    name: str
+    unit: str = "V"
+    hold: Hold = "zero-order"
+    limits: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """One frozen record of one run. SI units, angles in radians and not wrapped.
+
+    Attributes:
+        name: what the record is called.
+        t: timestamps as recorded, (n,) [s].
+        q: positions, (n, n_q) [rad or m].
+        u: inputs, (n, n_u); `u[k]` acts from sample k on.
+        dt: sampling period [s].
+        coordinates: the columns of `q`.
+        inputs: the columns of `u`.
+        v: velocities as they stand in the file, (n, n_q) [rad/s or m/s], or None.
+        v_measured: whether `v` was measured by a sensor of its own.
+        split: `train`, `validation`, `test` or None.
+        k_bar: end of the transient as a sample index, where somebody declared it.
+        source: where the record came from.
+        sha256: checksum of that file.
+        first_row: the row of the source that sample 0 was.
+        notes: what reading it found and did (jitter accepted, angles unwrapped, ...).
+    """
+
+    name: str
+    t: Float[np.ndarray, " n"]
+    q: Float[np.ndarray, "n n_q"]
+    u: Float[np.ndarray, "n n_u"]
+    dt: float
+    coordinates: tuple[Coordinate, ...]
+    inputs: tuple[Input, ...] = ()
+    v: Float[np.ndarray, "n n_q"] | None = None
+    v_measured: bool = False
+    split: str | None = None
+    k_bar: int | None = None
+    source: str = ""
+    sha256: str = ""
+    first_row: int = 0
+    notes: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        if not self.dt > 0 or not np.isfinite(self.dt):
+            raise InputError(
+                self.name, f"sampling period {self.dt}", "a positive number of seconds"
+            )
+        self._freeze("t", (None,))
+        n = len(self.t)
+        if n < 2:
+            raise InputError(self.name, f"{n} samples", "at least 2")
+        self._freeze("q", (n, len(self.coordinates)))
+        self._freeze("u", (n, len(self.inputs)))
+        if self.v is not None:
+            self._freeze("v", (n, len(self.coordinates)))
+        backward = np.flatnonzero(np.diff(self.t) <= 0)
+        if len(backward):
+            row = int(backward[0]) + 1
+            raise InputError(
+                self.name,
+                f"time {self.t[row]:g} s of sample {row} does not follow {self.t[row - 1]:g} s",
+                "strictly increasing times",
+                "remove duplicate or misplaced rows",
+            )
+        if self.k_bar is not None and not 0 <= self.k_bar <= n:
+            raise InputError(self.name, f"k_bar {self.k_bar}", f"a sample index from 0 to {n}")
+
+    def _freeze(self, attribute: str, shape: tuple[int | None, ...]) -> None:
+        array = np.array(getattr(self, attribute), dtype=np.float64, order="C")
+        wanted = tuple(array.shape[0] if n is None and array.ndim else n for n in shape)
+        if array.shape != wanted:
+            raise InputError(
+                self.name,
+                f"{attribute} has shape {array.shape}",
+                f"{wanted}: samples by {'inputs' if attribute == 'u' else 'coordinates'}",
+            )
+        if not np.isfinite(array).all():
+            row = int(np.argwhere(~np.isfinite(array))[0][0])
+            raise InputError(
+                self.name, f"{attribute} is not finite at sample {row}", "finite numbers"
+            )
+        array.setflags(write=False)
+        object.__setattr__(self, attribute, array)
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def __repr__(self) -> str:
+        names = ", ".join(c.name for c in self.coordinates)
+        return f"Experiment({self.name!r}, {len(self)} samples of {self.dt:g} s, {names})"
+
+    def __getitem__(self, samples: slice) -> "Experiment":
+        """A part of the record; timestamps, period, `k_bar` and first row stay true."""
+        start, stop, stride = samples.indices(len(self))
+        if stride < 1:
+            raise InputError(self.name, f"slice with step {stride}", "a positive step")
+        if stride > 1:
+            self._require_held(start, stop, stride)
+        k_bar = None if self.k_bar is None else max(0, min(self.k_bar, stop) - start)
+        part = slice(start, stop, stride)
+        return replace(
+            self,
+            t=self.t[part],
+            q=self.q[part],
+            u=self.u[part],
+            v=None if self.v is None else self.v[part],
+            dt=self.dt * stride,
+            k_bar=None if k_bar is None else -(-k_bar // stride),
+            first_row=self.first_row + start,
+        )
+
+    def _require_held(self, start: int, stop: int, stride: int) -> None:
+        changes = np.flatnonzero(np.diff(self.u[start:stop], axis=0).any(axis=1)) + 1
+        lost = changes[changes % stride != 0]
+        if len(lost):
+            raise InputError(
+                self.name,
+                f"a step of {stride} would drop the input's change at sample {start + lost[0]}",
+                "an input that is constant between the kept samples",
+                "use `resample`, which keeps the mean of the input",
+            )
+
+    def resample(self, dt: float) -> "Experiment":
+        """The record on a regular grid of period `dt` [s] from its first timestamp on.
+
+        Positions by cubic spline, velocities and first-order-held inputs linearly; a held input
+        becomes its mean over each period of the grid, so that its impulse is kept.
+        """
+        if not 0 < dt < self.t[-1] - self.t[0]:
+            span = self.t[-1] - self.t[0]
+            raise InputError(self.name, f"period {dt} s", f"more than 0 and less than {span:g} s")
+        grid = resampling.regular_grid(self.t, dt)
+        held = np.array([i.hold == "zero-order" for i in self.inputs], dtype=bool)
+        k_bar = None
+        if self.k_bar is not None:
+            k_bar = int(np.searchsorted(grid, self.t[min(self.k_bar, len(self) - 1)]))
+        return replace(
+            self,
+            t=grid,
+            dt=dt,
+            q=resampling.resample_positions(self.t, self.q, grid),
+            u=np.where(
+                held,
+                resampling.resample_held(self.t, self.u, grid),
+                resampling.resample_linear(self.t, self.u, grid),
+            ),
+            v=None if self.v is None else resampling.resample_linear(self.t, self.v, grid),
+            k_bar=k_bar,
+        )
+
+    def trim(self, start: float = 0.0, stop: float | None = None) -> "Experiment":
+        """The part between two times [s], counted from the record's first sample."""
+        elapsed = self.t - self.t[0]
+        end = np.inf if stop is None else stop
+        first = int(np.searchsorted(elapsed, start - self.dt / 2))
+        last = int(np.searchsorted(elapsed, end + self.dt / 2))
+        if last - first < 2:
+            raise InputError(
+                self.name,
+                f"trimming to {start:g}..{end:g} s leaves {max(last - first, 0)} samples",
+                f"times within 0..{elapsed[-1]:g} s",
+            )
+        return self[first:last]
+
+    def exclude(self, start: int, stop: int) -> tuple["Experiment", ...]:
+        """The parts before and after the samples `start..stop-1`, as records of their own."""
+        parts = [(0, start), (stop, len(self))]
+        kept = [
+            replace(self[a:b], name=f"{self.name}[{a}:{b}]") for a, b in parts if b - max(a, 0) >= 2
+        ]
+        if not kept or not 0 <= start < stop <= len(self):
+            raise InputError(
+                self.name,
+                f"excluding samples {start}..{stop} of {len(self)}",
+                "a part of the record that leaves at least 2 samples",
+            )
+        return tuple(kept)
+
+    @property
+    def resolution(self) -> Float[np.ndarray, " n_q"]:
+        """Encoder counts [rad or m], 0 where unknown, (n_q,)."""
+        return np.array([c.resolution or 0.0 for c in self.coordinates])
+
+    @property
+    def forced(self) -> bool:
+        """Whether an input changes during the record."""
+        return bool(np.ptp(self.u, axis=0).any()) if self.u.size else False
+
+    @property
+    def held_inputs(self) -> Float[np.ndarray, "steps n_u"]:
+        """What acts on the system from each sample to the next, (n - 1, n_u).
+
+        The sample itself under a zero-order hold, the mean of both ends under a first-order one.
+        """
+        first_order = np.array([i.hold == "first-order" for i in self.inputs], dtype=bool)
+        return np.where(first_order, (self.u[:-1] + self.u[1:]) / 2, self.u[:-1])
+
+    def velocities(self, source: VelocitySource = "auto") -> Float[np.ndarray, "n n_q"]:
+        """Velocities, (n, n_q) [rad/s or m/s].
+
+        Args:
+            source: `file` for the stored columns; `stencil`, `savgol`, `kalman` to derive them
+                from the positions; `auto` for the stored ones where they were measured and are
+                not padded with zero rows, else the stencil.
+        """
+        if source == "auto":
+            trusted = self.v is not None and self.v_measured and self.padded_rows == (0, 0)
+            source = "file" if trusted else "stencil"
+        if source == "file":
+            if self.v is None:
+                raise InputError(
+                    self.name,
+                    "no velocity columns in the record",
+                    "velocities in the file",
+                    "use stencil, savgol or kalman",
+                )
+            return self.v
+        method: VelocityMethod = source
+        return differentiate(self.q, self.dt, method, self.resolution)
+
+    @property
+    def padded_rows(self) -> tuple[int, int]:
+        """Rows at the beginning and the end whose stored velocities are zero padding.
+
+        Rows of exact zeros in every velocity column count as padding where the positions say
+        that the system was moving.
+        """
+        if self.v is None or len(self) < 5:
+            return (0, 0)
+        zero = np.all(self.v == 0, axis=1)
+        lead = len(zero) if zero.all() else int(np.argmin(zero))
+        trail = len(zero) if zero.all() else int(np.argmin(zero[::-1]))
+        moving = np.any(np.diff(self.q, axis=0) != 0, axis=1)
+        lead = lead if moving[:lead].any() else 0
+        trail = trail if trail and moving[-trail:].any() else 0
+        return lead, trail

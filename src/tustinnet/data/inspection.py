@@ -1,0 +1,266 @@
+"""What a record holds, before anything is fitted to it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.ndimage
+import scipy.signal
+from jaxtyping import Bool, Float
+
+from tustinnet.data.experiment import Experiment
+from tustinnet.signals import resampling, transients
+from tustinnet.signals.transients import RestThresholds
+
+_REST_SECONDS = 0.25  # slow for this long around a sample: near an equilibrium, not a turning point
+_STUCK_SHARE = 0.02  # share of samples at an extreme value from which an input is called saturated
+
+
+@dataclass(frozen=True)
+class CoordinateReport:
+    """One coordinate of one record; positions in rad or m.
+
+    Attributes:
+        name: the coordinate.
+        range: smallest and largest position.
+        peak_speed: largest |v| [rad/s or m/s].
+        count: encoder count found in the positions, None where they are not quantised.
+        declared_count: the count that the data card declares.
+        speed_threshold: below this speed the coordinate counts as at rest.
+        excursion_threshold: the same for the distance from the resting value.
+        resting: the resting value.
+    """
+
+    name: str
+    range: tuple[float, float]
+    peak_speed: float
+    count: float | None
+    declared_count: float | None
+    speed_threshold: float
+    excursion_threshold: float
+    resting: float
+
+
+@dataclass(frozen=True)
+class InputReport:
+    """One input of one record, in its own unit.
+
+    Attributes:
+        name: the input.
+        range: smallest and largest value.
+        rms: root mean square.
+        bandwidth: frequency below which 90 % of its power lies [Hz], None for a constant.
+        saturated: share of samples at a declared limit, or stuck at an extreme value.
+    """
+
+    name: str
+    range: tuple[float, float]
+    rms: float
+    bandwidth: float | None
+    saturated: float
+
+
+@dataclass(frozen=True)
+class ExperimentReport:
+    """What `inspect` found in one record.
+
+    Attributes:
+        name: the record.
+        split: its split.
+        samples: its length.
+        seconds: its duration.
+        dt: nominal period [s].
+        median_dt: median interval [s].
+        jitter: root mean square deviation from the period [s].
+        worst_interval: the interval farthest from the period [s].
+        gaps: samples before a gap.
+        forced: whether an input changes.
+        k_bar: end of the transient, as a sample index.
+        k_bar_declared: whether the data card says so.
+        rest_share: share of samples near an equilibrium.
+        coordinates: per coordinate.
+        inputs: per input.
+        suspicious: sentences about rows that look wrong.
+        notes: what reading the record found and did.
+    """
+
+    name: str
+    split: str | None
+    samples: int
+    seconds: float
+    dt: float
+    median_dt: float
+    jitter: float
+    worst_interval: float
+    gaps: tuple[int, ...]
+    forced: bool
+    k_bar: int
+    k_bar_declared: bool
+    rest_share: float
+    coordinates: tuple[CoordinateReport, ...]
+    inputs: tuple[InputReport, ...]
+    suspicious: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def inspect_experiment(experiment: Experiment) -> ExperimentReport:
+    """Examines one record: time base, encoder, excitation, rest, suspicious rows."""
+    e = experiment
+    v = e.velocities("stencil")
+    time = resampling.regularity(e.t, e.dt)
+    thresholds = transients.rest_thresholds(e.q, v, e.resolution, e.dt)
+    return ExperimentReport(
+        name=e.name,
+        split=e.split,
+        samples=len(e),
+        seconds=float(e.t[-1] - e.t[0]),
+        dt=e.dt,
+        median_dt=time.median_dt,
+        jitter=time.jitter,
+        worst_interval=float(e.t[time.worst_row] - e.t[time.worst_row - 1]),
+        gaps=time.gaps,
+        forced=e.forced,
+        k_bar=transient_end(e),
+        k_bar_declared=e.k_bar is not None,
+        rest_share=float(np.mean(_near_equilibrium(v, thresholds, e.dt))),
+        coordinates=tuple(_coordinate(e, j, v, thresholds) for j in range(e.q.shape[1])),
+        inputs=tuple(_input(e, j) for j in range(e.u.shape[1])),
+        suspicious=_suspicious(e, v),
+        notes=e.notes,
+    )
+
+
+def transient_end(experiment: Experiment) -> int:
+    """`k_bar`: where the transient of a record ends, as a sample index.
+
+    The declared one where there is one; the record's end where an input changes; else the first
+    sample after which all speeds and all excursions from the resting value stay below the
+    thresholds of `rest_thresholds` to the end.
+    """
+    if experiment.k_bar is not None:
+        return experiment.k_bar
+    if experiment.forced:
+        return len(experiment)
+    v = experiment.velocities("stencil")
+    thresholds = transients.rest_thresholds(experiment.q, v, experiment.resolution, experiment.dt)
+    return transients.settling_index(experiment.q, v, thresholds)
+
+
+def encoder_count(q: Float[np.ndarray, " n"]) -> float | None:
+    """The step of which all changes of a position are multiples, or None.
+
+    The smallest steps give a first value; larger and larger distances, each within the reach of
+    the value so far, refine it, so that the rounding of the file (1e-6 is usual) averages out.
+    """
+    levels = np.unique(q)
+    if len(levels) < 3:
+        return None
+    steps = np.diff(levels)
+    smallest = steps[steps > 0.2 * np.median(steps)].min()
+    # steps of one count, give or take the rounding of the file
+    count = float(np.median(steps[steps < 1.5 * smallest]))
+    distance = levels - levels[0]
+    reach = 8.0 * count
+    while True:
+        near = distance[distance <= reach]
+        multiples = np.round(near / count)
+        if multiples.any():
+            count = float(near @ multiples / (multiples @ multiples))
+        if reach >= distance[-1]:
+            break
+        reach *= 4.0
+    error = np.abs(distance - np.round(distance / count) * count)
+    return count if np.max(error) < 0.1 * count else None
+
+
+def _coordinate(
+    e: Experiment, j: int, v: Float[np.ndarray, "n n_q"], thresholds: RestThresholds
+) -> CoordinateReport:
+    q = e.q[:, j]
+    return CoordinateReport(
+        name=e.coordinates[j].name,
+        range=(float(q.min()), float(q.max())),
+        peak_speed=float(np.abs(v[:, j]).max()),
+        count=encoder_count(q),
+        declared_count=e.coordinates[j].resolution,
+        speed_threshold=float(thresholds.speed[j]),
+        excursion_threshold=float(thresholds.excursion[j]),
+        resting=float(thresholds.resting[j]),
+    )
+
+
+def _input(e: Experiment, j: int) -> InputReport:
+    u = e.u[:, j]
+    low, high = float(u.min()), float(u.max())
+    bandwidth = None
+    if high > low:
+        frequency, power = scipy.signal.periodogram(u, fs=1 / e.dt, detrend="constant")
+        share = np.cumsum(power) / np.sum(power)
+        bandwidth = float(frequency[np.searchsorted(share, 0.9)])
+    return InputReport(
+        name=e.inputs[j].name,
+        range=(low, high),
+        rms=float(np.sqrt(np.mean(u**2))),
+        bandwidth=bandwidth,
+        saturated=_saturated_share(u, e.inputs[j].limits),
+    )
+
+
+def _saturated_share(u: Float[np.ndarray, " n"], limits: tuple[float, float] | None) -> float:
+    if limits is not None:
+        return float(np.mean((u <= limits[0]) | (u >= limits[1])))
+    # without limits: an input of many levels that sits on an extreme one was probably cut there
+    if len(np.unique(u)) <= 10:
+        return 0.0
+    share = float(np.mean((u == u.min()) | (u == u.max())))
+    return share if share > _STUCK_SHARE else 0.0
+
+
+def _near_equilibrium(
+    v: Float[np.ndarray, "n n_q"], thresholds: RestThresholds, dt: float
+) -> Bool[np.ndarray, " n"]:
+    slow = np.all(np.abs(v) < thresholds.speed, axis=1)
+    width = max(5, round(_REST_SECONDS / dt)) | 1
+    if width >= len(slow):
+        return np.full(len(slow), bool(slow.all()))
+    return scipy.ndimage.minimum_filter1d(slow.astype(np.uint8), width, mode="nearest").astype(bool)
+
+
+def _suspicious(e: Experiment, v: Float[np.ndarray, "n n_q"]) -> tuple[str, ...]:
+    found = []
+    lead, trail = e.padded_rows
+    if lead or trail:
+        found.append(
+            f"velocity columns are zero in the first {lead} and last {trail} rows while the "
+            "positions move: padding, not measured"
+        )
+    for j, coordinate in enumerate(e.coordinates):
+        if not np.ptp(e.q[:, j]):
+            found.append(f"{coordinate.name} never changes")
+            continue
+        step = np.abs(np.diff(e.q[:, j], n=2))
+        scale = max(float(np.quantile(step, 0.99)), 2 * (coordinate.resolution or 0.0))
+        spikes = np.flatnonzero(step > 10 * scale) + 1 if scale else np.array([], dtype=int)
+        if len(spikes):
+            found.append(f"{coordinate.name} jumps at sample {_first(spikes)}")
+        declared, count = coordinate.resolution, encoder_count(e.q[:, j])
+        if declared and count and abs(count / declared - 1) > 0.01:
+            multiple = count / declared
+            if abs(multiple - round(multiple)) > 0.01:
+                found.append(
+                    f"{coordinate.name}: encoder count {count:.5g} {coordinate.unit} found, "
+                    f"{declared:.5g} declared"
+                )
+    if e.v is not None and not (lead or trail):
+        size = np.sqrt(np.mean(v**2, axis=0))
+        off = np.sqrt(np.mean((e.v - v) ** 2, axis=0)) > 0.5 * size
+        found += [
+            f"{c.name}: the velocity column disagrees with the change of the positions "
+            "(unit or sign?)"
+            for c, differs in zip(e.coordinates, off, strict=True)
+            if differs
+        ]
+    return tuple(found)
+
+
+def _first(rows: np.ndarray) -> str:
+    return ", ".join(str(int(r)) for r in rows[:5]) + (" ..." if len(rows) > 5 else "")

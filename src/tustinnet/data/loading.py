@@ -1,0 +1,268 @@
+"""From columns to records, as a data card says."""
+
+import hashlib
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from tustinnet.data.card import Card, ColumnKey, FileCard
+from tustinnet.data.dataset import DataSet
+from tustinnet.data.experiment import Experiment
+from tustinnet.data.readers import NUMBERED, Column, frame_columns, read_columns
+from tustinnet.errors import InputError
+from tustinnet.signals import resampling
+
+_WHAT_IRREGULAR_OFFERS = 'set `irregular = "resample"` (onto a grid) or "keep" under [time]'
+
+
+def load_folder(folder: Path, card: Card) -> DataSet:
+    """Reads the records that a card names from a folder.
+
+    Args:
+        folder: where the card's paths begin.
+        card: what to read and what it means.
+
+    Raises:
+        InputError: a file is missing or damaged, a column is not there, a number is not finite,
+            the time base is not as declared, nothing moves; the message names file and row.
+    """
+    experiments = [
+        _load_file(folder, split, entry, card)
+        for split, entries in card.splits.items()
+        for entry in _expand(folder, split, entries, card)
+    ]
+    if not experiments:
+        raise InputError(
+            folder,
+            f"none of the files of the card '{card.name}' are there",
+            ", ".join(e.file for files in card.splits.values() for e in files[:2]) or "[splits]",
+            "check the folder and the names under [splits]",
+        )
+    return DataSet(card.name, tuple(experiments))
+
+
+def from_frame(
+    frame: Any, card: Card | Mapping[str, Any], *, name: str = "frame", split: str | None = None
+) -> Experiment:
+    """One record from a pandas or polars data frame.
+
+    Args:
+        frame: the data frame; its columns are named in the card.
+        card: a data card, or the same as a mapping (`splits` is not needed).
+        name: what the record is called.
+        split: `train`, `validation`, `test` or None.
+    """
+    from tustinnet.data.declaration import declare
+
+    declared = card if isinstance(card, Card) else declare({"name": name, **card}, Card, name)
+    return _experiment(frame_columns(frame, name), declared, name, split=split)
+
+
+def _expand(folder: Path, split: str, entries: list[FileCard], card: Card) -> list[FileCard]:
+    """Patterns become files, in natural order; checks that each entry names a file."""
+    found: list[FileCard] = []
+    missing: list[str] = []
+    for entry in entries:
+        if any(c in entry.file for c in "*?["):
+            paths = sorted(folder.glob(entry.file), key=lambda p: _natural(p.as_posix()))
+            found += [
+                entry.model_copy(update={"file": p.relative_to(folder).as_posix()}) for p in paths
+            ]
+            missing += [] if paths else [entry.file]
+        elif (folder / entry.file).is_file():
+            found.append(entry)
+        else:
+            missing.append(entry.file)
+    if missing and not (split in card.optional_splits and not found):
+        raise InputError(
+            folder / missing[0],
+            f"no such file ({len(missing)} of the card's {split} files missing)",
+            f"the files of the card '{card.name}' below {folder}",
+            "check the folder and the names under [splits]",
+        )
+    return found
+
+
+def _natural(text: str) -> list[tuple[int, str]]:
+    return [(int(p), "") if p.isdigit() else (-1, p) for p in re.split(r"(\d+)", text)]
+
+
+def _load_file(folder: Path, split: str, entry: FileCard, card: Card) -> Experiment:
+    path = folder / entry.file
+    columns = read_columns(path, header=card.format.header, delimiter=card.format.delimiter)
+    if card.format.columns is not None and len(columns) != card.format.columns:
+        raise InputError(path, f"{len(columns)} columns", f"{card.format.columns} as in the card")
+    first = 0
+    if entry.rows is not None:
+        first, stop = entry.rows
+        length = len(next(iter(columns.values())))
+        if not 0 <= first < stop <= length:
+            raise InputError(path, f"rows {first}..{stop}", f"a range within 0..{length}")
+        columns = {key: column[first:stop] for key, column in columns.items()}
+    return _experiment(
+        columns,
+        card,
+        entry.name or path.stem,
+        where=path,
+        split=split,
+        k_bar=entry.k_bar,
+        source=entry.file,
+        sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
+        first_row=first,
+    )
+
+
+def _experiment(
+    columns: dict[str, Column], card: Card, name: str, *, where: object = None, **metadata: Any
+) -> Experiment:
+    where = name if where is None else where
+    pick = _Picker(columns, where)
+    q = pick.stack([c.column for c in card.coordinates])
+    u = pick.stack([i.column for i in card.inputs])
+    q = (q - [c.offset for c in card.coordinates]) * [c.sign * c.factor() for c in card.coordinates]
+    u = (u - [i.offset for i in card.inputs]) * [i.sign * i.scale for i in card.inputs]
+    v, measured = _velocities(pick, card)
+    if len(q) < 2:
+        raise InputError(where, f"{len(q)} samples", "at least 2")
+    if not np.ptp(q, axis=0).any():
+        names = ", ".join(c.name for c in card.coordinates)
+        raise InputError(
+            where,
+            f"nothing moves: {names} are constant",
+            "positions that change",
+            "check the columns in the card or leave the record out",
+        )
+    notes: list[str] = []
+    for j, coordinate in enumerate(card.coordinates):
+        if coordinate.kind == "angular" and coordinate.unwrap:
+            q[:, j], jumps = resampling.unwrap_angle(q[:, j])
+            if len(jumps):
+                notes.append(f"{coordinate.name}: unwrapped at {len(jumps)} samples")
+    t, dt = _times(pick, card, len(q), where)
+    experiment = Experiment(
+        name=name, t=t, q=q, u=u, v=v, v_measured=measured, dt=dt, notes=tuple(notes),
+        coordinates=tuple(c.coordinate() for c in card.coordinates),
+        inputs=tuple(i.input() for i in card.inputs), **metadata,
+    )  # fmt: skip
+    return experiment if card.time is None else _judge_times(experiment, card, where)
+
+
+class _Picker:
+    """Finds columns by name or number and says which are there when one is not."""
+
+    def __init__(self, columns: dict[str, Column], where: object) -> None:
+        self.columns, self.where = columns, where
+
+    def stack(self, keys: list[ColumnKey]) -> Float[np.ndarray, "n c"]:
+        picked = [self.one(key) for key in keys]
+        lengths = {len(column) for column in picked}
+        if len(lengths) > 1:
+            raise InputError(
+                self.where, f"columns {keys} have lengths {sorted(lengths)}", "equal lengths"
+            )
+        n = len(next(iter(self.columns.values())))
+        return np.stack(picked, axis=1) if picked else np.zeros((n, 0))
+
+    def one(self, key: ColumnKey) -> Column:
+        names = list(self.columns)
+        if isinstance(key, int):
+            if not 1 <= key <= len(names):
+                raise InputError(
+                    self.where,
+                    f"{len(names)} columns",
+                    f"a column {key} as in the card",
+                    "columns count from 1",
+                )
+            name = names[key - 1]
+        elif key in self.columns:
+            name = key
+        else:
+            shown = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+            unnamed = names and names[0].startswith(NUMBERED)
+            raise InputError(
+                self.where,
+                f"no column '{key}'",
+                f"one of: {shown}",
+                "without a header (`header = false`) columns go by number" if unnamed else "",
+            )
+        column = self.columns[name]
+        bad = np.flatnonzero(~np.isfinite(column))
+        if len(bad):
+            raise InputError(
+                f"{self.where}, sample {bad[0]} (counted from 0), {name}",
+                f"{column[bad[0]]} ({len(bad)} such)",
+                "a finite number",
+                "repair or leave out these rows",
+            )
+        return column
+
+
+def _velocities(pick: _Picker, card: Card) -> tuple[Float[np.ndarray, "n n_q"] | None, bool]:
+    declared = [c.velocity for c in card.coordinates]
+    given = [v for v in declared if v is not None]
+    if not given:
+        return None, False
+    if len(given) < len(declared):
+        missing = next(c.name for c in card.coordinates if c.velocity is None)
+        raise InputError(
+            card.name, f"no velocity column for '{missing}'", "one for every coordinate or none"
+        )
+    factors = [c.sign * c.velocity_factor() for c in card.coordinates]
+    return pick.stack([v.column for v in given]) * factors, all(v.measured for v in given)
+
+
+def _times(
+    pick: _Picker, card: Card, n: int, where: object
+) -> tuple[Float[np.ndarray, " n"], float]:
+    if card.time is None:
+        dt = float(card.dt or np.nan)
+        return np.arange(n) * dt, dt
+    t = pick.one(card.time.column) * card.time.factor()
+    if len(t) != n:
+        raise InputError(where, f"{len(t)} timestamps for {n} samples", "equal numbers")
+    bad = np.flatnonzero(np.diff(t) <= 0)
+    if len(bad):
+        row = int(bad[0]) + 1
+        kind = "repeats" if t[row] == t[row - 1] else "goes back from"
+        raise InputError(
+            f"{where}, sample {row} (counted from 0), column {card.time.column}",
+            f"time {t[row]:g} s {kind} {t[row - 1]:g} s",
+            "strictly increasing timestamps",
+            "remove duplicate or misplaced rows",
+        )
+    return t, card.dt or float(np.median(np.diff(t)))
+
+
+def _judge_times(e: Experiment, card: Card, where: object) -> Experiment:
+    """Accepts the record's time base, or resamples, keeps or refuses it as the card says."""
+    assert card.time is not None
+    found = resampling.regularity(e.t, e.dt)
+    if found.worst <= card.time.tolerance * e.dt:
+        told = f"jitter {found.jitter:.2g} s (worst {found.worst:.2g} s) accepted"
+        return replace(e, notes=(*e.notes, told))
+    interval = e.t[found.worst_row] - e.t[found.worst_row - 1]
+    told = (
+        f"interval of {interval:.4g} s before sample {found.worst_row} "
+        f"(median {found.median_dt:.4g} s)"
+    )
+    if card.time.irregular == "refuse":
+        raise InputError(
+            where, told, f"{e.dt:g} s within {card.time.tolerance:.0%}", _WHAT_IRREGULAR_OFFERS
+        )
+    if card.time.irregular == "keep":
+        if abs(found.median_dt / e.dt - 1) > card.time.tolerance:
+            raise InputError(
+                where,
+                f"median period {found.median_dt:.4g} s",
+                f"the nominal {e.dt:g} s",
+                'correct `dt`, or set `irregular = "resample"` under [time]',
+            )
+        return replace(e, notes=(*e.notes, f"irregular times kept as recorded: {told}"))
+    gaps = f", {len(found.gaps)} gaps interpolated" if found.gaps else ""
+    note = f"resampled onto a grid of {e.dt:g} s: {told}{gaps}"
+    return replace(e.resample(e.dt), notes=(*e.notes, note))

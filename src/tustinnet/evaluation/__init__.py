@@ -1,0 +1,1 @@
+"""How well a model simulates records it was not trained on."""

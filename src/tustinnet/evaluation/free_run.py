@@ -1,0 +1,160 @@
+"""Free runs of a model over records, and their scores."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tustinnet.data.experiment import Experiment, VelocitySource
+from tustinnet.errors import InputError
+from tustinnet.evaluation import metrics
+from tustinnet.models.base import DiscreteModel, require_fit, with_dtype
+from tustinnet.simulation.initial_state import initial_state
+from tustinnet.simulation.rollout import rollout
+
+
+@dataclass(frozen=True)
+class Score:
+    """How one record was simulated.
+
+    Attributes:
+        experiment: the record.
+        start: where the free run started.
+        rmse: root mean square of the position error's 2-norm [rad or m].
+        coordinate_rmse: per coordinate [rad or m].
+        nrmse: per coordinate, over the standard deviation of the measurement.
+        fit_percent: per coordinate, 100 (1 - NRMSE).
+        simulated: the free run's states, (n, n_x).
+    """
+
+    experiment: str
+    start: str
+    rmse: float
+    coordinate_rmse: tuple[float, ...]
+    nrmse: tuple[float, ...]
+    fit_percent: tuple[float, ...]
+    simulated: Float[np.ndarray, "n n_x"]
+
+
+def require_float64(what: str) -> None:
+    """Raises unless JAX computes in double precision."""
+    if not jax.config.read("jax_enable_x64"):
+        raise InputError(
+            what,
+            "JAX computes in single precision",
+            "float64",
+            "call jax.config.update('jax_enable_x64', True) before anything else",
+        )
+
+
+def free_run(
+    model: DiscreteModel, experiments: Sequence[Experiment], start: str
+) -> list[Float[np.ndarray, "n n_x"]]:
+    """Simulates records in double precision, each from its start with only its input.
+
+    Args:
+        model: the model.
+        experiments: records of any lengths.
+        start: a name that `initial_state` knows.
+
+    Returns:
+        Per record the states [q, v], (n, n_x).
+
+    Raises:
+        InputError: other coordinates, inputs or period than the model's; float64 is off.
+    """
+    require_float64("free_run")
+    for experiment in experiments:
+        require_fit(model, experiment)
+    x0, u = (jnp.asarray(a) for a in stack_starts(experiments, start))
+    runs = np.asarray(_rollouts(with_dtype(model, np.float64).folded(), x0, u))
+    return [run[: len(e)] for run, e in zip(runs, experiments, strict=True)]
+
+
+def stack_starts(
+    experiments: Sequence[Experiment], start: str
+) -> tuple[Float[np.ndarray, "records n_x"], Float[np.ndarray, "records steps n_u"]]:
+    """Initial states and held inputs of records, zero inputs after the end of shorter ones."""
+    steps = max(len(e) for e in experiments) - 1
+    x0 = np.stack([initial_state(e, start) for e in experiments])
+    u = np.zeros((len(experiments), steps, len(experiments[0].inputs)))
+    for row, experiment in zip(u, experiments, strict=True):
+        row[: len(experiment) - 1] = experiment.held_inputs
+    return x0, u
+
+
+@eqx.filter_jit
+def _rollouts(
+    model: DiscreteModel, x0: Float[Array, "records n_x"], u: Float[Array, "records steps n_u"]
+) -> Float[Array, "records samples n_x"]:
+    return jax.vmap(lambda x, v: rollout(model, x, v))(x0, u)
+
+
+def evaluate(model: DiscreteModel, experiments: Sequence[Experiment], start: str) -> list[Score]:
+    """Scores the free runs of records (see `free_run` for arguments and errors).
+
+    A free run that leaves the range of floating-point numbers scores infinity.
+    """
+    scores = []
+    for e, x in zip(experiments, free_run(model, experiments, start), strict=True):
+        q = x[:, : e.q.shape[1]]
+        with np.errstate(over="ignore", invalid="ignore"):
+            q = np.where(np.isfinite(q), q, np.inf)
+            scores.append(
+                Score(
+                    experiment=e.name,
+                    start=start,
+                    rmse=metrics.rmse(q, e.q),
+                    coordinate_rmse=tuple(metrics.coordinate_rmse(q, e.q).tolist()),
+                    nrmse=tuple(metrics.nrmse(q, e.q).tolist()),
+                    fit_percent=tuple(metrics.fit_percent(q, e.q).tolist()),
+                    simulated=x,
+                )
+            )
+    return scores
+
+
+def mean_rmse(scores: Sequence[Score]) -> float:
+    """Mean of the records' RMSE, the figure that models are compared by [rad or m]."""
+    return float(np.mean([score.rmse for score in scores]))
+
+
+def rmse_ahead(
+    model: DiscreteModel,
+    experiments: Sequence[Experiment],
+    horizon: int,
+    velocity: VelocitySource = "auto",
+) -> Float[np.ndarray, " horizon"]:
+    """k-step-ahead RMSE against k: from every sample of every record, k = 1..horizon.
+
+    Args:
+        model: the model.
+        experiments: the records; those of at most `horizon` samples are left out.
+        horizon: largest k.
+        velocity: where the velocities at the starting samples come from.
+
+    Returns:
+        RMSE of the positions' 2-norm for k = 1..horizon [rad or m].
+    """
+    require_float64("rmse_ahead")
+    usable = [e for e in experiments if len(e) > horizon]
+    if not usable or horizon < 1:
+        raise InputError(
+            "horizon", f"{horizon} steps", f"1 to {max(len(e) for e in experiments) - 1}"
+        )
+    squares, count = np.zeros(horizon), 0
+    evaluated = with_dtype(model, np.float64).folded()
+    for e in usable:
+        require_fit(model, e)
+        begin = np.arange(len(e) - horizon)
+        x0 = np.concatenate([e.q, e.velocities(velocity)], axis=1)[begin]
+        ahead = begin[:, None] + np.arange(horizon)
+        runs = np.asarray(_rollouts(evaluated, jnp.asarray(x0), jnp.asarray(e.held_inputs[ahead])))
+        error = runs[:, 1:, : e.q.shape[1]] - e.q[ahead + 1]
+        squares += np.sum(error**2, axis=(0, 2))
+        count += len(begin)
+    return np.sqrt(squares / count)

@@ -1,0 +1,38 @@
+"""Scores of a simulated record."""
+
+import numpy as np
+from jaxtyping import Float
+
+Trajectory = Float[np.ndarray, "n n_q"]
+PerCoordinate = Float[np.ndarray, " n_q"]
+
+
+def rmse(simulated: Trajectory, measured: Trajectory) -> float:
+    """Root mean square over samples of the 2-norm of the position error, not wrapped [rad or m].
+
+    The paper sums T + 1 samples and divides by T; this is the mean over all samples.
+
+    References:
+        van Esch, Bonassi, Schön, section 4, definition of the RMSE.
+    """
+    return float(np.sqrt(np.mean(np.sum((simulated - measured) ** 2, axis=1))))
+
+
+def coordinate_rmse(simulated: Trajectory, measured: Trajectory) -> PerCoordinate:
+    """Root mean square error of each coordinate, (n_q,) [rad or m]."""
+    return np.sqrt(np.mean((simulated - measured) ** 2, axis=0))
+
+
+def nrmse(simulated: Trajectory, measured: Trajectory) -> PerCoordinate:
+    """RMSE of each coordinate over the standard deviation of its measurement, (n_q,).
+
+    NaN for a coordinate that did not move.
+    """
+    spread = measured.std(axis=0)
+    error = coordinate_rmse(simulated, measured)
+    return np.divide(error, spread, out=np.full_like(error, np.nan), where=spread > 0)
+
+
+def fit_percent(simulated: Trajectory, measured: Trajectory) -> PerCoordinate:
+    """`100 (1 - NRMSE)` of each coordinate, (n_q,): 100 is perfect, 0 no better than the mean."""
+    return 100.0 * (1.0 - nrmse(simulated, measured))

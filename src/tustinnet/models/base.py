@@ -1,0 +1,64 @@
+"""What every model answers."""
+
+from abc import abstractmethod
+from typing import Self
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from tustinnet.data.dataset import require_same_system
+from tustinnet.data.experiment import Coordinate, Experiment, Input
+from tustinnet.errors import InputError
+
+State = Float[Array, " n_x"]
+InputVector = Float[Array, " n_u"]
+
+
+class DiscreteModel(eqx.Module):
+    """A model that steps from sample to sample.
+
+    The state is `x = [q, v]` with positions `q` [rad or m] and velocities `v` [rad/s or m/s].
+
+    Attributes:
+        coordinates: the coordinates it speaks of, in the order of `q`.
+        inputs: the inputs it takes, in the order of `u`.
+        dt: sampling period [s].
+    """
+
+    coordinates: eqx.AbstractVar[tuple[Coordinate, ...]]
+    inputs: eqx.AbstractVar[tuple[Input, ...]]
+    dt: eqx.AbstractVar[float]
+
+    @abstractmethod
+    def step(self, x: State, u: InputVector) -> State:
+        """The state one period after `x` when `u` acts in between."""
+
+    def folded(self) -> Self:
+        """The cheapest form of the model that computes the same; what a rollout should use."""
+        return self
+
+    @property
+    def angular(self) -> np.ndarray:
+        """Which coordinates are angles, (n_q,) of bool."""
+        return np.array([c.kind == "angular" for c in self.coordinates])
+
+
+def with_dtype(model: DiscreteModel, dtype: np.dtype | type) -> DiscreteModel:
+    """The same model with its floating-point arrays in another precision."""
+    return jax.tree.map(
+        lambda leaf: leaf.astype(dtype) if eqx.is_inexact_array(leaf) else leaf, model
+    )
+
+
+def require_fit(model: DiscreteModel, experiment: Experiment) -> None:
+    """Raises unless a model speaks of the coordinates, inputs and period of a record."""
+    require_same_system(experiment, model.coordinates, model.inputs, "the model")
+    if abs(experiment.dt / model.dt - 1) > 1e-6:
+        raise InputError(
+            experiment.name,
+            f"sampling period {experiment.dt:g} s",
+            f"{model.dt:g} s as in the model",
+            "resample the records, or train a model for this period",
+        )

@@ -1,0 +1,1 @@
+"""What reproduces the publication, and nothing else."""

@@ -1,0 +1,201 @@
+"""Figures: records, free runs, training."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+from typing import Any, cast
+
+import matplotlib as mpl
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from tustinnet.artifact.files import write_atomically
+from tustinnet.data.experiment import Experiment
+from tustinnet.data.inspection import ExperimentReport
+from tustinnet.evaluation.free_run import Score
+
+MEASURED = "#1f4e79"
+COLOURS = ("#c0392b", "#e08e0b", "#2e8b57", "#7d3c98", "#5d6d7e")
+_DASHES = ("-.", "--", ":", (0, (6, 1, 1, 1, 1, 1)), "--")
+_STYLE = {
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.25,
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.1,
+    "legend.frameon": False,
+    "svg.hashsalt": "tustinnet",
+}
+
+
+@contextmanager
+def house_style() -> Iterator[None]:
+    """The look of all figures; settings outside are left alone."""
+    with mpl.rc_context(cast(Any, _STYLE)):
+        yield
+
+
+def write_figure(figure: Figure, path: Path) -> None:
+    """Writes a figure in the format of the path's ending, whole or not at all."""
+    buffer = BytesIO()
+    ending = path.suffix.lstrip(".") or "png"
+    metadata = {"Date": None} if ending == "svg" else None
+    figure.savefig(buffer, format=ending, dpi=150, metadata=metadata)
+    write_atomically(path, buffer.getvalue())
+
+
+def free_run_figure(
+    experiment: Experiment,
+    runs: Mapping[str, Score],
+    styles: Mapping[str, tuple[str, object]] | None = None,
+) -> Figure:
+    """Measured and simulated positions of one record, a panel a coordinate.
+
+    Args:
+        experiment: the record.
+        runs: free runs by label.
+        styles: colour and line style by label.
+    """
+    with house_style():
+        n_q = len(experiment.coordinates)
+        figure = Figure(figsize=(7.0, 1.9 * n_q + 0.5), layout="constrained")
+        panels = np.atleast_1d(figure.subplots(n_q, 1, sharex=True))
+        t = experiment.t - experiment.t[0]
+        for j, (axes, coordinate) in enumerate(zip(panels, experiment.coordinates, strict=True)):
+            axes.plot(t, experiment.q[:, j], color=MEASURED, label="measured", linewidth=1.4)
+            for i, (label, score) in enumerate(runs.items()):
+                colour, dash = (styles or {}).get(
+                    label, (COLOURS[i % len(COLOURS)], _DASHES[i % len(_DASHES)])
+                )
+                told = f"{label} ({score.rmse:.3f})"
+                line = _bounded(score.simulated[:, j], experiment.q[:, j])
+                axes.plot(t, line, color=colour, linestyle=dash, label=told)
+            axes.set_ylabel(f"{coordinate.name} [{coordinate.unit}]")
+        panels[-1].set_xlabel("time [s]")
+        starts = sorted({score.start for score in runs.values()})
+        panels[0].set_title(
+            f"{experiment.name}: free run from the start '{', '.join(starts)}' (RMSE)",
+            loc="left", fontsize=9,
+        )  # fmt: skip
+        panels[0].legend(ncols=4, loc="lower right", bbox_to_anchor=(1, 1.1), borderaxespad=0)
+        return figure
+
+
+def _bounded(
+    simulated: Float[np.ndarray, " n"], measured: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """A simulation cut where it leaves the picture, so that a divergence does not hide the rest."""
+    middle, reach = (measured.max() + measured.min()) / 2, np.ptp(measured) + 1e-12
+    with np.errstate(invalid="ignore"):
+        inside = np.abs(simulated - middle) < 3 * reach
+    return np.where(inside, simulated, np.nan)
+
+
+def training_figure(histories: Mapping[int, Sequence[Mapping[str, object]]]) -> Figure:
+    """Loss, validation RMSE and rate against epochs, a line a seed.
+
+    Args:
+        histories: the lines of the training log by seed.
+    """
+    with house_style():
+        figure = Figure(figsize=(7.0, 5.2), layout="constrained")
+        panels = figure.subplots(3, 1, sharex=True, height_ratios=(2, 2, 1))
+        for i, (seed, lines) in enumerate(histories.items()):
+            epochs = np.arange(1, len(lines) + 1)
+            for axes, key in zip(panels, ("loss", "validation", "rate"), strict=True):
+                values = np.array(
+                    [np.nan if e[key] is None else e[key] for e in lines], dtype=float
+                )
+                axes.plot(
+                    epochs,
+                    values,
+                    color=COLOURS[i % len(COLOURS)],
+                    linewidth=0.9,
+                    label=f"seed {seed}",
+                )
+            for k in range(1, len(lines)):
+                if lines[k]["stage"] != lines[k - 1]["stage"] and i == 0:
+                    for axes in panels:
+                        axes.axvline(k + 0.5, color="0.6", linewidth=0.8, linestyle=":")
+        for axes, label in zip(panels, ("training loss", "validation RMSE", "rate"), strict=True):
+            axes.set_ylabel(label)
+            if len(axes.lines) and any(
+                np.nanmax(line.get_ydata()) > 0
+                for line in axes.lines
+                if np.isfinite(line.get_ydata()).any()
+            ):
+                axes.set_yscale("log")
+        panels[-1].set_xlabel("epoch (all stages)")
+        if len(histories) > 1:
+            panels[0].legend(ncols=5, loc="upper right")
+        return figure
+
+
+def ahead_figure(errors: Mapping[str, Float[np.ndarray, " horizon"]], dt: float) -> Figure:
+    """k-step-ahead RMSE against the horizon, a line a model."""
+    with house_style():
+        figure = Figure(figsize=(5.0, 3.2), layout="constrained")
+        axes = figure.subplots()
+        for i, (label, rmse) in enumerate(errors.items()):
+            steps = np.arange(1, len(rmse) + 1)
+            axes.loglog(steps * dt, rmse, color=COLOURS[i % len(COLOURS)], label=label)
+        axes.set_xlabel("horizon [s]")
+        axes.set_ylabel("k-step-ahead RMSE")
+        axes.legend()
+        return figure
+
+
+def inspection_figure(
+    experiments: Sequence[Experiment], reports: Sequence[ExperimentReport]
+) -> Figure:
+    """Every record: positions with `k_bar` marked, and the inputs where there are any."""
+    with house_style():
+        first = experiments[0]
+        columns = len(first.coordinates) + (1 if first.inputs else 0)
+        figure = Figure(
+            figsize=(3.2 * columns + 0.6, 1.15 * len(experiments) + 0.7), layout="constrained"
+        )
+        panels = figure.subplots(len(experiments), columns, squeeze=False)
+        for row, (e, report) in enumerate(zip(experiments, reports, strict=True)):
+            t = e.t - e.t[0]
+            for j, coordinate in enumerate(e.coordinates):
+                axes = panels[row, j]
+                axes.plot(t, e.q[:, j], color=MEASURED, linewidth=0.8)
+                resting, reach = (
+                    report.coordinates[j].resting,
+                    report.coordinates[j].excursion_threshold,
+                )
+                if not report.forced:
+                    axes.axhspan(resting - reach, resting + reach, color="#2e8b57", alpha=0.18)
+                if report.k_bar < len(e):
+                    axes.axvline(t[report.k_bar], color=COLOURS[0], linewidth=0.9)
+                for gap in report.gaps:
+                    axes.axvspan(t[gap], t[gap + 1], color=COLOURS[1], alpha=0.5)
+                if row == 0:
+                    axes.set_title(f"{coordinate.name} [{coordinate.unit}]", fontsize=9)
+            if e.inputs:
+                _input_panel(panels[row, -1], e, title=row == 0)
+            panels[row, 0].set_ylabel(e.name, rotation=0, ha="right", va="center", fontsize=8)
+        for axes in panels[-1]:
+            axes.set_xlabel("time [s]")
+        figure.suptitle(
+            "red: k_bar (end of the transient); green: within the excursion threshold of rest",
+            fontsize=8,
+        )
+        return figure
+
+
+def _input_panel(axes: Axes, e: Experiment, *, title: bool) -> None:
+    for i, channel in enumerate(e.inputs):
+        axes.plot(
+            e.t - e.t[0], e.u[:, i], linewidth=0.6, color=COLOURS[i % len(COLOURS)],
+            label=channel.name,
+            drawstyle="steps-post" if channel.hold == "zero-order" else "default",
+        )  # fmt: skip
+    if title:
+        axes.set_title(", ".join(f"{c.name} [{c.unit}]" for c in e.inputs), fontsize=9)

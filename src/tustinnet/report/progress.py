@@ -1,0 +1,88 @@
+"""Training as it goes on: a bar on a terminal, a line now and then elsewhere."""
+
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from types import TracebackType
+from typing import Self
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from tustinnet.training.fit import Plan
+from tustinnet.training.loop import EpochReport
+
+_LINE_EVERY = 15.0  # seconds between two lines where there is no terminal
+
+
+class TrainingProgress(AbstractContextManager["TrainingProgress"]):
+    """Shows loss, validation RMSE, rate and time left of the trainings within the context.
+
+    Args:
+        console: where to; a terminal gets a bar, a file or pipe gets plain lines.
+        quiet: show only events such as a return to the last good state.
+    """
+
+    def __init__(self, console: Console, *, quiet: bool = False) -> None:
+        self._console, self._quiet = console, quiet
+        self._bars: Progress | None = None
+        if console.is_terminal and not quiet:
+            self._bars = Progress(
+                TextColumn("{task.description}"),
+                BarColumn(),
+                TextColumn("{task.percentage:3.0f} %"),
+                TextColumn("{task.fields[figures]}"),
+                TimeRemainingColumn(),
+                console=console,
+            )
+
+    def __enter__(self) -> Self:
+        if self._bars:
+            self._bars.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._bars:
+            self._bars.stop()
+
+    def follow(self, plan: Plan, label: str = "") -> Callable[[EpochReport], None]:
+        """Who is to be told after every epoch of a planned training."""
+        work = {s.recipe.name: len(s.windows.rows) * s.windows.length for s in plan.stages}
+        before, total = {}, 0
+        for stage in plan.stages:
+            before[stage.recipe.name] = total
+            total += stage.recipe.epochs * work[stage.recipe.name]
+        name = f"{label or plan.recipe.name}, seed {plan.seed}"
+        task = self._bars.add_task(name, total=total, figures="compiling") if self._bars else None
+        begun = last = time.monotonic()
+        first: int | None = None
+
+        def told(report: EpochReport) -> None:
+            nonlocal last, first
+            if report.event:
+                self._console.print(f"{name}: {report.event}", highlight=False)
+            done = before[report.stage] + report.epoch * work[report.stage]
+            first = done if first is None else first
+            figures = (
+                f"{report.stage} {report.epoch}: loss {report.loss:.4g}, "
+                f"validation {report.validation:.4f}, rate {report.rate:.2g}"
+            )
+            if self._bars and task is not None:
+                self._bars.update(task, completed=done, description=name, figures=figures)
+                return
+            now = time.monotonic()
+            if self._quiet or (now - last < _LINE_EVERY and done < total):
+                return
+            last = now
+            left = (now - begun) * (total - done) / max(done - first, 1) if done > first else 0.0
+            self._console.print(
+                f"{name}: {100 * done / total:.0f} %, {figures}, {left:.0f} s left",
+                highlight=False, soft_wrap=True,
+            )  # fmt: skip
+
+        return told

@@ -1,0 +1,1 @@
+"""Operations on plain sampled signals: time bases, velocities, transients, windows."""

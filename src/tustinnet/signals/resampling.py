@@ -1,0 +1,96 @@
+"""The time base of a record: its regularity, a regular grid, unwrapped angles."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.interpolate
+from jaxtyping import Float, Int
+
+Times = Float[np.ndarray, " n"]
+
+_GAP = 2.5  # an interval longer than this many periods is a gap: two or more samples are missing
+
+
+@dataclass(frozen=True)
+class Regularity:
+    """How far the timestamps of a record are from a regular grid.
+
+    Attributes:
+        median_dt: median interval [s].
+        jitter: root mean square of interval minus period, outside gaps [s].
+        worst: largest |interval - period| [s].
+        worst_row: index of the sample that ends that interval.
+        gaps: indices of the samples before an interval of more than 2.5 periods.
+    """
+
+    median_dt: float
+    jitter: float
+    worst: float
+    worst_row: int
+    gaps: tuple[int, ...]
+
+
+def regularity(t: Times, dt: float) -> Regularity:
+    """Compares timestamps [s] with the nominal period `dt` [s]."""
+    intervals = np.diff(t)
+    deviation = np.abs(intervals - dt)
+    inside = intervals <= _GAP * dt
+    return Regularity(
+        median_dt=float(np.median(intervals)),
+        jitter=float(np.sqrt(np.mean(deviation[inside] ** 2))) if inside.any() else float("nan"),
+        worst=float(deviation.max()),
+        worst_row=int(deviation.argmax()) + 1,
+        gaps=tuple(int(k) for k in np.flatnonzero(~inside)),
+    )
+
+
+def regular_grid(t: Times, dt: float) -> Times:
+    """The grid `t[0] + k dt` [s] inside the record."""
+    # the small allowance keeps the last sample of a record that is regular up to rounding
+    return t[0] + dt * np.arange(int(np.floor((t[-1] - t[0]) / dt + 1e-6)) + 1)
+
+
+def resample_positions(
+    t: Times, q: Float[np.ndarray, "n n_q"], grid: Float[np.ndarray, " m"]
+) -> Float[np.ndarray, "m n_q"]:
+    """Positions on a grid by cubic spline; angles must be unwrapped before."""
+    degree = min(3, len(t) - 1)
+    return scipy.interpolate.make_interp_spline(t, q, k=degree)(np.clip(grid, t[0], t[-1]))
+
+
+def resample_linear(
+    t: Times, signal: Float[np.ndarray, "n c"], grid: Float[np.ndarray, " m"]
+) -> Float[np.ndarray, "m c"]:
+    """Linear interpolation, for noisy signals (measured velocities, first-order-held inputs)."""
+    columns = [np.interp(grid, t, column) for column in signal.T]
+    return np.stack(columns, axis=1) if columns else np.zeros((len(grid), 0))
+
+
+def resample_held(
+    t: Times, u: Float[np.ndarray, "n n_u"], grid: Float[np.ndarray, " m"]
+) -> Float[np.ndarray, "m n_u"]:
+    """Held inputs on a grid: each grid interval gets the mean of what was applied during it.
+
+    The mean keeps the impulse that the system received, which picking the value at the grid
+    point would not. After the last sample its value is held.
+    """
+    if len(grid) == 1:
+        return u[:1].copy()
+    impulse = np.concatenate(
+        [np.zeros((1, u.shape[1])), np.cumsum(u[:-1] * np.diff(t)[:, None], 0)]
+    )
+    edges = np.append(grid, 2 * grid[-1] - grid[-2])
+    inside = resample_linear(t, impulse, np.minimum(edges, t[-1]))
+    inside += np.maximum(edges - t[-1], 0.0)[:, None] * u[-1]
+    return np.diff(inside, axis=0) / np.diff(edges)[:, None]
+
+
+def unwrap_angle(
+    angle: Float[np.ndarray, " n"],
+) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " w"]]:
+    """Angle [rad] without the jumps of a wrapped encoder, and the indices where it had jumped.
+
+    A step of more than half a turn between samples is taken for a wrap.
+    """
+    jumps = np.flatnonzero(np.abs(np.diff(angle)) > np.pi) + 1
+    return (np.unwrap(angle) if len(jumps) else angle), jumps

@@ -1,0 +1,72 @@
+"""Where the transient of a record ends."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+
+@dataclass(frozen=True)
+class RestThresholds:
+    """When a record counts as at rest, per coordinate.
+
+    Attributes:
+        speed: |v| below this [rad/s or m/s], (n_q,).
+        excursion: |q - resting value| below this [rad or m], (n_q,).
+        resting: the resting value [rad or m], (n_q,).
+    """
+
+    speed: Float[np.ndarray, " n_q"]
+    excursion: Float[np.ndarray, " n_q"]
+    resting: Float[np.ndarray, " n_q"]
+
+
+def rest_thresholds(
+    q: Float[np.ndarray, "n n_q"],
+    v: Float[np.ndarray, "n n_q"],
+    resolution: Float[np.ndarray, " n_q"],
+    dt: float,
+    fraction: float = 0.05,
+) -> RestThresholds:
+    """Thresholds that adapt to a record.
+
+    The resting value is the median of the record's last tenth (at least 10 samples). Speeds
+    count as rest below `fraction` of their largest value, excursions below `fraction` of the
+    largest distance from the resting value; never below three encoder counts (per sample
+    distance of the stencil's baseline for speeds), which the encoder cannot tell from rest.
+
+    Args:
+        q: positions, (n, n_q) [rad or m].
+        v: velocities, (n, n_q) [rad/s or m/s].
+        resolution: encoder count or 0 where unknown, (n_q,) [rad or m].
+        dt: sampling period [s].
+        fraction: share of the largest speed and excursion.
+    """
+    resting = np.median(q[-max(10, len(q) // 10) :], axis=0)
+    floor = 3.0 * resolution
+    return RestThresholds(
+        speed=np.maximum(fraction * np.abs(v).max(axis=0), floor / (4 * dt)),
+        excursion=np.maximum(fraction * np.abs(q - resting).max(axis=0), floor),
+        resting=resting,
+    )
+
+
+def at_rest(
+    q: Float[np.ndarray, "n n_q"], v: Float[np.ndarray, "n n_q"], thresholds: RestThresholds
+) -> Bool[np.ndarray, " n"]:
+    """Samples at which all speeds and all excursions are below the thresholds."""
+    slow = np.abs(v) < thresholds.speed
+    near = np.abs(q - thresholds.resting) < thresholds.excursion
+    return np.all(slow & near, axis=1)
+
+
+def settling_index(
+    q: Float[np.ndarray, "n n_q"], v: Float[np.ndarray, "n n_q"], thresholds: RestThresholds
+) -> int:
+    """`k_bar`: the first sample after which the record stays at rest to its end.
+
+    Returns the record's length when it is still moving at the end. The paper draws the
+    pre-training windows before this sample (section 3.2, step 1).
+    """
+    moving = np.flatnonzero(~at_rest(q, v, thresholds))
+    return int(moving[-1]) + 1 if len(moving) else 0

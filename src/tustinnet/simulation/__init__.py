@@ -1,0 +1,1 @@
+"""Simulation of models: the rollout and where it starts."""

@@ -1,0 +1,29 @@
+"""The simulator."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from tustinnet.models.base import DiscreteModel, InputVector, State
+
+
+def rollout(
+    model: DiscreteModel, x0: State, u: Float[Array, "steps n_u"]
+) -> Float[Array, "samples n_x"]:
+    """Free run: the states that a model reaches from `x0` with only the input.
+
+    Args:
+        model: the model.
+        x0: initial state [q, v], (n_x,).
+        u: `u[k]` acts from sample k to sample k+1, (steps, n_u).
+
+    Returns:
+        (steps + 1, n_x); the first row is `x0`.
+    """
+
+    def advance(x: State, u_k: InputVector) -> tuple[State, State]:
+        following = model.step(x, u_k)
+        return following, following
+
+    _, following = jax.lax.scan(advance, x0, u)
+    return jnp.concatenate([x0[None], following])

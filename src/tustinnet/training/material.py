@@ -1,0 +1,142 @@
+"""What a stage is trained on: records laid end to end, windows as indices into them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from tustinnet.data.experiment import Experiment, VelocitySource
+from tustinnet.data.inspection import transient_end
+from tustinnet.errors import InputError
+from tustinnet.evaluation.free_run import stack_starts
+from tustinnet.signals.windows import random_windows, strided_windows
+from tustinnet.training.recipe import WindowRecipe
+
+_LONGEST = 4  # an adapted window is at most this many times the recipe's length
+_SHORTEST_SHARE = 4  # and at most the shortest record over this
+_ROUND = 5  # adapted lengths are multiples of this
+
+
+class Records(eqx.Module):
+    """Records end to end, in float32.
+
+    Attributes:
+        x: states [q, v], (rows, n_x).
+        u: what acts from each row to the next, (rows, n_u); 0 in the last row of a record.
+    """
+
+    x: Float[Array, "rows n_x"]
+    u: Float[Array, "rows n_u"]
+
+
+class ValidationRuns(eqx.Module):
+    """Free runs to compare with, in float32.
+
+    Attributes:
+        x0: initial states, (records, n_x).
+        u: held inputs, (records, steps, n_u), 0 after a record's end.
+        q: measured positions, (records, steps + 1, n_q).
+        weight: 1 / length within a record, 0 after its end, (records, steps + 1).
+    """
+
+    x0: Float[Array, "records n_x"]
+    u: Float[Array, "records steps n_u"]
+    q: Float[Array, "records samples n_q"]
+    weight: Float[Array, "records samples"]
+
+
+@dataclass(frozen=True)
+class StageWindows:
+    """The windows of a stage.
+
+    Attributes:
+        rows: the row of `Records` at which each window begins, (count,).
+        length: steps in a window.
+    """
+
+    rows: Int[np.ndarray, " count"]
+    length: int
+
+
+def lay_out(experiments: Sequence[Experiment], velocity: VelocitySource) -> Records:
+    """Lays records end to end."""
+    x = [np.concatenate([e.q, e.velocities(velocity)], axis=1) for e in experiments]
+    u = [np.append(e.held_inputs, np.zeros((1, e.u.shape[1])), axis=0) for e in experiments]
+    return Records(
+        jnp.asarray(np.concatenate(x), jnp.float32), jnp.asarray(np.concatenate(u), jnp.float32)
+    )
+
+
+def validation_runs(experiments: Sequence[Experiment], start: str) -> ValidationRuns:
+    """Prepares the free runs of records from a named start."""
+    x0, u = stack_starts(experiments, start)
+    samples = u.shape[1] + 1
+    q = np.zeros((len(experiments), samples, len(experiments[0].coordinates)))
+    weight = np.zeros((len(experiments), samples))
+    for i, e in enumerate(experiments):
+        q[i, : len(e)] = e.q
+        weight[i, : len(e)] = 1.0 / len(e)
+    x0, u, q, weight = (jnp.asarray(a, jnp.float32) for a in (x0, u, q, weight))
+    return ValidationRuns(x0, u, q, weight)
+
+
+def stage_windows(
+    experiments: Sequence[Experiment], recipe: WindowRecipe, generator: np.random.Generator
+) -> StageWindows:
+    """Draws the windows of a stage.
+
+    Raises:
+        InputError: no record is long enough for a window.
+    """
+    lengths = [len(e) for e in experiments]
+    length = adapted_length(experiments, recipe.length) if recipe.adapt else recipe.length
+    if recipe.draw == "strided" and min(lengths) <= length:
+        shortest = experiments[int(np.argmin(lengths))]
+        raise InputError(
+            shortest.name,
+            f"{len(shortest)} samples",
+            f"more than a window of {length} steps",
+            "leave the record out, or shorten `length` in the recipe",
+        )
+    ends = [transient_end(e) for e in experiments] if recipe.until == "k_bar" else None
+    if recipe.draw == "random":
+        windows = random_windows(lengths, length, recipe.count or 0, generator, ends)
+    else:
+        reach = (
+            lengths
+            if ends is None
+            else [min(n, end + length) for n, end in zip(lengths, ends, strict=True)]
+        )
+        possible = sum(round(recipe.part * max(n - length, 0)) for n in reach)
+        step = recipe.step or max(1, round(possible / (recipe.count or 1)))
+        windows = strided_windows(reach, length, step, recipe.part)
+    if not len(windows):
+        raise InputError(
+            "windows",
+            f"no window of {length} steps fits (longest record: {max(lengths)} samples)",
+            "longer records",
+            "shorten `length` in the recipe",
+        )
+    offsets = np.concatenate([[0], np.cumsum(lengths)[:-1]])
+    return StageWindows(offsets[windows[:, 0]] + windows[:, 1], length)
+
+
+def adapted_length(experiments: Sequence[Experiment], length: int) -> int:
+    """A window length that fits the records.
+
+    The faster a log is sampled compared to the motion, the less happens in a window. The length
+    grows, up to four times, towards the samples in which the slowest coordinate covers one
+    standard deviation of its positions at its typical speed; and shrinks to a quarter of the
+    shortest record.
+    """
+    q = np.concatenate([e.q - e.q.mean(axis=0) for e in experiments])
+    v = np.concatenate([e.velocities() for e in experiments])
+    moving = v.std(axis=0) > 0
+    covered = q.std(axis=0)[moving] / (v.std(axis=0)[moving] * experiments[0].dt)
+    slowest = float(covered.max()) if moving.any() else float(length)
+    longest = min(_LONGEST * length, min(len(e) for e in experiments) // _SHORTEST_SHARE)
+    wanted = min(max(length, slowest), longest)
+    return max(_ROUND, int(wanted) // _ROUND * _ROUND)

@@ -1,0 +1,172 @@
+"""Recipes: how a model is built and trained, as data."""
+
+from importlib import resources
+from pathlib import Path
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from tustinnet.data.declaration import Declaration, read_declaration
+from tustinnet.data.experiment import VelocitySource
+from tustinnet.errors import InputError
+
+LossName = Literal["state", "position"]
+Criterion = Literal["validation", "training"]
+
+Positive = Field(gt=0)
+
+
+class ModelRecipe(Declaration):
+    """The network.
+
+    Attributes:
+        hidden: units of each hidden layer.
+        stem: units of an affine layer before them, trained unfolded, or none.
+        activation: leaky_relu, relu, tanh, silu or softplus.
+        output_bias: whether the output layer has a bias.
+        scaling: `records` learns all units from the training records; `published` uses the
+            scale of the paper's public code (angular coordinates with stored velocities).
+    """
+
+    hidden: tuple[int, ...] = Field(default=(100, 100), min_length=1)
+    stem: int | None = None
+    activation: Literal["leaky_relu", "relu", "tanh", "silu", "softplus"] = "leaky_relu"
+    output_bias: bool = False
+    scaling: Literal["records", "published"] = "records"
+
+
+class WindowRecipe(Declaration):
+    """Which windows of the records a stage is trained on.
+
+    Attributes:
+        draw: `strided` from the first row on, or `random`.
+        length: steps in a window.
+        adapt: whether `length` may change with the records: longer where the system moves
+            slowly compared to the period, shorter where records are short.
+        step: samples between two strided windows.
+        count: number of windows; for strided ones the step is chosen so that there are about
+            as many.
+        part: share of the possible beginnings that strided windows use, from the first on.
+        until: `k_bar` to begin windows only before the end of the transient.
+    """
+
+    draw: Literal["strided", "random"]
+    length: int = Positive
+    adapt: bool = False
+    step: int | None = Field(default=None, gt=0)
+    count: int | None = Field(default=None, gt=0)
+    part: float = Field(default=1.0, gt=0, le=1)
+    until: Literal["k_bar", "end"] = "end"
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        if self.draw == "random" and (self.count is None or self.step or self.part != 1.0):
+            raise ValueError("random windows take `count`, not `step` or `part`")
+        if self.draw == "strided" and (self.step is None) == (self.count is None):
+            raise ValueError("strided windows take either `step` or `count`")
+        return self
+
+
+class PlateauRecipe(Declaration):
+    """When the rate is reduced.
+
+    Attributes:
+        factor: multiplies the rate.
+        patience: epochs without improvement that are tolerated.
+        watch: the `validation` free run or the `training` loss.
+    """
+
+    factor: float = Field(gt=0, lt=1)
+    patience: int = Field(ge=0)
+    watch: Criterion = "validation"
+
+
+class StageRecipe(Declaration):
+    """One stage of training.
+
+    Attributes:
+        name: what it is called.
+        windows: what it is trained on.
+        loss: `state` (positions and velocities) or `position`.
+        rate: Adam's rate at the beginning.
+        epochs: passes over the windows.
+        batch: windows in a step of the optimiser.
+        plateau: when the rate is reduced, if ever.
+        keep: whether the best weights are those of the lowest `validation` free run or of the
+            lowest `training` loss.
+        frozen_layers: how many hidden layers, from the first on, do not train (a stem counts
+            with the first). The output layer always trains.
+        clip: largest norm of the gradient, if it is limited.
+    """
+
+    name: str
+    windows: WindowRecipe
+    loss: LossName = "state"
+    rate: float = Positive
+    epochs: int = Positive
+    batch: int = Positive
+    plateau: PlateauRecipe | None = None
+    keep: Criterion = "validation"
+    frozen_layers: int = Field(default=0, ge=0)
+    clip: float | None = Field(default=None, gt=0)
+
+
+class Recipe(Declaration):
+    """How a model is built and trained.
+
+    Attributes:
+        name: what it is called.
+        description: a sentence for people.
+        velocity: where the training velocities come from (`Experiment.velocities`).
+        start: where the validation free runs start; `file` where velocities are stored, else
+            `derived-6`, when left out.
+        model: the network.
+        stages: at least one.
+    """
+
+    name: str
+    description: str = ""
+    velocity: VelocitySource = "auto"
+    start: str | None = None
+    model: ModelRecipe = ModelRecipe()
+    stages: list[StageRecipe] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _stages_fit(self) -> Self:
+        names = [stage.name for stage in self.stages]
+        if len(set(names)) < len(names):
+            raise ValueError("two stages have the same name")
+        for stage in self.stages:
+            if stage.frozen_layers > len(self.model.hidden):
+                raise ValueError(
+                    f"stage '{stage.name}' freezes {stage.frozen_layers} of "
+                    f"{len(self.model.hidden)} hidden layers"
+                )
+        return self
+
+
+def packaged_recipes() -> list[str]:
+    """Names of the recipes that come with the package."""
+    folder = resources.files("tustinnet.training") / "recipes"
+    return sorted(
+        f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml")
+    )
+
+
+def read_recipe(name: str | Path) -> Recipe:
+    """A packaged recipe by name, or a recipe from a TOML file.
+
+    Raises:
+        InputError: no such recipe; an unknown key or a wrong value in the file.
+    """
+    if str(name) in packaged_recipes():
+        packaged = resources.files("tustinnet.training") / "recipes" / f"{name}.toml"
+        with resources.as_file(packaged) as path:
+            return read_declaration(path, Recipe)
+    if Path(name).suffix == ".toml":
+        return read_declaration(Path(name), Recipe)
+    raise InputError(
+        "recipe",
+        f"no recipe '{name}'",
+        f"one of {', '.join(packaged_recipes())}, or a file ending in .toml",
+    )

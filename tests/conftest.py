@@ -1,0 +1,129 @@
+"""Set-up of all tests: double precision, a small system, the measured data where it is at hand."""
+
+import os
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+import tustinnet as tn
+
+jax.config.update("jax_enable_x64", True)
+
+DT = 0.02
+COUNT = 2 * np.pi / 4096
+
+
+def swing(samples: int, seed: int, *, forced: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """Angle and torque of a damped pendulum (0 hangs down), integrated at a tenth of DT."""
+    generator = np.random.default_rng(seed)
+    u = generator.uniform(-3, 3, samples) if forced else np.zeros(samples)
+    state = np.array([generator.uniform(1.0, 2.5), generator.uniform(-1, 1)])
+    if forced:
+        state *= 0.1
+
+    def slope(x: np.ndarray, torque: float) -> np.ndarray:
+        return np.array([x[1], -20.0 * np.sin(x[0]) - 0.8 * x[1] + 4.0 * torque])
+
+    angles = np.empty(samples)
+    h = DT / 10
+    for k in range(samples):
+        angles[k] = state[0]
+        for _ in range(10):
+            middle = state + h / 2 * slope(state, u[k])
+            state = state + h * slope(middle, u[k])
+    return angles, u
+
+
+def record(
+    name: str, samples: int, seed: int, split: str, *, forced: bool = False
+) -> tn.Experiment:
+    """A record of the pendulum, its angle read by an encoder."""
+    angle, u = swing(samples, seed, forced=forced)
+    return tn.from_arrays(
+        np.round(angle / COUNT) * COUNT,
+        u,
+        dt=DT,
+        coordinates=[tn.Coordinate("angle", "angular", COUNT)],
+        inputs=[tn.Input("torque", "N m")],
+        name=name,
+        split=split,
+    )
+
+
+@pytest.fixture(scope="session")
+def pendulum() -> tn.DataSet:
+    """Five records of unequal length of a small system."""
+    return tn.DataSet(
+        "pendulum",
+        (
+            record("fall1", 300, 1, "train"),
+            record("fall2", 260, 2, "train"),
+            record("noise1", 240, 3, "train", forced=True),
+            record("fall3", 200, 4, "validation"),
+            record("noise2", 180, 5, "validation", forced=True),
+        ),
+    )
+
+
+CARD = """
+name = "pendulum"
+dt = 0.02
+[time]
+column = "time"
+[[coordinates]]
+name = "angle"
+kind = "angular"
+column = "angle"
+unit = "deg"
+counts_per_revolution = 4096
+[[inputs]]
+name = "torque"
+column = "torque"
+unit = "N m"
+[splits]
+train = ["fall1.csv", "fall2.csv", "noise1.csv"]
+validation = ["fall3.csv", "noise2.csv"]
+"""
+
+
+@pytest.fixture
+def folder(pendulum: tn.DataSet, tmp_path: Path) -> Path:
+    """The same system as a folder of CSV files with a data card."""
+    place = tmp_path / "logs"
+    place.mkdir()
+    for e in pendulum:
+        rows = np.column_stack([e.t, np.rad2deg(e.q[:, 0]), e.u[:, 0]])
+        np.savetxt(
+            place / f"{e.name}.csv", rows, delimiter=",", header="time,angle,torque", comments="",
+            fmt="%.9g",
+        )  # fmt: skip
+    (place / "dataset.toml").write_text(CARD)
+    return place
+
+
+def find_real_data() -> Path | None:
+    """The measured Qube-Servo 2 data: TUSTINNET_DATA, or a `shared` folder beside the project."""
+    beside = Path(__file__).parents[2] / "shared" / "data" / "qube_servo2"
+    for candidate in (os.environ.get("TUSTINNET_DATA"), beside):
+        if candidate and (Path(candidate) / "train").is_dir():
+            return Path(candidate)
+    return None
+
+
+REAL_DATA = find_real_data()  # looked up once, before the variable is hidden from the tests
+
+
+@pytest.fixture
+def real_data() -> Path:
+    """The folder of the measured data; skips, and says so, where it is not at hand."""
+    if REAL_DATA is None:
+        pytest.skip("the measured Qube-Servo 2 data is not at hand (set TUSTINNET_DATA)")
+    return REAL_DATA
+
+
+@pytest.fixture(autouse=True)
+def _no_data_variable(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tests do not depend on the variable of whoever runs them."""
+    monkeypatch.delenv("TUSTINNET_DATA", raising=False)
