@@ -127,3 +127,33 @@ def real_data() -> Path:
 def _no_data_variable(monkeypatch: pytest.MonkeyPatch) -> None:
     """Tests do not depend on the variable of whoever runs them."""
     monkeypatch.delenv("TUSTINNET_DATA", raising=False)
+
+
+SMALL_RECIPE = """
+name = "small"
+[model]
+hidden = [8, 6]
+stem = 5
+[[stages]]
+name = "first"
+windows = { draw = "strided", length = 10, step = 8 }
+rate = 3e-3
+epochs = 5
+batch = 16
+plateau = { factor = 0.5, patience = 1 }
+[[stages]]
+name = "second"
+windows = { draw = "random", length = 15, count = 40 }
+rate = 1e-3
+epochs = 4
+batch = 16
+frozen_layers = 1
+"""
+
+
+@pytest.fixture
+def small_recipe(tmp_path: Path) -> Path:
+    """A recipe of two short stages, as a file."""
+    path = tmp_path / "small.toml"
+    path.write_text(SMALL_RECIPE)
+    return path

@@ -1,6 +1,6 @@
 """The data card: a TOML file that says what the columns of a folder of logs mean."""
 
-from typing import Literal, Self
+from typing import Literal
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -59,7 +59,7 @@ class CoordinateCard(Declaration):
     velocity: VelocityCard | None = None
 
     @model_validator(mode="after")
-    def _units_fit(self) -> Self:
+    def _units_fit(self) -> "CoordinateCard":
         known = [*self._units, "counts"]
         if self.unit is not None and self.unit not in known:
             raise ValueError(f"unit '{self.unit}' of a {self.kind} coordinate; known: {known}")
@@ -224,7 +224,7 @@ class Card(Declaration):
         }
 
     @model_validator(mode="after")
-    def _names_and_period(self) -> Self:
+    def _names_and_period(self) -> "Card":
         names = [c.name for c in self.coordinates] + [i.name for i in self.inputs]
         doubled = sorted({name for name in names if names.count(name) > 1})
         if doubled:

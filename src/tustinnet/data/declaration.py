@@ -40,7 +40,9 @@ def declare(content: dict[str, Any], kind: type[Declared], where: object) -> Dec
     try:
         return kind.model_validate(content)
     except ValidationError as error:
-        first = error.errors()[0]
+        # a misspelt key also makes the right one missing: the misspelling is the news
+        found = error.errors()
+        first = next((e for e in found if e["type"] == "extra_forbidden"), found[0])
         location = [str(part) for part in first["loc"]]
         key = ".".join(location) or "the file"
         if first["type"] == "extra_forbidden":

@@ -1,7 +1,6 @@
 """What every model answers."""
 
 from abc import abstractmethod
-from typing import Self
 
 import equinox as eqx
 import jax
@@ -35,7 +34,7 @@ class DiscreteModel(eqx.Module):
     def step(self, x: State, u: InputVector) -> State:
         """The state one period after `x` when `u` acts in between."""
 
-    def folded(self) -> Self:
+    def folded(self) -> "DiscreteModel":
         """The cheapest form of the model that computes the same; what a rollout should use."""
         return self
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Self
 
 import equinox as eqx
 import jax
@@ -148,7 +147,7 @@ class TustinNet(DiscreteModel):
         q_next = q + self.dt * (v + v_next) / 2
         return jnp.concatenate([q_next, v_next])
 
-    def folded(self) -> Self:
+    def folded(self) -> "TustinNet":
         """The same function with the stem merged into the first hidden layer."""
         if self.stem is None:
             return self

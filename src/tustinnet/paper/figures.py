@@ -15,6 +15,8 @@ _STYLES = {
     "tustin-standard": ("#e08e0b", "--"),
     "authors-transfer": ("#7d3c98", ":"),
     "authors-standard": ("#5d6d7e", (0, (5, 2, 1, 2))),
+    "tustin-text-transfer": ("#2e8b57", "-."),
+    "tustin-text-standard": ("#a04000", "--"),
 }
 _DEFAULT_RECORDS = ("fallTest4", "fallVal4")
 
@@ -41,7 +43,7 @@ def draw(data: DataSet, rows: Sequence[Row], split: str, chosen: str, folder: Pa
     pair = [m for m in (standard, transfer) if m is not None]
     written = []
     for e in data.split(split):
-        runs = {m: _of(row, e.name) for m, row in shown.items() if m in _STYLES or len(shown) <= 4}
+        runs = {m: _of(row, e.name) for m, row in shown.items() if m in _STYLES}
         written += _write(e.name, runs, data, folder / f"free_run_{e.name}")
         if e.name == chosen and len(pair) == 2:
             compared = {m: _of(shown[m], e.name) for m in pair}

@@ -25,6 +25,7 @@ _STYLE = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
+    "axes.titlesize": 9,
     "grid.alpha": 0.25,
     "grid.linewidth": 0.6,
     "lines.linewidth": 1.1,
@@ -72,17 +73,15 @@ def free_run_figure(
                 colour, dash = (styles or {}).get(
                     label, (COLOURS[i % len(COLOURS)], _DASHES[i % len(_DASHES)])
                 )
-                told = f"{label} ({score.rmse:.3f})"
+                told = f"{label} (RMSE {score.rmse:.3f})"
                 line = _bounded(score.simulated[:, j], experiment.q[:, j])
                 axes.plot(t, line, color=colour, linestyle=dash, label=told)
             axes.set_ylabel(f"{coordinate.name} [{coordinate.unit}]")
         panels[-1].set_xlabel("time [s]")
         starts = sorted({score.start for score in runs.values()})
-        panels[0].set_title(
-            f"{experiment.name}: free run from the start '{', '.join(starts)}' (RMSE)",
-            loc="left", fontsize=9,
-        )  # fmt: skip
-        panels[0].legend(ncols=4, loc="lower right", bbox_to_anchor=(1, 1.1), borderaxespad=0)
+        panels[0].set_title(f"{experiment.name}: free run, start '{', '.join(starts)}'", loc="left")
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 3))
         return figure
 
 

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import PRNGKeyArray, PyTree
@@ -31,12 +30,13 @@ from tustinnet.training.loop import (
 )
 from tustinnet.training.material import (
     Records,
+    StageWindows,
     ValidationRuns,
     lay_out,
     stage_windows,
     validation_runs,
 )
-from tustinnet.training.recipe import Recipe, read_recipe
+from tustinnet.training.recipe import Recipe, StageRecipe, read_recipe
 
 DEFAULT_RECIPE = "transfer"
 
@@ -123,6 +123,7 @@ def plan(data: DataSet, recipe: Recipe | str | Path, seed: int) -> Plan:
             stage,
             stage_windows(train_set, stage.windows, np.random.default_rng([seed, index])),
             trainable_arrays(model, stage.frozen_layers),
+            _held_windows(held, stage, np.random.default_rng([seed, index, 1])),
         )
         for index, stage in enumerate(recipe.stages)
     )
@@ -131,7 +132,7 @@ def plan(data: DataSet, recipe: Recipe | str | Path, seed: int) -> Plan:
         model=model,
         stages=stages,
         records=lay_out(train_set, recipe.velocity),
-        validation=validation_runs(held, start) if held else None,
+        validation=validation_runs(held, start, recipe.velocity) if held else None,
         start=start,
         key=shuffling,
         recipe=recipe,
@@ -182,7 +183,7 @@ def run_plan(
         score = float(validation_rmse(model, prepared.validation))
     done = [stage.recipe.epochs for stage in prepared.stages[: progress.stage]]
     return FitResult(
-        model=_folded_precisely(model),
+        model=model.folded(),
         recipe=prepared.recipe,
         seed=prepared.seed,
         outcome=progress.outcome,
@@ -209,15 +210,13 @@ def trainable_arrays(model: TustinNet, frozen_layers: int) -> PyTree:
     return jax.tree.map(lambda flag, leaf: id(leaf) in trained, mask, model)
 
 
-def _folded_precisely(model: DiscreteModel) -> DiscreteModel:
-    # NumPy multiplies in float64 whatever JAX is set to, so folding rounds only once
-    precise = jax.tree.map(
-        lambda leaf: np.asarray(leaf, np.float64) if eqx.is_inexact_array(leaf) else leaf, model
-    )
-    return jax.tree.map(
-        lambda leaf: jax.numpy.asarray(leaf, np.float32) if isinstance(leaf, np.ndarray) else leaf,
-        precise.folded(),
-    )
+def _held_windows(
+    held: list[Experiment], stage: StageRecipe, generator: np.random.Generator
+) -> StageWindows | None:
+    criteria = (stage.keep, stage.plateau.watch if stage.plateau else None)
+    if not held or "validation-loss" not in criteria:
+        return None
+    return stage_windows(held, stage.windows, generator)
 
 
 def _initial_model(train_set: list[Experiment], recipe: Recipe, key: PRNGKeyArray) -> TustinNet:

@@ -109,11 +109,13 @@ class Stage:
         recipe: what it says.
         windows: what it is trained on.
         trainable: a tree like the model, True where an array trains.
+        held: windows of the validation records, where the scheduler watches their loss.
     """
 
     recipe: StageRecipe
     windows: StageWindows
     trainable: PyTree
+    held: StageWindows | None = None
 
 
 def train(
@@ -179,8 +181,10 @@ def _run_stage(
 ) -> tuple[Weights, Progress]:
     recipe = stage.recipe
     run_epoch = _compiled_epoch(stage)
-    keep = _criterion(recipe.keep, validation)
-    watch = _criterion(recipe.plateau.watch if recipe.plateau else "training", validation)
+    keep: Criterion = recipe.keep if validation is not None else "training"
+    watch: Criterion = "training"
+    if recipe.plateau is not None and validation is not None:
+        watch = recipe.plateau.watch
     rows = jnp.asarray(stage.windows.rows, jnp.int32)
     while progress.epoch < recipe.epochs and not progress.outcome:
         begun = time.perf_counter()
@@ -189,14 +193,9 @@ def _run_stage(
         event = ""
         if not bool(finite):
             progress, event = _roll_back(progress, stage)
-            figures = {"training": math.nan, "validation": math.nan}
+            figures: dict[Criterion, float] = {"training": math.nan, "validation": math.nan}
         else:
-            score = (
-                math.nan
-                if validation is None
-                else float(validation_rmse(attempt.model, validation))
-            )
-            figures = {"training": float(loss), "validation": score}
+            figures = _figures(attempt.model, float(loss), validation, stage)
             if figures[keep] < progress.best_score:
                 attempt = attempt._replace(best=attempt.model)
                 progress = replace(
@@ -221,8 +220,26 @@ def _run_stage(
     return weights, progress
 
 
-def _criterion(wanted: Criterion, validation: ValidationRuns | None) -> Criterion:
-    return wanted if validation is not None else "training"
+def _figures(
+    model: DiscreteModel, loss: float, validation: ValidationRuns | None, stage: Stage
+) -> dict[Criterion, float]:
+    """What decides over the best weights and the rate after an epoch."""
+    figures: dict[Criterion, float] = {"training": loss, "validation": math.nan}
+    if validation is not None:
+        figures["validation"] = float(validation_rmse(model, validation))
+        if stage.held is not None:
+            rows = jnp.asarray(stage.held.rows, jnp.int32)
+            held = _held_loss(model, rows, validation.records, stage.held.length, stage.recipe.loss)
+            figures["validation-loss"] = float(held)
+    return figures
+
+
+@eqx.filter_jit
+def _held_loss(
+    model: DiscreteModel, rows: Int[Array, " count"], records: Records, length: int, kind: LossName
+) -> Float[Array, ""]:
+    weight = jnp.ones(len(rows), jnp.float32)
+    return _batch_loss(model, None, rows, weight, records, length=length, kind=kind)
 
 
 def _roll_back(progress: Progress, stage: Stage) -> tuple[Progress, str]:
@@ -311,7 +328,7 @@ def _batch_loss(
     length: int,
     kind: LossName,
 ) -> Float[Array, ""]:
-    model: DiscreteModel = eqx.combine(trainable, frozen)
+    model: DiscreteModel = trainable if frozen is None else eqx.combine(trainable, frozen)
     # a stem is folded once a batch, not applied at every step; its gradient passes the fold
     simulator = model.folded()
     angular = model.angular

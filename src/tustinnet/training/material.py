@@ -40,12 +40,14 @@ class ValidationRuns(eqx.Module):
         u: held inputs, (records, steps, n_u), 0 after a record's end.
         q: measured positions, (records, steps + 1, n_q).
         weight: 1 / length within a record, 0 after its end, (records, steps + 1).
+        records: the same records end to end, for losses over windows.
     """
 
     x0: Float[Array, "records n_x"]
     u: Float[Array, "records steps n_u"]
     q: Float[Array, "records samples n_q"]
     weight: Float[Array, "records samples"]
+    records: Records
 
 
 @dataclass(frozen=True)
@@ -70,8 +72,10 @@ def lay_out(experiments: Sequence[Experiment], velocity: VelocitySource) -> Reco
     )
 
 
-def validation_runs(experiments: Sequence[Experiment], start: str) -> ValidationRuns:
-    """Prepares the free runs of records from a named start."""
+def validation_runs(
+    experiments: Sequence[Experiment], start: str, velocity: VelocitySource
+) -> ValidationRuns:
+    """Prepares the free runs of records from a named start, and their windows' states."""
     x0, u = stack_starts(experiments, start)
     samples = u.shape[1] + 1
     q = np.zeros((len(experiments), samples, len(experiments[0].coordinates)))
@@ -80,7 +84,7 @@ def validation_runs(experiments: Sequence[Experiment], start: str) -> Validation
         q[i, : len(e)] = e.q
         weight[i, : len(e)] = 1.0 / len(e)
     x0, u, q, weight = (jnp.asarray(a, jnp.float32) for a in (x0, u, q, weight))
-    return ValidationRuns(x0, u, q, weight)
+    return ValidationRuns(x0, u, q, weight, lay_out(experiments, velocity))
 
 
 def stage_windows(

@@ -2,7 +2,7 @@
 
 from importlib import resources
 from pathlib import Path
-from typing import Literal, Self
+from typing import Literal
 
 from pydantic import Field, model_validator
 
@@ -11,7 +11,7 @@ from tustinnet.data.experiment import VelocitySource
 from tustinnet.errors import InputError
 
 LossName = Literal["state", "position"]
-Criterion = Literal["validation", "training"]
+Criterion = Literal["validation", "validation-loss", "training"]
 
 Positive = Field(gt=0)
 
@@ -59,7 +59,7 @@ class WindowRecipe(Declaration):
     until: Literal["k_bar", "end"] = "end"
 
     @model_validator(mode="after")
-    def _complete(self) -> Self:
+    def _complete(self) -> "WindowRecipe":
         if self.draw == "random" and (self.count is None or self.step or self.part != 1.0):
             raise ValueError("random windows take `count`, not `step` or `part`")
         if self.draw == "strided" and (self.step is None) == (self.count is None):
@@ -70,10 +70,13 @@ class WindowRecipe(Declaration):
 class PlateauRecipe(Declaration):
     """When the rate is reduced.
 
+    A criterion is the mean RMSE of the `validation` free runs, the `validation-loss` over the
+    windows that the stage's rule gives in the validation records, or the `training` loss.
+
     Attributes:
         factor: multiplies the rate.
         patience: epochs without improvement that are tolerated.
-        watch: the `validation` free run or the `training` loss.
+        watch: the criterion that should fall.
     """
 
     factor: float = Field(gt=0, lt=1)
@@ -92,8 +95,7 @@ class StageRecipe(Declaration):
         epochs: passes over the windows.
         batch: windows in a step of the optimiser.
         plateau: when the rate is reduced, if ever.
-        keep: whether the best weights are those of the lowest `validation` free run or of the
-            lowest `training` loss.
+        keep: the criterion whose lowest value marks the best weights (see `PlateauRecipe`).
         frozen_layers: how many hidden layers, from the first on, do not train (a stem counts
             with the first). The output layer always trains.
         clip: largest norm of the gradient, if it is limited.
@@ -132,7 +134,7 @@ class Recipe(Declaration):
     stages: list[StageRecipe] = Field(min_length=1)
 
     @model_validator(mode="after")
-    def _stages_fit(self) -> Self:
+    def _stages_fit(self) -> "Recipe":
         names = [stage.name for stage in self.stages]
         if len(set(names)) < len(names):
             raise ValueError("two stages have the same name")

@@ -1,0 +1,138 @@
+"""Run folders: what is kept, and going on after a kill."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import safetensors.numpy
+
+import tustinnet as tn
+from tustinnet.artifact.run import MODEL, Runs, summary, train_runs
+
+
+def arrays(path: Path) -> dict[str, bytes]:
+    return {name: a.tobytes() for name, a in safetensors.numpy.load_file(path).items()}
+
+
+@pytest.fixture
+def runs(pendulum, small_recipe, tmp_path) -> Runs:
+    return train_runs(pendulum, tn.read_recipe(small_recipe), [0, 1], tmp_path / "run")
+
+
+def test_a_run_keeps_model_log_and_summary_of_every_seed(runs):
+    for seed in (0, 1):
+        folder = runs.folder / f"seed-{seed}"
+        lines = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+        assert len(lines) == 9
+        assert {"stage", "epoch", "loss", "validation", "rate"} <= set(lines[0])
+        assert tn.read_header(folder / MODEL)["training"]["seed"] == seed
+    kept = json.loads((runs.folder / "summary.json").read_text())
+    assert kept["seeds"][1]["mean"] == pytest.approx(runs.seeds[1].mean)
+    assert arrays(runs.folder / MODEL) == arrays(runs.best.folder / MODEL)
+
+
+def test_the_spread_is_reported_not_only_the_best(runs):
+    spread = summary(runs)["spread"]
+    means = sorted(run.mean for run in runs.seeds)
+    assert (spread["min"], spread["max"]) == (means[0], means[1])
+    assert spread["median"] == pytest.approx(np.mean(means))
+    assert spread["std"] > 0
+
+
+def test_the_header_names_recipe_data_and_scores(runs):
+    header = tn.read_header(runs.folder / MODEL)
+    assert header["recipe"]["name"] == "small"
+    assert [r["name"] for r in header["data"]["records"]][:2] == ["fall1", "fall2"]
+    assert header["scores"]["split"] == "validation"
+    assert header["scores"]["start"] == "derived-6"
+
+
+def test_a_seed_alone_is_the_same_as_among_others(runs, pendulum, small_recipe, tmp_path):
+    train_runs(pendulum, tn.read_recipe(small_recipe), [1], tmp_path / "alone")
+    there, here = (f / "seed-1" / MODEL for f in (runs.folder, tmp_path / "alone"))
+    assert arrays(there) == arrays(here)
+
+
+def test_an_earlier_run_is_not_overwritten_unasked(runs, pendulum, small_recipe):
+    recipe = tn.read_recipe(small_recipe)
+    with pytest.raises(tn.InputError, match="--resume"):
+        train_runs(pendulum, recipe, [0], runs.folder)
+    again = train_runs(pendulum, recipe, [0], runs.folder, overwrite=True)
+    assert [p.name for p in runs.folder.glob("seed-*")] == ["seed-0"]
+    assert len(again.seeds) == 1
+
+
+def test_resuming_a_finished_run_changes_nothing(runs, pendulum, small_recipe):
+    before = arrays(runs.folder / MODEL), (runs.folder / "seed-0" / "log.jsonl").read_text()
+    train_runs(pendulum, tn.read_recipe(small_recipe), [0, 1], runs.folder, resume=True)
+    assert (
+        arrays(runs.folder / MODEL),
+        (runs.folder / "seed-0" / "log.jsonl").read_text(),
+    ) == before
+
+
+def test_a_checkpoint_of_another_run_is_refused(runs, pendulum, small_recipe):
+    other = tn.read_recipe(small_recipe).model_copy(update={"name": "other"})
+    with pytest.raises(tn.InputError, match="another recipe, seed or data set"):
+        train_runs(pendulum, other, [0], runs.folder, resume=True)
+    fewer = pendulum.exclude("fall1")
+    with pytest.raises(tn.InputError, match="another recipe, seed or data set"):
+        train_runs(fewer, tn.read_recipe(small_recipe), [0], runs.folder, resume=True)
+
+
+def test_a_damaged_checkpoint_is_refused(runs, pendulum, small_recipe):
+    path = runs.folder / "seed-0" / "checkpoint.safetensors"
+    path.write_bytes(path.read_bytes()[:200])
+    with pytest.raises(tn.InputError, match="cut short"):
+        train_runs(pendulum, tn.read_recipe(small_recipe), [0], runs.folder, resume=True)
+
+
+def test_a_run_without_validation_records_is_judged_on_its_training_records(
+    pendulum, small_recipe, tmp_path
+):
+    runs = train_runs(pendulum.split("train"), tn.read_recipe(small_recipe), [0], tmp_path / "run")
+    assert runs.judged == "train"
+    assert len(runs.seeds[0].scores) == 3
+
+
+PROGRAM = """
+import sys, jax
+jax.config.update("jax_enable_x64", True)
+from pathlib import Path
+import tustinnet as tn
+from tustinnet.artifact import checkpoint
+from tustinnet.artifact.run import train_runs
+checkpoint._INTERVAL = 0.0
+data = tn.load(sys.argv[1])
+train_runs(data, tn.read_recipe(sys.argv[2]), [0], Path(sys.argv[3]), resume="resume" in sys.argv)
+"""
+
+
+def test_killed_at_any_moment_and_resumed_it_ends_with_the_same_bits(
+    folder, small_recipe, tmp_path
+):
+    small_recipe.write_text(small_recipe.read_text().replace("epochs = 5", "epochs = 60"))
+    out = [str(tmp_path / name) for name in ("whole", "killed")]
+
+    def start(place: str, *more: str) -> subprocess.Popen:
+        command = [sys.executable, "-c", PROGRAM, str(folder), str(small_recipe), place, *more]
+        return subprocess.Popen(command, env={**os.environ, "JAX_PLATFORMS": "cpu"})
+
+    assert start(out[0]).wait(120) == 0
+    log = Path(out[1]) / "seed-0" / "log.jsonl"
+    process = start(out[1])
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline and (not log.is_file() or len(log.read_text()) < 900):
+        time.sleep(0.005)
+    process.send_signal(signal.SIGKILL)
+    assert process.wait(30) == -signal.SIGKILL
+    assert not (Path(out[1]) / MODEL).exists()
+    assert start(out[1], "resume").wait(120) == 0
+    assert arrays(Path(out[0]) / MODEL) == arrays(Path(out[1]) / MODEL)
+    assert log.read_text() == (Path(out[0]) / "seed-0" / "log.jsonl").read_text()

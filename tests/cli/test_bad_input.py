@@ -1,0 +1,182 @@
+"""Bad input: one line that names the place, exit code 1, nothing half-written."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_verbs import tustinnet
+
+
+@pytest.fixture
+def refused(capsys):
+    """Runs the command and checks how it refuses."""
+
+    def check(*arguments: object, names: tuple[str, ...]) -> None:
+        code, out, err = tustinnet(capsys, *arguments)
+        assert code == 1, (out, err)
+        assert out == ""
+        lines = [line for line in err.splitlines() if line.startswith("error: ")]
+        assert len(lines) == 1, err
+        assert "Traceback" not in err
+        for name in names:
+            assert name in lines[0]
+
+    return check
+
+
+def edit(path: Path, *change: str) -> None:
+    text = path.read_text()
+    assert change[0] in text
+    path.write_text(text.replace(change[0], change[1], 1))
+
+
+def set_cell(path: Path, row: int, column: int, value: str) -> None:
+    """Changes a cell; row 0 is the header."""
+    lines = [line.split(",") for line in path.read_text().splitlines()]
+    lines[row][column] = value
+    path.write_text("\n".join(",".join(line) for line in lines) + "\n")
+
+
+def test_a_missing_file(folder, refused):
+    (folder / "fall2.csv").unlink()
+    refused("inspect", folder, names=("fall2.csv", "no such file", "[splits]"))
+
+
+def test_an_empty_file(folder, refused):
+    (folder / "fall2.csv").write_text("")
+    refused("inspect", folder, names=("fall2.csv", "empty"))
+
+
+def test_a_file_with_only_a_header(folder, refused):
+    (folder / "fall2.csv").write_text("time,angle,torque\n")
+    refused("inspect", folder, names=("fall2.csv", "no samples"))
+
+
+def test_a_wrong_column_count(folder, refused):
+    edit(folder / "dataset.toml", "[time]", "[format]\ncolumns = 4\n[time]")
+    refused("inspect", folder, names=("fall1.csv", "3 columns", "expected 4"))
+
+
+def test_a_row_of_another_length(folder, refused):
+    set_cell(folder / "fall1.csv", 7, 1, "1.0,2.0")
+    refused("inspect", folder, names=("fall1.csv", "row 8 has 4 cells"))
+
+
+def test_text_in_a_number_column(folder, refused):
+    set_cell(folder / "noise1.csv", 5, 1, "open")
+    refused("inspect", folder, names=("noise1.csv row 6, angle", "'open'", "a number"))
+
+
+@pytest.mark.parametrize("value", ["nan", "inf"])
+def test_numbers_that_are_not_finite(folder, refused, value):
+    set_cell(folder / "noise1.csv", 5, 2, value)
+    refused("inspect", folder, names=("noise1.csv, sample 4", "torque", value))
+
+
+@pytest.mark.parametrize(("time", "word"), [("0.04", "repeats"), ("0.01", "goes back")])
+def test_timestamps_that_do_not_go_forward(folder, refused, time, word):
+    set_cell(folder / "fall1.csv", 4, 0, time)
+    refused("inspect", folder, names=("fall1.csv, sample 3", word, "strictly increasing"))
+
+
+def test_a_record_shorter_than_a_window(folder, small_recipe, tmp_path, refused):
+    lines = (folder / "fall2.csv").read_text().splitlines()
+    (folder / "fall2.csv").write_text("\n".join(lines[:9]) + "\n")
+    refused(
+        "fit", folder, "--recipe", small_recipe, "--out", tmp_path / "run",
+        names=("fall2", "8 samples", "window of 10 steps"),
+    )  # fmt: skip
+    assert not list((tmp_path / "run").rglob("*.safetensors"))
+
+
+def test_two_experiments_with_different_periods(folder, refused):
+    table = np.loadtxt(folder / "fall2.csv", delimiter=",", skiprows=1)
+    table[:, 0] *= 2
+    np.savetxt(folder / "fall2.csv", table, delimiter=",", header="time,angle,torque", comments="")
+    refused("inspect", folder, names=("fall2.csv", "0.04 s", "expected 0.02 s", "resample"))
+
+
+def test_signals_that_are_all_constant(folder, refused):
+    table = np.loadtxt(folder / "fall2.csv", delimiter=",", skiprows=1)
+    table[:, 1] = 12.5
+    np.savetxt(folder / "fall2.csv", table, delimiter=",", header="time,angle,torque", comments="")
+    refused("inspect", folder, names=("fall2.csv", "nothing moves", "angle"))
+
+
+def test_a_card_that_names_a_column_that_is_not_there(folder, refused):
+    edit(folder / "dataset.toml", 'column = "angle"', 'column = "angel"')
+    refused("inspect", folder, names=("fall1.csv", "no column 'angel'", "time, angle, torque"))
+
+
+def test_a_misspelt_key_in_the_card(folder, refused):
+    edit(folder / "dataset.toml", "counts_per_revolution", "count_per_revolution")
+    refused("inspect", folder, names=("dataset.toml", "did you mean 'counts_per_revolution'?"))
+
+
+def test_a_folder_without_a_card(tmp_path, refused):
+    refused("inspect", tmp_path, names=(str(tmp_path), "dataset.toml", "--card"))
+
+
+@pytest.fixture
+def model(folder, small_recipe, tmp_path, capsys) -> Path:
+    run = tmp_path / "run"
+    code, _, err = tustinnet(
+        capsys, "fit", folder, "--recipe", small_recipe, "--out", run, "--quiet"
+    )
+    assert code == 0, err
+    return run / "model.safetensors"
+
+
+def test_models_that_are_none(model, folder, tmp_path, refused):
+    cut = tmp_path / "cut.safetensors"
+    cut.write_bytes(model.read_bytes()[:500])
+    refused("show", cut, names=("cut.safetensors", "cut short"))
+    refused("evaluate", cut, folder, names=("cut.safetensors", "cut short"))
+    refused("show", folder / "fall1.csv", names=("fall1.csv", "not a safetensors file"))
+    checkpoint = model.parent / "seed-0" / "checkpoint.safetensors"
+    refused("show", checkpoint, names=("kind 'checkpoint'",))
+
+
+def test_a_model_applied_to_other_coordinates(model, folder, tmp_path, refused):
+    edit(folder / "dataset.toml", 'name = "angle"', 'name = "elbow"')
+    refused(
+        "evaluate",
+        model,
+        folder,
+        names=("fall1", "elbow (angular)", "angle (angular)", "the model"),
+    )
+    refused("simulate", model, folder, "--out", tmp_path / "sim", names=("elbow",))
+    assert not (tmp_path / "sim").exists()
+
+
+def test_an_output_folder_that_cannot_be_written(folder, model, small_recipe, tmp_path, refused):
+    blocked = tmp_path / "blocked"
+    blocked.write_text("a file")
+    for command in (
+        ("fit", folder, "--recipe", small_recipe, "--out", blocked / "run"),
+        ("simulate", model, folder, "--out", blocked / "sim"),
+        ("inspect", folder, "--figure", blocked / "figure.png"),
+        ("evaluate", model, folder, "--figures", blocked / "figures"),
+    ):
+        refused(*command, names=("blocked", "cannot be written"))
+
+
+def test_unknown_names(folder, model, tmp_path, refused):
+    refused("inspect", folder, "--split", "trian", names=("no split 'trian'", "train, validation"))
+    refused("fit", folder, "--out", tmp_path / "r", "--recipe", "best", names=("no recipe 'best'",))
+    refused("evaluate", model, folder, "--start", "zero", names=("unknown start 'zero'",))
+    refused("evaluate", model, folder, "--start", "file", names=("derived-6",))
+    refused("inspect", "qube-servo", names=("did you mean 'qube-servo2'?",))
+
+
+def test_a_run_that_is_there_already(model, folder, small_recipe, refused):
+    refused(
+        "fit", folder, "--recipe", small_recipe, "--out", model.parent,
+        names=("holds an earlier run", "--resume", "--overwrite"),
+    )  # fmt: skip
+
+
+def test_the_data_variable_points_nowhere(tmp_path, monkeypatch, refused):
+    monkeypatch.setenv("TUSTINNET_DATA", str(tmp_path))
+    refused("reproduce", "--out", tmp_path / "out", names=("TUSTINNET_DATA", "train", "validation"))
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,139 @@
+"""Each verb on a small data set."""
+
+import json
+import subprocess
+import sys
+
+import polars as pl
+import pytest
+
+from tustinnet.cli.main import run
+
+
+def tustinnet(capsys: pytest.CaptureFixture, *arguments: object) -> tuple[int, str, str]:
+    """Exit code, standard output and standard error of the command."""
+    with pytest.raises(SystemExit) as ended:
+        run([str(a) for a in arguments])
+    captured = capsys.readouterr()
+    return int(ended.value.code or 0), captured.out, captured.err
+
+
+@pytest.fixture
+def fitted(folder, small_recipe, tmp_path, capsys):
+    code, _, err = tustinnet(
+        capsys, "fit", folder, "--recipe", small_recipe, "--out", tmp_path / "run", "--quiet"
+    )
+    assert code == 0, err
+    return tmp_path / "run" / "model.safetensors"
+
+
+def test_help_names_every_verb_and_loads_no_jax():
+    program = (
+        "import sys\nfrom tustinnet.cli.main import run\n"
+        "try: run(['--help'])\nexcept SystemExit as e: assert not e.code\n"
+        "assert not {'jax', 'polars', 'matplotlib', 'scipy'} & set(sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    for verb in ("fit", "simulate", "evaluate", "inspect", "show", "reproduce"):
+        assert f"\n  {verb} " in done.stdout
+
+
+def test_wrong_usage_exits_with_2(capsys):
+    assert tustinnet(capsys, "fit")[0] == 2
+    assert tustinnet(capsys, "inspect", "--nonsense")[0] == 2
+    assert tustinnet(capsys, "fit", "x", "--out", "y", "--seeds", "0")[0] == 2
+
+
+def test_version(capsys):
+    assert tustinnet(capsys, "--version")[1].startswith("tustinnet ")
+
+
+def test_inspect_prints_tables(folder, capsys):
+    code, out, _ = tustinnet(capsys, "inspect", folder)
+    assert code == 0
+    assert "fall1" in out
+    assert "0.00153398" in out  # 2 pi / 4096
+    assert "period [ms]" in out
+
+
+def test_inspect_as_json_with_a_figure(folder, tmp_path, capsys):
+    figure = tmp_path / "look" / "records.png"
+    code, out, _ = tustinnet(capsys, "inspect", folder, "--json", "--figure", figure)
+    assert code == 0
+    reports = json.loads(out)["experiments"]
+    assert [r["name"] for r in reports] == ["fall1", "fall2", "noise1", "fall3", "noise2"]
+    assert reports[0]["samples"] == 300
+    assert reports[2]["k_bar"] == 240
+    assert reports[0]["coordinates"][0]["count"] == pytest.approx(0.00153398, rel=1e-3)
+    assert figure.read_bytes().startswith(b"\x89PNG")
+
+
+def test_fit_keeps_model_and_figures(fitted):
+    assert fitted.is_file()
+    figures = {p.name for p in (fitted.parent / "figures").iterdir()}
+    assert figures == {"training.png", "fall3.png", "noise2.png"}
+
+
+def test_fit_of_several_seeds_reports_the_spread(folder, small_recipe, tmp_path, capsys):
+    code, out, err = tustinnet(
+        capsys, "fit", folder, "--recipe", small_recipe, "--out", tmp_path / "run", "--seeds", 2,
+        "--json",
+    )  # fmt: skip
+    assert code == 0, err
+    told = json.loads(out)
+    assert [s["seed"] for s in told["seeds"]] == [0, 1]
+    assert told["spread"]["min"] < told["spread"]["max"]
+    assert "100 %" in err  # progress went to standard error, as lines
+
+
+def test_fit_resumes_a_finished_run(fitted, folder, small_recipe, capsys):
+    before = fitted.read_bytes()
+    code, out, _ = tustinnet(
+        capsys, "fit", folder, "--recipe", small_recipe, "--out", fitted.parent, "--resume"
+    )
+    assert code == 0
+    assert "finished" in out
+    assert fitted.read_bytes() == before
+
+
+def test_simulate_writes_the_free_runs(fitted, folder, tmp_path, capsys):
+    out_folder = tmp_path / "simulated"
+    code, out, _ = tustinnet(
+        capsys, "simulate", fitted, folder, "--out", out_folder, "--split", "validation", "--json"
+    )
+    assert code == 0
+    told = json.loads(out)
+    assert told["start"] == "derived-6"
+    table = pl.read_csv(out_folder / "fall3.csv")
+    assert table.columns == ["time", "torque", "angle", "angle_dot"]
+    assert len(table) == 200
+    assert {s["experiment"] for s in told["simulations"]} == {"fall3", "noise2"}
+
+
+def test_evaluate_prints_the_scores_with_their_start(fitted, folder, capsys):
+    code, out, _ = tustinnet(capsys, "evaluate", fitted, folder, "--split", "validation")
+    assert code == 0
+    assert "start 'derived-6'" in out
+    assert "fit [%]" in out
+    assert "mean" in out
+
+
+def test_evaluate_as_json_with_steps_ahead_and_figures(fitted, folder, tmp_path, capsys):
+    code, out, _ = tustinnet(
+        capsys, "evaluate", fitted, folder, "--json", "--ahead", 20, "--figures", tmp_path / "f"
+    )
+    assert code == 0
+    told = json.loads(out)
+    assert len(told["experiments"]) == 5
+    assert len(told["ahead"]["rmse"]) == 20
+    assert told["ahead"]["rmse"][0] < told["ahead"]["rmse"][-1]
+    assert (tmp_path / "f" / "ahead.png").is_file()
+
+
+def test_show_prints_the_header(fitted, capsys):
+    code, out, _ = tustinnet(capsys, "show", fitted)
+    assert code == 0
+    for word in ("angle (angular)", "torque [N m, zero-order]", "small, seed 0", "derived-6"):
+        assert word in out
+    assert json.loads(tustinnet(capsys, "show", fitted, "--json")[1])["kind"] == "tustin-net"

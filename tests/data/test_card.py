@@ -1,0 +1,199 @@
+"""Data cards."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import tustinnet as tn
+from tustinnet.data.card import Card, CoordinateCard, InputCard, TimeCard, VelocityCard
+from tustinnet.data.declaration import declare
+
+ANGLE = {"name": "angle", "kind": "angular", "column": "a"}
+CARD = {"name": "toy", "dt": 0.01, "coordinates": [ANGLE]}
+
+
+def read(**changes: Any) -> Card:
+    return declare({**CARD, **changes}, Card, "dataset.toml")
+
+
+def angle(**keys: Any) -> CoordinateCard:
+    return CoordinateCard(name="angle", kind="angular", column="a", **keys)
+
+
+def cart(**keys: Any) -> CoordinateCard:
+    return CoordinateCard(name="cart", kind="linear", column="x", **keys)
+
+
+@pytest.mark.parametrize(
+    ("changes", "key", "meant"),
+    [
+        ({"input": []}, "input", "inputs"),
+        ({"coordinates": [{**ANGLE, "resoluton": 1}]}, "coordinates.0.resoluton", "resolution"),
+        ({"time": {"column": "t", "tolerence": 0.1}}, "time.tolerence", "tolerance"),
+        (
+            {"splits": {"train": ["a.csv", {"file": "b.csv", "row": [0, 9]}]}},
+            "splits.train.1.row",
+            "rows",
+        ),
+        (
+            {"coordinates": [{**ANGLE, "velocity": {"column": "v", "mesured": True}}]},
+            "coordinates.0.velocity.mesured",
+            "measured",
+        ),
+        ({"format": {"delimeter": ";"}}, "format.delimeter", "delimiter"),
+    ],
+)
+def test_an_unknown_key_is_refused_with_the_nearest_known_one(
+    changes: dict[str, Any], key: str, meant: str
+) -> None:
+    with pytest.raises(
+        tn.InputError, match=rf"dataset.toml, {key}: unknown key; did you mean '{meant}'\?"
+    ):
+        read(**changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "key", "meant"),
+    [
+        (
+            {"coordinates": [{"name": "angle", "kind": "angular", "colunm": "a"}]},
+            "coordinates.0.colunm",
+            "column",
+        ),
+        ({"splits": {"train": [{"flie": "b.csv"}]}}, "splits.train.0.flie", "file"),
+    ],
+)
+def test_a_misspelt_key_that_is_required_is_named_too(
+    changes: dict[str, Any], key: str, meant: str
+) -> None:
+    with pytest.raises(tn.InputError, match=rf"{key}: unknown key; did you mean '{meant}'\?"):
+        read(**changes)
+
+
+def test_an_unknown_key_far_from_all_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(tn.InputError, match="time.zzz: unknown key; known keys: column, irregular"):
+        read(time={"column": "t", "zzz": 1})
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"coordinates": [{**ANGLE, "unit": "mm"}]}, "unit 'mm' of an? angular coordinate"),
+        ({"coordinates": [{**ANGLE, "unit": "counts"}]}, "'counts' needs `resolution`"),
+        (
+            {"coordinates": [{**ANGLE, "kind": "linear", "counts_per_revolution": 4}]},
+            "of a linear coordinate; give `resolution`",
+        ),
+        (
+            {"coordinates": [{**ANGLE, "velocity": {"column": "v", "unit": "mm/s"}}]},
+            "velocity unit 'mm/s' of an? angular",
+        ),
+        ({"coordinates": [{**ANGLE, "resolution": 0}]}, "resolution: .*greater than 0"),
+        ({"coordinates": [{**ANGLE, "sign": 2}]}, "sign: .*1 or -1"),
+        ({"coordinates": [ANGLE, ANGLE]}, "two channels are called 'angle'"),
+        ({"inputs": [{"name": "angle", "column": "u"}]}, "two channels are called 'angle'"),
+        ({"coordinates": []}, "coordinates: .*at least 1"),
+        ({"dt": None}, "neither `dt` nor a time column"),
+        ({"dt": "fast"}, r"dt: .*\(got 'fast'\)"),
+        ({"dt": 0}, "dt: .*greater than 0"),
+        ({"splits": {"trian": ["a.csv"]}}, "splits.trian.*'train', 'validation' or 'test'"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_with_its_key(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(tn.InputError, match=f"dataset.toml, .*{message}"):
+        read(**changes)
+
+
+def test_a_time_column_stands_in_for_the_period() -> None:
+    assert read(dt=None, time={"column": "t"}).dt is None
+
+
+def test_a_path_is_short_for_a_file_entry() -> None:
+    card = read(splits={"train": ["a.csv", {"file": "b.csv", "name": "b", "k_bar": 3}]})
+    assert [(f.file, f.name, f.k_bar) for f in card.splits["train"]] == [
+        ("a.csv", None, None),
+        ("b.csv", "b", 3),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("coordinate", "factor"),
+    [
+        (angle(), 1.0),
+        (angle(unit="deg"), np.pi / 180),
+        (angle(unit="rev"), 2 * np.pi),
+        (angle(unit="counts", counts_per_revolution=4096), 2 * np.pi / 4096),
+        (cart(), 1.0),
+        (cart(unit="mm"), 1e-3),
+        (cart(unit="in"), 0.0254),
+        (cart(unit="counts", resolution=2.3e-5), 2.3e-5),
+    ],
+)
+def test_positions_are_converted_to_si(coordinate: CoordinateCard, factor: float) -> None:
+    assert coordinate.factor() == pytest.approx(factor, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("coordinate", "unit", "factor"),
+    [
+        (angle, "rad/s", 1.0),
+        (angle, "deg/s", np.pi / 180),
+        (angle, "rpm", 2 * np.pi / 60),
+        (angle, "deg/ms", 1000 * np.pi / 180),
+        (cart, "mm/s", 1e-3),
+        (cart, "m/s", 1.0),
+    ],
+)
+def test_velocities_are_converted_to_si(coordinate: Any, unit: str, factor: float) -> None:
+    card = coordinate(velocity=VelocityCard(column="v", unit=unit))
+    assert card.velocity_factor() == pytest.approx(factor, rel=1e-12)
+
+
+def test_a_velocity_without_unit_is_in_the_positions_unit_per_second() -> None:
+    card = angle(unit="deg", velocity=VelocityCard(column="v"))
+    assert card.velocity_factor() == card.factor()
+
+
+def test_counts_per_second_are_a_velocity_unit_of_an_encoder() -> None:
+    card = angle(resolution=1e-3, velocity=VelocityCard(column="v", unit="counts/s"))
+    assert card.velocity_factor() == pytest.approx(1e-3)
+
+
+def test_the_count_is_the_resolution_or_a_share_of_a_turn() -> None:
+    assert angle().count is None
+    assert angle(resolution=2e-3).count == 2e-3
+    assert angle(counts_per_revolution=2000).count == pytest.approx(np.pi / 1000)
+    assert angle(resolution=2e-3).coordinate() == tn.Coordinate("angle", "angular", 2e-3)
+
+
+def test_an_input_says_what_the_records_will_say() -> None:
+    card = InputCard(name="force", column=1, unit="N", hold="first-order", limits=(-2, 2))
+    assert card.input() == tn.Input("force", "N", "first-order", (-2.0, 2.0))
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("s", 1), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)])
+def test_times_are_converted_to_seconds(unit: Any, factor: float) -> None:
+    assert TimeCard(column="t", unit=unit).factor() == factor
+
+
+def test_sign_scale_and_offset_apply_in_the_columns_unit() -> None:
+    card = {
+        **CARD,
+        "coordinates": [
+            {**ANGLE, "unit": "deg", "sign": -1, "offset": 90.0,
+             "velocity": {"column": "v", "unit": "rpm"}},
+            {"name": "cart", "kind": "linear", "column": "x", "unit": "counts",
+             "resolution": 1e-4, "offset": 500.0, "velocity": {"column": "w", "unit": "mm/s"}},
+        ],
+        "inputs": [{"name": "u", "column": "u", "scale": 0.5, "sign": -1, "offset": 2.0}],
+    }  # fmt: skip
+    import pandas as pd
+
+    frame = pd.DataFrame({"a": [90.0, 0, 180], "v": [60.0, 0, -30], "x": [500, 600, 0],
+                          "w": [1000.0, 0, 1], "u": [2.0, 4.0, 0.0]})  # fmt: skip
+    e = tn.from_frame(frame, card)
+    np.testing.assert_allclose(e.q, [[0, 0], [np.pi / 2, 0.01], [-np.pi / 2, -0.05]], atol=1e-12)
+    assert e.v is not None
+    np.testing.assert_allclose(e.v, [[-2 * np.pi, 1], [0, 0], [np.pi, 1e-3]], atol=1e-12)
+    np.testing.assert_allclose(e.u[:, 0], [0, -1, 1])

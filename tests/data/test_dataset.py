@@ -1,0 +1,167 @@
+"""Data sets and records from arrays."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import tustinnet as tn
+
+
+def record(
+    name: str, samples: int = 20, *, dt: float = 0.01, split: str | None = None
+) -> tn.Experiment:
+    q = np.sin(np.arange(samples))
+    return tn.from_arrays(
+        q, 0 * q, dt=dt, coordinates=["angle"], inputs=["voltage"], name=name, split=split
+    )
+
+
+@pytest.fixture
+def three() -> tn.DataSet:
+    return tn.DataSet(
+        "three",
+        (
+            record("a", split="train"),
+            record("b", 35, split="train"),
+            record("c", 50, split="validation"),
+        ),
+    )
+
+
+def names(data: tn.DataSet) -> list[str]:
+    return [e.name for e in data]
+
+
+def test_records_may_have_any_lengths(three: tn.DataSet) -> None:
+    assert [len(e) for e in three] == [20, 35, 50]
+    assert len(three) == 3
+
+
+def test_what_the_records_share_is_the_data_sets(three: tn.DataSet) -> None:
+    assert three.dt == 0.01
+    assert three.coordinates == (tn.Coordinate("angle"),)
+    assert three.inputs == (tn.Input("voltage"),)
+    assert three.splits == ("train", "validation")
+    assert repr(three) == "DataSet('three', 3 experiments)"
+
+
+def test_records_are_found_by_number_name_and_slice(three: tn.DataSet) -> None:
+    assert three[-1].name == "c"
+    assert three["b"] is three[1]
+    assert names(three[1:]) == ["b", "c"]
+    with pytest.raises(tn.InputError, match="no experiment 'd'; expected one of a, b, c"):
+        three["d"]
+
+
+def test_a_split_is_a_data_set(three: tn.DataSet) -> None:
+    assert names(three.split("train")) == ["a", "b"]
+    with pytest.raises(tn.InputError, match="no split 'test'; expected one of: train, validation"):
+        three.split("test")
+
+
+def test_records_that_are_not_split_say_so() -> None:
+    with pytest.raises(tn.InputError, match="not split"):
+        tn.DataSet("plain", (record("a"),)).split("train")
+
+
+def test_trimming_trims_every_record(three: tn.DataSet) -> None:
+    assert [len(e) for e in three.trim(0.05, 0.15)] == [11, 11, 11]
+
+
+def test_excluding_by_name(three: tn.DataSet) -> None:
+    assert names(three.exclude("b")) == ["a", "c"]
+    with pytest.raises(tn.InputError, match="no experiment 'x'"):
+        three.exclude("x")
+    with pytest.raises(tn.InputError, match="no experiments"):
+        three.exclude("a", "b", "c")
+
+
+def test_merging_takes_data_sets_and_records(three: tn.DataSet) -> None:
+    other = tn.DataSet("other", (record("d"),))
+    merged = three.merge(other, [record("e")])
+    assert names(merged) == ["a", "b", "c", "d", "e"]
+    assert merged.name == "three"
+
+
+def test_two_records_of_one_name_are_refused(three: tn.DataSet) -> None:
+    with pytest.raises(tn.InputError, match="two experiments named 'a'"):
+        three.merge([record("a")])
+
+
+def test_another_period_is_refused_and_rounding_is_not(three: tn.DataSet) -> None:
+    with pytest.raises(tn.InputError, match="d: sampling period 0.02 s, but a has 0.01 s"):
+        three.merge([record("d", dt=0.02)])
+    assert len(three.merge([record("d", dt=0.01 * (1 + 1e-9))])) == 4
+
+
+@pytest.mark.parametrize(
+    ("coordinates", "inputs", "message"),
+    [
+        (["beta"], ["voltage"], r"coordinates beta \(angular\); expected angle \(angular\)"),
+        ([tn.Coordinate("angle", "linear")], ["voltage"], r"angle \(linear\)"),
+        (["angle"], ["torque"], r"inputs torque \(zero-order\); expected voltage"),
+        (["angle"], [tn.Input("voltage", hold="first-order")], r"voltage \(first-order\)"),
+    ],
+)
+def test_another_system_is_refused(
+    three: tn.DataSet,
+    coordinates: list[tn.Coordinate | str],
+    inputs: list[tn.Input | str],
+    message: str,
+) -> None:
+    q = np.arange(5.0)
+    other = tn.from_arrays(q, q, dt=0.01, coordinates=coordinates, inputs=inputs, name="other")
+    with pytest.raises(tn.InputError, match=f"other: .*{message}"):
+        three.merge([other])
+
+
+def test_the_order_of_coordinates_matters() -> None:
+    q = np.arange(10.0).reshape(5, 2)
+    one = tn.from_arrays(q, dt=0.1, coordinates=["a", "b"], name="one")
+    two = tn.from_arrays(q, dt=0.1, coordinates=["b", "a"], name="two")
+    with pytest.raises(tn.InputError, match="order must agree"):
+        tn.DataSet("mixed", (one, two))
+
+
+def test_records_may_differ_in_what_does_not_change_the_system(three: tn.DataSet) -> None:
+    other = replace(record("d"), coordinates=(tn.Coordinate("angle", "angular", 1e-3),))
+    assert len(three.merge([other])) == 4
+
+
+def test_no_records_are_refused() -> None:
+    with pytest.raises(tn.InputError, match="no experiments; expected at least one"):
+        tn.DataSet("empty", ())
+
+
+# --- from_arrays ---
+
+
+def test_vectors_become_columns() -> None:
+    e = tn.from_arrays([0.0, 1, 2], [3.0, 4, 5], dt=0.5, coordinates=["a"], inputs=["u"])
+    np.testing.assert_array_equal(e.q, [[0], [1], [2]])
+    np.testing.assert_array_equal(e.u, [[3], [4], [5]])
+    np.testing.assert_array_equal(e.t, [0, 0.5, 1])
+    assert e.v is None
+    assert not e.v_measured
+
+
+def test_a_record_needs_no_input() -> None:
+    e = tn.from_arrays(np.zeros((6, 2)), dt=0.5, coordinates=["a", tn.Coordinate("b", "linear")])
+    assert e.u.shape == (6, 0)
+    assert e.held_inputs.shape == (5, 0)
+    assert [c.kind for c in e.coordinates] == ["angular", "linear"]
+
+
+def test_given_times_and_velocities_are_taken() -> None:
+    t, v = np.array([1.0, 1.4, 2.1]), np.array([7.0, 8, 9])
+    e = tn.from_arrays(np.zeros(3), t=t, v=v, dt=0.5, coordinates=["a"])
+    np.testing.assert_array_equal(e.t, t)
+    assert e.v is not None
+    np.testing.assert_array_equal(e.v[:, 0], v)
+    assert e.v_measured
+
+
+def test_too_few_names_for_the_columns_are_refused() -> None:
+    with pytest.raises(tn.InputError, match=r"q has shape \(5, 2\); expected \(5, 1\)"):
+        tn.from_arrays(np.zeros((5, 2)), dt=0.1, coordinates=["a"])

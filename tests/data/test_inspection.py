@@ -1,0 +1,245 @@
+"""What inspecting a record finds."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import tustinnet as tn
+from tustinnet.data.inspection import encoder_count, inspect_experiment, transient_end
+
+DT = 0.01
+COUNT = 2 * np.pi / 4096
+
+
+def swing(samples: int = 800, rate: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Position and velocity of a damped swing."""
+    z = np.exp((-rate + 6j) * np.arange(samples) * DT)
+    return z.real, ((-rate + 6j) * z).real
+
+
+def quantised(q: np.ndarray, count: float = COUNT) -> np.ndarray:
+    return np.round(q / count) * count
+
+
+def record(
+    q: np.ndarray,
+    v: np.ndarray | None = None,
+    u: np.ndarray | None = None,
+    *,
+    resolution: float | None = COUNT,
+    limits: tuple[float, float] | None = None,
+) -> tn.Experiment:
+    return tn.from_arrays(
+        q, u, v=v, dt=DT,
+        coordinates=[tn.Coordinate("angle", "angular", resolution)],
+        inputs=[] if u is None else [tn.Input("torque", "N m", limits=limits)],
+    )  # fmt: skip
+
+
+# --- encoder counts ---
+
+
+@given(
+    count=st.floats(1e-3, 3e-2),
+    amplitude=st.floats(20, 400),
+    speed=st.floats(0.5, 3.0),
+    offset=st.floats(-2, 2),
+    digits=st.sampled_from([6, 12]),
+)
+@settings(deadline=None, max_examples=30)
+def test_the_count_of_an_encoder_is_found_to_a_thousandth(
+    count: float, amplitude: float, speed: float, offset: float, digits: int
+) -> None:
+    t = np.arange(1500) * DT
+    levels = np.round(amplitude * np.exp(-0.2 * t) * np.sin(speed * t))
+    found = encoder_count(np.round(offset + count * levels, digits))
+    assert found == pytest.approx(count, rel=1e-3)
+
+
+@pytest.mark.parametrize("levels", [[0, 1, 2], [0, 1, 3], [5, 4, 7, 10, 11], [0, 2, 3, 40, 41]])
+def test_a_few_levels_are_enough(levels: list[int]) -> None:
+    q = np.round(0.7 + COUNT * np.repeat(levels, 20), 6)
+    assert encoder_count(q) == pytest.approx(COUNT, rel=1e-3)
+
+
+def test_a_fast_signal_that_skips_most_levels_has_a_count() -> None:
+    t = np.arange(600) * DT
+    assert encoder_count(quantised(6 * np.sin(7 * t))) == pytest.approx(COUNT, rel=1e-3)
+
+
+@pytest.mark.parametrize("digits", [6, 15])
+@pytest.mark.parametrize("seed", range(5))
+def test_a_continuous_signal_has_no_count(seed: int, digits: int) -> None:
+    generator = np.random.default_rng(seed)
+    t = np.arange(800) * DT
+    q = np.exp(-generator.uniform(0, 0.5) * t) * np.sin(generator.uniform(1, 9) * t)
+    assert encoder_count(np.round(q, digits)) is None
+
+
+@pytest.mark.parametrize("q", [np.zeros(50), np.arange(50) % 2 * 0.1])
+def test_fewer_than_three_levels_tell_no_count(q: np.ndarray) -> None:
+    assert encoder_count(q) is None
+
+
+@pytest.mark.real
+def test_the_count_of_the_measured_data_is_found_in_every_record(real_data: Path) -> None:
+    for e in tn.load(real_data):
+        for j in (0, 1):
+            assert encoder_count(e.q[:, j]) == pytest.approx(0.00306640625, rel=1e-3), e.name
+
+
+# --- the transient ---
+
+
+def test_a_free_record_has_its_transient_until_it_settles() -> None:
+    report = inspect_experiment(record(quantised(swing()[0])))
+    assert report.k_bar * DT == pytest.approx(np.log(20), abs=0.6)
+    assert not report.k_bar_declared
+    assert not report.forced
+
+
+def test_a_forced_record_has_no_end_of_its_transient() -> None:
+    q, _ = swing()
+    e = record(q, u=np.arange(len(q)) % 2)
+    assert transient_end(e) == len(e)
+    assert inspect_experiment(e).forced
+
+
+@pytest.mark.parametrize("u", [None, np.arange(800) % 2])
+def test_a_declared_end_of_the_transient_wins(u: np.ndarray | None) -> None:
+    report = inspect_experiment(replace(record(swing()[0], u=u), k_bar=123))
+    assert (report.k_bar, report.k_bar_declared) == (123, True)
+
+
+def test_a_record_that_moves_to_its_end_never_settles() -> None:
+    e = record(swing(rate=0.0)[0])
+    assert transient_end(e) == len(e)
+
+
+def test_a_coordinate_that_never_moves_does_not_prolong_the_transient() -> None:
+    q, _ = swing()
+    both = tn.from_arrays(np.stack([q, np.full_like(q, 0.3)], 1), dt=DT, coordinates=["a", "b"])
+    assert transient_end(both) == transient_end(record(q, resolution=None))
+
+
+def test_the_share_at_rest_is_the_time_near_an_equilibrium() -> None:
+    q, _ = swing(400)
+    report = inspect_experiment(record(np.concatenate([q, np.full(400, q[-1])])))
+    assert 0.5 < report.rest_share < 0.8
+    assert inspect_experiment(record(swing(rate=0.0)[0])).rest_share == 0.0
+
+
+# --- time, coordinates, inputs ---
+
+
+def test_the_report_says_what_the_time_base_is() -> None:
+    t = np.delete(np.arange(805) * DT, slice(100, 105))
+    e = replace(record(swing()[0]), t=t, split="train", notes=("kept",))
+    report = inspect_experiment(e)
+    assert (report.name, report.split, report.samples) == ("experiment", "train", 800)
+    assert report.seconds == pytest.approx(8.04)
+    assert (report.dt, report.median_dt) == (DT, pytest.approx(DT))
+    assert report.worst_interval == pytest.approx(0.06)
+    assert report.gaps == (99,)
+    assert report.notes == ("kept",)
+
+
+def test_the_report_says_what_the_coordinates_do() -> None:
+    q, v = swing()
+    (angle,) = inspect_experiment(record(quantised(q))).coordinates
+    assert angle.name == "angle"
+    assert angle.range == pytest.approx((q.min(), q.max()), abs=COUNT)
+    assert angle.peak_speed == pytest.approx(np.abs(v).max(), rel=0.05)
+    assert angle.count == pytest.approx(COUNT, rel=1e-3)
+    assert angle.declared_count == COUNT
+    assert angle.resting == pytest.approx(0, abs=COUNT)
+
+
+def test_the_report_says_how_the_system_is_excited() -> None:
+    t = np.arange(800) * DT
+    u = 3 * np.sin(2 * np.pi * 4 * t)
+    (torque,) = inspect_experiment(record(swing()[0], u=u)).inputs
+    assert torque.name == "torque"
+    assert torque.range == pytest.approx((-3, 3), abs=0.05)
+    assert torque.rms == pytest.approx(3 / np.sqrt(2), rel=1e-3)
+    assert torque.bandwidth == pytest.approx(4.0, abs=0.2)
+    assert torque.saturated == 0.0
+
+
+def test_a_wide_excitation_has_a_wide_band_and_a_constant_none() -> None:
+    q, _ = swing()
+    noise = np.random.default_rng(0).normal(size=len(q))
+    (wide,) = inspect_experiment(record(q, u=noise)).inputs
+    assert wide.bandwidth == pytest.approx(0.9 * 50, rel=0.05)
+    (constant,) = inspect_experiment(record(q, u=np.full_like(q, 2.0))).inputs
+    assert constant.bandwidth is None
+
+
+@pytest.mark.parametrize("limits", [None, (-1.0, 1.0)])
+def test_an_input_cut_at_its_limits_is_saturated(limits: tuple[float, float] | None) -> None:
+    q, _ = swing()
+    u = np.clip(np.random.default_rng(0).normal(size=len(q)), -1, 1)
+    (torque,) = inspect_experiment(record(q, u=u, limits=limits)).inputs
+    assert torque.saturated == pytest.approx(np.mean(np.abs(u) == 1))
+    assert torque.saturated > 0.2
+
+
+def test_an_input_of_a_few_levels_is_not_called_saturated() -> None:
+    q, _ = swing()
+    u = np.sign(np.random.default_rng(0).normal(size=len(q)))
+    assert inspect_experiment(record(q, u=u)).inputs[0].saturated == 0.0
+    within = inspect_experiment(record(q, u=u, limits=(-2.0, 2.0)))
+    assert within.inputs[0].saturated == 0.0
+
+
+# --- suspicious rows ---
+
+
+def suspicious(e: tn.Experiment) -> str:
+    return "\n".join(inspect_experiment(e).suspicious)
+
+
+def test_a_sound_record_is_not_suspicious() -> None:
+    q, v = swing()
+    assert suspicious(record(quantised(q), v)) == ""
+
+
+def test_padded_velocities_are_suspicious() -> None:
+    q, v = swing(rate=0.1)
+    v[:2] = v[-3:] = 0
+    assert "zero in the first 2 and last 3 rows" in suspicious(record(q, v))
+
+
+def test_a_jump_is_suspicious_with_its_sample() -> None:
+    q, _ = swing()
+    q[300] += 1.0
+    assert "angle jumps at sample 299, 300, 301" in suspicious(record(quantised(q)))
+
+
+@pytest.mark.parametrize("factor", [-1.0, 180 / np.pi, np.pi / 180, 1e3])
+@pytest.mark.parametrize("padded", [False, True])
+def test_velocities_of_another_unit_or_sign_are_suspicious(factor: float, padded: bool) -> None:
+    q, v = swing(rate=0.1)
+    if padded:
+        v[:2] = v[-2:] = 0
+    assert "angle: the velocity column disagrees" in suspicious(record(q, factor * v))
+
+
+def test_another_count_than_declared_is_suspicious() -> None:
+    told = suspicious(record(quantised(swing()[0]), resolution=COUNT / 1.5))
+    assert "encoder count 0.001534 rad found, 0.0010227 declared" in told
+
+
+def test_a_multiple_of_the_declared_count_is_not_suspicious() -> None:
+    # a slow encoder may only ever show every second count
+    assert suspicious(record(quantised(swing()[0], 2 * COUNT))) == ""
+
+
+def test_a_coordinate_that_never_changes_is_suspicious() -> None:
+    q, _ = swing()
+    e = tn.from_arrays(np.stack([q, 0 * q], 1), dt=DT, coordinates=["moving", "still"])
+    assert inspect_experiment(e).suspicious == ("still never changes",)

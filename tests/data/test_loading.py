@@ -1,0 +1,370 @@
+"""From files and data frames to records, as a card says."""
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import jaxtyping
+import numpy as np
+import pandas as pd
+import polars as pl
+import pytest
+
+import tustinnet as tn
+from tustinnet.data.card import Card
+from tustinnet.data.declaration import declare
+from tustinnet.data.loading import load_folder
+
+DT = 0.01
+ANGLE = {"name": "angle", "kind": "angular", "column": "angle"}
+TORQUE = {"name": "torque", "column": "torque"}
+
+
+def card(**changes: Any) -> Card:
+    content = {"name": "toy", "dt": DT, "coordinates": [ANGLE], "inputs": [TORQUE]}
+    return declare({**content, **changes}, Card, "card")
+
+
+def write(path: Path, samples: int = 40, **columns: np.ndarray) -> Path:
+    """Writes a log of a swing; given columns replace or join the usual ones."""
+    t = columns.get("time", np.arange(samples) * DT)
+    usual = {"time": t, "angle": np.sin(3 * t), "torque": np.cos(t)}
+    path.parent.mkdir(exist_ok=True)
+    pl.DataFrame({**usual, **columns}).write_csv(path)
+    return path
+
+
+def one(path: Path, **changes: Any) -> tn.Experiment:
+    """The only record of a file, read with a card."""
+    (experiment,) = load_folder(path.parent, card(splits={"train": [path.name]}, **changes))
+    return experiment
+
+
+def timed(**keys: Any) -> dict[str, Any]:
+    return {"time": {"column": "time", **keys}}
+
+
+# --- folders ---
+
+
+def test_a_folder_with_a_card_is_read(folder: Path, pendulum: tn.DataSet) -> None:
+    data = tn.load(folder)
+    assert [e.name for e in data] == [e.name for e in pendulum]
+    assert [e.split for e in data] == [e.split for e in pendulum]
+    for read, written in zip(data, pendulum, strict=True):
+        np.testing.assert_allclose(read.q, written.q, atol=1e-9)
+        np.testing.assert_allclose(read.u, written.u, atol=1e-7)
+        np.testing.assert_allclose(read.t, written.t, atol=1e-9)
+    assert data.coordinates[0].resolution == pytest.approx(2 * np.pi / 4096)
+
+
+def test_a_record_says_where_it_came_from(folder: Path) -> None:
+    e = tn.load(folder)["fall1"]
+    assert e.source == "fall1.csv"
+    assert e.sha256 == hashlib.sha256((folder / "fall1.csv").read_bytes()).hexdigest()
+    assert e.first_row == 0
+
+
+def test_patterns_find_files_in_natural_order(tmp_path: Path) -> None:
+    for number in (1, 2, 10, 21, 3):
+        write(tmp_path / "train" / f"run{number}.csv")
+    data = load_folder(tmp_path, card(splits={"train": ["train/run*.csv"]}))
+    assert [e.name for e in data] == ["run1", "run2", "run3", "run10", "run21"]
+    assert data[3].source == "train/run10.csv"
+
+
+def test_a_range_of_rows_is_a_record_of_its_own(tmp_path: Path) -> None:
+    write(tmp_path / "log.csv")
+    files = [
+        {"file": "log.csv", "name": "first", "rows": [0, 15]},
+        {"file": "log.csv", "name": "second", "rows": [20, 40], "k_bar": 7},
+    ]
+    first, second = load_folder(tmp_path, card(splits={"train": files}, **timed()))
+    assert (len(first), first.first_row, first.k_bar) == (15, 0, None)
+    assert (len(second), second.first_row, second.k_bar) == (20, 20, 7)
+    assert second.t[0] == pytest.approx(0.2)
+
+
+def test_rows_that_are_not_there_are_refused(tmp_path: Path) -> None:
+    write(tmp_path / "log.csv")
+    with pytest.raises(tn.InputError, match=r"rows 10..41; expected a range within 0..40"):
+        load_folder(tmp_path, card(splits={"train": [{"file": "log.csv", "rows": [10, 41]}]}))
+
+
+def test_the_splits_files_must_be_there(folder: Path) -> None:
+    (folder / "fall2.csv").unlink()
+    with pytest.raises(tn.InputError, match=r"fall2\.csv: no such file \(1 of the card's train"):
+        tn.load(folder)
+
+
+def test_a_pattern_that_finds_nothing_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(tn.InputError, match=r"run\*\.csv: no such file"):
+        load_folder(tmp_path, card(splits={"train": ["run*.csv"]}))
+
+
+def test_an_optional_split_may_be_absent_but_not_torn(tmp_path: Path) -> None:
+    write(tmp_path / "a.csv")
+    declared = card(
+        splits={"train": ["a.csv"], "test": ["b.csv", "c.csv"]}, optional_splits=["test"]
+    )
+    assert load_folder(tmp_path, declared).splits == ("train",)
+    write(tmp_path / "b.csv")
+    with pytest.raises(tn.InputError, match=r"c\.csv: no such file"):
+        load_folder(tmp_path, declared)
+
+
+def test_a_folder_with_none_of_the_files_is_refused(tmp_path: Path) -> None:
+    declared = card(splits={"train": ["a.csv"]}, optional_splits=["train"])
+    with pytest.raises(tn.InputError, match=r"none of the files of the card 'toy'.*a\.csv"):
+        load_folder(tmp_path, declared)
+
+
+def test_files_of_different_periods_are_refused(tmp_path: Path) -> None:
+    write(tmp_path / "a.csv")
+    write(tmp_path / "b.csv", time=np.arange(40) * 0.02)
+    with pytest.raises(tn.InputError, match=r"b: sampling period 0\.02 s, but a has 0\.01 s"):
+        load_folder(tmp_path, card(dt=None, splits={"train": ["*.csv"]}, **timed()))
+
+
+def test_files_whose_clocks_jitter_are_one_data_set(tmp_path: Path) -> None:
+    generator = np.random.default_rng(0)
+    for name in ("a", "b"):
+        jitter = generator.uniform(-1e-5, 1e-5, 40)
+        write(tmp_path / f"{name}.csv", time=np.arange(40) * DT + jitter)
+    data = load_folder(tmp_path, card(dt=None, splits={"train": ["*.csv"]}, **timed()))
+    assert data.dt == pytest.approx(DT, rel=1e-2)
+
+
+# --- columns ---
+
+
+def test_a_missing_column_is_refused_with_the_columns_there_are(tmp_path: Path) -> None:
+    path = write(tmp_path / "log.csv")
+    with pytest.raises(
+        tn.InputError, match=r"log\.csv: no column 'phi'; expected one of: time, angle, torque"
+    ):
+        one(path, coordinates=[{**ANGLE, "column": "phi"}])
+
+
+def test_names_without_a_header_are_explained(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("1,2\n3,4\n")
+    with pytest.raises(tn.InputError, match="no column 'angle'.*columns go by number"):
+        one(path, format={"header": False})
+
+
+def test_columns_go_by_number_from_1(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("0.5,1\n0.6,2\n0.8,3\n")
+    e = one(
+        path, format={"header": False},
+        coordinates=[{**ANGLE, "column": 1}], inputs=[{**TORQUE, "column": 2}],
+    )  # fmt: skip
+    np.testing.assert_array_equal(e.q[:, 0], [0.5, 0.6, 0.8])
+    np.testing.assert_array_equal(e.u[:, 0], [1, 2, 3])
+
+
+@pytest.mark.parametrize("number", [0, 4])
+def test_a_column_number_out_of_range_is_refused(tmp_path: Path, number: int) -> None:
+    path = write(tmp_path / "log.csv")
+    with pytest.raises(tn.InputError, match=f"3 columns; expected a column {number} .*from 1"):
+        one(path, coordinates=[{**ANGLE, "column": number}])
+
+
+def test_another_number_of_columns_than_declared_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path / "log.csv")
+    assert len(one(path, format={"columns": 3})) == 40
+    with pytest.raises(tn.InputError, match=r"log\.csv: 3 columns; expected 6 as in the card"):
+        one(path, format={"columns": 6})
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_number_that_is_not_finite_is_refused_with_file_sample_and_column(
+    tmp_path: Path, value: float
+) -> None:
+    angle = np.arange(40.0)
+    angle[[13, 20]] = value
+    path = write(tmp_path / "log.csv", angle=angle)
+    with pytest.raises(tn.InputError, match=rf"log\.csv, sample 13 .*, angle: {value} \(2 such\)"):
+        one(path)
+
+
+def test_columns_that_are_not_used_may_hold_anything_finite_or_not(tmp_path: Path) -> None:
+    path = write(tmp_path / "log.csv", spare=np.full(40, np.nan))
+    assert len(one(path)) == 40
+
+
+def test_a_record_in_which_nothing_moves_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path / "log.csv", angle=np.full(40, 0.3))
+    with pytest.raises(tn.InputError, match="nothing moves: angle are constant|angle is constant"):
+        one(path)
+
+
+def test_velocities_are_taken_with_every_coordinate_or_not_at_all(tmp_path: Path) -> None:
+    path = write(tmp_path / "log.csv", speed=np.arange(40.0), x=np.arange(40.0))
+    with_velocity = {**ANGLE, "velocity": {"column": "speed", "unit": "deg/s", "measured": True}}
+    e = one(path, coordinates=[with_velocity])
+    assert e.v is not None
+    assert e.v_measured
+    np.testing.assert_allclose(e.v[:, 0], np.deg2rad(np.arange(40.0)))
+    other = {"name": "cart", "kind": "linear", "column": "x"}
+    with pytest.raises(tn.InputError, match="no velocity column for 'cart'"):
+        one(path, coordinates=[with_velocity, other])
+
+
+def test_velocities_count_as_measured_only_where_the_card_says_so(tmp_path: Path) -> None:
+    path = write(tmp_path / "log.csv", speed=np.arange(40.0))
+    assert not one(path, coordinates=[{**ANGLE, "velocity": {"column": "speed"}}]).v_measured
+
+
+@pytest.mark.parametrize("inputs", [[TORQUE], []])
+def test_other_variables_of_an_archive_do_not_matter(
+    tmp_path: Path, inputs: list[dict[str, Any]]
+) -> None:
+    path = tmp_path / "log.npz"
+    t = np.arange(40) * DT
+    np.savez(path, gains=np.array([1.0, 2.0, 3.0]), angle=np.sin(t), torque=t)
+    e = one(path, inputs=inputs)
+    assert e.u.shape == (40, len(inputs))
+    files = [{"file": "log.npz", "rows": [10, 30]}]
+    (part,) = load_folder(tmp_path, card(inputs=inputs, splits={"train": files}))
+    np.testing.assert_array_equal(part.q, e.q[10:30])
+
+
+def test_columns_of_unequal_lengths_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # as people run it: without the type checks of the test set-up
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+    path = tmp_path / "log.npz"
+    np.savez(path, angle=np.arange(40.0), torque=np.arange(30.0))
+    with pytest.raises(tn.InputError, match=r"\(30, 1\)|lengths"):
+        one(path)
+
+
+# --- times ---
+
+
+def test_without_a_time_column_samples_are_a_period_apart(tmp_path: Path) -> None:
+    np.testing.assert_allclose(one(write(tmp_path / "log.csv")).t, np.arange(40) * DT)
+
+
+def test_without_a_period_the_median_interval_is_taken(tmp_path: Path) -> None:
+    path = write(tmp_path / "log.csv", time=1e3 * np.arange(40) * DT)
+    e = one(path, dt=None, **timed(unit="ms"))
+    assert e.dt == pytest.approx(DT)
+
+
+def test_jitter_within_the_tolerance_is_accepted_and_noted(tmp_path: Path) -> None:
+    t = np.arange(40) * DT
+    t[20] += 3e-4
+    e = one(write(tmp_path / "log.csv", time=t), **timed())
+    np.testing.assert_array_equal(e.t, t)
+    assert "worst 0.0003 s) accepted" in e.notes[0]
+
+
+@pytest.fixture
+def gap(tmp_path: Path) -> Path:
+    """A log of a swing in which five samples are missing."""
+    return write(tmp_path / "log.csv", time=np.delete(np.arange(45) * DT, slice(20, 25)))
+
+
+def test_irregular_times_are_refused_with_what_can_be_done(gap: Path) -> None:
+    with pytest.raises(
+        tn.InputError,
+        match=r'log\.csv: interval of 0\.06 s before sample 20 .*0\.01 s within 5%.*"resample"',
+    ):
+        one(gap, **timed())
+
+
+def test_irregular_times_are_kept_where_the_card_says_so(gap: Path) -> None:
+    e = one(gap, **timed(irregular="keep"))
+    assert len(e) == 40
+    assert e.dt == DT
+    assert "irregular times kept" in e.notes[0]
+
+
+def test_irregular_times_are_resampled_where_the_card_says_so(gap: Path) -> None:
+    e = one(gap, **timed(irregular="resample"))
+    np.testing.assert_allclose(e.t, np.arange(45) * DT, atol=1e-12)
+    np.testing.assert_allclose(e.q[:, 0], np.sin(3 * e.t), atol=1e-6)
+    assert "resampled onto a grid of 0.01 s" in e.notes[0]
+    assert "1 gaps interpolated" in e.notes[0]
+
+
+def test_keeping_times_of_another_period_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path / "log.csv", time=np.arange(40) * 0.02)
+    with pytest.raises(tn.InputError, match=r"median period 0\.02 s; expected the nominal 0\.01"):
+        one(path, **timed(irregular="keep"))
+
+
+@pytest.mark.parametrize(("value", "kind"), [(0.19, "repeats"), (0.1, "goes back")])
+def test_times_that_do_not_increase_are_refused_with_their_sample(
+    tmp_path: Path, value: float, kind: str
+) -> None:
+    t = np.arange(40) * DT
+    t[20] = t[10] if kind == "goes back" else t[19]
+    assert t[20] == pytest.approx(value)
+    with pytest.raises(tn.InputError, match=rf"log\.csv, sample 20 .*column time: .*{kind}"):
+        one(write(tmp_path / "log.csv", time=t), **timed(irregular="keep"))
+
+
+# --- wrapped angles ---
+
+
+def test_a_wrapped_angle_is_unwrapped_before_it_is_resampled(tmp_path: Path) -> None:
+    t = np.delete(np.arange(200) * DT, [50, 51, 120])
+    wrapped = (8 * t + 180 / 57.3) % (2 * np.pi)
+    path = write(tmp_path / "log.csv", time=t, angle=np.rad2deg(wrapped), torque=t)
+    e = one(path, coordinates=[{**ANGLE, "unit": "deg"}], **timed(irregular="resample"))
+    np.testing.assert_allclose(np.diff(e.q[:, 0]), 8 * DT, atol=1e-9)
+    assert e.notes[0] == "angle: unwrapped at 3 samples"
+
+
+@pytest.mark.parametrize("changes", [{"unwrap": False}, {"kind": "linear"}])
+def test_jumps_are_left_where_they_are_no_wraps(tmp_path: Path, changes: dict[str, Any]) -> None:
+    angle = np.where(np.arange(40) < 20, 0.0, 6.0)
+    e = one(write(tmp_path / "log.csv", angle=angle), coordinates=[{**ANGLE, **changes}])
+    np.testing.assert_array_equal(e.q[:, 0], angle)
+
+
+# --- data frames ---
+
+
+@pytest.mark.parametrize("library", [pd, pl])
+def test_a_data_frame_with_a_mapping_as_card(library: Any) -> None:
+    t = np.arange(30) * DT
+    frame = library.DataFrame({"time": t, "angle": np.rad2deg(t), "torque": np.arange(30)})
+    e = tn.from_frame(
+        frame,
+        {"dt": DT, "coordinates": [{**ANGLE, "unit": "deg"}], "inputs": [TORQUE], **timed()},
+        name="bench",
+        split="validation",
+    )
+    assert (e.name, e.split) == ("bench", "validation")
+    np.testing.assert_allclose(e.q[:, 0], t, atol=1e-12)
+    np.testing.assert_array_equal(e.u[:, 0], np.arange(30))
+
+
+def test_a_data_frame_with_a_card() -> None:
+    frame = pl.DataFrame({"angle": [0.0, 1, 2], "torque": [0.0, 0, 0]})
+    assert tn.from_frame(frame, card()).dt == DT
+
+
+def test_an_empty_cell_of_a_data_frame_is_named() -> None:
+    frame = pl.DataFrame({"angle": [0.0, None, 2], "torque": [0.0, 0, 0]})
+    with pytest.raises(tn.InputError, match="sample 1 .*, angle: nan"):
+        tn.from_frame(frame, card(), name="bench")
+
+
+def test_a_text_column_of_a_data_frame_is_not_called_missing() -> None:
+    frame = pl.DataFrame({"angle": ["0.0", "off", "2"], "torque": [0.0, 0, 0]})
+    with pytest.raises(tn.InputError, match="angle") as caught:
+        tn.from_frame(frame, card(), name="bench")
+    assert "no column 'angle'" not in str(caught.value)
+
+
+def test_a_mistake_in_a_mapping_is_told_like_one_in_a_card() -> None:
+    frame = pl.DataFrame({"angle": [0.0, 1, 2]})
+    with pytest.raises(tn.InputError, match="bench, inptus: unknown key; did you mean 'inputs'"):
+        tn.from_frame(frame, {"dt": DT, "coordinates": [ANGLE], "inptus": []}, name="bench")

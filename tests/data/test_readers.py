@@ -1,0 +1,221 @@
+"""Files of columns."""
+
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import polars as pl
+import pytest
+import scipy.io
+
+from tustinnet.data.readers import frame_columns, read_columns
+from tustinnet.errors import InputError
+
+ANGLE = np.array([0.5, -1.25, 3e-3])
+VOLTAGE = np.array([1.0, 0.0, -2.0])
+TABLE = {"angle": ANGLE, "voltage": VOLTAGE}
+
+
+def text_file(folder: Path, content: str, name: str = "log.csv") -> Path:
+    path = folder / name
+    path.write_text(content)
+    return path
+
+
+def mat73(path: Path, content: dict[str, np.ndarray]) -> Path:
+    """Writes as MATLAB does: a header of 512 bytes, matrices transposed, structs as groups."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, value in content.items():
+            file[name] = np.atleast_2d(value).T
+        file["#refs#/a"] = np.zeros((3, 1))
+        file["label"] = "no numbers"
+    head = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(116) + bytes(8) + b"\x00\x02IM"
+    with path.open("r+b") as file:
+        file.write(head)
+    return path
+
+
+def assert_columns(found: dict[str, np.ndarray], expected: dict[str, Any]) -> None:
+    assert list(found) == list(expected)
+    for name, column in expected.items():
+        assert found[name].dtype == np.float64
+        np.testing.assert_array_equal(found[name], column)
+
+
+# --- text ---
+
+
+@pytest.mark.parametrize(
+    ("content", "name", "delimiter"),
+    [
+        ("angle,voltage\n0.5,1\n-1.25,0\n3e-3,-2\n", "log.csv", ","),
+        ("angle;voltage\n0.5;1\n-1.25;0\n3e-3;-2\n", "log.txt", ";"),
+        ("angle\tvoltage\n0.5\t1\n-1.25\t0\n3e-3\t-2\n", "log.TSV", "\t"),
+        ('"angle","voltage"\r\n 0.5, 1\r\n-1.25, 0\r\n3e-3, -2', "log.dat", ","),
+        ("\ufeffangle,voltage\n0.5,1\n-1.25,0\n3e-3,-2\n", "log.csv", ","),
+        ("# a rig\nangle,voltage\n0.5,1\n# a pause\n-1.25,0\n3e-3,-2\n", "log.csv", ","),
+    ],
+)
+def test_text_with_a_header_is_read(
+    tmp_path: Path, content: str, name: str, delimiter: str
+) -> None:
+    path = text_file(tmp_path, content, name)
+    assert_columns(read_columns(path, delimiter=delimiter), TABLE)
+
+
+def test_text_without_a_header_is_numbered_from_1(tmp_path: Path) -> None:
+    path = text_file(tmp_path, "0.5,1\n-1.25,0\n3e-3,-2\n")
+    assert_columns(
+        read_columns(path, header=False), {"column 1": ANGLE, "column 2": VOLTAGE}
+    )
+
+
+def test_empty_lines_are_no_rows(tmp_path: Path) -> None:
+    path = text_file(tmp_path, "angle,voltage\n0.5,1\n-1.25,0\n3e-3,-2\n\n")
+    assert_columns(read_columns(path), TABLE)
+
+
+@pytest.mark.parametrize(
+    ("content", "row", "column", "found"),
+    [
+        ("a,b\n1,2\n3,off\n5,6\n", 3, "b", "the text 'off'"),
+        ("a,b\n1,2\n,4\n", 3, "a", "an empty cell"),
+        ("a,b\n1,2\n3,4\n5\n", 4, "b", "an empty cell"),
+        ("a,b\n1,2\n3,'1,5'\n", 3, "b", None),
+        ("# rig\n# pause\na,b\n1,2\n3,off\n", 5, "b", "the text 'off'"),
+    ],
+)
+def test_a_cell_that_is_no_number_is_named_by_the_files_row_and_column(
+    tmp_path: Path, content: str, row: int, column: str, found: str | None
+) -> None:
+    path = text_file(tmp_path, content)
+    where = rf"log\.csv row {row}, {column}: {found}" if found else rf"row {row} has 3 cells"
+    with pytest.raises(InputError, match=where):
+        read_columns(path)
+
+
+def test_a_header_taken_for_numbers_is_explained(tmp_path: Path) -> None:
+    path = text_file(tmp_path, "angle,voltage\n1,2\n")
+    with pytest.raises(InputError, match=r"row 1, column 1: the text 'angle'.*`header = true`"):
+        read_columns(path, header=False)
+
+
+@pytest.mark.parametrize("header", [True, False])
+def test_a_row_with_more_cells_is_named(tmp_path: Path, header: bool) -> None:
+    path = text_file(tmp_path, "# rig\n1,2\n3,4\n5,6,7\n")
+    with pytest.raises(InputError, match=r"log\.csv: row 4 has 3 cells, the first row 2"):
+        read_columns(path, header=header)
+
+
+def test_numbers_that_are_not_finite_are_left_to_the_checks(tmp_path: Path) -> None:
+    path = text_file(tmp_path, "a,b\nNaN,inf\nnan,-Inf\n")
+    assert_columns(read_columns(path), {"a": [np.nan, np.nan], "b": [np.inf, -np.inf]})
+
+
+# --- binary files ---
+
+
+def test_parquet_is_read_without_its_text_columns(tmp_path: Path) -> None:
+    path = tmp_path / "log.parquet"
+    table = {**TABLE, "count": np.arange(3), "note": ["a", "b", "c"]}
+    pl.DataFrame(table).write_parquet(path)
+    assert_columns(read_columns(path), {**TABLE, "count": [0, 1, 2]})
+
+
+def test_an_empty_cell_of_parquet_is_not_a_number(tmp_path: Path) -> None:
+    path = tmp_path / "log.parquet"
+    pl.DataFrame({"a": [1, None, 3]}).write_parquet(path)
+    assert_columns(read_columns(path), {"a": [1, np.nan, 3]})
+
+
+def test_npz_vectors_and_matrices_are_columns(tmp_path: Path) -> None:
+    path = tmp_path / "log.npz"
+    state = np.arange(6.0).reshape(3, 2)
+    np.savez(
+        path, angle=ANGLE.astype(np.float64), row=VOLTAGE[None, :], state=state,
+        scalar=np.float64(3), label=np.array(["a", "b", "c"]), cube=np.zeros((2, 2, 2)),
+    )  # fmt: skip
+    expected = {"angle": ANGLE, "row": VOLTAGE, "state[1]": [0, 2, 4], "state[2]": [1, 3, 5]}
+    assert_columns(read_columns(path), expected)
+
+
+def test_mat_vectors_matrices_and_structs_are_columns(tmp_path: Path) -> None:
+    path = tmp_path / "log.mat"
+    state = np.arange(6.0).reshape(3, 2)
+    inner = {"u": VOLTAGE, "x": state}
+    scipy.io.savemat(path, {"angle": ANGLE[:, None], "log": inner, "rate": 100.0, "who": "me"})
+    expected = {"angle": ANGLE, "log.u": VOLTAGE, "log.x[1]": [0, 2, 4], "log.x[2]": [1, 3, 5]}
+    assert_columns(read_columns(path), expected)
+
+
+def test_mat_7_3_reads_like_mat_5(tmp_path: Path) -> None:
+    state = np.arange(6.0).reshape(3, 2)
+    content = {"angle": ANGLE, "log/u": VOLTAGE, "log/x": state}
+    expected = {"angle": ANGLE, "log.u": VOLTAGE, "log.x[1]": [0, 2, 4], "log.x[2]": [1, 3, 5]}
+    assert_columns(read_columns(mat73(tmp_path / "log.mat", content)), expected)
+
+
+# --- what cannot be read ---
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"absent\.csv: no such file"):
+        read_columns(tmp_path / "absent.csv")
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet", "npz", "mat"])
+def test_an_empty_file_is_refused(tmp_path: Path, ending: str) -> None:
+    path = tmp_path / f"log.{ending}"
+    path.touch()
+    with pytest.raises(InputError, match="the file is empty"):
+        read_columns(path)
+
+
+@pytest.mark.parametrize("content", ["a,b\n", "\n\n", "# only a comment\n"])
+def test_text_without_rows_is_refused(tmp_path: Path, content: str) -> None:
+    with pytest.raises(InputError, match=r"log\.csv"):
+        read_columns(text_file(tmp_path, content))
+
+
+def test_an_archive_without_columns_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "log.npz"
+    np.savez(path, scalar=np.float64(3))
+    with pytest.raises(InputError, match="holds no samples"):
+        read_columns(path)
+
+
+@pytest.mark.parametrize("ending", ["parquet", "npz", "mat", "mat73"])
+@pytest.mark.parametrize("damage", ["cut", "noise"])
+def test_a_damaged_file_is_refused(tmp_path: Path, ending: str, damage: str) -> None:
+    path = tmp_path / f"log.{ending[:7].removesuffix('73')}"
+    long = np.random.default_rng(0).normal(size=2000)
+    if ending == "parquet":
+        pl.DataFrame({"a": long}).write_parquet(path)
+    elif ending == "npz":
+        np.savez_compressed(path, a=long)
+    elif ending == "mat":
+        scipy.io.savemat(path, {"a": long}, do_compression=True)
+    else:
+        mat73(path, {"a": long})
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2] if damage == "cut" else b"\x07noise" * 500)
+    with pytest.raises(InputError, match=r"log\.(parquet|npz|mat)"):
+        read_columns(path)
+
+
+def test_pickled_objects_are_not_loaded(tmp_path: Path) -> None:
+    path = tmp_path / "log.npz"
+    np.savez(path, a=np.array([{"x": 1}, None], dtype=object))
+    with pytest.raises(InputError, match="cannot be read"):
+        read_columns(path)
+
+
+def test_an_unknown_ending_is_refused_with_the_known_ones(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"ending '\.xlsx'; expected \.csv.*\.npz"):
+        read_columns(text_file(tmp_path, "x", "log.xlsx"))
+
+
+def test_what_is_no_data_frame_is_refused() -> None:
+    with pytest.raises(InputError, match="a dict; expected a pandas or polars data frame"):
+        frame_columns({"a": [1.0]})
