@@ -1,6 +1,7 @@
 """Set-up of all tests: double precision, a small system, the measured data where it is at hand."""
 
 import os
+import shutil
 from pathlib import Path
 
 import jax
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 import tustinnet as tn
+from tustinnet.artifact.run import train_runs
 
 jax.config.update("jax_enable_x64", True)
 
@@ -91,7 +93,11 @@ validation = ["fall3.csv", "noise2.csv"]
 @pytest.fixture
 def folder(pendulum: tn.DataSet, tmp_path: Path) -> Path:
     """The same system as a folder of CSV files with a data card."""
-    place = tmp_path / "logs"
+    return write_folder(pendulum, tmp_path / "logs")
+
+
+def write_folder(pendulum: tn.DataSet, place: Path) -> Path:
+    """Writes records of the small system as CSV files with a data card."""
     place.mkdir()
     for e in pendulum:
         rows = np.column_stack([e.t, np.rad2deg(e.q[:, 0]), e.u[:, 0]])
@@ -157,3 +163,19 @@ def small_recipe(tmp_path: Path) -> Path:
     path = tmp_path / "small.toml"
     path.write_text(SMALL_RECIPE)
     return path
+
+
+@pytest.fixture(scope="session")
+def trained_once(pendulum: tn.DataSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run folder of two seeds of the small recipe on the small system's folder."""
+    place = tmp_path_factory.mktemp("trained")
+    (place / "small.toml").write_text(SMALL_RECIPE)
+    data = tn.load(write_folder(pendulum, place / "logs"))
+    train_runs(data, tn.read_recipe(place / "small.toml"), [0, 1], place / "run")
+    return place / "run"
+
+
+@pytest.fixture
+def run_folder(trained_once: Path, tmp_path: Path) -> Path:
+    """A copy of that run folder, which a test may change."""
+    return Path(shutil.copytree(trained_once, tmp_path / "run"))

@@ -13,90 +13,89 @@ import pytest
 import safetensors.numpy
 
 import tustinnet as tn
-from tustinnet.artifact.run import MODEL, Runs, summary, train_runs
+from tustinnet.artifact.run import MODEL, train_runs
 
 
 def arrays(path: Path) -> dict[str, bytes]:
     return {name: a.tobytes() for name, a in safetensors.numpy.load_file(path).items()}
 
 
-@pytest.fixture
-def runs(pendulum, small_recipe, tmp_path) -> Runs:
-    return train_runs(pendulum, tn.read_recipe(small_recipe), [0, 1], tmp_path / "run")
+def small(small_recipe: Path) -> tn.Recipe:
+    return tn.read_recipe(small_recipe)
 
 
-def test_a_run_keeps_model_log_and_summary_of_every_seed(runs):
+def test_a_run_keeps_model_log_and_summary_of_every_seed(run_folder):
+    kept = json.loads((run_folder / "summary.json").read_text())
     for seed in (0, 1):
-        folder = runs.folder / f"seed-{seed}"
+        folder = run_folder / f"seed-{seed}"
         lines = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
         assert len(lines) == 9
         assert {"stage", "epoch", "loss", "validation", "rate"} <= set(lines[0])
-        assert tn.read_header(folder / MODEL)["training"]["seed"] == seed
-    kept = json.loads((runs.folder / "summary.json").read_text())
-    assert kept["seeds"][1]["mean"] == pytest.approx(runs.seeds[1].mean)
-    assert arrays(runs.folder / MODEL) == arrays(runs.best.folder / MODEL)
+        header = tn.read_header(folder / MODEL)
+        assert header["training"]["seed"] == seed
+        assert header["scores"]["mean"] == pytest.approx(kept["seeds"][seed]["mean"])
+    best = run_folder / f"seed-{kept['best_seed']}" / MODEL
+    assert arrays(run_folder / MODEL) == arrays(best)
 
 
-def test_the_spread_is_reported_not_only_the_best(runs):
-    spread = summary(runs)["spread"]
-    means = sorted(run.mean for run in runs.seeds)
-    assert (spread["min"], spread["max"]) == (means[0], means[1])
-    assert spread["median"] == pytest.approx(np.mean(means))
-    assert spread["std"] > 0
+def test_the_spread_is_reported_not_only_the_best(run_folder):
+    told = json.loads((run_folder / "summary.json").read_text())
+    means = sorted(seed["mean"] for seed in told["seeds"])
+    assert told["spread"]["min"] == means[0] < means[1] == told["spread"]["max"]
+    assert told["spread"]["median"] == pytest.approx(np.mean(means))
+    assert told["spread"]["std"] > 0
 
 
-def test_the_header_names_recipe_data_and_scores(runs):
-    header = tn.read_header(runs.folder / MODEL)
+def test_the_header_names_recipe_data_and_scores(run_folder):
+    header = tn.read_header(run_folder / MODEL)
     assert header["recipe"]["name"] == "small"
-    assert [r["name"] for r in header["data"]["records"]][:2] == ["fall1", "fall2"]
+    assert [r["source"] for r in header["data"]["records"]][:2] == ["fall1.csv", "fall2.csv"]
+    assert all(len(r["sha256"]) == 64 for r in header["data"]["records"])
     assert header["scores"]["split"] == "validation"
     assert header["scores"]["start"] == "derived-6"
 
 
-def test_a_seed_alone_is_the_same_as_among_others(runs, pendulum, small_recipe, tmp_path):
-    train_runs(pendulum, tn.read_recipe(small_recipe), [1], tmp_path / "alone")
-    there, here = (f / "seed-1" / MODEL for f in (runs.folder, tmp_path / "alone"))
+def test_a_seed_alone_is_the_same_as_among_others(run_folder, folder, small_recipe, tmp_path):
+    train_runs(tn.load(folder), small(small_recipe), [1], tmp_path / "alone")
+    there, here = (f / "seed-1" / MODEL for f in (run_folder, tmp_path / "alone"))
     assert arrays(there) == arrays(here)
 
 
-def test_an_earlier_run_is_not_overwritten_unasked(runs, pendulum, small_recipe):
-    recipe = tn.read_recipe(small_recipe)
+def test_an_earlier_run_is_not_overwritten_unasked(run_folder, folder, small_recipe):
+    data, recipe = tn.load(folder), small(small_recipe)
     with pytest.raises(tn.InputError, match="--resume"):
-        train_runs(pendulum, recipe, [0], runs.folder)
-    again = train_runs(pendulum, recipe, [0], runs.folder, overwrite=True)
-    assert [p.name for p in runs.folder.glob("seed-*")] == ["seed-0"]
+        train_runs(data, recipe, [0], run_folder)
+    again = train_runs(data, recipe, [0], run_folder, overwrite=True)
+    assert [p.name for p in run_folder.glob("seed-*")] == ["seed-0"]
     assert len(again.seeds) == 1
 
 
-def test_resuming_a_finished_run_changes_nothing(runs, pendulum, small_recipe):
-    before = arrays(runs.folder / MODEL), (runs.folder / "seed-0" / "log.jsonl").read_text()
-    train_runs(pendulum, tn.read_recipe(small_recipe), [0, 1], runs.folder, resume=True)
-    assert (
-        arrays(runs.folder / MODEL),
-        (runs.folder / "seed-0" / "log.jsonl").read_text(),
-    ) == before
+def test_resuming_a_finished_run_changes_nothing(run_folder, folder, small_recipe):
+    before = arrays(run_folder / MODEL), (run_folder / "seed-0" / "log.jsonl").read_text()
+    train_runs(tn.load(folder), small(small_recipe), [0, 1], run_folder, resume=True)
+    after = arrays(run_folder / MODEL), (run_folder / "seed-0" / "log.jsonl").read_text()
+    assert after == before
 
 
-def test_a_checkpoint_of_another_run_is_refused(runs, pendulum, small_recipe):
-    other = tn.read_recipe(small_recipe).model_copy(update={"name": "other"})
-    with pytest.raises(tn.InputError, match="another recipe, seed or data set"):
-        train_runs(pendulum, other, [0], runs.folder, resume=True)
-    fewer = pendulum.exclude("fall1")
-    with pytest.raises(tn.InputError, match="another recipe, seed or data set"):
-        train_runs(fewer, tn.read_recipe(small_recipe), [0], runs.folder, resume=True)
+def test_a_checkpoint_of_another_run_is_refused(run_folder, folder, small_recipe):
+    data, recipe = tn.load(folder), small(small_recipe)
+    other = recipe.model_copy(update={"name": "other"})
+    for arguments in ((data, other), (data.exclude("fall1"), recipe)):
+        with pytest.raises(tn.InputError, match="another recipe, seed or data set"):
+            train_runs(*arguments, [0], run_folder, resume=True)
 
 
-def test_a_damaged_checkpoint_is_refused(runs, pendulum, small_recipe):
-    path = runs.folder / "seed-0" / "checkpoint.safetensors"
+def test_a_damaged_checkpoint_is_refused(run_folder, folder, small_recipe):
+    path = run_folder / "seed-0" / "checkpoint.safetensors"
     path.write_bytes(path.read_bytes()[:200])
     with pytest.raises(tn.InputError, match="cut short"):
-        train_runs(pendulum, tn.read_recipe(small_recipe), [0], runs.folder, resume=True)
+        train_runs(tn.load(folder), small(small_recipe), [0], run_folder, resume=True)
 
 
 def test_a_run_without_validation_records_is_judged_on_its_training_records(
     pendulum, small_recipe, tmp_path
 ):
-    runs = train_runs(pendulum.split("train"), tn.read_recipe(small_recipe), [0], tmp_path / "run")
+    runs = train_runs(pendulum.split("train"), small(small_recipe), [0], tmp_path / "run")
     assert runs.judged == "train"
     assert len(runs.seeds[0].scores) == 3
 

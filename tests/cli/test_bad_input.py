@@ -118,13 +118,8 @@ def test_a_folder_without_a_card(tmp_path, refused):
 
 
 @pytest.fixture
-def model(folder, small_recipe, tmp_path, capsys) -> Path:
-    run = tmp_path / "run"
-    code, _, err = tustinnet(
-        capsys, "fit", folder, "--recipe", small_recipe, "--out", run, "--quiet"
-    )
-    assert code == 0, err
-    return run / "model.safetensors"
+def model(run_folder) -> Path:
+    return run_folder / "model.safetensors"
 
 
 def test_models_that_are_none(model, folder, tmp_path, refused):

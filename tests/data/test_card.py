@@ -72,7 +72,7 @@ def test_a_misspelt_key_that_is_required_is_named_too(
 
 
 def test_an_unknown_key_far_from_all_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(tn.InputError, match="time.zzz: unknown key; known keys: column, irregular"):
+    with pytest.raises(tn.InputError, match=r"time\.zzz: .*; known keys: column, irregular"):
         read(time={"column": "t", "zzz": 1})
 
 

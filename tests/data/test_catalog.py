@@ -217,7 +217,7 @@ def test_a_download_with_another_checksum_is_refused_and_not_kept(
     known = publish(monkeypatch, tmp_path, address)
     for name in FILES:
         (folder / name).write_text("1,2\n3,4\n")
-    with pytest.raises(tn.InputError, match="hash|checksum"):
+    with pytest.raises(tn.InputError, match=r"hash|checksum"):
         tn.load("toy")
     assert files_in(known.cache()) == []
 
@@ -254,7 +254,7 @@ def test_an_error_without_words_is_told_all_the_same(
 
     publish(monkeypatch, tmp_path)
     monkeypatch.setattr(pooch.HTTPDownloader, "__call__", silent)
-    with pytest.raises(tn.InputError, match="could not be fetched.*TimeoutError"):
+    with pytest.raises(tn.InputError, match=r"could not be fetched.*TimeoutError"):
         tn.load("toy")
 
 

@@ -90,7 +90,7 @@ def test_two_records_of_one_name_are_refused(three: tn.DataSet) -> None:
 
 
 def test_another_period_is_refused_and_rounding_is_not(three: tn.DataSet) -> None:
-    with pytest.raises(tn.InputError, match="d: sampling period 0.02 s, but a has 0.01 s"):
+    with pytest.raises(tn.InputError, match=r"d: sampling period 0\.02 s, but a has 0\.01 s"):
         three.merge([record("d", dt=0.02)])
     assert len(three.merge([record("d", dt=0.01 * (1 + 1e-9))])) == 4
 

@@ -26,7 +26,7 @@ def test_a_file_is_read_as_what_it_declares(tmp_path: Path) -> None:
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"absent.toml: no such file"):
+    with pytest.raises(InputError, match=r"absent\.toml: no such file"):
         read_declaration(tmp_path / "absent.toml", Card)
 
 
@@ -39,14 +39,14 @@ def test_a_folder_in_place_of_a_file_is_refused(tmp_path: Path) -> None:
 def test_a_file_that_is_no_toml_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "card.toml"
     path.write_bytes(content)
-    with pytest.raises(InputError, match="card.toml: not valid TOML"):
+    with pytest.raises(InputError, match=r"card\.toml: not valid TOML"):
         read_declaration(path, Card)
 
 
 def test_a_missing_key_is_named(tmp_path: Path) -> None:
     path = tmp_path / "card.toml"
     path.write_text(CARD.replace('kind = "angular"', ""))
-    with pytest.raises(InputError, match=r"card.toml, coordinates.0.kind: missing"):
+    with pytest.raises(InputError, match=r"card\.toml, coordinates\.0\.kind: missing"):
         read_declaration(path, Card)
 
 

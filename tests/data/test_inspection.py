@@ -5,11 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import tustinnet as tn
-from tustinnet.data.inspection import encoder_count, inspect_experiment, transient_end
+from tustinnet.data.inspection import inspect_experiment, transient_end
 
 DT = 0.01
 COUNT = 2 * np.pi / 4096
@@ -18,7 +16,7 @@ COUNT = 2 * np.pi / 4096
 def swing(samples: int = 800, rate: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     """Position and velocity of a damped swing."""
     z = np.exp((-rate + 6j) * np.arange(samples) * DT)
-    return z.real, ((-rate + 6j) * z).real
+    return np.real(z), np.real((-rate + 6j) * z)
 
 
 def quantised(q: np.ndarray, count: float = COUNT) -> np.ndarray:
@@ -40,56 +38,11 @@ def record(
     )  # fmt: skip
 
 
-# --- encoder counts ---
-
-
-@given(
-    count=st.floats(1e-3, 3e-2),
-    amplitude=st.floats(20, 400),
-    speed=st.floats(0.5, 3.0),
-    offset=st.floats(-2, 2),
-    digits=st.sampled_from([6, 12]),
-)
-@settings(deadline=None, max_examples=30)
-def test_the_count_of_an_encoder_is_found_to_a_thousandth(
-    count: float, amplitude: float, speed: float, offset: float, digits: int
-) -> None:
-    t = np.arange(1500) * DT
-    levels = np.round(amplitude * np.exp(-0.2 * t) * np.sin(speed * t))
-    found = encoder_count(np.round(offset + count * levels, digits))
-    assert found == pytest.approx(count, rel=1e-3)
-
-
-@pytest.mark.parametrize("levels", [[0, 1, 2], [0, 1, 3], [5, 4, 7, 10, 11], [0, 2, 3, 40, 41]])
-def test_a_few_levels_are_enough(levels: list[int]) -> None:
-    q = np.round(0.7 + COUNT * np.repeat(levels, 20), 6)
-    assert encoder_count(q) == pytest.approx(COUNT, rel=1e-3)
-
-
-def test_a_fast_signal_that_skips_most_levels_has_a_count() -> None:
-    t = np.arange(600) * DT
-    assert encoder_count(quantised(6 * np.sin(7 * t))) == pytest.approx(COUNT, rel=1e-3)
-
-
-@pytest.mark.parametrize("digits", [6, 15])
-@pytest.mark.parametrize("seed", range(5))
-def test_a_continuous_signal_has_no_count(seed: int, digits: int) -> None:
-    generator = np.random.default_rng(seed)
-    t = np.arange(800) * DT
-    q = np.exp(-generator.uniform(0, 0.5) * t) * np.sin(generator.uniform(1, 9) * t)
-    assert encoder_count(np.round(q, digits)) is None
-
-
-@pytest.mark.parametrize("q", [np.zeros(50), np.arange(50) % 2 * 0.1])
-def test_fewer_than_three_levels_tell_no_count(q: np.ndarray) -> None:
-    assert encoder_count(q) is None
-
-
 @pytest.mark.real
 def test_the_count_of_the_measured_data_is_found_in_every_record(real_data: Path) -> None:
     for e in tn.load(real_data):
-        for j in (0, 1):
-            assert encoder_count(e.q[:, j]) == pytest.approx(0.00306640625, rel=1e-3), e.name
+        found = [c.count for c in inspect_experiment(e).coordinates]
+        assert found == pytest.approx([0.00306640625] * 2, rel=1e-3), e.name
 
 
 # --- the transient ---
@@ -142,10 +95,20 @@ def test_the_report_says_what_the_time_base_is() -> None:
     report = inspect_experiment(e)
     assert (report.name, report.split, report.samples) == ("experiment", "train", 800)
     assert report.seconds == pytest.approx(8.04)
-    assert (report.dt, report.median_dt) == (DT, pytest.approx(DT))
-    assert report.worst_interval == pytest.approx(0.06)
-    assert report.gaps == (99,)
+    assert report.dt == DT
+    assert report.recording.worst_interval == pytest.approx(0.06)
+    assert report.recording.worst_sample == 100
     assert report.notes == ("kept",)
+
+
+def test_the_report_of_a_resampled_record_tells_of_the_log() -> None:
+    t = np.delete(np.arange(805) * DT, slice(100, 105))
+    e = replace(record(quantised(np.cos(4 * t))), t=t)
+    report = inspect_experiment(e.resample(0.02))
+    assert (report.samples, report.recording.samples) == (403, 800)
+    assert report.recording.median_dt == pytest.approx(DT)
+    assert report.recording.gaps == (pytest.approx((0.99, 1.05)),)
+    assert report.coordinates[0].count == pytest.approx(COUNT, rel=1e-3)
 
 
 def test_the_report_says_what_the_coordinates_do() -> None:
@@ -192,8 +155,14 @@ def test_an_input_of_a_few_levels_is_not_called_saturated() -> None:
     q, _ = swing()
     u = np.sign(np.random.default_rng(0).normal(size=len(q)))
     assert inspect_experiment(record(q, u=u)).inputs[0].saturated == 0.0
-    within = inspect_experiment(record(q, u=u, limits=(-2.0, 2.0)))
-    assert within.inputs[0].saturated == 0.0
+
+
+def test_declared_limits_decide_what_is_saturated() -> None:
+    q, _ = swing()
+    u = np.sign(np.random.default_rng(0).normal(size=len(q)))
+    for limit, share in ((2.0, 0.0), (1.0, 1.0)):
+        report = inspect_experiment(record(q, u=u, limits=(-limit, limit)))
+        assert report.inputs[0].saturated == share
 
 
 # --- suspicious rows ---

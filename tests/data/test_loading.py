@@ -149,7 +149,7 @@ def test_a_missing_column_is_refused_with_the_columns_there_are(tmp_path: Path) 
 def test_names_without_a_header_are_explained(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("1,2\n3,4\n")
-    with pytest.raises(tn.InputError, match="no column 'angle'.*columns go by number"):
+    with pytest.raises(tn.InputError, match=r"no column 'angle'.*columns go by number"):
         one(path, format={"header": False})
 
 
@@ -196,7 +196,7 @@ def test_columns_that_are_not_used_may_hold_anything_finite_or_not(tmp_path: Pat
 
 def test_a_record_in_which_nothing_moves_is_refused(tmp_path: Path) -> None:
     path = write(tmp_path / "log.csv", angle=np.full(40, 0.3))
-    with pytest.raises(tn.InputError, match="nothing moves: angle are constant|angle is constant"):
+    with pytest.raises(tn.InputError, match=r"nothing moves: angle (is|are) constant"):
         one(path)
 
 
@@ -287,7 +287,7 @@ def test_irregular_times_are_kept_where_the_card_says_so(gap: Path) -> None:
 def test_irregular_times_are_resampled_where_the_card_says_so(gap: Path) -> None:
     e = one(gap, **timed(irregular="resample"))
     np.testing.assert_allclose(e.t, np.arange(45) * DT, atol=1e-12)
-    np.testing.assert_allclose(e.q[:, 0], np.sin(3 * e.t), atol=1e-6)
+    np.testing.assert_allclose(e.q[:, 0], np.sin(3 * e.t), atol=1e-4)
     assert "resampled onto a grid of 0.01 s" in e.notes[0]
     assert "1 gaps interpolated" in e.notes[0]
 
@@ -353,7 +353,7 @@ def test_a_data_frame_with_a_card() -> None:
 
 def test_an_empty_cell_of_a_data_frame_is_named() -> None:
     frame = pl.DataFrame({"angle": [0.0, None, 2], "torque": [0.0, 0, 0]})
-    with pytest.raises(tn.InputError, match="sample 1 .*, angle: nan"):
+    with pytest.raises(tn.InputError, match=r"sample 1 .*, angle: nan"):
         tn.from_frame(frame, card(), name="bench")
 
 

@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 import scipy.io
 
-from tustinnet.data.readers import frame_columns, read_columns
+from tustinnet.data.readers import Columns, frame_columns, read_columns
 from tustinnet.errors import InputError
 
 ANGLE = np.array([0.5, -1.25, 3e-3])
@@ -36,7 +36,13 @@ def mat73(path: Path, content: dict[str, np.ndarray]) -> Path:
     return path
 
 
-def assert_columns(found: dict[str, np.ndarray], expected: dict[str, Any]) -> None:
+def numbers(columns: Columns) -> dict[str, np.ndarray]:
+    """All columns, turned into numbers."""
+    return {name: columns[name] for name in columns.names}
+
+
+def assert_columns(columns: Columns, expected: dict[str, Any]) -> None:
+    found = numbers(columns)
     assert list(found) == list(expected)
     for name, column in expected.items():
         assert found[name].dtype == np.float64
@@ -66,9 +72,7 @@ def test_text_with_a_header_is_read(
 
 def test_text_without_a_header_is_numbered_from_1(tmp_path: Path) -> None:
     path = text_file(tmp_path, "0.5,1\n-1.25,0\n3e-3,-2\n")
-    assert_columns(
-        read_columns(path, header=False), {"column 1": ANGLE, "column 2": VOLTAGE}
-    )
+    assert_columns(read_columns(path, header=False), {"column 1": ANGLE, "column 2": VOLTAGE})
 
 
 def test_empty_lines_are_no_rows(tmp_path: Path) -> None:
@@ -92,19 +96,19 @@ def test_a_cell_that_is_no_number_is_named_by_the_files_row_and_column(
     path = text_file(tmp_path, content)
     where = rf"log\.csv row {row}, {column}: {found}" if found else rf"row {row} has 3 cells"
     with pytest.raises(InputError, match=where):
-        read_columns(path)
+        numbers(read_columns(path))
 
 
 def test_a_header_taken_for_numbers_is_explained(tmp_path: Path) -> None:
     path = text_file(tmp_path, "angle,voltage\n1,2\n")
     with pytest.raises(InputError, match=r"row 1, column 1: the text 'angle'.*`header = true`"):
-        read_columns(path, header=False)
+        numbers(read_columns(path, header=False))
 
 
 @pytest.mark.parametrize("header", [True, False])
 def test_a_row_with_more_cells_is_named(tmp_path: Path, header: bool) -> None:
     path = text_file(tmp_path, "# rig\n1,2\n3,4\n5,6,7\n")
-    with pytest.raises(InputError, match=r"log\.csv: row 4 has 3 cells, the first row 2"):
+    with pytest.raises(InputError, match=r"log\.csv: row 4 has 3 cells, row 2 has 2"):
         read_columns(path, header=header)
 
 
@@ -116,11 +120,32 @@ def test_numbers_that_are_not_finite_are_left_to_the_checks(tmp_path: Path) -> N
 # --- binary files ---
 
 
-def test_parquet_is_read_without_its_text_columns(tmp_path: Path) -> None:
+def test_a_text_column_of_parquet_does_not_hinder_the_others(tmp_path: Path) -> None:
     path = tmp_path / "log.parquet"
     table = {**TABLE, "count": np.arange(3), "note": ["a", "b", "c"]}
     pl.DataFrame(table).write_parquet(path)
-    assert_columns(read_columns(path), {**TABLE, "count": [0, 1, 2]})
+    found = read_columns(path)
+    assert found.names == ("angle", "voltage", "count", "note")
+    np.testing.assert_array_equal(found["count"], [0, 1, 2])
+    with pytest.raises(InputError, match=r"sample 0 .*note: 'a'; expected a number"):
+        found["note"]
+
+
+def test_a_text_column_of_a_csv_file_does_not_hinder_the_others(tmp_path: Path) -> None:
+    found = read_columns(text_file(tmp_path, "a,note\n1,start\n2,stop\n"))
+    np.testing.assert_array_equal(found["a"], [1, 2])
+    with pytest.raises(InputError, match=r"row 2, note: the text 'start'"):
+        found["note"]
+
+
+def test_two_columns_of_one_name_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="two columns are called 'a'"):
+        read_columns(text_file(tmp_path, "a, a\n1,2\n"))
+
+
+def test_tabs_separate_the_columns_of_a_tsv_file_by_default(tmp_path: Path) -> None:
+    path = text_file(tmp_path, "a\tb\n1\t2\n", "log.tsv")
+    assert_columns(read_columns(path), {"a": [1], "b": [2]})
 
 
 def test_an_empty_cell_of_parquet_is_not_a_number(tmp_path: Path) -> None:
@@ -212,7 +237,7 @@ def test_pickled_objects_are_not_loaded(tmp_path: Path) -> None:
 
 
 def test_an_unknown_ending_is_refused_with_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"ending '\.xlsx'; expected \.csv.*\.npz"):
+    with pytest.raises(InputError, match=r"ending '\.xlsx'; expected one of \.csv.*\.npz"):
         read_columns(text_file(tmp_path, "x", "log.xlsx"))
 
 

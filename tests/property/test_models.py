@@ -20,7 +20,7 @@ def network(seed: int, dt: float) -> TustinNet:
     model = random_tustin_net(
         COORDINATES, INPUTS, dt, scaling, jax.random.key(seed), hidden=(6, 5), stem=4
     )
-    return with_dtype(model, np.float64)  # type: ignore[return-value] # the same kind of model
+    return with_dtype(model, np.float64)
 
 
 def random_run(model: TustinNet, seed: int, steps: int) -> tuple[np.ndarray, np.ndarray]:

@@ -94,7 +94,7 @@ def test_kalman_treats_coordinates_apart() -> None:
 
 @pytest.mark.usefixtures("unchecked")
 def test_an_unknown_method_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(InputError, match="'spline'.*stencil, savgol or kalman"):
+    with pytest.raises(InputError, match=r"'spline'.*stencil, savgol or kalman"):
         differentiate(np.zeros((9, 1)), DT, "spline")  # pyright: ignore[reportArgumentType]
 
 
@@ -107,7 +107,7 @@ def test_fewer_than_five_samples_are_refused() -> None:
 def test_kalman_without_a_count_for_every_coordinate_is_refused(
     resolution: np.ndarray | None,
 ) -> None:
-    with pytest.raises(InputError, match="kalman.*counts_per_revolution"):
+    with pytest.raises(InputError, match=r"kalman.*counts_per_revolution"):
         differentiate(np.zeros((9, 2)), DT, "kalman", resolution)
 
 

@@ -13,7 +13,7 @@ def decay(rate: float, samples: int = 1000) -> tuple[np.ndarray, np.ndarray]:
     """Position and velocity of a damped oscillation about 0.4."""
     t = np.arange(samples) * DT
     z = np.exp((-rate + 8j) * t)
-    return 0.4 + z.real[:, None], ((-rate + 8j) * z).real[:, None]
+    return 0.4 + np.real(z)[:, None], np.real((-rate + 8j) * z)[:, None]
 
 
 @pytest.mark.parametrize("rate", [1.0, 2.0])

@@ -56,6 +56,9 @@ def save(model: DiscreteModel, path: str | Path, **header: Any) -> None:
 def load_model(path: str | Path) -> TustinNet:
     """Reads the model of a model file.
 
+    Args:
+        path: the file.
+
     Raises:
         InputError: no such file, cut short, of another kind, or of a newer version.
     """
@@ -69,7 +72,14 @@ def load_model(path: str | Path) -> TustinNet:
 
 
 def read_header(path: str | Path) -> dict[str, Any]:
-    """The JSON header of a model file (errors as in `load_model`)."""
+    """The JSON header of a model file.
+
+    Args:
+        path: the file.
+
+    Raises:
+        InputError: as `load_model`.
+    """
     return read_file(Path(path), _KIND)[0]
 
 

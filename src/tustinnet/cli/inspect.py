@@ -49,7 +49,7 @@ def inspect(
 def _time_table(reports: list["ExperimentReport"]) -> "Table":
     from tustinnet.report.tables import Table
 
-    columns = ["record", "split", "samples", "s", "period [ms]", "jitter [us]", "gaps"]
+    columns = ["record", "split", "samples", "s", "dt [ms]", "recorded [ms]", "jitter [us]", "gaps"]
     return Table(
         [*columns, "at rest", "k_bar"],
         [
@@ -58,9 +58,10 @@ def _time_table(reports: list["ExperimentReport"]) -> "Table":
                 r.split or "–",
                 str(r.samples),
                 f"{r.seconds:.2f}",
-                f"{1e3 * r.median_dt:.4g}",
-                f"{1e6 * r.jitter:.3g}",
-                str(len(r.gaps)),
+                f"{1e3 * r.dt:.4g}",
+                f"{1e3 * r.recording.median_dt:.4g}",
+                f"{1e6 * r.recording.jitter:.3g}",
+                str(len(r.recording.gaps)),
                 f"{r.rest_share:.0%}",
                 f"{r.k_bar}{' (card)' if r.k_bar_declared else ''}",
             ]

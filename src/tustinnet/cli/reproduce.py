@@ -1,11 +1,20 @@
 """`tustinnet reproduce`: the paper's table and figures from the measured data."""
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from tustinnet.cli import options, terminal
+
+
+class Keep(StrEnum):
+    """What marks the best weights."""
+
+    validation = "validation"
+    validation_loss = "validation-loss"
+    training = "training"
 
 
 def reproduce(
@@ -29,6 +38,13 @@ def reproduce(
             metavar="NAMES",
             help="authors, tustin-standard, tustin-transfer, tustin-text-standard, "
             "tustin-text-transfer; separated by commas or repeated. Default: the first three.",
+        ),
+    ] = None,
+    keep: Annotated[
+        Keep | None,
+        typer.Option(
+            help="Which epoch's weights are kept: of the lowest validation free run (the default), "
+            "validation loss, or training loss (as the paper's public code does).",
         ),
     ] = None,
     experiment: Annotated[
@@ -66,6 +82,7 @@ def reproduce(
         rows = table1.build_rows(
             records, folder, chosen, scored, seeds, out / "runs", resume=resume,
             tell=lambda name: lambda plan: progress.follow(plan, name),
+            keep=None if keep is None else keep.value,
         )  # fmt: skip
     content = table1.as_json(rows, scored)
     table = table1.as_table(rows, scored)

@@ -3,13 +3,13 @@
 from typing import Literal
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, StrictInt, StrictStr, field_validator, model_validator
 
 from tustinnet.data.declaration import Declaration
 from tustinnet.data.experiment import Coordinate, Hold, Input, Kind
 
 SplitName = Literal["train", "validation", "test"]
-ColumnKey = int | str  # a number counts from 1
+ColumnKey = StrictInt | StrictStr  # a number counts from 1
 
 _ANGLE = {"rad": 1.0, "deg": np.pi / 180, "rev": 2 * np.pi, "mrad": 1e-3}
 _LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
@@ -129,6 +129,13 @@ class InputCard(Declaration):
     hold: Hold = "zero-order"
     limits: tuple[float, float] | None = None
 
+    @field_validator("limits")
+    @classmethod
+    def _in_order(cls, limits: tuple[float, float] | None) -> tuple[float, float] | None:
+        if limits is not None and limits[0] >= limits[1]:
+            raise ValueError("the smaller limit comes first")
+        return limits
+
     def input(self) -> Input:
         """What the records will say of this input."""
         return Input(self.name, self.unit, self.hold, self.limits)
@@ -176,12 +183,12 @@ class FormatCard(Declaration):
 
     Attributes:
         header: whether the first row names the columns.
-        delimiter: what separates the columns.
+        delimiter: what separates the columns; a tab in .tsv files, else a comma, by default.
         columns: how many columns there must be, if that is to be checked.
     """
 
     header: bool = True
-    delimiter: str = Field(default=",", min_length=1, max_length=1)
+    delimiter: str | None = Field(default=None, min_length=1, max_length=1)
     columns: int | None = Field(default=None, gt=0)
 
 
@@ -202,7 +209,7 @@ class Card(Declaration):
 
     name: str
     description: str = ""
-    dt: float | None = Field(default=None, gt=0)
+    dt: float | None = Field(default=None, gt=0, allow_inf_nan=False)
     splits: dict[SplitName, list[FileCard]] = Field(default_factory=dict)
     optional_splits: list[SplitName] = Field(default_factory=list)
     format: FormatCard = FormatCard()

@@ -93,12 +93,13 @@ def load(data: str | Path, card: str | Path | None = None) -> DataSet:
 def locate(data: str | Path, card: str | Path | None = None) -> tuple[Path, Card]:
     """The folder and the card that a name, card or folder stands for (see `load`)."""
     path = Path(data)
-    if str(data) in CATALOG and card is None:
+    if card is not None:
+        folder = find_folder(CATALOG[str(data)]) if str(data) in CATALOG else path
+        _require_folder(folder)
+        return folder, read_declaration(Path(card), Card)
+    if str(data) in CATALOG:
         known = CATALOG[str(data)]
         return find_folder(known), known.card()
-    if card is not None:
-        _require_folder(path)
-        return path, read_declaration(Path(card), Card)
     if path.suffix == ".toml":
         return path.parent, read_declaration(path, Card)
     _require_folder(path)
@@ -150,7 +151,7 @@ def _download(known: KnownDataSet) -> Path:
         try:
             fetcher.fetch(file, downloader=downloader)
         except (requests.RequestException, OSError, ValueError) as error:
-            reason = str(error).split("(Caused by")[0].splitlines()[0][:160]
+            reason = " ".join(str(error).split("(Caused by")[0].split())[:160]
             raise InputError(
                 f"data set '{known.name}'",
                 f"{known.address}{file} could not be fetched ({type(error).__name__}: {reason})",

@@ -41,7 +41,7 @@ class DataSet:
                     experiment.name,
                     f"sampling period {experiment.dt:g} s, but {first.name} has {first.dt:g} s",
                     "one period in a data set",
-                    "resample one of them",
+                    "resample one of them, or declare `dt` in the card",
                 )
 
     def __len__(self) -> int:

@@ -30,6 +30,8 @@ def read_declaration(path: Path, kind: type[Declared]) -> Declared:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise InputError(path, "no such file", "a TOML file") from None
+    except OSError as error:
+        raise InputError(path, f"cannot be read ({error.strerror})", "a TOML file") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(path, f"not valid TOML ({error})", "key = value lines") from error
     return declare(content, kind, path)

@@ -6,6 +6,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from tustinnet.data.recording import Recording, describe_recording
 from tustinnet.errors import InputError
 from tustinnet.signals import resampling
 from tustinnet.signals.derivatives import VelocityMethod, differentiate
@@ -71,6 +72,7 @@ class Experiment:
         source: where the record came from.
         sha256: checksum of that file.
         first_row: the row of the source that sample 0 was.
+        recording: how it was sampled before it was put on a grid, where it was.
         notes: what reading it found and did (jitter accepted, angles unwrapped, ...).
     """
 
@@ -88,6 +90,7 @@ class Experiment:
     source: str = ""
     sha256: str = ""
     first_row: int = 0
+    recording: Recording | None = None
     notes: tuple[str, ...] = field(default=())
 
     def __post_init__(self) -> None:
@@ -160,8 +163,12 @@ class Experiment:
         )
 
     def _require_held(self, start: int, stop: int, stride: int) -> None:
-        changes = np.flatnonzero(np.diff(self.u[start:stop], axis=0).any(axis=1)) + 1
-        lost = changes[changes % stride != 0]
+        changed = np.diff(self.u[start:stop], axis=0) != 0
+        ramps = np.array([i.hold == "first-order" for i in self.inputs], dtype=bool)
+        changes = np.arange(1, len(changed) + 1)
+        # a held input may change at a kept sample; a ramp that ends there began before it
+        between = changes % stride != 0
+        lost = changes[(changed & (between[:, None] | ramps)).any(axis=1)]
         if len(lost):
             raise InputError(
                 self.name,
@@ -183,7 +190,9 @@ class Experiment:
         held = np.array([i.hold == "zero-order" for i in self.inputs], dtype=bool)
         k_bar = None
         if self.k_bar is not None:
-            k_bar = int(np.searchsorted(grid, self.t[min(self.k_bar, len(self) - 1)]))
+            end = len(self) == self.k_bar
+            near = 1e-6 * dt  # rounding must not move it by a sample
+            k_bar = len(grid) if end else int(np.searchsorted(grid, self.t[self.k_bar] - near))
         return replace(
             self,
             t=grid,
@@ -196,6 +205,7 @@ class Experiment:
             ),
             v=None if self.v is None else resampling.resample_linear(self.t, self.v, grid),
             k_bar=k_bar,
+            recording=self.recording or describe_recording(self.t, self.q, self.dt),
         )
 
     def trim(self, start: float = 0.0, stop: float | None = None) -> "Experiment":
@@ -281,6 +291,7 @@ class Experiment:
         lead = len(zero) if zero.all() else int(np.argmin(zero))
         trail = len(zero) if zero.all() else int(np.argmin(zero[::-1]))
         moving = np.any(np.diff(self.q, axis=0) != 0, axis=1)
-        lead = lead if moving[:lead].any() else 0
-        trail = trail if trail and moving[-trail:].any() else 0
+        # one zero row may be a release from rest: motion counts between padded rows only
+        lead = lead if moving[: max(lead - 1, 0)].any() else 0
+        trail = trail if moving[len(moving) - max(trail - 1, 0) :].any() else 0
         return lead, trail

@@ -8,7 +8,8 @@ import scipy.signal
 from jaxtyping import Bool, Float
 
 from tustinnet.data.experiment import Experiment
-from tustinnet.signals import resampling, transients
+from tustinnet.data.recording import Recording, describe_recording
+from tustinnet.signals import transients
 from tustinnet.signals.transients import RestThresholds
 
 _REST_SECONDS = 0.25  # slow for this long around a sample: near an equilibrium, not a turning point
@@ -69,10 +70,7 @@ class ExperimentReport:
         samples: its length.
         seconds: its duration.
         dt: nominal period [s].
-        median_dt: median interval [s].
-        jitter: root mean square deviation from the period [s].
-        worst_interval: the interval farthest from the period [s].
-        gaps: samples before a gap.
+        recording: how it was sampled, before it was put on a grid where it was.
         forced: whether an input changes.
         k_bar: end of the transient, as a sample index.
         k_bar_declared: whether the data card says so.
@@ -88,10 +86,7 @@ class ExperimentReport:
     samples: int
     seconds: float
     dt: float
-    median_dt: float
-    jitter: float
-    worst_interval: float
-    gaps: tuple[int, ...]
+    recording: Recording
     forced: bool
     k_bar: int
     k_bar_declared: bool
@@ -103,10 +98,17 @@ class ExperimentReport:
 
 
 def inspect_experiment(experiment: Experiment) -> ExperimentReport:
-    """Examines one record: time base, encoder, excitation, rest, suspicious rows."""
+    """Examines a record: time base, encoders, excitation, rest, suspicious rows.
+
+    Args:
+        experiment: the record.
+
+    Returns:
+        What was found; `tustinnet inspect` prints it.
+    """
     e = experiment
     v = e.velocities("stencil")
-    time = resampling.regularity(e.t, e.dt)
+    recording = e.recording or describe_recording(e.t, e.q, e.dt)
     thresholds = transients.rest_thresholds(e.q, v, e.resolution, e.dt)
     return ExperimentReport(
         name=e.name,
@@ -114,17 +116,14 @@ def inspect_experiment(experiment: Experiment) -> ExperimentReport:
         samples=len(e),
         seconds=float(e.t[-1] - e.t[0]),
         dt=e.dt,
-        median_dt=time.median_dt,
-        jitter=time.jitter,
-        worst_interval=float(e.t[time.worst_row] - e.t[time.worst_row - 1]),
-        gaps=time.gaps,
+        recording=recording,
         forced=e.forced,
         k_bar=transient_end(e),
         k_bar_declared=e.k_bar is not None,
         rest_share=float(np.mean(_near_equilibrium(v, thresholds, e.dt))),
-        coordinates=tuple(_coordinate(e, j, v, thresholds) for j in range(e.q.shape[1])),
+        coordinates=tuple(_coordinate(e, j, v, thresholds, recording) for j in range(e.q.shape[1])),
         inputs=tuple(_input(e, j) for j in range(e.u.shape[1])),
-        suspicious=_suspicious(e, v),
+        suspicious=_suspicious(e, v, recording),
         notes=e.notes,
     )
 
@@ -145,42 +144,19 @@ def transient_end(experiment: Experiment) -> int:
     return transients.settling_index(experiment.q, v, thresholds)
 
 
-def encoder_count(q: Float[np.ndarray, " n"]) -> float | None:
-    """The step of which all changes of a position are multiples, or None.
-
-    The smallest steps give a first value; larger and larger distances, each within the reach of
-    the value so far, refine it, so that the rounding of the file (1e-6 is usual) averages out.
-    """
-    levels = np.unique(q)
-    if len(levels) < 3:
-        return None
-    steps = np.diff(levels)
-    smallest = steps[steps > 0.2 * np.median(steps)].min()
-    # steps of one count, give or take the rounding of the file
-    count = float(np.median(steps[steps < 1.5 * smallest]))
-    distance = levels - levels[0]
-    reach = 8.0 * count
-    while True:
-        near = distance[distance <= reach]
-        multiples = np.round(near / count)
-        if multiples.any():
-            count = float(near @ multiples / (multiples @ multiples))
-        if reach >= distance[-1]:
-            break
-        reach *= 4.0
-    error = np.abs(distance - np.round(distance / count) * count)
-    return count if np.max(error) < 0.1 * count else None
-
-
 def _coordinate(
-    e: Experiment, j: int, v: Float[np.ndarray, "n n_q"], thresholds: RestThresholds
+    e: Experiment,
+    j: int,
+    v: Float[np.ndarray, "n n_q"],
+    thresholds: RestThresholds,
+    recording: Recording,
 ) -> CoordinateReport:
     q = e.q[:, j]
     return CoordinateReport(
         name=e.coordinates[j].name,
         range=(float(q.min()), float(q.max())),
         peak_speed=float(np.abs(v[:, j]).max()),
-        count=encoder_count(q),
+        count=recording.counts[j],
         declared_count=e.coordinates[j].resolution,
         speed_threshold=float(thresholds.speed[j]),
         excursion_threshold=float(thresholds.excursion[j]),
@@ -218,14 +194,16 @@ def _saturated_share(u: Float[np.ndarray, " n"], limits: tuple[float, float] | N
 def _near_equilibrium(
     v: Float[np.ndarray, "n n_q"], thresholds: RestThresholds, dt: float
 ) -> Bool[np.ndarray, " n"]:
-    slow = np.all(np.abs(v) < thresholds.speed, axis=1)
+    slow = np.all(transients.slow(v, thresholds), axis=1)
     width = max(5, round(_REST_SECONDS / dt)) | 1
     if width >= len(slow):
         return np.full(len(slow), bool(slow.all()))
     return scipy.ndimage.minimum_filter1d(slow.astype(np.uint8), width, mode="nearest").astype(bool)
 
 
-def _suspicious(e: Experiment, v: Float[np.ndarray, "n n_q"]) -> tuple[str, ...]:
+def _suspicious(
+    e: Experiment, v: Float[np.ndarray, "n n_q"], recording: Recording
+) -> tuple[str, ...]:
     found = []
     lead, trail = e.padded_rows
     if lead or trail:
@@ -242,7 +220,7 @@ def _suspicious(e: Experiment, v: Float[np.ndarray, "n n_q"]) -> tuple[str, ...]
         spikes = np.flatnonzero(step > 10 * scale) + 1 if scale else np.array([], dtype=int)
         if len(spikes):
             found.append(f"{coordinate.name} jumps at sample {_first(spikes)}")
-        declared, count = coordinate.resolution, encoder_count(e.q[:, j])
+        declared, count = coordinate.resolution, recording.counts[j]
         if declared and count and abs(count / declared - 1) > 0.01:
             multiple = count / declared
             if abs(multiple - round(multiple)) > 0.01:
@@ -250,9 +228,10 @@ def _suspicious(e: Experiment, v: Float[np.ndarray, "n n_q"]) -> tuple[str, ...]
                     f"{coordinate.name}: encoder count {count:.5g} {coordinate.unit} found, "
                     f"{declared:.5g} declared"
                 )
-    if e.v is not None and not (lead or trail):
-        size = np.sqrt(np.mean(v**2, axis=0))
-        off = np.sqrt(np.mean((e.v - v) ** 2, axis=0)) > 0.5 * size
+    real = slice(lead, len(e) - trail)
+    if e.v is not None and real.stop > real.start:
+        size = np.sqrt(np.mean(v[real] ** 2, axis=0))
+        off = np.sqrt(np.mean((e.v[real] - v[real]) ** 2, axis=0)) > 0.5 * size
         found += [
             f"{c.name}: the velocity column disagrees with the change of the positions "
             "(unit or sign?)"

@@ -13,10 +13,11 @@ from jaxtyping import Float
 from tustinnet.data.card import Card, ColumnKey, FileCard
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
-from tustinnet.data.readers import NUMBERED, Column, frame_columns, read_columns
+from tustinnet.data.readers import NUMBERED, Column, Columns, frame_columns, read_columns
 from tustinnet.errors import InputError
 from tustinnet.signals import resampling
 
+_SAME_CLOCK = 1e-3  # relative; median intervals this near come from one clock
 _WHAT_IRREGULAR_OFFERS = 'set `irregular = "resample"` (onto a grid) or "keep" under [time]'
 
 
@@ -43,7 +44,17 @@ def load_folder(folder: Path, card: Card) -> DataSet:
             ", ".join(e.file for files in card.splits.values() for e in files[:2]) or "[splits]",
             "check the folder and the names under [splits]",
         )
-    return DataSet(card.name, tuple(experiments))
+    return DataSet(card.name, _with_common_period(experiments, card))
+
+
+def _with_common_period(experiments: list[Experiment], card: Card) -> tuple[Experiment, ...]:
+    """Without a declared period every record has its own median; nearly equal ones are one."""
+    if card.dt is not None:
+        return tuple(experiments)
+    common = float(np.median([e.dt for e in experiments]))
+    return tuple(
+        replace(e, dt=common) if abs(e.dt / common - 1) < _SAME_CLOCK else e for e in experiments
+    )
 
 
 def from_frame(
@@ -95,15 +106,10 @@ def _natural(text: str) -> list[tuple[int, str]]:
 def _load_file(folder: Path, split: str, entry: FileCard, card: Card) -> Experiment:
     path = folder / entry.file
     columns = read_columns(path, header=card.format.header, delimiter=card.format.delimiter)
-    if card.format.columns is not None and len(columns) != card.format.columns:
-        raise InputError(path, f"{len(columns)} columns", f"{card.format.columns} as in the card")
-    first = 0
-    if entry.rows is not None:
-        first, stop = entry.rows
-        length = len(next(iter(columns.values())))
-        if not 0 <= first < stop <= length:
-            raise InputError(path, f"rows {first}..{stop}", f"a range within 0..{length}")
-        columns = {key: column[first:stop] for key, column in columns.items()}
+    if card.format.columns is not None and len(columns.names) != card.format.columns:
+        raise InputError(
+            path, f"{len(columns.names)} columns", f"{card.format.columns} as in the card"
+        )
     return _experiment(
         columns,
         card,
@@ -113,17 +119,24 @@ def _load_file(folder: Path, split: str, entry: FileCard, card: Card) -> Experim
         k_bar=entry.k_bar,
         source=entry.file,
         sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
-        first_row=first,
+        rows=entry.rows,
+        first_row=entry.rows[0] if entry.rows else 0,
     )
 
 
 def _experiment(
-    columns: dict[str, Column], card: Card, name: str, *, where: object = None, **metadata: Any
+    columns: Columns,
+    card: Card,
+    name: str,
+    *,
+    where: object = None,
+    rows: tuple[int, int] | None = None,
+    **metadata: Any,
 ) -> Experiment:
     where = name if where is None else where
-    pick = _Picker(columns, where)
+    pick = _Picker(columns, where, rows)
     q = pick.stack([c.column for c in card.coordinates])
-    u = pick.stack([i.column for i in card.inputs])
+    u = pick.stack([i.column for i in card.inputs], like=q)
     q = (q - [c.offset for c in card.coordinates]) * [c.sign * c.factor() for c in card.coordinates]
     u = (u - [i.offset for i in card.inputs]) * [i.sign * i.scale for i in card.inputs]
     v, measured = _velocities(pick, card)
@@ -155,21 +168,22 @@ def _experiment(
 class _Picker:
     """Finds columns by name or number and says which are there when one is not."""
 
-    def __init__(self, columns: dict[str, Column], where: object) -> None:
-        self.columns, self.where = columns, where
+    def __init__(self, columns: Columns, where: object, rows: tuple[int, int] | None) -> None:
+        self.columns, self.where, self.rows = columns, where, rows
 
-    def stack(self, keys: list[ColumnKey]) -> Float[np.ndarray, "n c"]:
+    def stack(
+        self, keys: list[ColumnKey], like: Float[np.ndarray, "n q"] | None = None
+    ) -> Float[np.ndarray, "n c"]:
         picked = [self.one(key) for key in keys]
-        lengths = {len(column) for column in picked}
+        lengths = {len(column) for column in picked} | ({len(like)} if like is not None else set())
         if len(lengths) > 1:
             raise InputError(
                 self.where, f"columns {keys} have lengths {sorted(lengths)}", "equal lengths"
             )
-        n = len(next(iter(self.columns.values())))
-        return np.stack(picked, axis=1) if picked else np.zeros((n, 0))
+        return np.stack(picked, axis=1) if picked else np.zeros((lengths.pop(), 0))
 
     def one(self, key: ColumnKey) -> Column:
-        names = list(self.columns)
+        names = self.columns.names
         if isinstance(key, int):
             if not 1 <= key <= len(names):
                 raise InputError(
@@ -179,7 +193,7 @@ class _Picker:
                     "columns count from 1",
                 )
             name = names[key - 1]
-        elif key in self.columns:
+        elif key in names:
             name = key
         else:
             shown = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
@@ -191,6 +205,13 @@ class _Picker:
                 "without a header (`header = false`) columns go by number" if unnamed else "",
             )
         column = self.columns[name]
+        if self.rows is not None:
+            first, stop = self.rows
+            if not 0 <= first < stop <= len(column):
+                raise InputError(
+                    self.where, f"rows {first}..{stop}", f"a range within 0..{len(column)}"
+                )
+            column = column[first:stop]
         bad = np.flatnonzero(~np.isfinite(column))
         if len(bad):
             raise InputError(
@@ -263,6 +284,7 @@ def _judge_times(e: Experiment, card: Card, where: object) -> Experiment:
                 'correct `dt`, or set `irregular = "resample"` under [time]',
             )
         return replace(e, notes=(*e.notes, f"irregular times kept as recorded: {told}"))
-    gaps = f", {len(found.gaps)} gaps interpolated" if found.gaps else ""
-    note = f"resampled onto a grid of {e.dt:g} s: {told}{gaps}"
-    return replace(e.resample(e.dt), notes=(*e.notes, note))
+    gridded = e.resample(e.dt)
+    gaps = len(gridded.recording.gaps) if gridded.recording else 0
+    note = f"resampled onto a grid of {e.dt:g} s" + (f", {gaps} gaps interpolated" if gaps else "")
+    return replace(gridded, notes=(*e.notes, note))

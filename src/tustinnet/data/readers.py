@@ -1,7 +1,7 @@
 """Files of columns: CSV, Parquet, MAT (v5 and 7.3), NPZ."""
 
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,25 +12,44 @@ from tustinnet.errors import InputError
 
 Column = Float[np.ndarray, " n"]
 
+_TEXT = (".csv", ".txt", ".tsv", ".dat")
 NUMBERED = "column "  # how the columns of a file without header are called: "column 1", ...
 
 
-def read_columns(path: Path, *, header: bool = True, delimiter: str = ",") -> dict[str, Column]:
-    """Reads the numeric columns of a file, by its ending.
+class Columns:
+    """The columns of a file by name, in the file's order, turned into numbers when asked for.
+
+    A column of text that nobody asks for does no harm; one that is asked for is an `InputError`.
+
+    Attributes:
+        names: what the columns are called.
+    """
+
+    def __init__(self, names: Sequence[str], convert: Callable[[str], Column]) -> None:
+        self.names, self._convert = tuple(names), convert
+
+    def __getitem__(self, name: str) -> Column:
+        return self._convert(name)
+
+
+def read_columns(path: Path, *, header: bool = True, delimiter: str | None = None) -> Columns:
+    """Reads the columns of a file, by its ending.
 
     Args:
-        path: a .csv, .txt, .tsv, .parquet, .mat or .npz file.
+        path: a .csv, .txt, .tsv, .dat, .parquet, .mat or .npz file.
         header: whether the first row of a text file names the columns.
-        delimiter: what separates the columns of a text file.
+        delimiter: what separates the columns of a text file; a tab in .tsv, else a comma, by
+            default.
 
     Returns:
-        Columns by name, in the file's order. Without a header they are called `column 1`, ...
-        The columns of a matrix `x` in a MAT or NPZ file are called `x[1]`, `x[2]`, ...
+        Columns by name. Without a header they are called `column 1`, ... The columns of a matrix
+        `x` in a MAT or NPZ file are called `x[1]`, `x[2]`, ...
 
     Raises:
-        InputError: the file is missing, empty, damaged, or holds text where numbers belong.
+        InputError: the file is missing, empty or damaged; text where numbers belong (when the
+            column is asked for).
     """
-    readers: dict[str, Callable[[Path], dict[str, Column]]] = {
+    readers: dict[str, Callable[[Path], Columns]] = {
         ".parquet": _read_parquet,
         ".mat": _read_mat,
         ".npz": _read_npz,
@@ -40,117 +59,136 @@ def read_columns(path: Path, *, header: bool = True, delimiter: str = ",") -> di
     if path.stat().st_size == 0:
         raise InputError(path, "the file is empty", "rows of samples")
     suffix = path.suffix.lower()
-    if suffix in (".csv", ".txt", ".tsv", ".dat"):
-        columns = _read_text(path, header, delimiter)
-    elif suffix in readers:
-        try:
-            columns = readers[suffix](path)
-        except InputError:
-            raise
-        except Exception as error:  # the libraries below raise many kinds for a damaged file
-            raise InputError(
-                path, f"cannot be read as {suffix} ({error})", "a whole file of that format"
-            ) from error
-    else:
+    if suffix in _TEXT:
+        return _read_text(path, header, delimiter or ("\t" if suffix == ".tsv" else ","))
+    if suffix not in readers:
+        known = ", ".join((*_TEXT, *readers))
+        raise InputError(path, f"ending '{suffix}'", f"one of {known}")
+    try:
+        columns = readers[suffix](path)
+    except InputError:
+        raise
+    except Exception as error:  # the libraries below raise many kinds for a damaged file
         raise InputError(
-            path, f"ending '{suffix}'", ".csv, .txt, .tsv, .dat, .parquet, .mat or .npz"
-        )
-    if not columns or not len(next(iter(columns.values()))):
-        raise InputError(path, "the file holds no samples", "rows of numbers")
+            path, f"cannot be read as {suffix} ({error})", "a whole file of that format"
+        ) from error
+    if not columns.names:
+        raise InputError(path, "the file holds no samples", "columns of numbers")
     return columns
 
 
-def frame_columns(frame: Any, where: object = "frame") -> dict[str, Column]:
-    """The numeric columns of a pandas or polars data frame."""
+def frame_columns(frame: Any, where: object = "frame") -> Columns:
+    """The columns of a pandas or polars data frame; `where` names it in errors."""
     import polars as pl
 
     if not isinstance(frame, pl.DataFrame):
         if not hasattr(frame, "columns") or not hasattr(frame, "to_numpy"):
             raise InputError(where, f"a {type(frame).__name__}", "a pandas or polars data frame")
-        frame = pl.DataFrame({str(name): np.asarray(frame[name]) for name in frame.columns})
-    columns = {}
-    for name in frame.columns:
-        if frame[name].dtype.is_numeric():
-            # an empty cell becomes NaN, which the checks then name by row
-            columns[name] = frame[name].cast(pl.Float64).fill_null(float("nan")).to_numpy()
-    return columns
+        arrays = {str(name): frame[name].to_numpy() for name in frame.columns}
+        frame = pl.DataFrame(
+            {name: a.astype(str) if a.dtype.kind == "O" else a for name, a in arrays.items()}
+        )
+    if not len(frame):
+        raise InputError(where, "no samples", "rows of numbers")
+
+    def convert(name: str) -> Column:
+        # an empty cell becomes NaN, which the checks then name by row
+        numbers = frame[name].cast(pl.Float64, strict=False)
+        lost = np.flatnonzero((numbers.is_null() & frame[name].is_not_null()).to_numpy())
+        if len(lost):
+            raise InputError(
+                f"{where}, sample {lost[0]} (counted from 0), {name}",
+                f"'{str(frame[name][int(lost[0])])[:40]}'",
+                "a number",
+            )
+        return numbers.fill_null(float("nan")).to_numpy()
+
+    return Columns(frame.columns, convert)
 
 
-def _read_text(path: Path, header: bool, delimiter: str) -> dict[str, Column]:
+def _read_text(path: Path, header: bool, delimiter: str) -> Columns:
     import polars as pl
 
+    # blank lines and comments go, but errors name the rows of the file as it is
+    kept = [
+        (row, line)
+        for row, line in enumerate(path.read_text("utf-8-sig", "replace").splitlines(), start=1)
+        if line.strip() and not line.startswith("#")
+    ]
+    if len(kept) <= header:
+        raise InputError(path, "the file holds no samples", "rows of numbers")
+    text = "\n".join(line for _, line in kept).encode()
     try:
-        table = pl.read_csv(
-            path, has_header=header, separator=delimiter, infer_schema=False, comment_prefix="#"
-        )
+        table = pl.read_csv(text, has_header=header, separator=delimiter, infer_schema=False)
     except pl.exceptions.PolarsError as error:
         raise InputError(
             path,
-            _ragged(path, delimiter) or f"cannot be read as text ({error})",
+            _ragged(kept, delimiter) or f"cannot be read as text ({error})",
             f"rows of equal length separated by '{delimiter}'",
         ) from error
-    columns = {}
-    first_row = 2 if header else 1
-    for number, name in enumerate(table.columns, start=1):
-        called = name.strip() if header else f"{NUMBERED}{number}"
-        text = table[name].str.strip_chars()
-        numbers = text.cast(pl.Float64, strict=False)
+    if header:
+        names = [name.strip() for name in table.columns]
+    else:
+        names = [f"{NUMBERED}{number}" for number in range(1, table.width + 1)]
+    doubled = [name for name in names if names.count(name) > 1]
+    if doubled:
+        raise InputError(path, f"two columns are called '{doubled[0]}'", "different names")
+    rows = [row for row, _ in kept[header:]]
+
+    def convert(name: str) -> Column:
+        cells = table[:, names.index(name)].str.strip_chars()
+        numbers = cells.cast(pl.Float64, strict=False)
         bad = np.flatnonzero(numbers.is_null().to_numpy())
         if len(bad):
-            found = text[int(bad[0])]
-            hint = (
-                "if the first row names the columns, set `header = true`"
-                if not header and bad[0] == 0
-                else "correct or remove the row"
-            )
+            first = int(bad[0])
+            hint = "correct or remove the row"
+            if first == 0 and not header:
+                hint = "if the first row names the columns, set `header = true`"
             raise InputError(
-                f"{path} row {bad[0] + first_row}, {called}",
-                "an empty cell" if not found else f"the text '{found[:40]}'",
+                f"{path} row {rows[first]}, {name}",
+                f"the text '{cells[first][:40]}'" if cells[first] else "an empty cell",
                 "a number",
                 hint,
             )
-        columns[called] = numbers.to_numpy()
-    return columns
+        return numbers.to_numpy()
+
+    return Columns(names, convert)
 
 
-def _ragged(path: Path, delimiter: str) -> str | None:
-    """Says which row of a text file has another number of cells than the first."""
-    with path.open(encoding="utf-8", errors="replace") as file:
-        wanted = None
-        for row, line in enumerate(file, start=1):
-            if line.startswith("#") or not line.strip():
-                continue
+def _ragged(lines: list[tuple[int, str]], delimiter: str) -> str | None:
+    """Says which row has another number of cells than the first."""
+    wanted = lines[0][1].count(delimiter)
+    for row, line in lines:
+        if line.count(delimiter) != wanted:
             cells = line.count(delimiter) + 1
-            wanted = wanted or cells
-            if cells != wanted:
-                return f"row {row} has {cells} cells, the first row {wanted}"
+            return f"row {row} has {cells} cells, row {lines[0][0]} has {wanted + 1}"
     return None
 
 
-def _read_parquet(path: Path) -> dict[str, Column]:
+def _read_parquet(path: Path) -> Columns:
     import polars as pl
 
     return frame_columns(pl.read_parquet(path), path)
 
 
-def _read_npz(path: Path) -> dict[str, Column]:
+def _read_npz(path: Path) -> Columns:
     if not zipfile.is_zipfile(path):
         raise InputError(path, "not an NPZ file (or cut short)", "a file written by numpy.savez")
     with np.load(path, allow_pickle=False) as archive:
-        return _flatten({name: archive[name] for name in archive.files})
+        return _held({name: archive[name] for name in archive.files})
 
 
-def _read_mat(path: Path) -> dict[str, Column]:
+def _read_mat(path: Path) -> Columns:
     import scipy.io
 
     try:
         content = scipy.io.loadmat(path, squeeze_me=True, struct_as_record=False)
     except NotImplementedError:  # how scipy says that the file is version 7.3, which is HDF5
         return _read_mat73(path)
-    return _flatten({k: v for k, v in content.items() if not k.startswith("__")})
+    return _held({k: v for k, v in content.items() if not k.startswith("__")})
 
 
-def _read_mat73(path: Path) -> dict[str, Column]:
+def _read_mat73(path: Path) -> Columns:
     import h5py
 
     found: dict[str, np.ndarray] = {}
@@ -162,7 +200,12 @@ def _read_mat73(path: Path) -> dict[str, Column]:
 
     with h5py.File(path, "r") as file:
         file.visititems(visit)
-    return _flatten({k: v for k, v in found.items() if not k.startswith("#refs#")})
+    return _held({k: v for k, v in found.items() if not k.startswith("#refs#")})
+
+
+def _held(content: dict[str, Any]) -> Columns:
+    columns = _flatten(content)
+    return Columns(tuple(columns), columns.__getitem__)
 
 
 def _flatten(content: dict[str, Any]) -> dict[str, Column]:

@@ -95,9 +95,19 @@ def _rollouts(
 
 
 def evaluate(model: DiscreteModel, experiments: Sequence[Experiment], start: str) -> list[Score]:
-    """Scores the free runs of records (see `free_run` for arguments and errors).
+    """Scores the free runs of records.
 
-    A free run that leaves the range of floating-point numbers scores infinity.
+    Args:
+        model: the model.
+        experiments: records of any lengths.
+        start: where the free runs start, a name that `initial_state` knows.
+
+    Returns:
+        Per record RMSE, per-coordinate figures and the simulation. A free run that leaves the
+        range of floating-point numbers scores infinity.
+
+    Raises:
+        InputError: other coordinates, inputs or period than the model's; float64 is off.
     """
     scores = []
     for e, x in zip(experiments, free_run(model, experiments, start), strict=True):
@@ -119,7 +129,14 @@ def evaluate(model: DiscreteModel, experiments: Sequence[Experiment], start: str
 
 
 def mean_rmse(scores: Sequence[Score]) -> float:
-    """Mean of the records' RMSE, the figure that models are compared by [rad or m]."""
+    """Mean RMSE over records, the figure that models are compared by.
+
+    Args:
+        scores: what `evaluate` returned.
+
+    Returns:
+        The mean of the records' RMSE [rad or m].
+    """
     return float(np.mean([score.rmse for score in scores]))
 
 

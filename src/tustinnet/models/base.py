@@ -1,6 +1,7 @@
 """What every model answers."""
 
 from abc import abstractmethod
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -44,7 +45,10 @@ class DiscreteModel(eqx.Module):
         return np.array([c.kind == "angular" for c in self.coordinates])
 
 
-def with_dtype(model: DiscreteModel, dtype: np.dtype | type) -> DiscreteModel:
+AnyModel = TypeVar("AnyModel", bound=DiscreteModel)
+
+
+def with_dtype(model: AnyModel, dtype: np.dtype | type) -> AnyModel:
     """The same model with its floating-point arrays in another precision."""
     return jax.tree.map(
         lambda leaf: leaf.astype(dtype) if eqx.is_inexact_array(leaf) else leaf, model

@@ -19,7 +19,7 @@ from tustinnet.paper.published import (
 from tustinnet.report.tables import Table, number
 from tustinnet.training.fit import Plan
 from tustinnet.training.loop import EpochReport
-from tustinnet.training.recipe import read_recipe
+from tustinnet.training.recipe import Criterion, keeping, read_recipe
 
 START = "file"  # Table 1 starts from the first row as it is stored
 
@@ -115,6 +115,7 @@ def build_rows(
     *,
     resume: bool,
     tell: Tell,
+    keep: Criterion | None = None,
 ) -> list[Row]:
     """Trains what is to be trained and scores every model on the split.
 
@@ -127,6 +128,7 @@ def build_rows(
         runs_folder: where trainings are kept.
         resume: go on with trainings that are there.
         tell: given a model's name, who is told while it trains.
+        keep: the criterion of the best weights, where it is not to be the recipe's.
     """
     judged = list(data.split(split))
     # no test record takes part in training or selection
@@ -138,8 +140,9 @@ def build_rows(
                 model = load_authors_weights(folder / WEIGHTS_FOLDER / f"{stem}.npz", data)
                 rows.append(Row(row, None, None, tuple(evaluate(model, judged, START))))
             continue
+        recipe = read_recipe(TRAINED[name])
         runs = train_runs(
-            material, read_recipe(TRAINED[name]), range(seeds), runs_folder / name,
+            material, keeping(recipe, keep) if keep else recipe, range(seeds), runs_folder / name,
             resume=resume, overwrite=not resume, tell=tell(name),
         )  # fmt: skip
         rows += [

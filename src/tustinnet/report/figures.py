@@ -173,8 +173,8 @@ def inspection_figure(
                     axes.axhspan(resting - reach, resting + reach, color="#2e8b57", alpha=0.18)
                 if report.k_bar < len(e):
                     axes.axvline(t[report.k_bar], color=COLOURS[0], linewidth=0.9)
-                for gap in report.gaps:
-                    axes.axvspan(t[gap], t[gap + 1], color=COLOURS[1], alpha=0.5)
+                for begin, end in report.recording.gaps:
+                    axes.axvspan(begin - e.t[0], end - e.t[0], color=COLOURS[1], alpha=0.5)
                 if row == 0:
                     axes.set_title(f"{coordinate.name} [{coordinate.unit}]", fontsize=9)
             if e.inputs:

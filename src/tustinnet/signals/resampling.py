@@ -44,7 +44,7 @@ def regularity(t: Times, dt: float) -> Regularity:
     )
 
 
-def regular_grid(t: Times, dt: float) -> Times:
+def regular_grid(t: Times, dt: float) -> Float[np.ndarray, " m"]:
     """The grid `t[0] + k dt` [s] inside the record."""
     # the small allowance keeps the last sample of a record that is regular up to rounding
     return t[0] + dt * np.arange(int(np.floor((t[-1] - t[0]) / dt + 1e-6)) + 1)

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+_ROUNDING = 1e-9  # rad/s or m/s
+
 
 @dataclass(frozen=True)
 class RestThresholds:
@@ -55,9 +57,15 @@ def at_rest(
     q: Float[np.ndarray, "n n_q"], v: Float[np.ndarray, "n n_q"], thresholds: RestThresholds
 ) -> Bool[np.ndarray, " n"]:
     """Samples at which all speeds and all excursions are below the thresholds."""
-    slow = np.abs(v) < thresholds.speed
     near = np.abs(q - thresholds.resting) < thresholds.excursion
-    return np.all(slow & near, axis=1)
+    still = np.ptp(q, axis=0) == 0  # a coordinate that never moves has thresholds of 0
+    return np.all((slow(v, thresholds) & near) | still, axis=1)
+
+
+def slow(v: Float[np.ndarray, "n n_q"], thresholds: RestThresholds) -> Bool[np.ndarray, "n n_q"]:
+    """Samples at which each speed is below its threshold, or the coordinate never moves."""
+    # what a derivative leaves of a constant is rounding, not motion
+    return (np.abs(v) < thresholds.speed) | (np.abs(v).max(axis=0) < _ROUNDING)
 
 
 def settling_index(

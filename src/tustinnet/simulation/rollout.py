@@ -2,13 +2,16 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.models.base import DiscreteModel, InputVector, State
 
 
 def rollout(
-    model: DiscreteModel, x0: State, u: Float[Array, "steps n_u"]
+    model: DiscreteModel,
+    x0: Float[Array | np.ndarray, " n_x"],
+    u: Float[Array | np.ndarray, "steps n_u"],
 ) -> Float[Array, "samples n_x"]:
     """Free run: the states that a model reaches from `x0` with only the input.
 
@@ -25,5 +28,6 @@ def rollout(
         following = model.step(x, u_k)
         return following, following
 
-    _, following = jax.lax.scan(advance, x0, u)
-    return jnp.concatenate([x0[None], following])
+    start = jnp.asarray(x0)
+    _, following = jax.lax.scan(advance, start, jnp.asarray(u))
+    return jnp.concatenate([start[None], following])

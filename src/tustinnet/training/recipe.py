@@ -147,6 +147,12 @@ class Recipe(Declaration):
         return self
 
 
+def keeping(recipe: Recipe, criterion: Criterion) -> Recipe:
+    """The same recipe with the best weights of every stage chosen by another criterion."""
+    stages = [stage.model_copy(update={"keep": criterion}) for stage in recipe.stages]
+    return recipe.model_copy(update={"stages": stages, "name": f"{recipe.name}, keep {criterion}"})
+
+
 def packaged_recipes() -> list[str]:
     """Names of the recipes that come with the package."""
     folder = resources.files("tustinnet.training") / "recipes"

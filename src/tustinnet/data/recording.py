@@ -1,0 +1,55 @@
+"""How a record was sampled, before anything was done to its time base."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from tustinnet.signals.encoder import encoder_count
+from tustinnet.signals.resampling import regularity
+
+_SAME_PERIOD = 0.1  # a nominal period within this share of the median one is the period meant
+
+
+@dataclass(frozen=True)
+class Recording:
+    """The time base and the encoders of a record as it was logged.
+
+    Attributes:
+        samples: how many samples there were.
+        median_dt: median interval [s].
+        jitter: root mean square deviation of the intervals from the period, outside gaps [s].
+        worst_interval: the interval farthest from the period [s].
+        worst_sample: the sample that ends it.
+        gaps: beginning and end of every interval of more than 2.5 periods [s].
+        counts: encoder count found in each coordinate [rad or m], None where it is not quantised.
+    """
+
+    samples: int
+    median_dt: float
+    jitter: float
+    worst_interval: float
+    worst_sample: int
+    gaps: tuple[tuple[float, float], ...]
+    counts: tuple[float | None, ...]
+
+
+def describe_recording(
+    t: Float[np.ndarray, " n"], q: Float[np.ndarray, "n n_q"], dt: float
+) -> Recording:
+    """Describes timestamps [s] and positions [rad or m] as logged.
+
+    The period is the nominal `dt` [s], or the median interval where that is another one, as in a
+    record that is to be put on a coarser grid.
+    """
+    median = float(np.median(np.diff(t)))
+    found = regularity(t, dt if abs(median / dt - 1) < _SAME_PERIOD else median)
+    return Recording(
+        samples=len(t),
+        median_dt=found.median_dt,
+        jitter=found.jitter,
+        worst_interval=float(t[found.worst_row] - t[found.worst_row - 1]),
+        worst_sample=found.worst_row,
+        gaps=tuple((float(t[k]), float(t[k + 1])) for k in found.gaps),
+        counts=tuple(encoder_count(column) for column in q.T),
+    )

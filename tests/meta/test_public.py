@@ -1,0 +1,110 @@
+"""The public names are documented, the README's program runs, the repository keeps its rules."""
+
+import inspect
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import tustinnet as tn
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.parametrize("name", tn.__all__)
+def test_public_names_are_documented_with_their_arguments(name):
+    thing = getattr(tn, name)
+    text = inspect.getdoc(thing) or ""
+    assert text.strip(), name
+    if inspect.isfunction(thing):
+        for argument, parameter in inspect.signature(thing).parameters.items():
+            if parameter.kind is not parameter.VAR_KEYWORD:
+                assert argument in text, f"{name}: argument '{argument}' is not explained"
+
+
+def test_importing_the_package_loads_nothing_heavy():
+    program = "import sys, tustinnet; assert not {'jax', 'numpy', 'polars'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", program], check=True)
+
+
+def test_unknown_names_are_refused():
+    with pytest.raises(AttributeError, match="no attribute 'simulate_all'"):
+        tn.simulate_all  # noqa: B018 (the access is the test)
+
+
+def test_the_readmes_program_runs_as_it_stands(folder, tmp_path, monkeypatch, capsys):
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    (program,) = re.findall(r"```python\n(.*?)```", readme, flags=re.S)
+    assert len([line for line in program.splitlines() if line.strip()]) <= 10
+    recipe = tn.read_recipe("transfer").model_dump()
+    for stage in recipe["stages"]:
+        stage |= {"epochs": 2}
+    quick = tn.Recipe.model_validate(recipe)  # as written, but two epochs a stage
+    monkeypatch.setattr("tustinnet.training.fit.read_recipe", lambda name: quick)
+    folder.rename(tmp_path / "LOGS")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(program, "README.md", "exec"), {})
+    assert "fall3" in capsys.readouterr().out
+    assert tn.load_model(tmp_path / "my-model.safetensors").dt == 0.02
+
+
+def test_the_readmes_card_is_valid():
+    import tomllib
+
+    from tustinnet.data.card import Card
+    from tustinnet.data.declaration import declare
+
+    for page in ("README.md", "docs/data.md"):
+        text = (ROOT / page).read_text(encoding="utf-8")
+        cards = [
+            c for c in re.findall(r"```toml\n(.*?)```", text, flags=re.S) if "coordinates" in c
+        ]
+        assert cards, page
+        for card in cards:
+            declare(tomllib.loads(card), Card, page)
+
+
+@pytest.mark.parametrize("card", sorted((ROOT / "examples").glob("*.toml")), ids=lambda p: p.stem)
+def test_the_example_cards_are_valid(card):
+    from tustinnet.data.card import Card
+    from tustinnet.data.declaration import read_declaration
+
+    assert read_declaration(card, Card).coordinates
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(
+    ("card", "files", "samples"),
+    [("double_pendulum_dfki", "double_pendulum_dfki", 2500), ("emps", "emps", 3600)],
+)
+def test_other_measured_systems_load_with_the_example_cards(real_data, card, files, samples):
+    place = real_data.parent / files
+    if not place.is_dir():
+        pytest.skip(f"the measured data of {card} is not at hand")
+    data = tn.load(place, ROOT / "examples" / f"{card}.toml")
+    assert len(data.split("train")[0]) == samples
+    for e in data:
+        report = tn.inspect_experiment(e)
+        assert report.recording.samples > len(e)
+        assert not report.suspicious
+
+
+def test_links_in_the_pages_lead_somewhere():
+    for page in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]:
+        for target in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text(encoding="utf-8")):
+            if "://" not in target:
+                assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_every_dependency_is_pinned():
+    import tomllib
+
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    wanted = project["dependencies"] + project["optional-dependencies"]["dev"]
+    pinned = re.findall(r"^([\w.-]+)==", (ROOT / "constraints.txt").read_text(), flags=re.M)
+    known = {name.lower().replace("_", "-") for name in pinned}
+    for dependency in wanted:
+        name = re.split(r"[<>=\[]", dependency)[0].lower().replace("_", "-")
+        assert name in known, f"{name} is not pinned in constraints.txt"
