@@ -6,6 +6,7 @@ from typing import TypeVar
 import equinox as eqx
 import jax
 import numpy as np
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from tustinnet.data.dataset import require_same_system
@@ -48,7 +49,7 @@ class DiscreteModel(eqx.Module):
 AnyModel = TypeVar("AnyModel", bound=DiscreteModel)
 
 
-def with_dtype(model: AnyModel, dtype: np.dtype | type) -> AnyModel:
+def with_dtype(model: AnyModel, dtype: DTypeLike) -> AnyModel:
     """The same model with its floating-point arrays in another precision."""
     return jax.tree.map(
         lambda leaf: leaf.astype(dtype) if eqx.is_inexact_array(leaf) else leaf, model

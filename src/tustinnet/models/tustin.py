@@ -36,7 +36,7 @@ class Affine(eqx.Module):
 
     def __call__(self, z: Float[Array, " n_in"]) -> Float[Array, " n_out"]:
         """Applies the map."""
-        product = self.weight @ z
+        product = z @ self.weight.T
         return product if self.bias is None else product + self.bias
 
 
@@ -116,8 +116,7 @@ class TustinNet(DiscreteModel):
     def features(self, x: State, u: InputVector) -> Float[Array, " n_0"]:
         """What the network sees: sines, cosines, linear positions, velocities, inputs, scaled."""
         n_q = len(self.coordinates)
-        angle = x[:n_q][self.angular]
-        length = x[:n_q][~self.angular]
+        angle, length = _parted(x[:n_q], self.angular)
         s = self.scaling
         return jnp.concatenate(
             [
@@ -157,6 +156,15 @@ class TustinNet(DiscreteModel):
             (None, (fold(self.stem, self.hidden[0]), *self.hidden[1:])),
             is_leaf=lambda leaf: leaf is None,
         )
+
+
+def _parted(q: Float[Array, " n_q"], angular: np.ndarray) -> tuple[Array, Array]:
+    """Angular and linear positions; no gather, whose gradient is slow, where all are of a kind."""
+    if angular.all():
+        return q, q[:0]
+    if not angular.any():
+        return q[:0], q
+    return q[angular], q[~angular]
 
 
 def fold(first: Affine, second: Affine) -> Affine:

@@ -7,6 +7,9 @@ from jaxtyping import Array, Float
 
 from tustinnet.models.base import DiscreteModel, InputVector, State
 
+# steps a turn of the loop: fewer turns, a little more to compile
+_UNROLL = 5
+
 
 def rollout(
     model: DiscreteModel,
@@ -29,5 +32,5 @@ def rollout(
         return following, following
 
     start = jnp.asarray(x0)
-    _, following = jax.lax.scan(advance, start, jnp.asarray(u))
+    _, following = jax.lax.scan(advance, start, jnp.asarray(u), unroll=_UNROLL)
     return jnp.concatenate([start[None], following])
