@@ -10,15 +10,10 @@ import numpy as np
 import pytest
 
 import tustinnet as tn
+from tustinnet.training.epoch import validation_rmse
 from tustinnet.training.fit import Plan, plan, run_plan, trainable_arrays
-from tustinnet.training.loop import (
-    EpochReport,
-    Listener,
-    Progress,
-    Weights,
-    train,
-    validation_rmse,
-)
+from tustinnet.training.loop import train
+from tustinnet.training.state import EpochReport, Listener, Progress, Weights
 
 
 def run(prepared: Plan, resume=None):
@@ -82,7 +77,7 @@ def test_the_output_layer_always_trains_and_the_scaling_never(prepared, frozen):
     assert not any(jax.tree.leaves(mask.scaling))
 
 
-def test_the_second_stage_starts_from_the_best_weights_with_a_fresh_optimiser(whole):
+def test_the_second_stage_starts_from_the_best_weights_with_a_freshadam_without_rate(whole):
     _, _, _, states = whole
     first_end = [w for w, p in states if p.stage == 0][-1]
     weights, progress = next((w, p) for w, p in states if p.stage == 1)
@@ -163,7 +158,7 @@ def test_a_loss_that_is_not_finite_rolls_back_and_goes_on_at_a_lower_rate(prepar
 def test_after_a_rollback_training_can_finish(prepared, monkeypatch):
     from tustinnet.training import loop
 
-    genuine = loop._compiled_epoch
+    genuine = loop.compiled_epoch
 
     def failing_once(stage):
         epoch, calls = genuine(stage), []
@@ -175,7 +170,7 @@ def test_after_a_rollback_training_can_finish(prepared, monkeypatch):
 
         return attempt
 
-    monkeypatch.setattr(loop, "_compiled_epoch", failing_once)
+    monkeypatch.setattr(loop, "compiled_epoch", failing_once)
     one = dataclasses.replace(
         prepared,
         stages=tuple(

@@ -17,9 +17,9 @@ from tustinnet.artifact.model_file import FORMAT, KEY, read_file
 from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
 from tustinnet.training.fit import Plan
-from tustinnet.training.loop import Progress, Weights
 from tustinnet.training.plateau import Plateau
 from tustinnet.training.recipe import Recipe
+from tustinnet.training.state import Progress, Weights
 
 _KIND = "checkpoint"
 _INTERVAL = 5.0  # seconds between two checkpoints within a stage

@@ -28,8 +28,8 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
 from tustinnet.evaluation.free_run import Score, evaluate, mean_rmse
 from tustinnet.training.fit import FitResult, Plan, plan, run_plan
-from tustinnet.training.loop import EpochReport, Listener, Progress, Weights
 from tustinnet.training.recipe import Recipe
+from tustinnet.training.state import EpochReport, Listener, Progress, Weights
 
 MODEL = "model.safetensors"
 SUMMARY = "summary.json"

@@ -18,8 +18,8 @@ from tustinnet.paper.published import (
 )
 from tustinnet.report.tables import Table, number
 from tustinnet.training.fit import Plan
-from tustinnet.training.loop import EpochReport
 from tustinnet.training.recipe import Criterion, keeping, read_recipe
+from tustinnet.training.state import EpochReport
 
 START = "file"  # Table 1 starts from the first row as it is stored
 

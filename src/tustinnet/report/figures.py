@@ -95,8 +95,8 @@ def _bounded(
     return np.where(inside, simulated, np.nan)
 
 
-def training_figure(histories: Mapping[int, Sequence[Mapping[str, object]]]) -> Figure:
-    """Loss, validation RMSE and rate against epochs, a line a seed.
+def training_figure(histories: Mapping[int, Sequence[Mapping[str, Any]]]) -> Figure:
+    """Loss, validation RMSE and rate against epochs, a line a seed, stages told apart.
 
     Args:
         histories: the lines of the training log by seed.
@@ -104,35 +104,25 @@ def training_figure(histories: Mapping[int, Sequence[Mapping[str, object]]]) -> 
     with house_style():
         figure = Figure(figsize=(7.0, 5.2), layout="constrained")
         panels = figure.subplots(3, 1, sharex=True, height_ratios=(2, 2, 1))
-        for i, (seed, lines) in enumerate(histories.items()):
-            epochs = np.arange(1, len(lines) + 1)
-            for axes, key in zip(panels, ("loss", "validation", "rate"), strict=True):
-                values = np.array(
-                    [np.nan if e[key] is None else e[key] for e in lines], dtype=float
-                )
-                axes.plot(
-                    epochs,
-                    values,
-                    color=COLOURS[i % len(COLOURS)],
-                    linewidth=0.9,
-                    label=f"seed {seed}",
-                )
-            for k in range(1, len(lines)):
-                if lines[k]["stage"] != lines[k - 1]["stage"] and i == 0:
-                    for axes in panels:
-                        axes.axvline(k + 0.5, color="0.6", linewidth=0.8, linestyle=":")
-        for axes, label in zip(panels, ("training loss", "validation RMSE", "rate"), strict=True):
+        quantities = {"loss": "training loss", "validation": "validation RMSE", "rate": "rate"}
+        for axes, (key, label) in zip(panels, quantities.items(), strict=True):
+            for i, (seed, lines) in enumerate(histories.items()):
+                values = np.array([e[key] for e in lines], dtype=float)  # None becomes NaN
+                colour = COLOURS[i % len(COLOURS)]
+                axes.plot(values, color=colour, linewidth=0.9, label=f"seed {seed}")
             axes.set_ylabel(label)
-            if len(axes.lines) and any(
-                np.nanmax(line.get_ydata()) > 0
-                for line in axes.lines
-                if np.isfinite(line.get_ydata()).any()
-            ):
+            if any(np.isfinite(line.get_ydata()).any() for line in axes.lines):
                 axes.set_yscale("log")
+            for begin in _stage_begins(next(iter(histories.values()))):
+                axes.axvline(begin - 0.5, color="0.6", linewidth=0.8, linestyle=":")
         panels[-1].set_xlabel("epoch (all stages)")
         if len(histories) > 1:
             panels[0].legend(ncols=5, loc="upper right")
         return figure
+
+
+def _stage_begins(lines: Sequence[Mapping[str, Any]]) -> list[int]:
+    return [k for k in range(1, len(lines)) if lines[k]["stage"] != lines[k - 1]["stage"]]
 
 
 def ahead_figure(errors: Mapping[str, Float[np.ndarray, " horizon"]], dt: float) -> Figure:

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from tustinnet.training.fit import Plan
-from tustinnet.training.loop import EpochReport
+from tustinnet.training.state import EpochReport
 
 _LINE_EVERY = 15.0  # seconds between two lines where there is no terminal
 

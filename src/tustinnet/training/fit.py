@@ -19,15 +19,8 @@ from tustinnet.models.tustin import (
     random_tustin_net,
 )
 from tustinnet.simulation.initial_state import default_start
-from tustinnet.training.loop import (
-    Listener,
-    Progress,
-    Stage,
-    Weights,
-    begin_stage,
-    train,
-    validation_rmse,
-)
+from tustinnet.training.epoch import validation_rmse
+from tustinnet.training.loop import begin_stage, train
 from tustinnet.training.material import (
     Records,
     StageWindows,
@@ -37,6 +30,7 @@ from tustinnet.training.material import (
     validation_runs,
 )
 from tustinnet.training.recipe import Recipe, StageRecipe, read_recipe
+from tustinnet.training.state import SILENT, Listener, Progress, Stage, Weights
 
 DEFAULT_RECIPE = "transfer"
 
@@ -144,7 +138,7 @@ def fit(
     data: DataSet,
     recipe: Recipe | str | Path = DEFAULT_RECIPE,
     seed: int = 0,
-    listener: Listener = Listener(),  # noqa: B008 (frozen, without state)
+    listener: Listener = SILENT,
 ) -> FitResult:
     """Trains a Tustin-Net on a data set.
 

@@ -2,120 +2,27 @@
 
 import math
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
-from typing import NamedTuple
+from collections.abc import Sequence
+from dataclasses import replace
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-import optax
-from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
+from jaxtyping import PRNGKeyArray
 
 from tustinnet.models.base import DiscreteModel
-from tustinnet.simulation.rollout import rollout
-from tustinnet.training.losses import window_loss
-from tustinnet.training.material import Records, StageWindows, ValidationRuns
+from tustinnet.training.epoch import (
+    adam_without_rate,
+    compiled_epoch,
+    held_loss,
+    validation_rmse,
+)
+from tustinnet.training.material import Records, ValidationRuns
 from tustinnet.training.plateau import Plateau, after_epoch
-from tustinnet.training.recipe import Criterion, LossName, StageRecipe
+from tustinnet.training.recipe import Criterion
+from tustinnet.training.state import SILENT, EpochReport, Listener, Progress, Stage, Weights
 
 _ROLLBACKS = 5  # a stage gives up after this many
 _ROLLBACK_FACTOR = 0.5  # each multiplies the rate
-
-
-class Weights(NamedTuple):
-    """What the optimiser changes, epoch by epoch.
-
-    Attributes:
-        model: the model.
-        optimiser: the optimiser's state.
-        key: the sampler's key.
-        best: the best model so far in this stage.
-    """
-
-    model: DiscreteModel
-    optimiser: PyTree
-    key: PRNGKeyArray
-    best: DiscreteModel
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Where training is. With `Weights`, all that a resumed run needs.
-
-    Attributes:
-        stage: index of the stage.
-        epoch: epochs done in it.
-        plateau: the scheduler.
-        best_score: the figure of the best weights in this stage.
-        best_epoch: the epoch that gave them.
-        rollbacks: how often this stage went back to the last good state.
-        seconds: time spent so far.
-        outcome: empty while training goes on; then a sentence.
-    """
-
-    stage: int
-    epoch: int
-    plateau: Plateau
-    best_score: float = math.inf
-    best_epoch: int = 0
-    rollbacks: int = 0
-    seconds: float = 0.0
-    outcome: str = ""
-
-
-@dataclass(frozen=True)
-class EpochReport:
-    """What an epoch did.
-
-    Attributes:
-        stage: the stage's name.
-        epoch: its number in the stage, from 1.
-        loss: mean training loss.
-        validation: mean free-run RMSE over the validation records [rad or m], NaN without them.
-        rate: the rate that was used.
-        best: the lowest figure of the stage so far.
-        event: a sentence when something happened, else empty.
-    """
-
-    stage: str
-    epoch: int
-    loss: float
-    validation: float
-    rate: float
-    best: float
-    event: str = ""
-
-
-@dataclass(frozen=True)
-class Listener:
-    """Who is told while training goes on; each call may be slow.
-
-    Attributes:
-        epoch: after every epoch.
-        state: after every epoch, with all that a resumed run needs.
-    """
-
-    epoch: Callable[[EpochReport], None] = field(default=lambda report: None)
-    state: Callable[[Weights, Progress], None] = field(default=lambda weights, progress: None)
-
-
-@dataclass(frozen=True)
-class Stage:
-    """A stage with its windows drawn.
-
-    Attributes:
-        recipe: what it says.
-        windows: what it is trained on.
-        trainable: a tree like the model, True where an array trains.
-        held: windows of the validation records, where the scheduler watches their loss.
-    """
-
-    recipe: StageRecipe
-    windows: StageWindows
-    trainable: PyTree
-    held: StageWindows | None = None
 
 
 def train(
@@ -124,7 +31,7 @@ def train(
     records: Records,
     validation: ValidationRuns | None,
     key: PRNGKeyArray,
-    listener: Listener = Listener(),
+    listener: Listener = SILENT,
     resume: tuple[Weights, Progress] | None = None,
 ) -> tuple[DiscreteModel, Progress]:
     """Folds the epochs over the stages.
@@ -166,7 +73,7 @@ def begin_stage(
     """The state in which a stage begins."""
     stage = stages[index]
     trainable, _ = eqx.partition(model, stage.trainable)
-    optimiser = _optimiser(stage.recipe).init(trainable)
+    optimiser = adam_without_rate(stage.recipe).init(trainable)
     progress = Progress(stage=index, epoch=0, plateau=Plateau(stage.recipe.rate))
     return Weights(model, optimiser, key, model), progress
 
@@ -180,7 +87,7 @@ def _run_stage(
     listener: Listener,
 ) -> tuple[Weights, Progress]:
     recipe = stage.recipe
-    run_epoch = _compiled_epoch(stage)
+    run_epoch = compiled_epoch(stage)
     keep: Criterion = recipe.keep if validation is not None else "training"
     watch: Criterion = "training"
     if recipe.plateau is not None and validation is not None:
@@ -229,17 +136,9 @@ def _figures(
         figures["validation"] = float(validation_rmse(model, validation))
         if stage.held is not None:
             rows = jnp.asarray(stage.held.rows, jnp.int32)
-            held = _held_loss(model, rows, validation.records, stage.held.length, stage.recipe.loss)
+            held = held_loss(model, rows, validation.records, stage.held.length, stage.recipe.loss)
             figures["validation-loss"] = float(held)
     return figures
-
-
-@eqx.filter_jit
-def _held_loss(
-    model: DiscreteModel, rows: Int[Array, " count"], records: Records, length: int, kind: LossName
-) -> Float[Array, ""]:
-    weight = jnp.ones(len(rows), jnp.float32)
-    return _batch_loss(model, None, rows, weight, records, length=length, kind=kind)
 
 
 def _roll_back(progress: Progress, stage: Stage) -> tuple[Progress, str]:
@@ -259,95 +158,3 @@ def _roll_back(progress: Progress, stage: Stage) -> tuple[Progress, str]:
     plateau = replace(progress.plateau, rate=lower)
     event = f"{told}; back to the last good state with rate {lower:.3g}"
     return replace(progress, plateau=plateau, rollbacks=progress.rollbacks + 1), event
-
-
-def _optimiser(recipe: StageRecipe) -> optax.GradientTransformation:
-    """Adam without its rate, which changes from epoch to epoch."""
-    clip = optax.clip_by_global_norm(recipe.clip) if recipe.clip else optax.identity()
-    return optax.chain(clip, optax.scale_by_adam())
-
-
-EpochFunction = Callable[
-    [Weights, Float[Array, ""], Int[Array, " count"], Records],
-    tuple[Weights, Float[Array, ""], Array],
-]
-
-
-def _compiled_epoch(stage: Stage) -> EpochFunction:
-    """One epoch as one compiled call: shuffle, then a scan over batches."""
-    recipe, length = stage.recipe, stage.windows.length
-    count = len(stage.windows.rows)
-    batch = min(recipe.batch, count)
-    steps = -(-count // batch)
-    optimiser = _optimiser(recipe)
-
-    def epoch(
-        weights: Weights, rate: Float[Array, ""], rows: Int[Array, " count"], records: Records
-    ) -> tuple[Weights, Float[Array, ""], Array]:
-        trainable, frozen = eqx.partition(weights.model, stage.trainable)
-        key, for_order = jax.random.split(weights.key)
-        order = jax.random.permutation(for_order, count)
-        # the last batch is filled up with windows that weigh nothing
-        order = jnp.pad(order, (0, steps * batch - count), constant_values=0)
-        valid = (jnp.arange(steps * batch) < count).astype(jnp.float32)
-
-        def advance(
-            carry: tuple[PyTree, PyTree], chosen: tuple[Array, Array]
-        ) -> tuple[tuple[PyTree, PyTree], Array]:
-            trained, optimiser_state = carry
-            index, weight = chosen
-            loss, gradient = jax.value_and_grad(
-                partial(_batch_loss, length=length, kind=recipe.loss)
-            )(trained, frozen, rows[index], weight, records)
-            update, optimiser_state = optimiser.update(gradient, optimiser_state)
-            trained = jax.tree.map(lambda p, d: p - rate * d, trained, update)
-            return (trained, optimiser_state), loss * jnp.sum(weight)
-
-        (trainable, optimiser_state), losses = jax.lax.scan(
-            advance,
-            (trainable, weights.optimiser),
-            (order.reshape(steps, batch), valid.reshape(steps, batch)),
-        )
-        loss = jnp.sum(losses) / count
-        finite = jnp.isfinite(loss)
-        for leaf in jax.tree.leaves(trainable):
-            finite &= jnp.all(jnp.isfinite(leaf))
-        model = eqx.combine(trainable, frozen)
-        return Weights(model, optimiser_state, key, weights.best), loss, finite
-
-    return eqx.filter_jit(epoch)
-
-
-def _batch_loss(
-    trainable: PyTree,
-    frozen: PyTree,
-    rows: Int[Array, " batch"],
-    weight: Float[Array, " batch"],
-    records: Records,
-    *,
-    length: int,
-    kind: LossName,
-) -> Float[Array, ""]:
-    model: DiscreteModel = trainable if frozen is None else eqx.combine(trainable, frozen)
-    # a stem is folded once a batch, not applied at every step; its gradient passes the fold
-    simulator = model.folded()
-    angular = model.angular
-
-    def one(row: Array) -> Array:
-        target = jax.lax.dynamic_slice_in_dim(records.x, row, length + 1)
-        u = jax.lax.dynamic_slice_in_dim(records.u, row, length)
-        return window_loss(rollout(simulator, target[0], u), target, angular, kind)
-
-    return jnp.sum(weight * jax.vmap(one)(rows)) / jnp.sum(weight)
-
-
-@eqx.filter_jit
-def validation_rmse(model: DiscreteModel, runs: ValidationRuns) -> Float[Array, ""]:
-    """Mean over records of the free run's RMSE in float32 [rad or m]; NaN counts as infinite."""
-    simulator = model.folded()
-    n_q = runs.q.shape[-1]
-    simulated = jax.vmap(lambda x, u: rollout(simulator, x, u))(runs.x0, runs.u)[..., :n_q]
-    # beyond a record's end the model may do anything, also overflow
-    error = jnp.where(runs.weight[..., None] > 0, simulated - runs.q, 0.0)
-    mean = jnp.mean(jnp.sqrt(jnp.sum(runs.weight * jnp.sum(error**2, axis=-1), axis=-1)))
-    return jnp.where(jnp.isfinite(mean), mean, jnp.inf)
