@@ -85,6 +85,19 @@ def test_a_range_of_rows_is_a_record_of_its_own(tmp_path: Path) -> None:
     assert second.t[0] == pytest.approx(0.2)
 
 
+def test_records_are_told_apart_where_files_have_one_name(tmp_path: Path) -> None:
+    for place in ("a", "b"):
+        (tmp_path / place).mkdir()
+        write(tmp_path / place / "log.csv")
+    write(tmp_path / "long.csv")
+    splits = {
+        "train": ["a/log.csv", {"file": "long.csv", "rows": [0, 20]}],
+        "validation": ["b/log.csv", {"file": "long.csv", "rows": [20, 40]}],
+    }
+    data = load_folder(tmp_path, card(splits=splits))
+    assert [e.name for e in data] == ["a_log", "long_0-20", "b_log", "long_20-40"]
+
+
 def test_rows_that_are_not_there_are_refused(tmp_path: Path) -> None:
     write(tmp_path / "log.csv")
     with pytest.raises(tn.InputError, match=r"rows 10..41; expected a range within 0..40"):

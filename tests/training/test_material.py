@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 import tustinnet as tn
-from tustinnet.training.material import adapted_length, lay_out, stage_windows, validation_runs
+from tustinnet.training.material import (
+    adapted_length,
+    held_windows,
+    lay_out,
+    stage_windows,
+    validation_runs,
+)
 from tustinnet.training.recipe import WindowRecipe
 
 
@@ -53,9 +59,18 @@ def test_a_record_shorter_than_a_window_is_named(pendulum):
 
 
 def test_random_windows_too_long_for_every_record_are_refused(pendulum):
-    recipe = WindowRecipe(draw="random", length=400, count=5)
-    with pytest.raises(tn.InputError, match="no window of 400 steps fits"):
-        stage_windows(list(pendulum), recipe, generator())
+    recipe = WindowRecipe(draw="random", length=178, count=5)
+    with pytest.raises(tn.InputError, match="no window of 178 steps fits"):
+        stage_windows([pendulum["noise2"]], recipe, generator())
+
+
+def test_held_windows_leave_out_records_that_are_too_short(pendulum):
+    recipe = WindowRecipe(draw="strided", length=10, step=5)
+    held = [pendulum["noise2"], pendulum["fall1"]]
+    windows = held_windows(held, recipe, 200, generator())
+    assert windows is not None
+    assert min(windows.rows) >= len(pendulum["noise2"])
+    assert held_windows(held, recipe, 400, generator()) is None
 
 
 def test_adapted_windows_shrink_with_short_records(pendulum):

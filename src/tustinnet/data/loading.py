@@ -32,11 +32,14 @@ def load_folder(folder: Path, card: Card) -> DataSet:
         InputError: a file is missing or damaged, a column is not there, a number is not finite,
             the time base is not as declared, nothing moves; the message names file and row.
     """
-    experiments = [
-        _load_file(folder, split, entry, card)
-        for split, entries in card.splits.items()
-        for entry in _expand(folder, split, entries, card)
-    ]
+    entries = _named(
+        [
+            (split, entry)
+            for split, listed in card.splits.items()
+            for entry in _expand(folder, split, listed, card)
+        ]
+    )
+    experiments = [_load_file(folder, split, entry, card) for split, entry in entries]
     if not experiments:
         raise InputError(
             folder,
@@ -97,6 +100,22 @@ def _expand(folder: Path, split: str, entries: list[FileCard], card: Card) -> li
             "check the folder and the names under [splits]",
         )
     return found
+
+
+def _named(entries: list[tuple[str, FileCard]]) -> list[tuple[str, FileCard]]:
+    """Names records after their files; by folder too, and by rows, where that would be doubled."""
+    stems = [Path(entry.file).stem for _, entry in entries]
+    files = [entry.file for _, entry in entries]
+    named = []
+    for (split, entry), stem in zip(entries, stems, strict=True):
+        name = entry.name
+        if name is None:
+            path = Path(entry.file).with_suffix("").as_posix().replace("/", "_")
+            name = stem if stems.count(stem) == files.count(entry.file) else path
+            if entry.rows is not None and files.count(entry.file) > 1:
+                name += f"_{entry.rows[0]}-{entry.rows[1]}"
+        named.append((split, entry.model_copy(update={"name": name})))
+    return named
 
 
 def _natural(text: str) -> list[tuple[int, str]]:

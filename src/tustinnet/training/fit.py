@@ -23,8 +23,8 @@ from tustinnet.training.epoch import validation_rmse
 from tustinnet.training.loop import begin_stage, train
 from tustinnet.training.material import (
     Records,
-    StageWindows,
     ValidationRuns,
+    held_windows,
     lay_out,
     stage_windows,
     validation_runs,
@@ -113,12 +113,7 @@ def plan(data: DataSet, recipe: Recipe | str | Path, seed: int) -> Plan:
     for_model, shuffling = jax.random.split(jax.random.key(seed))
     model = _initial_model(train_set, recipe, for_model)
     stages = tuple(
-        Stage(
-            stage,
-            stage_windows(train_set, stage.windows, np.random.default_rng([seed, index])),
-            trainable_arrays(model, stage.frozen_layers),
-            _held_windows(held, stage, np.random.default_rng([seed, index, 1])),
-        )
+        _plan_stage(stage, model, train_set, held, [seed, index])
         for index, stage in enumerate(recipe.stages)
     )
     start = recipe.start or default_start([*train_set, *held])
@@ -204,13 +199,20 @@ def trainable_arrays(model: TustinNet, frozen_layers: int) -> PyTree:
     return jax.tree.map(lambda flag, leaf: id(leaf) in trained, mask, model)
 
 
-def _held_windows(
-    held: list[Experiment], stage: StageRecipe, generator: np.random.Generator
-) -> StageWindows | None:
-    criteria = (stage.keep, stage.plateau.watch if stage.plateau else None)
-    if not held or "validation-loss" not in criteria:
-        return None
-    return stage_windows(held, stage.windows, generator)
+def _plan_stage(
+    recipe: StageRecipe,
+    model: TustinNet,
+    train_set: list[Experiment],
+    held: list[Experiment],
+    seed: list[int],
+) -> Stage:
+    windows = stage_windows(train_set, recipe.windows, np.random.default_rng(seed))
+    criteria = (recipe.keep, recipe.plateau.watch if recipe.plateau else None)
+    watched = None
+    if held and "validation-loss" in criteria:
+        generator = np.random.default_rng([*seed, 1])
+        watched = held_windows(held, recipe.windows, windows.length, generator)
+    return Stage(recipe, windows, trainable_arrays(model, recipe.frozen_layers), watched)
 
 
 def _initial_model(train_set: list[Experiment], recipe: Recipe, key: PRNGKeyArray) -> TustinNet:

@@ -88,10 +88,8 @@ def _run_stage(
 ) -> tuple[Weights, Progress]:
     recipe = stage.recipe
     run_epoch = compiled_epoch(stage)
-    keep: Criterion = recipe.keep if validation is not None else "training"
-    watch: Criterion = "training"
-    if recipe.plateau is not None and validation is not None:
-        watch = recipe.plateau.watch
+    keep = _possible(recipe.keep, stage, validation)
+    watch = _possible(recipe.plateau.watch if recipe.plateau else "training", stage, validation)
     rows = jnp.asarray(stage.windows.rows, jnp.int32)
     while progress.epoch < recipe.epochs and not progress.outcome:
         begun = time.perf_counter()
@@ -125,6 +123,15 @@ def _run_stage(
         )
         listener.state(weights, progress)
     return weights, progress
+
+
+def _possible(wanted: Criterion, stage: Stage, validation: ValidationRuns | None) -> Criterion:
+    """The criterion, or the next one where there are no records or windows for it."""
+    if validation is None:
+        return "training"
+    if wanted == "validation-loss" and stage.held is None:
+        return "validation"  # the validation records are shorter than a window
+    return wanted
 
 
 def _figures(

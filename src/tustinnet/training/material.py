@@ -93,39 +93,57 @@ def stage_windows(
     """Draws the windows of a stage.
 
     Raises:
-        InputError: no record is long enough for a window.
+        InputError: a record is not longer than a window, or no window fits.
     """
-    lengths = [len(e) for e in experiments]
     length = adapted_length(experiments, recipe.length) if recipe.adapt else recipe.length
-    if recipe.draw == "strided" and min(lengths) <= length:
-        shortest = experiments[int(np.argmin(lengths))]
+    shortest = min(experiments, key=len)
+    if len(shortest) <= length:
         raise InputError(
             shortest.name,
             f"{len(shortest)} samples",
             f"more than a window of {length} steps",
             "leave the record out, or shorten `length` in the recipe",
         )
-    ends = [transient_end(e) for e in experiments] if recipe.until == "k_bar" else None
-    if recipe.draw == "random":
-        windows = random_windows(lengths, length, recipe.count or 0, generator, ends)
-    else:
-        reach = (
-            lengths
-            if ends is None
-            else [min(n, end + length) for n, end in zip(lengths, ends, strict=True)]
-        )
-        possible = sum(round(recipe.part * max(n - length, 0)) for n in reach)
-        step = recipe.step or max(1, round(possible / (recipe.count or 1)))
-        windows = strided_windows(reach, length, step, recipe.part)
-    if not len(windows):
+    rows = _draw(experiments, recipe, length, generator)
+    if not len(rows):
         raise InputError(
             "windows",
-            f"no window of {length} steps fits (longest record: {max(lengths)} samples)",
+            f"no window of {length} steps fits (longest record: {max(map(len, experiments))})",
             "longer records",
             "shorten `length` in the recipe",
         )
+    return StageWindows(rows, length)
+
+
+def held_windows(
+    experiments: Sequence[Experiment],
+    recipe: WindowRecipe,
+    length: int,
+    generator: np.random.Generator,
+) -> StageWindows | None:
+    """Windows of the stage's rule and length in records that are not trained on, if any fit."""
+    rows = _draw(experiments, recipe, length, generator)
+    return StageWindows(rows, length) if len(rows) else None
+
+
+def _draw(
+    experiments: Sequence[Experiment],
+    recipe: WindowRecipe,
+    length: int,
+    generator: np.random.Generator,
+) -> Int[np.ndarray, " count"]:
+    """The rows, among records laid end to end, at which windows begin."""
+    lengths = [len(e) for e in experiments]
+    ends = [transient_end(e) for e in experiments] if recipe.until == "k_bar" else lengths
+    if recipe.draw == "random":
+        windows = random_windows(lengths, length, recipe.count or 0, generator, ends)
+    else:
+        reach = [min(n, end + length) for n, end in zip(lengths, ends, strict=True)]
+        possible = sum(round(recipe.part * max(n - length, 0)) for n in reach)
+        step = recipe.step or max(1, round(possible / (recipe.count or 1)))
+        windows = strided_windows(reach, length, step, recipe.part)
     offsets = np.concatenate([[0], np.cumsum(lengths)[:-1]])
-    return StageWindows(offsets[windows[:, 0]] + windows[:, 1], length)
+    return offsets[windows[:, 0]] + windows[:, 1]
 
 
 def adapted_length(experiments: Sequence[Experiment], length: int) -> int:
