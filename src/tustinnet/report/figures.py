@@ -15,11 +15,13 @@ from matplotlib.figure import Figure
 from tustinnet.artifact.files import write_atomically
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.inspection import ExperimentReport
+from tustinnet.errors import InputError
 from tustinnet.evaluation.free_run import Score
 
 MEASURED = "#1f4e79"
 COLOURS = ("#c0392b", "#e08e0b", "#2e8b57", "#7d3c98", "#5d6d7e")
 _DASHES = ("-.", "--", ":", (0, (6, 1, 1, 1, 1, 1)), "--")
+_FORMATS = ("png", "svg", "pdf")
 _STYLE = {
     "font.size": 9,
     "axes.spines.top": False,
@@ -42,9 +44,15 @@ def house_style() -> Iterator[None]:
 
 
 def write_figure(figure: Figure, path: Path) -> None:
-    """Writes a figure in the format of the path's ending, whole or not at all."""
+    """Writes a figure in the format of the path's ending, whole or not at all.
+
+    Raises:
+        InputError: another ending than .png, .svg or .pdf, or the file cannot be written.
+    """
     buffer = BytesIO()
-    ending = path.suffix.lstrip(".") or "png"
+    ending = path.suffix.lstrip(".").lower()
+    if ending not in _FORMATS:
+        raise InputError(path, f"ending '{path.suffix}'", f"one of .{', .'.join(_FORMATS)}")
     metadata = {"Date": None} if ending == "svg" else None
     figure.savefig(buffer, format=ending, dpi=150, metadata=metadata)
     write_atomically(path, buffer.getvalue())

@@ -64,9 +64,13 @@ class Table:
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A number for a table: fixed digits, a dash for None, words for the rest."""
-    if value is None:
+    """A number for a table: fixed digits, or as many significant ones where it is smaller.
+
+    A dash for None and NaN, a word for infinity.
+    """
+    if value is None or math.isnan(value):
         return "–"
-    if math.isnan(value):
-        return "–"
-    return f"{value:.{digits}f}" if math.isfinite(value) else "diverged"
+    if not math.isfinite(value):
+        return "diverged"
+    small = 0 < abs(value) < 10.0 ** (1 - digits)
+    return f"{value:.{digits}g}" if small else f"{value:.{digits}f}"
