@@ -151,10 +151,11 @@ def _download(known: KnownDataSet) -> Path:
         try:
             fetcher.fetch(file, downloader=downloader)
         except (requests.RequestException, OSError, ValueError) as error:
-            reason = " ".join(str(error).split("(Caused by")[0].split())[:160]
+            offline = isinstance(error, requests.ConnectionError | requests.Timeout)
+            reason = "no connection" if offline else f"{type(error).__name__}: {error}"[:200]
             raise InputError(
                 f"data set '{known.name}'",
-                f"{known.address}{file} could not be fetched ({type(error).__name__}: {reason})",
+                f"{known.address}{file} could not be fetched ({reason})",
                 f"{len(fetcher.registry)} files ({_some(known)})",
                 f"put them into {cache} in these subfolders, or give their folder with "
                 f"--data PATH or {DATA_VARIABLE}=PATH",
