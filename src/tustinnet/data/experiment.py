@@ -72,7 +72,7 @@ class Experiment:
         source: where the record came from.
         sha256: checksum of that file.
         first_row: the row of the source that sample 0 was.
-        recording: how it was sampled before it was put on a grid, where it was.
+        recording: how the whole record was sampled before it was put on a grid, where it was.
         notes: what reading it found and did (jitter accepted, angles unwrapped, ...).
     """
 
