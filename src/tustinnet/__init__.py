@@ -15,8 +15,10 @@ if TYPE_CHECKING:
     from tustinnet.data.loading import from_frame
     from tustinnet.errors import InputError
     from tustinnet.evaluation.free_run import evaluate, free_run, mean_rmse, rmse_ahead
+    from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Parameter
     from tustinnet.models.tustin import TustinNet
     from tustinnet.simulation.initial_state import initial_state
+    from tustinnet.simulation.integrators import discretise
     from tustinnet.simulation.rollout import rollout
     from tustinnet.training.fit import FitResult, fit
     from tustinnet.training.recipe import Recipe, read_recipe
@@ -28,8 +30,12 @@ _HOMES = {
     "FitResult": "training.fit",
     "Input": "data.experiment",
     "InputError": "errors",
+    "LagrangianModel": "models.lagrangian",
+    "LagrangianSystem": "models.lagrangian",
+    "Parameter": "models.lagrangian",
     "Recipe": "training.recipe",
     "TustinNet": "models.tustin",
+    "discretise": "simulation.integrators",
     "evaluate": "evaluation.free_run",
     "fit": "training.fit",
     "free_run": "evaluation.free_run",
@@ -54,8 +60,12 @@ __all__ = [
     "FitResult",
     "Input",
     "InputError",
+    "LagrangianModel",
+    "LagrangianSystem",
+    "Parameter",
     "Recipe",
     "TustinNet",
+    "discretise",
     "evaluate",
     "fit",
     "free_run",

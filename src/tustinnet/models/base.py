@@ -46,6 +46,29 @@ class DiscreteModel(eqx.Module):
         return np.array([c.kind == "angular" for c in self.coordinates])
 
 
+class ContinuousModel(eqx.Module):
+    """A model that says how fast the state changes; an integrator makes it a discrete one.
+
+    Attributes:
+        coordinates: the coordinates it speaks of, in the order of `q`.
+        inputs: the inputs it takes, in the order of `u`.
+    """
+
+    @property
+    @abstractmethod
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """The coordinates it speaks of, in the order of `q`."""
+
+    @property
+    @abstractmethod
+    def inputs(self) -> tuple[Input, ...]:
+        """The inputs it takes, in the order of `u`."""
+
+    @abstractmethod
+    def derivative(self, x: State, u: InputVector) -> State:
+        """`dx/dt` at a state under an input."""
+
+
 AnyModel = TypeVar("AnyModel", bound=DiscreteModel)
 
 
