@@ -2,9 +2,11 @@
 
 import os
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import jax
+import jaxtyping
 import numpy as np
 import pytest
 
@@ -116,6 +118,14 @@ def find_real_data() -> Path | None:
         if candidate and (Path(candidate) / "train").is_dir():
             return Path(candidate)
     return None
+
+
+@pytest.fixture
+def unchecked() -> Iterator[None]:
+    """The package as people run it: without the type checks of the test set-up."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 REAL_DATA = find_real_data()  # looked up once, before the variable is hidden from the tests

@@ -70,13 +70,13 @@ def test_text_in_a_number_column(folder, refused):
 @pytest.mark.parametrize("value", ["nan", "inf"])
 def test_numbers_that_are_not_finite(folder, refused, value):
     set_cell(folder / "noise1.csv", 5, 2, value)
-    refused("inspect", folder, names=("noise1.csv, sample 4", "torque", value))
+    refused("inspect", folder, names=("noise1.csv, row 6", "torque", value))
 
 
 @pytest.mark.parametrize(("time", "word"), [("0.04", "repeats"), ("0.01", "goes back")])
 def test_timestamps_that_do_not_go_forward(folder, refused, time, word):
     set_cell(folder / "fall1.csv", 4, 0, time)
-    refused("inspect", folder, names=("fall1.csv, sample 3", word, "strictly increasing"))
+    refused("inspect", folder, names=("fall1.csv, row 5", word, "strictly increasing"))
 
 
 def test_a_record_shorter_than_a_window(folder, small_recipe, tmp_path, refused):

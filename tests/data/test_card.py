@@ -92,7 +92,10 @@ def test_an_unknown_key_far_from_all_is_refused_with_the_known_ones() -> None:
         ({"coordinates": [{**ANGLE, "resolution": 0}]}, "resolution: .*greater than 0"),
         ({"coordinates": [{**ANGLE, "sign": 2}]}, "sign: .*1 or -1"),
         ({"coordinates": [ANGLE, ANGLE]}, "two channels are called 'angle'"),
-        ({"inputs": [{"name": "angle", "column": "u"}]}, "two channels are called 'angle'"),
+        (
+            {"inputs": [{"name": "angle", "column": "u", "unit": "V"}]},
+            "two channels are called 'angle'",
+        ),
         ({"coordinates": []}, "coordinates: .*at least 1"),
         ({"dt": None}, "neither `dt` nor a time column"),
         ({"dt": "fast"}, r"dt: .*\(got 'fast'\)"),
@@ -186,7 +189,9 @@ def test_sign_scale_and_offset_apply_in_the_columns_unit() -> None:
             {"name": "cart", "kind": "linear", "column": "x", "unit": "counts",
              "resolution": 1e-4, "offset": 500.0, "velocity": {"column": "w", "unit": "mm/s"}},
         ],
-        "inputs": [{"name": "u", "column": "u", "scale": 0.5, "sign": -1, "offset": 2.0}],
+        "inputs": [
+            {"name": "u", "column": "u", "unit": "V", "scale": 0.5, "sign": -1, "offset": 2.0}
+        ],
     }  # fmt: skip
     import pandas as pd
 

@@ -1,6 +1,7 @@
 """Data sets and records from arrays."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,13 @@ def record(
 ) -> tn.Experiment:
     q = np.sin(np.arange(samples))
     return tn.from_arrays(
-        q, 0 * q, dt=dt, coordinates=["angle"], inputs=["voltage"], name=name, split=split
+        q,
+        0 * q,
+        dt=dt,
+        coordinates={"angle": "angular"},
+        inputs={"voltage": "V"},
+        name=name,
+        split=split,
     )
 
 
@@ -40,8 +47,8 @@ def test_records_may_have_any_lengths(three: tn.DataSet) -> None:
 
 def test_what_the_records_share_is_the_data_sets(three: tn.DataSet) -> None:
     assert three.dt == 0.01
-    assert three.coordinates == (tn.Coordinate("angle"),)
-    assert three.inputs == (tn.Input("voltage"),)
+    assert three.coordinates == (tn.Coordinate("angle", "angular"),)
+    assert three.inputs == (tn.Input("voltage", "V"),)
     assert three.splits == ("train", "validation")
     assert repr(three) == "DataSet('three', 3 experiments)"
 
@@ -95,19 +102,25 @@ def test_another_period_is_refused_and_rounding_is_not(three: tn.DataSet) -> Non
     assert len(three.merge([record("d", dt=0.01 * (1 + 1e-9))])) == 4
 
 
+ANGLE = (tn.Coordinate("angle", "angular"),)
+BETA = (tn.Coordinate("beta", "angular"),)
+VOLTAGE = (tn.Input("voltage", "V"),)
+
+
 @pytest.mark.parametrize(
     ("coordinates", "inputs", "message"),
     [
-        (["beta"], ["voltage"], r"coordinates beta \(angular\); expected angle \(angular\)"),
-        ([tn.Coordinate("angle", "linear")], ["voltage"], r"angle \(linear\)"),
-        (["angle"], ["torque"], r"inputs torque \(zero-order\); expected voltage"),
-        (["angle"], [tn.Input("voltage", hold="first-order")], r"voltage \(first-order\)"),
+        (BETA, VOLTAGE, r"coordinates beta \(angular\); expected angle \(angular\)"),
+        ((tn.Coordinate("angle", "linear"),), VOLTAGE, r"angle \(linear\)"),
+        (ANGLE, (tn.Input("torque", "V"),), r"inputs torque \(V, zero-order\); expected voltage"),
+        (ANGLE, (tn.Input("voltage", "mV"),), r"voltage \(mV, zero-order\)"),
+        (ANGLE, (tn.Input("voltage", "V", "first-order"),), r"voltage \(V, first-order\)"),
     ],
 )
 def test_another_system_is_refused(
     three: tn.DataSet,
-    coordinates: list[tn.Coordinate | str],
-    inputs: list[tn.Input | str],
+    coordinates: tuple[tn.Coordinate, ...],
+    inputs: tuple[tn.Input, ...],
     message: str,
 ) -> None:
     q = np.arange(5.0)
@@ -118,8 +131,8 @@ def test_another_system_is_refused(
 
 def test_the_order_of_coordinates_matters() -> None:
     q = np.arange(10.0).reshape(5, 2)
-    one = tn.from_arrays(q, dt=0.1, coordinates=["a", "b"], name="one")
-    two = tn.from_arrays(q, dt=0.1, coordinates=["b", "a"], name="two")
+    one = tn.from_arrays(q, dt=0.1, coordinates={"a": "angular", "b": "angular"}, name="one")
+    two = tn.from_arrays(q, dt=0.1, coordinates={"b": "angular", "a": "angular"}, name="two")
     with pytest.raises(tn.InputError, match="order must agree"):
         tn.DataSet("mixed", (one, two))
 
@@ -138,7 +151,9 @@ def test_no_records_are_refused() -> None:
 
 
 def test_vectors_become_columns() -> None:
-    e = tn.from_arrays([0.0, 1, 2], [3.0, 4, 5], dt=0.5, coordinates=["a"], inputs=["u"])
+    e = tn.from_arrays(
+        [0.0, 1, 2], [3.0, 4, 5], dt=0.5, coordinates={"a": "angular"}, inputs={"u": "V"}
+    )
     np.testing.assert_array_equal(e.q, [[0], [1], [2]])
     np.testing.assert_array_equal(e.u, [[3], [4], [5]])
     np.testing.assert_array_equal(e.t, [0, 0.5, 1])
@@ -147,15 +162,39 @@ def test_vectors_become_columns() -> None:
 
 
 def test_a_record_needs_no_input() -> None:
-    e = tn.from_arrays(np.zeros((6, 2)), dt=0.5, coordinates=["a", tn.Coordinate("b", "linear")])
+    e = tn.from_arrays(np.zeros((6, 2)), dt=0.5, coordinates={"a": "angular", "b": "linear"})
     assert e.u.shape == (6, 0)
     assert e.held_inputs.shape == (5, 0)
     assert [c.kind for c in e.coordinates] == ["angular", "linear"]
 
 
+def test_wrapped_angles_are_unwrapped_and_lengths_are_not() -> None:
+    q = np.array([[3.0, 3.0], [-3.0, -3.0], [-2.0, 3.0]])
+    e = tn.from_arrays(q, dt=0.1, coordinates={"angle": "angular", "slide": "linear"})
+    np.testing.assert_allclose(e.q[:, 0], [3.0, 2 * np.pi - 3.0, 2 * np.pi - 2.0])
+    np.testing.assert_array_equal(e.q[:, 1], q[:, 1])
+    assert e.notes == ("angle: unwrapped (1 jumps)",)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    "channels", [{"coordinates": ["a"]}, {"coordinates": {"a": "angular"}, "inputs": ["u"]}]
+)
+def test_kinds_and_units_are_declared_never_guessed(
+    channels: dict[str, Any],
+) -> None:
+    with pytest.raises(tn.InputError, match="without a"):
+        tn.from_arrays(np.arange(5.0), np.arange(5.0), dt=0.1, **channels)
+
+
+def test_times_in_another_unit_are_refused() -> None:
+    with pytest.raises(tn.InputError, match=r"median interval 10 s; expected dt = 0\.01 s"):
+        tn.from_arrays(np.arange(5.0), dt=0.01, t=np.arange(5) * 10.0, coordinates=ANGLE)
+
+
 def test_given_times_and_velocities_are_taken() -> None:
     t, v = np.array([1.0, 1.4, 2.1]), np.array([7.0, 8, 9])
-    e = tn.from_arrays(np.zeros(3), t=t, v=v, dt=0.5, coordinates=["a"])
+    e = tn.from_arrays(np.zeros(3), t=t, v=v, dt=0.5, coordinates={"a": "angular"})
     np.testing.assert_array_equal(e.t, t)
     assert e.v is not None
     np.testing.assert_array_equal(e.v[:, 0], v)
@@ -164,4 +203,4 @@ def test_given_times_and_velocities_are_taken() -> None:
 
 def test_too_few_names_for_the_columns_are_refused() -> None:
     with pytest.raises(tn.InputError, match=r"q has shape \(5, 2\); expected \(5, 1\)"):
-        tn.from_arrays(np.zeros((5, 2)), dt=0.1, coordinates=["a"])
+        tn.from_arrays(np.zeros((5, 2)), dt=0.1, coordinates={"a": "angular"})

@@ -1,9 +1,8 @@
 """Records."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
-import jaxtyping
 import numpy as np
 import pytest
 
@@ -12,14 +11,6 @@ from tustinnet.data.experiment import Hold
 
 DT = 0.02
 COUNT = 2e-3
-
-
-@pytest.fixture
-def unchecked() -> Iterator[None]:
-    """The package as people run it: without the type checks of the test set-up."""
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 def swing(samples: int = 200) -> tuple[np.ndarray, np.ndarray]:
@@ -47,7 +38,7 @@ def record(
 
 def with_velocities(v: np.ndarray, *, measured: bool = True) -> tn.Experiment:
     q, _ = swing(len(v))
-    return tn.from_arrays(q, dt=DT, coordinates=["angle"], v=v, v_measured=measured)
+    return tn.from_arrays(q, dt=DT, coordinates={"angle": "angular"}, v=v, v_measured=measured)
 
 
 # --- what a record must be ---
@@ -87,18 +78,18 @@ def test_times_that_repeat_or_go_back_are_refused_with_their_sample(
     times: list[float], sample: int
 ) -> None:
     with pytest.raises(tn.InputError, match=f"of sample {sample} does not follow"):
-        tn.from_arrays([1.0, 2, 3, 4], t=times, dt=1.0, coordinates=["angle"])
+        tn.from_arrays([1.0, 2, 3, 4], t=times, dt=1.0, coordinates={"angle": "angular"})
 
 
 @pytest.mark.parametrize("dt", [0.0, -0.01, np.nan, np.inf])
 def test_a_period_that_is_no_time_is_refused(dt: float) -> None:
     with pytest.raises(tn.InputError, match="sampling period"):
-        tn.from_arrays([1.0, 2], t=[0.0, 1.0], dt=dt, coordinates=["angle"])
+        tn.from_arrays([1.0, 2], t=[0.0, 1.0], dt=dt, coordinates={"angle": "angular"})
 
 
 def test_a_single_sample_is_no_record() -> None:
     with pytest.raises(tn.InputError, match="1 samples; expected at least 2"):
-        tn.from_arrays([1.0], dt=DT, coordinates=["angle"])
+        tn.from_arrays([1.0], dt=DT, coordinates={"angle": "angular"})
 
 
 @pytest.mark.parametrize("k_bar", [-1, 11])
@@ -109,7 +100,9 @@ def test_k_bar_outside_the_record_is_refused(k_bar: int) -> None:
 
 def test_arrays_are_read_only_copies() -> None:
     q = np.zeros(10)
-    e = tn.from_arrays(q, np.zeros(10), v=q, dt=DT, coordinates=["angle"], inputs=["voltage"])
+    e = tn.from_arrays(
+        q, np.zeros(10), v=q, dt=DT, coordinates={"angle": "angular"}, inputs={"voltage": "V"}
+    )
     q[3] = 1.0
     assert not e.q.any()
     for array in (e.t, e.q, e.u, e.v):
@@ -118,7 +111,7 @@ def test_arrays_are_read_only_copies() -> None:
 
 
 def test_units_follow_the_kind_of_the_coordinate() -> None:
-    assert tn.Coordinate("angle").unit == "rad"
+    assert tn.Coordinate("angle", "angular").unit == "rad"
     assert tn.Coordinate("cart", "linear").unit == "m"
 
 
@@ -225,7 +218,7 @@ def test_resampling_keeps_the_impulse_of_a_held_input() -> None:
 def test_resampling_interpolates_a_first_order_held_input_and_velocities() -> None:
     t = np.arange(50) * DT
     e = tn.from_arrays(
-        np.sin(t), 3 * t, v=2 * t, dt=DT, coordinates=["angle"],
+        np.sin(t), 3 * t, v=2 * t, dt=DT, coordinates={"angle": "angular"},
         inputs=[tn.Input("force", "N", "first-order")],
     )  # fmt: skip
     fine = e.resample(DT / 3)
@@ -260,16 +253,18 @@ def test_resampling_to_a_period_that_does_not_fit_is_refused(dt: float) -> None:
 def test_a_zero_order_hold_applies_the_sample_and_a_first_order_hold_the_mean() -> None:
     u = np.array([[1.0, 1.0], [3.0, 3.0], [0.0, 0.0]])
     e = tn.from_arrays(
-        [1.0, 2, 3], u, dt=DT, coordinates=["angle"],
-        inputs=[tn.Input("held"), tn.Input("ramp", hold="first-order")],
+        [1.0, 2, 3], u, dt=DT, coordinates={"angle": "angular"},
+        inputs=[tn.Input("held", "V"), tn.Input("ramp", "V", "first-order")],
     )  # fmt: skip
     np.testing.assert_array_equal(e.held_inputs, [[1.0, 2.0], [3.0, 1.5]])
 
 
 def test_a_record_is_forced_where_an_input_changes() -> None:
     assert record().forced
-    assert not tn.from_arrays(swing()[0], dt=DT, coordinates=["angle"]).forced
-    constant = tn.from_arrays(swing(9)[0], np.full(9, 2.0), dt=DT, coordinates=["a"], inputs=["u"])
+    assert not tn.from_arrays(swing()[0], dt=DT, coordinates={"angle": "angular"}).forced
+    constant = tn.from_arrays(
+        swing(9)[0], np.full(9, 2.0), dt=DT, coordinates={"a": "angular"}, inputs={"u": "V"}
+    )
     assert not constant.forced
 
 
@@ -301,12 +296,12 @@ def test_zero_velocities_at_the_ends_of_a_moving_record_are_padding(
 def test_zero_velocities_while_nothing_moves_are_no_padding() -> None:
     q = np.concatenate([np.zeros(20), swing(100)[0] - 1, np.full(20, 0.5)])
     v = np.concatenate([np.zeros(19), np.ones(102), np.zeros(19)])
-    assert tn.from_arrays(q, v=v, dt=DT, coordinates=["a"]).padded_rows == (0, 0)
+    assert tn.from_arrays(q, v=v, dt=DT, coordinates={"a": "angular"}).padded_rows == (0, 0)
 
 
 def test_a_release_from_rest_is_no_padding() -> None:
     t = np.arange(100) * DT
-    e = tn.from_arrays(np.cos(6 * t), v=-6 * np.sin(6 * t), dt=DT, coordinates=["a"])
+    e = tn.from_arrays(np.cos(6 * t), v=-6 * np.sin(6 * t), dt=DT, coordinates={"a": "angular"})
     assert e.v is not None
     assert e.v[0, 0] == 0
     assert e.padded_rows == (0, 0)

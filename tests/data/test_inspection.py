@@ -75,7 +75,9 @@ def test_a_record_that_moves_to_its_end_never_settles() -> None:
 
 def test_a_coordinate_that_never_moves_does_not_prolong_the_transient() -> None:
     q, _ = swing()
-    both = tn.from_arrays(np.stack([q, np.full_like(q, 0.3)], 1), dt=DT, coordinates=["a", "b"])
+    both = tn.from_arrays(
+        np.stack([q, np.full_like(q, 0.3)], 1), dt=DT, coordinates={"a": "angular", "b": "angular"}
+    )
     assert transient_end(both) == transient_end(record(q, resolution=None))
 
 
@@ -210,5 +212,7 @@ def test_a_multiple_of_the_declared_count_is_not_suspicious() -> None:
 
 def test_a_coordinate_that_never_changes_is_suspicious() -> None:
     q, _ = swing()
-    e = tn.from_arrays(np.stack([q, 0 * q], 1), dt=DT, coordinates=["moving", "still"])
+    e = tn.from_arrays(
+        np.stack([q, 0 * q], 1), dt=DT, coordinates={"moving": "angular", "still": "angular"}
+    )
     assert inspect_experiment(e).suspicious == ("still never changes",)

@@ -17,7 +17,7 @@ from tustinnet.data.loading import load_folder
 
 DT = 0.01
 ANGLE = {"name": "angle", "kind": "angular", "column": "angle"}
-TORQUE = {"name": "torque", "column": "torque"}
+TORQUE = {"name": "torque", "column": "torque", "unit": "N m"}
 
 
 def card(**changes: Any) -> Card:
@@ -198,7 +198,7 @@ def test_a_number_that_is_not_finite_is_refused_with_file_sample_and_column(
     angle = np.arange(40.0)
     angle[[13, 20]] = value
     path = write(tmp_path / "log.csv", angle=angle)
-    with pytest.raises(tn.InputError, match=rf"log\.csv, sample 13 .*, angle: {value} \(2 such\)"):
+    with pytest.raises(tn.InputError, match=rf"log\.csv, row 15, angle: {value} \(2 such\)"):
         one(path)
 
 
@@ -307,7 +307,7 @@ def test_irregular_times_are_resampled_where_the_card_says_so(gap: Path) -> None
 
 def test_keeping_times_of_another_period_is_refused(tmp_path: Path) -> None:
     path = write(tmp_path / "log.csv", time=np.arange(40) * 0.02)
-    with pytest.raises(tn.InputError, match=r"median period 0\.02 s; expected the nominal 0\.01"):
+    with pytest.raises(tn.InputError, match=r"median interval 0\.02 s; expected 0\.01"):
         one(path, **timed(irregular="keep"))
 
 
@@ -318,7 +318,7 @@ def test_times_that_do_not_increase_are_refused_with_their_sample(
     t = np.arange(40) * DT
     t[20] = t[10] if kind == "goes back" else t[19]
     assert t[20] == pytest.approx(value)
-    with pytest.raises(tn.InputError, match=rf"log\.csv, sample 20 .*column time: .*{kind}"):
+    with pytest.raises(tn.InputError, match=rf"log\.csv, row 22, column time: .*{kind}"):
         one(write(tmp_path / "log.csv", time=t), **timed(irregular="keep"))
 
 
@@ -331,7 +331,7 @@ def test_a_wrapped_angle_is_unwrapped_before_it_is_resampled(tmp_path: Path) -> 
     path = write(tmp_path / "log.csv", time=t, angle=np.rad2deg(wrapped), torque=t)
     e = one(path, coordinates=[{**ANGLE, "unit": "deg"}], **timed(irregular="resample"))
     np.testing.assert_allclose(np.diff(e.q[:, 0]), 8 * DT, atol=1e-9)
-    assert e.notes[0] == "angle: unwrapped at 3 samples"
+    assert e.notes[0] == "angle: unwrapped (3 jumps)"
 
 
 @pytest.mark.parametrize("changes", [{"unwrap": False}, {"kind": "linear"}])

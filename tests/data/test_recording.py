@@ -40,7 +40,7 @@ def test_a_period_that_is_to_come_does_not_judge_the_log(dt: float) -> None:
 
 def test_a_resampled_record_remembers_its_first_recording() -> None:
     t, q = log()
-    e = tn.from_arrays(q, t=t, dt=DT, coordinates=["a", "b"])
+    e = tn.from_arrays(q, t=t, dt=DT, coordinates={"a": "angular", "b": "angular"})
     assert e.recording is None
     once = e.resample(0.02)
     assert once.recording is not None

@@ -28,7 +28,7 @@ def furuta_potential(q, p):
 
 FURUTA = LagrangianSystem(
     name="furuta",
-    coordinates=(tn.Coordinate("theta"), tn.Coordinate("alpha")),
+    coordinates=(tn.Coordinate("theta", "angular"), tn.Coordinate("alpha", "angular")),
     inputs=(tn.Input("torque", "N m"),),
     parameters=(
         Parameter("arm", "kg m^2", 2.3e-4, 1e-5, 1e-2),

@@ -44,7 +44,9 @@ def network(
 
 
 def test_step_is_the_papers_equations_written_out():
-    model = with_dtype(network((tn.Coordinate("a"), tn.Coordinate("b"))), np.float64)
+    model = with_dtype(
+        network((tn.Coordinate("a", "angular"), tn.Coordinate("b", "angular"))), np.float64
+    )
     q, v, u = np.array([0.3, 4.0]), np.array([-1.0, 2.0]), np.array([0.7])
     z = np.concatenate([np.sin(q), np.cos(q), v, u])
     for layer in model.hidden:
@@ -71,14 +73,14 @@ def test_linear_coordinates_enter_as_they_are_and_angles_by_sine_and_cosine():
     ("coordinates", "inputs", "count"),
     [
         (MIXED, FORCE, 6),
-        ((tn.Coordinate("a"), tn.Coordinate("b")), FORCE, 7),
-        ((tn.Coordinate("a"),), (), 3),
+        ((tn.Coordinate("a", "angular"), tn.Coordinate("b", "angular")), FORCE, 7),
+        ((tn.Coordinate("a", "angular"),), (), 3),
         ((tn.Coordinate("x", "linear"),), FORCE * 2, 4),
     ],
 )
 def test_any_number_of_coordinates_and_inputs(coordinates, inputs, count):
     assert feature_count(coordinates, inputs) == count
-    model = network(coordinates, tuple(tn.Input(f"u{i}") for i in range(len(inputs))))
+    model = network(coordinates, tuple(tn.Input(f"u{i}", "V") for i in range(len(inputs))))
     x = model.step(jnp.ones(2 * len(coordinates)), jnp.ones(len(inputs)))
     assert x.shape == (2 * len(coordinates),)
     assert bool(jnp.all(jnp.isfinite(x)))
@@ -91,7 +93,9 @@ def test_any_number_of_hidden_layers(hidden):
 
 
 def test_angles_a_full_turn_apart_move_alike():
-    model = with_dtype(network((tn.Coordinate("a"), tn.Coordinate("b"))), np.float64)
+    model = with_dtype(
+        network((tn.Coordinate("a", "angular"), tn.Coordinate("b", "angular"))), np.float64
+    )
     x, u = jnp.array([0.3, -2.0, 1.0, 0.5]), jnp.array([0.2])
     turned = x + jnp.array([2 * jnp.pi, -4 * jnp.pi, 0.0, 0.0])
     np.testing.assert_allclose(model.step(turned, u)[2:], model.step(x, u)[2:], atol=1e-12)
@@ -141,17 +145,17 @@ def test_scaling_is_learnt_from_the_records(pendulum):
 
 def test_scaling_of_a_signal_that_never_acts_is_one():
     q = np.sin(np.arange(50) * 0.1)
-    still = tn.from_arrays(q, np.zeros(50), dt=0.1, coordinates=["a"], inputs=["u"])
+    still = tn.from_arrays(q, np.zeros(50), dt=0.1, coordinates={"a": "angular"}, inputs={"u": "V"})
     assert learn_scaling([still]).input.tolist() == [1.0]
 
 
 def test_a_model_refuses_other_coordinates_inputs_and_periods(pendulum):
-    model = network((tn.Coordinate("angle"),), (tn.Input("torque", "N m"),))
+    model = network((tn.Coordinate("angle", "angular"),), (tn.Input("torque", "N m"),))
     with pytest.raises(tn.InputError, match=r"sampling period 0\.02 s; expected 0\.01 s"):
         require_fit(model, pendulum[0])
     other = network((tn.Coordinate("height", "linear"),), (tn.Input("torque", "N m"),))
     with pytest.raises(tn.InputError, match=r"angle \(angular\).*height \(linear\)"):
         require_fit(other, pendulum[0])
-    unforced = network((tn.Coordinate("angle"),), ())
+    unforced = network((tn.Coordinate("angle", "angular"),), ())
     with pytest.raises(tn.InputError, match=r"inputs torque.*\(none\)"):
         require_fit(unforced, pendulum[0])

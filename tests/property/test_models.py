@@ -11,8 +11,8 @@ from tustinnet.models.base import with_dtype
 from tustinnet.models.tustin import Scaling, TustinNet, random_tustin_net
 from tustinnet.simulation.rollout import rollout
 
-COORDINATES = (tn.Coordinate("arm"), tn.Coordinate("slide", "linear"))
-INPUTS = (tn.Input("voltage"),)
+COORDINATES = (tn.Coordinate("arm", "angular"), tn.Coordinate("slide", "linear"))
+INPUTS = (tn.Input("voltage", "V"),)
 
 
 def network(seed: int, dt: float) -> TustinNet:

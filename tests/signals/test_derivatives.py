@@ -1,8 +1,5 @@
 """Velocities from positions."""
 
-from collections.abc import Iterator
-
-import jaxtyping
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -20,14 +17,6 @@ DT = 0.01
 COUNT = 3e-3
 
 slopes = st.floats(-20, 20)
-
-
-@pytest.fixture
-def unchecked() -> Iterator[None]:
-    """The package as people run it: without the type checks of the test set-up."""
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 def quantised_sine(samples: int = 600) -> tuple[np.ndarray, np.ndarray]:

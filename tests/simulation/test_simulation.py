@@ -13,8 +13,8 @@ from tustinnet.simulation.initial_state import default_start, initial_state
 class Adder(DiscreteModel):
     """x[k+1] = x[k] + [u, 0]: makes visible which input acts when."""
 
-    coordinates: tuple = eqx.field(static=True, default=(tn.Coordinate("q"),))
-    inputs: tuple = eqx.field(static=True, default=(tn.Input("u"),))
+    coordinates: tuple = eqx.field(static=True, default=(tn.Coordinate("q", "angular"),))
+    inputs: tuple = eqx.field(static=True, default=(tn.Input("u", "V"),))
     dt: float = eqx.field(static=True, default=1.0)
 
     def step(self, x, u):
@@ -28,7 +28,9 @@ def test_rollout_begins_with_x0_and_holds_u_k_from_k_to_k_plus_1():
 
 def parabola(samples: int = 30, **options) -> tn.Experiment:
     t = np.arange(samples) * 0.01
-    return tn.from_arrays(0.3 + 2.0 * t - 4.0 * t**2, dt=0.01, coordinates=["a"], **options)
+    return tn.from_arrays(
+        0.3 + 2.0 * t - 4.0 * t**2, dt=0.01, coordinates={"a": "angular"}, **options
+    )
 
 
 def test_file_start_is_the_first_row_as_stored_with_its_velocity():
@@ -48,7 +50,7 @@ def test_derived_start_finds_the_velocity_of_a_parabola(start):
 
 def test_derived_start_uses_the_recorded_times():
     t = np.array([0.0, 0.004, 0.014, 0.024, 0.034, 0.044, 0.054])
-    e = tn.from_arrays(1.0 + 3.0 * t, dt=0.01, t=t, coordinates=["a"])
+    e = tn.from_arrays(1.0 + 3.0 * t, dt=0.01, t=t, coordinates={"a": "angular"})
     np.testing.assert_allclose(initial_state(e, "derived-6"), [1.0, 3.0], rtol=1e-9)
 
 

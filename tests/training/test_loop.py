@@ -209,7 +209,7 @@ def test_training_learns_the_small_pendulum(pendulum):
 def test_linear_coordinates_train_too():
     t = np.arange(400) * 0.02
     q = np.column_stack([0.3 * np.sin(2 * t), np.cos(3 * t)])
-    coordinates = [tn.Coordinate("slide", "linear"), tn.Coordinate("angle")]
+    coordinates = [tn.Coordinate("slide", "linear"), tn.Coordinate("angle", "angular")]
     data = tn.DataSet("mixed", (tn.from_arrays(q, dt=0.02, coordinates=coordinates),))
     recipe = tn.read_recipe("standard").model_dump()
     recipe["stages"][0] |= {"epochs": 3}

@@ -82,7 +82,7 @@ def test_adapted_windows_shrink_with_short_records(pendulum):
 
 def test_adapted_windows_grow_when_little_happens_in_a_sample():
     t = np.arange(8000) * 0.001
-    slow = tn.from_arrays(np.sin(2 * t), dt=0.001, coordinates=["a"])
+    slow = tn.from_arrays(np.sin(2 * t), dt=0.001, coordinates={"a": "angular"})
     assert adapted_length([slow], 50) == 200
 
 

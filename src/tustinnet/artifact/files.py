@@ -3,6 +3,7 @@
 import json
 import math
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,19 @@ def require_writable_folder(folder: Path) -> None:
         raise _unwritable(folder, error) from error
 
 
+def require_new(paths: Iterable[Path], *, overwrite: bool) -> None:
+    """Raises `InputError` when a file is there already and must not be replaced."""
+    there = [path for path in paths if path.exists()]
+    if there and not overwrite:
+        more = f" and {len(there) - 1} more" if len(there) > 1 else ""
+        raise InputError(
+            there[0],
+            f"there already{more}",
+            "a new file",
+            "choose another place, or add --overwrite",
+        )
+
+
 def to_json(content: Any) -> str:
     """JSON for people and programs: indented; numbers that are not finite become null."""
     return json.dumps(finite(content), indent=1, ensure_ascii=False) + "\n"
@@ -59,9 +73,8 @@ def finite(content: Any) -> Any:
 
 
 def _unwritable(path: Path, error: OSError) -> InputError:
+    blocked = isinstance(error, FileExistsError | NotADirectoryError)
+    reason = "a file stands where a folder is needed" if blocked else error.strerror or str(error)
     return InputError(
-        path,
-        f"cannot be written ({error.strerror or error})",
-        "a folder you may write to",
-        "choose another with --out",
+        path, f"cannot be written ({reason})", "a folder you may write to", "choose another place"
     )

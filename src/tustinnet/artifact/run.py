@@ -9,7 +9,6 @@ folder/summary.json                   every seed and the spread
 
 import dataclasses
 import json
-import shutil
 import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ from tustinnet.artifact.files import (
 )
 from tustinnet.artifact.model_file import save
 from tustinnet.data.dataset import DataSet
+from tustinnet.data.experiment import position_unit
 from tustinnet.errors import InputError
 from tustinnet.evaluation.free_run import Score, evaluate, mean_rmse
 from tustinnet.training.fit import FitResult, Plan, plan, run_plan
@@ -116,10 +116,9 @@ def train_runs(
             `overwrite` is set, or its checkpoints belong to another run; see also `plan`.
     """
     require_writable_folder(folder)
-    earlier = sorted(folder.glob("seed-*"))
+    earlier = sorted(place for place in folder.glob("seed-*") if (place / _LOG).exists())
     if earlier and overwrite:
-        for old in [*earlier, folder / MODEL, folder / SUMMARY]:
-            shutil.rmtree(old) if old.is_dir() else old.unlink(missing_ok=True)
+        _discard(folder, earlier)
     elif earlier and not resume:
         raise InputError(
             folder,
@@ -147,6 +146,17 @@ def train_runs(
     return done
 
 
+def _discard(folder: Path, seed_folders: Sequence[Path]) -> None:
+    """Removes the files that a run has written, and no others."""
+    for place in seed_folders:
+        for name in (MODEL, _LOG, _CHECKPOINT):
+            (place / name).unlink(missing_ok=True)
+        if not any(place.iterdir()):
+            place.rmdir()
+    for name in (MODEL, SUMMARY):
+        (folder / name).unlink(missing_ok=True)
+
+
 def summary(runs: Runs) -> dict[str, Any]:
     """The runs as plain values, every seed and the spread."""
     return {
@@ -165,6 +175,7 @@ def summary(runs: Runs) -> dict[str, Any]:
                 "windows": list(run.result.windows),
                 "window_lengths": list(run.result.window_lengths),
                 "epochs": list(run.result.epochs),
+                "kept_epoch": run.result.kept_epoch,
                 "model": (run.folder / MODEL).relative_to(runs.folder).as_posix(),
             }
             for run in runs.seeds
@@ -246,6 +257,7 @@ def _header(
             "windows": list(result.windows),
             "window_lengths": list(result.window_lengths),
             "epochs": list(result.epochs),
+            "kept_epoch": result.kept_epoch,
         },
         "data": {
             "name": data.name,
@@ -257,7 +269,7 @@ def _header(
         "scores": {
             "split": judged,
             "start": result.start,
-            "unit": "rad" if all(c.kind == "angular" for c in data.coordinates) else "SI",
+            "unit": position_unit(data.coordinates),
             "rmse": {score.experiment: score.rmse for score in scores},
             "mean": mean_rmse(scores),
         },

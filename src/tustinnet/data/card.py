@@ -122,7 +122,7 @@ class InputCard(Declaration):
 
     name: str
     column: ColumnKey
-    unit: str = "V"
+    unit: str
     scale: float = 1.0
     sign: Literal[1, -1] = 1
     offset: float = 0.0

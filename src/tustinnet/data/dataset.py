@@ -1,6 +1,6 @@
 """Several records of one system as one data set."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, overload
 
@@ -8,9 +8,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from tustinnet.data.experiment import Coordinate, Experiment, Input
+from tustinnet.data.experiment import Coordinate, Experiment, Input, Kind
 from tustinnet.errors import InputError
+from tustinnet.signals.resampling import unwrap_angle
 
+_OTHER_PERIOD = 0.2  # relative; a median interval this far from `dt` is another period
 _PERIOD_TOLERANCE = 1e-6  # relative; two records of one data set share one period
 
 
@@ -118,8 +120,8 @@ def from_arrays(
     u: ArrayLike | None = None,
     *,
     dt: float,
-    coordinates: Sequence[Coordinate | str],
-    inputs: Sequence[Input | str] = (),
+    coordinates: Sequence[Coordinate] | Mapping[str, Kind],
+    inputs: Sequence[Input] | Mapping[str, str] = (),
     t: ArrayLike | None = None,
     v: ArrayLike | None = None,
     v_measured: bool = True,
@@ -129,38 +131,69 @@ def from_arrays(
     """One record from arrays.
 
     Args:
-        q: positions in radians or metres, (n, n_q), or (n,) for one coordinate.
+        q: positions in radians or metres, (n, n_q), or (n,) for one coordinate. Jumps of more
+            than half a turn in an angle are taken for wraps and removed.
         u: inputs, (n, n_u), or (n,) for one input.
         dt: sampling period [s].
-        coordinates: the columns of `q`; a name stands for an angular coordinate.
-        inputs: the columns of `u`; a name stands for an input in volts under a zero-order hold.
-        t: timestamps [s]; multiples of `dt` by default.
+        coordinates: the columns of `q`, as `Coordinate`s or as `{name: "angular" or "linear"}`.
+        inputs: the columns of `u`, as `Input`s or, under a zero-order hold, as `{name: unit}`.
+        t: timestamps [s]; multiples of `dt` by default. For a log that is irregular beyond
+            jitter, follow with `resample`.
         v: velocities, shaped like `q`.
         v_measured: whether a sensor measured them.
         name: what the record is called.
         split: `train`, `validation`, `test` or None.
 
     Raises:
-        InputError: shapes that do not fit, numbers that are not finite.
+        InputError: shapes that do not fit, numbers that are not finite, timestamps whose median
+            interval is not `dt`.
     """
-    positions = _columns(q)
+    if isinstance(coordinates, Mapping):
+        coordinates = [Coordinate(c, kind) for c, kind in coordinates.items()]
+    if isinstance(inputs, Mapping):
+        inputs = [Input(i, unit) for i, unit in inputs.items()]
+    if not all(isinstance(c, Coordinate) for c in coordinates):
+        raise InputError(name, "coordinates without a kind", '{"arm": "angular", "cart": "linear"}')
+    if not all(isinstance(i, Input) for i in inputs):
+        raise InputError(name, "inputs without a unit", '{"motor": "V"}')
+    positions = _columns(q, name)
     n = len(positions)
+    notes = []
+    for j, coordinate in enumerate(coordinates):
+        if coordinate.kind == "angular" and j < positions.shape[1]:
+            positions[:, j], jumps = unwrap_angle(positions[:, j])
+            if len(jumps):
+                notes.append(f"{coordinate.name}: unwrapped ({len(jumps)} jumps)")
+    times = np.arange(n) * dt if t is None else np.asarray(t, dtype=float)
+    median = float(np.median(np.diff(times))) if n > 1 else dt
+    if dt > 0 and np.isfinite(dt) and not abs(median / dt - 1) < _OTHER_PERIOD:
+        raise InputError(
+            name, f"median interval {median:g} s", f"dt = {dt:g} s", "times in seconds"
+        )
     return Experiment(
         name=name,
-        t=np.arange(n) * dt if t is None else np.asarray(t, dtype=float),
+        t=times,
         q=positions,
-        u=np.zeros((n, 0)) if u is None else _columns(u),
-        v=None if v is None else _columns(v),
+        u=np.zeros((n, 0)) if u is None else _columns(u, name),
+        v=None if v is None else _columns(v, name),
         v_measured=v is not None and v_measured,
         dt=dt,
-        coordinates=tuple(Coordinate(c) if isinstance(c, str) else c for c in coordinates),
-        inputs=tuple(Input(i) if isinstance(i, str) else i for i in inputs),
+        coordinates=tuple(coordinates),
+        inputs=tuple(inputs),
         split=split,
+        notes=tuple(notes),
     )
 
 
-def _columns(values: ArrayLike) -> Float[np.ndarray, "n c"]:
-    array = np.asarray(values, dtype=float)
+def _columns(values: ArrayLike, name: str) -> Float[np.ndarray, "n c"]:
+    try:
+        array = np.array(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            name, f"values that are not numbers ({error})", "arrays of floats"
+        ) from None
+    if array.ndim not in (1, 2):
+        raise InputError(name, f"an array of shape {array.shape}", "(samples, channels)")
     return array[:, None] if array.ndim == 1 else array
 
 
@@ -179,8 +212,8 @@ def require_same_system(
         ),
         (
             "inputs",
-            [(i.name, i.hold) for i in experiment.inputs],
-            [(i.name, i.hold) for i in inputs],
+            [(i.name, f"{i.unit}, {i.hold}") for i in experiment.inputs],
+            [(i.name, f"{i.unit}, {i.hold}") for i in inputs],
         ),
     ):
         if have != want:
@@ -188,7 +221,7 @@ def require_same_system(
                 experiment.name,
                 f"{what} {_listed(have)}",
                 f"{_listed(want)} as in {where}",
-                "check the data card: names, kinds and order must agree",
+                "check the data card: names, kinds, units and order must agree",
             )
 
 

@@ -54,9 +54,12 @@ def declare(content: dict[str, Any], kind: type[Declared], where: object) -> Dec
             raise InputError(f"{where}, {key}", "unknown key", "", hint) from None
         if first["type"] == "missing":
             raise InputError(f"{where}, {key}", "missing", "a value for this key") from None
-        received = repr(first.get("input"))
         message = first["msg"].removeprefix("Value error, ")
-        raise InputError(f"{where}, {key}", f"{message} (got {received[:60]})") from None
+        received = first.get("input")
+        if isinstance(received, dict):  # a whole table: name it instead of printing it
+            called = f" '{received['name']}'" if "name" in received else ""
+            raise InputError(f"{where}, {key}{called}", message) from None
+        raise InputError(f"{where}, {key}", f"{message} (got {repr(received)[:60]})") from None
 
 
 def _known_keys(kind: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:

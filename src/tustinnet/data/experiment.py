@@ -1,5 +1,6 @@
 """One recorded run of a mechanical system."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -15,6 +16,8 @@ Kind = Literal["angular", "linear"]
 Hold = Literal["zero-order", "first-order"]
 VelocitySource = Literal["auto", "file", "stencil", "savgol", "kalman"]
 
+_STENCIL_SAMPLES = 5
+
 
 @dataclass(frozen=True)
 class Coordinate:
@@ -27,13 +30,18 @@ class Coordinate:
     """
 
     name: str
-    kind: Kind = "angular"
+    kind: Kind
     resolution: float | None = None
 
     @property
     def unit(self) -> str:
         """`rad` or `m`."""
         return "rad" if self.kind == "angular" else "m"
+
+
+def position_unit(coordinates: Sequence[Coordinate]) -> str:
+    """`rad`, `m`, or `rad and m`, of a figure over all coordinates."""
+    return " and ".join(dict.fromkeys(c.unit for c in coordinates))
 
 
 @dataclass(frozen=True)
@@ -48,7 +56,7 @@ class Input:
     """
 
     name: str
-    unit: str = "V"
+    unit: str
     hold: Hold = "zero-order"
     limits: tuple[float, float] | None = None
 
@@ -275,6 +283,13 @@ class Experiment:
                     "use stencil, savgol or kalman",
                 )
             return self.v
+        if len(self) < _STENCIL_SAMPLES:
+            raise InputError(
+                self.name,
+                f"{len(self)} samples, too few to derive velocities from",
+                f"at least {_STENCIL_SAMPLES}",
+                "leave the record out",
+            )
         method: VelocityMethod = source
         return differentiate(self.q, self.dt, method, self.resolution)
 

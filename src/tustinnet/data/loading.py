@@ -2,7 +2,7 @@
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,11 +12,13 @@ from jaxtyping import Float
 
 from tustinnet.data.card import Card, ColumnKey, FileCard
 from tustinnet.data.dataset import DataSet
+from tustinnet.data.declaration import declare, read_declaration
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.readers import NUMBERED, Column, Columns, frame_columns, read_columns
 from tustinnet.errors import InputError
 from tustinnet.signals import resampling
 
+_SAME_UNIT = 0.2  # a period this near to dt times a power of 1000 is in another unit
 _SAME_CLOCK = 1e-3  # relative; median intervals this near come from one clock
 _WHAT_IRREGULAR_OFFERS = 'set `irregular = "resample"` (onto a grid) or "keep" under [time]'
 
@@ -61,19 +63,24 @@ def _with_common_period(experiments: list[Experiment], card: Card) -> tuple[Expe
 
 
 def from_frame(
-    frame: Any, card: Card | Mapping[str, Any], *, name: str = "frame", split: str | None = None
+    frame: Any,
+    card: Card | Mapping[str, Any] | str | Path,
+    *,
+    name: str = "frame",
+    split: str | None = None,
 ) -> Experiment:
     """One record from a pandas or polars data frame.
 
     Args:
         frame: the data frame; its columns are named in the card.
-        card: a data card, or the same as a mapping (`splits` is not needed).
+        card: a data card, its file, or the same as a mapping (`splits` is not needed).
         name: what the record is called.
         split: `train`, `validation`, `test` or None.
     """
-    from tustinnet.data.declaration import declare
-
-    declared = card if isinstance(card, Card) else declare({"name": name, **card}, Card, name)
+    if isinstance(card, str | Path):
+        declared = read_declaration(Path(card), Card)
+    else:
+        declared = card if isinstance(card, Card) else declare({"name": name, **card}, Card, name)
     return _experiment(frame_columns(frame, name), declared, name, split=split)
 
 
@@ -104,6 +111,13 @@ def _expand(folder: Path, split: str, entries: list[FileCard], card: Card) -> li
 
 def _named(entries: list[tuple[str, FileCard]]) -> list[tuple[str, FileCard]]:
     """Names records after their files; by folder too, and by rows, where that would be doubled."""
+    seen: dict[tuple[str, object], str] = {}
+    for split, entry in entries:
+        before = seen.setdefault((entry.file, entry.rows), split)
+        if before is not split:
+            raise InputError(
+                entry.file, f"listed in the splits {before} and {split}", "one split a file"
+            )
     stems = [Path(entry.file).stem for _, entry in entries]
     files = [entry.file for _, entry in entries]
     named = []
@@ -174,7 +188,7 @@ def _experiment(
         if coordinate.kind == "angular" and coordinate.unwrap:
             q[:, j], jumps = resampling.unwrap_angle(q[:, j])
             if len(jumps):
-                notes.append(f"{coordinate.name}: unwrapped at {len(jumps)} samples")
+                notes.append(f"{coordinate.name}: unwrapped ({len(jumps)} jumps)")
     t, dt = _times(pick, card, len(q), where)
     experiment = Experiment(
         name=name, t=t, q=q, u=u, v=v, v_measured=measured, dt=dt, notes=tuple(notes),
@@ -189,6 +203,10 @@ class _Picker:
 
     def __init__(self, columns: Columns, where: object, rows: tuple[int, int] | None) -> None:
         self.columns, self.where, self.rows = columns, where, rows
+
+    def place(self, sample: int) -> str:
+        """Where a sample stands in the file."""
+        return f"{self.where}, {self.columns.place(sample + (self.rows[0] if self.rows else 0))}"
 
     def stack(
         self, keys: list[ColumnKey], like: Float[np.ndarray, "n q"] | None = None
@@ -216,12 +234,8 @@ class _Picker:
             name = key
         else:
             shown = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
-            unnamed = names and names[0].startswith(NUMBERED)
             raise InputError(
-                self.where,
-                f"no column '{key}'",
-                f"one of: {shown}",
-                "without a header (`header = false`) columns go by number" if unnamed else "",
+                self.where, f"no column '{key}'", f"one of: {shown}", _header_hint(names)
             )
         column = self.columns[name]
         if self.rows is not None:
@@ -234,12 +248,23 @@ class _Picker:
         bad = np.flatnonzero(~np.isfinite(column))
         if len(bad):
             raise InputError(
-                f"{self.where}, sample {bad[0]} (counted from 0), {name}",
+                f"{self.place(int(bad[0]))}, {name}",
                 f"{column[bad[0]]} ({len(bad)} such)",
                 "a finite number",
                 "repair or leave out these rows",
             )
         return column
+
+
+def _header_hint(names: Sequence[str]) -> str:
+    """What may be wrong with the layout of a text file, judged by its column names."""
+    if names[0].startswith(NUMBERED):
+        return "without a header (`header = false`) columns go by number"
+    if len(names) == 1 and any(mark in names[0] for mark in ";\t"):
+        return "set `delimiter` under [format]"
+    if all(re.fullmatch(r"[-+]?[\d.]+([eE][-+]?\d+)?", name) for name in names):
+        return "if the file has no header, set `header = false` under [format]"
+    return ""
 
 
 def _velocities(pick: _Picker, card: Card) -> tuple[Float[np.ndarray, "n n_q"] | None, bool]:
@@ -270,7 +295,7 @@ def _times(
         row = int(bad[0]) + 1
         kind = "repeats" if t[row] == t[row - 1] else "goes back from"
         raise InputError(
-            f"{where}, sample {row} (counted from 0), column {card.time.column}",
+            f"{pick.place(row)}, column {card.time.column}",
             f"time {t[row]:g} s {kind} {t[row - 1]:g} s",
             "strictly increasing timestamps",
             "remove duplicate or misplaced rows",
@@ -290,18 +315,23 @@ def _judge_times(e: Experiment, card: Card, where: object) -> Experiment:
         f"interval of {interval:.4g} s before sample {found.worst_row} "
         f"(median {found.median_dt:.4g} s)"
     )
+    ratio = found.median_dt / e.dt
+    if card.time.irregular != "resample" and abs(ratio - 1) > card.time.tolerance:
+        power = round(np.log10(ratio) / 3)
+        another_unit = power != 0 and abs(ratio / 1000.0**power - 1) < _SAME_UNIT
+        raise InputError(
+            where,
+            f"median interval {found.median_dt:.4g} s",
+            f"{e.dt:g} s as in the card",
+            f"check `unit` under [time] (a factor of 1000^{power})"
+            if another_unit
+            else 'correct `dt`, or set `irregular = "resample"` under [time]',
+        )
     if card.time.irregular == "refuse":
         raise InputError(
             where, told, f"{e.dt:g} s within {card.time.tolerance:.0%}", _WHAT_IRREGULAR_OFFERS
         )
     if card.time.irregular == "keep":
-        if abs(found.median_dt / e.dt - 1) > card.time.tolerance:
-            raise InputError(
-                where,
-                f"median period {found.median_dt:.4g} s",
-                f"the nominal {e.dt:g} s",
-                'correct `dt`, or set `irregular = "resample"` under [time]',
-            )
         return replace(e, notes=(*e.notes, f"irregular times kept as recorded: {told}"))
     gridded = e.resample(e.dt)
     gaps = len(gridded.recording.gaps) if gridded.recording else 0

@@ -25,8 +25,21 @@ class Columns:
         names: what the columns are called.
     """
 
-    def __init__(self, names: Sequence[str], convert: Callable[[str], Column]) -> None:
-        self.names, self._convert = tuple(names), convert
+    def __init__(
+        self,
+        names: Sequence[str],
+        convert: Callable[[str], Column],
+        rows: Sequence[int] | None = None,
+    ) -> None:
+        self.names, self._convert, self._rows = tuple(names), convert, rows
+
+    def place(self, sample: int) -> str:
+        """Where a sample stands: the row of a text file, else its number."""
+        return (
+            f"sample {sample} (counted from 0)"
+            if self._rows is None
+            else (f"row {self._rows[sample]}")
+        )
 
     def __getitem__(self, name: str) -> Column:
         return self._convert(name)
@@ -152,7 +165,7 @@ def _read_text(path: Path, header: bool, delimiter: str) -> Columns:
             )
         return numbers.to_numpy()
 
-    return Columns(names, convert)
+    return Columns(names, convert, rows)
 
 
 def _ragged(lines: list[tuple[int, str]], delimiter: str) -> str | None:

@@ -52,13 +52,13 @@ def require_float64(what: str) -> None:
 
 
 def free_run(
-    model: DiscreteModel, experiments: Sequence[Experiment], start: str
+    model: DiscreteModel, experiments: Sequence[Experiment] | Experiment, start: str
 ) -> list[Float[np.ndarray, "n n_x"]]:
     """Simulates records in double precision, each from its start with only its input.
 
     Args:
         model: the model.
-        experiments: records of any lengths.
+        experiments: records of any lengths, or one.
         start: a name that `initial_state` knows.
 
     Returns:
@@ -68,6 +68,8 @@ def free_run(
         InputError: other coordinates, inputs or period than the model's; float64 is off.
     """
     require_float64("free_run")
+    if isinstance(experiments, Experiment):
+        experiments = [experiments]
     for experiment in experiments:
         require_fit(model, experiment)
     x0, u = (jnp.asarray(a) for a in stack_starts(experiments, start))
@@ -94,12 +96,14 @@ def _rollouts(
     return jax.vmap(lambda x, v: rollout(model, x, v))(x0, u)
 
 
-def evaluate(model: DiscreteModel, experiments: Sequence[Experiment], start: str) -> list[Score]:
+def evaluate(
+    model: DiscreteModel, experiments: Sequence[Experiment] | Experiment, start: str
+) -> list[Score]:
     """Scores the free runs of records.
 
     Args:
         model: the model.
-        experiments: records of any lengths.
+        experiments: records of any lengths, or one.
         start: where the free runs start, a name that `initial_state` knows.
 
     Returns:
@@ -109,6 +113,8 @@ def evaluate(model: DiscreteModel, experiments: Sequence[Experiment], start: str
     Raises:
         InputError: other coordinates, inputs or period than the model's; float64 is off.
     """
+    if isinstance(experiments, Experiment):
+        experiments = [experiments]
     scores = []
     for e, x in zip(experiments, free_run(model, experiments, start), strict=True):
         q = x[:, : e.q.shape[1]]
@@ -146,32 +152,33 @@ def rmse_ahead(
     horizon: int,
     velocity: VelocitySource = "auto",
 ) -> Float[np.ndarray, " horizon"]:
-    """k-step-ahead RMSE against k: from every sample of every record, k = 1..horizon.
+    """k-step-ahead RMSE against k, for every k from every sample that has k samples after it.
 
     Args:
         model: the model.
-        experiments: the records; those of at most `horizon` samples are left out.
-        horizon: largest k.
+        experiments: the records.
+        horizon: largest k, less than the longest record's length.
         velocity: where the velocities at the starting samples come from.
 
     Returns:
         RMSE of the positions' 2-norm for k = 1..horizon [rad or m].
     """
     require_float64("rmse_ahead")
-    usable = [e for e in experiments if len(e) > horizon]
-    if not usable or horizon < 1:
-        raise InputError(
-            "horizon", f"{horizon} steps", f"1 to {max(len(e) for e in experiments) - 1}"
-        )
-    squares, count = np.zeros(horizon), 0
+    longest = max(len(e) for e in experiments)
+    if not 1 <= horizon < longest:
+        raise InputError("horizon", f"{horizon} steps", f"1 to {longest - 1}")
+    squares, count = np.zeros(horizon), np.zeros(horizon)
     evaluated = with_dtype(model, np.float64).folded()
-    for e in usable:
+    for e in experiments:
         require_fit(model, e)
-        begin = np.arange(len(e) - horizon)
-        x0 = np.concatenate([e.q, e.velocities(velocity)], axis=1)[begin]
-        ahead = begin[:, None] + np.arange(horizon)
-        runs = np.asarray(_rollouts(evaluated, jnp.asarray(x0), jnp.asarray(e.held_inputs[ahead])))
-        error = runs[:, 1:, : e.q.shape[1]] - e.q[ahead + 1]
-        squares += np.sum(error**2, axis=(0, 2))
-        count += len(begin)
+        reach = min(horizon, len(e) - 1)
+        states = np.concatenate([e.q, e.velocities(velocity)], axis=1)[:-1]
+        index = np.arange(len(e) - 1)[:, None] + np.arange(reach)
+        inside = index < len(e) - 1
+        index = np.minimum(index, len(e) - 2)  # beyond the end any input will do
+        u = jnp.asarray(e.held_inputs[index])
+        runs = np.asarray(_rollouts(evaluated, jnp.asarray(states), u))
+        error = np.sum((runs[:, 1:, : e.q.shape[1]] - e.q[index + 1]) ** 2, axis=2)
+        squares[:reach] += np.sum(np.where(inside, error, 0.0), axis=0)
+        count[:reach] += np.sum(inside, axis=0)
     return np.sqrt(squares / count)

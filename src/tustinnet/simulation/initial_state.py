@@ -34,7 +34,9 @@ def initial_state(experiment: Experiment, start: str) -> Float[np.ndarray, " n_x
         return np.concatenate([experiment.q[0], experiment.v[0]])
     match = re.fullmatch(r"derived-(\d+)", start)
     if not match:
-        raise InputError("start", f"unknown start '{start}'", "'file' or 'derived-6'")
+        raise InputError(
+            "start", f"unknown start '{start}'", "'file' or 'derived-N', such as derived-6"
+        )
     samples = int(match[1])
     if not 3 <= samples <= len(experiment):
         raise InputError(

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from tustinnet.errors import InputError
 from tustinnet.models.base import DiscreteModel, InputVector, State
 
 # steps a turn of the loop: fewer turns, a little more to compile
@@ -26,11 +27,18 @@ def rollout(
     Returns:
         (steps + 1, n_x); the first row is `x0`.
     """
+    start, inputs = jnp.asarray(x0), jnp.asarray(u)
+    n_x, n_u = 2 * len(model.coordinates), len(model.inputs)
+    if start.shape != (n_x,) or inputs.ndim != 2 or inputs.shape[1] != n_u:
+        raise InputError(
+            "rollout",
+            f"x0 of shape {start.shape} and u of shape {inputs.shape}",
+            f"({n_x},) and (steps, {n_u})",
+        )
 
     def advance(x: State, u_k: InputVector) -> tuple[State, State]:
         following = model.step(x, u_k)
         return following, following
 
-    start = jnp.asarray(x0)
-    _, following = jax.lax.scan(advance, start, jnp.asarray(u), unroll=_UNROLL)
+    _, following = jax.lax.scan(advance, start, inputs, unroll=_UNROLL)
     return jnp.concatenate([start[None], following])

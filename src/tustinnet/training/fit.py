@@ -50,6 +50,7 @@ class FitResult:
         windows: windows in each stage.
         window_lengths: steps in a window of each stage.
         epochs: epochs done in each stage.
+        kept_epoch: the epoch of the last stage whose weights the model has, 0 for none.
     """
 
     model: DiscreteModel
@@ -62,6 +63,7 @@ class FitResult:
     windows: tuple[int, ...]
     window_lengths: tuple[int, ...]
     epochs: tuple[int, ...]
+    kept_epoch: int
 
     @property
     def finished(self) -> bool:
@@ -107,6 +109,13 @@ def plan(data: DataSet, recipe: Recipe | str | Path, seed: int) -> Plan:
     Raises:
         InputError: records too short for a window, no training split, a recipe that does not fit.
     """
+    if not isinstance(data, DataSet):
+        raise InputError(
+            "data",
+            f"a {type(data).__name__}",
+            "a DataSet",
+            "use tn.load(folder) or tn.DataSet(name, experiments)",
+        )
     recipe = recipe if isinstance(recipe, Recipe) else read_recipe(recipe)
     train_set = list(data.split("train") if data.splits else data)
     held = list(data.split("validation")) if "validation" in data.splits else []
@@ -182,6 +191,7 @@ def run_plan(
         windows=tuple(len(s.windows.rows) for s in prepared.stages),
         window_lengths=tuple(s.windows.length for s in prepared.stages),
         epochs=(*done, progress.epoch),
+        kept_epoch=progress.best_epoch,
     )
 
 

@@ -16,7 +16,7 @@ from tustinnet.signals.windows import random_windows, strided_windows
 from tustinnet.training.recipe import WindowRecipe
 
 _LONGEST = 4  # an adapted window is at most this many times the recipe's length
-_SHORTEST_SHARE = 4  # and at most the shortest record over this
+_USUAL_SHARE = 4  # and at most the median record over this
 _ROUND = 5  # adapted lengths are multiples of this
 
 
@@ -152,13 +152,14 @@ def adapted_length(experiments: Sequence[Experiment], length: int) -> int:
     The faster a log is sampled compared to the motion, the less happens in a window. The length
     grows, up to four times, towards the samples in which the slowest coordinate covers one
     standard deviation of its positions at its typical speed; and shrinks to a quarter of the
-    shortest record.
+    median record.
     """
     q = np.concatenate([e.q - e.q.mean(axis=0) for e in experiments])
     v = np.concatenate([e.velocities() for e in experiments])
     moving = v.std(axis=0) > 0
     covered = q.std(axis=0)[moving] / (v.std(axis=0)[moving] * experiments[0].dt)
     slowest = float(covered.max()) if moving.any() else float(length)
-    longest = min(_LONGEST * length, min(len(e) for e in experiments) // _SHORTEST_SHARE)
+    usual = int(np.median([len(e) for e in experiments]))
+    longest = min(_LONGEST * length, usual // _USUAL_SHARE)
     wanted = min(max(length, slowest), longest)
     return max(_ROUND, int(wanted) // _ROUND * _ROUND)
