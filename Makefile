@@ -5,7 +5,15 @@ OUT ?= results/reproduce
 SEEDS ?= 1
 BIN := .venv/bin
 
-.PHONY: reproduce test check clean
+.DEFAULT_GOAL := help
+.PHONY: help install reproduce test check clean
+
+help:
+	@echo "make install     the package and its command in .venv"
+	@echo "make reproduce   the paper's results (DATA=FOLDER OUT=$(OUT) SEEDS=$(SEEDS))"
+	@echo "make test        linter, type checker, layers, tests"
+
+install: .venv/installed
 
 reproduce: .venv/installed
 	$(BIN)/tustinnet reproduce --data $(DATA) --out $(OUT) --seeds $(SEEDS)

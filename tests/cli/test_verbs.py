@@ -52,7 +52,7 @@ def test_inspect_prints_tables(folder, capsys):
     assert code == 0
     assert "fall1" in out
     assert "0.00153398" in out  # 2 pi / 4096
-    assert "recorded [ms]" in out
+    assert "log [ms]" in out
 
 
 def test_inspect_as_json_with_a_figure(folder, tmp_path, capsys):
@@ -118,9 +118,42 @@ def test_simulate_writes_the_free_runs(model, folder, tmp_path, capsys):
     told = json.loads(out)
     assert told["start"] == "derived-6"
     table = pl.read_csv(out_folder / "fall3.csv")
-    assert table.columns == ["time", "torque", "angle", "angle_dot"]
+    assert table.columns == ["time", "torque", "angle", "angle_dot", "angle_measured"]
     assert len(table) == 200
     assert {s["experiment"] for s in told["simulations"]} == {"fall3", "noise2"}
+
+
+def test_simulate_never_replaces_records_and_asks_before_replacing_other_files(
+    model, folder, tmp_path, capsys
+):
+    before = {p.name: p.read_bytes() for p in folder.iterdir()}
+    code, _, err = tustinnet(capsys, "simulate", model, folder, "--out", folder, "--overwrite")
+    assert code == 1
+    assert "a record of the data set" in err
+    assert {p.name: p.read_bytes() for p in folder.iterdir()} == before
+    command = ("simulate", model, folder, "--out", tmp_path / "sim", "--experiment", "fall3")
+    assert tustinnet(capsys, *command)[0] == 0
+    code, _, err = tustinnet(capsys, *command)
+    assert code == 1
+    assert "add --overwrite" in err
+    assert tustinnet(capsys, *command, "--overwrite")[0] == 0
+
+
+def test_fit_does_not_write_among_the_records(folder, small_recipe, capsys):
+    code, _, err = tustinnet(capsys, "fit", folder, "--recipe", small_recipe, "--out", folder)
+    assert code == 1
+    assert "the folder of the data" in err
+    assert not list(folder.glob("seed-*"))
+
+
+def test_fit_says_what_looks_wrong_in_the_records(folder, small_recipe, tmp_path, capsys):
+    card = folder / "dataset.toml"
+    card.write_text(card.read_text().replace("4096", "3000"))
+    code, _, err = tustinnet(
+        capsys, "fit", folder, "--recipe", small_recipe, "--out", tmp_path / "r", "--quiet"
+    )
+    assert code == 0
+    assert "suspicious: angle: encoder count 0.001534 rad found, 0.0020944 rad declared" in err
 
 
 def test_evaluate_prints_the_scores_with_their_start(model, folder, capsys):
@@ -139,6 +172,7 @@ def test_evaluate_as_json_with_steps_ahead_and_figures(model, folder, tmp_path, 
     told = json.loads(out)
     assert len(told["experiments"]) == 5
     assert len(told["ahead"]["rmse"]) == 20
+    assert set(told["means"]) == {"train", "validation"}
     assert told["ahead"]["rmse"][0] < told["ahead"]["rmse"][-1]
     assert (tmp_path / "f" / "ahead.png").is_file()
 
@@ -146,6 +180,6 @@ def test_evaluate_as_json_with_steps_ahead_and_figures(model, folder, tmp_path, 
 def test_show_prints_the_header(model, capsys):
     code, out, _ = tustinnet(capsys, "show", model)
     assert code == 0
-    for word in ("angle (angular)", "torque [N m, zero-order]", "small, seed", "derived-6"):
+    for word in ("angle (angular)", "torque [N m, zero-order]", "small, seed", "derived-6", "kept"):
         assert word in out
     assert json.loads(tustinnet(capsys, "show", model, "--json")[1])["kind"] == "tustin-net"

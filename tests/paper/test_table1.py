@@ -40,7 +40,7 @@ def layout(tmp_path):
 def authors_rows(layout, split):
     return table1.build_rows(
         tn.load(layout), layout, ["authors"], split, 1, layout / "runs",
-        resume=False, tell=lambda name: lambda plan: lambda report: None,
+        overwrite=False, tell=lambda name: lambda plan: lambda report: None,
     )  # fmt: skip
 
 
@@ -156,7 +156,7 @@ def test_reproduce_writes_tables_and_figures_and_trains_on_no_test_record(
     assert not ended.value.code
     captured = capsys.readouterr()
     assert "scoring the test split" in captured.err
-    assert "not the published ones" in captured.err
+    assert "not as published" in captured.err
     content = json.loads((out / "table1.json").read_text())
     assert json.loads(captured.out) == content
     row = content["rows"][0]

@@ -47,19 +47,20 @@ def test_units_in_brackets_are_printed_as_they_are():
         assert text in out.getvalue()
 
 
-def test_figures_are_written_whole_or_not_at_all(pendulum, tmp_path):
+def test_figures_are_written_whole_or_not_at_all(pendulum, run_folder, tmp_path):
+    model = tn.load_model(run_folder / "model.safetensors")
     e = pendulum[0]
     run = np.column_stack([e.q, e.velocities()])
     run[200:] = np.inf  # a free run that diverged must not spoil the picture
     score = Score(e.name, "file", math.inf, (1.0,), (1.0,), (0.0,), run)
     lines = [
-        {"stage": "a", "loss": 1.0, "validation": None, "rate": 1e-3},
-        {"stage": "b", "loss": None, "validation": None, "rate": 1e-3},
+        {"stage": "a", "loss": 1.0, "best": 1.0, "validation": None, "rate": 1e-3},
+        {"stage": "b", "loss": None, "best": None, "validation": None, "rate": 1e-3},
     ]
     pictures = {
         "run.png": free_run_figure(e, {"model": score}),
         "training.svg": training_figure({0: lines, 1: lines}),
-        "ahead.pdf": ahead_figure({"model": np.array([0.1, 0.2])}, 0.02),
+        "ahead.pdf": ahead_figure({"model": np.array([0.1, 0.2])}, model),
         "records.png": inspection_figure(
             list(pendulum), [tn.inspect_experiment(x) for x in pendulum]
         ),

@@ -77,7 +77,7 @@ def read_checkpoint(path: Path, plan: Plan, belongs_to: str) -> tuple[Weights, P
             path,
             "the checkpoint belongs to another recipe, seed or data set",
             "the same as when it was written",
-            "start again without --resume in another folder",
+            "start anew with --overwrite, or in another folder",
         )
     content = header["progress"]
     progress = Progress(**{**content, "plateau": Plateau(**content["plateau"])})

@@ -85,6 +85,10 @@ def read_header(path: str | Path) -> dict[str, Any]:
 
 def read_file(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Header and arrays of a file of this package and of the given kind."""
+    if path.is_dir():
+        raise InputError(
+            path, "a folder", "a model file", f"did you mean {path / 'model.safetensors'}?"
+        )
     if not path.is_file():
         raise InputError(path, "no such file", "a model file (.safetensors)")
     try:

@@ -12,7 +12,11 @@ from tustinnet.data.experiment import Experiment
 def write_simulation(
     path: Path, experiment: Experiment, states: Float[np.ndarray, "n n_x"]
 ) -> None:
-    """Writes time, inputs, simulated positions and velocities of a record, SI units, header."""
+    """Writes time, inputs, simulated positions and velocities, measured positions of a record.
+
+    SI units; a header names the columns after the channels, `NAME_dot` for velocities and
+    `NAME_measured` for the record's positions.
+    """
     import polars as pl
 
     n_q = len(experiment.coordinates)
@@ -20,4 +24,7 @@ def write_simulation(
     columns |= {c.name: experiment.u[:, j] for j, c in enumerate(experiment.inputs)}
     columns |= {c.name: states[:, j] for j, c in enumerate(experiment.coordinates)}
     columns |= {f"{c.name}_dot": states[:, n_q + j] for j, c in enumerate(experiment.coordinates)}
+    columns |= {
+        f"{c.name}_measured": experiment.q[:, j] for j, c in enumerate(experiment.coordinates)
+    }
     write_atomically(path, pl.DataFrame(columns).write_csv())

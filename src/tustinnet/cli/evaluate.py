@@ -32,8 +32,8 @@ def evaluate(
     terminal.use_float64()
     from tustinnet.artifact.model_file import load_model
     from tustinnet.data.catalog import load
+    from tustinnet.evaluation.free_run import Score, mean_rmse, rmse_ahead
     from tustinnet.evaluation.free_run import evaluate as score_records
-    from tustinnet.evaluation.free_run import mean_rmse, rmse_ahead
     from tustinnet.simulation.initial_state import default_start
 
     judged = load_model(model)
@@ -41,6 +41,9 @@ def evaluate(
     records = list(loaded.split(split) if split else loaded)
     begin = start or default_start(records)
     scores = score_records(judged, records, begin)
+    by_split: dict[str, list[Score]] = {}
+    for e, score in zip(records, scores, strict=True):
+        by_split.setdefault(e.split or "all", []).append(score)
     errors = None if ahead is None else rmse_ahead(judged, records, ahead)
     if figures is not None:
         from tustinnet.report.figures import ahead_figure, free_run_figure, write_figure
@@ -48,27 +51,35 @@ def evaluate(
         for e, score in zip(records, scores, strict=True):
             write_figure(free_run_figure(e, {model.stem: score}), figures / f"{e.name}.png")
         if errors is not None:
-            write_figure(ahead_figure({model.stem: errors}, judged.dt), figures / "ahead.png")
+            write_figure(ahead_figure({model.stem: errors}, judged), figures / "ahead.png")
         terminal.messages().print(f"figures: {figures}")
     if json:
         content: dict[str, Any] = {
             "start": begin,
             "coordinates": [c.name for c in judged.coordinates],
-            "experiments": [_plain(score) for score in scores],
+            "experiments": [
+                {**_plain(score), "split": e.split}
+                for e, score in zip(records, scores, strict=True)
+            ],
             "mean": mean_rmse(scores),
+            "means": {name: mean_rmse(group) for name, group in by_split.items()},
         }
         if errors is not None:
             content["ahead"] = {"dt": judged.dt, "rmse": errors.tolist()}
         terminal.print_json(content)
         return
-    terminal.print_tables(_score_table(scores, judged.coordinates, begin))
+    terminal.print_tables(_score_table(by_split, judged.coordinates, begin))
     if errors is not None:
+        from tustinnet.data.experiment import position_unit
         from tustinnet.report.tables import Table, number
 
         marks = sorted({k for k in (1, 2, 5, 10, 20, 50, 100, 200, 500) if k < len(errors)})
         rows = [[str(k), f"{k * judged.dt:g}", number(errors[k - 1], 4)]
                 for k in [*marks, len(errors)]]  # fmt: skip
-        terminal.print_tables(Table(["k", "horizon [s]", "RMSE"], rows, title="k steps ahead"))
+        unit = position_unit(judged.coordinates)
+        terminal.print_tables(
+            Table(["k", "horizon [s]", f"RMSE [{unit}]"], rows, title="k steps ahead")
+        )
 
 
 def _plain(score: "Score") -> dict[str, Any]:
@@ -82,19 +93,25 @@ def _plain(score: "Score") -> dict[str, Any]:
 
 
 def _score_table(
-    scores: list["Score"], coordinates: tuple["Coordinate", ...], start: str
+    by_split: dict[str, list["Score"]], coordinates: tuple["Coordinate", ...], start: str
 ) -> "Table":
+    from tustinnet.data.experiment import position_unit
     from tustinnet.evaluation.free_run import mean_rmse
     from tustinnet.report.tables import Table, number
 
-    columns = ["record", "RMSE"]
+    columns = ["record", "split", f"RMSE [{position_unit(coordinates)}]"]
     for c in coordinates:
         columns += [f"{c.name} [{c.unit}]", "NRMSE", "fit [%]"]
     rows = []
-    for s in scores:
-        row = [s.experiment, number(s.rmse)]
-        for error, relative, percent in zip(s.coordinate_rmse, s.nrmse, s.fit_percent, strict=True):
-            row += [number(error), number(relative), number(percent, 1)]
-        rows.append(row)
-    rows.append(["mean", number(mean_rmse(scores)), *[""] * (3 * len(coordinates))])
+    for split, scores in by_split.items():
+        for s in scores:
+            row = [s.experiment, split, number(s.rmse)]
+            for error, relative, percent in zip(
+                s.coordinate_rmse, s.nrmse, s.fit_percent, strict=True
+            ):
+                row += [number(error), number(relative), number(percent, 1)]
+            rows.append(row)
+    # training records flatter a model: their mean stands apart from the others'
+    for split, scores in by_split.items():
+        rows.append(["mean", split, number(mean_rmse(scores)), *[""] * (3 * len(coordinates))])
     return Table(columns, rows, title=f"Free runs, start '{start}'")

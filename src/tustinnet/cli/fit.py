@@ -23,16 +23,16 @@ def fit(
     seed: Annotated[int, typer.Option(min=0, help="The first seed.")] = 0,
     card: options.Card = None,
     resume: options.Resume = False,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Discard an earlier run in --out.")
-    ] = False,
+    overwrite: options.Overwrite = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
     """Train a Tustin-Net; keeps model, log, checkpoints and figures in --out."""
     terminal.use_float64()
     from tustinnet.artifact.run import summary, train_runs
-    from tustinnet.data.catalog import load
+    from tustinnet.cli.inspect import suspicions
+    from tustinnet.data.catalog import load, locate
+    from tustinnet.errors import InputError
     from tustinnet.report.progress import TrainingProgress
     from tustinnet.training.recipe import read_recipe
 
@@ -44,7 +44,11 @@ def fit(
             "note: no validation split; the training loss chooses the best weights and the "
             "scores below are of the training records"
         )
-    with TrainingProgress(told, quiet=quiet) as progress:
+    for line in suspicions(loaded):
+        told.print(line)
+    if out.resolve() == locate(data, card)[0].resolve():
+        raise InputError(out, "the folder of the data", "another folder for the run")
+    with TrainingProgress(told, quiet=quiet) as progress, terminal.resumable(told, "--resume"):
         runs = train_runs(
             loaded, chosen, range(seed, seed + seeds), out,
             resume=resume, overwrite=overwrite, tell=progress.follow,
@@ -63,14 +67,17 @@ def fit(
 
 
 def _table(runs: "Runs") -> "Table":
+    from tustinnet.data.experiment import position_unit
     from tustinnet.report.tables import Table, number
 
+    unit = position_unit(runs.seeds[0].result.model.coordinates)
     rows = [
         [
             str(run.result.seed),
             number(run.mean),
             " + ".join(map(str, run.result.windows)),
             " + ".join(map(str, run.result.epochs)),
+            str(run.result.kept_epoch),
             f"{run.result.train_seconds:.0f}",
             run.result.outcome.split(":")[0],
         ]
@@ -79,12 +86,11 @@ def _table(runs: "Runs") -> "Table":
     if len(rows) > 1:
         spread = runs.spread()
         told = f"{spread['median']:.3f} ({spread['min']:.3f}..{spread['max']:.3f})"
-        rows.append(["median (range)", told, "", "", "", ""])
+        rows.append(["median (range)", told, "", "", "", "", ""])
     return Table(
-        ["seed", "mean RMSE", "windows", "epochs", "seconds", "outcome"],
+        ["seed", f"mean RMSE [{unit}]", "windows", "epochs", "kept", "seconds", "outcome"],
         rows,
-        title=f"{runs.seeds[0].result.recipe.name}: free runs of the {runs.judged} records, "
-        f"start '{runs.start}'",
+        title=f"{runs.seeds[0].result.recipe.name}, {runs.judged} free runs, start '{runs.start}'",
     )
 
 

@@ -1,5 +1,6 @@
 """`tustinnet inspect`: what the records hold, before anything is fitted."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -8,6 +9,7 @@ import typer
 from tustinnet.cli import options, terminal
 
 if TYPE_CHECKING:
+    from tustinnet.data.experiment import Experiment
     from tustinnet.data.inspection import ExperimentReport
     from tustinnet.report.tables import Table
 
@@ -41,17 +43,43 @@ def inspect(
         )
         return
     terminal.print_tables(_time_table(reports), _channel_table(reports))
-    remarks = _remarks(reports)
-    for line in remarks:
+    for line in _lines((r.name, text) for r in reports for text in r.suspicious):
         typer.echo(line)
+    for name, text in ((r.name, text) for r in reports for text in r.notes):
+        if "jitter" not in text:  # the table has it
+            typer.echo(f"note: {name}: {text}")
+
+
+def suspicions(records: Iterable["Experiment"]) -> list[str]:
+    """What looks wrong in records, a line each, told once where many share it."""
+    from tustinnet.data.inspection import inspect_experiment
+
+    return _lines((r.name, text) for r in map(inspect_experiment, records) for text in r.suspicious)
+
+
+def _lines(remarks: Iterable[tuple[str, str]]) -> list[str]:
+    by_text: dict[str, list[str]] = {}
+    for name, text in remarks:
+        by_text.setdefault(text, []).append(name)
+    return [f"suspicious: {text}  [{', '.join(names)}]" for text, names in sorted(by_text.items())]
 
 
 def _time_table(reports: list["ExperimentReport"]) -> "Table":
     from tustinnet.report.tables import Table
 
-    columns = ["record", "split", "samples", "s", "dt [ms]", "recorded [ms]", "jitter [us]", "gaps"]
     return Table(
-        [*columns, "at rest", "k_bar"],
+        [
+            "record",
+            "split",
+            "n",
+            "s",
+            "dt [ms]",
+            "log [ms]",
+            "jitter [us]",
+            "gaps",
+            "rest",
+            "k_bar",
+        ],
         [
             [
                 r.name,
@@ -67,38 +95,28 @@ def _time_table(reports: list["ExperimentReport"]) -> "Table":
             ]
             for r in reports
         ],
-        title="Time and transients",
+        title="Time: period on the grid and in the log, share at rest, end of the transient",
     )
 
 
 def _channel_table(reports: list["ExperimentReport"]) -> "Table":
     from tustinnet.report.tables import Table
 
-    first = reports[0]
-    columns = ["record"]
-    for c in first.coordinates:
-        columns += [f"{c.name} range", f"{c.name} count"]
-    for i in first.inputs:
-        columns += [f"{i.name} rms", "90 % below [Hz]", "saturated"]
     rows = []
     for r in reports:
-        row = [r.name]
         for c in r.coordinates:
-            row += [f"{c.range[0]:.3g}..{c.range[1]:.3g}", f"{c.count:.6g}" if c.count else "–"]
+            count = f"{c.count:.6g}" if c.count else "–"
+            rows.append([r.name, c.name, _range(c.range), count, "", "", ""])
         for i in r.inputs:
             band = "–" if i.bandwidth is None else f"{i.bandwidth:.3g}"
-            row += [f"{i.rms:.3g}", band, f"{i.saturated:.1%}"]
-        rows.append(row)
-    return Table(columns, rows, title="Coordinates and inputs (rad or m; inputs in their unit)")
+            size = [f"{i.rms:.3g}", band, f"{i.saturated:.1%}"]
+            rows.append([r.name, i.name, _range(i.range), "", *size])
+    return Table(
+        ["record", "channel", "range", "count", "rms", "90 % below [Hz]", "saturated"],
+        rows,
+        title="Channels: rad or m, inputs in their unit",
+    )
 
 
-def _remarks(reports: list["ExperimentReport"]) -> list[str]:
-    """Remarks, those that many records share told once."""
-    by_text: dict[str, list[str]] = {}
-    for r in reports:
-        for text in r.suspicious:
-            by_text.setdefault(f"suspicious: {text}", []).append(r.name)
-        for text in r.notes:
-            if "jitter" not in text:  # the table has it
-                by_text.setdefault(f"note: {text}", []).append(r.name)
-    return [f"{text}  [{', '.join(names)}]" for text, names in sorted(by_text.items())]
+def _range(limits: tuple[float, float]) -> str:
+    return f"{limits[0]:.3g} .. {limits[1]:.3g}"

@@ -30,4 +30,7 @@ Start = Annotated[
     ),
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on from the checkpoints in --out.")]
+Overwrite = Annotated[
+    bool, typer.Option("--overwrite", help="Replace what is there already in --out.")
+]
 Seeds = Annotated[int, typer.Option(min=1, metavar="K", help="How many seeds to train.")]

@@ -50,20 +50,31 @@ def reproduce(
     experiment: Annotated[
         str | None, typer.Option(metavar="NAME", help="Record of the figures.")
     ] = None,
-    resume: options.Resume = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Train anew instead of going on in --out.")
+    ] = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Reproduce the neural rows of Table 1 and the free-run figures of the paper."""
+    """Reproduce the neural rows of Table 1 and the free-run figures of the paper.
+
+    Trainings that are in --out already are gone on with, finished ones are taken as they are.
+    """
     terminal.use_float64()
     from tustinnet.artifact.files import require_writable_folder, to_json, write_atomically
     from tustinnet.data.catalog import QUBE_SERVO2, locate
     from tustinnet.data.loading import load_folder
+    from tustinnet.errors import InputError
     from tustinnet.paper import figures, table1
     from tustinnet.report.progress import TrainingProgress
 
     told = terminal.messages()
     folder, card = locate(data)
+    if not QUBE_SERVO2.is_in(folder):
+        raise InputError(
+            folder, "not the Qube-Servo 2 data", "a folder with train/fall1Velocity.csv, ...",
+            "use `tustinnet fit` for your own records",
+        )  # fmt: skip
     records = load_folder(folder, card)
     scored = table1.choose_split(records, split)
     wanted = [name.strip() for names in models or [] for name in names.split(",") if name.strip()]
@@ -73,14 +84,19 @@ def reproduce(
     told.print(f"data: {folder}; scoring the {scored} split, start '{table1.START}'")
     differing = QUBE_SERVO2.differing(folder)
     if differing:
-        told.print(
-            f"warning: {len(differing)} files are not the published ones: {differing[0]}, ..."
-        )
+        more = f" and {len(differing) - 1} more" if len(differing) > 1 else ""
+        told.print(f"warning: not as published (checksums differ): {differing[0]}{more}")
     if remark:
         told.print(f"note: {remark}")
-    with TrainingProgress(told, quiet=quiet) as progress:
+    earlier = sorted(p.name for p in (out / "runs").glob("*"))
+    if earlier and not overwrite:
+        told.print(f"note: going on with the trainings in {out / 'runs'}; --overwrite trains anew")
+    with (
+        TrainingProgress(told, quiet=quiet) as progress,
+        terminal.resumable(told, "the same command"),
+    ):
         rows = table1.build_rows(
-            records, folder, chosen, scored, seeds, out / "runs", resume=resume,
+            records, folder, chosen, scored, seeds, out / "runs", overwrite=overwrite,
             tell=lambda name: lambda plan: progress.follow(plan, name),
             keep=None if keep is None else keep.value,
         )  # fmt: skip

@@ -39,8 +39,9 @@ def _lines(header: dict[str, Any]) -> list[tuple[str, str]]:
     ]  # fmt: skip
     if training:
         lines.append(("recipe", f"{header['recipe']['name']}, seed {training['seed']}"))
-        lines.append(("training", f"windows {training['windows']}, epochs {training['epochs']}, "
-                                  f"{training['outcome']}"))  # fmt: skip
+        told = f"windows {training['windows']}, epochs {training['epochs']}"
+        kept = f"epoch {training['kept_epoch']} kept, {training['outcome']}"
+        lines.append(("training", f"{told}, {kept}"))
     if data:
         lines.append(("data", f"{data['name']}, {len(data['records'])} records"))
     if scores:

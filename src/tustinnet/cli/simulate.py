@@ -18,14 +18,16 @@ def simulate(
     ] = None,
     start: options.Start = None,
     card: options.Card = None,
+    overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> None:
     """Simulate records from their start with only the input; one CSV file each."""
     terminal.use_float64()
-    from tustinnet.artifact.files import require_writable_folder
+    from tustinnet.artifact.files import require_new, require_writable_folder
     from tustinnet.artifact.model_file import load_model
     from tustinnet.artifact.simulation_file import write_simulation
-    from tustinnet.data.catalog import load
+    from tustinnet.data.catalog import load, locate
+    from tustinnet.errors import InputError
     from tustinnet.evaluation.free_run import evaluate
     from tustinnet.report.tables import Table, number
     from tustinnet.simulation.initial_state import default_start
@@ -37,10 +39,15 @@ def simulate(
         records = [loaded[name] for name in experiment]
     begin = start or default_start(records)
     scores = evaluate(simulator, records, begin)
+    paths = [out / f"{e.name}.csv" for e in records]
+    sources = {(locate(data, card)[0] / e.source).resolve() for e in loaded if e.source}
+    for path in paths:
+        if path.resolve() in sources:
+            raise InputError(path, "a record of the data set", "another folder than the data's")
+    require_new(paths, overwrite=overwrite)
     require_writable_folder(out)
     written = []
-    for e, score in zip(records, scores, strict=True):
-        path = out / f"{e.name}.csv"
+    for e, score, path in zip(records, scores, paths, strict=True):
         write_simulation(path, e, score.simulated)
         written.append({"experiment": e.name, "rmse": score.rmse, "file": str(path)})
     if json:

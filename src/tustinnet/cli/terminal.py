@@ -1,6 +1,8 @@
 """What every verb does with the terminal: messages, results, precision."""
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -34,6 +36,16 @@ def print_tables(*tables: "Table") -> None:
         console = Console(highlight=False, width=_PIPED_WIDTH)
     for table in tables:
         table.print(console)
+
+
+@contextmanager
+def resumable(console: "Console", remedy: str) -> Iterator[None]:
+    """Says how to go on when a training is interrupted; exit code 130 as is usual."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        console.print(f"interrupted; {remedy} goes on from the checkpoint")
+        raise SystemExit(130) from None
 
 
 def use_float64() -> None:

@@ -13,7 +13,11 @@ from tustinnet.signals import transients
 from tustinnet.signals.transients import RestThresholds
 
 _REST_SECONDS = 0.25  # slow for this long around a sample: near an equilibrium, not a turning point
-_STUCK_SHARE = 0.02  # share of samples at an extreme value from which an input is called saturated
+# an input of more than so many levels is called saturated when it is at an extreme one for this
+# share of the time, and three times as often as if all levels were equally frequent
+_FEW_LEVELS = 10
+_STUCK_SHARE = 0.02
+_OTHER_COUNT = 0.01  # relative; an encoder count this far from the declared one is another
 
 
 @dataclass(frozen=True)
@@ -185,10 +189,11 @@ def _saturated_share(u: Float[np.ndarray, " n"], limits: tuple[float, float] | N
     if limits is not None:
         return float(np.mean((u <= limits[0]) | (u >= limits[1])))
     # without limits: an input of many levels that sits on an extreme one was probably cut there
-    if len(np.unique(u)) <= 10:
+    levels = len(np.unique(u))
+    if levels <= _FEW_LEVELS:
         return 0.0
     share = float(np.mean((u == u.min()) | (u == u.max())))
-    return share if share > _STUCK_SHARE else 0.0
+    return share if share > max(_STUCK_SHARE, 3 * 2 / levels) else 0.0
 
 
 def _near_equilibrium(
@@ -208,8 +213,8 @@ def _suspicious(
     lead, trail = e.padded_rows
     if lead or trail:
         found.append(
-            f"velocity columns are zero in the first {lead} and last {trail} rows while the "
-            "positions move: padding, not measured"
+            f"velocity columns are padded with zero rows ({lead} at the beginning, {trail} at the "
+            "end): not measured"
         )
     for j, coordinate in enumerate(e.coordinates):
         if not np.ptp(e.q[:, j]):
@@ -221,13 +226,11 @@ def _suspicious(
         if len(spikes):
             found.append(f"{coordinate.name} jumps at sample {_first(spikes)}")
         declared, count = coordinate.resolution, recording.counts[j]
-        if declared and count and abs(count / declared - 1) > 0.01:
-            multiple = count / declared
-            if abs(multiple - round(multiple)) > 0.01:
-                found.append(
-                    f"{coordinate.name}: encoder count {count:.5g} {coordinate.unit} found, "
-                    f"{declared:.5g} declared"
-                )
+        if declared and count and abs(count / declared - 1) > _OTHER_COUNT:
+            found.append(
+                f"{coordinate.name}: encoder count {count:.5g} {coordinate.unit} found, "
+                f"{declared:.5g} {coordinate.unit} declared"
+            )
     real = slice(lead, len(e) - trail)
     if e.v is not None and real.stop > real.start:
         size = np.sqrt(np.mean(v[real] ** 2, axis=0))

@@ -113,7 +113,7 @@ def build_rows(
     seeds: int,
     runs_folder: Path,
     *,
-    resume: bool,
+    overwrite: bool,
     tell: Tell,
     keep: Criterion | None = None,
 ) -> list[Row]:
@@ -126,7 +126,7 @@ def build_rows(
         split: the split to score.
         seeds: trainings of each recipe, from seed 0 on.
         runs_folder: where trainings are kept.
-        resume: go on with trainings that are there.
+        overwrite: train anew instead of going on with trainings that are there.
         tell: given a model's name, who is told while it trains.
         keep: the criterion of the best weights, where it is not to be the recipe's.
     """
@@ -143,7 +143,7 @@ def build_rows(
         recipe = read_recipe(TRAINED[name])
         runs = train_runs(
             material, keeping(recipe, keep) if keep else recipe, range(seeds), runs_folder / name,
-            resume=resume, overwrite=not resume, tell=tell(name),
+            resume=True, overwrite=overwrite, tell=tell(name),
         )  # fmt: skip
         rows += [
             Row(

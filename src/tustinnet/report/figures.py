@@ -13,12 +13,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tustinnet.artifact.files import write_atomically
-from tustinnet.data.experiment import Experiment
+from tustinnet.data.experiment import Experiment, position_unit
 from tustinnet.data.inspection import ExperimentReport
 from tustinnet.errors import InputError
 from tustinnet.evaluation.free_run import Score
+from tustinnet.models.base import DiscreteModel
 
-MEASURED = "#1f4e79"
+MEASURED = "#111111"
+INPUT = "#5b7fa6"
 COLOURS = ("#c0392b", "#e08e0b", "#2e8b57", "#7d3c98", "#5d6d7e")
 _DASHES = ("-.", "--", ":", (0, (6, 1, 1, 1, 1, 1)), "--")
 _FORMATS = ("png", "svg", "pdf")
@@ -89,7 +91,9 @@ def free_run_figure(
         starts = sorted({score.start for score in runs.values()})
         panels[0].set_title(f"{experiment.name}: free run, start '{', '.join(starts)}'", loc="left")
         handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 3))
+        figure.legend(
+            handles, labels, loc="outside lower center", ncols=min(len(labels), 3), fontsize=8
+        )
         return figure
 
 
@@ -104,7 +108,7 @@ def _bounded(
 
 
 def training_figure(histories: Mapping[int, Sequence[Mapping[str, Any]]]) -> Figure:
-    """Loss, validation RMSE and rate against epochs, a line a seed, stages told apart.
+    """Loss, validation RMSE and rate against epochs, a line a seed; a dot at the kept epoch.
 
     Args:
         histories: the lines of the training log by seed.
@@ -118,6 +122,8 @@ def training_figure(histories: Mapping[int, Sequence[Mapping[str, Any]]]) -> Fig
                 values = np.array([e[key] for e in lines], dtype=float)  # None becomes NaN
                 colour = COLOURS[i % len(COLOURS)]
                 axes.plot(values, color=colour, linewidth=0.9, label=f"seed {seed}")
+                kept = _kept_epoch(lines)
+                axes.plot(kept, values[kept], "o", color=colour, markersize=5, clip_on=False)
             axes.set_ylabel(label)
             if any(np.isfinite(line.get_ydata()).any() for line in axes.lines):
                 axes.set_yscale("log")
@@ -129,20 +135,31 @@ def training_figure(histories: Mapping[int, Sequence[Mapping[str, Any]]]) -> Fig
         return figure
 
 
+def _kept_epoch(lines: Sequence[Mapping[str, Any]]) -> int:
+    """The line at which the last stage's best figure was last improved."""
+    begin = max(_stage_begins(lines), default=0)
+    best = [np.inf, *(np.inf if e["best"] is None else e["best"] for e in lines[begin:])]
+    falls = [k for k in range(1, len(best)) if best[k] < best[k - 1]]
+    return begin + (falls[-1] - 1 if falls else 0)
+
+
 def _stage_begins(lines: Sequence[Mapping[str, Any]]) -> list[int]:
     return [k for k in range(1, len(lines)) if lines[k]["stage"] != lines[k - 1]["stage"]]
 
 
-def ahead_figure(errors: Mapping[str, Float[np.ndarray, " horizon"]], dt: float) -> Figure:
-    """k-step-ahead RMSE against the horizon, a line a model."""
+def ahead_figure(
+    errors: Mapping[str, Float[np.ndarray, " horizon"]], model: DiscreteModel
+) -> Figure:
+    """k-step-ahead RMSE against the horizon, a line a label; `model` gives period and unit."""
     with house_style():
         figure = Figure(figsize=(5.0, 3.2), layout="constrained")
         axes = figure.subplots()
         for i, (label, rmse) in enumerate(errors.items()):
             steps = np.arange(1, len(rmse) + 1)
-            axes.loglog(steps * dt, rmse, color=COLOURS[i % len(COLOURS)], label=label)
+            axes.plot(steps * model.dt, rmse, color=COLOURS[i % len(COLOURS)], label=label)
         axes.set_xlabel("horizon [s]")
-        axes.set_ylabel("k-step-ahead RMSE")
+        axes.set_ylabel(f"k-step-ahead RMSE [{position_unit(model.coordinates)}]")
+        axes.set_ylim(bottom=0)
         axes.legend()
         return figure
 
@@ -167,7 +184,7 @@ def inspection_figure(
                     report.coordinates[j].resting,
                     report.coordinates[j].excursion_threshold,
                 )
-                if not report.forced:
+                if report.k_bar < len(e):
                     axes.axhspan(resting - reach, resting + reach, color="#2e8b57", alpha=0.18)
                 if report.k_bar < len(e):
                     axes.axvline(t[report.k_bar], color=COLOURS[0], linewidth=0.9)
@@ -180,19 +197,21 @@ def inspection_figure(
             panels[row, 0].set_ylabel(e.name, rotation=0, ha="right", va="center", fontsize=8)
         for axes in panels[-1]:
             axes.set_xlabel("time [s]")
-        figure.suptitle(
-            "red: k_bar (end of the transient); green: within the excursion threshold of rest",
-            fontsize=8,
-        )
+        if any(report.k_bar < len(e) for e, report in zip(experiments, reports, strict=True)):
+            figure.suptitle(
+                "red: k_bar, the end of the transient; green: excursions that count as rest",
+                fontsize=8,
+            )
         return figure
 
 
 def _input_panel(axes: Axes, e: Experiment, *, title: bool) -> None:
     for i, channel in enumerate(e.inputs):
         axes.plot(
-            e.t - e.t[0], e.u[:, i], linewidth=0.6, color=COLOURS[i % len(COLOURS)],
+            e.t - e.t[0], e.u[:, i], linewidth=0.6, color=(INPUT, *COLOURS)[i % 6],
             label=channel.name,
             drawstyle="steps-post" if channel.hold == "zero-order" else "default",
         )  # fmt: skip
     if title:
-        axes.set_title(", ".join(f"{c.name} [{c.unit}]" for c in e.inputs), fontsize=9)
+        axes.set_title(f"inputs [{', '.join(dict.fromkeys(c.unit for c in e.inputs))}]")
+        axes.legend(fontsize=7, loc="upper right")

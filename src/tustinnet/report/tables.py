@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.measure import Measurement
 from rich.table import Table as RichTable
 from rich.text import Text
 
@@ -37,10 +38,12 @@ class Table:
             padding=(0, 1),
         )
         for i, column in enumerate(self.columns):
-            drawn.add_column(Text(column), justify="left" if i == 0 else "right", overflow="fold")
+            drawn.add_column(Text(column), justify="left" if i == 0 else "right", no_wrap=True)
         for row in self.rows:
             drawn.add_row(*map(Text, row))  # Text: a unit in brackets is not markup
-        console.print(drawn)
+        # a terminal may wrap a line that is too long; a table must not cut what it says
+        needed = Measurement.get(console, console.options.update(max_width=10_000), drawn).maximum
+        console.print(drawn, width=max(console.width, needed), crop=False, soft_wrap=True)
 
     def markdown(self) -> str:
         """The table in Markdown."""
