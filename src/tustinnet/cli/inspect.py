@@ -43,25 +43,26 @@ def inspect(
         )
         return
     terminal.print_tables(_time_table(reports), _channel_table(reports))
-    for line in _lines((r.name, text) for r in reports for text in r.suspicious):
+    # the table has the jitter
+    notes = ((r.name, text) for r in reports for text in r.notes if "jitter" not in text)
+    suspicious = ((r.name, text) for r in reports for text in r.suspicious)
+    for line in (*_lines("suspicious", suspicious), *_lines("note", notes)):
         typer.echo(line)
-    for name, text in ((r.name, text) for r in reports for text in r.notes):
-        if "jitter" not in text:  # the table has it
-            typer.echo(f"note: {name}: {text}")
 
 
 def suspicions(records: Iterable["Experiment"]) -> list[str]:
     """What looks wrong in records, a line each, told once where many share it."""
     from tustinnet.data.inspection import inspect_experiment
 
-    return _lines((r.name, text) for r in map(inspect_experiment, records) for text in r.suspicious)
+    reports = map(inspect_experiment, records)
+    return _lines("suspicious", ((r.name, text) for r in reports for text in r.suspicious))
 
 
-def _lines(remarks: Iterable[tuple[str, str]]) -> list[str]:
+def _lines(kind: str, remarks: Iterable[tuple[str, str]]) -> list[str]:
     by_text: dict[str, list[str]] = {}
     for name, text in remarks:
         by_text.setdefault(text, []).append(name)
-    return [f"suspicious: {text}  [{', '.join(names)}]" for text, names in sorted(by_text.items())]
+    return [f"{kind}: {text}  [{', '.join(names)}]" for text, names in sorted(by_text.items())]
 
 
 def _time_table(reports: list["ExperimentReport"]) -> "Table":
@@ -119,4 +120,5 @@ def _channel_table(reports: list["ExperimentReport"]) -> "Table":
 
 
 def _range(limits: tuple[float, float]) -> str:
-    return f"{limits[0]:.3g} .. {limits[1]:.3g}"
+    low, high = (value + 0.0 for value in limits)  # no negative zeros
+    return f"{low:.3g} .. {high:.3g}"

@@ -214,4 +214,4 @@ def _input_panel(axes: Axes, e: Experiment, *, title: bool) -> None:
         )  # fmt: skip
     if title:
         axes.set_title(f"inputs [{', '.join(dict.fromkeys(c.unit for c in e.inputs))}]")
-        axes.legend(fontsize=7, loc="upper right")
+        axes.legend(fontsize=7, loc="upper right", frameon=True, framealpha=0.8)
