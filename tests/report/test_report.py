@@ -83,7 +83,7 @@ def test_progress_shows_loss_validation_rate_and_time_left(pendulum, small_recip
             told(EpochReport("first", 1, 0.5, 0.25, 1e-3, 0.25))
             told(EpochReport("second", 4, 0.4, 0.2, 5e-4, 0.2, "back to the last good state"))
         text = out.getvalue()
-        for word in ("loss 0.4", "validation 0.2000", "rate 0.0005", "back to the last good"):
+        for word in ("9/9", "loss 0.4", "rmse 0.200", "rate 5.0e-04", "back to the last good"):
             assert word in text, text
         assert ("\x1b[" in text) is terminal
         assert terminal or "s left" in text

@@ -12,6 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from tustinnet.training.fit import Plan
 from tustinnet.training.state import EpochReport
 
+_WIDE = 110  # columns of a terminal that leave room for a longer bar
 _LINE_EVERY = 15.0  # seconds between two lines where there is no terminal
 
 
@@ -29,10 +30,9 @@ class TrainingProgress(AbstractContextManager["TrainingProgress"]):
         if console.is_terminal and not quiet:
             self._bars = Progress(
                 TextColumn("{task.description}"),
-                BarColumn(),
-                TextColumn("{task.percentage:3.0f} %"),
+                BarColumn(bar_width=20 if console.width >= _WIDE else 4),
                 TextColumn("{task.fields[figures]}"),
-                TimeRemainingColumn(),
+                TimeRemainingColumn(compact=True),
                 console=console,
             )
 
@@ -53,10 +53,11 @@ class TrainingProgress(AbstractContextManager["TrainingProgress"]):
     def follow(self, plan: Plan, label: str = "") -> Callable[[EpochReport], None]:
         """Who is to be told after every epoch of a planned training."""
         work = {s.recipe.name: len(s.windows.rows) * s.windows.length for s in plan.stages}
-        before, total = {}, 0
+        before, total, epochs_before, epochs = {}, 0, {}, 0
         for stage in plan.stages:
-            before[stage.recipe.name] = total
+            before[stage.recipe.name], epochs_before[stage.recipe.name] = total, epochs
             total += stage.recipe.epochs * work[stage.recipe.name]
+            epochs += stage.recipe.epochs
         name = f"{label or plan.recipe.name}, seed {plan.seed}"
         task = self._bars.add_task(name, total=total, figures="compiling") if self._bars else None
         begun = last = time.monotonic()
@@ -68,9 +69,10 @@ class TrainingProgress(AbstractContextManager["TrainingProgress"]):
                 self._console.print(f"{name}: {report.event}", highlight=False)
             done = before[report.stage] + report.epoch * work[report.stage]
             first = done if first is None else first
+            epoch = epochs_before[report.stage] + report.epoch
             figures = (
-                f"{report.stage} {report.epoch}: loss {report.loss:.4g}, "
-                f"validation {report.validation:.4f}, rate {report.rate:.2g}"
+                f"{epoch}/{epochs} loss {report.loss:.3g} rmse {report.validation:.3f} "
+                f"rate {report.rate:.1e}"
             )
             if self._bars and task is not None:
                 self._bars.update(task, completed=done, description=name, figures=figures)
