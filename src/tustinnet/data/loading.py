@@ -323,7 +323,7 @@ def _judge_times(e: Experiment, card: Card, where: object) -> Experiment:
             where,
             f"median interval {found.median_dt:.4g} s",
             f"{e.dt:g} s as in the card",
-            f"check `unit` under [time] (a factor of 1000^{power})"
+            f"check `unit` under [time] (it is {1000.0**power:g} times dt)"
             if another_unit
             else 'correct `dt`, or set `irregular = "resample"` under [time]',
         )
