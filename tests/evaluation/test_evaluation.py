@@ -78,6 +78,15 @@ def test_one_step_ahead_matches_a_single_step(model, pendulum):
     assert errors[0] == pytest.approx(math.sqrt(np.mean(squares)), rel=1e-4)
 
 
+def test_steps_ahead_do_not_depend_on_how_they_are_divided(model, pendulum, monkeypatch):
+    from tustinnet.evaluation import free_run
+
+    whole = tn.rmse_ahead(model, list(pendulum), 250)
+    monkeypatch.setattr(free_run, "_STATES_AT_ONCE", 9_000)
+    np.testing.assert_allclose(tn.rmse_ahead(model, list(pendulum), 250), whole, rtol=1e-9)
+    np.testing.assert_allclose(tn.rmse_ahead(model, list(pendulum), 40), whole[:40], rtol=1e-9)
+
+
 def test_a_horizon_longer_than_every_record_is_refused(model, pendulum):
     with pytest.raises(tn.InputError, match="horizon"):
         tn.rmse_ahead(model, list(pendulum), 10_000)

@@ -26,6 +26,20 @@ def test_rollout_begins_with_x0_and_holds_u_k_from_k_to_k_plus_1():
     assert x[:, 0].tolist() == [1.0, 11.0, 111.0]
 
 
+@pytest.mark.parametrize("x0", [np.float32, np.float64])
+@pytest.mark.parametrize("u", [np.float32, np.float64])
+def test_any_mix_of_precisions_can_be_rolled_out(x0, u):
+    x = tn.rollout(Adder(), np.array([1, 0], x0), np.array([[10], [100]], u))
+    assert x[:, 0].tolist() == [1.0, 11.0, 111.0]
+
+
+def test_shapes_that_do_not_fit_are_refused():
+    with pytest.raises(
+        tn.InputError, match=r"u of shape \(2, 3\); expected \(2,\) and \(steps, 1\)"
+    ):
+        tn.rollout(Adder(), np.zeros(2), np.zeros((2, 3)))
+
+
 def parabola(samples: int = 30, **options) -> tn.Experiment:
     t = np.arange(samples) * 0.01
     return tn.from_arrays(

@@ -16,6 +16,8 @@ from tustinnet.models.base import DiscreteModel, require_fit, with_dtype
 from tustinnet.simulation.initial_state import initial_state
 from tustinnet.simulation.rollout import rollout
 
+_STATES_AT_ONCE = 2_000_000  # bounds the memory of k-step-ahead predictions
+
 
 @dataclass(frozen=True)
 class Score:
@@ -172,13 +174,14 @@ def rmse_ahead(
     for e in experiments:
         require_fit(model, e)
         reach = min(horizon, len(e) - 1)
-        states = np.concatenate([e.q, e.velocities(velocity)], axis=1)[:-1]
-        index = np.arange(len(e) - 1)[:, None] + np.arange(reach)
-        inside = index < len(e) - 1
-        index = np.minimum(index, len(e) - 2)  # beyond the end any input will do
-        u = jnp.asarray(e.held_inputs[index])
-        runs = np.asarray(_rollouts(evaluated, jnp.asarray(states), u))
-        error = np.sum((runs[:, 1:, : e.q.shape[1]] - e.q[index + 1]) ** 2, axis=2)
-        squares[:reach] += np.sum(np.where(inside, error, 0.0), axis=0)
-        count[:reach] += np.sum(inside, axis=0)
+        states = np.concatenate([e.q, e.velocities(velocity)], axis=1)
+        for begin in np.array_split(np.arange(len(e) - 1), 1 + len(e) * reach // _STATES_AT_ONCE):
+            index = begin[:, None] + np.arange(reach)
+            inside = index < len(e) - 1
+            index = np.minimum(index, len(e) - 2)  # beyond the end any input will do
+            u = jnp.asarray(e.held_inputs[index])
+            runs = np.asarray(_rollouts(evaluated, jnp.asarray(states[begin]), u))
+            error = np.sum((runs[:, 1:, : e.q.shape[1]] - e.q[index + 1]) ** 2, axis=2)
+            squares[:reach] += np.sum(np.where(inside, error, 0.0), axis=0)
+            count[:reach] += np.sum(inside, axis=0)
     return np.sqrt(squares / count)

@@ -1,5 +1,6 @@
 """The simulator."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -35,6 +36,10 @@ def rollout(
             f"x0 of shape {start.shape} and u of shape {inputs.shape}",
             f"({n_x},) and (steps, {n_u})",
         )
+
+    # a state keeps its precision from step to step: the widest of all that goes into it
+    arrays = [leaf for leaf in jax.tree.leaves(model) if eqx.is_inexact_array(leaf)]
+    start = start.astype(jnp.result_type(start, inputs, *arrays))
 
     def advance(x: State, u_k: InputVector) -> tuple[State, State]:
         following = model.step(x, u_k)
