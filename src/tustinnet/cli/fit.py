@@ -85,7 +85,8 @@ def _table(runs: "Runs") -> "Table":
     ]
     if len(rows) > 1:
         spread = runs.spread()
-        told = f"{spread['median']:.3f} ({spread['min']:.3f}..{spread['max']:.3f})"
+        low, high = number(spread["min"]), number(spread["max"])
+        told = f"{number(spread['median'])} ({low}..{high})"
         rows.append(["median (range)", told, "", "", "", "", ""])
     return Table(
         ["seed", f"mean RMSE [{unit}]", "windows", "epochs", "kept", "seconds", "outcome"],

@@ -211,7 +211,7 @@ def _medians(rows: Sequence[Row]) -> list[list[str]]:
             continue
         columns = zip(*[[s.rmse for s in row.scores] for row in group], strict=True)
         means = [row.mean for row in group]
-        told = f"{statistics.median(means):.3f} ({min(means):.3f}..{max(means):.3f})"
+        told = f"{number(statistics.median(means))} ({number(min(means))}..{number(max(means))})"
         cells = [number(statistics.median(column)) for column in columns]
         lines.append([f"{model}, median of {len(group)} seeds", *cells, told])
     return lines
