@@ -38,7 +38,7 @@ def test_the_readmes_program_runs_as_it_stands(folder, tmp_path, monkeypatch, ca
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     (program,) = re.findall(r"```python\n(.*?)```", readme, flags=re.S)
     assert len([line for line in program.splitlines() if line.strip()]) <= 10
-    recipe = tn.read_recipe("transfer").model_dump()
+    recipe = tn.read_recipe("standard").model_dump()
     for stage in recipe["stages"]:
         stage |= {"epochs": 2}
     quick = tn.Recipe.model_validate(recipe)  # as written, but two epochs a stage

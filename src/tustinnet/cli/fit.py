@@ -18,7 +18,7 @@ def fit(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the run is kept.")],
     recipe: Annotated[
         str, typer.Option(metavar="NAME", help="A packaged recipe, or a TOML file.")
-    ] = "transfer",
+    ] = "standard",
     seeds: options.Seeds = 1,
     seed: Annotated[int, typer.Option(min=0, help="The first seed.")] = 0,
     card: options.Card = None,

@@ -32,7 +32,7 @@ from tustinnet.training.material import (
 from tustinnet.training.recipe import Recipe, StageRecipe, read_recipe
 from tustinnet.training.state import SILENT, Listener, Progress, Stage, Weights
 
-DEFAULT_RECIPE = "transfer"
+DEFAULT_RECIPE = "standard"
 
 
 @dataclass(frozen=True)
