@@ -95,7 +95,7 @@ def read_file(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, np.ndarr
         with safetensors.safe_open(path, framework="numpy") as file:
             described = file.metadata() or {}
             # copied: a tensor may be a view into a mapping that is gone once the file is replaced
-            arrays = {name: np.array(file.get_tensor(name)) for name in file.keys()}  # noqa: SIM118
+            arrays = {name: np.array(file.get_tensor(name)) for name in file.keys()}  # noqa: SIM118 (not a dict)
     except (safetensors.SafetensorError, OSError) as error:
         raise InputError(
             path,

@@ -31,23 +31,26 @@ def fit(
     terminal.use_float64()
     from tustinnet.artifact.run import summary, train_runs
     from tustinnet.cli.inspect import suspicions
-    from tustinnet.data.catalog import load, locate
+    from tustinnet.data.catalog import locate
+    from tustinnet.data.inspection import inspect_experiment
+    from tustinnet.data.loading import load_folder
     from tustinnet.errors import InputError
     from tustinnet.report.progress import TrainingProgress
     from tustinnet.training.recipe import read_recipe
 
     chosen = read_recipe(recipe)
-    loaded = load(data, card)
+    folder, declared = locate(data, card)
+    if out.resolve() == folder.resolve():
+        raise InputError(out, "the folder of the data", "another folder for the run")
+    loaded = load_folder(folder, declared)
     told = terminal.messages()
     if "validation" not in loaded.splits:
         told.print(
             "note: no validation split; the training loss chooses the best weights and the "
             "scores below are of the training records"
         )
-    for line in suspicions(loaded):
+    for line in suspicions(map(inspect_experiment, loaded)):
         told.print(line)
-    if out.resolve() == locate(data, card)[0].resolve():
-        raise InputError(out, "the folder of the data", "another folder for the run")
     with TrainingProgress(told, quiet=quiet) as progress, terminal.resumable(told, "--resume"):
         runs = train_runs(
             loaded, chosen, range(seed, seed + seeds), out,

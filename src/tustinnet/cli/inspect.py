@@ -9,7 +9,6 @@ import typer
 from tustinnet.cli import options, terminal
 
 if TYPE_CHECKING:
-    from tustinnet.data.experiment import Experiment
     from tustinnet.data.inspection import ExperimentReport
     from tustinnet.report.tables import Table
 
@@ -45,16 +44,12 @@ def inspect(
     terminal.print_tables(_time_table(reports), _channel_table(reports))
     # the table has the jitter
     notes = ((r.name, text) for r in reports for text in r.notes if "jitter" not in text)
-    suspicious = ((r.name, text) for r in reports for text in r.suspicious)
-    for line in (*_lines("suspicious", suspicious), *_lines("note", notes)):
+    for line in (*suspicions(reports), *_lines("note", notes)):
         typer.echo(line)
 
 
-def suspicions(records: Iterable["Experiment"]) -> list[str]:
+def suspicions(reports: Iterable["ExperimentReport"]) -> list[str]:
     """What looks wrong in records, a line each, told once where many share it."""
-    from tustinnet.data.inspection import inspect_experiment
-
-    reports = map(inspect_experiment, records)
     return _lines("suspicious", ((r.name, text) for r in reports for text in r.suspicious))
 
 

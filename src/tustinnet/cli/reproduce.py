@@ -88,8 +88,7 @@ def reproduce(
         told.print(f"warning: not as published (checksums differ): {differing[0]}{more}")
     if remark:
         told.print(f"note: {remark}")
-    earlier = sorted(p.name for p in (out / "runs").glob("*"))
-    if earlier and not overwrite:
+    if (out / "runs").is_dir() and not overwrite:
         told.print(f"note: going on with the trainings in {out / 'runs'}; --overwrite trains anew")
     with (
         TrainingProgress(told, quiet=quiet) as progress,

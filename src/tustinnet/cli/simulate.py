@@ -26,21 +26,23 @@ def simulate(
     from tustinnet.artifact.files import require_new, require_writable_folder
     from tustinnet.artifact.model_file import load_model
     from tustinnet.artifact.simulation_file import write_simulation
-    from tustinnet.data.catalog import load, locate
+    from tustinnet.data.catalog import locate
+    from tustinnet.data.loading import load_folder
     from tustinnet.errors import InputError
     from tustinnet.evaluation.free_run import evaluate
     from tustinnet.report.tables import Table, number
     from tustinnet.simulation.initial_state import default_start
 
     simulator = load_model(model)
-    loaded = load(data, card)
+    folder, declared = locate(data, card)
+    loaded = load_folder(folder, declared)
     records = list(loaded.split(split) if split else loaded)
     if experiment:
         records = [loaded[name] for name in experiment]
     begin = start or default_start(records)
     scores = evaluate(simulator, records, begin)
     paths = [out / f"{e.name}.csv" for e in records]
-    sources = {(locate(data, card)[0] / e.source).resolve() for e in loaded if e.source}
+    sources = {(folder / e.source).resolve() for e in loaded if e.source}
     for path in paths:
         if path.resolve() in sources:
             raise InputError(path, "a record of the data set", "another folder than the data's")

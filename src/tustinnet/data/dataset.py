@@ -8,9 +8,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from tustinnet.data.experiment import Coordinate, Experiment, Input, Kind
+from tustinnet.data.experiment import Coordinate, Experiment, Input, Kind, unwrap_angles
 from tustinnet.errors import InputError
-from tustinnet.signals.resampling import unwrap_angle
 
 _OTHER_PERIOD = 0.2  # relative; a median interval this far from `dt` is another period
 _PERIOD_TOLERANCE = 1e-6  # relative; two records of one data set share one period
@@ -158,12 +157,9 @@ def from_arrays(
         raise InputError(name, "inputs without a unit", '{"motor": "V"}')
     positions = _columns(q, name)
     n = len(positions)
-    notes = []
-    for j, coordinate in enumerate(coordinates):
-        if coordinate.kind == "angular" and j < positions.shape[1]:
-            positions[:, j], jumps = unwrap_angle(positions[:, j])
-            if len(jumps):
-                notes.append(f"{coordinate.name}: unwrapped ({len(jumps)} jumps)")
+    columns = list(enumerate(coordinates))[: positions.shape[1]]
+    angles = {j: c.name for j, c in columns if c.kind == "angular"}
+    positions, notes = unwrap_angles(positions, angles)
     times = np.arange(n) * dt if t is None else np.asarray(t, dtype=float)
     median = float(np.median(np.diff(times))) if n > 1 else dt
     if dt > 0 and np.isfinite(dt) and not abs(median / dt - 1) < _OTHER_PERIOD:
@@ -181,7 +177,7 @@ def from_arrays(
         coordinates=tuple(coordinates),
         inputs=tuple(inputs),
         split=split,
-        notes=tuple(notes),
+        notes=notes,
     )
 
 

@@ -1,6 +1,6 @@
 """One recorded run of a mechanical system."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -42,6 +42,23 @@ class Coordinate:
 def position_unit(coordinates: Sequence[Coordinate]) -> str:
     """`rad`, `m`, or `rad and m`, of a figure over all coordinates."""
     return " and ".join(dict.fromkeys(c.unit for c in coordinates))
+
+
+def unwrap_angles(
+    q: Float[np.ndarray, "n n_q"], names: Mapping[int, str]
+) -> tuple[Float[np.ndarray, "n n_q"], tuple[str, ...]]:
+    """Positions without the jumps of wrapped angles, and a note for each angle that had some.
+
+    Args:
+        q: positions, (n, n_q) [rad or m].
+        names: what the columns to unwrap are called, by index.
+    """
+    q, notes = q.copy(), []
+    for j, name in names.items():
+        q[:, j], jumps = resampling.unwrap_angle(q[:, j])
+        if len(jumps):
+            notes.append(f"{name}: unwrapped ({len(jumps)} jumps)")
+    return q, tuple(notes)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from tustinnet.data.card import Card, ColumnKey, FileCard
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import declare, read_declaration
-from tustinnet.data.experiment import Experiment
+from tustinnet.data.experiment import Experiment, unwrap_angles
 from tustinnet.data.readers import NUMBERED, Column, Columns, frame_columns, read_columns
 from tustinnet.errors import InputError
 from tustinnet.signals import resampling
@@ -183,15 +183,11 @@ def _experiment(
             "positions that change",
             "check the columns in the card or leave the record out",
         )
-    notes: list[str] = []
-    for j, coordinate in enumerate(card.coordinates):
-        if coordinate.kind == "angular" and coordinate.unwrap:
-            q[:, j], jumps = resampling.unwrap_angle(q[:, j])
-            if len(jumps):
-                notes.append(f"{coordinate.name}: unwrapped ({len(jumps)} jumps)")
+    angles = {j: c.name for j, c in enumerate(card.coordinates) if c.kind == "angular" and c.unwrap}
+    q, notes = unwrap_angles(q, angles)
     t, dt = _times(pick, card, len(q), where)
     experiment = Experiment(
-        name=name, t=t, q=q, u=u, v=v, v_measured=measured, dt=dt, notes=tuple(notes),
+        name=name, t=t, q=q, u=u, v=v, v_measured=measured, dt=dt, notes=notes,
         coordinates=tuple(c.coordinate() for c in card.coordinates),
         inputs=tuple(i.input() for i in card.inputs), **metadata,
     )  # fmt: skip

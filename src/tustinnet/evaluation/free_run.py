@@ -70,13 +70,16 @@ def free_run(
         InputError: other coordinates, inputs or period than the model's; float64 is off.
     """
     require_float64("free_run")
-    if isinstance(experiments, Experiment):
-        experiments = [experiments]
+    experiments = _listed(experiments)
     for experiment in experiments:
         require_fit(model, experiment)
     x0, u = (jnp.asarray(a) for a in stack_starts(experiments, start))
     runs = np.asarray(_rollouts(with_dtype(model, np.float64).folded(), x0, u))
     return [run[: len(e)] for run, e in zip(runs, experiments, strict=True)]
+
+
+def _listed(experiments: Sequence[Experiment] | Experiment) -> Sequence[Experiment]:
+    return [experiments] if isinstance(experiments, Experiment) else experiments
 
 
 def stack_starts(
@@ -115,8 +118,7 @@ def evaluate(
     Raises:
         InputError: other coordinates, inputs or period than the model's; float64 is off.
     """
-    if isinstance(experiments, Experiment):
-        experiments = [experiments]
+    experiments = _listed(experiments)
     scores = []
     for e, x in zip(experiments, free_run(model, experiments, start), strict=True):
         q = x[:, : e.q.shape[1]]
