@@ -15,34 +15,49 @@ if TYPE_CHECKING:
     from tustinnet.data.loading import from_frame
     from tustinnet.errors import InputError
     from tustinnet.evaluation.free_run import evaluate, free_run, mean_rmse, rmse_ahead
-    from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Parameter
+    from tustinnet.identification.identify import identify
+    from tustinnet.identification.result import Estimate, Identification
+    from tustinnet.identification.search import Settings
+    from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Memory, Parameter
     from tustinnet.models.tustin import TustinNet
+    from tustinnet.simulation.adaptive import discretise_adaptively
     from tustinnet.simulation.initial_state import initial_state
     from tustinnet.simulation.integrators import discretise
+    from tustinnet.simulation.linearisation import Linearisation, linearize
     from tustinnet.simulation.rollout import rollout
+    from tustinnet.simulation.substeps import choose_substeps
     from tustinnet.training.fit import FitResult, fit
     from tustinnet.training.recipe import Recipe, read_recipe
 
 _HOMES = {
     "Coordinate": "data.experiment",
     "DataSet": "data.dataset",
+    "Estimate": "identification.result",
     "Experiment": "data.experiment",
     "FitResult": "training.fit",
+    "Identification": "identification.result",
     "Input": "data.experiment",
     "InputError": "errors",
     "LagrangianModel": "models.lagrangian",
     "LagrangianSystem": "models.lagrangian",
+    "Linearisation": "simulation.linearisation",
+    "Memory": "models.lagrangian",
     "Parameter": "models.lagrangian",
     "Recipe": "training.recipe",
+    "Settings": "identification.search",
     "TustinNet": "models.tustin",
+    "choose_substeps": "simulation.substeps",
     "discretise": "simulation.integrators",
+    "discretise_adaptively": "simulation.adaptive",
     "evaluate": "evaluation.free_run",
     "fit": "training.fit",
     "free_run": "evaluation.free_run",
     "from_arrays": "data.dataset",
     "from_frame": "data.loading",
+    "identify": "identification.identify",
     "initial_state": "simulation.initial_state",
     "inspect_experiment": "data.inspection",
+    "linearize": "simulation.linearisation",
     "load": "data.catalog",
     "load_model": "artifact.model_file",
     "mean_rmse": "evaluation.free_run",
@@ -56,23 +71,32 @@ _HOMES = {
 __all__ = [
     "Coordinate",
     "DataSet",
+    "Estimate",
     "Experiment",
     "FitResult",
+    "Identification",
     "Input",
     "InputError",
     "LagrangianModel",
     "LagrangianSystem",
+    "Linearisation",
+    "Memory",
     "Parameter",
     "Recipe",
+    "Settings",
     "TustinNet",
+    "choose_substeps",
     "discretise",
+    "discretise_adaptively",
     "evaluate",
     "fit",
     "free_run",
     "from_arrays",
     "from_frame",
+    "identify",
     "initial_state",
     "inspect_experiment",
+    "linearize",
     "load",
     "load_model",
     "mean_rmse",

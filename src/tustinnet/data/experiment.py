@@ -280,6 +280,12 @@ class Experiment:
         first_order = np.array([i.hold == "first-order" for i in self.inputs], dtype=bool)
         return np.where(first_order, (self.u[:-1] + self.u[1:]) / 2, self.u[:-1])
 
+    @property
+    def input_ends(self) -> Float[np.ndarray, "steps 2 n_u"]:
+        """The inputs at both ends of every period, (n - 1, 2, n_u); alike where they are held."""
+        first_order = np.array([i.hold == "first-order" for i in self.inputs], dtype=bool)
+        return np.stack([self.u[:-1], np.where(first_order, self.u[1:], self.u[:-1])], axis=1)
+
     def velocities(self, source: VelocitySource = "auto") -> Float[np.ndarray, "n n_q"]:
         """Velocities, (n, n_q) [rad/s or m/s].
 

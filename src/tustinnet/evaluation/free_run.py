@@ -13,7 +13,7 @@ from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.errors import InputError
 from tustinnet.evaluation import metrics
 from tustinnet.models.base import DiscreteModel, require_fit, with_dtype
-from tustinnet.simulation.initial_state import initial_state
+from tustinnet.simulation.initial_state import initial_state, padded_state
 from tustinnet.simulation.rollout import rollout
 
 _STATES_AT_ONCE = 2_000_000  # bounds the memory of k-step-ahead predictions
@@ -64,7 +64,7 @@ def free_run(
         start: a name that `initial_state` knows.
 
     Returns:
-        Per record the states [q, v], (n, n_x).
+        Per record the states [q, v, z], (n, n_x).
 
     Raises:
         InputError: other coordinates, inputs or period than the model's; float64 is off.
@@ -73,7 +73,7 @@ def free_run(
     experiments = _listed(experiments)
     for experiment in experiments:
         require_fit(model, experiment)
-    x0, u = (jnp.asarray(a) for a in stack_starts(experiments, start))
+    x0, u = (jnp.asarray(a) for a in stack_starts(model, experiments, start))
     runs = np.asarray(_rollouts(with_dtype(model, np.float64).folded(), x0, u))
     return [run[: len(e)] for run, e in zip(runs, experiments, strict=True)]
 
@@ -83,20 +83,21 @@ def _listed(experiments: Sequence[Experiment] | Experiment) -> Sequence[Experime
 
 
 def stack_starts(
-    experiments: Sequence[Experiment], start: str
-) -> tuple[Float[np.ndarray, "records n_x"], Float[np.ndarray, "records steps n_u"]]:
-    """Initial states and held inputs of records, zero inputs after the end of shorter ones."""
+    model: DiscreteModel, experiments: Sequence[Experiment], start: str
+) -> tuple[Float[np.ndarray, "records n_x"], Float[np.ndarray, "records steps *drive"]]:
+    """Initial states and drives of records, zeros after the end of shorter ones."""
     steps = max(len(e) for e in experiments) - 1
-    x0 = np.stack([initial_state(e, start) for e in experiments])
-    u = np.zeros((len(experiments), steps, len(experiments[0].inputs)))
-    for row, experiment in zip(u, experiments, strict=True):
-        row[: len(experiment) - 1] = experiment.held_inputs
+    x0 = np.stack([padded_state(model, initial_state(e, start)) for e in experiments])
+    drives = [model.drive(e) for e in experiments]
+    u = np.zeros((len(experiments), steps, *drives[0].shape[1:]))
+    for row, drive in zip(u, drives, strict=True):
+        row[: len(drive)] = drive
     return x0, u
 
 
 @eqx.filter_jit
 def _rollouts(
-    model: DiscreteModel, x0: Float[Array, "records n_x"], u: Float[Array, "records steps n_u"]
+    model: DiscreteModel, x0: Float[Array, "records n_x"], u: Float[Array, "records steps *drive"]
 ) -> Float[Array, "records samples n_x"]:
     return jax.vmap(lambda x, v: rollout(model, x, v))(x0, u)
 
@@ -176,12 +177,14 @@ def rmse_ahead(
     for e in experiments:
         require_fit(model, e)
         reach = min(horizon, len(e) - 1)
-        states = np.concatenate([e.q, e.velocities(velocity)], axis=1)
+        drive = model.drive(e)
+        known = np.concatenate([e.q, e.velocities(velocity)], axis=1)
+        states = np.pad(known, ((0, 0), (0, model.state_size - known.shape[1])))
         for begin in np.array_split(np.arange(len(e) - 1), 1 + len(e) * reach // _STATES_AT_ONCE):
             index = begin[:, None] + np.arange(reach)
             inside = index < len(e) - 1
             index = np.minimum(index, len(e) - 2)  # beyond the end any input will do
-            u = jnp.asarray(e.held_inputs[index])
+            u = jnp.asarray(drive[index])
             runs = np.asarray(_rollouts(evaluated, jnp.asarray(states[begin]), u))
             error = np.sum((runs[:, 1:, : e.q.shape[1]] - e.q[index + 1]) ** 2, axis=2)
             squares[:reach] += np.sum(np.where(inside, error, 0.0), axis=0)

@@ -20,7 +20,8 @@ InputVector = Float[Array, " n_u"]
 class DiscreteModel(eqx.Module):
     """A model that steps from sample to sample.
 
-    The state is `x = [q, v]` with positions `q` [rad or m] and velocities `v` [rad/s or m/s].
+    The state is `x = [q, v, z]` with positions `q` [rad or m], velocities `v` [rad/s or m/s] and,
+    in models with memory, internal states `z`.
 
     Attributes:
         coordinates: the coordinates it speaks of, in the order of `q`.
@@ -35,6 +36,25 @@ class DiscreteModel(eqx.Module):
     @abstractmethod
     def step(self, x: State, u: InputVector) -> State:
         """The state one period after `x` when `u` acts in between."""
+
+    @property
+    def memory(self) -> tuple[str, ...]:
+        """What its internal states are called; most models have none."""
+        return ()
+
+    @property
+    def steps_a_turn(self) -> int:
+        """Steps in a turn of a rollout's loop: more run a little faster but compile longer."""
+        return 1
+
+    @property
+    def state_size(self) -> int:
+        """`n_x`: positions, velocities, internal states."""
+        return 2 * len(self.coordinates) + len(self.memory)
+
+    def drive(self, experiment: Experiment) -> Float[np.ndarray, "steps *drive"]:
+        """What a rollout of a record is driven by, a row a period."""
+        return experiment.held_inputs
 
     def folded(self) -> "DiscreteModel":
         """The cheapest form of the model that computes the same; what a rollout should use."""
@@ -63,6 +83,11 @@ class ContinuousModel(eqx.Module):
     @abstractmethod
     def inputs(self) -> tuple[Input, ...]:
         """The inputs it takes, in the order of `u`."""
+
+    @property
+    def memory(self) -> tuple[str, ...]:
+        """What its internal states are called; most models have none."""
+        return ()
 
     @abstractmethod
     def derivative(self, x: State, u: InputVector) -> State:

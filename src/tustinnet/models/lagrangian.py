@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -14,8 +15,11 @@ from tustinnet.errors import InputError
 from tustinnet.models.base import ContinuousModel, InputVector, State
 
 Coordinates = Float[Array, " n_q"]
+Internal = Float[Array, " n_z"]
 Scalar = Float[Array, ""]
-Values = Mapping[str, Array]
+Values = Mapping[str, Any]
+
+_UNROLLED = 4  # coordinates up to which the factorisation is written out instead of called
 
 
 @dataclass(frozen=True)
@@ -29,6 +33,7 @@ class Parameter:
         lower: smallest value that makes sense (the paper's set Xi).
         upper: largest.
         fixed: whether identification leaves it alone.
+        prior: standard deviation of what is known of it, about the nominal value, or None.
     """
 
     name: str
@@ -37,6 +42,7 @@ class Parameter:
     lower: float
     upper: float
     fixed: bool = False
+    prior: float | None = None
 
     def __post_init__(self) -> None:
         if not self.lower <= self.nominal <= self.upper:
@@ -45,13 +51,41 @@ class Parameter:
                 f"nominal value {self.nominal:g} {self.unit}",
                 f"a value within {self.lower:g}..{self.upper:g}",
             )
+        if not (self.fixed or self.lower < self.upper):
+            raise InputError(
+                f"parameter '{self.name}'", "an empty range", "lower < upper, or fixed"
+            )
+        if self.prior is not None and not self.prior > 0:
+            raise InputError(
+                f"parameter '{self.name}'", f"prior {self.prior:g}", "a positive standard deviation"
+            )
+
+    @property
+    def positive(self) -> bool:
+        """Whether all of its range is positive; it is then searched for by its logarithm."""
+        return self.lower > 0
+
+
+@dataclass(frozen=True)
+class Memory:
+    """Forces that remember: internal states `z` beside positions and velocities.
+
+    Attributes:
+        names: what the internal states are called.
+        rate: `dz/dt = rate(q, v, z, p)`, (n_z,).
+        force: generalised force on the system, `force(q, v, z, p)`, (n_q,) [N m or N].
+    """
+
+    names: tuple[str, ...]
+    rate: Callable[[Coordinates, Coordinates, Internal, Values], Any]
+    force: Callable[[Coordinates, Coordinates, Internal, Values], Any]
 
 
 @dataclass(frozen=True)
 class LagrangianSystem:
     """A mechanical system written as energies and forces.
 
-    All functions take the parameters as a mapping from name to value.
+    All functions take the parameters as a mapping from name to value, last.
 
     Attributes:
         name: what it is called.
@@ -59,32 +93,105 @@ class LagrangianSystem:
         inputs: the inputs, in the order of u.
         parameters: what the functions need.
         kinetic: `T(q, v, p)` [J], quadratic in v.
-        potential: `V(q, p)` [J].
+        potential: `V(q, p)` [J], or None for none.
         dissipation: `D(q, v, p)`, generalised force against the motion, (n_q,) [N m or N].
         input_map: `Q(q, v, u, p)`, generalised force of the actuators, (n_q,) [N m or N].
+        memory: forces with internal states, if any.
     """
 
     name: str
     coordinates: tuple[Coordinate, ...]
     inputs: tuple[Input, ...]
     parameters: tuple[Parameter, ...]
-    kinetic: Callable[[Coordinates, Coordinates, Values], Scalar]
-    potential: Callable[[Coordinates, Values], Scalar]
-    dissipation: Callable[[Coordinates, Coordinates, Values], Coordinates]
-    input_map: Callable[[Coordinates, Coordinates, InputVector, Values], Coordinates]
+    kinetic: Callable[[Coordinates, Coordinates, Values], Any]
+    potential: Callable[[Coordinates, Values], Any] | None = None
+    dissipation: Callable[[Coordinates, Coordinates, Values], Any] | None = None
+    input_map: Callable[[Coordinates, Coordinates, InputVector, Values], Any] | None = None
+    memory: Memory | None = None
+
+    def __post_init__(self) -> None:
+        names = [p.name for p in self.parameters]
+        for what, listed in (
+            ("parameters", names),
+            ("coordinates", [c.name for c in self.coordinates]),
+            ("inputs", [i.name for i in self.inputs]),
+        ):
+            twice = sorted({name for name in listed if listed.count(name) > 1})
+            if twice:
+                raise InputError(f"system '{self.name}'", f"two {what} '{twice[0]}'", "one")
+        if not self.coordinates:
+            raise InputError(f"system '{self.name}'", "no coordinates", "at least one")
+        self._require_shapes()
 
     def nominal(self) -> dict[str, float]:
         """The nominal values by name."""
         return {p.name: p.nominal for p in self.parameters}
 
+    def parameter(self, name: str) -> Parameter:
+        """A parameter by name."""
+        for p in self.parameters:
+            if p.name == name:
+                return p
+        known = ", ".join(p.name for p in self.parameters)
+        raise InputError(f"system '{self.name}'", f"no parameter '{name}'", f"one of {known}")
+
+    @property
+    def memory_names(self) -> tuple[str, ...]:
+        """What the internal states are called."""
+        return self.memory.names if self.memory else ()
+
+    def _require_shapes(self) -> None:
+        """Every function must answer, with the shape that the equations of motion need."""
+        q = v = jax.ShapeDtypeStruct((len(self.coordinates),), jnp.float32)
+        u = jax.ShapeDtypeStruct((len(self.inputs),), jnp.float32)
+        z = jax.ShapeDtypeStruct((len(self.memory_names),), jnp.float32)
+        p = {k: jax.ShapeDtypeStruct((), jnp.float32) for k in self.nominal()}
+        wanted: list[tuple[str, Callable[..., Any], tuple[Any, ...], tuple[int, ...]]]
+        wanted = [("kinetic", self.kinetic, (q, v, p), ())]
+        if self.potential:
+            wanted.append(("potential", self.potential, (q, p), ()))
+        if self.dissipation:
+            wanted.append(("dissipation", self.dissipation, (q, v, p), q.shape))
+        if self.input_map:
+            wanted.append(("input_map", self.input_map, (q, v, u, p), q.shape))
+        if self.memory:
+            wanted.append(("memory rate", self.memory.rate, (q, v, z, p), z.shape))
+            wanted.append(("memory force", self.memory.force, (q, v, z, p), q.shape))
+        for name, function, arguments, shape in wanted:
+            where = f"system '{self.name}', {name}"
+            try:
+                found = jax.eval_shape(lambda *a, f=function: jnp.asarray(f(*a)), *arguments)
+            except KeyError as error:
+                raise InputError(
+                    where,
+                    f"asks for the parameter {error}",
+                    f"one of {', '.join(self.nominal())}",
+                    "declare it among the parameters",
+                ) from error
+            except Exception as error:
+                raise InputError(
+                    where,
+                    f"fails with {type(error).__name__}: {str(error).splitlines()[0]}",
+                    "a function of jax arrays",
+                    "write it with jax.numpy",
+                ) from error
+            if found.shape != shape:
+                raise InputError(
+                    where,
+                    f"returns shape {found.shape}",
+                    f"{shape}" if shape else "a scalar",
+                    "energies are scalars, forces have a value per coordinate",
+                )
+
 
 class LagrangianModel(ContinuousModel):
     """The equations of motion of a system.
 
-        d/dt dT/dv - dT/dq + dV/dq = Q(q, v, u) - D(q, v)
+        d/dt dT/dv - dT/dq + dV/dq = Q(q, v, u) - D(q, v) + F(q, v, z)
 
-    Solved for the acceleration: `M(q) a = Q - D - c(q, v) - dV/dq` with the mass matrix
-    `M = d2T/dv2` and `c = (d2T/dv dq) v - dT/dq`, by Cholesky factorisation of M.
+    Solved for the acceleration: `M(q) a = Q - D + F - c(q, v) - dV/dq` with the mass matrix
+    `M = d2T/dv2` and `c = (d2T/dv dq) v - dT/dq`, by Cholesky factorisation of M. `F` are the
+    forces with memory, `dz/dt = rate(q, v, z)`.
 
     Attributes:
         system: the energies and forces.
@@ -107,6 +214,11 @@ class LagrangianModel(ContinuousModel):
         """The inputs of the system."""
         return self.system.inputs
 
+    @property
+    def memory(self) -> tuple[str, ...]:
+        """What its internal states are called."""
+        return self.system.memory_names
+
     def mass_matrix(self, q: Coordinates) -> Float[Array, "n_q n_q"]:
         """`M(q)`, (n_q, n_q) [kg m^2, kg m or kg]."""
         still = jnp.zeros_like(q)
@@ -114,20 +226,67 @@ class LagrangianModel(ContinuousModel):
 
     def energy(self, x: State) -> Scalar:
         """`T + V` at a state [J]."""
-        q, v = jnp.split(x, 2)
-        return self.system.kinetic(q, v, self.values) + self.system.potential(q, self.values)
+        q, v, _ = self._parts(x)
+        kinetic = self.system.kinetic(q, v, self.values)
+        return kinetic + self.system.potential(q, self.values) if self.system.potential else kinetic
 
-    def acceleration(self, x: State, u: InputVector) -> Coordinates:
-        """The acceleration at a state under an input, (n_q,) [rad/s^2 or m/s^2]."""
-        q, v = jnp.split(x, 2)
+    def conservative(self, q: Coordinates, v: Coordinates) -> Coordinates:
+        """`dT/dq - dV/dq - (d2T/dv dq) v`: what acts without actuators and losses, (n_q,)."""
         s, p = self.system, self.values
         momentum = jax.grad(s.kinetic, argnums=1)
         _, carried = jax.jvp(lambda at: momentum(at, v, p), (q,), (v,))
-        conservative = jax.grad(s.kinetic)(q, v, p) - jax.grad(s.potential)(q, p)
-        force = s.input_map(q, v, u, p) - s.dissipation(q, v, p)
-        factor = jax.scipy.linalg.cho_factor(self.mass_matrix(q))
-        return jax.scipy.linalg.cho_solve(factor, force + conservative - carried)
+        force = jax.grad(s.kinetic)(q, v, p) - carried
+        return force - jax.grad(s.potential)(q, p) if s.potential else force
+
+    def applied(self, q: Coordinates, v: Coordinates, z: Internal, u: InputVector) -> Coordinates:
+        """`Q - D + F`: actuators, losses and forces with memory, (n_q,)."""
+        s, p = self.system, self.values
+        force = jnp.zeros_like(q)
+        if s.input_map:
+            force = force + jnp.asarray(s.input_map(q, v, u, p))
+        if s.dissipation:
+            force = force - jnp.asarray(s.dissipation(q, v, p))
+        if s.memory:
+            force = force + jnp.asarray(s.memory.force(q, v, z, p))
+        return force
+
+    def acceleration(self, x: State, u: InputVector) -> Coordinates:
+        """The acceleration at a state under an input, (n_q,) [rad/s^2 or m/s^2]."""
+        q, v, z = self._parts(x)
+        return solve_positive(
+            self.mass_matrix(q), self.applied(q, v, z, u) + self.conservative(q, v)
+        )
 
     def derivative(self, x: State, u: InputVector) -> State:
-        """`d/dt [q, v] = [v, a]`."""
-        return jnp.concatenate([x[len(self.coordinates) :], self.acceleration(x, u)])
+        """`d/dt [q, v, z] = [v, a, rate]`."""
+        q, v, z = self._parts(x)
+        rates = [v, self.acceleration(x, u)]
+        if self.system.memory:
+            rates.append(jnp.asarray(self.system.memory.rate(q, v, z, self.values)))
+        return jnp.concatenate(rates)
+
+    def _parts(self, x: State) -> tuple[Coordinates, Coordinates, Internal]:
+        n_q = len(self.coordinates)
+        return x[:n_q], x[n_q : 2 * n_q], x[2 * n_q :]
+
+
+def solve_positive(matrix: Float[Array, "n n"], right: Float[Array, " n"]) -> Float[Array, " n"]:
+    """Solves `matrix x = right` for a symmetric positive definite matrix by Cholesky.
+
+    Small systems are written out: a call of LAPACK a step would cost more than all the rest.
+    """
+    n = right.shape[0]
+    if n > _UNROLLED:
+        return jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(matrix, lower=True), right)
+    lower: dict[tuple[int, int], Array] = {}
+    y: list[Array] = []
+    for i in range(n):
+        for j in range(i):
+            rest = sum(lower[i, k] * lower[j, k] for k in range(j))
+            lower[i, j] = (matrix[i, j] - rest) / lower[j, j]
+        lower[i, i] = jnp.sqrt(matrix[i, i] - sum(lower[i, k] ** 2 for k in range(i)))
+        y.append((right[i] - sum(lower[i, k] * y[k] for k in range(i))) / lower[i, i])
+    x: list[Array] = [right[0]] * n
+    for i in reversed(range(n)):
+        x[i] = (y[i] - sum(lower[k, i] * x[k] for k in range(i + 1, n))) / lower[i, i]
+    return jnp.stack(x)

@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
+from tustinnet.models.base import DiscreteModel
 from tustinnet.signals.derivatives import polynomial_fit
 
 DEFAULT_START = "derived-6"
@@ -45,6 +46,11 @@ def initial_state(experiment: Experiment, start: str) -> Float[np.ndarray, " n_x
     t = experiment.t[:samples]
     q, v = polynomial_fit(t, experiment.q[:samples], 2, at=t[:1])
     return np.concatenate([q[0], v[0]])
+
+
+def padded_state(model: DiscreteModel, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n_x"]:
+    """Positions and velocities with the model's internal states at 0."""
+    return np.concatenate([x, np.zeros(model.state_size - len(x))])
 
 
 def default_start(experiments: list[Experiment]) -> str:

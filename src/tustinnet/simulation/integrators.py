@@ -2,17 +2,24 @@
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
 
-from tustinnet.data.experiment import Coordinate, Input
+from tustinnet.data.experiment import Coordinate, Experiment, Input
 from tustinnet.errors import InputError
 from tustinnet.models.base import ContinuousModel, DiscreteModel, InputVector, State
+
+Drive = Float[Array, "*ends n_u"]
+
+_UNROLLED = 2
 
 
 class Discretised(DiscreteModel):
     """A continuous model stepped from sample to sample by the classical Runge-Kutta method.
 
-    The input is held over the period (zero-order hold), so no stage of the method looks at the
-    next sample.
+    Inputs are held over the period (zero-order hold), so no stage of the method looks at the next
+    sample; or they follow a straight line (first-order hold), when a step is given both ends.
 
     Attributes:
         continuous: the model.
@@ -28,23 +35,45 @@ class Discretised(DiscreteModel):
     dt: float = eqx.field(static=True)
     substeps: int = eqx.field(static=True)
 
-    def step(self, x: State, u: InputVector) -> State:
-        """One period: `substeps` Runge-Kutta steps of fourth order."""
+    @property
+    def memory(self) -> tuple[str, ...]:
+        """What the internal states of the continuous model are called."""
+        return self.continuous.memory
+
+    def drive(self, experiment: Experiment) -> Float[np.ndarray, "steps *drive"]:
+        """Held inputs, or both ends of every period where an input is held to first order."""
+        if any(i.hold == "first-order" for i in self.inputs):
+            return experiment.input_ends
+        return experiment.held_inputs
+
+    def step(self, x: State, u: Drive) -> State:
+        """One period: `substeps` Runge-Kutta steps of fourth order.
+
+        Args:
+            x: the state, (n_x,).
+            u: the held inputs, (n_u,), or their values at both ends of the period, (2, n_u).
+        """
         h = self.dt / self.substeps
 
-        def advance(state: State, _: None) -> tuple[State, None]:
-            return runge_kutta_4(self.continuous, state, u, h), None
+        def advance(state: State, i: Array) -> tuple[State, None]:
+            return substep(self.continuous, state, u, i, self.substeps, h), None
 
-        return jax.lax.scan(advance, x, None, length=self.substeps)[0]
+        if (
+            self.substeps <= _UNROLLED
+        ):  # a loop within the loop over samples costs more than it saves
+            for i in range(self.substeps):
+                x, _ = advance(x, jnp.asarray(i, x.dtype))
+            return x
+        return jax.lax.scan(advance, x, jnp.arange(self.substeps, dtype=x.dtype))[0]
 
 
 def discretise(model: ContinuousModel, dt: float, substeps: int = 1) -> Discretised:
-    """A continuous model as a discrete one.
+    """A continuous model as a discrete one, by fixed Runge-Kutta steps.
 
     Args:
         model: the model.
         dt: sampling period [s].
-        substeps: Runge-Kutta steps in a period.
+        substeps: Runge-Kutta steps in a period; `choose_substeps` says how many are needed.
     """
     if not dt > 0 or substeps < 1:
         raise InputError("discretise", f"period {dt} s, {substeps} substeps", "positive numbers")
@@ -57,10 +86,35 @@ def discretise(model: ContinuousModel, dt: float, substeps: int = 1) -> Discreti
     )
 
 
-def runge_kutta_4(model: ContinuousModel, x: State, u: InputVector, h: float) -> State:
-    """One classical Runge-Kutta step of length `h` [s] under a held input."""
-    first = model.derivative(x, u)
-    second = model.derivative(x + h / 2 * first, u)
-    third = model.derivative(x + h / 2 * second, u)
-    fourth = model.derivative(x + h * third, u)
+def substep(
+    model: ContinuousModel, x: State, u: Drive, i: Array | int, parts: Array | int, h: Array | float
+) -> State:
+    """The i-th of so many Runge-Kutta steps of length `h` [s] that make up a period."""
+    stages = (at(u, i / parts), at(u, (i + 0.5) / parts), at(u, (i + 1) / parts))
+    return runge_kutta_4(model, x, stages, h)
+
+
+def at(u: Drive, part: Array | float) -> InputVector:
+    """Inputs at a part of the period, 0..1: held, or on the line between both ends."""
+    return u if u.ndim == 1 else u[0] + part * (u[1] - u[0])
+
+
+def runge_kutta_4(
+    model: ContinuousModel,
+    x: State,
+    u: tuple[InputVector, InputVector, InputVector],
+    h: Array | float,
+) -> State:
+    """One classical Runge-Kutta step of length `h` [s].
+
+    Args:
+        model: the model.
+        x: the state, (n_x,).
+        u: the inputs at the beginning, the middle and the end of the step.
+        h: length of the step [s].
+    """
+    first = model.derivative(x, u[0])
+    second = model.derivative(x + h / 2 * first, u[1])
+    third = model.derivative(x + h / 2 * second, u[1])
+    fourth = model.derivative(x + h * third, u[2])
     return x + h / 6 * (first + 2 * second + 2 * third + fourth)

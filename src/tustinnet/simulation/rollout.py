@@ -9,28 +9,26 @@ from jaxtyping import Array, Float
 from tustinnet.errors import InputError
 from tustinnet.models.base import DiscreteModel, InputVector, State
 
-# steps a turn of the loop: fewer turns, a little more to compile
-_UNROLL = 5
-
 
 def rollout(
     model: DiscreteModel,
     x0: Float[Array | np.ndarray, " n_x"],
-    u: Float[Array | np.ndarray, "steps n_u"],
+    u: Float[Array | np.ndarray, "steps *drive"],
 ) -> Float[Array, "samples n_x"]:
     """Free run: the states that a model reaches from `x0` with only the input.
 
     Args:
         model: the model.
-        x0: initial state [q, v], (n_x,).
-        u: `u[k]` acts from sample k to sample k+1, (steps, n_u).
+        x0: initial state [q, v, z], (n_x,).
+        u: `u[k]` acts from sample k to sample k+1, (steps, n_u). Where the model is driven by
+            straight lines (`model.drive` says how), both ends of every period, (steps, 2, n_u).
 
     Returns:
         (steps + 1, n_x); the first row is `x0`.
     """
     start, inputs = jnp.asarray(x0), jnp.asarray(u)
-    n_x, n_u = 2 * len(model.coordinates), len(model.inputs)
-    if start.shape != (n_x,) or inputs.ndim != 2 or inputs.shape[1] != n_u:
+    n_x, n_u = model.state_size, len(model.inputs)
+    if start.shape != (n_x,) or inputs.ndim < 2 or inputs.shape[1:] not in ((n_u,), (2, n_u)):
         raise InputError(
             "rollout",
             f"x0 of shape {start.shape} and u of shape {inputs.shape}",
@@ -45,5 +43,5 @@ def rollout(
         following = model.step(x, u_k)
         return following, following
 
-    _, following = jax.lax.scan(advance, start, inputs, unroll=_UNROLL)
+    _, following = jax.lax.scan(advance, start, inputs, unroll=model.steps_a_turn)
     return jnp.concatenate([start[None], following])

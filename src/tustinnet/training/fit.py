@@ -130,7 +130,7 @@ def plan(data: DataSet, recipe: Recipe | str | Path, seed: int) -> Plan:
         model=model,
         stages=stages,
         records=lay_out(train_set, recipe.velocity),
-        validation=validation_runs(held, start, recipe.velocity) if held else None,
+        validation=validation_runs(model, held, start, recipe.velocity) if held else None,
         start=start,
         key=shuffling,
         recipe=recipe,

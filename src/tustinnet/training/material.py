@@ -12,6 +12,7 @@ from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.data.inspection import transient_end
 from tustinnet.errors import InputError
 from tustinnet.evaluation.free_run import stack_starts
+from tustinnet.models.base import DiscreteModel
 from tustinnet.signals.windows import random_windows, strided_windows
 from tustinnet.training.recipe import WindowRecipe
 
@@ -73,10 +74,13 @@ def lay_out(experiments: Sequence[Experiment], velocity: VelocitySource) -> Reco
 
 
 def validation_runs(
-    experiments: Sequence[Experiment], start: str, velocity: VelocitySource
+    model: DiscreteModel,
+    experiments: Sequence[Experiment],
+    start: str,
+    velocity: VelocitySource,
 ) -> ValidationRuns:
     """Prepares the free runs of records from a named start, and their windows' states."""
-    x0, u = stack_starts(experiments, start)
+    x0, u = stack_starts(model, experiments, start)
     samples = u.shape[1] + 1
     q = np.zeros((len(experiments), samples, len(experiments[0].coordinates)))
     weight = np.zeros((len(experiments), samples))

@@ -1,0 +1,197 @@
+"""First values of parameters: the equations of motion on measured motion, without simulation."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import combinations
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.optimize
+from jaxtyping import Float
+
+from tustinnet.data.experiment import Experiment
+from tustinnet.identification.space import Searched, Space
+from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
+
+_SHORTEST, _LONGEST = 8, 200  # samples of a window
+_TELLING = 0.7  # a reversal is likely when it leaves less than this part of the residual
+_MOST_FLIPPED = 2
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Measured motion, records one after the other.
+
+    Attributes:
+        q: positions, (n, n_q).
+        v: velocities, (n, n_q).
+        u: inputs, (n, n_u).
+        begins: first sample of every window, (n_w,).
+        length: samples of a window.
+        dt: sampling period [s].
+    """
+
+    q: Float[np.ndarray, "n n_q"]
+    v: Float[np.ndarray, "n n_q"]
+    u: Float[np.ndarray, "n n_u"]
+    begins: np.ndarray
+    length: int
+    dt: float
+
+
+def measured_motion(experiments: Sequence[Experiment]) -> Motion:
+    """Positions, velocities and inputs of records, and windows of a quarter of a swing."""
+    velocities = [e.velocities() for e in experiments]
+    length = min(_quarter_swing(velocities), *(len(e) for e in experiments))
+    begins, offset = [], 0
+    for e in experiments:
+        begins += range(offset, offset + len(e) - length + 1, max(1, length // 2))
+        offset += len(e)
+    # an input held over the period acts, on average, where the period's middle is
+    inputs = [np.vstack([e.held_inputs, e.held_inputs[-1:]]) for e in experiments]
+    delayed = [np.vstack([u[:1], (u[1:] + u[:-1]) / 2]) for u in inputs]
+    return Motion(
+        np.concatenate([e.q for e in experiments]),
+        np.concatenate(velocities),
+        np.concatenate(delayed),
+        np.array(begins),
+        length,
+        experiments[0].dt,
+    )
+
+
+def first_values(
+    system: LagrangianSystem, space: Space, vector: Searched, motion: Motion
+) -> tuple[Searched, float]:
+    """Least squares on the equations of motion.
+
+    With the momentum `P = dT/dv`, `dP/dt = dT/dq - dV/dq + Q - D` is multiplied by a smooth bump
+    that is 0 at the ends of a window and integrated, the left side by parts. So no acceleration is
+    needed, and the residuals are linear in the base parameters. Forces with memory are left out.
+
+    Args:
+        system: the system.
+        space: the parameters' coordinates.
+        vector: where to start.
+        motion: what was measured.
+
+    Returns:
+        The vector, and what is left of the momentum's share: 0 explains all, 1 nothing.
+
+    References:
+        Atkeson, An, Hollerbach (1986), Estimation of inertial parameters of manipulator loads
+        and links (linear least squares). Preisig, Rippin (1993), modulating functions.
+    """
+    rows = motion.begins[:, None] + np.arange(motion.length)
+    s = np.linspace(-1, 1, motion.length)
+    bump = (1 - s**2) ** 3
+    slope = -6 * s * (1 - s**2) ** 2 * 2 / ((motion.length - 1) * motion.dt)
+    held = {name: np.asarray(float(value)) for name, value in space.held.items()}
+
+    def at(point: Searched) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        answers = _momenta(system, space.free, held, point, motion.q, motion.v, motion.u)
+        momentum, force, by_momentum, by_force = (np.asarray(a) for a in answers)
+        lifted = np.tensordot(momentum[rows], slope, ([1], [0]))
+        residual = lifted + np.tensordot(force[rows], bump, ([1], [0]))
+        jacobian = np.tensordot(by_momentum[rows], slope, ([1], [0])) + np.tensordot(
+            by_force[rows], bump, ([1], [0])
+        )
+        return residual, jacobian, lifted
+
+    # each equation in units of its own momentum at the start
+    unit = np.sqrt(np.mean(at(vector)[2] ** 2, axis=0))
+    unit = np.where(unit > 0, unit, 1.0) * np.sqrt(len(rows))
+    memory: dict[bytes, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+
+    def answer(point: Searched) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        if point.tobytes() not in memory:
+            memory.clear()
+            memory[point.tobytes()] = at(point)
+        return memory[point.tobytes()]
+
+    margin = 1e-9 * (space.upper - space.lower)
+    found = scipy.optimize.least_squares(
+        lambda point: (answer(point)[0] / unit).ravel(),
+        np.clip(vector, space.lower + margin, space.upper - margin),
+        cast(Any, lambda point: (answer(point)[1] / unit[:, None]).reshape(-1, len(vector))),
+        bounds=(space.lower, space.upper),
+        max_nfev=60,
+    )
+    moved = float(np.sum((answer(found.x)[2] / unit) ** 2))
+    return space.clipped(found.x), float(np.sum(found.fun**2)) / max(moved, 1e-300)
+
+
+def likely_reversals(
+    system: LagrangianSystem, space: Space, vector: Searched, motion: Motion
+) -> tuple[str, ...]:
+    """Coordinates or inputs whose sign explains the motion clearly better when it is reversed.
+
+    Args:
+        system: the system.
+        space: the parameters' coordinates.
+        vector: where to start.
+        motion: what was measured.
+
+    Returns:
+        Their names, as few as possible; empty where the signs are right.
+    """
+    names = [c.name for c in system.coordinates] + [i.name for i in system.inputs]
+    n_q = len(system.coordinates)
+    best, chosen = _TELLING * first_values(system, space, vector, motion)[1], ()
+    for count in range(1, _MOST_FLIPPED + 1):
+        for flipped in combinations(range(len(names)), count):
+            signs = np.ones(len(names))
+            signs[list(flipped)] = -1.0
+            turned = replace(
+                motion,
+                q=motion.q * signs[:n_q],
+                v=motion.v * signs[:n_q],
+                u=motion.u * signs[n_q:],
+            )
+            left = first_values(system, space, vector, turned)[1]
+            if left < best:
+                best, chosen = left, tuple(names[i] for i in flipped)
+        if chosen:
+            break
+    return chosen
+
+
+def _quarter_swing(velocities: Sequence[np.ndarray]) -> int:
+    """Samples in which the fastest coordinate's velocity forgets itself: a quarter of a swing."""
+    shortest = _LONGEST
+    for v in velocities:
+        for column in v.T:
+            if not np.ptp(column):
+                continue
+            centred = column - column.mean()
+            spectrum = np.abs(np.fft.rfft(centred, 2 * len(centred))) ** 2
+            correlation = np.fft.irfft(spectrum)[: len(centred)]
+            below = np.flatnonzero(correlation <= 0)
+            if len(below):
+                shortest = min(shortest, int(below[0]))
+    return max(_SHORTEST, shortest)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _momenta(system, free, held, vector, q, v, u):  # noqa: ANN001, ANN202
+    """Momentum and generalised force at every sample, and both by the parameters."""
+
+    def at(point, q, v, u):  # noqa: ANN001, ANN202
+        values = Space(free, held).values(point)
+        model = LagrangianModel(system, values)
+        momentum = jax.grad(system.kinetic, argnums=1)(q, v, values)
+        force = jax.grad(system.kinetic)(q, v, values)
+        if system.potential:
+            force = force - jax.grad(system.potential)(q, values)
+        still = jnp.zeros(len(system.memory_names), q.dtype)
+        return momentum, force + model.applied(q, v, still, u)
+
+    def both(q, v, u):  # noqa: ANN001, ANN202
+        momentum, force = at(vector, q, v, u)
+        by_momentum, by_force = jax.jacfwd(at)(vector, q, v, u)
+        return momentum, force, by_momentum, by_force
+
+    return jax.vmap(both)(q, v, u)

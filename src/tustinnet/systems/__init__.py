@@ -1,0 +1,1 @@
+"""Physical systems: one file each with coordinates, energies, nominal values and ranges."""
