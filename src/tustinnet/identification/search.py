@@ -17,7 +17,7 @@ from tustinnet.identification.sensitivity import Shape, lanes_for, normal_produc
 from tustinnet.identification.space import Searched, Space
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
 from tustinnet.simulation.initial_state import default_start
-from tustinnet.simulation.integrators import discretise
+from tustinnet.simulation.integrators import Discretised, discretise
 from tustinnet.simulation.substeps import PROBED_SECONDS, enough_substeps
 
 Initial = Literal["choose", "anchored", "free"]
