@@ -2,18 +2,23 @@
 PYTHON ?= python3
 DATA ?= qube-servo2
 OUT ?= results/reproduce
+DEMO ?= results/demo
 SEEDS ?= 1
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help install reproduce test check clean
+.PHONY: help install demo reproduce test check clean
 
 help:
 	@echo "make install     the package and its command in .venv"
+	@echo "make demo        the whole job on a simulated twin, offline, about 3 minutes (DEMO=$(DEMO))"
 	@echo "make reproduce   the paper's results (DATA=FOLDER OUT=$(OUT) SEEDS=$(SEEDS))"
 	@echo "make test        linter, type checker, layers, tests"
 
 install: .venv/installed
+
+demo: .venv/installed
+	$(BIN)/tustinnet demo --out $(DEMO) --overwrite
 
 reproduce: .venv/installed
 	$(BIN)/tustinnet reproduce --data $(DATA) --out $(OUT) --seeds $(SEEDS)

@@ -79,7 +79,8 @@ def test_a_file_of_another_kind_is_refused(tmp_path):
 def test_a_checkpoint_is_not_a_model(file):
     rewrite(file, kind="checkpoint")
     with pytest.raises(
-        tn.InputError, match="a file of kind 'checkpoint'; expected kind 'tustin-net'"
+        tn.InputError,
+        match="a file of kind 'checkpoint'; expected kind 'tustin-net or euler-lagrange'",
     ):
         tn.load_model(file)
 

@@ -71,7 +71,7 @@ def read_checkpoint(path: Path, plan: Plan, belongs_to: str) -> tuple[Weights, P
     Raises:
         InputError: damaged, or of another recipe, seed or data set.
     """
-    header, arrays = read_file(path, _KIND)
+    header, arrays = read_file(path, [_KIND])
     if header["fingerprint"] != belongs_to:
         raise InputError(
             path,

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -13,15 +14,20 @@ import numpy as np
 import safetensors
 import safetensors.numpy
 
+from tustinnet.artifact import grey_box
 from tustinnet.artifact.files import finite, write_atomically
-from tustinnet.data.experiment import Coordinate, Input
+from tustinnet.data.dataset import DataSet
+from tustinnet.data.experiment import Coordinate, Input, position_unit
 from tustinnet.errors import InputError
+from tustinnet.evaluation.free_run import Score, mean_rmse
 from tustinnet.models.base import DiscreteModel
 from tustinnet.models.tustin import Affine, Scaling, TustinNet
+from tustinnet.simulation.integrators import Discretised
 
 FORMAT = 1
 KEY = "tustinnet"  # where the header stands in the safetensors metadata
-_KIND = "tustin-net"
+NETWORK = "tustin-net"
+KINDS = (NETWORK, grey_box.KIND)
 _PACKAGES = ("tustinnet", "jax", "jaxlib", "equinox", "optax", "numpy")
 
 
@@ -34,41 +40,63 @@ def save(model: DiscreteModel, path: str | Path, **header: Any) -> None:
         header: what else the file shall say: recipe, data, scores.
 
     Raises:
-        InputError: not a Tustin-Net, or the file cannot be written.
+        InputError: neither a Tustin-Net nor a discretised system, a system that is written in no
+            file, or the file cannot be written.
     """
-    if not isinstance(model, TustinNet):
-        raise InputError(path, f"a model of type {type(model).__name__}", "a Tustin-Net")
+    if isinstance(model, TustinNet):
+        kind, described = NETWORK, {"structure": _structure(model)}
+        arrays = {name: np.asarray(array) for name, array in _named_arrays(model).items()}
+    elif isinstance(model, Discretised):
+        kind = grey_box.KIND
+        described, arrays = grey_box.described(model)
+    else:
+        raise InputError(
+            path, f"a model of type {type(model).__name__}", "a Tustin-Net or a discretised system"
+        )
     content = {
         "format": FORMAT,
-        "kind": _KIND,
-        "structure": _structure(model),
+        "kind": kind,
+        **described,
         "coordinates": [dataclasses.asdict(c) for c in model.coordinates],
         "inputs": [dataclasses.asdict(i) for i in model.inputs],
         "dt": model.dt,
         **header,
         "versions": {name: metadata.version(name) for name in _PACKAGES},
     }
-    arrays = {name: np.asarray(array) for name, array in _named_arrays(model).items()}
     text = json.dumps(finite(content), ensure_ascii=False)
     write_atomically(Path(path), safetensors.numpy.save(arrays, {KEY: text}))
 
 
-def load_model(path: str | Path) -> TustinNet:
+def load_model(path: str | Path, system: str | Path | None = None) -> TustinNet | Discretised:
     """Reads the model of a model file.
 
     Args:
         path: the file.
+        system: for a grey-box model of a system of your own, the Python file that defines it.
+            The file is run; a model file itself never holds code.
 
     Raises:
-        InputError: no such file, cut short, of another kind, or of a newer version.
+        InputError: no such file, cut short, of another kind, or of a newer version; a system that
+            is not known or has changed.
     """
-    header, arrays = read_file(Path(path), _KIND)
+    header, arrays = read_file(Path(path), KINDS)
     try:
-        return _build(header, arrays)
+        if header["kind"] == NETWORK:
+            return _build(header, arrays)
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            path, f"header and arrays do not fit ({error})", "a file written by tustinnet"
-        ) from error
+        raise _unfit(path, error) from error
+    try:
+        return grey_box.built(Path(path), header, arrays, system)
+    except InputError:
+        raise  # of the system, not of the file
+    except (KeyError, TypeError, ValueError) as error:
+        raise _unfit(path, error) from error
+
+
+def _unfit(path: str | Path, error: Exception) -> InputError:
+    return InputError(
+        path, f"header and arrays do not fit ({error})", "a file written by tustinnet"
+    )
 
 
 def read_header(path: str | Path) -> dict[str, Any]:
@@ -80,11 +108,12 @@ def read_header(path: str | Path) -> dict[str, Any]:
     Raises:
         InputError: as `load_model`.
     """
-    return read_file(Path(path), _KIND)[0]
+    return read_file(Path(path), KINDS)[0]
 
 
-def read_file(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Header and arrays of a file of this package and of the given kind."""
+def read_file(path: Path, kinds: Sequence[str]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Header and arrays of a file of this package and of one of the given kinds."""
+    kind = " or ".join(kinds)
     if path.is_dir():
         raise InputError(
             path, "a folder", "a model file", f"did you mean {path / 'model.safetensors'}?"
@@ -117,9 +146,32 @@ def read_file(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, np.ndarr
         raise InputError(
             path, f"format version {version}", f"at most {FORMAT}", "upgrade tustinnet to read it"
         )
-    if found != kind:
+    if found not in kinds:
         raise InputError(path, f"a file of kind '{found}'", f"kind '{kind}'")
     return header, arrays
+
+
+def data_header(data: DataSet) -> dict[str, Any]:
+    """The records a model was made from, with their checksums."""
+    return {
+        "name": data.name,
+        "records": [
+            {"name": e.name, "split": e.split, "source": e.source, "sha256": e.sha256} for e in data
+        ],
+    }
+
+
+def scores_header(
+    data: DataSet, judged: str, start: str, scores: Sequence[Score]
+) -> dict[str, Any]:
+    """How a model simulates the records it is judged by."""
+    return {
+        "split": judged,
+        "start": start,
+        "unit": position_unit(data.coordinates),
+        "rmse": {score.experiment: score.rmse for score in scores},
+        "mean": mean_rmse(scores),
+    }
 
 
 def _structure(model: TustinNet) -> dict[str, Any]:

@@ -22,9 +22,8 @@ from tustinnet.artifact.files import (
     to_json,
     write_atomically,
 )
-from tustinnet.artifact.model_file import save
+from tustinnet.artifact.model_file import data_header, save, scores_header
 from tustinnet.data.dataset import DataSet
-from tustinnet.data.experiment import position_unit
 from tustinnet.errors import InputError
 from tustinnet.evaluation.free_run import Score, evaluate, mean_rmse
 from tustinnet.training.fit import FitResult, Plan, plan, run_plan
@@ -259,18 +258,6 @@ def _header(
             "epochs": list(result.epochs),
             "kept_epoch": result.kept_epoch,
         },
-        "data": {
-            "name": data.name,
-            "records": [
-                {"name": e.name, "split": e.split, "source": e.source, "sha256": e.sha256}
-                for e in data
-            ],
-        },
-        "scores": {
-            "split": judged,
-            "start": result.start,
-            "unit": position_unit(data.coordinates),
-            "rmse": {score.experiment: score.rmse for score in scores},
-            "mean": mean_rmse(scores),
-        },
+        "data": data_header(data),
+        "scores": scores_header(data, judged, result.start, scores),
     }

@@ -19,6 +19,7 @@ def evaluate(
     split: options.Split = None,
     start: options.Start = None,
     card: options.Card = None,
+    system: options.System = None,
     ahead: Annotated[
         int | None,
         typer.Option(min=1, metavar="K", help="Also the k-step-ahead RMSE for k = 1..K."),
@@ -36,7 +37,7 @@ def evaluate(
     from tustinnet.evaluation.free_run import evaluate as score_records
     from tustinnet.simulation.initial_state import default_start
 
-    judged = load_model(model)
+    judged = load_model(model, system)
     loaded = load(data, card)
     records = list(loaded.split(split) if split else loaded)
     begin = start or default_start(records)

@@ -1,5 +1,6 @@
-"""`tustinnet fit`: train a model on a folder of logs."""
+"""`tustinnet fit`: a model from a folder of logs, trained or identified."""
 
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,21 +14,90 @@ if TYPE_CHECKING:
     from tustinnet.report.tables import Table
 
 
+class Family(StrEnum):
+    """What kind of model."""
+
+    tustin_net = "tustin-net"
+    euler_lagrange = "euler-lagrange"
+
+
+class Loss(StrEnum):
+    """What is compared."""
+
+    positions = "positions"
+    state = "state"
+
+
+class Part(StrEnum):
+    """Which part of the records."""
+
+    whole = "whole"
+    transients = "transients"
+
+
+class Times(StrEnum):
+    """Which time base."""
+
+    recorded = "recorded"
+    nominal = "nominal"
+
+
+class Method(StrEnum):
+    """Which search."""
+
+    levenberg_marquardt = "levenberg-marquardt"
+    l_bfgs = "l-bfgs"
+
+
 def fit(
     data: options.Data,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the run is kept.")],
+    model: Annotated[Family, typer.Option(help="A network, or equations of motion.")] = (
+        Family.tustin_net
+    ),
     recipe: Annotated[
-        str, typer.Option(metavar="NAME", help="A packaged recipe, or a TOML file.")
-    ] = "standard",
+        str | None,
+        typer.Option(
+            metavar="NAME", help="tustin-net: a packaged recipe, or a TOML file; default standard."
+        ),
+    ] = None,
     seeds: options.Seeds = 1,
-    seed: Annotated[int, typer.Option(min=0, help="The first seed.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="tustin-net: the first seed.")] = 0,
+    system: options.System = None,
+    fix: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME[=VALUE]", help="euler-lagrange: hold a parameter; may be repeated."
+        ),
+    ] = None,
+    initial: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="euler-lagrange: initial states while identifying: anchored (searched for, "
+            "positions within the encoders' error), free, choose (the better of both on the "
+            "validation records), or held at a start (file, derived-6).",
+        ),
+    ] = "choose",
+    part: Annotated[
+        Part, typer.Option(help="euler-lagrange: whole records, or up to k_bar.")
+    ] = Part.whole,
+    loss: Annotated[
+        Loss, typer.Option(help="euler-lagrange: compare positions, or velocities too.")
+    ] = Loss.positions,
+    times: Annotated[
+        Times, typer.Option(help="euler-lagrange: step by timestamps or by the period.")
+    ] = Times.recorded,
+    method: Annotated[
+        Method, typer.Option(help="euler-lagrange: l-bfgs is for many parameters.")
+    ] = Method.levenberg_marquardt,
     card: options.Card = None,
     resume: options.Resume = False,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Train a Tustin-Net; keeps model, log, checkpoints and figures in --out."""
+    """Train a Tustin-Net, or identify the parameters of a system; keeps everything in --out."""
     terminal.use_float64()
     from tustinnet.artifact.run import summary, train_runs
     from tustinnet.cli.inspect import suspicions
@@ -38,19 +108,30 @@ def fit(
     from tustinnet.report.progress import TrainingProgress
     from tustinnet.training.recipe import read_recipe
 
-    chosen = read_recipe(recipe)
+    _require_fitting_options(model, recipe, system, fix)
+    chosen = read_recipe(recipe or "standard")
     folder, declared = locate(data, card)
     if out.resolve() == folder.resolve():
         raise InputError(out, "the folder of the data", "another folder for the run")
     loaded = load_folder(folder, declared)
     told = terminal.messages()
     if "validation" not in loaded.splits:
-        told.print(
-            "note: no validation split; the training loss chooses the best weights and the "
-            "scores below are of the training records"
-        )
+        told.print("note: no validation split; the scores below are of the training records")
     for line in suspicions(map(inspect_experiment, loaded)):
         told.print(line)
+    if model is Family.euler_lagrange:
+        from tustinnet.cli.fit_grey_box import fit_grey_box
+        from tustinnet.identification.search import Settings
+
+        settings = Settings(
+            initial=initial, part=part.value, loss=loss.value, times=times.value,
+            method=method.value,
+        )  # fmt: skip
+        fit_grey_box(
+            loaded, str(system), settings, fix or [], out,
+            overwrite=overwrite, json=json, quiet=quiet,
+        )  # fmt: skip
+        return
     with TrainingProgress(told, quiet=quiet) as progress, terminal.resumable(told, "--resume"):
         runs = train_runs(
             loaded, chosen, range(seed, seed + seeds), out,
@@ -67,6 +148,25 @@ def fit(
         told.print(f"seed {result.seed}: {result.outcome}")
     if len(unfinished) == len(runs.seeds):
         raise typer.Exit(1)
+
+
+def _require_fitting_options(
+    model: Family, recipe: str | None, system: str | None, fix: list[str] | None
+) -> None:
+    from tustinnet.errors import InputError
+
+    if model is Family.euler_lagrange and system is None:
+        raise InputError(
+            "--model euler-lagrange", "no system", "--system NAME or --system FILE.py",
+            "for the rotary pendulum say --system qube-servo2",
+        )  # fmt: skip
+    if model is Family.euler_lagrange and recipe is not None:
+        raise InputError("--recipe", "a recipe for equations of motion", "--model tustin-net")
+    if model is Family.tustin_net and (system is not None or fix):
+        raise InputError(
+            "--system" if system is not None else "--fix", "a system for a network",
+            "--model euler-lagrange", "add it, or leave the option out",
+        )  # fmt: skip
 
 
 def _table(runs: "Runs") -> "Table":

@@ -5,10 +5,13 @@ from typing import Annotated
 
 import typer
 
+from tustinnet.cli.compare import compare
+from tustinnet.cli.demo import demo
 from tustinnet.cli.evaluate import evaluate
 from tustinnet.cli.fit import fit
 from tustinnet.cli.inspect import inspect
 from tustinnet.cli.reproduce import reproduce
+from tustinnet.cli.residuals import residuals
 from tustinnet.cli.show import show
 from tustinnet.cli.simulate import simulate
 from tustinnet.errors import InputError
@@ -20,7 +23,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # loading rich would double the time that --help takes
 )
-for verb in (inspect, fit, simulate, evaluate, show, reproduce):
+for verb in (demo, inspect, fit, simulate, evaluate, compare, residuals, show, reproduce):
     app.command()(verb)
 
 

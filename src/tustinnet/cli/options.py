@@ -16,6 +16,14 @@ Model = Annotated[Path, typer.Argument(metavar="MODEL", help="Model file (.safet
 Card = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Data card for a folder that has none.")
 ]
+System = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME|FILE.py",
+        help="Physical system: qube-servo2, qube-servo2-naive, qube-servo2-memory, or a Python "
+        "file with SYSTEM (it is run).",
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")]
 Split = Annotated[

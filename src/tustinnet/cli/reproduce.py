@@ -37,7 +37,8 @@ def reproduce(
         typer.Option(
             metavar="NAMES",
             help="authors, tustin-standard, tustin-transfer, tustin-text-standard, "
-            "tustin-text-transfer; separated by commas or repeated. Default: the first three.",
+            "tustin-text-transfer, euler-lagrange, euler-lagrange-naive; separated by commas or "
+            "repeated. Default: all but the two of the text.",
         ),
     ] = None,
     keep: Annotated[
@@ -56,7 +57,7 @@ def reproduce(
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Reproduce the neural rows of Table 1 and the free-run figures of the paper.
+    """Reproduce Table 1 and Figures 3, 4 and 5 of the paper.
 
     Trainings that are in --out already are gone on with, finished ones are taken as they are.
     """
@@ -66,7 +67,7 @@ def reproduce(
     from tustinnet.data.loading import load_folder
     from tustinnet.errors import InputError
     from tustinnet.paper import figures, table1
-    from tustinnet.report.progress import TrainingProgress
+    from tustinnet.report.progress import IdentificationProgress, TrainingProgress
 
     told = terminal.messages()
     folder, card = locate(data)
@@ -97,6 +98,7 @@ def reproduce(
         rows = table1.build_rows(
             records, folder, chosen, scored, seeds, out / "runs", overwrite=overwrite,
             tell=lambda name: lambda plan: progress.follow(plan, name),
+            tell_identification=IdentificationProgress(told, quiet=quiet).told,
             keep=None if keep is None else keep.value,
         )  # fmt: skip
     content = table1.as_json(rows, scored)

@@ -18,6 +18,7 @@ def simulate(
     ] = None,
     start: options.Start = None,
     card: options.Card = None,
+    system: options.System = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> None:
@@ -33,7 +34,7 @@ def simulate(
     from tustinnet.report.tables import Table, number
     from tustinnet.simulation.initial_state import default_start
 
-    simulator = load_model(model)
+    simulator = load_model(model, system)
     folder, declared = locate(data, card)
     loaded = load_folder(folder, declared)
     records = list(loaded.split(split) if split else loaded)

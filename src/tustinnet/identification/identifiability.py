@@ -35,7 +35,7 @@ class Confounded:
                 f"only ratios of {listed} can be identified: multiplied by one factor they give "
                 f"the same simulation; fix one of them, '{self.suggestion}' is known best"
             )
-        told = ", ".join(f"{n} {100 * s:+.3g} %" for n, s in self.shares.items())
+        told = ", ".join(f"{n} {s:+.3g} %" for n, s in self.shares.items())
         return (
             f"{listed} cannot be told apart: changed together ({told}) they give the same "
             f"simulation; fix one of them, '{self.suggestion}' is known best"

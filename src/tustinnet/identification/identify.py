@@ -77,7 +77,7 @@ def identify(
     bounds = work.space.at_bounds(fitted.vector)
     moving = np.array([name not in bounds for name in work.space.names])
     certain = uncertainty(fitted.normal, work.segments(None, initial), curvature, moving)
-    reversed_signs: tuple[str, ...] = ()
+    reversed_signs: tuple[tuple[str, ...], ...] = ()
     if unexplained > _POORLY_EXPLAINED:
         reversed_signs = inverse_dynamics.likely_reversals(
             system, work.space, work.space.vector(start_values), work.motion

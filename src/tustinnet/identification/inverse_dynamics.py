@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.identification.space import Searched, Space
@@ -30,6 +30,7 @@ class Motion:
         v: velocities, (n, n_q).
         u: inputs, (n, n_u).
         begins: first sample of every window, (n_w,).
+        record: index of the record each window is of, (n_w,).
         length: samples of a window.
         dt: sampling period [s].
     """
@@ -37,7 +38,8 @@ class Motion:
     q: Float[np.ndarray, "n n_q"]
     v: Float[np.ndarray, "n n_q"]
     u: Float[np.ndarray, "n n_u"]
-    begins: np.ndarray
+    begins: Int[np.ndarray, " n_w"]
+    record: Int[np.ndarray, " n_w"]
     length: int
     dt: float
 
@@ -46,9 +48,11 @@ def measured_motion(experiments: Sequence[Experiment]) -> Motion:
     """Positions, velocities and inputs of records, and windows of a quarter of a swing."""
     velocities = [e.velocities() for e in experiments]
     length = min(_quarter_swing(velocities), *(len(e) for e in experiments))
-    begins, offset = [], 0
-    for e in experiments:
-        begins += range(offset, offset + len(e) - length + 1, max(1, length // 2))
+    begins, record, offset = [], [], 0
+    for i, e in enumerate(experiments):
+        added = range(offset, offset + len(e) - length + 1, max(1, length // 2))
+        begins += added
+        record += [i] * len(added)
         offset += len(e)
     # an input held over the period acts, on average, where the period's middle is
     inputs = [np.vstack([e.held_inputs, e.held_inputs[-1:]]) for e in experiments]
@@ -58,6 +62,7 @@ def measured_motion(experiments: Sequence[Experiment]) -> Motion:
         np.concatenate(velocities),
         np.concatenate(delayed),
         np.array(begins),
+        np.array(record),
         length,
         experiments[0].dt,
     )
@@ -65,7 +70,7 @@ def measured_motion(experiments: Sequence[Experiment]) -> Motion:
 
 def first_values(
     system: LagrangianSystem, space: Space, vector: Searched, motion: Motion
-) -> tuple[Searched, float]:
+) -> tuple[Searched, Float[np.ndarray, " n_r"]]:
     """Least squares on the equations of motion.
 
     With the momentum `P = dT/dv`, `dP/dt = dT/dq - dV/dq + Q - D` is multiplied by a smooth bump
@@ -79,7 +84,8 @@ def first_values(
         motion: what was measured.
 
     Returns:
-        The vector, and what is left of the momentum's share: 0 explains all, 1 nothing.
+        The vector, and per record what is left of the change of momentum: 0 explains all of it,
+        1 nothing, (n_r,).
 
     References:
         Atkeson, An, Hollerbach (1986), Estimation of inertial parameters of manipulator loads
@@ -120,13 +126,15 @@ def first_values(
         bounds=(space.lower, space.upper),
         max_nfev=60,
     )
-    moved = float(np.sum((answer(found.x)[2] / unit) ** 2))
-    return space.clipped(found.x), float(np.sum(found.fun**2)) / max(moved, 1e-300)
+    residual, _, lifted = answer(found.x)
+    left = np.bincount(motion.record, np.sum((residual / unit) ** 2, axis=1))
+    moved = np.bincount(motion.record, np.sum((lifted / unit) ** 2, axis=1))
+    return space.clipped(found.x), left / np.maximum(moved, 1e-300)
 
 
 def likely_reversals(
     system: LagrangianSystem, space: Space, vector: Searched, motion: Motion
-) -> tuple[str, ...]:
+) -> tuple[tuple[str, ...], ...]:
     """Coordinates or inputs whose sign explains the motion clearly better when it is reversed.
 
     Args:
@@ -136,27 +144,28 @@ def likely_reversals(
         motion: what was measured.
 
     Returns:
-        Their names, as few as possible; empty where the signs are right.
+        Alternatives, each the names to reverse together, as few as possible; a symmetric system
+        may have several. Empty where the signs are right.
     """
     names = [c.name for c in system.coordinates] + [i.name for i in system.inputs]
     n_q = len(system.coordinates)
-    best, chosen = _TELLING * first_values(system, space, vector, motion)[1], ()
+
+    def left(flipped: tuple[int, ...]) -> float:
+        signs = np.ones(len(names))
+        signs[list(flipped)] = -1.0
+        q, v, u = motion.q * signs[:n_q], motion.v * signs[:n_q], motion.u * signs[n_q:]
+        turned = replace(motion, q=q, v=v, u=u)
+        # the record that is explained worst tells: others may not move what is reversed
+        return float(first_values(system, space, vector, turned)[1].max())
+
+    enough = _TELLING * left(())
     for count in range(1, _MOST_FLIPPED + 1):
-        for flipped in combinations(range(len(names)), count):
-            signs = np.ones(len(names))
-            signs[list(flipped)] = -1.0
-            turned = replace(
-                motion,
-                q=motion.q * signs[:n_q],
-                v=motion.v * signs[:n_q],
-                u=motion.u * signs[n_q:],
-            )
-            left = first_values(system, space, vector, turned)[1]
-            if left < best:
-                best, chosen = left, tuple(names[i] for i in flipped)
-        if chosen:
-            break
-    return chosen
+        found = {flipped: left(flipped) for flipped in combinations(range(len(names)), count)}
+        best = min(found.values())
+        if best < enough:
+            alike = [f for f, value in found.items() if value < 1.1 * best]
+            return tuple(tuple(names[i] for i in flipped) for flipped in alike)
+    return ()
 
 
 def _quarter_swing(velocities: Sequence[np.ndarray]) -> int:

@@ -43,7 +43,7 @@ class Iteration:
     Attributes:
         stage: what it is doing.
         number: iterations so far in the stage.
-        cost: mean over records of the mean squared residual.
+        cost: sum over records of the mean squared residual.
         damping: Levenberg-Marquardt's.
     """
 

@@ -49,6 +49,7 @@ class Identification:
     """What an identification found.
 
     Attributes:
+        system: the system.
         model: the model with the values found.
         estimates: the parameters that were searched for.
         held: the parameters that were not, by name.
@@ -56,6 +57,8 @@ class Identification:
         condition: how much better the best determined combination of parameters is than the worst.
         converged: whether the search ended at a minimum.
         outcome: why it stopped, as a sentence.
+        reversed_signs: coordinates and inputs whose sign is probably the wrong way round:
+            alternatives, each the names to reverse together.
         findings: what one should know before using it, in plain language.
         trust: which errors to believe: `records` (how they disagree) or `residuals` (J'J).
         rmse: per record, root mean square of the residuals' 2-norm, from the initial states below.
@@ -68,6 +71,7 @@ class Identification:
         seconds: time it took.
     """
 
+    system: LagrangianSystem
     model: Discretised
     estimates: tuple[Estimate, ...]
     held: Mapping[str, float]
@@ -75,6 +79,7 @@ class Identification:
     condition: float
     converged: bool
     outcome: str
+    reversed_signs: tuple[tuple[str, ...], ...]
     findings: tuple[str, ...]
     trust: str
     rmse: Mapping[str, float]
@@ -85,6 +90,11 @@ class Identification:
     substeps: int
     iterations: int
     seconds: float
+
+    @property
+    def sound(self) -> bool:
+        """Whether it ended at a minimum and no sign is suspected to be reversed."""
+        return self.converged and not self.reversed_signs
 
     @property
     def values(self) -> dict[str, float]:
@@ -101,7 +111,7 @@ def describe(
     records: Sequence[Experiment],
     model: Discretised,
     bounds: Mapping[str, str],
-    reversed_signs: Sequence[str],
+    reversed_signs: Sequence[tuple[str, ...]],
     remarks: Sequence[str],
     initial: str,
     validation: float | None,
@@ -128,6 +138,7 @@ def describe(
     }[fitted.why]
     rms = np.sqrt(fitted.normal.cost)
     return Identification(
+        system=system,
         model=model,
         estimates=estimates,
         held=dict(space.held),
@@ -135,6 +146,7 @@ def describe(
         condition=certain.condition,
         converged=fitted.why == "converged",
         outcome=outcome,
+        reversed_signs=tuple(reversed_signs),
         findings=tuple(f for f in findings if f),
         trust="residuals" if certain.clustered is None else "records",
         rmse={e.name: float(r) for e, r in zip(records, rms, strict=True)},
@@ -195,7 +207,9 @@ def _residuals(
     return lag, float(np.max(sizes / (counts / np.sqrt(12))))
 
 
-def _about_bounds(estimates: Sequence[Estimate], reversed_signs: Sequence[str]) -> list[str]:
+def _about_bounds(
+    estimates: Sequence[Estimate], reversed_signs: Sequence[tuple[str, ...]]
+) -> list[str]:
     told = [
         f"'{e.name}' stands at the {e.bound} end of its range ({e.value:.4g} {e.unit}): the model "
         "lacks something, or the range is wrong"
@@ -203,7 +217,8 @@ def _about_bounds(estimates: Sequence[Estimate], reversed_signs: Sequence[str]) 
         if e.bound
     ]
     if reversed_signs:
-        listed = " and ".join(f"'{name}'" for name in reversed_signs)
+        each = [" and ".join(f"'{name}'" for name in names) for names in reversed_signs]
+        listed = " or of ".join(each)
         told.append(
             f"the sign of {listed} is probably reversed: turned around, the equations of motion "
             "explain the records clearly better; check the data card or the system's signs"
@@ -237,6 +252,7 @@ def _about_errors(
         told = f"residuals are {size}independent from sample to sample"
     if certain.clustered is not None:
         return f"{told}; trust the errors from how the {records} records disagree"
+    few = f"{records} record{'s are' if records > 1 else ' is'} too few"
     if correlated:
-        return f"{told}; {records} records are too few to say by how much: trust neither"
-    return f"{told}; the errors are those from J'J ({records} records are too few for others)"
+        return f"{told}, {few} to say by how much"
+    return f"{told}; the errors are those from J'J, {few} for others"

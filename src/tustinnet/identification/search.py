@@ -172,8 +172,9 @@ class Search:
         return self.space.vector(numbers), told
 
     def first_values(self, vector: Searched) -> tuple[Searched, float]:
-        """Least squares on the equations of motion, and what they leave unexplained."""
-        found, left = inverse_dynamics.first_values(self.system, self.space, vector, self.motion)
+        """Least squares on the equations of motion, and what they leave of the worst record."""
+        found, shares = inverse_dynamics.first_values(self.system, self.space, vector, self.motion)
+        left = float(shares.max())
         self.told(Iteration("first values", 1, left, 0.0))
         self._choose_substeps(found)
         return found, left
@@ -216,15 +217,15 @@ class Search:
         for swings in _SWINGS:
             length = swings * self.motion.length
             if length < longest:
-                vector = self._stage(vector, length, self._first, 1e-2, 20).vector
-        rough = self._stage(vector, None, self._first, 1e-3, 30)
+                vector = self._stage(vector, length, self._first, 0.1, 20).vector
+        rough = self._stage(vector, None, self._first, 1e-2, 30)
         self._choose_substeps(rough.vector)
         if self.settings.initial != "choose":
             fitted = self._last(rough.vector, self.settings.initial)
             return fitted, self.settings.initial, self._score(fitted) if self.held else None
         if not self.held:
             return self._last(rough.vector, "anchored"), "anchored", None
-        loose = self._stage(rough.vector, None, "free", 1e-3, 15)
+        loose = self._stage(rough.vector, None, "free", 1e-2, 15)
         chosen, name = min(
             ((rough, "anchored"), (loose, "free")), key=lambda entry: self._score(entry[0])
         )

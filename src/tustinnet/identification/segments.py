@@ -76,11 +76,7 @@ def cut(
         (multiple shooting); here continuity is reached by growing the segments.
         van Esch, Bonassi, Schön, section 2.2, loss over records.
     """
-    pieces = [
-        (i, int(a), int(b))
-        for i, e in enumerate(experiments)
-        for a, b in _bounds(len(e) - 1, length)
-    ]
+    pieces = [(i, a, b) for i, e in enumerate(experiments) for a, b in _bounds(len(e) - 1, length)]
     longest = max(b - a for _, a, b in pieces)
     drives = [model.drive(e) for e in experiments]
     n_q, n_y = len(model.coordinates), len(weights)
@@ -117,7 +113,7 @@ def cut(
 def _bounds(steps: int, length: int | None) -> list[tuple[int, int]]:
     count = 1 if length is None else max(1, round(steps / length))
     edges = np.linspace(0, steps, count + 1).round().astype(int)
-    return list(pairwise(edges))
+    return list(pairwise(edges.tolist()))
 
 
 def _near(e: Experiment, k: int) -> slice:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -26,7 +27,7 @@ class Space:
     """
 
     free: tuple[Parameter, ...]
-    held: Mapping[str, float]
+    held: Mapping[str, Any]
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -5,13 +5,15 @@ as `LagrangianSystem.dissipation` wants it; a spring returns its energy, as `pot
 forces that act return a force in the direction of the coordinate.
 """
 
+from typing import Any
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-Value = Float[Array, "*shape"]
+Value = Float[Array, "..."] | float
 
 
-def viscous(v: Value, damping: Value) -> Value:
+def viscous(v: Value, damping: Value) -> Any:
     """Viscous friction `b v` [N m or N].
 
     Args:
@@ -21,7 +23,7 @@ def viscous(v: Value, damping: Value) -> Value:
     return damping * v
 
 
-def coulomb(v: Value, level: Value, speed: float) -> Value:
+def coulomb(v: Value, level: Value, speed: float) -> Any:
     """Coulomb friction, smoothed: `c tanh(v / w)` [N m or N].
 
     The sign function would have no gradient, and no integrator keeps its order across a jump.
@@ -34,9 +36,7 @@ def coulomb(v: Value, level: Value, speed: float) -> Value:
     return level * jnp.tanh(v / speed)
 
 
-def stribeck(
-    v: Value, level: Value, breakaway: Value, stribeck_speed: Value, speed: float
-) -> Value:
+def stribeck(v: Value, level: Value, breakaway: Value, stribeck_speed: Value, speed: float) -> Any:
     """Stribeck friction, smoothed: `(c + (s - c) exp(-(v / v_s)^2)) tanh(v / w)` [N m or N].
 
     Args:
@@ -54,7 +54,7 @@ def stribeck(
     return (level + (breakaway - level) * falling) * jnp.tanh(v / speed)
 
 
-def linear_spring(q: Value, stiffness: Value) -> Value:
+def linear_spring(q: Value, stiffness: Value) -> Any:
     """Energy `k q^2 / 2` [J]; force against the deflection `k q`.
 
     Args:
@@ -64,7 +64,7 @@ def linear_spring(q: Value, stiffness: Value) -> Value:
     return stiffness * q**2 / 2
 
 
-def quadratic_spring(q: Value, stiffness: Value) -> Value:
+def quadratic_spring(q: Value, stiffness: Value) -> Any:
     """Energy `k q^3 / 3` [J]; force against the deflection `k q^2`, of one sign on both sides.
 
     Args:
@@ -77,7 +77,7 @@ def quadratic_spring(q: Value, stiffness: Value) -> Value:
     return stiffness * q**3 / 3
 
 
-def cubic_spring(q: Value, stiffness: Value) -> Value:
+def cubic_spring(q: Value, stiffness: Value) -> Any:
     """Energy `k q^4 / 4` [J]; force against the deflection `k q^3`.
 
     Args:
@@ -87,7 +87,7 @@ def cubic_spring(q: Value, stiffness: Value) -> Value:
     return stiffness * q**4 / 4
 
 
-def maxwell_rate(v: Value, z: Value, relaxation: Value) -> Value:
+def maxwell_rate(v: Value, z: Value, relaxation: Value) -> Any:
     """Rate of a Maxwell element's elastic deflection: `dz/dt = v - r z` [rad/s or m/s].
 
     A spring and a damper in series: the spring follows the motion and relaxes through the damper.
@@ -100,7 +100,7 @@ def maxwell_rate(v: Value, z: Value, relaxation: Value) -> Value:
     return v - relaxation * z
 
 
-def maxwell_force(z: Value, stiffness: Value) -> Value:
+def maxwell_force(z: Value, stiffness: Value) -> Any:
     """Force of a Maxwell element on its coordinate: `-k z` [N m or N].
 
     Args:
@@ -117,7 +117,7 @@ def dc_motor(
     resistance: Value,
     back_emf: Value,
     limit: float = float("inf"),
-) -> Value:
+) -> Any:
     """Torque of a DC motor `kt (sat(u) - km w) / R` [N m]; the inductance is neglected.
 
     Args:

@@ -1,4 +1,4 @@
-"""The paper's free-run figures, drawn from our models."""
+"""The paper's free-run figures (3, 4 and 5), drawn from our models."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,14 +9,33 @@ from tustinnet.evaluation.free_run import Score
 from tustinnet.paper.table1 import Row
 from tustinnet.report.figures import free_run_figure, write_figure
 
-# the paper's colours: Algorithm 1 in red, dash-dotted; the others by their place in the table
+# the paper's colours and lines: Algorithm 1 red and dash-dotted, Euler-Lagrange orange and dashed,
+# without spring purple and dotted; the others by their place in the table
 _STYLES = {
     "tustin-transfer": ("#c0392b", "-."),
-    "tustin-standard": ("#e08e0b", "--"),
-    "authors-transfer": ("#7d3c98", ":"),
+    "tustin-standard": ("#2e8b57", "--"),
+    "euler-lagrange": ("#e08e0b", "--"),
+    "euler-lagrange-naive": ("#7d3c98", ":"),
+    "authors-transfer": ("#922b21", (0, (1, 1))),
     "authors-standard": ("#5d6d7e", (0, (5, 2, 1, 2))),
-    "tustin-text-transfer": ("#2e8b57", "-."),
+    "tustin-text-transfer": ("#d98880", "-."),
     "tustin-text-standard": ("#a04000", "--"),
+}
+# what each figure compares; of networks ours, or the authors' where ours were not trained
+_COMPARED = {
+    "figure3": (("euler-lagrange",), ("euler-lagrange-naive",)),
+    "figure4": (("tustin-standard", "authors-standard"), ("tustin-transfer", "authors-transfer")),
+    "figure5": (("euler-lagrange",), ("tustin-transfer", "authors-transfer")),
+}
+_NAMES = {
+    "euler-lagrange": "Euler-Lagrange",
+    "euler-lagrange-naive": "Euler-Lagrange, no spring",
+    "tustin-transfer": "Tustin-Net, Algorithm 1",
+    "tustin-standard": "Tustin-Net, standard",
+    "authors-transfer": "authors' weights, Algorithm 1",
+    "authors-standard": "authors' weights, standard",
+    "tustin-text-transfer": "Algorithm 1 as in the text",
+    "tustin-text-standard": "standard as in the text",
 }
 _DEFAULT_RECORDS = ("fallTest4", "fallVal4")
 
@@ -32,22 +51,22 @@ def choose_experiment(data: DataSet, split: str, wanted: str | None) -> str:
 
 
 def draw(data: DataSet, rows: Sequence[Row], split: str, chosen: str, folder: Path) -> list[Path]:
-    """Draws the free runs of every record, and Figure 4 on the chosen one, as PNG and SVG.
+    """Draws every record's free runs, and Figures 3, 4 and 5 on the chosen one, as PNG and SVG.
 
-    Of several seeds the one with the median mean RMSE is drawn. Figure 4 compares standard
-    training with Algorithm 1: our trainings, or the authors' weights where ours are not there.
+    Of several seeds the one with the median mean RMSE is drawn. Figure 3 compares the
+    Euler-Lagrange model with and without spring, Figure 4 standard training with Algorithm 1,
+    Figure 5 the Euler-Lagrange model with Algorithm 1; each where both models are there.
     """
     shown = _median_rows(rows)
-    standard = next((m for m in ("tustin-standard", "authors-standard") if m in shown), None)
-    transfer = next((m for m in ("tustin-transfer", "authors-transfer") if m in shown), None)
-    pair = [m for m in (standard, transfer) if m is not None]
     written = []
     for e in data.split(split):
         runs = {m: _of(row, e.name) for m, row in shown.items() if m in _STYLES}
         written += _write(e.name, runs, data, folder / f"free_run_{e.name}")
-        if e.name == chosen and len(pair) == 2:
-            compared = {m: _of(shown[m], e.name) for m in pair}
-            written += _write(e.name, compared, data, folder / "figure4")
+    for name, sides in _COMPARED.items():
+        pair = [next((m for m in side if m in shown), None) for side in sides]
+        compared = {m: _of(shown[m], chosen) for m in pair if m is not None}
+        if len(compared) == len(sides):
+            written += _write(chosen, compared, data, folder / name)
     return written
 
 
@@ -66,7 +85,9 @@ def _of(row: Row, experiment: str) -> Score:
 
 
 def _write(name: str, runs: dict[str, Score], data: DataSet, stem: Path) -> list[Path]:
-    figure = free_run_figure(data[name], runs, _STYLES)
+    styles = {_NAMES[model]: _STYLES[model] for model in runs}
+    named = {_NAMES[model]: score for model, score in runs.items()}
+    figure = free_run_figure(data[name], named, styles)
     paths = [stem.with_name(f"{stem.name}{ending}") for ending in (".png", ".svg")]
     for path in paths:
         write_figure(figure, path)

@@ -6,10 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tustinnet.artifact.identification import write_identification
 from tustinnet.artifact.run import train_runs
 from tustinnet.data.dataset import DataSet
+from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.evaluation.free_run import Score, evaluate, mean_rmse
+from tustinnet.identification.identify import identify
+from tustinnet.identification.least_squares import Iteration
 from tustinnet.paper.published import (
     AUTHORS_ROWS,
     TABLE_1,
@@ -17,6 +21,7 @@ from tustinnet.paper.published import (
     load_authors_weights,
 )
 from tustinnet.report.tables import Table, number
+from tustinnet.systems.registry import load_system
 from tustinnet.training.fit import Plan
 from tustinnet.training.recipe import Criterion, keeping, read_recipe
 from tustinnet.training.state import EpochReport
@@ -29,8 +34,10 @@ TRAINED = {
     "tustin-text-standard": "paper-standard",
     "tustin-text-transfer": "paper-transfer",
 }
+IDENTIFIED = {"euler-lagrange": "qube-servo2", "euler-lagrange-naive": "qube-servo2-naive"}
 AUTHORS = "authors"
-DEFAULT_MODELS = (AUTHORS, "tustin-standard", "tustin-transfer")
+DEFAULT_MODELS = (AUTHORS, "tustin-standard", "tustin-transfer", *IDENTIFIED)
+KNOWN_MODELS = (AUTHORS, *TRAINED, *IDENTIFIED)
 
 
 @dataclass(frozen=True)
@@ -39,8 +46,8 @@ class Row:
 
     Attributes:
         model: its name.
-        seed: the seed it was trained from, None for published weights.
-        recipe: what it was trained by, None for published weights.
+        seed: the seed it was trained from, None for published weights and identified models.
+        recipe: what it was trained by, None for published weights; of identified models the system.
         scores: per record.
         train_seconds: time of the training, or None.
         windows: windows of each stage, or None.
@@ -91,9 +98,9 @@ def choose_models(names: Sequence[str] | None, folder: Path) -> tuple[list[str],
         )
         return kept, left
     for name in names:
-        if name not in (*TRAINED, AUTHORS):
+        if name not in KNOWN_MODELS:
             raise InputError(
-                "--models", f"unknown model '{name}'", f"one of {', '.join((AUTHORS, *TRAINED))}"
+                "--models", f"unknown model '{name}'", f"one of {', '.join(KNOWN_MODELS)}"
             )
     if AUTHORS in names and not present:
         raise InputError(
@@ -115,9 +122,10 @@ def build_rows(
     *,
     overwrite: bool,
     tell: Tell,
+    tell_identification: Callable[[Iteration], None] = lambda _: None,
     keep: Criterion | None = None,
 ) -> list[Row]:
-    """Trains what is to be trained and scores every model on the split.
+    """Trains and identifies what is to be trained and scores every model on the split.
 
     Args:
         data: all splits.
@@ -128,6 +136,7 @@ def build_rows(
         runs_folder: where trainings are kept.
         overwrite: train anew instead of going on with trainings that are there.
         tell: given a model's name, who is told while it trains.
+        tell_identification: who is told while parameters are identified.
         keep: the criterion of the best weights, where it is not to be the recipe's.
     """
     judged = list(data.split(split))
@@ -139,6 +148,11 @@ def build_rows(
             for row, stem in AUTHORS_ROWS.items():
                 model = load_authors_weights(folder / WEIGHTS_FOLDER / f"{stem}.npz", data)
                 rows.append(Row(row, None, None, tuple(evaluate(model, judged, START))))
+            continue
+        if name in IDENTIFIED:
+            rows.append(
+                _identified(name, material, judged, runs_folder / name, tell_identification)
+            )
             continue
         recipe = read_recipe(TRAINED[name])
         runs = train_runs(
@@ -158,6 +172,28 @@ def build_rows(
             for run in runs.seeds
         ]
     return rows
+
+
+def _identified(
+    name: str,
+    material: DataSet,
+    judged: Sequence[Experiment],
+    folder: Path,
+    told: Callable[[Iteration], None],
+) -> Row:
+    """Identifies a system anew, which takes seconds, and keeps it in a folder."""
+    system = load_system(IDENTIFIED[name])
+    result = identify(material, system, told=told)
+    chosen_by = "validation" if "validation" in material.splits else "train"
+    scores = evaluate(result.model, list(material.split(chosen_by)), START)
+    write_identification(folder, material, result, chosen_by, START, scores)
+    return Row(
+        model=name,
+        seed=None,
+        recipe=system.name,
+        scores=tuple(evaluate(result.model, judged, START)),
+        train_seconds=result.seconds,
+    )
 
 
 def as_json(rows: Sequence[Row], split: str) -> dict[str, Any]:

@@ -9,11 +9,55 @@ from typing import Self
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from tustinnet.identification.least_squares import Iteration
 from tustinnet.training.fit import Plan
 from tustinnet.training.state import EpochReport
 
 _WIDE = 110  # columns of a terminal that leave room for a longer bar
 _LINE_EVERY = 15.0  # seconds between two lines where there is no terminal
+
+
+class IdentificationProgress(AbstractContextManager["IdentificationProgress"]):
+    """Shows stage, iteration and residual of an identification.
+
+    Args:
+        console: where to; a terminal gets a line that changes, a file or pipe a line a stage.
+        quiet: show nothing.
+        label: what is being identified.
+    """
+
+    def __init__(self, console: Console, *, quiet: bool = False, label: str = "") -> None:
+        self._console, self._quiet, self._label = console, quiet, label and f"{label}: "
+        self._status = None
+        if console.is_terminal and not quiet:
+            self._status = console.status(f"{self._label}compiling")
+        self._stage = ""
+
+    def __enter__(self) -> Self:
+        if self._status:
+            self._status.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._status:
+            self._status.stop()
+
+    def told(self, iteration: Iteration) -> None:
+        """Who is to be told of every iteration."""
+        line = (
+            f"{self._label}{iteration.stage}, iteration {iteration.number}, "
+            f"cost {iteration.cost:.4g}"
+        )
+        if self._status:
+            self._status.update(line)
+        elif not self._quiet and iteration.stage != self._stage:
+            self._console.print(line, highlight=False, soft_wrap=True)
+        self._stage = iteration.stage
 
 
 class TrainingProgress(AbstractContextManager["TrainingProgress"]):

@@ -19,6 +19,7 @@ import numpy as np
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Coordinate, Input
 from tustinnet.models import forces
+from tustinnet.models.base import InputVector
 from tustinnet.models.lagrangian import (
     Coordinates,
     Internal,
@@ -68,7 +69,7 @@ def damping(q: Coordinates, v: Coordinates, p: Values) -> Coordinates:
     return forces.viscous(v, jnp.stack([p["arm_damping"], p["pendulum_damping"]]))
 
 
-def motor(q: Coordinates, v: Coordinates, u: Coordinates, p: Values) -> Coordinates:
+def motor(q: Coordinates, v: Coordinates, u: InputVector, p: Values) -> Coordinates:
     """The motor's torque on the arm."""
     torque = forces.dc_motor(
         u[0], ARM * v[0], p["torque_constant"], p["resistance"], p["back_emf"], SUPPLY
@@ -109,7 +110,7 @@ _RIGID = (
     Parameter("arm_length", "m", 0.085, 0.05, 0.12),
     Parameter("pendulum_mass", "kg", 0.024, 0.01, 0.05, fixed=True),
     Parameter("pendulum_centre", "m", 0.0645, 0.03, 0.129),
-    Parameter("pendulum_inertia", "kg m^2", 3.33e-5, 1e-6, 1e-4),
+    Parameter("pendulum_inertia", "kg m^2", 3.33e-5, 5e-6, 1e-4),
     Parameter("arm_damping", "N m s/rad", 3e-4, 1e-6, 1e-2),
     Parameter("pendulum_damping", "N m s/rad", 1e-5, 1e-7, 1e-3),
 )

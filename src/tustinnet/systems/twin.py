@@ -107,9 +107,9 @@ def log_runs(
 @eqx.filter_jit
 def _simulate(
     model: ContinuousModel,
-    x0: Float[np.ndarray, "runs n_x"],
-    u: Float[np.ndarray, "runs steps n_u"],
-    periods: Float[np.ndarray, "runs steps"],
+    x0: Float[Array | np.ndarray, "runs n_x"],
+    u: Float[Array | np.ndarray, "runs steps n_u"],
+    periods: Float[Array | np.ndarray, "runs steps"],
     parts: int,
 ) -> Float[Array, "runs samples n_x"]:
     def run(x: State, drive: Array, lengths: Array) -> Array:

@@ -1,0 +1,66 @@
+"""`tustinnet residuals`: what is left in the errors of the free runs."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tustinnet.cli import options, terminal
+
+
+def residuals(
+    model: options.Model,
+    data: options.Data,
+    split: options.Split = None,
+    start: options.Start = None,
+    lags: Annotated[int, typer.Option(min=1, metavar="L", help="Largest lag in samples.")] = 50,
+    card: options.Card = None,
+    system: options.System = None,
+    figure: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Draw the correlations (.png, .svg, .pdf).")
+    ] = None,
+    json: options.Json = False,
+) -> None:
+    """Test the free-run residuals: whiteness, correlation with the inputs, 99 % bounds."""
+    terminal.use_float64()
+    from tustinnet.artifact.model_file import load_model
+    from tustinnet.data.catalog import load
+    from tustinnet.evaluation.residuals import residual_reports
+    from tustinnet.report.figures import write_figure
+    from tustinnet.report.residuals import residual_figure
+    from tustinnet.report.tables import Table, number
+    from tustinnet.simulation.initial_state import default_start
+
+    judged = load_model(model, system)
+    loaded = load(data, card)
+    records = list(loaded.split(split) if split else loaded)
+    begin = start or default_start(records)
+    reports = residual_reports(judged, records, begin, lags)
+    title = f"Residuals of {len(records)} free runs, start '{begin}'"
+    if figure is not None:
+        write_figure(residual_figure(reports, judged.inputs, judged.dt, title), figure)
+        terminal.messages().print(f"figure: {figure}")
+    if json:
+        plain = [
+            {
+                key: value.tolist() if hasattr(value, "tolist") else value
+                for key, value in {**dataclasses.asdict(r), "white": r.white}.items()
+            }
+            for r in reports
+        ]
+        terminal.print_json({"start": begin, "lags": lags, "coordinates": plain})
+        return
+    rows = [
+        [
+            r.coordinate, number(r.rms), number(r.mean), number(float(r.autocorrelation[1])),
+            number(r.white_bound), f"{100 * r.outside:.0f} %",
+            *[f"{100 * share:.0f} %" for share in r.cross_outside],
+        ]
+        for r in reports
+    ]  # fmt: skip
+    crossed = [f"outside, {i.name}" for i in judged.inputs[: len(reports[0].cross)]]
+    columns = ["coordinate", "RMS", "mean", "lag 1", "99 % bound", "outside, own", *crossed]
+    terminal.print_tables(Table(columns, rows, title=title))
+    for r in reports:
+        typer.echo(f"{r.coordinate}: {r.sentence}")

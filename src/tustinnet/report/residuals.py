@@ -1,0 +1,56 @@
+"""The figure of residuals."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from tustinnet.data.experiment import Input
+from tustinnet.evaluation.residuals import CONFIDENCE, ResidualReport
+from tustinnet.report.figures import COLOURS, INPUT, house_style
+
+_BAND = "#2e8b57"
+
+
+def residual_figure(
+    reports: Sequence[ResidualReport], inputs: Sequence[Input], dt: float, title: str
+) -> Figure:
+    """Autocorrelation and correlation with the inputs, a row a coordinate, 99 % bounds shaded.
+
+    Args:
+        reports: what `residual_reports` found.
+        inputs: the inputs.
+        dt: sampling period [s].
+        title: a line above.
+    """
+    with house_style():
+        crossed = len(reports[0].cross)
+        columns = 1 + crossed
+        figure = Figure(figsize=(3.6 * columns, 2.1 * len(reports) + 0.8), layout="constrained")
+        panels = figure.subplots(len(reports), columns, squeeze=False)
+        for row, report in zip(panels, reports, strict=True):
+            lags = len(report.autocorrelation) - 1
+            _stems(row[0], np.arange(lags + 1) * dt, report.autocorrelation, report.white_bound)
+            row[0].set_ylabel(f"{report.coordinate}\nRMS {report.rms:.3g}")
+            for k in range(crossed):
+                times = np.arange(-lags, lags + 1) * dt
+                _stems(row[1 + k], times, report.cross[k], float(report.cross_bound[k]))
+        panels[0][0].set_title("autocorrelation", loc="left")
+        for k in range(crossed):
+            panels[0][1 + k].set_title(f"correlation with {inputs[k].name}", loc="left")
+        for axes in panels[-1]:
+            axes.set_xlabel("lag [s]")
+        shaded = f"shaded: {100 * CONFIDENCE:.0f} % of the lags of residuals with nothing left"
+        figure.suptitle(f"{title}; {shaded}", fontsize=8)
+        return figure
+
+
+def _stems(axes: Axes, times: np.ndarray, values: np.ndarray, bound: float) -> None:
+    axes.axhspan(-bound, bound, color=_BAND, alpha=0.2)
+    axes.axhline(0, color="0.5", linewidth=0.6)
+    outside = np.abs(values) > bound
+    colours = np.where(outside, COLOURS[0], INPUT)
+    axes.vlines(times, 0, values, colors=colours.tolist(), linewidth=1.2)
+    reach = max(float(np.abs(values).max()), bound) * 1.1
+    axes.set_ylim(-reach if values.min() < 0 else -0.15 * reach, reach)

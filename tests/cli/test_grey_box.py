@@ -1,0 +1,284 @@
+"""Identification, comparison and residuals by the command, with a system from a file."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import write_folder
+from test_verbs import tustinnet
+
+import tustinnet as tn
+from tustinnet.cli.main import run
+from tustinnet.systems import qube_servo2
+
+SYSTEM = '''"""A pendulum with friction, driven by a torque."""
+
+import jax.numpy as jnp
+
+import tustinnet as tn
+
+SYSTEM = tn.LagrangianSystem(
+    name="small-pendulum",
+    coordinates=(tn.Coordinate("angle", "angular"),),
+    inputs=(tn.Input("torque", "N m"),),
+    parameters=(
+        tn.Parameter("inertia", "kg m^2", 1.0, 0.1, 10.0, fixed=True),
+        tn.Parameter("gravity", "N m", 10.0, 1.0, 100.0),
+        tn.Parameter("damping", "N m s/rad", 0.3, 0.01, 10.0),
+        tn.Parameter("gain", "1", 2.0, 0.1, 40.0),
+    ),
+    kinetic=lambda q, v, p: p["inertia"] * v[0] ** 2 / 2,
+    potential=lambda q, p: -p["gravity"] * jnp.cos(q[0]),
+    dissipation=lambda q, v, p: p["damping"] * v,
+    input_map=lambda q, v, u, p: p["gain"] * u,
+)
+'''
+TRUTH = {"gravity": 20.0, "damping": 0.8, "gain": 4.0}
+
+
+@pytest.fixture
+def system(tmp_path):
+    """The small pendulum as a system file."""
+    path = tmp_path / "small_pendulum.py"
+    path.write_text(SYSTEM)
+    return path
+
+
+@pytest.fixture(scope="session")
+def identified_once(pendulum, tmp_path_factory):
+    """The folder of an identification by the command."""
+    place = tmp_path_factory.mktemp("identified")
+    (place / "small_pendulum.py").write_text(SYSTEM)
+    logs = write_folder(pendulum, place / "logs")
+    with pytest.raises(SystemExit) as ended:
+        run(["fit", str(logs), "--model", "euler-lagrange", "--system",
+             str(place / "small_pendulum.py"), "--out", str(place / "grey")])  # fmt: skip
+    assert not ended.value.code
+    return place / "grey"
+
+
+@pytest.fixture
+def identified(identified_once, tmp_path):
+    """A copy of that folder, which a test may change."""
+    return shutil.copytree(identified_once, tmp_path / "grey")
+
+
+def test_fit_finds_the_parameters_and_keeps_model_summary_and_figures(identified):
+    summary = json.loads((identified / "summary.json").read_text())
+    found = {e["name"]: e for e in summary["identification"]["estimates"]}
+    for name, value in TRUTH.items():
+        assert found[name]["value"] == pytest.approx(value, rel=0.02)
+    assert summary["identification"]["held"] == {"inertia": 1.0}
+    assert summary["scores"]["split"] == "validation"
+    assert summary["scores"]["mean"] < 0.02
+    names = {p.name for p in (identified / "figures").iterdir()}
+    assert names == {"correlation.png", "fall3.png", "noise2.png"}
+
+
+def test_a_second_fit_does_not_overwrite_the_first(identified, folder, system, capsys):
+    arguments = [
+        "fit",
+        folder,
+        "--model",
+        "euler-lagrange",
+        "--system",
+        system,
+        "--out",
+        identified,
+    ]
+    before = (identified / "model.safetensors").read_bytes()
+    code, _, err = tustinnet(capsys, *arguments)
+    assert code == 1
+    assert "there already" in err
+    assert (identified / "model.safetensors").read_bytes() == before
+    code, out, _ = tustinnet(capsys, *arguments, "--overwrite")
+    assert code == 0
+    assert "gravity" in out
+    assert "converged" in out
+
+
+def test_every_verb_takes_the_model_with_its_system(identified, folder, system, tmp_path, capsys):
+    model = identified / "model.safetensors"
+    code, out, _ = tustinnet(
+        capsys, "evaluate", model, folder, "--system", system, "--json", "--ahead", 5
+    )
+    assert code == 0
+    assert json.loads(out)["means"]["validation"] < 0.02
+    code, _, _ = tustinnet(
+        capsys, "simulate", model, folder, "--system", system, "--out", tmp_path / "sim"
+    )
+    assert code == 0
+    assert len(list((tmp_path / "sim").glob("*.csv"))) == 5
+    code, out, _ = tustinnet(capsys, "show", model, "--system", system)
+    assert code == 0
+    assert "gravity 20" in out
+    assert "Runge-Kutta" in out
+
+
+def test_without_its_system_the_model_names_the_option(identified, folder, capsys):
+    code, _, err = tustinnet(capsys, "evaluate", identified / "model.safetensors", folder)
+    assert code == 1
+    assert "--system small_pendulum.py" in err
+
+
+def test_a_changed_system_is_refused_but_comments_may_change(identified, folder, system, capsys):
+    arguments = ["evaluate", identified / "model.safetensors", folder, "--system", system]
+    system.write_text("# a remark\n" + SYSTEM.replace("A pendulum with friction", "Much said"))
+    assert tustinnet(capsys, *arguments)[0] == 0
+    system.write_text(SYSTEM.replace("jnp.cos(q[0])", "jnp.cos(2 * q[0])"))
+    code, _, err = tustinnet(capsys, *arguments)
+    assert code == 1
+    assert "has changed since the model was identified" in err
+
+
+def test_compare_puts_families_side_by_side(
+    identified, run_folder, folder, system, tmp_path, capsys
+):
+    models = [identified / "model.safetensors", run_folder / "model.safetensors"]
+    code, out, _ = tustinnet(
+        capsys, "compare", *models, folder, "--system", system, "--split", "validation",
+        "--figures", tmp_path / "overlay",
+    )  # fmt: skip
+    assert code == 0
+    assert "grey/model" in out
+    assert "run/model" in out
+    assert {p.name for p in (tmp_path / "overlay").iterdir()} == {"fall3.png", "noise2.png"}
+    code, out, _ = tustinnet(capsys, "compare", *models, folder, "--system", system, "--json")
+    means = {label: m["mean"] for label, m in json.loads(out)["models"].items()}
+    assert means["grey/model"] < means["run/model"]
+
+
+def test_residuals_tell_a_good_model_from_a_poor_one(
+    identified, run_folder, folder, system, tmp_path, capsys
+):
+    figure = tmp_path / "residuals.png"
+    code, out, _ = tustinnet(
+        capsys, "residuals", run_folder / "model.safetensors", folder, "--figure", figure
+    )
+    assert code == 0
+    assert "not white" in out
+    assert figure.stat().st_size > 5000
+    code, out, _ = tustinnet(
+        capsys, "residuals", identified / "model.safetensors", folder, "--system", system,
+        "--split", "validation", "--lags", 20, "--json",
+    )  # fmt: skip
+    assert code == 0
+    (angle,) = json.loads(out)["coordinates"]
+    assert len(angle["autocorrelation"]) == 21
+    assert len(angle["cross"][0]) == 41
+    assert angle["rms"] < 0.02
+
+
+def test_a_reversed_input_ends_with_its_name_and_exit_code_1(folder, system, tmp_path, capsys):
+    card = folder / "dataset.toml"
+    for path in folder.glob("*.csv"):
+        head, *rows = path.read_text().splitlines()
+        turned = [",".join([*row.split(",")[:2], str(-float(row.split(",")[2]))]) for row in rows]
+        path.write_text("\n".join([head, *turned]) + "\n")
+    assert card.is_file()
+    code, out, _ = tustinnet(
+        capsys, "fit", folder, "--model", "euler-lagrange", "--system", system,
+        "--out", tmp_path / "turned",
+    )  # fmt: skip
+    assert code == 1
+    assert "the sign of 'angle' or of 'torque' is probably reversed" in out
+    assert "'gain' stands at the lower end of its range" in out
+
+
+BROKEN = {
+    "no SYSTEM": "x = 1\n",
+    "fails at line 1 with ZeroDivisionError": "1 / 0\n",
+    "SyntaxError": "def\n",
+    "SYSTEM is a int": "SYSTEM = 3\n",
+    "returns shape (1,)": SYSTEM.replace("v[0] ** 2 / 2", "v ** 2"),
+    "asks for the parameter 'mass'": SYSTEM.replace('p["inertia"] * v[0]', 'p["mass"] * v[0]'),
+    "singular or negative": SYSTEM.replace("v[0] ** 2 / 2", "v[0] * 0"),
+    "coordinates": SYSTEM.replace('"angle", "angular"', '"x", "linear"'),
+    "nominal value 10": SYSTEM.replace("10.0, 1.0, 100.0", "10.0, 11.0, 100.0"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("told", BROKEN)
+def test_a_broken_system_file_is_one_line(told, folder, tmp_path, capsys):
+    path = tmp_path / "broken.py"
+    path.write_text(BROKEN[told])
+    code, _, err = tustinnet(
+        capsys, "fit", folder, "--model", "euler-lagrange", "--system", path,
+        "--out", tmp_path / "out",
+    )  # fmt: skip
+    assert code == 1
+    assert told in err
+    assert err.count("error: ") == 1
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--model", "euler-lagrange"], "--system NAME or --system FILE.py"),
+        (["--model", "euler-lagrange", "--system", "qube-servo3"], "no such system"),
+        (["--model", "euler-lagrange", "--system", "nowhere.py"], "no such file"),
+        (["--model", "euler-lagrange", "--system", "qube-servo2"], "coordinates"),
+        (["--model", "euler-lagrange", "--system", "{}", "--fix", "mass"], "no parameter 'mass'"),
+        (["--model", "euler-lagrange", "--system", "{}", "--fix", "gain=x"], "NAME=NUMBER"),
+        (["--model", "euler-lagrange", "--system", "{}", "--fix", "gain=99"], "0.1..40"),
+        (["--model", "euler-lagrange", "--system", "{}", "--initial", "here"], "unknown start"),
+        (["--model", "euler-lagrange", "--system", "{}", "--recipe", "standard"], "--recipe"),
+        (["--system", "qube-servo2"], "--model euler-lagrange"),
+    ],
+)
+def test_options_that_do_not_fit_are_one_line(arguments, told, folder, system, tmp_path, capsys):
+    arguments = [a.format(system) for a in arguments]
+    code, _, err = tustinnet(capsys, "fit", folder, "--out", tmp_path / "out", *arguments)
+    assert code == 1
+    assert told in err
+    assert "Traceback" not in err
+
+
+def test_fixed_parameters_stay(folder, system, tmp_path, capsys):
+    code, out, _ = tustinnet(
+        capsys, "fit", folder, "--model", "euler-lagrange", "--system", system, "--fix",
+        "gain=4", "--fix", "inertia", "--json", "--out", tmp_path / "out", "--quiet",
+    )  # fmt: skip
+    assert code == 0
+    assert json.loads(out)["identification"]["held"] == {"inertia": 1.0, "gain": 4.0}
+
+
+def test_the_demo_does_the_whole_job_and_says_twin_everywhere(
+    tmp_path, small_recipe, monkeypatch, capsys
+):
+    runs = {"train": (3, 2), "validation": (1, 1), "test": (1, 1)}
+    monkeypatch.setattr(qube_servo2, "_TWIN_RUNS", runs)
+    monkeypatch.setattr("tustinnet.cli.demo._DRAWN", ("twin_fall_test1",))
+    recipes = {"Tustin-Net, standard": small_recipe, "Tustin-Net, transfer": small_recipe}
+    monkeypatch.setattr("tustinnet.cli.demo._RECIPES", recipes)
+    out = tmp_path / "demo"
+    code, printed, _ = tustinnet(capsys, "demo", "--out", out)
+    assert code == 0
+    assert "Twin (simulated, favours Lagrangian models)" in printed
+    table = json.loads((out / "twin_table.json").read_text())
+    means = {name: m["mean"] for name, m in table["models"].items()}
+    assert means["Euler-Lagrange"] < means["Euler-Lagrange, no spring"]
+    assert len(means) == 4
+    assert all(path.name.startswith("twin") for path in out.iterdir())
+    assert tn.load(out / "twin").splits == ("train", "validation", "test")
+    before = (out / "twin_table.json").read_bytes()
+    assert tustinnet(capsys, "demo", "--out", out)[0] == 1
+    assert (out / "twin_table.json").read_bytes() == before
+
+
+def test_a_twin_written_and_read_again_is_the_same(tmp_path):
+    from tustinnet.artifact.data_set_folder import write_data_set
+
+    data = qube_servo2.twin(3)
+    few = tn.DataSet(data.name, tuple(data.split("validation")))
+    write_data_set(few, tmp_path / "twin", "Simulated")
+    again = tn.load(tmp_path / "twin")
+    for e, r in zip(few, again, strict=True):
+        np.testing.assert_allclose(r.q, e.q, atol=1e-7)
+        np.testing.assert_allclose(r.t, e.t, atol=1e-8)
+        assert r.padded_rows == e.padded_rows
+        assert replace(r.coordinates[0]) == e.coordinates[0]
+        assert (r.name, r.split) == (e.name, e.split)
