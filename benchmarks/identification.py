@@ -18,10 +18,10 @@ jax.config.update("jax_enable_x64", True)
 import numpy as np
 
 import tustinnet as tn
-from tustinnet.systems import qube_servo2
+from tustinnet.systems import qube_servo2, qube_servo2_twin
 from tustinnet.systems.twin import Logger
 
-SYSTEM, TRUTH = qube_servo2.WITH_MEMORY, qube_servo2.TWIN_VALUES
+SYSTEM, TRUTH = qube_servo2.WITH_MEMORY, qube_servo2_twin.TWIN_VALUES
 FREE = [p for p in SYSTEM.parameters if not p.fixed]
 EXACT = Logger(jitter=0.0, counts=False, substeps=2)
 SETTINGS = tn.Settings(initial="anchored")
@@ -30,7 +30,7 @@ EXACT_SETTINGS = tn.Settings(initial="anchored", substeps=EXACT.substeps)
 
 def training_records(seed: int, *, exact: bool) -> tn.DataSet:
     """The twin's training records, through encoders or exactly as simulated."""
-    data = qube_servo2.twin(seed, EXACT if exact else Logger())
+    data = qube_servo2_twin.twin(seed, EXACT if exact else Logger())
     records = tuple(data.split("train"))
     if exact:
         records = tuple(replace(e, coordinates=SYSTEM.coordinates) for e in records)

@@ -10,7 +10,6 @@ References:
     system identification benchmarks (gain and ranges).
 """
 
-
 import tustinnet as tn
 from tustinnet.models import forces
 

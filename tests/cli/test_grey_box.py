@@ -11,7 +11,7 @@ from test_verbs import tustinnet
 
 import tustinnet as tn
 from tustinnet.cli.main import run
-from tustinnet.systems import qube_servo2
+from tustinnet.systems import qube_servo2_twin
 
 SYSTEM = '''"""A pendulum with friction, driven by a torque."""
 
@@ -250,7 +250,7 @@ def test_the_demo_does_the_whole_job_and_says_twin_everywhere(
     tmp_path, small_recipe, monkeypatch, capsys
 ):
     runs = {"train": (3, 2), "validation": (1, 1), "test": (1, 1)}
-    monkeypatch.setattr(qube_servo2, "_TWIN_RUNS", runs)
+    monkeypatch.setattr(qube_servo2_twin, "_TWIN_RUNS", runs)
     monkeypatch.setattr("tustinnet.cli.demo._DRAWN", ("twin_fall_test1",))
     recipes = {"Tustin-Net, standard": small_recipe, "Tustin-Net, transfer": small_recipe}
     monkeypatch.setattr("tustinnet.cli.demo._RECIPES", recipes)
@@ -272,7 +272,7 @@ def test_the_demo_does_the_whole_job_and_says_twin_everywhere(
 def test_a_twin_written_and_read_again_is_the_same(tmp_path):
     from tustinnet.artifact.data_set_folder import write_data_set
 
-    data = qube_servo2.twin(3)
+    data = qube_servo2_twin.twin(3)
     few = tn.DataSet(data.name, tuple(data.split("validation")))
     write_data_set(few, tmp_path / "twin", "Simulated")
     again = tn.load(tmp_path / "twin")

@@ -40,6 +40,15 @@ def test_shapes_that_do_not_fit_are_refused():
         tn.rollout(Adder(), np.zeros(2), np.zeros((2, 3)))
 
 
+@pytest.mark.parametrize(
+    ("x0", "u"),
+    [((3,), (2, 1)), ((2,), (2,)), ((2,), (2, 2, 3)), ((2,), (2, 3, 1)), ((2,), (2, 2, 1, 1))],
+)
+def test_states_and_drives_of_other_sizes_are_refused(x0, u):
+    with pytest.raises(tn.InputError, match=r"rollout: x0 of shape .* \(2,\) and \(steps, 1\)"):
+        tn.rollout(Adder(), np.zeros(x0), np.zeros(u))
+
+
 def parabola(samples: int = 30, **options) -> tn.Experiment:
     t = np.arange(samples) * 0.01
     return tn.from_arrays(

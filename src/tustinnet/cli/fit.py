@@ -85,6 +85,9 @@ def fit(
     loss: Annotated[
         Loss, typer.Option(help="euler-lagrange: compare positions, or velocities too.")
     ] = Loss.positions,
+    periodic: Annotated[
+        bool, typer.Option("--periodic", help="euler-lagrange: periodic distance of angles.")
+    ] = False,
     times: Annotated[
         Times, typer.Option(help="euler-lagrange: step by timestamps or by the period.")
     ] = Times.recorded,
@@ -124,7 +127,7 @@ def fit(
         from tustinnet.identification.search import Settings
 
         settings = Settings(
-            initial=initial, part=part.value, loss=loss.value, times=times.value,
+            initial=initial, part=part.value, loss=loss.value, times=times.value, periodic=periodic,
             method=method.value,
         )  # fmt: skip
         fit_grey_box(

@@ -41,7 +41,7 @@ def inspect(
             {"data": loaded.name, "experiments": [dataclasses.asdict(r) for r in reports]}
         )
         return
-    terminal.print_tables(_time_table(reports), _channel_table(reports))
+    terminal.print_tables(time_table(reports), _channel_table(reports))
     # the table has the jitter
     notes = ((r.name, text) for r in reports for text in r.notes if "jitter" not in text)
     for line in (*suspicions(reports), *_lines("note", notes)):
@@ -60,7 +60,8 @@ def _lines(kind: str, remarks: Iterable[tuple[str, str]]) -> list[str]:
     return [f"{kind}: {text}  [{', '.join(names)}]" for text, names in sorted(by_text.items())]
 
 
-def _time_table(reports: list["ExperimentReport"]) -> "Table":
+def time_table(reports: list["ExperimentReport"]) -> "Table":
+    """Period, jitter, gaps, share at rest and end of the transient of every record."""
     from tustinnet.report.tables import Table
 
     return Table(

@@ -57,7 +57,7 @@ def reproduce(
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Reproduce Table 1 and Figures 3, 4 and 5 of the paper.
+    """Reproduce Table 1 and the five figures of the paper.
 
     Trainings that are in --out already are gone on with, finished ones are taken as they are.
     """
@@ -98,7 +98,9 @@ def reproduce(
         rows = table1.build_rows(
             records, folder, chosen, scored, seeds, out / "runs", overwrite=overwrite,
             tell=lambda name: lambda plan: progress.follow(plan, name),
-            tell_identification=IdentificationProgress(told, quiet=quiet).told,
+            tell_identification=lambda name: (
+                IdentificationProgress(told, quiet=quiet, label=name).told
+            ),
             keep=None if keep is None else keep.value,
         )  # fmt: skip
     content = table1.as_json(rows, scored)

@@ -38,25 +38,31 @@ def minimise_by_gradient(
     """Minimises the same cost as `minimise`, by reverse-mode gradients; see there for arguments.
 
     An iteration costs a few simulations whatever the number of parameters, and there are many
-    more of them: ten times as many are allowed.
+    more of them: five times as many are allowed.
 
     References:
         Byrd, Lu, Nocedal, Zhu (1995), A limited memory algorithm for bound constrained
         optimization.
     """
     searched = segments.free > 0
-    # initial states in units in which a step of 1 is a large one
-    unit = np.maximum(np.abs(segments.x0).max(axis=0), 1.0) * np.ones_like(segments.x0)
-    n_p = len(vector)
+    vector, n_p = space.clipped(vector), len(vector)
+    # every variable in the unit in which it changes the cost as much as any other at the start
+    begin = normal_products(shape, space, vector, segments.x0, segments, substeps)
+    begin = anchored(begin, segments, segments.x0, prior.variance)
+    weights = np.concatenate(
+        [begin.pp.sum(axis=0).diagonal(), np.einsum("sxx->sx", begin.xx)[searched]]
+    )
+    unit = 1 / np.sqrt(np.maximum(weights, 1e-8 * weights.max()))
     held = {name: np.asarray(float(value)) for name, value in space.held.items()}
     arrays = (segments.drive, segments.periods, segments.target, segments.weight)
 
     def states(point: np.ndarray) -> np.ndarray:
         x0 = segments.x0.copy()
-        x0[searched] += point[n_p:] * unit[searched]
+        x0[searched] += point[n_p:]
         return x0
 
-    def cost(point: np.ndarray) -> tuple[float, np.ndarray]:
+    def cost(scaled: np.ndarray) -> tuple[float, np.ndarray]:
+        point = scaled * unit
         x0 = states(point)
         value, (by_vector, by_state) = _cost(shape, substeps, held, point[:n_p], x0, *arrays)
         deviation, slope = prior_deviation(prior, space, point[:n_p])
@@ -64,8 +70,8 @@ def minimise_by_gradient(
         off = x0 - segments.x0
         total = float(value) + prior.weight * np.sum(deviation**2) + np.sum(weight * off**2)
         gradient = np.asarray(by_vector) + 2 * prior.weight * deviation * slope
-        shift = (np.asarray(by_state) + 2 * weight * off)[searched] * unit[searched]
-        return float(total), np.concatenate([gradient, shift])
+        shift = (np.asarray(by_state) + 2 * weight * off)[searched]
+        return float(total), np.concatenate([gradient, shift]) * unit
 
     count = 0
 
@@ -77,14 +83,17 @@ def minimise_by_gradient(
     n_states = int(searched.sum())
     found = scipy.optimize.minimize(
         cost,
-        np.concatenate([space.clipped(vector), np.zeros(n_states)]),
+        np.concatenate([vector, np.zeros(n_states)]) / unit,
         jac=True,
         method="L-BFGS-B",
-        bounds=[*zip(space.lower, space.upper, strict=True), *[(None, None)] * n_states],
+        bounds=[
+            *zip(space.lower / unit[:n_p], space.upper / unit[:n_p], strict=True),
+            *[(None, None)] * n_states,
+        ],
         callback=followed,
-        options={"maxiter": 10 * most, "maxcor": 30, "ftol": tolerance * 1e-2, "gtol": 1e-12},
+        options={"maxiter": 5 * most, "maxcor": 30, "ftol": tolerance * 1e-2, "gtol": 1e-12},
     )
-    best, x0 = space.clipped(found.x[:n_p]), states(found.x)
+    best, x0 = space.clipped(found.x[:n_p] * unit[:n_p]), states(found.x * unit)
     normal = normal_products(shape, space, best, x0, segments, substeps)
     return Fitted(
         best,

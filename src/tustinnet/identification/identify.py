@@ -22,6 +22,7 @@ from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
 
 # what right signs leave of the momentum is a few hundredths, what wrong ones leave over a half
 _POORLY_EXPLAINED = 0.1
+_SHORTEST = 10  # samples of a transient worth fitting
 
 
 def identify(
@@ -61,7 +62,7 @@ def identify(
         records[0], system.coordinates, system.inputs, f"the system '{system.name}'"
     )
     if settings.part == "transients":
-        records = [_transient(e) for e in records]
+        records = _transients(records)
     space = make_space(system, start_values or {}, fixed or {})
     start_values = system.nominal() | dict(start_values or {})
     vector = space.clipped(space.vector(start_values))
@@ -98,8 +99,13 @@ def identify(
     )
 
 
-def _transient(e: Experiment) -> Experiment:
-    return e[: max(transient_end(e), 2)]
+def _transients(records: Sequence[Experiment]) -> list[Experiment]:
+    """Records up to `k_bar`; those that hardly move before it are left out."""
+    ends = [transient_end(e) for e in records]
+    kept = [e[:end] for e, end in zip(records, ends, strict=True) if end >= _SHORTEST]
+    if not kept:
+        raise InputError("part 'transients'", "no record that moves", "records with a transient")
+    return kept
 
 
 def _require_mass(

@@ -19,6 +19,7 @@ from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
 _SHORTEST, _LONGEST = 8, 200  # samples of a window
 _TELLING = 0.7  # a reversal is likely when it leaves less than this part of the residual
 _MOST_FLIPPED = 2
+_WELL_EXPLAINED = 0.1
 
 
 @dataclass(frozen=True)
@@ -129,7 +130,9 @@ def first_values(
     residual, _, lifted = answer(found.x)
     left = np.bincount(motion.record, np.sum((residual / unit) ** 2, axis=1))
     moved = np.bincount(motion.record, np.sum((lifted / unit) ** 2, axis=1))
-    return space.clipped(found.x), left / np.maximum(moved, 1e-300)
+    windows = np.bincount(motion.record)
+    usual = windows * moved.sum() / windows.sum()  # a record that hardly moves says little
+    return space.clipped(found.x), left / np.maximum(np.maximum(moved, usual / 10), 1e-300)
 
 
 def likely_reversals(
@@ -150,19 +153,22 @@ def likely_reversals(
     names = [c.name for c in system.coordinates] + [i.name for i in system.inputs]
     n_q = len(system.coordinates)
 
-    def left(flipped: tuple[int, ...]) -> float:
+    def left(flipped: tuple[int, ...]) -> np.ndarray:
         signs = np.ones(len(names))
         signs[list(flipped)] = -1.0
         q, v, u = motion.q * signs[:n_q], motion.v * signs[:n_q], motion.u * signs[n_q:]
         turned = replace(motion, q=q, v=v, u=u)
-        # the record that is explained worst tells: others may not move what is reversed
-        return float(first_values(system, space, vector, turned)[1].max())
+        return first_values(system, space, vector, turned)[1]
 
-    enough = _TELLING * left(())
+    before = left(())
     for count in range(1, _MOST_FLIPPED + 1):
-        found = {flipped: left(flipped) for flipped in combinations(range(len(names)), count)}
-        best = min(found.values())
-        if best < enough:
+        tried = {flipped: left(flipped) for flipped in combinations(range(len(names)), count)}
+        # the record that is explained worst tells: others may not move what is reversed, but
+        # none that was explained well may suffer
+        allowed = np.maximum(before, _WELL_EXPLAINED)
+        found = {f: shares.max() for f, shares in tried.items() if np.all(shares <= allowed)}
+        best = min(found.values(), default=np.inf)
+        if best < _TELLING * before.max():
             alike = [f for f, value in found.items() if value < 1.1 * best]
             return tuple(tuple(names[i] for i in flipped) for flipped in alike)
     return ()

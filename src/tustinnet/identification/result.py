@@ -171,7 +171,8 @@ def _estimates(
         known = p.name not in bounds
         half = certain.trusted_quantile * trusted[i]
         edges = [fitted.vector[i] - half, fitted.vector[i] + half]
-        interval = tuple(np.exp(edges) if p.positive else np.array(edges) * slopes[i])
+        with np.errstate(over="ignore"):
+            interval = tuple(np.exp(edges) if p.positive else np.array(edges) * slopes[i])
         found.append(
             Estimate(
                 name=p.name,
@@ -241,11 +242,12 @@ def _about_condition(space: Space, certain: Uncertainty) -> list[str]:
 def _about_errors(
     certain: Uncertainty, lag: np.ndarray, multiple: float | None, records: int
 ) -> str:
-    correlated = bool(np.max(np.abs(lag), initial=0.0) > _CORRELATED)
+    strongest = float(lag[np.argmax(np.abs(lag))])
+    correlated = abs(strongest) > _CORRELATED
     size = f"{multiple:.0f} times the encoders' quantisation and " if multiple else ""
     if correlated:
         told = (
-            f"residuals are {size}alike from sample to sample (correlation {np.max(lag):.2f}): "
+            f"residuals are {size}alike from sample to sample (correlation {strongest:.2f}): "
             "something is not modelled, and errors from J'J are too small"
         )
     else:

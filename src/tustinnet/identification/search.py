@@ -153,7 +153,7 @@ class Search:
             weight=variance * len(self.records) / samples,
         )
 
-    def hold_confounded(self, vector: Searched) -> tuple[Searched, list[str]]:
+    def hold_confounded(self, vector: Searched) -> tuple[np.ndarray, list[str]]:
         """Holds one parameter of every set that the records cannot tell apart."""
         s = self.segments(_SWINGS[0] * self.motion.length, self._first)
         products = normal_products(self.shape, self.space, vector, s.x0, s, 1).pp.sum(axis=0)
@@ -167,6 +167,12 @@ class Search:
         names = {direction.suggestion for direction in found}
         numbers = self.space.numbers(vector)
         free = tuple(p for p in self.space.free if p.name not in names)
+        if not free:
+            raise InputError(
+                f"system '{self.system.name}'",
+                "; ".join(str(direction) for direction in found),
+                "records that say something of at least one parameter",
+            )
         self.space = Space(free, dict(self.space.held) | {name: numbers[name] for name in names})
         told = [f"{direction}; here it was held at its first value" for direction in found]
         return self.space.vector(numbers), told

@@ -70,23 +70,24 @@ def uncertainty(
     matrices, gradients, _, _ = eliminated(normal)
     matrices, gradients = matrices[:, moving][:, :, moving], gradients[:, moving]
     whole = matrices.sum(axis=0) + np.diag(curvature[moving])
-    inverse = np.linalg.pinv(whole, hermitian=True)
+    inverse = _inverse(whole)
     # every residual weighs 1/T: the records' gradients have variance sigma^2 / T times their matrix
     samples = 1 / segments.share
     channels = np.count_nonzero(segments.weight[:, 0].any(axis=0))
     used = np.count_nonzero(segments.free) + int(moving.sum())
     freedom = max(float(samples.sum() * channels - used), 1.0)
     variance = float(normal.cost @ samples) / freedom
-    spread = np.tensordot(variance / samples, matrices, 1)
+    known = variance * len(samples) / samples.sum() * np.diag(curvature[moving])
+    spread = np.tensordot(variance / samples, matrices, 1) + known
     naive = inverse @ spread @ inverse
     clustered, n = None, len(matrices)
     if n >= _FEWEST_RECORDS:
         away = np.stack(
-            [np.linalg.pinv(whole - m, hermitian=True) @ g
+            [_inverse(whole - m) @ g
              for m, g in zip(matrices, gradients, strict=True)]
         )  # fmt: skip
         away -= away.mean(axis=0)
-        clustered = (n - 1) / n * away.T @ away
+        clustered = (n - 1) / n * away.T @ away + inverse @ known @ inverse
     unit = np.sqrt(np.maximum(np.diag(whole), 1e-300))
     values, vectors = np.linalg.eigh(whole / np.outer(unit, unit))
     worst = vectors[:, 0] / unit if len(unit) else np.zeros(0)
@@ -101,6 +102,11 @@ def uncertainty(
         condition=float(np.sqrt(values[-1] / max(values[0], 1e-300))) if len(unit) else 1.0,
         worst=_filled(worst / np.abs(worst).max(initial=1e-300), moving),
     )
+
+
+def _inverse(matrix: np.ndarray) -> np.ndarray:
+    unit = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    return np.linalg.pinv(matrix / np.outer(unit, unit), hermitian=True) / np.outer(unit, unit)
 
 
 def _embedded(matrix: np.ndarray, moving: np.ndarray) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Euler-Lagrange models: equations of motion from energies, by automatic differentiation."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -55,6 +56,8 @@ class Parameter:
             raise InputError(
                 f"parameter '{self.name}'", "an empty range", "lower < upper, or fixed"
             )
+        if not (self.fixed or math.isfinite(self.upper - self.lower)):
+            raise InputError(f"parameter '{self.name}'", "a range without an end", "finite ends")
         if self.prior is not None and not self.prior > 0:
             raise InputError(
                 f"parameter '{self.name}'", f"prior {self.prior:g}", "a positive standard deviation"

@@ -1,11 +1,14 @@
-"""The paper's free-run figures (3, 4 and 5), drawn from our models."""
+"""The paper's figures: two drawings, and free runs of our models."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
+from matplotlib.figure import Figure
+
 from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
 from tustinnet.evaluation.free_run import Score
+from tustinnet.paper.drawings import architecture_figure, mechanism_figure
 from tustinnet.paper.table1 import Row
 from tustinnet.report.figures import free_run_figure, write_figure
 
@@ -51,14 +54,16 @@ def choose_experiment(data: DataSet, split: str, wanted: str | None) -> str:
 
 
 def draw(data: DataSet, rows: Sequence[Row], split: str, chosen: str, folder: Path) -> list[Path]:
-    """Draws every record's free runs, and Figures 3, 4 and 5 on the chosen one, as PNG and SVG.
+    """Draws the paper's five figures and every record's free runs, as PNG and SVG.
 
+    Figures 1 and 2 are drawings; 3, 4 and 5 are free runs of the chosen record.
     Of several seeds the one with the median mean RMSE is drawn. Figure 3 compares the
     Euler-Lagrange model with and without spring, Figure 4 standard training with Algorithm 1,
     Figure 5 the Euler-Lagrange model with Algorithm 1; each where both models are there.
     """
     shown = _median_rows(rows)
-    written = []
+    written = _both(mechanism_figure(), folder / "figure1")
+    written += _both(architecture_figure(), folder / "figure2")
     for e in data.split(split):
         runs = {m: _of(row, e.name) for m, row in shown.items() if m in _STYLES}
         written += _write(e.name, runs, data, folder / f"free_run_{e.name}")
@@ -87,7 +92,10 @@ def _of(row: Row, experiment: str) -> Score:
 def _write(name: str, runs: dict[str, Score], data: DataSet, stem: Path) -> list[Path]:
     styles = {_NAMES[model]: _STYLES[model] for model in runs}
     named = {_NAMES[model]: score for model, score in runs.items()}
-    figure = free_run_figure(data[name], named, styles)
+    return _both(free_run_figure(data[name], named, styles), stem)
+
+
+def _both(figure: Figure, stem: Path) -> list[Path]:
     paths = [stem.with_name(f"{stem.name}{ending}") for ending in (".png", ".svg")]
     for path in paths:
         write_figure(figure, path)

@@ -122,7 +122,7 @@ def build_rows(
     *,
     overwrite: bool,
     tell: Tell,
-    tell_identification: Callable[[Iteration], None] = lambda _: None,
+    tell_identification: Callable[[str], Callable[[Iteration], None]] = lambda _: lambda _: None,
     keep: Criterion | None = None,
 ) -> list[Row]:
     """Trains and identifies what is to be trained and scores every model on the split.
@@ -136,7 +136,7 @@ def build_rows(
         runs_folder: where trainings are kept.
         overwrite: train anew instead of going on with trainings that are there.
         tell: given a model's name, who is told while it trains.
-        tell_identification: who is told while parameters are identified.
+        tell_identification: given a model's name, who is told while it is identified.
         keep: the criterion of the best weights, where it is not to be the recipe's.
     """
     judged = list(data.split(split))
@@ -151,7 +151,7 @@ def build_rows(
             continue
         if name in IDENTIFIED:
             rows.append(
-                _identified(name, material, judged, runs_folder / name, tell_identification)
+                _identified(name, material, judged, runs_folder / name, tell_identification(name))
             )
             continue
         recipe = read_recipe(TRAINED[name])

@@ -23,6 +23,7 @@ MEASURED = "#111111"
 INPUT = "#5b7fa6"
 COLOURS = ("#c0392b", "#e08e0b", "#2e8b57", "#7d3c98", "#5d6d7e")
 _DASHES = ("-.", "--", ":", (0, (6, 1, 1, 1, 1, 1)), "--")
+_LEGEND_WIDTH = 118  # characters of a legend that fit below a figure, 7 of a column for its line
 _FORMATS = ("png", "svg", "pdf")
 _STYLE = {
     "font.size": 9,
@@ -64,6 +65,7 @@ def free_run_figure(
     experiment: Experiment,
     runs: Mapping[str, Score],
     styles: Mapping[str, tuple[str, object]] | None = None,
+    recorded: str = "measured",
 ) -> Figure:
     """Measured and simulated positions of one record, a panel a coordinate.
 
@@ -71,6 +73,7 @@ def free_run_figure(
         experiment: the record.
         runs: free runs by label.
         styles: colour and line style by label.
+        recorded: what to call the record's own line.
     """
     with house_style():
         n_q = len(experiment.coordinates)
@@ -78,7 +81,7 @@ def free_run_figure(
         panels = np.atleast_1d(figure.subplots(n_q, 1, sharex=True))
         t = experiment.t - experiment.t[0]
         for j, (axes, coordinate) in enumerate(zip(panels, experiment.coordinates, strict=True)):
-            axes.plot(t, experiment.q[:, j], color=MEASURED, label="measured", linewidth=1.4)
+            axes.plot(t, experiment.q[:, j], color=MEASURED, label=recorded, linewidth=1.4)
             for i, (label, score) in enumerate(runs.items()):
                 colour, dash = (styles or {}).get(
                     label, (COLOURS[i % len(COLOURS)], _DASHES[i % len(_DASHES)])
@@ -92,9 +95,14 @@ def free_run_figure(
         panels[0].set_title(f"{experiment.name}: free run, start '{', '.join(starts)}'", loc="left")
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(
-            handles, labels, loc="outside lower center", ncols=min(len(labels), 3), fontsize=8
+            handles, labels, loc="outside lower center", ncols=_columns(labels), fontsize=8
         )
         return figure
+
+
+def _columns(labels: Sequence[str]) -> int:
+    """Columns of a legend that the figure's width has room for."""
+    return max(1, min(len(labels), 3, _LEGEND_WIDTH // (max(map(len, labels)) + 7)))
 
 
 def _bounded(

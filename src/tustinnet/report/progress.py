@@ -8,6 +8,7 @@ from typing import Self
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.status import Status
 
 from tustinnet.identification.least_squares import Iteration
 from tustinnet.training.fit import Plan
@@ -21,20 +22,20 @@ class IdentificationProgress(AbstractContextManager["IdentificationProgress"]):
     """Shows stage, iteration and residual of an identification.
 
     Args:
-        console: where to; a terminal gets a line that changes, a file or pipe a line a stage.
+        console: where to; a terminal gets a line that changes while the context is open, a file
+            or pipe, or a terminal that shows something else, a line a stage.
         quiet: show nothing.
         label: what is being identified.
     """
 
     def __init__(self, console: Console, *, quiet: bool = False, label: str = "") -> None:
         self._console, self._quiet, self._label = console, quiet, label and f"{label}: "
-        self._status = None
-        if console.is_terminal and not quiet:
-            self._status = console.status(f"{self._label}compiling")
+        self._status: Status | None = None
         self._stage = ""
 
     def __enter__(self) -> Self:
-        if self._status:
+        if self._console.is_terminal and not self._quiet:
+            self._status = self._console.status(f"{self._label}compiling")
             self._status.start()
         return self
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.errors import InputError
-from tustinnet.models.base import DiscreteModel, InputVector, State
+from tustinnet.models.base import DiscreteModel, State
 
 
 def rollout(
@@ -32,14 +32,14 @@ def rollout(
         raise InputError(
             "rollout",
             f"x0 of shape {start.shape} and u of shape {inputs.shape}",
-            f"({n_x},) and (steps, {n_u})",
+            f"({n_x},) and (steps, {n_u}), or (steps, 2, {n_u}) for inputs on straight lines",
         )
 
     # a state keeps its precision from step to step: the widest of all that goes into it
     arrays = [leaf for leaf in jax.tree.leaves(model) if eqx.is_inexact_array(leaf)]
     start = start.astype(jnp.result_type(start, inputs, *arrays))
 
-    def advance(x: State, u_k: InputVector) -> tuple[State, State]:
+    def advance(x: State, u_k: Array) -> tuple[State, State]:
         following = model.step(x, u_k)
         return following, following
 

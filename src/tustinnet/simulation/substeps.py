@@ -36,10 +36,13 @@ def choose_substeps(
     """
     fixed = discretise(model, experiments[0].dt)
     start = default_start(list(experiments))
-    shortest = min(len(e) for e in experiments) - 1
-    steps = min(max(1, round(PROBED_SECONDS / fixed.dt)), shortest)
+    longest = max(len(e) for e in experiments) - 1
+    steps = min(max(1, round(PROBED_SECONDS / fixed.dt)), longest)
     x0 = jnp.asarray(np.stack([padded_state(fixed, initial_state(e, start)) for e in experiments]))
-    u = jnp.asarray(np.stack([fixed.drive(e)[:steps] for e in experiments]))
+    drives = [fixed.drive(e)[:steps] for e in experiments]
+    # a shorter record goes on under its last input
+    ends = [[(0, steps - len(d)), *[(0, 0)] * (d.ndim - 1)] for d in drives]
+    u = jnp.asarray(np.stack([np.pad(d, p, "edge") for d, p in zip(drives, ends, strict=True)]))
 
     def positions(substeps: int) -> np.ndarray:
         return np.asarray(_positions(model, x0, u, fixed.dt, jnp.asarray(substeps)))
@@ -79,7 +82,7 @@ def _positions(
     n_q = len(model.coordinates)
 
     def run(x: State, drive: Array) -> Array:
-        def advance(state: State, u_k: Array) -> tuple[State, State]:
+        def advance(state: State, u_k: Array) -> tuple[State, Array]:
             state = jax.lax.fori_loop(
                 0, parts, lambda i, s: substep(model, s, u_k, i, parts, dt / parts), state
             )

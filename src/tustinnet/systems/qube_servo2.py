@@ -14,23 +14,19 @@ References:
 from dataclasses import replace
 
 import jax.numpy as jnp
-import numpy as np
 
-from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Coordinate, Input
 from tustinnet.models import forces
 from tustinnet.models.base import InputVector
 from tustinnet.models.lagrangian import (
     Coordinates,
     Internal,
-    LagrangianModel,
     LagrangianSystem,
     Memory,
     Parameter,
     Scalar,
     Values,
 )
-from tustinnet.systems.twin import AS_LOGGED, Logger, Run, log_runs
 
 GRAVITY = 9.81  # m/s^2
 ARM = -1.0  # the sign of theta in the data, where the direction that a positive voltage drives is +
@@ -146,69 +142,3 @@ WITH_MEMORY = replace(
     dissipation=damping_and_dry_friction,
     memory=Memory(("cable",), cable_rate, cable_force),
 )
-
-COUNT = 0.00306640625  # rad, 6.28 / 2048: the published logs take pi as 3.14
-TWIN_NAME = "qube-servo2-twin"
-# identified from the published training records with WITH_MEMORY, rounded
-TWIN_VALUES = WITH_MEMORY.nominal() | {
-    "arm_mass": 0.063,
-    "arm_length": 0.0863,
-    "pendulum_centre": 0.0737,
-    "pendulum_inertia": 1.1e-5,
-    "arm_damping": 5e-5,
-    "pendulum_damping": 1e-5,
-    "cable_stiffness": 1.56e-3,
-    "cable_quadratic": 3e-5,
-    "cable_cubic": 3.7e-4,
-    "arm_friction": 3.7e-4,
-    "cable_memory": 1.56e-3,
-    "cable_relaxation": 3.6,
-}
-_TWIN_RUNS = {"train": (10, 5), "validation": (4, 2), "test": (4, 4)}
-_AMPLITUDES = (2.0, 2.5, 3.0, 3.5, 4.0)  # V
-
-
-def twin(seed: int = 0, logger: Logger = AS_LOGGED) -> DataSet:
-    """Records of a simulated Qube-Servo 2: free falls and white-noise voltage, in three splits.
-
-    Numbers, lengths and starts are those of the published records. The twin is a Lagrangian
-    system, so it favours Lagrangian models: what a method scores on it says nothing of what it
-    scores on the apparatus.
-
-    Args:
-        seed: everything random follows from it.
-        logger: how it is logged.
-    """
-    generator = np.random.default_rng(seed)
-    runs = []
-    for split, (falls, noises) in _TWIN_RUNS.items():
-        label = "" if split == "train" else f"_{split}"
-        runs += [_fall(f"twin_fall{label}{i + 1}", split, generator) for i in range(falls)]
-        runs += [
-            _noise(f"twin_noise{label}{i + 1}", split, _AMPLITUDES[i], generator)
-            for i in range(noises)
-        ]
-    values = {name: jnp.asarray(value, jnp.float64) for name, value in TWIN_VALUES.items()}
-    coordinates = tuple(replace(c, resolution=COUNT) for c in WITH_MEMORY.coordinates)
-    records = log_runs(
-        LagrangianModel(WITH_MEMORY, values), coordinates, WITH_MEMORY.inputs, runs, logger,
-        generator,
-    )  # fmt: skip
-    return DataSet(TWIN_NAME, records)
-
-
-def _fall(name: str, split: str, generator: np.random.Generator) -> Run:
-    """Let go near upright, on either side, most often almost at rest."""
-    samples = int(generator.integers(716, 800))
-    side = generator.choice([-1.0, 1.0])
-    tilt = side * generator.uniform(0.25, 0.76)
-    alpha = tilt if side > 0 else 2 * np.pi + tilt
-    speeds = 3.0 * generator.uniform(0, 1, 2) ** 3 * np.array([generator.choice([-1.0, 1.0]), side])
-    x0 = np.array([generator.uniform(-1.7, 1.0), alpha, *speeds, 0.0])
-    return Run(name, split, x0, np.zeros((samples, 1)))
-
-
-def _noise(name: str, split: str, amplitude: float, generator: np.random.Generator) -> Run:
-    """Uniform white noise from rest, hanging."""
-    x0 = np.array([generator.uniform(-0.05, 0.05), np.pi, 0.0, 0.0, 0.0])
-    return Run(name, split, x0, generator.uniform(-amplitude, amplitude, (1500, 1)))

@@ -67,7 +67,7 @@ def load_system(which: str | Path) -> LagrangianSystem:
 def source_of(system: LagrangianSystem) -> tuple[str, str]:
     """The file name and the digest of the code that a system's energies are written in.
 
-    The digest is of what the code does: comments, docstrings and layout do not count.
+    The digest is of what the code does: comments, docstrings, annotations and layout do not count.
 
     Raises:
         InputError: the code is in no file, as in a notebook.
@@ -86,6 +86,10 @@ def source_of(system: LagrangianSystem) -> tuple[str, str]:
         body = getattr(node, "body", None)
         if isinstance(body, list) and body and _is_docstring(body[0]):
             body[0] = ast.Pass()
+        if isinstance(node, ast.FunctionDef):
+            node.returns = None
+        if isinstance(node, ast.arg):
+            node.annotation = None
     return path.name, hashlib.sha256(ast.dump(tree).encode()).hexdigest()
 
 

@@ -1,0 +1,131 @@
+"""A pendulum on a motor, and records of it made with known values."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+import tustinnet as tn
+from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Memory, Parameter
+
+DT = 0.02
+TILT = 0.4  # of the direction that angles are counted from: the two sides differ
+COUNT = 2 * np.pi / 4096
+ROLLOUT = eqx.filter_jit(tn.rollout)
+TRUTH = {"inertia": 0.05, "damping": 0.02, "gravity": 1.5, "gain": 0.15}
+FAR = {"damping": 0.06, "gravity": 0.5, "gain": 0.45}  # a factor of 3 away
+
+SWING = LagrangianSystem(
+    name="swing",
+    coordinates=(tn.Coordinate("angle", "angular"),),
+    inputs=(tn.Input("voltage", "V"),),
+    parameters=(
+        Parameter("inertia", "kg m^2", 0.05, 0.01, 0.2, fixed=True),
+        Parameter("damping", "N m s", 0.04, 1e-3, 1.0),
+        Parameter("gravity", "N m", 1.0, 0.1, 10.0),
+        Parameter("gain", "N m/V", 0.1, 0.01, 1.0),
+    ),
+    kinetic=lambda q, v, p: p["inertia"] * v[0] ** 2 / 2,
+    potential=lambda q, p: -p["gravity"] * jnp.cos(q[0] - TILT),
+    dissipation=lambda q, v, p: p["damping"] * v,
+    input_map=lambda q, v, u, p: p["gain"] * u,
+)
+CREEPING = replace(
+    SWING,
+    name="creeping swing",
+    parameters=(
+        *SWING.parameters,
+        Parameter("offset", "N m", 0.05, -1.0, 1.0),
+        Parameter("stiffness", "N m/rad", 0.4, 0.01, 10.0),
+        Parameter("relaxation", "1/s", 3.0, 0.1, 100.0),
+    ),
+    input_map=lambda q, v, u, p: p["gain"] * u + p["offset"],
+    memory=Memory(
+        ("creep",),
+        lambda q, v, z, p: v - p["relaxation"] * z,
+        lambda q, v, z, p: -p["stiffness"] * z,
+    ),
+)
+
+
+def changed(name: str, system: LagrangianSystem = SWING, **changes) -> LagrangianSystem:
+    """The system with one parameter declared otherwise."""
+    parameters = tuple(replace(p, **changes) if p.name == name else p for p in system.parameters)
+    return replace(system, parameters=parameters)
+
+
+def swing_model(
+    values: Mapping[str, float] = TRUTH, system: LagrangianSystem = SWING
+) -> LagrangianModel:
+    """The system with the values that the records are made with, or others."""
+    everything = system.nominal() | TRUTH | dict(values)
+    return LagrangianModel(system, {k: jnp.asarray(v) for k, v in everything.items()})
+
+
+def simulated(
+    name: str,
+    x0: list[float],
+    u: np.ndarray,
+    values: Mapping[str, float] = TRUTH,
+    system: LagrangianSystem = SWING,
+) -> tn.Experiment:
+    """A record without noise, with its velocities."""
+    model = tn.discretise(swing_model(values, system), DT, 8)
+    drive = u[:-1, None]
+    if system.inputs[0].hold == "first-order":
+        drive = np.stack([u[:-1, None], u[1:, None]], axis=1)
+    x = np.asarray(ROLLOUT(model, np.array(x0), drive))
+    return tn.from_arrays(
+        x[:, 0], u, v=x[:, 1], dt=DT, name=name,
+        coordinates=system.coordinates, inputs=system.inputs,
+    )  # fmt: skip
+
+
+def voltage(samples: int, seed: int) -> np.ndarray:
+    """White noise."""
+    return np.random.default_rng(seed).uniform(-5, 5, samples)
+
+
+@cache
+def falls() -> tuple[tn.Experiment, tn.Experiment]:
+    """Two free swings."""
+    still = np.zeros(200)
+    return simulated("fall1", [2.5, 0.0], still), simulated("fall2", [-1.5, 3.0], still)
+
+
+@cache
+def noises() -> tuple[tn.Experiment, tn.Experiment]:
+    """Two records under noise, the second shorter."""
+    return (
+        simulated("noise1", [0.1, 0.0], voltage(200, 1)),
+        simulated("noise2", [0.5, -1.0], voltage(160, 2)),
+    )
+
+
+def records() -> list[tn.Experiment]:
+    """All four; as many and as long as elsewhere, so that compiled programs serve again."""
+    return [*falls(), *noises()]
+
+
+def read_by_encoder(e: tn.Experiment) -> tn.Experiment:
+    """The record as an encoder reads it."""
+    return replace(
+        e,
+        q=np.round(e.q / COUNT) * COUNT,
+        v=None,
+        v_measured=False,
+        coordinates=tuple(replace(c, resolution=COUNT) for c in e.coordinates),
+    )
+
+
+def noisy(e: tn.Experiment, size: float, seed: int) -> tn.Experiment:
+    """The record with white noise on its positions."""
+    noise = size * np.random.default_rng(seed).normal(size=e.q.shape)
+    return replace(e, q=e.q + noise, v=None, v_measured=False)
+
+
+def data_set(experiments: list[tn.Experiment]) -> tn.DataSet:
+    return tn.DataSet("swing", tuple(experiments))
