@@ -25,17 +25,14 @@ def compare(
     """Compare the free runs of several models: one table, one overlay a record."""
     terminal.use_float64()
     from tustinnet.artifact.model_file import load_model, read_header
-    from tustinnet.data.catalog import load
+    from tustinnet.cli.records import judged_records
     from tustinnet.data.experiment import position_unit
     from tustinnet.evaluation.free_run import evaluate, mean_rmse
     from tustinnet.report.figures import free_run_figure, write_figure
     from tustinnet.report.tables import Table, number
-    from tustinnet.simulation.initial_state import default_start
     from tustinnet.systems.registry import PACKAGED
 
-    loaded = load(data, card)
-    records = list(loaded.split(split) if split else loaded)
-    begin = start or default_start(records)
+    records, begin = judged_records(data, card, split, start)
     scores = {}
     for label, path in zip(_labels(models), models, strict=True):
         # the file given serves those models whose system the package does not have

@@ -32,15 +32,12 @@ def evaluate(
     """Score free runs: RMSE, per coordinate, NRMSE, fit in percent, k steps ahead."""
     terminal.use_float64()
     from tustinnet.artifact.model_file import load_model
-    from tustinnet.data.catalog import load
+    from tustinnet.cli.records import judged_records
     from tustinnet.evaluation.free_run import Score, mean_rmse, rmse_ahead
     from tustinnet.evaluation.free_run import evaluate as score_records
-    from tustinnet.simulation.initial_state import default_start
 
     judged = load_model(model, system)
-    loaded = load(data, card)
-    records = list(loaded.split(split) if split else loaded)
-    begin = start or default_start(records)
+    records, begin = judged_records(data, card, split, start)
     scores = score_records(judged, records, begin)
     by_split: dict[str, list[Score]] = {}
     for e, score in zip(records, scores, strict=True):

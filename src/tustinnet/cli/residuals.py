@@ -25,17 +25,14 @@ def residuals(
     """Test the free-run residuals: whiteness, correlation with the inputs, 99 % bounds."""
     terminal.use_float64()
     from tustinnet.artifact.model_file import load_model
-    from tustinnet.data.catalog import load
+    from tustinnet.cli.records import judged_records
     from tustinnet.evaluation.residuals import residual_reports
     from tustinnet.report.figures import write_figure
     from tustinnet.report.residuals import residual_figure
     from tustinnet.report.tables import Table, number
-    from tustinnet.simulation.initial_state import default_start
 
     judged = load_model(model, system)
-    loaded = load(data, card)
-    records = list(loaded.split(split) if split else loaded)
-    begin = start or default_start(records)
+    records, begin = judged_records(data, card, split, start)
     reports = residual_reports(judged, records, begin, lags)
     title = f"Residuals of {len(records)} free runs, start '{begin}'"
     if figure is not None:
