@@ -5,6 +5,9 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+# before JAX is loaded: what the command keeps between runs is not for tests
+os.environ["JAX_ENABLE_COMPILATION_CACHE"] = "false"
+
 import jax
 import jaxtyping
 import numpy as np

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from tustinnet.simulation.initial_state import initial_state
     from tustinnet.simulation.integrators import discretise
     from tustinnet.simulation.linearisation import Linearisation, linearize
+    from tustinnet.simulation.numpy_step import numpy_step
     from tustinnet.simulation.rollout import rollout
     from tustinnet.simulation.substeps import choose_substeps
     from tustinnet.training.fit import FitResult, fit
@@ -61,6 +62,7 @@ _HOMES = {
     "load": "data.catalog",
     "load_model": "artifact.model_file",
     "mean_rmse": "evaluation.free_run",
+    "numpy_step": "simulation.numpy_step",
     "read_header": "artifact.model_file",
     "read_recipe": "training.recipe",
     "rmse_ahead": "evaluation.free_run",
@@ -100,6 +102,7 @@ __all__ = [
     "load",
     "load_model",
     "mean_rmse",
+    "numpy_step",
     "read_header",
     "read_recipe",
     "rmse_ahead",

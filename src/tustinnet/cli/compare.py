@@ -23,7 +23,7 @@ def compare(
     json: options.Json = False,
 ) -> None:
     """Compare the free runs of several models: one table, one overlay a record."""
-    terminal.use_float64()
+    terminal.prepare_jax()
     from tustinnet.artifact.model_file import load_model, read_header
     from tustinnet.cli.records import judged_records
     from tustinnet.data.experiment import position_unit

@@ -36,7 +36,7 @@ def demo(
     The twin is simulated from Lagrange's equations, so it favours Lagrangian models: the table
     shows how the command works, not how accurate the models are on an apparatus.
     """
-    terminal.use_float64()
+    terminal.prepare_jax()
     from tustinnet.artifact.data_set_folder import write_data_set
     from tustinnet.artifact.files import (
         require_new,

@@ -30,7 +30,7 @@ def evaluate(
     json: options.Json = False,
 ) -> None:
     """Score free runs: RMSE, per coordinate, NRMSE, fit in percent, k steps ahead."""
-    terminal.use_float64()
+    terminal.prepare_jax()
     from tustinnet.artifact.model_file import load_model
     from tustinnet.cli.records import judged_records
     from tustinnet.evaluation.free_run import Score, mean_rmse, rmse_ahead

@@ -101,7 +101,7 @@ def fit(
     quiet: options.Quiet = False,
 ) -> None:
     """Train a Tustin-Net, or identify the parameters of a system; keeps everything in --out."""
-    terminal.use_float64()
+    terminal.prepare_jax()
     from tustinnet.artifact.run import summary, train_runs
     from tustinnet.cli.inspect import suspicions
     from tustinnet.data.catalog import locate

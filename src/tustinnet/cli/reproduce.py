@@ -61,7 +61,7 @@ def reproduce(
 
     Trainings that are in --out already are gone on with, finished ones are taken as they are.
     """
-    terminal.use_float64()
+    terminal.prepare_jax()
     from tustinnet.artifact.files import require_writable_folder, to_json, write_atomically
     from tustinnet.data.catalog import QUBE_SERVO2, locate
     from tustinnet.data.loading import load_folder

@@ -23,7 +23,7 @@ def residuals(
     json: options.Json = False,
 ) -> None:
     """Test the free-run residuals: whiteness, correlation with the inputs, 99 % bounds."""
-    terminal.use_float64()
+    terminal.prepare_jax()
     from tustinnet.artifact.model_file import load_model
     from tustinnet.cli.records import judged_records
     from tustinnet.evaluation.residuals import residual_reports

@@ -23,7 +23,7 @@ def simulate(
     json: options.Json = False,
 ) -> None:
     """Simulate records from their start with only the input; one CSV file each."""
-    terminal.use_float64()
+    terminal.prepare_jax()
     from tustinnet.artifact.files import require_new, require_writable_folder
     from tustinnet.artifact.model_file import load_model
     from tustinnet.artifact.simulation_file import write_simulation

@@ -1,8 +1,10 @@
 """What every verb does with the terminal: messages, results, precision."""
 
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -48,8 +50,24 @@ def resumable(console: "Console", remedy: str) -> Iterator[None]:
         raise SystemExit(130) from None
 
 
-def use_float64() -> None:
-    """Scores and simulations of the command are computed in double precision."""
+def prepare_jax() -> None:
+    """Double precision for scores and simulations; compiled programs are kept between commands.
+
+    They lie in the user's cache folder, unless JAX_COMPILATION_CACHE_DIR names another one.
+    """
     import jax
 
     jax.config.update("jax_enable_x64", True)
+    if os.environ.get("JAX_COMPILATION_CACHE_DIR"):
+        return
+    import platformdirs
+
+    kept = Path(platformdirs.user_cache_dir("tustinnet")) / "compiled"
+    try:
+        kept.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return  # a home that cannot be written only costs time
+    if os.access(kept, os.W_OK):
+        jax.config.update("jax_compilation_cache_dir", str(kept))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+        jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
