@@ -1,5 +1,6 @@
 """Properties that every model must have, whatever its weights."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -75,3 +76,18 @@ def test_gradient_equals_finite_differences():
         up, down = weight.at[i, j].add(h), weight.at[i, j].add(-h)
         estimate = (energy(up) - energy(down)) / (2 * h)
         np.testing.assert_allclose(gradient[i, j], estimate, rtol=1e-5)
+
+
+def test_a_long_rollout_and_its_gradient_equal_the_plain_ones(monkeypatch):
+    model = network(5, 0.01)
+    x, u = random_run(model, 5, 75)
+
+    def energy(m):
+        return jnp.sum(rollout(m, jnp.asarray(x[0]), jnp.asarray(u))[:, :2] ** 2)
+
+    plain, gradient = eqx.filter_value_and_grad(energy)(model)
+    monkeypatch.setattr("tustinnet.simulation.rollout.LONG", 10)
+    long, other = eqx.filter_value_and_grad(energy)(model)
+    np.testing.assert_allclose(long, plain, rtol=1e-12)
+    for a, b in zip(jax.tree.leaves(gradient), jax.tree.leaves(other), strict=True):
+        assert np.linalg.norm(a - b) <= 1e-12 * np.linalg.norm(a)

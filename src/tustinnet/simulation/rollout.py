@@ -1,5 +1,7 @@
 """The simulator."""
 
+import math
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,12 +12,18 @@ from tustinnet.errors import InputError
 from tustinnet.models.base import DiscreteModel, State
 
 
+LONG = 5000  # steps from which a gradient saves memory instead of time
+
+
 def rollout(
     model: DiscreteModel,
     x0: Float[Array | np.ndarray, " n_x"],
     u: Float[Array | np.ndarray, "steps *drive"],
 ) -> Float[Array, "samples n_x"]:
     """Free run: the states that a model reaches from `x0` with only the input.
+
+    The gradient of a rollout of more than 5000 steps keeps some states and computes those between
+    them a second time: memory grows with the root of the steps instead of with the steps.
 
     Args:
         model: the model.
@@ -43,5 +51,16 @@ def rollout(
         following = model.step(x, u_k)
         return following, following
 
-    _, following = jax.lax.scan(advance, start, inputs, unroll=model.steps_a_turn)
-    return jnp.concatenate([start[None], following])
+    def stretch(x: State, drive: Array) -> tuple[State, Array]:
+        return jax.lax.scan(advance, x, drive, unroll=model.steps_a_turn)
+
+    steps = len(inputs)
+    if steps <= LONG:
+        return jnp.concatenate([start[None], stretch(start, inputs)[1]])
+    # of a long rollout a gradient keeps the states between stretches, and computes each anew
+    length = math.isqrt(steps)
+    whole = steps // length * length
+    cut = inputs[:whole].reshape(-1, length, *inputs.shape[1:])
+    end, states = jax.lax.scan(jax.checkpoint(stretch), start, cut)
+    _, rest = stretch(end, inputs[whole:])
+    return jnp.concatenate([start[None], states.reshape(whole, n_x), rest])
