@@ -7,12 +7,13 @@ SEEDS ?= 1
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo reproduce test check clean
+.PHONY: help install demo reproduce test check bench clean
 
 help:
 	@echo "make install     the package and its command in .venv"
 	@echo "make demo        the whole job on a simulated twin, offline, about 3 minutes (DEMO=$(DEMO))"
 	@echo "make reproduce   the paper's results (DATA=FOLDER OUT=$(OUT) SEEDS=$(SEEDS))"
+	@echo "make bench       speed against PyTorch, plain JAX and scipy (DATA=FOLDER; 'bench' extra)"
 	@echo "make test        linter, type checker, layers, tests"
 
 install: .venv/installed
@@ -31,6 +32,15 @@ check: .venv/installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/basedpyright
 	$(BIN)/lint-imports
+
+bench: .venv/installed-bench
+	$(BIN)/python benchmarks/training.py $(DATA)
+	$(BIN)/python benchmarks/identification.py time $(DATA)
+	$(BIN)/python benchmarks/identification.py scipy $(DATA)
+
+.venv/installed-bench: .venv/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[bench]'
+	@touch $@
 
 .venv/installed: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

@@ -1,6 +1,7 @@
 """Identification, measured: time, starts, recovery and coverage.
 
 python benchmarks/identification.py time FOLDER   seconds on measured records, first and later
+python benchmarks/identification.py scipy FOLDER  an iteration, against scipy with solve_ivp
 python benchmarks/identification.py starts        20 starts on the twin, within a factor of 3
 python benchmarks/identification.py recovery      noise-free twin: relative errors
 python benchmarks/identification.py coverage      20 noisy twins: truth inside the 95 % interval
@@ -9,6 +10,7 @@ python benchmarks/identification.py coverage      20 noisy twins: truth inside t
 import statistics
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 
 import jax
@@ -16,8 +18,12 @@ import jax
 jax.config.update("jax_enable_x64", True)
 
 import numpy as np
+from scipy.integrate import solve_ivp
 
 import tustinnet as tn
+from tustinnet.identification.search import Search
+from tustinnet.identification.sensitivity import normal_products
+from tustinnet.identification.space import make_space
 from tustinnet.systems import qube_servo2, qube_servo2_twin
 from tustinnet.systems.twin import Logger
 
@@ -103,10 +109,86 @@ def coverage(count: int = 20) -> None:
     print(f"{'pooled':<18}{pooled[0]:>9.3f}{pooled[1]:>7.3f}")
 
 
+def numpy_furuta(p: dict[str, float]) -> Callable[..., list[float]]:
+    """The paper's structure as one would write it in NumPy: the derivative of [q, v]."""
+    hub = p["hub_mass"] * p["hub_radius"] ** 2 / 2
+    a1 = p["rotor_inertia"] + hub + p["arm_mass"] * p["arm_length"] ** 2 / 3
+    a1 += p["pendulum_mass"] * p["arm_length"] ** 2
+    a2 = p["pendulum_mass"] * p["pendulum_centre"] ** 2 + p["pendulum_inertia"]
+    a3 = -p["pendulum_mass"] * p["arm_length"] * p["pendulum_centre"]
+    a5 = p["pendulum_mass"] * 9.81 * p["pendulum_centre"]
+    gain = p["torque_constant"] / p["resistance"]
+
+    def derivative(t: float, x: np.ndarray, u: float) -> list[float]:
+        theta, alpha, w, s = x
+        sine, cosine = np.sin(alpha), np.cos(alpha)
+        arm = -gain * (u + p["back_emf"] * w) - p["arm_damping"] * w
+        arm -= p["cable_stiffness"] * theta - p["cable_quadratic"] * theta**2
+        arm += -2 * a2 * sine * cosine * w * s + a3 * sine * s**2
+        swing = a2 * sine * cosine * w**2 + a5 * sine - p["pendulum_damping"] * s
+        m11, m12, m22 = a1 + a2 * sine**2, a3 * cosine, a2
+        det = m11 * m22 - m12**2
+        return [w, s, (m22 * arm - m12 * swing) / det, (m11 * swing - m12 * arm) / det]
+
+    return derivative
+
+
+def against_scipy(folder: str) -> None:
+    """An iteration: the same residuals of all training records, and their derivatives."""
+    data = tn.load(folder)
+    records = list(data.split("train"))
+    system = qube_servo2.SYSTEM
+    space = make_space(system, {}, {})
+    vector = space.vector(system.nominal())
+    search = Search(system, records, [], tn.Settings(initial="file"), space, lambda _: None)
+    segments = search.segments(None, "file")
+
+    def ours() -> np.ndarray:
+        return normal_products(search.shape, space, vector, segments.x0, segments, 2).error
+
+    errors, times = ours(), []
+    for _ in range(5):
+        begun = time.perf_counter()
+        ours()
+        times.append(time.perf_counter() - begun)
+    begun = time.perf_counter()
+    derivative = numpy_furuta(space.numbers(vector))
+    worst = 0.0
+    for e, x0, error in zip(records, segments.x0, errors, strict=True):
+        q = scipy_run(derivative, e, x0)
+        worst = max(worst, float(np.abs(q - e.q - error[: len(e)]).max()))
+    one = time.perf_counter() - begun
+    theirs, mine = one * (1 + len(vector)), statistics.median(times)
+    print(f"largest difference of the two: {worst:.1e} rad")
+    print(
+        f"scipy: {one:.1f} s for the residuals, {theirs:.0f} s an iteration by finite differences "
+        f"of {len(vector)} parameters; here {mine:.3f} s: {theirs / mine:.0f} times"
+    )
+
+
+def scipy_run(
+    derivative: Callable[..., list[float]], e: tn.Experiment, x0: np.ndarray
+) -> np.ndarray:
+    """Positions of a free run: a call as long as the input stays, a new one at every change."""
+    x, rows, k = x0, [x0], 0
+    while k < len(e) - 1:
+        last = k + 1
+        while last < len(e) - 1 and e.u[last, 0] == e.u[k, 0]:
+            last += 1
+        solved = solve_ivp(
+            derivative, (e.t[k], e.t[last]), x, "RK45", e.t[k + 1 : last + 1], rtol=1e-6,
+            args=(e.u[k, 0],),
+        )  # fmt: skip
+        rows += list(solved.y.T)
+        x, k = rows[-1], last
+    return np.array(rows)[:, :2]
+
+
 if __name__ == "__main__":
     verbs = {"starts": starts, "recovery": recovery, "coverage": coverage}
-    if len(sys.argv) == 3 and sys.argv[1] == "time":
-        measure_time(sys.argv[2])
+    on_records = {"time": measure_time, "scipy": against_scipy}
+    if len(sys.argv) == 3 and sys.argv[1] in on_records:
+        on_records[sys.argv[1]](sys.argv[2])
     elif len(sys.argv) == 2 and sys.argv[1] in verbs:
         verbs[sys.argv[1]]()
     else:

@@ -2,13 +2,15 @@
 
     python benchmarks/training.py FOLDER     stage 1 of the transfer recipe on measured records
 
-The same windows, the same folded network (7-100-100-2, leaky ReLU), the same number of steps and the
-same loss; batches of 32 and of 256. Rates against what a large float32 matrix product reaches here.
+The same windows, the same folded network (7-100-100-2, leaky ReLU), the same number of steps and
+the same loss; batches of 32 and of 256. Rates against what a large float32 matrix product reaches
+in the same run.
 """
 
 import statistics
 import sys
 import time
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -21,11 +23,13 @@ from tustinnet.training.epoch import compiled_epoch
 from tustinnet.training.fit import Plan, plan
 from tustinnet.training.losses import window_loss
 
+Call = Callable[[], None]
+
 REPETITIONS = 5
 HIDDEN = 100
 
 
-def median_seconds(call, repetitions: int = REPETITIONS) -> float:
+def median_seconds(call: Callable[[], object], repetitions: int = REPETITIONS) -> float:
     """Median time of a call, after one that is not counted."""
     call()
     times = []
@@ -44,7 +48,7 @@ def prepared(folder: str, batch: int) -> Plan:
     return plan(tn.load(folder), tn.Recipe.model_validate(recipe), 0)
 
 
-def this_package(work: Plan):
+def this_package(work: Plan) -> Call:
     """An epoch as the training loop calls it."""
     epoch = compiled_epoch(work.stages[0])
     weights = work.template(0)
@@ -57,7 +61,7 @@ def this_package(work: Plan):
     return call
 
 
-def plain_scan(work: Plan, batch: int):
+def plain_scan(work: Plan, batch: int) -> Call:
     """What one would write in JAX: a jitted step on copied-out windows, called from Python."""
     length, model = work.stages[0].windows.length, work.model
     rows = np.asarray(work.stages[0].windows.rows)
@@ -77,10 +81,10 @@ def plain_scan(work: Plan, batch: int):
         update, state = optimiser.update(gradient, state)
         return optax.apply_updates(weights, update), state, value
 
-    state = optimiser.init(model)
+    state, generator = optimiser.init(model), np.random.default_rng(0)
 
     def call() -> None:
-        weights, current, order = model, state, np.random.permutation(len(rows))
+        weights, current, order = model, state, generator.permutation(len(rows))
         for begin in range(0, len(rows), batch):
             chosen = order[begin : begin + batch]
             weights, current, value = step(weights, current, x[chosen], u[chosen])
@@ -89,7 +93,7 @@ def plain_scan(work: Plan, batch: int):
     return call
 
 
-def eager_torch(work: Plan, batch: int):
+def eager_torch(work: Plan, batch: int) -> Call:
     """The same as a user of PyTorch would write it."""
     import torch
 

@@ -11,7 +11,6 @@ from jaxtyping import Array, Float
 from tustinnet.errors import InputError
 from tustinnet.models.base import DiscreteModel, State
 
-
 LONG = 5000  # steps from which a gradient saves memory instead of time
 
 
