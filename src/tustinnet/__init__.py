@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from tustinnet.simulation.numpy_step import numpy_step
     from tustinnet.simulation.rollout import rollout
     from tustinnet.simulation.substeps import choose_substeps
+    from tustinnet.systems.registry import load_system
     from tustinnet.training.fit import FitResult, fit
     from tustinnet.training.recipe import Recipe, read_recipe
 
@@ -61,6 +62,7 @@ _HOMES = {
     "linearize": "simulation.linearisation",
     "load": "data.catalog",
     "load_model": "artifact.model_file",
+    "load_system": "systems.registry",
     "mean_rmse": "evaluation.free_run",
     "numpy_step": "simulation.numpy_step",
     "read_header": "artifact.model_file",
@@ -101,6 +103,7 @@ __all__ = [
     "linearize",
     "load",
     "load_model",
+    "load_system",
     "mean_rmse",
     "numpy_step",
     "read_header",

@@ -178,11 +178,12 @@ def test_a_reversed_input_ends_with_its_name_and_exit_code_1(folder, system, tmp
         turned = [",".join([*row.split(",")[:2], str(-float(row.split(",")[2]))]) for row in rows]
         path.write_text("\n".join([head, *turned]) + "\n")
     assert card.is_file()
-    code, out, _ = tustinnet(
+    code, out, err = tustinnet(
         capsys, "fit", folder, "--model", "euler-lagrange", "--system", system,
         "--out", tmp_path / "turned",
     )  # fmt: skip
     assert code == 1
+    assert "error: the sign of 'angle' or of 'torque' is probably reversed" in err
     assert "the sign of 'angle' or of 'torque' is probably reversed" in out
     assert "'gain' stands at the lower end of its range" in out
 
@@ -195,6 +196,13 @@ BROKEN = {
     "returns shape (1,)": SYSTEM.replace("v[0] ** 2 / 2", "v ** 2"),
     "asks for the parameter 'mass'": SYSTEM.replace('p["inertia"] * v[0]', 'p["mass"] * v[0]'),
     "singular or negative": SYSTEM.replace("v[0] ** 2 / 2", "v[0] * 0"),
+    "not quadratic in v": SYSTEM.replace("v[0] ** 2 / 2", "v[0] ** 2 * (1 + v[0]) / 2"),
+    "dissipation: not a finite number for angle": SYSTEM.replace(
+        'p["damping"] * v', 'p["damping"] * jnp.sqrt(v)'
+    ),
+    "potential: not a finite number": SYSTEM.replace("jnp.cos(q[0])", "jnp.log(q[0] - q[0])"),
+    "with SystemExit: 0": "raise SystemExit(0)\n",
+    "range 100..1; expected lower first": SYSTEM.replace("10.0, 1.0, 100.0", "10.0, 100.0, 1.0"),
     "coordinates": SYSTEM.replace('"angle", "angular"', '"x", "linear"'),
     "nominal value 10": SYSTEM.replace("10.0, 1.0, 100.0", "10.0, 11.0, 100.0"),
 }  # fmt: skip
@@ -227,6 +235,13 @@ def test_a_broken_system_file_is_one_line(told, folder, tmp_path, capsys):
         (["--model", "euler-lagrange", "--system", "{}", "--initial", "here"], "unknown start"),
         (["--model", "euler-lagrange", "--system", "{}", "--recipe", "standard"], "--recipe"),
         (["--system", "qube-servo2"], "--model euler-lagrange"),
+        (["--fix", "gain"], "--model euler-lagrange"),
+        (["--model", "euler-lagrange", "--system", "{}", "--seeds", "2"], "no seeds"),
+        (["--model", "euler-lagrange", "--system", "{}", "--begin", "gain=99"], "0.1..40"),
+        (
+            ["--model", "euler-lagrange", "--system", "{}", "--fix", "gain=1", "--fix", "gain=2"],
+            "'gain' twice",
+        ),
     ],
 )
 def test_options_that_do_not_fit_are_one_line(arguments, told, folder, system, tmp_path, capsys):
@@ -234,6 +249,45 @@ def test_options_that_do_not_fit_are_one_line(arguments, told, folder, system, t
     code, _, err = tustinnet(capsys, "fit", folder, "--out", tmp_path / "out", *arguments)
     assert code == 1
     assert told in err
+    assert "Traceback" not in err
+
+
+def test_ranges_may_change_without_losing_the_model(identified, folder, system, capsys):
+    system.write_text(SYSTEM.replace("2.0, 0.1, 40.0", "3.0, 0.1, 80.0"))
+    model = identified / "model.safetensors"
+    assert tustinnet(capsys, "evaluate", model, folder, "--system", system)[0] == 0
+    loaded = tn.load_model(model, tn.load_system(system))
+    assert loaded.coordinates == tn.load_system(system).coordinates
+
+
+def test_two_variants_of_a_system_are_compared(identified, folder, system, tmp_path, capsys):
+    stiff = tmp_path / "stiff.py"
+    stiff.write_text(
+        SYSTEM.replace("small-pendulum", "stiff").replace("v[0] ** 2 / 2", "v[0] ** 2")
+    )
+    arguments = ["fit", folder, "--model", "euler-lagrange", "--system", stiff, "--quiet"]
+    assert tustinnet(capsys, *arguments, "--out", tmp_path / "stiff")[0] == 0
+    models = [identified / "model.safetensors", tmp_path / "stiff" / "model.safetensors"]
+    code, out, _ = tustinnet(
+        capsys, "compare", *models, folder, "--system", system, "--system", stiff, "--json"
+    )
+    assert code == 0
+    assert len(json.loads(out)["models"]) == 2
+
+
+def test_records_that_simulate_to_infinity_are_a_named_outcome(folder, system, tmp_path, capsys):
+    system.write_text(
+        SYSTEM.replace('p["damping"] * v,', '-p["damping"] * v * (1 + v**2),').replace(
+            "0.3, 0.01, 10.0", "9.0, 8.0, 10.0"
+        )
+    )
+    code, out, err = tustinnet(
+        capsys, "fit", folder, "--model", "euler-lagrange", "--system", system,
+        "--out", tmp_path / "out",
+    )  # fmt: skip
+    assert code == 1
+    assert "error: " in err
+    assert "diverged: from the values found the records simulate to infinity" in out
     assert "Traceback" not in err
 
 

@@ -32,7 +32,10 @@ def described(model: Discretised) -> tuple[dict[str, Any], dict[str, np.ndarray]
 
 
 def built(
-    path: Path, header: dict[str, Any], arrays: dict[str, np.ndarray], system: str | Path | None
+    path: Path,
+    header: dict[str, Any],
+    arrays: dict[str, np.ndarray],
+    system: str | Path | LagrangianSystem | None,
 ) -> Discretised:
     """The model of a grey-box file.
 
@@ -40,7 +43,7 @@ def built(
         path: the file, for messages.
         header: its header.
         arrays: its arrays.
-        system: the system's file, where the package does not have it.
+        system: the system or its file, where the package does not have it.
     """
     belongs = header["system"]
     if system is None and belongs["name"] not in PACKAGED:

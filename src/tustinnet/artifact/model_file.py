@@ -21,6 +21,7 @@ from tustinnet.data.experiment import Coordinate, Input, position_unit
 from tustinnet.errors import InputError
 from tustinnet.evaluation.free_run import Score, mean_rmse
 from tustinnet.models.base import DiscreteModel
+from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.tustin import Affine, Scaling, TustinNet
 from tustinnet.simulation.integrators import Discretised
 
@@ -67,13 +68,15 @@ def save(model: DiscreteModel, path: str | Path, **header: Any) -> None:
     write_atomically(Path(path), safetensors.numpy.save(arrays, {KEY: text}))
 
 
-def load_model(path: str | Path, system: str | Path | None = None) -> TustinNet | Discretised:
+def load_model(
+    path: str | Path, system: str | Path | LagrangianSystem | None = None
+) -> TustinNet | Discretised:
     """Reads the model of a model file.
 
     Args:
         path: the file.
-        system: for a grey-box model of a system of your own, the Python file that defines it.
-            The file is run; a model file itself never holds code.
+        system: for a grey-box model of a system of your own, the system, or the Python file that
+            defines it, which is run; a model file itself never holds code.
 
     Raises:
         InputError: no such file, cut short, of another kind, or of a newer version; a system that

@@ -16,7 +16,12 @@ def compare(
     split: options.Split = None,
     start: options.Start = None,
     card: options.Card = None,
-    system: options.System = None,
+    system: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="FILE.py", help="File of a system that models are of; may be repeated."
+        ),
+    ] = None,
     figures: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Draw every record with all free runs.")
     ] = None,
@@ -30,15 +35,14 @@ def compare(
     from tustinnet.evaluation.free_run import evaluate, mean_rmse
     from tustinnet.report.figures import free_run_figure, write_figure
     from tustinnet.report.tables import Table, number
-    from tustinnet.systems.registry import PACKAGED
+    from tustinnet.systems.registry import load_system
 
     records, begin = judged_records(data, card, split, start)
+    own = {found.name: found for found in map(load_system, system or [])}
     scores = {}
     for label, path in zip(_labels(models), models, strict=True):
-        # the file given serves those models whose system the package does not have
-        named = read_header(path).get("system", {}).get("name")
-        own = system if named is not None and named not in PACKAGED else None
-        scores[label] = evaluate(load_model(path, own), records, begin)
+        name = read_header(path).get("system", {}).get("name")
+        scores[label] = evaluate(load_model(path, own.get(name)), records, begin)
     if figures is not None:
         for i, e in enumerate(records):
             runs = {label: found[i] for label, found in scores.items()}

@@ -70,6 +70,15 @@ def fit(
             metavar="NAME[=VALUE]", help="euler-lagrange: hold a parameter; may be repeated."
         ),
     ] = None,
+    begin: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE", help="euler-lagrange: where a parameter starts; repeatable."
+        ),
+    ] = None,
+    iterations: Annotated[
+        int, typer.Option(min=1, metavar="N", help="euler-lagrange: allowed in the last stage.")
+    ] = 50,
     initial: Annotated[
         str,
         typer.Option(
@@ -111,7 +120,7 @@ def fit(
     from tustinnet.report.progress import TrainingProgress
     from tustinnet.training.recipe import read_recipe
 
-    _require_fitting_options(model, recipe, system, fix)
+    _require_fitting_options(model, recipe, system, fix, training=seeds > 1 or resume)
     chosen = read_recipe(recipe or "standard")
     folder, declared = locate(data, card)
     if out.resolve() == folder.resolve():
@@ -128,10 +137,10 @@ def fit(
 
         settings = Settings(
             initial=initial, part=part.value, loss=loss.value, times=times.value, periodic=periodic,
-            method=method.value,
+            method=method.value, most=iterations,
         )  # fmt: skip
         fit_grey_box(
-            loaded, str(system), settings, fix or [], out,
+            loaded, str(system), settings, fix or [], begin or [], out,
             overwrite=overwrite, json=json, quiet=quiet,
         )  # fmt: skip
         return
@@ -154,7 +163,12 @@ def fit(
 
 
 def _require_fitting_options(
-    model: Family, recipe: str | None, system: str | None, fix: list[str] | None
+    model: Family,
+    recipe: str | None,
+    system: str | None,
+    fix: list[str] | None,
+    *,
+    training: bool,
 ) -> None:
     from tustinnet.errors import InputError
 
@@ -163,11 +177,16 @@ def _require_fitting_options(
             "--model euler-lagrange", "no system", "--system NAME or --system FILE.py",
             "for the rotary pendulum say --system qube-servo2",
         )  # fmt: skip
+    if model is Family.euler_lagrange and training:
+        raise InputError(
+            "--seeds, --resume", "options of a training", "--model tustin-net",
+            "an identification has no seeds and is not resumed",
+        )  # fmt: skip
     if model is Family.euler_lagrange and recipe is not None:
         raise InputError("--recipe", "a recipe for equations of motion", "--model tustin-net")
     if model is Family.tustin_net and (system is not None or fix):
         raise InputError(
-            "--system" if system is not None else "--fix", "a system for a network",
+            "--system" if system is not None else "--fix", "an option of equations of motion",
             "--model euler-lagrange", "add it, or leave the option out",
         )  # fmt: skip
 

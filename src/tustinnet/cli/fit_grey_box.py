@@ -1,5 +1,6 @@
 """`tustinnet fit --model euler-lagrange`: identify a grey-box model."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,6 +22,7 @@ def fit_grey_box(
     system: str,
     settings: "Settings",
     fixed: Sequence[str],
+    begin: Sequence[str],
     out: Path,
     *,
     overwrite: bool,
@@ -45,7 +47,8 @@ def fit_grey_box(
             data,
             chosen,
             settings=settings,
-            fixed=_values(fixed, chosen.nominal()),
+            fixed=_values("--fix", fixed, chosen.nominal()),
+            start_values=_values("--begin", begin, chosen.nominal()),
             told=progress.told,
         )
     judged = "validation" if "validation" in data.splits else "train"
@@ -61,11 +64,17 @@ def fit_grey_box(
         terminal.print_tables(parameter_table(result), _score_table(scores, judged, start))
         for finding in result.findings:
             typer.echo(f"* {finding}")
+        told_initial = (
+            "chosen by the validation records" if settings.initial == "choose" else "asked"
+        )
+        typer.echo(
+            f"initial states: {result.initial} ({told_initial}); condition "
+            f"{result.condition:.3g}; {result.substeps} Runge-Kutta steps a period"
+        )
         typer.echo(f"{result.outcome}; {result.seconds:.1f} s")
         typer.echo(f"model: {out / 'model.safetensors'}   figures: {out / 'figures'}")
     if not result.sound:
-        if json:
-            told.print(result.outcome)
+        told.print(f"error: {result.findings[0] if result.reversed_signs else result.outcome}")
         raise typer.Exit(1)
 
 
@@ -76,10 +85,13 @@ def parameter_table(result: "Identification") -> "Table":
     rows = []
     for e in result.estimates:
         at = f"at the {e.bound} end" if e.bound else ""
-        interval = f"{e.interval[0]:.4g}..{e.interval[1]:.4g}" if e.interval else "–"
+        digits = _digits(e.value, e.error)
+        interval = "–"
+        if e.interval:
+            interval = f"{e.interval[0]:.{digits}g}..{e.interval[1]:.{digits}g}"
         rows.append(
             [
-                e.name, f"{e.value:.4g}", e.unit, _error(e.error), interval,
+                e.name, f"{e.value:.{digits}g}", e.unit, _error(e.error), interval,
                 _error(e.naive_error), f"{e.lower:.3g}..{e.upper:.3g} {at}".strip(),
             ]
         )  # fmt: skip
@@ -88,6 +100,13 @@ def parameter_table(result: "Identification") -> "Table":
     columns = ["parameter", "value", "unit", "std. error", "95 %", "error of J'J", "range"]
     source = "how the records disagree" if result.trust == "records" else "J'J"
     return Table(columns, rows, title=f"{result.system.name}; standard errors from {source}")
+
+
+def _digits(value: float, error: float | None) -> int:
+    """Significant digits that show a value to a tenth of its error."""
+    if not error or not value:
+        return 4
+    return int(min(max(4, math.ceil(math.log10(abs(value) / error)) + 2), 12))
 
 
 def _error(value: float | None) -> str:
@@ -103,20 +122,22 @@ def _score_table(scores: Sequence["Score"], judged: str, start: str) -> "Table":
     return Table(["record", "RMSE"], rows, title=f"{judged} free runs, start '{start}'")
 
 
-def _values(fixed: Sequence[str], nominal: dict[str, float]) -> dict[str, float]:
-    """`NAME` holds a parameter at its nominal value, `NAME=VALUE` at another."""
+def _values(option: str, given: Sequence[str], nominal: dict[str, float]) -> dict[str, float]:
+    """`NAME=VALUE` gives a parameter a value, `NAME` its nominal one."""
     from tustinnet.errors import InputError
 
     values = {}
-    for entry in fixed:
+    for entry in given:
         name, _, text = entry.partition("=")
+        if name in values:
+            raise InputError(option, f"'{name}' twice", "once")
         try:
             values[name] = float(text) if text else nominal[name]
         except ValueError:
-            raise InputError("--fix", f"'{entry}'", "NAME or NAME=NUMBER") from None
+            raise InputError(option, f"'{entry}'", "NAME or NAME=NUMBER") from None
         except KeyError:
             raise InputError(
-                "--fix", f"no parameter '{name}'", f"one of {', '.join(nominal)}"
+                option, f"no parameter '{name}'", f"one of {', '.join(nominal)}"
             ) from None
     return values
 

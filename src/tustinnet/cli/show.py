@@ -62,10 +62,10 @@ def _lines(header: dict[str, Any]) -> list[tuple[str, str]]:
     if data:
         lines.append(("data", f"{data['name']}, {len(data['records'])} records"))
     if scores:
-        mean = "diverged" if scores["mean"] is None else f"{scores['mean']:.4f} {scores['unit']}"
+        mean = "diverged" if scores["mean"] is None else f"{scores['mean']:.4g} {scores['unit']}"
         told = f"{scores['split']} mean RMSE {mean}, start '{scores['start']}'"
         lines.append(("score", told))
-        lines += [("", f"{name} {value:.4f}" if value is not None else f"{name} diverged")
+        lines += [("", f"{name} {value:.4g}" if value is not None else f"{name} diverged")
                   for name, value in scores["rmse"].items()]  # fmt: skip
     lines.append(("versions", ", ".join(f"{k} {v}" for k, v in header["versions"].items())))
     return lines

@@ -19,7 +19,7 @@ def messages() -> "Console":
     """Where progress and remarks go: standard error, so that results can be piped."""
     from rich.console import Console
 
-    return Console(stderr=True, highlight=False, soft_wrap=True)
+    return Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
 
 
 def print_json(content: Any) -> None:

@@ -49,6 +49,10 @@ def minimise_by_gradient(
     # every variable in the unit in which it changes the cost as much as any other at the start
     begin = normal_products(shape, space, vector, segments.x0, segments, substeps)
     begin = anchored(begin, segments, segments.x0, prior.variance)
+    size = float(begin.cost.sum())
+    if not np.isfinite(size):
+        return Fitted(vector, segments.x0, begin, np.inf, 0, 1, "diverged")
+    size = size or 1.0  # the library's tolerance is absolute for costs below 1
     weights = np.concatenate(
         [begin.pp.sum(axis=0).diagonal(), np.einsum("sxx->sx", begin.xx)[searched]]
     )
@@ -71,14 +75,14 @@ def minimise_by_gradient(
         total = float(value) + prior.weight * np.sum(deviation**2) + np.sum(weight * off**2)
         gradient = np.asarray(by_vector) + 2 * prior.weight * deviation * slope
         shift = (np.asarray(by_state) + 2 * weight * off)[searched]
-        return float(total), np.concatenate([gradient, shift]) * unit
+        return float(total) / size, np.concatenate([gradient, shift]) * unit / size
 
     count = 0
 
     def followed(intermediate_result: scipy.optimize.OptimizeResult) -> None:
         nonlocal count
         count += 1
-        told(Iteration(stage, count, float(intermediate_result.fun), 0.0))
+        told(Iteration(stage, count, size * float(intermediate_result.fun), 0.0))
 
     n_states = int(searched.sum())
     found = scipy.optimize.minimize(
@@ -99,7 +103,7 @@ def minimise_by_gradient(
         best,
         x0,
         anchored(normal, segments, x0, prior.variance),
-        float(found.fun),
+        size * float(found.fun),
         int(found.nit),
         int(found.nfev),
         {0: "converged", 1: "limit"}.get(found.status, "stalled"),

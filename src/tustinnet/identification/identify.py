@@ -18,7 +18,7 @@ from tustinnet.identification.result import Identification, describe
 from tustinnet.identification.search import DEFAULT_SETTINGS, Search, Settings
 from tustinnet.identification.space import Searched, Space, make_space
 from tustinnet.identification.uncertainty import uncertainty
-from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
+from tustinnet.models.lagrangian import LagrangianSystem
 
 # what right signs leave of the momentum is a few hundredths, what wrong ones leave over a half
 _POORLY_EXPLAINED = 0.1
@@ -67,6 +67,7 @@ def identify(
     start_values = system.nominal() | dict(start_values or {})
     vector = space.clipped(space.vector(start_values))
     _require_mass(system, space, vector, records)
+    _require_finite(system, space, vector, records)
     work = Search(system, records, held, settings, space, told)
     vector, remarks = work.hold_confounded(vector)
     vector, unexplained = work.first_values(vector)
@@ -112,16 +113,66 @@ def _require_mass(
     system: LagrangianSystem, space: Space, vector: Searched, records: Sequence[Experiment]
 ) -> None:
     """The mass matrix must be positive definite wherever the records have been."""
-    model = LagrangianModel(system, space.values(vector))
+    values = space.values(vector)
     q = np.concatenate([e.q[:: max(1, len(e) // 50)] for e in records])
-    values = np.linalg.eigvalsh(np.asarray(jax.jit(jax.vmap(model.mass_matrix))(jnp.asarray(q))))
+    hessian = jax.hessian(system.kinetic, argnums=1)
+    still, moving = np.asarray(
+        jax.jit(
+            lambda at: jnp.stack(
+                [
+                    jax.vmap(lambda x, s=s: hessian(x, jnp.full_like(x, s), values))(at)
+                    for s in (0.0, 1.0)
+                ]
+            )
+        )(jnp.asarray(q))
+    )
+    where = f"system '{system.name}', kinetic"
+    if not np.isfinite(still).all():
+        raise InputError(where, "not a finite number at a measured position", "finite numbers")
+    if not np.allclose(still, moving, rtol=1e-6, atol=1e-9 * np.abs(still).max()):
+        raise InputError(
+            where, "not quadratic in v", "T = v' M(q) v / 2", "leave higher powers out"
+        )
+    values = np.linalg.eigvalsh(still)
     k = int(np.argmin(values[:, 0]))
     if not values[k, 0] > 1e-12 * values[k, -1]:
         at = ", ".join(f"{c.name} {x:.3g}" for c, x in zip(system.coordinates, q[k], strict=True))
         raise InputError(
-            f"system '{system.name}', kinetic",
+            where,
             f"a mass matrix that is singular or negative at {at} (eigenvalues "
             f"{', '.join(f'{x:.2g}' for x in values[k])})",
             "a positive definite one",
             "every coordinate needs an inertia; write T as a sum of squares with positive masses",
         )
+
+
+def _require_finite(
+    system: LagrangianSystem, space: Space, vector: Searched, records: Sequence[Experiment]
+) -> None:
+    """Energies and forces must be numbers, and have derivatives, at the first values."""
+    values = space.values(vector)
+    q = jnp.concatenate([jnp.asarray(e.q) for e in records])
+    v = jnp.concatenate([jnp.asarray(e.velocities()) for e in records])
+    u = jnp.concatenate([jnp.asarray(e.u) for e in records])
+    asked = {
+        "potential": (system.potential, lambda f, q, v, u: jax.grad(f)(q, values)),
+        "dissipation": (system.dissipation, lambda f, q, v, u: jnp.asarray(f(q, v, values))),
+        "input_map": (system.input_map, lambda f, q, v, u: jnp.asarray(f(q, v, u, values))),
+    }
+    for name, (function, answer) in asked.items():
+        if function is None:
+            continue
+        found = jax.jit(jax.vmap(lambda *at, f=function, a=answer: a(f, *at)))(q, v, u)
+        bad = np.flatnonzero(~np.isfinite(np.asarray(found)).all(axis=1))
+        if len(bad):
+            k = int(bad[0])
+            at = [
+                f"{c.name} {q[k, j]:.3g} at {v[k, j]:.3g}/s"
+                for j, c in enumerate(system.coordinates)
+            ]
+            raise InputError(
+                f"system '{system.name}', {name}",
+                f"not a finite number for {', '.join(at)}",
+                "finite numbers wherever the records have been",
+                "guard divisions, logarithms and roots; start from other values",
+            )

@@ -64,7 +64,7 @@ class Fitted:
         cost: the sum of squares there, priors included.
         iterations: accepted steps.
         evaluations: simulations of all segments.
-        why: `converged`, `stalled` or `limit`.
+        why: `converged`, `stalled`, `limit`, or `diverged` where it could not even begin.
     """
 
     vector: Float[np.ndarray, " n_p"]
@@ -120,6 +120,8 @@ def minimise(
     normal = products(vector, x0)
     cost = _cost(normal, prior, space, vector)
     damping, evaluations, iterations, why = _FIRST_DAMPING, 1, 0, "limit"
+    if not _finite(normal):
+        return Fitted(vector, x0, normal, np.inf, 0, 1, "diverged")
     while iterations < most:
         undamped = _step(_reduce(normal, prior, space, vector, _LEAST_DAMPING), space, vector)
         if undamped.promised <= tolerance * (cost + _TINY) or undamped.length < _SHORTEST_STEP:
@@ -131,7 +133,7 @@ def minimise(
             found = products(trial, states)
             trial_cost = _cost(found, prior, space, trial)
             evaluations += 1
-            gain = (cost - trial_cost) / step.promised if np.isfinite(trial_cost) else -1.0
+            gain = (cost - trial_cost) / step.promised if _finite(found) else -1.0
             if gain > _LEAST_GAIN:
                 break
             damping *= 4  # rising gently finds the longest step that is still good
@@ -241,6 +243,11 @@ def _cost(normal: Normal, prior: Prior, space: Space, vector: np.ndarray) -> flo
     return float(
         normal.cost.sum() + prior.weight * np.sum(prior_deviation(prior, space, vector)[0] ** 2)
     )
+
+
+def _finite(normal: Normal) -> bool:
+    products = (normal.pp, normal.px, normal.xx, normal.gp, normal.gx, normal.cost)
+    return all(np.isfinite(part).all() for part in products)
 
 
 def anchored(normal: Normal, segments: Segments, x0: np.ndarray, variance: float) -> Normal:

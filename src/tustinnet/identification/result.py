@@ -14,6 +14,7 @@ from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.simulation.integrators import Discretised
 
 _POOR_CONDITION = 1e3
+_AT_THE_COUNT = 1.5  # times the rms error of rounding to counts
 _CORRELATED = 0.2  # residuals' correlation from one sample to the next that is more than chance
 
 
@@ -120,16 +121,20 @@ def describe(
     """Puts the parts of an identification together and says what they mean."""
     estimates = _estimates(space, fitted, certain, bounds)
     lag, multiple = _residuals(fitted, records)
-    errors = np.sqrt(np.diag(certain.trusted))
     with np.errstate(invalid="ignore", divide="ignore"):
+        errors = np.sqrt(np.diag(certain.trusted))
         correlation = certain.trusted / np.outer(errors, errors)
+    diverged = fitted.why == "diverged"
     findings = [
+        *_about_signs(reversed_signs),
         *remarks,
-        *_about_bounds(estimates, reversed_signs),
-        *_about_condition(space, certain),
-        _about_errors(certain, lag, multiple, len(records)),
+        *_about_bounds(estimates),
+        *([] if diverged else _about_condition(space, certain)),
+        _about_errors(certain, lag, multiple, len(records)) if fitted.why == "converged" else "",
     ]
     outcome = {
+        "diverged": "diverged: from the values found the records simulate to infinity; look at the "
+        "signs in the data card and in the system file, and at the ranges",
         "converged": f"converged: no step promises a lower cost ({fitted.iterations} iterations)",
         "stalled": "stalled: no step lowers the cost though the gradient is not zero; start from "
         "other values, or look for a jump in the energies or forces",
@@ -164,22 +169,24 @@ def _estimates(
     space: Space, fitted: Fitted, certain: Uncertainty, bounds: Mapping[str, str]
 ) -> tuple[Estimate, ...]:
     numbers, slopes = space.numbers(fitted.vector), space.slopes(fitted.vector)
-    naive = np.sqrt(np.diag(certain.naive)) * np.abs(slopes)
-    trusted = np.sqrt(np.diag(certain.trusted))
+    low, high = space.lower, space.upper
+    with np.errstate(invalid="ignore"):  # what rounding has made negative is not known
+        naive = np.sqrt(np.diag(certain.naive)) * np.abs(slopes)
+        trusted = np.sqrt(np.diag(certain.trusted))
     found = []
     for i, p in enumerate(space.free):
-        known = p.name not in bounds
+        known = p.name not in bounds and bool(np.isfinite(trusted[i]))
         half = certain.trusted_quantile * trusted[i]
-        edges = [fitted.vector[i] - half, fitted.vector[i] + half]
-        with np.errstate(over="ignore"):
-            interval = tuple(np.exp(edges) if p.positive else np.array(edges) * slopes[i])
+        # beyond its range a value is excluded beforehand
+        edges = np.clip([fitted.vector[i] - half, fitted.vector[i] + half], low[i], high[i])
+        interval = np.exp(edges) if p.positive else edges * slopes[i]
         found.append(
             Estimate(
                 name=p.name,
                 unit=p.unit,
                 value=numbers[p.name],
                 error=float(trusted[i] * abs(slopes[i])) if known else None,
-                naive_error=float(naive[i]) if known else None,
+                naive_error=float(naive[i]) if known and np.isfinite(naive[i]) else None,
                 interval=(float(interval[0]), float(interval[1])) if known else None,
                 lower=p.lower,
                 upper=p.upper,
@@ -193,7 +200,10 @@ def _residuals(
     fitted: Fitted, records: Sequence[Experiment]
 ) -> tuple[Float[np.ndarray, " n_y"], float | None]:
     """Correlation from sample to sample, and the size in encoder noise where counts are known."""
-    errors = [x[: len(e)] for x, e in zip(fitted.normal.error, records, strict=True)]
+    errors = [
+        np.nan_to_num(x[: len(e)], posinf=0.0, neginf=0.0)
+        for x, e in zip(fitted.normal.error, records, strict=True)
+    ]
     before, after = (
         np.concatenate([x[part] for x in errors]) for part in (slice(-1), slice(1, None))
     )
@@ -208,23 +218,23 @@ def _residuals(
     return lag, float(np.max(sizes / (counts / np.sqrt(12))))
 
 
-def _about_bounds(
-    estimates: Sequence[Estimate], reversed_signs: Sequence[tuple[str, ...]]
-) -> list[str]:
-    told = [
+def _about_signs(reversed_signs: Sequence[tuple[str, ...]]) -> list[str]:
+    if not reversed_signs:
+        return []
+    each = [" and ".join(f"'{name}'" for name in names) for names in reversed_signs]
+    return [
+        f"the sign of {' or of '.join(each)} is probably reversed: turned around, the equations of "
+        "motion explain the records clearly better; check the data card or the system's signs"
+    ]
+
+
+def _about_bounds(estimates: Sequence[Estimate]) -> list[str]:
+    return [
         f"'{e.name}' stands at the {e.bound} end of its range ({e.value:.4g} {e.unit}): the model "
         "lacks something, or the range is wrong"
         for e in estimates
         if e.bound
     ]
-    if reversed_signs:
-        each = [" and ".join(f"'{name}'" for name in names) for names in reversed_signs]
-        listed = " or of ".join(each)
-        told.append(
-            f"the sign of {listed} is probably reversed: turned around, the equations of motion "
-            "explain the records clearly better; check the data card or the system's signs"
-        )
-    return told
 
 
 def _about_condition(space: Space, certain: Uncertainty) -> list[str]:
@@ -232,6 +242,8 @@ def _about_condition(space: Space, certain: Uncertainty) -> list[str]:
         return []
     members = np.argsort(-np.abs(certain.worst))
     names = [space.names[i] for i in members if abs(certain.worst[i]) > 0.1]
+    if len(names) == 1:
+        return [f"'{names[0]}' has hardly any effect on the simulations; fix it"]
     return [
         f"badly conditioned ({certain.condition:.1g}): {', '.join(names)} can change together with "
         "hardly any effect on the simulations; fix one of them or record motion that tells them "
@@ -244,6 +256,8 @@ def _about_errors(
 ) -> str:
     strongest = float(lag[np.argmax(np.abs(lag))])
     correlated = abs(strongest) > _CORRELATED
+    if multiple is not None and multiple < _AT_THE_COUNT:
+        return "residuals are no larger than the encoders' quantisation: nothing is missing"
     size = f"{multiple:.0f} times the encoders' quantisation and " if multiple else ""
     if correlated:
         told = (

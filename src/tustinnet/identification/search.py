@@ -70,6 +70,10 @@ class Settings:
                     f"identification, {name}", f"'{getattr(self, name)}'",
                     f"one of {', '.join(get_args(kind))}",
                 )  # fmt: skip
+        if self.most < 1 or (self.substeps is not None and self.substeps < 1):
+            raise InputError(
+                "identification", f"most {self.most}, substeps {self.substeps}", "at least 1"
+            )
 
 
 DEFAULT_SETTINGS = Settings()
@@ -144,7 +148,9 @@ class Search:
 
     def prior(self, cost: float | None = None) -> Prior:
         """What is known beforehand, made comparable with residuals of the given cost."""
-        variance = self.variance if cost is None else cost / len(self.records)
+        variance = self.variance
+        if cost is not None and np.isfinite(cost):  # a search that diverged has none
+            variance = cost / len(self.records)
         samples = sum(len(e) for e in self.records)
         return Prior(
             centre=np.array([p.nominal for p in self.space.free]),
@@ -235,7 +241,8 @@ class Search:
         chosen, name = min(
             ((rough, "anchored"), (loose, "free")), key=lambda entry: self._score(entry[0])
         )
-        self.variance = chosen.cost / len(self.records)
+        if chosen.why != "diverged":
+            self.variance = chosen.cost / len(self.records)
         fitted = self._last(chosen.vector, name)
         return fitted, name, self._score(fitted)
 
@@ -251,7 +258,8 @@ class Search:
             substeps=substeps, tolerance=tolerance, most=most, told=self.told,
             stage=f"{name}, {initial} start",
         )  # fmt: skip
-        self.variance = found.cost / len(self.records)
+        if found.why != "diverged":
+            self.variance = found.cost / len(self.records)
         return found
 
     def _last(self, vector: Searched, initial: str) -> Fitted:
@@ -262,4 +270,5 @@ class Search:
         runs = self._held_runs(self.held)
         error = self._errors(fitted.vector, runs, self.substeps)
         squares = np.sum(error**2, axis=(1, 2)) / [len(e) for e in self.held]
-        return float(np.mean(np.sqrt(squares)))
+        score = float(np.mean(np.sqrt(squares)))
+        return score if np.isfinite(score) else np.inf

@@ -67,6 +67,9 @@ def uncertainty(
         Cameron, Gelbach, Miller (2008), Bootstrap-based improvements for inference with clustered
         errors.
     """
+    if not np.isfinite(normal.cost).all():
+        unknown = np.full((len(moving), len(moving)), np.nan)
+        return Uncertainty(unknown, None, (np.nan, np.nan), np.inf, np.zeros(len(moving)))
     matrices, gradients, _, _ = eliminated(normal)
     matrices, gradients = matrices[:, moving][:, :, moving], gradients[:, moving]
     whole = matrices.sum(axis=0) + np.diag(curvature[moving])

@@ -46,6 +46,10 @@ class Parameter:
     prior: float | None = None
 
     def __post_init__(self) -> None:
+        if not self.lower <= self.upper:
+            raise InputError(
+                f"parameter '{self.name}'", f"range {self.lower:g}..{self.upper:g}", "lower first"
+            )
         if not self.lower <= self.nominal <= self.upper:
             raise InputError(
                 f"parameter '{self.name}'",

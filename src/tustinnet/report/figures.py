@@ -76,7 +76,7 @@ def free_run_figure(
         recorded: what to call the record's own line.
     """
     with house_style():
-        n_q = len(experiment.coordinates)
+        n_q, unit = len(experiment.coordinates), position_unit(experiment.coordinates)
         figure = Figure(figsize=(7.0, 1.9 * n_q + 0.5), layout="constrained")
         panels = np.atleast_1d(figure.subplots(n_q, 1, sharex=True))
         t = experiment.t - experiment.t[0]
@@ -86,7 +86,7 @@ def free_run_figure(
                 colour, dash = (styles or {}).get(
                     label, (COLOURS[i % len(COLOURS)], _DASHES[i % len(_DASHES)])
                 )
-                told = f"{label} (RMSE {score.rmse:.3f})"
+                told = f"{label} (RMSE {score.rmse:.3g} {unit})"
                 line = _bounded(score.simulated[:, j], experiment.q[:, j])
                 axes.plot(t, line, color=colour, linestyle=dash, label=told)
             axes.set_ylabel(f"{coordinate.name} [{coordinate.unit}]")

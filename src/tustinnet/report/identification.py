@@ -32,11 +32,15 @@ def correlation_figure(result: Identification) -> Figure:
         left.set_xlim(-0.05, 1.05)
         left.set_ylim(n - 0.5, -0.5)
         left.grid(visible=False)
-        left.set_title("value and 95 % interval within its range", loc="left")
+        left.set_title(
+            "value and 95 % interval in its range (positive ones: logarithmic)", loc="left"
+        )
         drawn = right.imshow(result.correlation, vmin=-1, vmax=1, cmap="RdBu_r")
         right.set_xticks(range(n), [e.name for e in estimates], rotation=90)
         right.set_yticks(range(n), [""] * n)
         right.grid(visible=False)
-        right.set_title("correlation of the errors", loc="left")
+        right.set_title(
+            f"{result.system.name}: correlation of the errors (blank: at an end)", loc="left"
+        )
         figure.colorbar(drawn, ax=right, shrink=0.8)
         return figure

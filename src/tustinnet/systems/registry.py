@@ -19,16 +19,18 @@ PACKAGED = tuple(_MODULES)
 ATTRIBUTE = "SYSTEM"  # what a system file calls its system
 
 
-def load_system(which: str | Path) -> LagrangianSystem:
+def load_system(which: str | Path | LagrangianSystem) -> LagrangianSystem:
     """A system by its packaged name, or the `SYSTEM` of a Python file, which is run.
 
     Args:
-        which: a name (`qube-servo2`, `qube-servo2-naive`, `qube-servo2-memory`) or a file, as
-            `arm.py`.
+        which: a name (`qube-servo2`, `qube-servo2-naive`, `qube-servo2-memory`), or a file, as
+            `arm.py`; a system is returned as it is.
 
     Raises:
         InputError: no such name or file, a file that fails or has no `SYSTEM`.
     """
+    if isinstance(which, LagrangianSystem):
+        return which
     if str(which) in _MODULES:
         module, attribute = _MODULES[str(which)]
         return getattr(importlib.import_module(f"tustinnet.systems.{module}"), attribute)
@@ -49,7 +51,7 @@ def load_system(which: str | Path) -> LagrangianSystem:
         spec.loader.exec_module(module)
     except InputError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         line = _line_of(error, path)
         raise InputError(
             path, f"fails{line} with {type(error).__name__}: {error}", "a file that runs",
@@ -67,7 +69,8 @@ def load_system(which: str | Path) -> LagrangianSystem:
 def source_of(system: LagrangianSystem) -> tuple[str, str]:
     """The file name and the digest of the code that a system's energies are written in.
 
-    The digest is of what the code does: comments, docstrings, annotations and layout do not count.
+    The digest is of what the code does: comments, docstrings, annotations and layout do not count,
+    nor do the parameters' ranges.
 
     Raises:
         InputError: the code is in no file, as in a notebook.
@@ -90,7 +93,14 @@ def source_of(system: LagrangianSystem) -> tuple[str, str]:
             node.returns = None
         if isinstance(node, ast.arg):
             node.annotation = None
+        if isinstance(node, ast.Call) and _name_of(node.func) == "Parameter":
+            # a model file holds all values: ranges and nominal ones are not part of what it needs
+            node.args, node.keywords = node.args[:2], []
     return path.name, hashlib.sha256(ast.dump(tree).encode()).hexdigest()
+
+
+def _name_of(node: ast.AST) -> str:
+    return getattr(node, "attr", getattr(node, "id", ""))
 
 
 def _is_docstring(node: ast.AST) -> bool:
@@ -101,7 +111,7 @@ def _is_docstring(node: ast.AST) -> bool:
     )
 
 
-def _line_of(error: Exception, path: Path) -> str:
+def _line_of(error: BaseException, path: Path) -> str:
     trace, line = error.__traceback__, 0
     while trace is not None:
         if Path(trace.tb_frame.f_code.co_filename) == path:
