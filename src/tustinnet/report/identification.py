@@ -32,15 +32,16 @@ def correlation_figure(result: Identification) -> Figure:
         left.set_xlim(-0.05, 1.05)
         left.set_ylim(n - 0.5, -0.5)
         left.grid(visible=False)
-        left.set_title(
-            "value and 95 % interval in its range (positive ones: logarithmic)", loc="left"
-        )
+        left.set_title("value and 95 % interval", loc="left")
         drawn = right.imshow(result.correlation, vmin=-1, vmax=1, cmap="RdBu_r")
         right.set_xticks(range(n), [e.name for e in estimates], rotation=90)
         right.set_yticks(range(n), [""] * n)
         right.grid(visible=False)
-        right.set_title(
-            f"{result.system.name}: correlation of the errors (blank: at an end)", loc="left"
+        right.set_title("correlation of the errors", loc="left")
+        left.set_xlabel(
+            "range, logarithmic where all of it is positive; red: at an end", fontsize=8
         )
+        right.set_xlabel("blank: at an end of its range", fontsize=8)
+        figure.suptitle(result.system.name, fontsize=9)
         figure.colorbar(drawn, ax=right, shrink=0.8)
         return figure
