@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
+import jax.numpy as jnp
 import numpy as np
 
 from tustinnet.data.experiment import Experiment
@@ -101,7 +102,7 @@ class Search:
 
     def model(self, vector: Searched) -> Discretised:
         """The model with the values of a vector."""
-        values = self.space.values(vector)
+        values = {name: jnp.asarray(x) for name, x in self.space.numbers(vector).items()}
         return discretise(LagrangianModel(self.system, values), self.records[0].dt, self.substeps)
 
     @property

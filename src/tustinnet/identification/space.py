@@ -61,8 +61,11 @@ class Space:
         return found
 
     def numbers(self, vector: Searched) -> dict[str, float]:
-        """The values of all parameters as plain numbers."""
-        return {name: float(value) for name, value in self.values(vector).items()}
+        """The values of all parameters as plain numbers, none outside its range by rounding."""
+        found = {name: float(value) for name, value in self.values(vector).items()}
+        for p in self.free:
+            found[p.name] = min(max(found[p.name], p.lower), p.upper)
+        return found
 
     def slopes(self, vector: Searched) -> Searched:
         """Derivative of each value by its entry of the vector."""
