@@ -12,6 +12,7 @@ from tustinnet.identification.least_squares import (
     Fitted,
     Iteration,
     Prior,
+    anchor_weight,
     anchored,
     prior_deviation,
 )
@@ -57,7 +58,7 @@ def minimise_by_gradient(
         [begin.pp.sum(axis=0).diagonal(), np.einsum("sxx->sx", begin.xx)[searched]]
     )
     unit = 1 / np.sqrt(np.maximum(weights, 1e-8 * weights.max()))
-    held = {name: np.asarray(float(value)) for name, value in space.held.items()}
+    held = space.held_arrays
     arrays = (segments.drive, segments.periods, segments.target, segments.weight)
 
     def states(point: np.ndarray) -> np.ndarray:
@@ -70,7 +71,7 @@ def minimise_by_gradient(
         x0 = states(point)
         value, (by_vector, by_state) = _cost(shape, substeps, held, point[:n_p], x0, *arrays)
         deviation, slope = prior_deviation(prior, space, point[:n_p])
-        weight = prior.variance * segments.share[:, None] * segments.precision**2
+        weight = anchor_weight(segments, prior.variance)
         off = x0 - segments.x0
         total = float(value) + prior.weight * np.sum(deviation**2) + np.sum(weight * off**2)
         gradient = np.asarray(by_vector) + 2 * prior.weight * deviation * slope

@@ -13,7 +13,7 @@ from tustinnet.data.inspection import transient_end
 from tustinnet.errors import InputError
 from tustinnet.evaluation.free_run import require_float64
 from tustinnet.identification import inverse_dynamics
-from tustinnet.identification.least_squares import Iteration
+from tustinnet.identification.least_squares import Iteration, prior_deviation
 from tustinnet.identification.result import Identification, describe
 from tustinnet.identification.search import DEFAULT_SETTINGS, Search, Settings
 from tustinnet.identification.space import Searched, Space, make_space
@@ -72,10 +72,8 @@ def identify(
     vector, remarks = work.hold_confounded(vector)
     vector, unexplained = work.first_values(vector)
     fitted, initial, score = work.search(vector)
-    curvature = (
-        work.prior(fitted.cost).weight
-        * (work.space.slopes(fitted.vector) * work.prior(fitted.cost).precision) ** 2
-    )
+    prior = work.prior(fitted.cost)
+    curvature = prior.weight * prior_deviation(prior, work.space, fitted.vector)[1] ** 2
     bounds = work.space.at_bounds(fitted.vector)
     moving = np.array([name not in bounds for name in work.space.names])
     certain = uncertainty(fitted.normal, work.segments(None, initial), curvature, moving)

@@ -96,7 +96,7 @@ def first_values(
     s = np.linspace(-1, 1, motion.length)
     bump = (1 - s**2) ** 3
     slope = -6 * s * (1 - s**2) ** 2 * 2 / ((motion.length - 1) * motion.dt)
-    held = {name: np.asarray(float(value)) for name, value in space.held.items()}
+    held = space.held_arrays
 
     def at(point: Searched) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         answers = _momenta(system, space.free, held, point, motion.q, motion.v, motion.u)

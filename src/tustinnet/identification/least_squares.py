@@ -250,9 +250,14 @@ def _finite(normal: Normal) -> bool:
     return all(np.isfinite(part).all() for part in products)
 
 
+def anchor_weight(segments: Segments, variance: float) -> Float[np.ndarray, "n_s n_x"]:
+    """What a squared departure from each measured initial state adds to the cost, (n_s, n_x)."""
+    return variance * segments.share[:, None] * segments.precision**2
+
+
 def anchored(normal: Normal, segments: Segments, x0: np.ndarray, variance: float) -> Normal:
     """The products with what is known of the initial states: positions were measured."""
-    weight = variance * segments.share[:, None] * segments.precision**2
+    weight = anchor_weight(segments, variance)
     off = x0 - segments.x0
     return replace(
         normal,

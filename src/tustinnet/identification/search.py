@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal, get_args
 
 import jax.numpy as jnp
@@ -214,6 +215,11 @@ class Search:
             start=self.start, weights=self._weights(), velocity_loss=False, recorded_times=False,
         )  # fmt: skip
 
+    @cached_property
+    def _judging(self) -> Segments:
+        """The validation records' free runs, laid out once for all scores."""
+        return self._held_runs(self.held)
+
     def _errors(self, vector: Searched, runs: Segments, substeps: int) -> np.ndarray:
         """Simulated minus measured positions of free runs, 0 after their ends."""
         found = normal_products(self.shape, self.space, vector, runs.x0, runs, substeps)
@@ -268,8 +274,7 @@ class Search:
 
     def _score(self, fitted: Fitted) -> float:
         """Mean free-run RMSE of the validation records."""
-        runs = self._held_runs(self.held)
-        error = self._errors(fitted.vector, runs, self.substeps)
+        error = self._errors(fitted.vector, self._judging, self.substeps)
         squares = np.sum(error**2, axis=(1, 2)) / [len(e) for e in self.held]
         score = float(np.mean(np.sqrt(squares)))
         return score if np.isfinite(score) else np.inf

@@ -90,8 +90,8 @@ def normal_products(
     """
     # side by side stand segments of like length: a lane idles from its end to the longest's
     order = np.argsort(-segments.steps, kind="stable")
+    held = space.held_arrays
     groups = [order[i : i + shape.lanes] for i in range(0, len(order), shape.lanes)]
-    held = {name: np.asarray(float(value)) for name, value in space.held.items()}
 
     def run(rows: Int[np.ndarray, " lanes"]) -> list[np.ndarray]:
         s, lanes = segments, shape.lanes

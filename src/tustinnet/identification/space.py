@@ -44,6 +44,11 @@ class Space:
         """The box's upper corner."""
         return self.vector({p.name: p.upper for p in self.free})
 
+    @property
+    def held_arrays(self) -> dict[str, np.ndarray]:
+        """The held values as a compiled program takes them: as arguments, not as constants."""
+        return {name: np.asarray(float(value)) for name, value in self.held.items()}
+
     def vector(self, values: Mapping[str, float]) -> Searched:
         """The vector of some values."""
         return np.array(

@@ -58,9 +58,8 @@ class Discretised(DiscreteModel):
         def advance(state: State, i: Array) -> tuple[State, None]:
             return substep(self.continuous, state, u, i, self.substeps, h), None
 
-        if (
-            self.substeps <= _UNROLLED
-        ):  # a loop within the loop over samples costs more than it saves
+        # a loop within the loop over samples costs more than it saves
+        if self.substeps <= _UNROLLED:
             for i in range(self.substeps):
                 x, _ = advance(x, jnp.asarray(i, x.dtype))
             return x
