@@ -34,7 +34,9 @@ check: .venv/installed-dev
 	$(BIN)/lint-imports
 
 bench: .venv/installed-bench
-	$(BIN)/python benchmarks/training.py $(DATA)
+	$(BIN)/python benchmarks/training.py compare $(DATA)
+	$(BIN)/python benchmarks/training.py seeds $(DATA)
+	$(BIN)/python benchmarks/training.py windows $(DATA)
 	$(BIN)/python benchmarks/identification.py time $(DATA)
 	$(BIN)/python benchmarks/identification.py scipy $(DATA)
 

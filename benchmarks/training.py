@@ -1,27 +1,36 @@
-"""An epoch of training, side by side: eager PyTorch, a plain JAX scan, this package.
+"""Training, measured: against PyTorch and plain JAX, many seeds at once, many windows, any device.
 
-    python benchmarks/training.py FOLDER     stage 1 of the transfer recipe on measured records
+python benchmarks/training.py compare FOLDER     an epoch beside eager PyTorch and a plain JAX scan
+python benchmarks/training.py seeds FOLDER       8 seeds at once against one after another
+python benchmarks/training.py windows FOLDER     an epoch of 1, 10 and 100 times as many windows
+python benchmarks/training.py throughput FOLDER  1, 32 and 1024 seeds on what JAX prefers (a GPU)
 
-The same windows, the same folded network (7-100-100-2, leaky ReLU), the same number of steps and
-the same loss; batches of 32 and of 256. Rates against what a large float32 matrix product reaches
-in the same run.
+Always stage 1 of the transfer recipe on measured records: the same windows, the same folded
+network (7-100-100-2, leaky ReLU), the same number of steps and the same loss. Rates against what
+a large float32 matrix product reaches in the same run.
 """
 
+import os
 import statistics
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
 
+# before the first computation: a device for each core, as the command has it
+jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
+
 import tustinnet as tn
 from tustinnet.simulation.rollout import rollout
-from tustinnet.training.epoch import compiled_epoch
-from tustinnet.training.fit import Plan, plan
+from tustinnet.training.epoch import EPOCHS_A_CALL, compiled_epochs
+from tustinnet.training.fit import Member, Plan, plan
 from tustinnet.training.losses import window_loss
+from tustinnet.training.material import StageWindows
 
 Call = Callable[[], None]
 
@@ -40,31 +49,30 @@ def median_seconds(call: Callable[[], object], repetitions: int = REPETITIONS) -
     return statistics.median(times)
 
 
-def prepared(folder: str, batch: int) -> Plan:
+def prepared(folder: str, batch: int, seeds: int = 1) -> Plan:
     """Stage 1 of the public code's transfer recipe without its stem, which folds away."""
     recipe = tn.read_recipe("paper-code-transfer").model_dump()
     recipe["model"]["stem"] = None
     recipe["stages"] = [recipe["stages"][0] | {"batch": batch}]
-    return plan(tn.load(folder), tn.Recipe.model_validate(recipe), 0)
+    members = [Member(seed) for seed in range(seeds)]
+    return plan(tn.load(folder), tn.Recipe.model_validate(recipe), members)
 
 
 def this_package(work: Plan) -> Call:
-    """An epoch as the training loop calls it."""
-    epoch = compiled_epoch(work.stages[0])
-    weights = work.template(0)
-    rows = jnp.asarray(work.stages[0].windows.rows)
-    rate = jnp.asarray(1e-3, jnp.float32)
+    """The epochs of a compiled call as the training loop makes it, without validation."""
+    epochs = compiled_epochs(work.stages[0], work.records, None, work.mesh)
+    state = work.template(0)
 
     def call() -> None:
-        jax.block_until_ready(epoch(weights, rate, rows, work.records)[1])
+        jax.block_until_ready(epochs(state))
 
     return call
 
 
 def plain_scan(work: Plan, batch: int) -> Call:
     """What one would write in JAX: a jitted step on copied-out windows, called from Python."""
-    length, model = work.stages[0].windows.length, work.model
-    rows = np.asarray(work.stages[0].windows.rows)
+    length, model = work.stages[0].windows.length, jax.tree.map(lambda a: a[0], work.models)
+    rows = work.stages[0].windows.rows[0]
     x = np.stack([np.asarray(work.records.x)[r : r + length + 1] for r in rows])
     u = np.stack([np.asarray(work.records.u)[r : r + length] for r in rows])
     optimiser = optax.adam(1e-3)
@@ -97,12 +105,12 @@ def eager_torch(work: Plan, batch: int) -> Call:
     """The same as a user of PyTorch would write it."""
     import torch
 
-    length, dt = work.stages[0].windows.length, work.model.dt
-    rows = np.asarray(work.stages[0].windows.rows)
+    length, dt = work.stages[0].windows.length, work.models.dt
+    rows = work.stages[0].windows.rows[0]
     x = torch.tensor(np.stack([np.asarray(work.records.x)[r : r + length + 1] for r in rows]))
     u = torch.tensor(np.stack([np.asarray(work.records.u)[r : r + length] for r in rows]))
-    scale = torch.tensor(np.asarray(work.model.scaling.velocity))
-    gain = torch.tensor(np.asarray(work.model.scaling.acceleration)) * dt
+    scale = torch.tensor(np.asarray(work.models.scaling.velocity)[0])
+    gain = torch.tensor(np.asarray(work.models.scaling.acceleration)[0]) * dt
     net = torch.nn.Sequential(
         torch.nn.Linear(7, HIDDEN), torch.nn.LeakyReLU(0.01), torch.nn.Linear(HIDDEN, HIDDEN),
         torch.nn.LeakyReLU(0.01), torch.nn.Linear(HIDDEN, 2),
@@ -144,7 +152,7 @@ def flops(work: Plan) -> float:
     """Arithmetic of the products of an epoch: forward once, backward twice."""
     windows = work.stages[0].windows
     per_step = 2 * (7 * HIDDEN + HIDDEN * HIDDEN + HIDDEN * 2)
-    return 3.0 * per_step * len(windows.rows) * windows.length
+    return 3.0 * per_step * windows.rows.size * windows.length
 
 
 def compare(folder: str) -> None:
@@ -153,7 +161,7 @@ def compare(folder: str) -> None:
     print(f"large float32 product: {rate / 1e9:.0f} GFLOP/s")
     for batch in (32, 256):
         work = prepared(folder, batch)
-        count = len(work.stages[0].windows.rows)
+        count = work.stages[0].windows.rows.size
         print(f"batch {batch}, {count} windows of {work.stages[0].windows.length}")
         seconds: dict[str, float] = {}
         try:
@@ -166,7 +174,7 @@ def compare(folder: str) -> None:
         except ImportError:
             print("  PyTorch is not installed: pip install 'tustinnet[bench]'")
         seconds["plain JAX scan, a call a batch"] = median_seconds(plain_scan(work, batch))
-        seconds["this package"] = median_seconds(this_package(work))
+        seconds["this package"] = median_seconds(this_package(work)) / EPOCHS_A_CALL
         torch_best = min((s for n, s in seconds.items() if "PyTorch" in n), default=float("nan"))
         for name, value in seconds.items():
             speed = flops(work) / value
@@ -176,7 +184,59 @@ def compare(folder: str) -> None:
             )
 
 
+def several_seeds(folder: str, seeds: int = 8) -> None:
+    """Prints what training seeds together gains, an epoch with validation as in a training."""
+    together, alone = prepared(folder, 32, seeds), prepared(folder, 32)
+    seconds = {name: seconds_an_epoch(work) for name, work in {"8": together, "1": alone}.items()}
+    print(f"an epoch of 1 seed, windows shared by the cores: {seconds['1']:.4f} s")
+    print(f"an epoch of {seeds} seeds, a share for each core: {seconds['8']:.4f} s")
+    print(f"gain over one after another: {seeds * seconds['1'] / seconds['8']:.2f} x")
+
+
+def seconds_an_epoch(work: Plan) -> float:
+    """Median time of an epoch with all that a training does in it."""
+    epochs = compiled_epochs(work.stages[0], work.records, work.validation, work.mesh)
+    state = work.template(0)
+    return median_seconds(lambda: jax.block_until_ready(epochs(state))) / EPOCHS_A_CALL
+
+
+def many_windows(folder: str) -> None:
+    """Prints the time of an epoch against the number of windows."""
+    work = prepared(folder, 32)
+    [stage], per_window = work.stages[:1], {}
+    for times in (1, 10, 100):
+        rows = np.tile(stage.windows.rows, (1, times))
+        longer = replace(stage, windows=StageWindows(rows, stage.windows.length))
+        call = this_package(replace(work, stages=(longer,)))
+        seconds = median_seconds(call, 5 if times < 100 else 3) / EPOCHS_A_CALL
+        per_window[times] = seconds / rows.size
+        share = per_window[times] / per_window[1]
+        print(
+            f"{rows.size:>6} windows: {seconds:8.4f} s an epoch, {1e6 * per_window[times]:6.2f} us "
+            f"a window, {share:.3f} of the first"
+        )
+
+
+def throughput(folder: str) -> None:
+    """Prints what the device makes of 1, 32 and 1024 seeds."""
+    device = jax.devices()[0]
+    rate = product_rate()
+    print(f"{device.device_kind} ({device.platform}), large product {rate / 1e9:.0f} GFLOP/s")
+    for seeds in (1, 32, 1024):
+        work = prepared(folder, 32, seeds)
+        seconds = median_seconds(this_package(work), 3) / EPOCHS_A_CALL
+        steps = work.stages[0].windows.rows.size * work.stages[0].windows.length
+        print(
+            f"{seeds:>5} seeds: {seconds:8.4f} s an epoch, {steps / seconds / 1e6:8.2f} million "
+            f"steps a second, {flops(work) / seconds / 1e9:8.1f} GFLOP/s"
+        )
+
+
+VERBS = {
+    "compare": compare, "seeds": several_seeds, "windows": many_windows, "throughput": throughput,
+}  # fmt: skip
+
 if __name__ == "__main__":
-    if len(sys.argv) != 2:
+    if len(sys.argv) != 3 or sys.argv[1] not in VERBS:
         sys.exit(__doc__)
-    compare(sys.argv[1])
+    VERBS[sys.argv[1]](sys.argv[2])

@@ -17,6 +17,7 @@ import tustinnet as tn
 from tustinnet.artifact.run import train_runs
 
 jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_num_cpu_devices", 2)  # as the command has on a machine with two cores
 
 DT = 0.02
 COUNT = 2 * np.pi / 4096

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Memory, Parameter
     from tustinnet.models.tustin import TustinNet
     from tustinnet.simulation.adaptive import discretise_adaptively
+    from tustinnet.simulation.compiled_step import compiled_step
     from tustinnet.simulation.initial_state import initial_state
     from tustinnet.simulation.integrators import discretise
     from tustinnet.simulation.linearisation import Linearisation, linearize
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from tustinnet.simulation.rollout import rollout
     from tustinnet.simulation.substeps import choose_substeps
     from tustinnet.systems.registry import load_system
-    from tustinnet.training.fit import FitResult, fit
+    from tustinnet.training.fit import FitResult, Member, fit, fit_many
     from tustinnet.training.recipe import Recipe, read_recipe
 
 _HOMES = {
@@ -43,6 +44,7 @@ _HOMES = {
     "LagrangianModel": "models.lagrangian",
     "LagrangianSystem": "models.lagrangian",
     "Linearisation": "simulation.linearisation",
+    "Member": "training.fit",
     "Memory": "models.lagrangian",
     "Parameter": "models.lagrangian",
     "Recipe": "training.recipe",
@@ -53,6 +55,7 @@ _HOMES = {
     "discretise_adaptively": "simulation.adaptive",
     "evaluate": "evaluation.free_run",
     "fit": "training.fit",
+    "fit_many": "training.fit",
     "free_run": "evaluation.free_run",
     "from_arrays": "data.dataset",
     "from_frame": "data.loading",
@@ -64,6 +67,7 @@ _HOMES = {
     "load_model": "artifact.model_file",
     "load_system": "systems.registry",
     "mean_rmse": "evaluation.free_run",
+    "compiled_step": "simulation.compiled_step",
     "numpy_step": "simulation.numpy_step",
     "read_header": "artifact.model_file",
     "read_recipe": "training.recipe",
@@ -84,16 +88,19 @@ __all__ = [
     "LagrangianModel",
     "LagrangianSystem",
     "Linearisation",
+    "Member",
     "Memory",
     "Parameter",
     "Recipe",
     "Settings",
     "TustinNet",
     "choose_substeps",
+    "compiled_step",
     "discretise",
     "discretise_adaptively",
     "evaluate",
     "fit",
+    "fit_many",
     "free_run",
     "from_arrays",
     "from_frame",

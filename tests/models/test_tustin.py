@@ -8,13 +8,11 @@ import pytest
 
 import tustinnet as tn
 from tustinnet.models.base import require_fit, with_dtype
+from tustinnet.models.network import ACTIVATIONS, Affine, fold
 from tustinnet.models.tustin import (
-    ACTIVATIONS,
-    Affine,
     Scaling,
     TustinNet,
     feature_count,
-    fold,
     learn_scaling,
     random_tustin_net,
 )

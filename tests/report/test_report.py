@@ -18,7 +18,7 @@ from tustinnet.report.figures import (
 )
 from tustinnet.report.progress import TrainingProgress
 from tustinnet.report.tables import Table, number
-from tustinnet.training.fit import plan
+from tustinnet.training.fit import Member, plan
 from tustinnet.training.state import EpochReport
 
 
@@ -59,7 +59,7 @@ def test_figures_are_written_whole_or_not_at_all(pendulum, run_folder, tmp_path)
     ]
     pictures = {
         "run.png": free_run_figure(e, {"model": score}),
-        "training.svg": training_figure({0: lines, 1: lines}),
+        "training.svg": training_figure({"seed-0": lines, "seed-1": lines}),
         "ahead.pdf": ahead_figure({"model": np.array([0.1, 0.2])}, model),
         "records.png": inspection_figure(
             list(pendulum), [tn.inspect_experiment(x) for x in pendulum]
@@ -74,7 +74,7 @@ def test_figures_are_written_whole_or_not_at_all(pendulum, run_folder, tmp_path)
 
 
 def test_progress_shows_loss_validation_rate_and_time_left(pendulum, small_recipe):
-    prepared = plan(pendulum, small_recipe, 0)
+    prepared = plan(pendulum, small_recipe)
     for terminal in (True, False):
         out = io.StringIO()
         console = Console(file=out, force_terminal=terminal, width=160)
@@ -89,10 +89,24 @@ def test_progress_shows_loss_validation_rate_and_time_left(pendulum, small_recip
         assert terminal or "s left" in text
 
 
+def test_progress_of_trainings_that_run_together_tells_the_slowest_and_the_best(
+    pendulum, small_recipe
+):
+    out = io.StringIO()
+    with TrainingProgress(Console(file=out, width=160)) as progress:
+        told = progress.follow(plan(pendulum, small_recipe, [Member(3), Member(4, 0.5)]))
+        told(EpochReport("second", 4, 0.4, 0.2, 5e-4, 0.15))
+        assert out.getvalue() == ""
+        told(EpochReport("second", 4, 0.4, 0.2, 5e-4, 0.2, "something happened", 1))
+    assert "small, seed 3 and 1 more: 100 %" in out.getvalue()
+    assert "best 0.150" in out.getvalue()
+    assert "small, seed 4 rate 0.5: something happened" in out.getvalue()
+
+
 def test_quiet_progress_tells_events_only(pendulum, small_recipe):
     out = io.StringIO()
     with TrainingProgress(Console(file=out), quiet=True) as progress:
-        told = progress.follow(plan(pendulum, small_recipe, 0))
+        told = progress.follow(plan(pendulum, small_recipe))
         told(EpochReport("second", 4, 0.4, 0.2, 5e-4, 0.2))
         assert out.getvalue() == ""
         told(EpochReport("second", 4, 0.4, 0.2, 5e-4, 0.2, "something happened"))

@@ -1,4 +1,4 @@
-"""The step without JAX is the model's step."""
+"""One step at a time, without JAX or compiled, is the model's step."""
 
 import jax
 import jax.numpy as jnp
@@ -7,7 +7,8 @@ import pytest
 
 import tustinnet as tn
 from tustinnet.models.base import with_dtype
-from tustinnet.models.tustin import ACTIVATIONS, Scaling, random_tustin_net
+from tustinnet.models.network import ACTIVATIONS
+from tustinnet.models.tustin import Scaling, random_tustin_net
 
 ARM = tn.Coordinate("arm", "angular")
 SLIDE = tn.Coordinate("slide", "linear")
@@ -67,3 +68,19 @@ def test_other_models_are_refused():
     )  # fmt: skip
     with pytest.raises(tn.InputError, match="numpy_step: a Discretised"):
         tn.numpy_step(tn.discretise(tn.LagrangianModel(system, {}), 0.01))
+
+
+@pytest.mark.parametrize("kind", ["network", "grey box"])
+def test_a_compiled_step_equals_the_models_step(kind):
+    if kind == "network":
+        model = network((ARM, ELBOW), stem=4)
+    else:
+        system = tn.load_system("qube-servo2-memory")
+        values = {name: jnp.asarray(value) for name, value in system.nominal().items()}
+        model = tn.discretise(tn.LagrangianModel(system, values), 0.01, substeps=2)
+    step = tn.compiled_step(model)
+    x, u = np.linspace(0.1, 0.4, model.state_size), np.array([0.5])
+    expected = model.step(jnp.asarray(x), jnp.asarray(u))
+    following = step(x, u)
+    assert isinstance(following, np.ndarray)
+    np.testing.assert_allclose(following, expected, rtol=1e-12)

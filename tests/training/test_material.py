@@ -97,6 +97,6 @@ def test_records_end_to_end_keep_states_and_held_inputs(pendulum):
 
 
 def test_validation_weights_sum_to_one_within_each_record(pendulum):
-    model = plan(pendulum, tn.read_recipe("standard"), 0).model
+    model = plan(pendulum, tn.read_recipe("standard")).models
     runs = validation_runs(model, list(pendulum), "derived-6", "auto")
     np.testing.assert_allclose(runs.weight.sum(axis=1), 1.0, rtol=1e-5)

@@ -38,8 +38,8 @@ def test_the_codes_standard_and_transfer_recipes_process_as_many_points(real_dat
     data = tn.load(real_data)
     points = {}
     for name in ("paper-code-standard", "paper-code-transfer"):
-        stages = plan(data, name, 0).stages
-        points[name] = sum(s.recipe.epochs * len(s.windows.rows) * s.windows.length for s in stages)
+        stages = plan(data, name).stages
+        points[name] = sum(s.recipe.epochs * s.windows.rows.size * s.windows.length for s in stages)
     assert points["paper-code-standard"] == pytest.approx(17.3e6, rel=2e-3)
     assert points["paper-code-transfer"] == pytest.approx(17.3e6, rel=2e-3)
 

@@ -1,12 +1,16 @@
-"""Checkpoints: all that a training needs to go on as if it had never stopped."""
+"""Checkpoints: all that a training needs to go on as if it had never stopped.
+
+Each member of those that train together has a file of its own.
+"""
 
 import dataclasses
 import hashlib
 import json
 import time
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,35 +20,46 @@ from tustinnet.artifact.files import write_atomically
 from tustinnet.artifact.model_file import FORMAT, KEY, read_file
 from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
-from tustinnet.training.fit import Plan
-from tustinnet.training.plateau import Plateau
+from tustinnet.training.fit import Member, plan
 from tustinnet.training.recipe import Recipe
-from tustinnet.training.state import Progress, Weights
+from tustinnet.training.state import Progress, TrainingState
 
 _KIND = "checkpoint"
 _INTERVAL = 5.0  # seconds between two checkpoints within a stage
 
 
 class Checkpointer:
-    """Writes checkpoints while training goes on: at most every 5 s, and when a stage changes."""
+    """Writes checkpoints while training goes on: at most every 5 s, and when a stage changes.
 
-    def __init__(self, path: Path, fingerprint: str) -> None:
-        self.path, self.fingerprint = path, fingerprint
+    Args:
+        paths: a file for each member.
+        fingerprints: what they belong to.
+    """
+
+    def __init__(self, paths: Sequence[Path], fingerprints: Sequence[str]) -> None:
+        self._files = list(zip(paths, fingerprints, strict=True))
         self._written = time.monotonic()
-        self._stage = 0
+        self._told: tuple[Progress, ...] | None = None
 
-    def __call__(self, weights: Weights, progress: Progress) -> None:
-        """Told after every epoch."""
+    def __call__(self, state: TrainingState, progress: tuple[Progress, ...]) -> None:
+        """Told after every compiled call."""
+        before = self._told or progress
         due = time.monotonic() - self._written >= _INTERVAL
-        if due or progress.outcome or progress.stage != self._stage:
-            write_checkpoint(self.path, weights, progress, self.fingerprint)
-            self._written, self._stage = time.monotonic(), progress.stage
+        for m, (path, belongs_to) in enumerate(self._files):
+            if self._told and before[m].outcome:
+                continue  # its last state is kept as it was
+            changed = progress[m].outcome or progress[m].stage != before[m].stage
+            if due or changed:
+                write_checkpoint(path, member_of(state, m), progress[m], belongs_to)
+        if due:
+            self._written = time.monotonic()
+        self._told = progress
 
 
-def fingerprint(data: DataSet, recipe: Recipe, seed: int) -> str:
-    """What a checkpoint belongs to: the recipe, the seed and the records."""
+def fingerprint(data: DataSet, recipe: Recipe, member: Member) -> str:
+    """What a checkpoint belongs to: the recipe, the member and the records."""
     digest = hashlib.sha256(recipe.model_dump_json().encode())
-    digest.update(str(seed).encode())
+    digest.update(member.name.encode())
     for e in data:
         digest.update(f"{e.name} {e.split} {e.dt} {e.coordinates} {e.inputs} {e.k_bar}".encode())
         for array in (e.t, e.q, e.u, e.v):
@@ -52,47 +67,55 @@ def fingerprint(data: DataSet, recipe: Recipe, seed: int) -> str:
     return digest.hexdigest()
 
 
-def write_checkpoint(path: Path, weights: Weights, progress: Progress, belongs_to: str) -> None:
-    """Writes a checkpoint, whole or not at all."""
+def write_checkpoint(path: Path, state: TrainingState, progress: Progress, belongs_to: str) -> None:
+    """Writes the checkpoint of one member, whole or not at all."""
     header = {
         "format": FORMAT,
         "kind": _KIND,
         "fingerprint": belongs_to,
         "progress": dataclasses.asdict(progress),
     }
-    arrays = {f"{i:04d}": np.asarray(leaf) for i, leaf in enumerate(_plain_leaves(weights))}
+    arrays = {f"{i:04d}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(_plain(state)))}
     # Python's JSON writes and reads infinities and every bit of a float
     write_atomically(path, safetensors.numpy.save(arrays, {KEY: json.dumps(header)}))
 
 
-def read_checkpoint(path: Path, plan: Plan, belongs_to: str) -> tuple[Weights, Progress]:
-    """Reads the state to resume from.
+def read_checkpoint(
+    path: Path, data: DataSet, recipe: Recipe, member: Member
+) -> tuple[TrainingState, Progress]:
+    """Reads the state of one member to resume from.
 
     Raises:
-        InputError: damaged, or of another recipe, seed or data set.
+        InputError: damaged, or of another recipe, seed, rate or data set.
     """
     header, arrays = read_file(path, [_KIND])
-    if header["fingerprint"] != belongs_to:
+    if header["fingerprint"] != fingerprint(data, recipe, member):
         raise InputError(
             path,
-            "the checkpoint belongs to another recipe, seed or data set",
+            "the checkpoint belongs to another recipe, seed, rate, data set or version",
             "the same as when it was written",
             "start anew with --overwrite, or in another folder",
         )
     content = header["progress"]
-    progress = Progress(**{**content, "plateau": Plateau(**content["plateau"])})
-    template = plan.template(progress.stage)
+    progress = Progress(**{**content, "epochs": tuple(content["epochs"])})
+    template = member_of(plan(data, recipe, [member]).template(progress.stage), 0)
     leaves = [jnp.asarray(arrays[name]) for name in sorted(arrays)]
-    return _with_leaves(template, leaves), progress
+    plain = jax.tree.unflatten(jax.tree.structure(_plain(template)), leaves)
+    key = jax.random.wrap_key_data(plain.weights.key)
+    return plain._replace(weights=plain.weights._replace(key=key)), progress
 
 
-def _plain_leaves(weights: Weights) -> list[jax.Array]:
-    arrays = eqx.filter(weights, eqx.is_array)
-    return jax.tree.leaves(arrays._replace(key=jax.random.key_data(weights.key)))
+def member_of(state: TrainingState, m: int) -> TrainingState:
+    """The state of one member, arrays without the axis of members."""
+    return jax.tree.map(lambda array: array[m], state)
 
 
-def _with_leaves(template: Weights, leaves: list[jax.Array]) -> Weights:
-    arrays, static = eqx.partition(template, eqx.is_array)
-    plain = arrays._replace(key=jax.random.key_data(template.key))
-    filled = jax.tree.unflatten(jax.tree.structure(plain), leaves)
-    return eqx.combine(filled._replace(key=jax.random.wrap_key_data(filled.key)), static)
+def together(states: Sequence[TrainingState]) -> TrainingState:
+    """States of members as one."""
+    return jax.tree.map(lambda *arrays: jnp.stack(arrays), *states)
+
+
+def _plain(state: TrainingState) -> Any:
+    """The same state with the key as plain numbers."""
+    key = jax.random.key_data(state.weights.key)
+    return state._replace(weights=state.weights._replace(key=key))

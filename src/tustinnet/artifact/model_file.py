@@ -22,7 +22,8 @@ from tustinnet.errors import InputError
 from tustinnet.evaluation.free_run import Score, mean_rmse
 from tustinnet.models.base import DiscreteModel
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.models.tustin import Affine, Scaling, TustinNet
+from tustinnet.models.network import Affine
+from tustinnet.models.tustin import Scaling, TustinNet
 from tustinnet.simulation.integrators import Discretised
 
 FORMAT = 1

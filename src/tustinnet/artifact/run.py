@@ -5,6 +5,8 @@ folder/seed-0/checkpoint.safetensors  what `resume` goes on from
 folder/seed-0/model.safetensors       the best weights of that seed
 folder/model.safetensors              those of the best seed
 folder/summary.json                   every seed and the spread
+
+Seeds that are trained at several rates have folders like seed-0-rate-0.5.
 """
 
 import dataclasses
@@ -15,7 +17,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tustinnet.artifact.checkpoint import Checkpointer, fingerprint, read_checkpoint
+from tustinnet.artifact.checkpoint import (
+    Checkpointer,
+    fingerprint,
+    read_checkpoint,
+    together,
+)
 from tustinnet.artifact.files import (
     finite,
     require_writable_folder,
@@ -26,9 +33,9 @@ from tustinnet.artifact.model_file import data_header, save, scores_header
 from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
 from tustinnet.evaluation.free_run import Score, evaluate, mean_rmse
-from tustinnet.training.fit import FitResult, Plan, plan, run_plan
+from tustinnet.training.fit import FitResult, Member, Plan, plan, run_plan
 from tustinnet.training.recipe import Recipe
-from tustinnet.training.state import EpochReport, Listener, Progress, Weights
+from tustinnet.training.state import EpochReport, Listener, Progress, TrainingState
 
 MODEL = "model.safetensors"
 SUMMARY = "summary.json"
@@ -38,7 +45,7 @@ _LOG = "log.jsonl"
 
 @dataclass(frozen=True)
 class SeedRun:
-    """One seed's training.
+    """The training of one seed at one rate.
 
     Attributes:
         result: the model and how it came about.
@@ -95,20 +102,22 @@ def train_runs(
     seeds: Sequence[int],
     folder: Path,
     *,
+    rates: Sequence[float] = (1.0,),
     resume: bool = False,
     overwrite: bool = False,
     tell: Callable[[Plan], Callable[[EpochReport], None]] = lambda plan: lambda report: None,
 ) -> Runs:
-    """Trains a recipe from several seeds and keeps everything in a folder.
+    """Trains a recipe from several seeds, together, and keeps everything in a folder.
 
     Args:
         data: the records.
         recipe: what to do.
         seeds: one training each; none touches another.
         folder: where the files go.
+        rates: factors of the recipe's rates; every seed is trained with each.
         resume: go on from the checkpoints that are there; seeds without one start.
         overwrite: discard what an earlier run left in the folder.
-        tell: given the plan of a seed, returns who is told after every epoch.
+        tell: given the plan of trainings that run together, returns who is told of every epoch.
 
     Raises:
         InputError: the folder cannot be written, holds an earlier run and neither `resume` nor
@@ -127,12 +136,16 @@ def train_runs(
         )
     judged = "validation" if "validation" in data.splits else "train"
     records = list(data.split(judged) if data.splits else data)
+    members = [Member(seed, rate) for seed in seeds for rate in rates]
+    results: dict[Member, FitResult] = {}
+    for group, states in _groups(data, recipe, members, folder, resume=resume):
+        prepared = plan(data, recipe, group)
+        trained = _train_together(data, prepared, folder, states, tell(prepared))
+        results.update(zip(group, trained, strict=True))
     runs = []
-    for seed in seeds:
-        prepared = plan(data, recipe, seed)
-        place = folder / f"seed-{seed}"
-        result = _train_seed(data, prepared, place, resume=resume, told=tell(prepared))
-        scores = tuple(evaluate(result.model, records, prepared.start))
+    for member in members:
+        place, result = folder / member.name, results[member]
+        scores = tuple(evaluate(result.model, records, result.start))
         save(result.model, place / MODEL, **_header(data, result, judged, scores))
         runs.append(SeedRun(result, scores, place))
     done = Runs(tuple(runs), judged, runs[0].result.start, folder)
@@ -167,6 +180,7 @@ def summary(runs: Runs) -> dict[str, Any]:
         "seeds": [
             {
                 "seed": run.result.seed,
+                "rate": run.result.member.rate,
                 "outcome": run.result.outcome,
                 "mean": run.mean,
                 "rmse": {score.experiment: score.rmse for score in run.scores},
@@ -187,30 +201,58 @@ def read_log(folder: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in (folder / _LOG).read_text(encoding="utf-8").splitlines()]
 
 
-def _train_seed(
+_Resumed = tuple[TrainingState, tuple[Progress, ...]] | None
+
+
+def _groups(
+    data: DataSet, recipe: Recipe, members: Sequence[Member], folder: Path, *, resume: bool
+) -> list[tuple[list[Member], _Resumed]]:
+    """Members that can train together: those that begin, and those that are in the same stage."""
+    fresh: list[Member] = []
+    found: dict[int, list[tuple[Member, TrainingState, Progress]]] = {}
+    for member in members:
+        path = folder / member.name / _CHECKPOINT
+        if resume and path.is_file():
+            state, progress = read_checkpoint(path, data, recipe, member)
+            found.setdefault(progress.stage, []).append((member, state, progress))
+        else:
+            fresh.append(member)
+    groups: list[tuple[list[Member], _Resumed]] = [(fresh, None)] if fresh else []
+    for resumed in found.values():
+        names, states, progress = zip(*resumed, strict=True)
+        groups.append((list(names), (together(states), progress)))
+    return groups
+
+
+def _train_together(
     data: DataSet,
     prepared: Plan,
     folder: Path,
-    *,
-    resume: bool,
+    resumed: _Resumed,
     told: Callable[[EpochReport], None],
-) -> FitResult:
-    require_writable_folder(folder)
-    belongs_to = fingerprint(data, prepared.recipe, prepared.seed)
-    path = folder / _CHECKPOINT
-    state: tuple[Weights, Progress] | None = None
-    if resume and path.is_file():
-        state = read_checkpoint(path, prepared, belongs_to)
-    log = _Log(folder / _LOG, prepared, state[1] if state else None)
+) -> list[FitResult]:
+    folders = [folder / member.name for member in prepared.members]
+    for place in folders:
+        require_writable_folder(place)
+    keeps = Checkpointer(
+        [place / _CHECKPOINT for place in folders],
+        [fingerprint(data, prepared.recipe, member) for member in prepared.members],
+    )
+    begun = resumed[1] if resumed else (None,) * len(folders)
+    logs = [
+        _Log(place / _LOG, prepared, progress)
+        for place, progress in zip(folders, begun, strict=True)
+    ]
 
     def epoch(report: EpochReport) -> None:
-        log.write(report)
+        logs[report.member].write(report)
         told(report)
 
     try:
-        return run_plan(prepared, Listener(epoch, Checkpointer(path, belongs_to)), state)
+        return run_plan(prepared, Listener(epoch, keeps), resumed)
     finally:
-        log.close()
+        for log in logs:
+            log.close()
 
 
 class _Log:
@@ -237,7 +279,9 @@ class _Log:
         return kept
 
     def write(self, report: EpochReport) -> None:
-        self._file.write(json.dumps(finite(dataclasses.asdict(report))) + "\n")
+        line = dataclasses.asdict(report)
+        del line["member"]  # each has a log of its own
+        self._file.write(json.dumps(finite(line)) + "\n")
         self._file.flush()
 
     def close(self) -> None:
@@ -252,6 +296,7 @@ def _header(
         "recipe": result.recipe.model_dump(),
         "training": {
             "seed": result.seed,
+            "rate": result.member.rate,
             "outcome": result.outcome,
             "windows": list(result.windows),
             "window_lengths": list(result.window_lengths),

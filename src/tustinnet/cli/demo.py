@@ -28,6 +28,7 @@ def demo(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where records, models, figures go.")],
     seed: Annotated[int, typer.Option(min=0, help="Seed of the twin and of the networks.")] = 0,
     overwrite: options.Overwrite = False,
+    device: options.Device = None,
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
@@ -36,7 +37,7 @@ def demo(
     The twin is simulated from Lagrange's equations, so it favours Lagrangian models: the table
     shows how the command works, not how accurate the models are on an apparatus.
     """
-    terminal.prepare_jax()
+    terminal.prepare_jax(device)
     from tustinnet.artifact.data_set_folder import write_data_set
     from tustinnet.artifact.files import (
         require_new,

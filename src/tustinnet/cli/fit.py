@@ -63,6 +63,13 @@ def fit(
     ] = None,
     seeds: options.Seeds = 1,
     seed: Annotated[int, typer.Option(min=0, help="tustin-net: the first seed.")] = 0,
+    rates: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,...",
+            help="tustin-net: factors of the recipe's rates; every seed is trained with each.",
+        ),
+    ] = None,
     system: options.System = None,
     fix: Annotated[
         list[str] | None,
@@ -104,13 +111,14 @@ def fit(
         Method, typer.Option(help="euler-lagrange: l-bfgs is for many parameters.")
     ] = Method.levenberg_marquardt,
     card: options.Card = None,
+    device: options.Device = None,
     resume: options.Resume = False,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
     """Train a Tustin-Net, or identify the parameters of a system; keeps everything in --out."""
-    terminal.prepare_jax()
+    terminal.prepare_jax(device)
     from tustinnet.artifact.run import summary, train_runs
     from tustinnet.cli.inspect import suspicions
     from tustinnet.data.catalog import locate
@@ -120,7 +128,10 @@ def fit(
     from tustinnet.report.progress import TrainingProgress
     from tustinnet.training.recipe import read_recipe
 
-    _require_fitting_options(model, recipe, system, fix, training=seeds > 1 or resume)
+    _require_fitting_options(
+        model, recipe, system, fix, training=seeds > 1 or resume or rates is not None
+    )
+    factors = _factors(rates)
     chosen = read_recipe(recipe or "standard")
     folder, declared = locate(data, card)
     if out.resolve() == folder.resolve():
@@ -146,7 +157,7 @@ def fit(
         return
     with TrainingProgress(told, quiet=quiet) as progress, terminal.resumable(told, "--resume"):
         runs = train_runs(
-            loaded, chosen, range(seed, seed + seeds), out,
+            loaded, chosen, range(seed, seed + seeds), out, rates=factors,
             resume=resume, overwrite=overwrite, tell=progress.follow,
         )  # fmt: skip
     _draw(runs, loaded)
@@ -157,9 +168,28 @@ def fit(
         typer.echo(f"model: {out / 'model.safetensors'}   figures: {out / 'figures'}")
     unfinished = [run.result for run in runs.seeds if not run.result.finished]
     for result in unfinished:
-        told.print(f"seed {result.seed}: {result.outcome}")
+        told.print(f"{result.member.name}: {result.outcome}")
     if len(unfinished) == len(runs.seeds):
         raise typer.Exit(1)
+
+
+def _factors(rates: str | None) -> list[float]:
+    from tustinnet.errors import InputError
+
+    try:
+        factors = [float(x) for x in rates.split(",")] if rates is not None else [1.0]
+    except ValueError:
+        factors = []
+    if (
+        not factors
+        or not all(0 < x < float("inf") for x in factors)
+        or len(set(factors)) < len(factors)
+    ):
+        raise InputError(
+            "--rates", f"'{rates}'", "different numbers above 0, separated by commas",
+            "for instance --rates 0.3,1,3",
+        )  # fmt: skip
+    return factors
 
 
 def _require_fitting_options(
@@ -179,7 +209,7 @@ def _require_fitting_options(
         )  # fmt: skip
     if model is Family.euler_lagrange and training:
         raise InputError(
-            "--seeds, --resume", "options of a training", "--model tustin-net",
+            "--seeds, --rates, --resume", "options of a training", "--model tustin-net",
             "an identification has no seeds and is not resumed",
         )  # fmt: skip
     if model is Family.euler_lagrange and recipe is not None:
@@ -198,7 +228,7 @@ def _table(runs: "Runs") -> "Table":
     unit = position_unit(runs.seeds[0].result.model.coordinates)
     rows = [
         [
-            str(run.result.seed),
+            run.result.member.name.removeprefix("seed-"),
             number(run.mean),
             " + ".join(map(str, run.result.windows)),
             " + ".join(map(str, run.result.epochs)),
@@ -225,9 +255,9 @@ def _draw(runs: "Runs", data: "DataSet") -> None:
     from tustinnet.report.figures import free_run_figure, training_figure, write_figure
 
     folder = runs.folder / "figures"
-    histories = {run.result.seed: read_log(run.folder) for run in runs.seeds}
+    histories = {run.result.member.name: read_log(run.folder) for run in runs.seeds}
     write_figure(training_figure(histories), folder / "training.png")
     for score in runs.best.scores:
-        label = f"seed {runs.best.result.seed}"
+        label = runs.best.result.member.name
         picture = free_run_figure(data[score.experiment], {label: score})
         write_figure(picture, folder / f"{score.experiment}.png")

@@ -1,10 +1,22 @@
 """Arguments and options that several verbs share."""
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+
+class Hardware(StrEnum):
+    """What computes."""
+
+    cpu = "cpu"
+    gpu = "gpu"
+
+
+Device = Annotated[
+    Hardware | None, typer.Option(help="What computes; by default what JAX prefers.")
+]
 Data = Annotated[
     str,
     typer.Argument(
@@ -41,4 +53,6 @@ Resume = Annotated[bool, typer.Option("--resume", help="Go on from the checkpoin
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace what is there already in --out.")
 ]
-Seeds = Annotated[int, typer.Option(min=1, metavar="K", help="How many seeds to train.")]
+Seeds = Annotated[
+    int, typer.Option(min=1, metavar="K", help="How many seeds to train; all at once.")
+]

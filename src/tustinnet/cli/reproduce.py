@@ -54,6 +54,7 @@ def reproduce(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Train anew instead of going on in --out.")
     ] = False,
+    device: options.Device = None,
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
@@ -61,7 +62,7 @@ def reproduce(
 
     Trainings that are in --out already are gone on with, finished ones are taken as they are.
     """
-    terminal.prepare_jax()
+    terminal.prepare_jax(device)
     from tustinnet.artifact.files import require_writable_folder, to_json, write_atomically
     from tustinnet.data.catalog import QUBE_SERVO2, locate
     from tustinnet.data.loading import load_folder

@@ -40,6 +40,13 @@ def print_tables(*tables: "Table") -> None:
         table.print(console)
 
 
+def _cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 @contextmanager
 def resumable(console: "Console", remedy: str) -> Iterator[None]:
     """Says how to go on when a training is interrupted; exit code 130 as is usual."""
@@ -50,14 +57,32 @@ def resumable(console: "Console", remedy: str) -> Iterator[None]:
         raise SystemExit(130) from None
 
 
-def prepare_jax() -> None:
-    """Double precision for scores and simulations; compiled programs are kept between commands.
+def prepare_jax(device: str | None = None) -> None:
+    """Double precision for scores, a device for each core; compiled programs are kept.
 
     They lie in the user's cache folder, unless JAX_COMPILATION_CACHE_DIR names another one.
+
+    Args:
+        device: `cpu` or `gpu`; what JAX prefers when left out.
+
+    Raises:
+        InputError: JAX sees no such device.
     """
     import jax
 
     jax.config.update("jax_enable_x64", True)
+    if "JAX_NUM_CPU_DEVICES" not in os.environ:
+        jax.config.update("jax_num_cpu_devices", _cores())
+    if device is not None:
+        from tustinnet.errors import InputError
+
+        try:
+            jax.config.update("jax_default_device", jax.devices(device)[0])
+        except RuntimeError:
+            raise InputError(
+                f"--device {device}", "JAX sees none", "a device that JAX sees",
+                "leave the option out, or install JAX for your GPU: pip install 'jax[cuda13]'",
+            ) from None  # fmt: skip
     if os.environ.get("JAX_COMPILATION_CACHE_DIR"):
         return
     import platformdirs

@@ -1,6 +1,6 @@
 """Tustin-Net: trapezoidal positions, a network for the change of the velocities."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import equinox as eqx
@@ -13,31 +13,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from tustinnet.data.experiment import Coordinate, Experiment, Input, VelocitySource
 from tustinnet.errors import InputError
 from tustinnet.models.base import DiscreteModel, InputVector, State
-
-ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
-    "leaky_relu": lambda z: jax.nn.leaky_relu(z, 0.01),
-    "relu": jax.nn.relu,
-    "tanh": jnp.tanh,
-    "silu": jax.nn.silu,
-    "softplus": jax.nn.softplus,
-}
-
-
-class Affine(eqx.Module):
-    """`z -> W z + b`, the bias optional.
-
-    Attributes:
-        weight: `W`, (n_out, n_in).
-        bias: `b`, (n_out,), or None.
-    """
-
-    weight: Float[Array, "n_out n_in"]
-    bias: Float[Array, " n_out"] | None
-
-    def __call__(self, z: Float[Array, " n_in"]) -> Float[Array, " n_out"]:
-        """Applies the map."""
-        product = z @ self.weight.T
-        return product if self.bias is None else product + self.bias
+from tustinnet.models.network import ACTIVATIONS, Affine, fold, random_affine
 
 
 class Scaling(eqx.Module):
@@ -172,15 +148,6 @@ def _parted(q: Float[Array, " n_q"], angular: np.ndarray) -> tuple[Array, Array]
     return q[angular], q[~angular]
 
 
-def fold(first: Affine, second: Affine) -> Affine:
-    """The affine map that applies `first`, then `second`."""
-    bias = second.bias
-    if first.bias is not None:
-        carried = second.weight @ first.bias
-        bias = carried if bias is None else bias + carried
-    return Affine(second.weight @ first.weight, bias)
-
-
 def feature_count(coordinates: Sequence[Coordinate], inputs: Sequence[Input]) -> int:
     """`n_0`: three features per angular coordinate, two per linear one, one per input."""
     return sum(3 if c.kind == "angular" else 2 for c in coordinates) + len(inputs)
@@ -218,29 +185,20 @@ def random_tustin_net(
     widths = [feature_count(coordinates, inputs), *([stem] if stem else []), *hidden]
     keys = jax.random.split(key, len(widths))
     layers = [
-        _random_affine(n_in, n_out, k)
+        random_affine(n_in, n_out, k)
         for n_in, n_out, k in zip(widths[:-1], widths[1:], keys[:-1], strict=True)
     ]
     first_hidden = 1 if stem else 0
     return TustinNet(
         stem=layers[0] if stem else None,
         hidden=tuple(layers[first_hidden:]),
-        output=_random_affine(widths[-1], len(coordinates), keys[-1], bias=output_bias),
+        output=random_affine(widths[-1], len(coordinates), keys[-1], bias=output_bias),
         scaling=scaling,
         activation=activation,
         coordinates=tuple(replace(c) for c in coordinates),
         inputs=tuple(replace(i) for i in inputs),
         dt=dt,
     )
-
-
-def _random_affine(n_in: int, n_out: int, key: PRNGKeyArray, *, bias: bool = True) -> Affine:
-    bound = n_in**-0.5
-    for_weight, for_bias = jax.random.split(key)
-    weight = jax.random.uniform(for_weight, (n_out, n_in), jnp.float32, -bound, bound)
-    if not bias:
-        return Affine(weight, None)
-    return Affine(weight, jax.random.uniform(for_bias, (n_out,), jnp.float32, -bound, bound))
 
 
 def learn_scaling(experiments: Sequence[Experiment], velocity: VelocitySource = "auto") -> Scaling:

@@ -7,7 +7,8 @@ import numpy as np
 
 from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
-from tustinnet.models.tustin import Affine, TustinNet, scaling_of_increments
+from tustinnet.models.network import Affine
+from tustinnet.models.tustin import TustinNet, scaling_of_increments
 
 # Table 1 of the paper, RMSE in rad on its records #1..#8, the `test` split of the published data
 TABLE_1 = {

@@ -115,21 +115,21 @@ def _bounded(
     return np.where(inside, simulated, np.nan)
 
 
-def training_figure(histories: Mapping[int, Sequence[Mapping[str, Any]]]) -> Figure:
-    """Loss, validation RMSE and rate against epochs, a line a seed; a dot at the kept epoch.
+def training_figure(histories: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:
+    """Loss, validation RMSE and rate against epochs, a line a training; a dot at what was kept.
 
     Args:
-        histories: the lines of the training log by seed.
+        histories: the lines of each training log, by what the training is called.
     """
     with house_style():
         figure = Figure(figsize=(7.0, 5.2), layout="constrained")
         panels = figure.subplots(3, 1, sharex=True, height_ratios=(2, 2, 1))
         quantities = {"loss": "training loss", "validation": "validation RMSE", "rate": "rate"}
         for axes, (key, label) in zip(panels, quantities.items(), strict=True):
-            for i, (seed, lines) in enumerate(histories.items()):
+            for i, (name, lines) in enumerate(histories.items()):
                 values = np.array([e[key] for e in lines], dtype=float)  # None becomes NaN
                 colour = COLOURS[i % len(COLOURS)]
-                axes.plot(values, color=colour, linewidth=0.9, label=f"seed {seed}")
+                axes.plot(values, color=colour, linewidth=0.9, label=name)
                 kept = _kept_epoch(lines)
                 axes.plot(kept, values[kept], "o", color=colour, markersize=5, clip_on=False)
             axes.set_ylabel(label)

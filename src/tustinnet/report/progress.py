@@ -1,5 +1,6 @@
 """Training as it goes on: a bar on a terminal, a line now and then elsewhere."""
 
+import math
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -96,27 +97,35 @@ class TrainingProgress(AbstractContextManager["TrainingProgress"]):
             self._bars.stop()
 
     def follow(self, plan: Plan, label: str = "") -> Callable[[EpochReport], None]:
-        """Who is to be told after every epoch of a planned training."""
-        work = {s.recipe.name: len(s.windows.rows) * s.windows.length for s in plan.stages}
+        """Who is to be told of every epoch of trainings that run together."""
+        work = {s.recipe.name: s.windows.rows.shape[1] * s.windows.length for s in plan.stages}
         before, total, epochs_before, epochs = {}, 0, {}, 0
         for stage in plan.stages:
             before[stage.recipe.name], epochs_before[stage.recipe.name] = total, epochs
             total += stage.recipe.epochs * work[stage.recipe.name]
             epochs += stage.recipe.epochs
-        name = f"{label or plan.recipe.name}, seed {plan.seed}"
+        names = [f"{label or plan.recipe.name}, {m.name.replace('-', ' ')}" for m in plan.members]
+        more = f" and {len(names) - 1} more" if len(names) > 1 else ""
+        name = names[0] + more
         task = self._bars.add_task(name, total=total, figures="compiling") if self._bars else None
         begun = last = time.monotonic()
         first: int | None = None
+        # of several that run together the slowest says what is done, the best one how well
+        reached = [0] * len(names)
+        lowest = [math.inf] * len(names)
 
         def told(report: EpochReport) -> None:
             nonlocal last, first
             if report.event:
-                self._console.print(f"{name}: {report.event}", highlight=False)
-            done = before[report.stage] + report.epoch * work[report.stage]
+                self._console.print(f"{names[report.member]}: {report.event}", highlight=False)
+            reached[report.member] = before[report.stage] + report.epoch * work[report.stage]
+            lowest[report.member] = report.best
+            done = min(reached)
             first = done if first is None else first
             epoch = epochs_before[report.stage] + report.epoch
+            best = f"best {min(lowest):.3f} " if more else ""
             figures = (
-                f"{epoch}/{epochs} loss {report.loss:.3g} rmse {report.validation:.3f} "
+                f"{epoch}/{epochs} loss {report.loss:.3g} rmse {report.validation:.3f} {best}"
                 f"rate {report.rate:.1e}"
             )
             if self._bars and task is not None:

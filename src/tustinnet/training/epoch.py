@@ -1,20 +1,31 @@
-"""The compiled parts of training: an epoch, and the figures it is judged by."""
+"""The compiled parts of training: epochs of all members, and the figures they are judged by."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float, Int, PyTree
+from jax.flatten_util import ravel_pytree
+from jax.sharding import Mesh
+from jax.sharding import PartitionSpec as Spec
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from tustinnet.models.base import DiscreteModel
-from tustinnet.simulation.rollout import rollout
+from tustinnet.simulation.rollout import rollouts
+from tustinnet.training.layout import MEMBERS, WINDOWS
 from tustinnet.training.losses import window_loss
 from tustinnet.training.material import Records, ValidationRuns
-from tustinnet.training.recipe import LossName, StageRecipe
-from tustinnet.training.state import Stage, Weights
+from tustinnet.training.plateau import after_epoch
+from tustinnet.training.recipe import Criterion, LossName, StageRecipe
+from tustinnet.training.state import Course, EpochFigures, Stage, TrainingState, Weights
+
+EPOCHS_A_CALL = 5  # always as many, so that a resumed training runs the same program
+ROLLBACKS = 5  # a member gives up after this many in a stage
+ROLLBACK_FACTOR = 0.5  # each multiplies the rate
 
 
 def adam_without_rate(recipe: StageRecipe) -> optax.GradientTransformation:
@@ -23,96 +34,281 @@ def adam_without_rate(recipe: StageRecipe) -> optax.GradientTransformation:
     return optax.chain(clip, optax.scale_by_adam())
 
 
-EpochFunction = Callable[
-    [Weights, Float[Array, ""], Int[Array, " count"], Records],
-    tuple[Weights, Float[Array, ""], Array],
-]
+@dataclass(frozen=True)
+class _Program:
+    """What an epoch is compiled for; the same program serves every training that is alike."""
+
+    recipe: StageRecipe
+    length: int
+    held_length: int
+    trainable: tuple[bool, ...]
+    keep: Criterion
+    watch: Criterion
+    mesh: Mesh
 
 
-def compiled_epoch(stage: Stage) -> EpochFunction:
-    """One epoch as one compiled call: shuffle, then a scan over batches."""
-    recipe, length = stage.recipe, stage.windows.length
-    count = len(stage.windows.rows)
-    batch = min(recipe.batch, count)
-    steps = -(-count // batch)
-    optimiser = adam_without_rate(recipe)
+class _Material(NamedTuple):
+    """What an epoch reads: of each member its windows, for all members the records."""
 
-    def epoch(
-        weights: Weights, rate: Float[Array, ""], rows: Int[Array, " count"], records: Records
-    ) -> tuple[Weights, Float[Array, ""], Array]:
-        trainable, frozen = eqx.partition(weights.model, stage.trainable)
-        key, for_order = jax.random.split(weights.key)
-        order = jax.random.permutation(for_order, count)
-        # the last batch is filled up with windows that weigh nothing
-        order = jnp.pad(order, (0, steps * batch - count), constant_values=0)
-        valid = (jnp.arange(steps * batch) < count).astype(jnp.float32)
+    rows: Int[Array, "*members count"]
+    held_rows: Int[Array, "*members held"]
+    epochs: Int[Array, ""]
+    records: Records
+    validation: ValidationRuns | None
 
-        def advance(
-            carry: tuple[PyTree, PyTree], chosen: tuple[Array, Array]
-        ) -> tuple[tuple[PyTree, PyTree], Array]:
-            trained, optimiser_state = carry
-            index, weight = chosen
-            loss, gradient = jax.value_and_grad(
-                partial(_batch_loss, length=length, kind=recipe.loss)
-            )(trained, frozen, rows[index], weight, records)
-            update, optimiser_state = optimiser.update(gradient, optimiser_state)
-            trained = jax.tree.map(lambda p, d: p - rate * d, trained, update)
-            return (trained, optimiser_state), loss * jnp.sum(weight)
 
-        (trainable, optimiser_state), losses = jax.lax.scan(
-            advance,
-            (trainable, weights.optimiser),
-            (order.reshape(steps, batch), valid.reshape(steps, batch)),
+EpochsFunction = Callable[[TrainingState], tuple[TrainingState, EpochFigures]]
+
+
+def compiled_epochs(
+    stage: Stage, records: Records, validation: ValidationRuns | None, mesh: Mesh
+) -> EpochsFunction:
+    """Several epochs of all members as one compiled call.
+
+    Each member that has epochs left does up to `EPOCHS_A_CALL`: shuffles, scans over batches,
+    runs free over the validation records, notes the best weights, adapts the rate. Weights that
+    are not finite are dropped for the last good ones at a lower rate. No member sees another.
+    """
+    keep = _possible(stage.recipe.keep, stage, validation)
+    watched = stage.recipe.plateau.watch if stage.recipe.plateau else "training"
+    members = len(stage.windows.rows)
+    program = _Program(
+        # the name and the number of epochs make no other program
+        recipe=stage.recipe.model_copy(update={"name": "", "epochs": 1, "rate": 1.0}),
+        length=stage.windows.length,
+        held_length=stage.held.length if stage.held else 0,
+        trainable=tuple(jax.tree.leaves(stage.trainable)),
+        keep=keep,
+        watch=_possible(watched, stage, validation),
+        mesh=mesh,
+    )
+    held = stage.held.rows if stage.held else jnp.zeros((members, 0))
+    material = _Material(
+        rows=jnp.asarray(stage.windows.rows, jnp.int32),
+        held_rows=jnp.asarray(held, jnp.int32),
+        epochs=jnp.asarray(stage.recipe.epochs, jnp.int32),
+        records=records,
+        validation=validation,
+    )
+    return lambda state: _run(state, material, program=program)
+
+
+def _possible(wanted: Criterion, stage: Stage, validation: ValidationRuns | None) -> Criterion:
+    """The criterion, or the next one where there are no records or windows for it."""
+    if validation is None:
+        return "training"
+    if wanted == "validation-loss" and stage.held is None:
+        return "validation"  # the validation records are shorter than a window
+    return wanted
+
+
+@partial(jax.jit, static_argnames=("program",))
+def _run(
+    state: TrainingState, material: _Material, *, program: _Program
+) -> tuple[TrainingState, EpochFigures]:
+    own, shared = Spec(MEMBERS), Spec()
+    reads = _Material(rows=own, held_rows=own, epochs=shared, records=shared, validation=shared)  # pyright: ignore[reportArgumentType]
+
+    def of_device(state: TrainingState, material: _Material) -> tuple[TrainingState, EpochFigures]:
+        def member(
+            of: tuple[TrainingState, Array, Array],
+        ) -> tuple[TrainingState, EpochFigures]:
+            mine, rows, held = of
+            read = _Material(rows, held, material.epochs, material.records, material.validation)
+            return jax.lax.scan(
+                lambda s, _: _epoch_if_due(s, read, program), mine, length=EPOCHS_A_CALL
+            )
+
+        of = (state, material.rows, material.held_rows)
+        # a core does best what stays in its cache: member after member; a GPU all at once
+        on_cpu = program.mesh.devices.flat[0].platform == "cpu"
+        return jax.lax.map(member, of) if on_cpu else jax.vmap(member)(of)
+
+    spread = jax.shard_map(
+        of_device, mesh=program.mesh, in_specs=(own, reads), out_specs=(own, own),
+        check_vma=False,
+    )  # fmt: skip
+    return spread(state, material)
+
+
+def _epoch_if_due(
+    state: TrainingState, material: _Material, program: _Program
+) -> tuple[TrainingState, EpochFigures]:
+    course = state.course
+    active = (course.epoch < material.epochs) & ~course.stopped
+    if program.recipe.patience is not None:
+        active &= course.epoch - course.best_epoch < program.recipe.patience
+
+    def idle(state: TrainingState) -> tuple[TrainingState, EpochFigures]:
+        unknown = jnp.full((), jnp.nan, jnp.float32)
+        no = jnp.zeros((), bool)
+        return state, EpochFigures(
+            no, no, course.epoch, unknown, unknown, course.plateau.rate, course.best_score
         )
-        loss = jnp.sum(losses) / count
-        finite = jnp.isfinite(loss)
-        for leaf in jax.tree.leaves(trainable):
-            finite &= jnp.all(jnp.isfinite(leaf))
-        model = eqx.combine(trainable, frozen)
-        return Weights(model, optimiser_state, key, weights.best), loss, finite
 
-    return eqx.filter_jit(epoch)
+    return jax.lax.cond(active, lambda s: _epoch(s, material, program), idle, state)
 
 
-def _batch_loss(
-    trainable: PyTree,
-    frozen: PyTree,
+def _epoch(
+    state: TrainingState, material: _Material, program: _Program
+) -> tuple[TrainingState, EpochFigures]:
+    before, course = state
+    rate = course.plateau.rate
+    attempt, loss, finite = _trained(before, rate, material, program)
+    figures = _figures(attempt.model, loss, material, program)
+    score = figures[program.keep]
+    better = finite & (score < course.best_score)
+    plateau = after_epoch(course.plateau, figures[program.watch], program.recipe.plateau)
+    attempt = attempt._replace(best=_choose(better, attempt.model, before.best))
+    gives_up = ~finite & (course.rollbacks >= ROLLBACKS)
+    lowered = course.plateau._replace(rate=jnp.where(gives_up, rate, rate * ROLLBACK_FACTOR))
+    after = Course(
+        epoch=course.epoch + finite,
+        plateau=_choose(finite, plateau, lowered),
+        best_score=jnp.where(better, score, course.best_score),
+        best_epoch=jnp.where(better, course.epoch + 1, course.best_epoch),
+        rollbacks=course.rollbacks + (~finite & ~gives_up),
+        stopped=gives_up,
+    )
+    told = EpochFigures(
+        active=jnp.ones((), bool),
+        finite=finite,
+        epoch=course.epoch + 1,
+        loss=jnp.where(finite, loss, jnp.nan),
+        validation=jnp.where(finite, figures["validation"], jnp.nan),
+        rate=rate,
+        best=after.best_score,
+    )
+    return TrainingState(_choose(finite, attempt, before), after), told
+
+
+def _trained(
+    weights: Weights, rate: Float[Array, ""], material: _Material, program: _Program
+) -> tuple[Weights, Float[Array, ""], Bool[Array, ""]]:
+    """A pass over the windows: new weights, mean loss, whether all of it is finite."""
+    trainable, frozen = _parted(weights.model, program.trainable)
+    optimiser = adam_without_rate(program.recipe)
+    count = len(material.rows)
+    batch = min(program.recipe.batch, count)
+    steps = -(-count // batch)
+    key, for_order = jax.random.split(weights.key)
+    # batches of equal size for every device, filled up with windows that weigh nothing
+    share = -(-batch // program.mesh.shape[WINDOWS])
+    wide = share * program.mesh.shape[WINDOWS]
+    order = jnp.pad(jax.random.permutation(for_order, count), (0, steps * batch - count))
+    valid = (jnp.arange(steps * batch) < count).astype(jnp.float32)
+    filled = ((0, 0), (0, wide - batch))
+    order = jnp.pad(order.reshape(steps, batch), filled)
+    valid = jnp.pad(valid.reshape(steps, batch), filled)
+    total = jnp.sum(valid, axis=1)
+    first = jax.lax.axis_index(WINDOWS) * share
+    order, valid = (jax.lax.dynamic_slice_in_dim(a, first, share, axis=1) for a in (order, valid))
+
+    def advance(carry: tuple[PyTree, PyTree], chosen: tuple[Array, ...]) -> tuple[Any, Array]:
+        trained, state = carry
+        index, weight, whole = chosen
+
+        def loss_of(trained: PyTree) -> Float[Array, ""]:
+            model = eqx.combine(trained, frozen)
+            rows = material.rows[index]
+            losses = window_losses(
+                model, rows, material.records, program.length, program.recipe.loss
+            )
+            return jnp.sum(weight * losses) / whole
+
+        loss, gradient = _sum_over_windows(program.mesh, *jax.value_and_grad(loss_of)(trained))
+        update, state = optimiser.update(gradient, state)
+        trained = jax.tree.map(lambda p, d: p - rate * d, trained, update)
+        return (trained, state), loss * whole
+
+    (trainable, state), losses = jax.lax.scan(
+        advance, (trainable, weights.optimiser), (order, valid, total)
+    )
+    loss = jnp.sum(losses) / count
+    finite = jnp.isfinite(loss)
+    for leaf in jax.tree.leaves(trainable):
+        finite &= jnp.all(jnp.isfinite(leaf))
+    return Weights(eqx.combine(trainable, frozen), state, key, weights.best), loss, finite
+
+
+def _sum_over_windows(
+    mesh: Mesh, loss: Float[Array, ""], gradient: PyTree
+) -> tuple[Float[Array, ""], PyTree]:
+    """The sum over devices that have the windows of a batch, in one exchange."""
+    if mesh.shape[WINDOWS] == 1:
+        return loss, gradient
+    flat, as_tree = ravel_pytree((loss, gradient))
+    return as_tree(jax.lax.psum(flat, WINDOWS))
+
+
+def _figures(
+    model: DiscreteModel, loss: Float[Array, ""], material: _Material, program: _Program
+) -> dict[Criterion, Float[Array, ""]]:
+    """What decides over the best weights and the rate after an epoch."""
+    figures: dict[Criterion, Float[Array, ""]] = {
+        "training": loss,
+        "validation": jnp.full((), jnp.nan, jnp.float32),
+    }
+    if material.validation is not None:
+        figures["validation"] = validation_rmse(model, material.validation)
+        if program.held_length:
+            figures["validation-loss"] = _held_loss(model, material, program)
+    return figures
+
+
+def _held_loss(model: DiscreteModel, material: _Material, program: _Program) -> Float[Array, ""]:
+    """The stage's loss over windows that are not trained on."""
+    assert material.validation is not None
+    rows, devices = material.held_rows, program.mesh.shape[WINDOWS]
+    share = -(-len(rows) // devices)
+    first = jax.lax.axis_index(WINDOWS) * share
+    mine = jax.lax.dynamic_slice_in_dim(
+        jnp.pad(rows, (0, share * devices - len(rows))), first, share
+    )
+    losses = window_losses(
+        model, mine, material.validation.records, program.held_length, program.recipe.loss
+    )
+    real = first + jnp.arange(share) < len(rows)
+    loss = jnp.sum(jnp.where(real, losses, 0.0)) / len(rows)
+    return _sum_over_windows(program.mesh, loss, ())[0]
+
+
+def window_losses(
+    model: DiscreteModel,
     rows: Int[Array, " batch"],
-    weight: Float[Array, " batch"],
     records: Records,
-    *,
     length: int,
     kind: LossName,
-) -> Float[Array, ""]:
-    model: DiscreteModel = trainable if frozen is None else eqx.combine(trainable, frozen)
+) -> Float[Array, " batch"]:
+    """The loss of each of a batch of windows, which are gathered from the records by index."""
+
+    def window(row: Array) -> tuple[Array, Array]:
+        return (
+            jax.lax.dynamic_slice_in_dim(records.x, row, length + 1),
+            jax.lax.dynamic_slice_in_dim(records.u, row, length),
+        )
+
+    target, u = jax.vmap(window)(rows)
     # a stem is folded once a batch, not applied at every step; its gradient passes the fold
-    simulator = model.folded()
-    angular = model.angular
-
-    def one(row: Array) -> Array:
-        target = jax.lax.dynamic_slice_in_dim(records.x, row, length + 1)
-        u = jax.lax.dynamic_slice_in_dim(records.u, row, length)
-        return window_loss(rollout(simulator, target[0], u), target, angular, kind)
-
-    return jnp.sum(weight * jax.vmap(one)(rows)) / jnp.sum(weight)
+    simulated = rollouts(model.folded(), target[:, 0], u)
+    return jax.vmap(lambda x, y: window_loss(x, y, model.angular, kind))(simulated, target)
 
 
 @eqx.filter_jit
 def validation_rmse(model: DiscreteModel, runs: ValidationRuns) -> Float[Array, ""]:
     """Mean over records of the free run's RMSE in float32 [rad or m]; NaN counts as infinite."""
-    simulator = model.folded()
     n_q = runs.q.shape[-1]
-    simulated = jax.vmap(lambda x, u: rollout(simulator, x, u))(runs.x0, runs.u)[..., :n_q]
+    simulated = rollouts(model.folded(), runs.x0, runs.u)[..., :n_q]
     # beyond a record's end the model may do anything, also overflow
     error = jnp.where(runs.weight[..., None] > 0, simulated - runs.q, 0.0)
     mean = jnp.mean(jnp.sqrt(jnp.sum(runs.weight * jnp.sum(error**2, axis=-1), axis=-1)))
     return jnp.where(jnp.isfinite(mean), mean, jnp.inf)
 
 
-@eqx.filter_jit
-def held_loss(
-    model: DiscreteModel, rows: Int[Array, " count"], records: Records, length: int, kind: LossName
-) -> Float[Array, ""]:
-    """The stage's loss over windows that are not trained on."""
-    weight = jnp.ones(len(rows), jnp.float32)
-    return _batch_loss(model, None, rows, weight, records, length=length, kind=kind)
+def _parted(model: DiscreteModel, trainable: tuple[bool, ...]) -> tuple[PyTree, PyTree]:
+    mask = jax.tree.unflatten(jax.tree.structure(model), trainable)
+    return eqx.partition(model, mask)
+
+
+def _choose(condition: Bool[Array, ""], yes: Any, no: Any) -> Any:
+    return jax.tree.map(partial(jnp.where, condition), yes, no)

@@ -1,12 +1,15 @@
 """From a data set and a recipe to a trained model."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PRNGKeyArray, PyTree
+from jax.sharding import Mesh
+from jaxtyping import Array, Key, PRNGKeyArray, PyTree
 
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
@@ -20,9 +23,11 @@ from tustinnet.models.tustin import (
 )
 from tustinnet.simulation.initial_state import default_start
 from tustinnet.training.epoch import validation_rmse
-from tustinnet.training.loop import begin_stage, train
+from tustinnet.training.layout import lay_out_devices
+from tustinnet.training.loop import FINISHED, begin_stage, train
 from tustinnet.training.material import (
     Records,
+    StageWindows,
     ValidationRuns,
     held_windows,
     lay_out,
@@ -30,9 +35,27 @@ from tustinnet.training.material import (
     validation_runs,
 )
 from tustinnet.training.recipe import Recipe, StageRecipe, read_recipe
-from tustinnet.training.state import SILENT, Listener, Progress, Stage, Weights
+from tustinnet.training.state import SILENT, Listener, Progress, Stage, TrainingState
 
 DEFAULT_RECIPE = "standard"
+
+
+@dataclass(frozen=True)
+class Member:
+    """One of the trainings that run together.
+
+    Attributes:
+        seed: initial weights, windows and shuffling follow from it.
+        rate: multiplies the recipe's rates.
+    """
+
+    seed: int
+    rate: float = 1.0
+
+    @property
+    def name(self) -> str:
+        """What it is called in files and messages."""
+        return f"seed-{self.seed}" + ("" if self.rate == 1.0 else f"-rate-{self.rate:g}")
 
 
 @dataclass(frozen=True)
@@ -42,11 +65,12 @@ class FitResult:
     Attributes:
         model: the model with the best weights, folded.
         recipe: what was done.
-        seed: the seed.
+        member: the seed, and what the recipe's rates were multiplied by.
         outcome: `finished`, or a sentence on why training ended early.
         start: where the validation free runs started.
         validation_rmse: mean free-run RMSE over the validation records [rad or m], or None.
-        train_seconds: time spent, compilation included.
+        train_seconds: time spent, compilation included; of trainings that ran together an equal
+            share.
         windows: windows in each stage.
         window_lengths: steps in a window of each stage.
         epochs: epochs done in each stage.
@@ -55,7 +79,7 @@ class FitResult:
 
     model: DiscreteModel
     recipe: Recipe
-    seed: int
+    member: Member
     outcome: str
     start: str
     validation_rmse: float | None
@@ -66,45 +90,69 @@ class FitResult:
     kept_epoch: int
 
     @property
+    def seed(self) -> int:
+        """The seed."""
+        return self.member.seed
+
+    @property
     def finished(self) -> bool:
         """Whether all stages ran to their end."""
-        return self.outcome == "finished"
+        return self.outcome == FINISHED
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Everything that training needs, prepared from data, recipe and seed.
+    """Everything that training needs, prepared from data, recipe and members.
 
     Attributes:
-        model: the model with its initial weights.
+        models: the members' models with their initial weights, arrays with the member first.
         stages: the stages with their windows drawn.
         records: the training records.
         validation: the validation free runs, or None.
         start: where these start.
-        key: the source of the shuffling.
+        keys: the sources of the shuffling, one a member.
         recipe: the recipe.
-        seed: the seed.
+        members: what runs together.
+        mesh: which device trains what.
     """
 
-    model: DiscreteModel
+    models: DiscreteModel
     stages: tuple[Stage, ...]
     records: Records
     validation: ValidationRuns | None
     start: str
-    key: PRNGKeyArray
+    keys: Key[Array, " members"]
     recipe: Recipe
-    seed: int
+    members: tuple[Member, ...]
+    mesh: Mesh
 
-    def template(self, stage: int) -> Weights:
-        """Weights of the shapes that a stage has, for reading a checkpoint."""
-        return begin_stage(self.model, self.stages, stage, self.key)[0]
+    @property
+    def factors(self) -> np.ndarray:
+        """What each member multiplies the rates by."""
+        return np.array([member.rate for member in self.members])
+
+    def template(self, stage: int) -> TrainingState:
+        """A state of the shapes that a stage has, for reading a checkpoint."""
+        stopped = jnp.zeros(len(self.members), bool)
+        return begin_stage(self.models, self.stages[stage], self.keys, self.factors, stopped)
 
 
-def plan(data: DataSet, recipe: Recipe | str | Path, seed: int) -> Plan:
-    """Prepares training: initial weights, windows, validation free runs.
+def plan(
+    data: DataSet,
+    recipe: Recipe | str | Path,
+    members: Sequence[Member] = (Member(0),),
+    devices: Sequence[Any] | None = None,
+) -> Plan:
+    """Prepares trainings that run together: initial weights, windows, validation free runs.
 
     The records of the split `train` are trained on, those of `validation` choose the best
     weights. A data set without splits is trained on as a whole.
+
+    Args:
+        data: the records.
+        recipe: a packaged recipe's name, a TOML file, or a `Recipe`.
+        members: seeds, and factors of the rates.
+        devices: where they train; by default all of the kind that JAX prefers.
 
     Raises:
         InputError: records too short for a window, no training split, a recipe that does not fit.
@@ -119,22 +167,23 @@ def plan(data: DataSet, recipe: Recipe | str | Path, seed: int) -> Plan:
     recipe = recipe if isinstance(recipe, Recipe) else read_recipe(recipe)
     train_set = list(data.split("train") if data.splits else data)
     held = list(data.split("validation")) if "validation" in data.splits else []
-    for_model, shuffling = jax.random.split(jax.random.key(seed))
-    model = _initial_model(train_set, recipe, for_model)
+    keys = [jax.random.split(jax.random.key(member.seed)) for member in members]
+    models = [_initial_model(train_set, recipe, for_model) for for_model, _ in keys]
     stages = tuple(
-        _plan_stage(stage, model, train_set, held, [seed, index])
+        _plan_stage(index, stage, models[0], train_set, held, members)
         for index, stage in enumerate(recipe.stages)
     )
     start = recipe.start or default_start([*train_set, *held])
     return Plan(
-        model=model,
+        models=jax.tree.map(lambda *arrays: jnp.stack(arrays), *models),
         stages=stages,
         records=lay_out(train_set, recipe.velocity),
-        validation=validation_runs(model, held, start, recipe.velocity) if held else None,
+        validation=validation_runs(models[0], held, start, recipe.velocity) if held else None,
         start=start,
-        key=shuffling,
+        keys=jnp.stack([shuffling for _, shuffling in keys]),
         recipe=recipe,
-        seed=seed,
+        members=tuple(members),
+        mesh=lay_out_devices(len(members), min(s.batch for s in recipe.stages), devices),
     )
 
 
@@ -160,37 +209,80 @@ def fit(
     Raises:
         InputError: see `plan`.
     """
-    return run_plan(plan(data, recipe, seed), listener)
+    return run_plan(plan(data, recipe, [Member(seed)]), listener)[0]
+
+
+def fit_many(
+    data: DataSet,
+    recipe: Recipe | str | Path = DEFAULT_RECIPE,
+    seeds: Sequence[int] = (0,),
+    rates: Sequence[float] = (1.0,),
+    listener: Listener = SILENT,
+) -> list[FitResult]:
+    """Trains a recipe from several seeds, at several rates, as one batched program.
+
+    Each training keeps its own rate, best weights and returns to the last good state; one that
+    diverges does not touch the others.
+
+    Args:
+        data: as for `fit`.
+        recipe: as for `fit`.
+        seeds: one training each.
+        rates: factors of the recipe's rates; every seed is trained with each.
+        listener: who is told while training goes on.
+
+    Returns:
+        As `fit` does, for each seed and within it for each rate.
+
+    Raises:
+        InputError: no seed, a rate that is not positive; see `plan`.
+    """
+    members = [Member(seed, rate) for seed in seeds for rate in rates]
+    if not members or not all(rate > 0 for rate in rates) or len(set(members)) < len(members):
+        raise InputError(
+            "fit_many", f"seeds {list(seeds)}, rates {list(rates)}",
+            "different seeds and different factors above 0",
+        )  # fmt: skip
+    return run_plan(plan(data, recipe, members), listener)
 
 
 def run_plan(
-    prepared: Plan, listener: Listener, resume: tuple[Weights, Progress] | None = None
-) -> FitResult:
+    prepared: Plan,
+    listener: Listener,
+    resume: tuple[TrainingState, tuple[Progress, ...]] | None = None,
+) -> list[FitResult]:
     """Trains as planned, from the beginning or from a state that a listener was given."""
-    model, progress = train(
-        prepared.model,
+    best, progress = train(
+        prepared.models,
         prepared.stages,
         prepared.records,
         prepared.validation,
-        prepared.key,
+        prepared.keys,
+        prepared.mesh,
+        prepared.factors,
         listener,
         resume,
     )
+    return [_result(prepared, best, m, p) for m, p in enumerate(progress)]
+
+
+def _result(prepared: Plan, best: DiscreteModel, m: int, progress: Progress) -> FitResult:
+    # off the devices that trained it: what comes now is one model's business
+    model = jax.tree.map(lambda a: jnp.asarray(np.asarray(a)[m]), best)
     score = None
     if prepared.validation is not None:
         score = float(validation_rmse(model, prepared.validation))
-    done = [stage.recipe.epochs for stage in prepared.stages[: progress.stage]]
     return FitResult(
         model=model.folded(),
         recipe=prepared.recipe,
-        seed=prepared.seed,
+        member=prepared.members[m],
         outcome=progress.outcome,
         start=prepared.start,
         validation_rmse=score,
         train_seconds=progress.seconds,
-        windows=tuple(len(s.windows.rows) for s in prepared.stages),
+        windows=tuple(s.windows.rows.shape[1] for s in prepared.stages),
         window_lengths=tuple(s.windows.length for s in prepared.stages),
-        epochs=(*done, progress.epoch),
+        epochs=progress.epochs,
         kept_epoch=progress.best_epoch,
     )
 
@@ -210,18 +302,24 @@ def trainable_arrays(model: TustinNet, frozen_layers: int) -> PyTree:
 
 
 def _plan_stage(
+    index: int,
     recipe: StageRecipe,
     model: TustinNet,
     train_set: list[Experiment],
     held: list[Experiment],
-    seed: list[int],
+    members: Sequence[Member],
 ) -> Stage:
-    windows = stage_windows(train_set, recipe.windows, np.random.default_rng(seed))
+    generators = [np.random.default_rng([m.seed, index]) for m in members]
+    drawn = [stage_windows(train_set, recipe.windows, g) for g in generators]
+    windows = StageWindows(np.stack([w.rows for w in drawn]), drawn[0].length)
     criteria = (recipe.keep, recipe.plateau.watch if recipe.plateau else None)
     watched = None
     if held and "validation-loss" in criteria:
-        generator = np.random.default_rng([*seed, 1])
-        watched = held_windows(held, recipe.windows, windows.length, generator)
+        generators = [np.random.default_rng([m.seed, index, 1]) for m in members]
+        found = [held_windows(held, recipe.windows, windows.length, g) for g in generators]
+        if found[0] is not None:
+            rows = np.stack([w.rows for w in found if w is not None])
+            watched = StageWindows(rows, windows.length)
     return Stage(recipe, windows, trainable_arrays(model, recipe.frozen_layers), watched)
 
 

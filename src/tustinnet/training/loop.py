@@ -1,167 +1,204 @@
 """The training loop: one for all recipes, blind to the model's family."""
 
-import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
-from jaxtyping import PRNGKeyArray
+import numpy as np
+from jax.sharding import Mesh
+from jaxtyping import Array, Bool, Float, Key
 
 from tustinnet.models.base import DiscreteModel
+from tustinnet.simulation.rollout import LONG
 from tustinnet.training.epoch import (
+    ROLLBACK_FACTOR,
+    ROLLBACKS,
     adam_without_rate,
-    compiled_epoch,
-    held_loss,
-    validation_rmse,
+    compiled_epochs,
 )
 from tustinnet.training.material import Records, ValidationRuns
-from tustinnet.training.plateau import Plateau, after_epoch
-from tustinnet.training.recipe import Criterion
-from tustinnet.training.state import SILENT, EpochReport, Listener, Progress, Stage, Weights
+from tustinnet.training.state import (
+    SILENT,
+    EpochFigures,
+    EpochReport,
+    Listener,
+    Progress,
+    Stage,
+    TrainingState,
+    Weights,
+    new_course,
+)
 
-_ROLLBACKS = 5  # a stage gives up after this many
-_ROLLBACK_FACTOR = 0.5  # each multiplies the rate
+FINISHED = "finished"
 
 
 def train(
-    model: DiscreteModel,
+    models: DiscreteModel,
     stages: Sequence[Stage],
     records: Records,
     validation: ValidationRuns | None,
-    key: PRNGKeyArray,
+    keys: Key[Array, " members"],
+    mesh: Mesh,
+    factors: Float[np.ndarray, " members"] | None = None,
     listener: Listener = SILENT,
-    resume: tuple[Weights, Progress] | None = None,
-) -> tuple[DiscreteModel, Progress]:
-    """Folds the epochs over the stages.
+    resume: tuple[TrainingState, tuple[Progress, ...]] | None = None,
+) -> tuple[DiscreteModel, tuple[Progress, ...]]:
+    """Folds the epochs of all members over the stages.
 
-    Each stage starts from the best weights of the one before with a fresh optimiser state.
+    Each stage starts from the best weights of the one before with a fresh optimiser state. A
+    member that diverged for good stays where it was.
 
     Args:
-        model: the model with its initial weights.
+        models: the members' initial weights, arrays with the member first.
         stages: what to do, in order.
         records: the training records.
         validation: the validation free runs; None when there are none, in which case training
             loss decides.
-        key: the source of the shuffling.
+        keys: the sources of the shuffling, one a member.
+        mesh: which device trains what.
+        factors: multiply the recipe's rates, one a member; 1 by default.
         listener: who is told.
         resume: a state that a listener was given, to go on from there.
 
     Returns:
-        The best model of the last stage that was reached, and where training ended.
+        The best models of the last stage that was reached, and where training ended.
     """
-    weights, progress = resume or begin_stage(model, stages, 0, key)
-    while not progress.outcome:
-        stage = stages[progress.stage]
-        weights, progress = _run_stage(stage, weights, progress, records, validation, listener)
-        if progress.outcome:
+    members = len(keys)
+    factors = np.ones(members) if factors is None else factors
+    state, progress = resume or (
+        begin_stage(models, stages[0], keys, factors, jnp.zeros(members, bool)),
+        (Progress(),) * members,
+    )
+    going = [p.stage for p in progress if not p.outcome]
+    for index in range(going[0] if going else len(stages), len(stages)):
+        stage = stages[index]
+        state, progress = _run_stage(
+            index, stage, state, progress, records, validation, mesh, listener
+        )
+        if all(p.outcome for p in progress):
             break
-        if progress.stage + 1 == len(stages):
-            progress = replace(progress, outcome="finished")
+        if index + 1 == len(stages):
+            progress = tuple(replace(p, outcome=p.outcome or FINISHED) for p in progress)
         else:
-            seconds, following = progress.seconds, progress.stage + 1
-            weights, progress = begin_stage(weights.best, stages, following, weights.key)
-            progress = replace(progress, seconds=seconds)
-        listener.state(weights, progress)
-    return weights.best, progress
+            weights, stopped = state.weights, state.course.stopped
+            state = begin_stage(weights.best, stages[index + 1], weights.key, factors, stopped)
+            progress = tuple(
+                p
+                if p.outcome
+                else Progress(stage=index + 1, epochs=(*p.epochs, 0), seconds=p.seconds)
+                for p in progress
+            )
+        listener.state(state, progress)
+    return state.weights.best, progress
 
 
 def begin_stage(
-    model: DiscreteModel, stages: Sequence[Stage], index: int, key: PRNGKeyArray
-) -> tuple[Weights, Progress]:
+    models: DiscreteModel,
+    stage: Stage,
+    keys: Key[Array, " members"],
+    factors: Float[np.ndarray, " members"],
+    stopped: Bool[Array, " members"],
+) -> TrainingState:
     """The state in which a stage begins."""
-    stage = stages[index]
-    trainable, _ = eqx.partition(model, stage.trainable)
-    optimiser = adam_without_rate(stage.recipe).init(trainable)
-    progress = Progress(stage=index, epoch=0, plateau=Plateau(stage.recipe.rate))
-    return Weights(model, optimiser, key, model), progress
+    trainable, _ = eqx.partition(models, stage.trainable)
+    optimiser = jax.vmap(adam_without_rate(stage.recipe).init)(trainable)
+    rates = jnp.asarray(stage.recipe.rate * factors, jnp.float32)
+    return TrainingState(Weights(models, optimiser, keys, models), new_course(rates, stopped))
 
 
 def _run_stage(
+    index: int,
     stage: Stage,
-    weights: Weights,
-    progress: Progress,
+    state: TrainingState,
+    progress: tuple[Progress, ...],
     records: Records,
     validation: ValidationRuns | None,
+    mesh: Mesh,
     listener: Listener,
-) -> tuple[Weights, Progress]:
-    recipe = stage.recipe
-    run_epoch = compiled_epoch(stage)
-    keep = _possible(recipe.keep, stage, validation)
-    watch = _possible(recipe.plateau.watch if recipe.plateau else "training", stage, validation)
-    rows = jnp.asarray(stage.windows.rows, jnp.int32)
-    while progress.epoch < recipe.epochs and not progress.outcome:
+) -> tuple[TrainingState, tuple[Progress, ...]]:
+    run = compiled_epochs(stage, records, validation, mesh)
+    while any(_is_due(stage, p) for p in progress):
         begun = time.perf_counter()
-        rate = progress.plateau.rate
-        attempt, loss, finite = run_epoch(weights, jnp.float32(rate), rows, records)
-        event = ""
-        if not bool(finite):
-            progress, event = _roll_back(progress, stage)
-            figures: dict[Criterion, float] = {"training": math.nan, "validation": math.nan}
-        else:
-            figures = _figures(attempt.model, float(loss), validation, stage)
-            if figures[keep] < progress.best_score:
-                attempt = attempt._replace(best=attempt.model)
-                progress = replace(
-                    progress, best_score=figures[keep], best_epoch=progress.epoch + 1
-                )
-            plateau = after_epoch(progress.plateau, figures[watch], recipe.plateau)
-            weights = attempt
-            progress = replace(progress, epoch=progress.epoch + 1, plateau=plateau)
-        progress = replace(progress, seconds=progress.seconds + time.perf_counter() - begun)
-        listener.epoch(
-            EpochReport(
-                stage=recipe.name,
-                epoch=progress.epoch + (0 if bool(finite) else 1),
-                loss=figures["training"],
-                validation=figures["validation"],
-                rate=rate,
-                best=progress.best_score,
-                event=event,
+        state, told = run(state)
+        told = jax.tree.map(np.asarray, told)
+        spent = (time.perf_counter() - begun) / sum(not p.outcome for p in progress)
+        reports = [r for m in range(len(progress)) for r in _reports(stage, told, m)]
+        course = jax.tree.map(np.asarray, state.course)
+        progress = tuple(
+            p
+            if p.outcome
+            else Progress(
+                stage=index,
+                epochs=(*p.epochs[:-1], int(course.epoch[m])),
+                best_score=float(course.best_score[m]),
+                best_epoch=int(course.best_epoch[m]),
+                rollbacks=int(course.rollbacks[m]),
+                seconds=p.seconds + spent,
+                outcome=_gave_up(reports, m) if course.stopped[m] else "",
             )
+            for m, p in enumerate(progress)
         )
-        listener.state(weights, progress)
-    return weights, progress
+        # epoch by epoch, members side by side, as they happened
+        for report in sorted(reports, key=lambda r: r.epoch):
+            listener.epoch(report)
+        listener.state(state, progress)
+    return state, progress
 
 
-def _possible(wanted: Criterion, stage: Stage, validation: ValidationRuns | None) -> Criterion:
-    """The criterion, or the next one where there are no records or windows for it."""
-    if validation is None:
-        return "training"
-    if wanted == "validation-loss" and stage.held is None:
-        return "validation"  # the validation records are shorter than a window
-    return wanted
+def _is_due(stage: Stage, progress: Progress) -> bool:
+    """Whether a member has epochs of the stage to do; the compiled epochs judge alike."""
+    patience = stage.recipe.patience
+    stalled = patience is not None and progress.epoch - progress.best_epoch >= patience
+    return not progress.outcome and progress.epoch < stage.recipe.epochs and not stalled
 
 
-def _figures(
-    model: DiscreteModel, loss: float, validation: ValidationRuns | None, stage: Stage
-) -> dict[Criterion, float]:
-    """What decides over the best weights and the rate after an epoch."""
-    figures: dict[Criterion, float] = {"training": loss, "validation": math.nan}
-    if validation is not None:
-        figures["validation"] = float(validation_rmse(model, validation))
-        if stage.held is not None:
-            rows = jnp.asarray(stage.held.rows, jnp.int32)
-            held = held_loss(model, rows, validation.records, stage.held.length, stage.recipe.loss)
-            figures["validation-loss"] = float(held)
-    return figures
+def _reports(stage: Stage, told: EpochFigures, member: int) -> list[EpochReport]:
+    """The epochs that a member did in a compiled call."""
+    figures = [
+        EpochFigures(*(field[member, turn] for field in told))
+        for turn in range(told.epoch.shape[1])
+    ]
+    return [
+        EpochReport(
+            stage=stage.recipe.name,
+            epoch=int(f.epoch),
+            loss=float(f.loss),
+            validation=float(f.validation),
+            rate=float(f.rate),
+            best=float(f.best),
+            event=_note(stage, f) if f.finite else _event(stage, f),
+            member=member,
+        )
+        for f in figures
+        if f.active
+    ]
 
 
-def _roll_back(progress: Progress, stage: Stage) -> tuple[Progress, str]:
-    """After a loss that is not finite: the last good state again, at a lower rate."""
-    lower = progress.plateau.rate * _ROLLBACK_FACTOR
-    told = (
-        f"loss not finite in epoch {progress.epoch + 1} of stage '{stage.recipe.name}' "
-        f"at rate {progress.plateau.rate:.3g}"
+def _note(stage: Stage, figures: EpochFigures) -> str:
+    """What is worth saying when a stage begins."""
+    if figures.epoch > 1 or stage.windows.length <= LONG:
+        return ""
+    return (
+        f"windows of {stage.windows.length} steps: the gradient keeps some states and computes "
+        f"those between them again, which saves memory and takes longer"
     )
-    if progress.rollbacks >= _ROLLBACKS:
-        return replace(
-            progress,
-            outcome=f"diverged: {told}, after {_ROLLBACKS} returns to the last good state; "
-            f"the best weights so far are kept. Lower `rate` or `length` in the recipe, or set "
-            f"`clip`.",
-        ), told
-    plateau = replace(progress.plateau, rate=lower)
-    event = f"{told}; back to the last good state with rate {lower:.3g}"
-    return replace(progress, plateau=plateau, rollbacks=progress.rollbacks + 1), event
+
+
+def _event(stage: Stage, figures: EpochFigures) -> str:
+    rate = float(figures.rate)
+    return (
+        f"loss not finite in epoch {int(figures.epoch)} of stage '{stage.recipe.name}' at rate "
+        f"{rate:.3g}; back to the last good state with rate {rate * ROLLBACK_FACTOR:.3g}"
+    )
+
+
+def _gave_up(reports: Sequence[EpochReport], member: int) -> str:
+    last = next(r for r in reversed(reports) if r.member == member)
+    return (
+        f"diverged: {last.event.split(';')[0]}, after {ROLLBACKS} returns to the last good state; "
+        f"the best weights so far are kept. Lower `rate` or `length` in the recipe, or set "
+        f"`clip`."
+    )

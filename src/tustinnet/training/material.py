@@ -56,11 +56,12 @@ class StageWindows:
     """The windows of a stage.
 
     Attributes:
-        rows: the row of `Records` at which each window begins, (count,).
+        rows: the row of `Records` at which each window begins, (count,); of several members
+            that train together (members, count).
         length: steps in a window.
     """
 
-    rows: Int[np.ndarray, " count"]
+    rows: Int[np.ndarray, "*members count"]
     length: int
 
 

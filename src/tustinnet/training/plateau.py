@@ -1,7 +1,9 @@
 """When a watched figure stops improving, the rate goes down."""
 
-import math
-from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
 
 from tustinnet.training.recipe import PlateauRecipe
 
@@ -9,8 +11,7 @@ _THRESHOLD = 1e-4  # relative improvement that counts
 _SMALLEST_CHANGE = 1e-8  # a smaller change of the rate is not made
 
 
-@dataclass(frozen=True)
-class Plateau:
+class Plateau(NamedTuple):
     """State of the scheduler.
 
     Attributes:
@@ -19,12 +20,20 @@ class Plateau:
         bad_epochs: epochs since then that did not improve.
     """
 
-    rate: float
-    best: float = math.inf
-    bad_epochs: int = 0
+    rate: Float[Array, "..."]
+    best: Float[Array, "..."]
+    bad_epochs: Int[Array, "..."]
 
 
-def after_epoch(state: Plateau, figure: float, recipe: PlateauRecipe | None) -> Plateau:
+def new_plateau(rate: Float[Array, "..."]) -> Plateau:
+    """The state before the first epoch."""
+    rate = jnp.asarray(rate, jnp.float32)
+    return Plateau(rate, jnp.full_like(rate, jnp.inf), jnp.zeros(rate.shape, jnp.int32))
+
+
+def after_epoch(
+    state: Plateau, figure: Float[Array, "..."], recipe: PlateauRecipe | None
+) -> Plateau:
     """The state after an epoch with a figure that should fall.
 
     An epoch is bad unless the figure is below `best (1 - 1e-4)`. After patience + 1 bad epochs
@@ -33,11 +42,13 @@ def after_epoch(state: Plateau, figure: float, recipe: PlateauRecipe | None) -> 
     """
     if recipe is None:
         return state
-    if figure < state.best * (1.0 - _THRESHOLD):
-        return replace(state, best=figure, bad_epochs=0)
-    bad = state.bad_epochs + 1
-    if bad <= recipe.patience:
-        return replace(state, bad_epochs=bad)
+    better = figure < state.best * (1.0 - _THRESHOLD)
+    bad = jnp.where(better, 0, state.bad_epochs + 1)
+    due = bad > recipe.patience
     reduced = state.rate * recipe.factor
-    rate = reduced if state.rate - reduced > _SMALLEST_CHANGE else state.rate
-    return replace(state, rate=rate, bad_epochs=0)
+    changed = due & (state.rate - reduced > _SMALLEST_CHANGE)
+    return Plateau(
+        rate=jnp.where(changed, reduced, state.rate),
+        best=jnp.where(better, figure, state.best),
+        bad_epochs=jnp.where(due, 0, bad),
+    )

@@ -92,7 +92,8 @@ class StageRecipe(Declaration):
         windows: what it is trained on.
         loss: `state` (positions and velocities) or `position`.
         rate: Adam's rate at the beginning.
-        epochs: passes over the windows.
+        epochs: passes over the windows, at most.
+        patience: epochs without a lower value of `keep` after which the stage ends, if ever.
         batch: windows in a step of the optimiser.
         plateau: when the rate is reduced, if ever.
         keep: the criterion whose lowest value marks the best weights (see `PlateauRecipe`).
@@ -106,6 +107,7 @@ class StageRecipe(Declaration):
     loss: LossName = "state"
     rate: float = Positive
     epochs: int = Positive
+    patience: int | None = Field(default=None, gt=0)
     batch: int = Positive
     plateau: PlateauRecipe | None = None
     keep: Criterion = "validation"

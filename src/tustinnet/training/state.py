@@ -1,15 +1,20 @@
-"""What training is: its state, its stages, and what is told of it."""
+"""What training is: its state, its stages, and what is told of it.
+
+Several members, the same recipe from different seeds or at different rates, train as one. Arrays
+of a state have the member as their first axis.
+"""
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from jaxtyping import PRNGKeyArray, PyTree
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key, PyTree
 
 from tustinnet.models.base import DiscreteModel
 from tustinnet.training.material import StageWindows
-from tustinnet.training.plateau import Plateau
+from tustinnet.training.plateau import Plateau, new_plateau
 from tustinnet.training.recipe import StageRecipe
 
 
@@ -25,38 +30,95 @@ class Weights(NamedTuple):
 
     model: DiscreteModel
     optimiser: PyTree
-    key: PRNGKeyArray
+    key: Key[Array, "*members"]
     best: DiscreteModel
 
 
-@dataclass(frozen=True)
-class Progress:
-    """Where training is. With `Weights`, all that a resumed run needs.
+class Course(NamedTuple):
+    """Where a member is in its stage.
 
     Attributes:
-        stage: index of the stage.
-        epoch: epochs done in it.
+        epoch: epochs done.
         plateau: the scheduler.
         best_score: the figure of the best weights in this stage.
         best_epoch: the epoch that gave them.
         rollbacks: how often this stage went back to the last good state.
-        seconds: time spent so far.
+        stopped: whether it gave up.
+    """
+
+    epoch: Int[Array, "..."]
+    plateau: Plateau
+    best_score: Float[Array, "..."]
+    best_epoch: Int[Array, "..."]
+    rollbacks: Int[Array, "..."]
+    stopped: Bool[Array, "..."]
+
+
+class TrainingState(NamedTuple):
+    """All that a compiled epoch changes.
+
+    Attributes:
+        weights: models and optimisers.
+        course: where each member is.
+    """
+
+    weights: Weights
+    course: Course
+
+
+class EpochFigures(NamedTuple):
+    """What a compiled epoch tells.
+
+    Attributes:
+        active: whether there was an epoch to do.
+        finite: whether it gave finite weights; otherwise the last good state was kept.
+        epoch: its number in the stage, from 1.
+        loss: mean training loss, NaN where it was not finite.
+        validation: mean free-run RMSE over the validation records [rad or m], NaN without them.
+        rate: the rate that was used.
+        best: the lowest figure of the stage so far.
+    """
+
+    active: Bool[Array, "..."]
+    finite: Bool[Array, "..."]
+    epoch: Int[Array, "..."]
+    loss: Float[Array, "..."]
+    validation: Float[Array, "..."]
+    rate: Float[Array, "..."]
+    best: Float[Array, "..."]
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a member is in its training, in plain numbers.
+
+    Attributes:
+        stage: index of the stage.
+        epochs: epochs done in each stage that was reached.
+        best_score: the figure of the best weights in this stage.
+        best_epoch: the epoch that gave them.
+        rollbacks: how often this stage went back to the last good state.
+        seconds: its share of the time spent.
         outcome: empty while training goes on; then a sentence.
     """
 
-    stage: int
-    epoch: int
-    plateau: Plateau
+    stage: int = 0
+    epochs: tuple[int, ...] = (0,)
     best_score: float = math.inf
     best_epoch: int = 0
     rollbacks: int = 0
     seconds: float = 0.0
     outcome: str = ""
 
+    @property
+    def epoch(self) -> int:
+        """Epochs done in its stage."""
+        return self.epochs[-1]
+
 
 @dataclass(frozen=True)
 class EpochReport:
-    """What an epoch did.
+    """What an epoch of a member did.
 
     Attributes:
         stage: the stage's name.
@@ -66,6 +128,7 @@ class EpochReport:
         rate: the rate that was used.
         best: the lowest figure of the stage so far.
         event: a sentence when something happened, else empty.
+        member: which of those that train together.
     """
 
     stage: str
@@ -75,6 +138,7 @@ class EpochReport:
     rate: float
     best: float
     event: str = ""
+    member: int = 0
 
 
 @dataclass(frozen=True)
@@ -82,12 +146,15 @@ class Listener:
     """Who is told while training goes on; each call may be slow.
 
     Attributes:
-        epoch: after every epoch.
-        state: after every epoch, with all that a resumed run needs.
+        epoch: every epoch of every member.
+        state: after every compiled call, which does several epochs, and at the ends of stages:
+            all that a resumed run needs.
     """
 
     epoch: Callable[[EpochReport], None] = field(default=lambda report: None)
-    state: Callable[[Weights, Progress], None] = field(default=lambda weights, progress: None)
+    state: Callable[[TrainingState, tuple[Progress, ...]], None] = field(
+        default=lambda state, progress: None
+    )
 
 
 SILENT = Listener()  # nobody is told
@@ -99,7 +166,7 @@ class Stage:
 
     Attributes:
         recipe: what it says.
-        windows: what it is trained on.
+        windows: what each member is trained on, rows of shape (members, count).
         trainable: a tree like the model, True where an array trains.
         held: windows of the validation records, where the scheduler watches their loss.
     """
@@ -108,3 +175,10 @@ class Stage:
     windows: StageWindows
     trainable: PyTree
     held: StageWindows | None = None
+
+
+def new_course(rates: Float[Array, " members"], stopped: Bool[Array, " members"]) -> Course:
+    """Where members are when a stage begins."""
+    none = jnp.zeros(rates.shape, jnp.int32)
+    unknown = jnp.full(rates.shape, jnp.inf, jnp.float32)
+    return Course(none, new_plateau(rates), unknown, none, none, stopped)
