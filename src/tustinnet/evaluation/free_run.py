@@ -14,7 +14,7 @@ from tustinnet.errors import InputError
 from tustinnet.evaluation import metrics
 from tustinnet.models.base import DiscreteModel, require_fit, with_dtype
 from tustinnet.simulation.initial_state import initial_state, padded_state
-from tustinnet.simulation.rollout import rollout
+from tustinnet.simulation.rollout import rollouts
 
 _STATES_AT_ONCE = 2_000_000  # bounds the memory of k-step-ahead predictions
 
@@ -99,7 +99,7 @@ def stack_starts(
 def _rollouts(
     model: DiscreteModel, x0: Float[Array, "records n_x"], u: Float[Array, "records steps *drive"]
 ) -> Float[Array, "records samples n_x"]:
-    return jax.vmap(lambda x, v: rollout(model, x, v))(x0, u)
+    return rollouts(model, x0, u)
 
 
 def evaluate(

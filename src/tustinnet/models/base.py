@@ -43,11 +43,6 @@ class DiscreteModel(eqx.Module):
         return ()
 
     @property
-    def steps_a_turn(self) -> int:
-        """Steps in a turn of a rollout's loop: more run a little faster but compile longer."""
-        return 1
-
-    @property
     def state_size(self) -> int:
         """`n_x`: positions, velocities, internal states."""
         return 2 * len(self.coordinates) + len(self.memory)

@@ -89,11 +89,6 @@ class TustinNet(DiscreteModel):
         if width != len(self.coordinates):
             raise InputError("network", f"{width} outputs", f"{len(self.coordinates)} coordinates")
 
-    @property
-    def steps_a_turn(self) -> int:
-        """A step is short, so that starting a turn would take a good part of its time."""
-        return 5
-
     def features(self, x: State, u: InputVector) -> Float[Array, " n_0"]:
         """What the network sees: sines, cosines, linear positions, velocities, inputs, scaled."""
         n_q = len(self.coordinates)

@@ -52,7 +52,7 @@ def rollout(
         return following, following
 
     def stretch(x: State, drive: Array) -> tuple[State, Array]:
-        return jax.lax.scan(advance, x, drive, unroll=model.steps_a_turn)
+        return jax.lax.scan(advance, x, drive)
 
     steps = len(inputs)
     if steps <= LONG:
@@ -119,15 +119,18 @@ def rollouts(
         _, (states, heard) = jax.lax.scan(advance, start, (jnp.swapaxes(drive, 0, 1), slots))
         return jnp.concatenate([start[:, None], jnp.swapaxes(states, 0, 1)], axis=1), heard
 
+    def no_slots(layers: list[Affine], start: Array, drive: Array) -> list[Array]:
+        shape = drive.shape[1], len(start)
+        return [jnp.zeros((*shape, len(layer.weight)), start.dtype) for layer in layers]
+
     @jax.custom_vjp
     def run(layers: list[Affine], rest: list[Any], start: Array, drive: Array) -> Array:
-        return jax.vmap(partial(rollout, rebuilt(layers, rest)))(start, drive)
+        return listen(layers, rest, start, drive, no_slots(layers, start, drive))[0]
 
     def forward(
         layers: list[Affine], rest: list[Any], start: Array, drive: Array
     ) -> tuple[Array, Any]:
-        stacked = (drive.shape[1], len(start))
-        slots = [jnp.zeros((*stacked, len(layer.weight)), start.dtype) for layer in layers]
+        slots = no_slots(layers, start, drive)
         states, back, heard = jax.vjp(
             partial(listen, layers), rest, start, drive, slots, has_aux=True
         )

@@ -110,56 +110,59 @@ def _run(
     reads = _Material(rows=own, held_rows=own, epochs=shared, records=shared, validation=shared)  # pyright: ignore[reportArgumentType]
 
     def of_device(state: TrainingState, material: _Material) -> tuple[TrainingState, EpochFigures]:
-        def member(
-            of: tuple[TrainingState, Array, Array],
-        ) -> tuple[TrainingState, EpochFigures]:
-            mine, rows, held = of
-            read = _Material(rows, held, material.epochs, material.records, material.validation)
-            return jax.lax.scan(
-                lambda s, _: _epoch_if_due(s, read, program), mine, length=EPOCHS_A_CALL
-            )
-
-        of = (state, material.rows, material.held_rows)
-        # a core does best what stays in its cache: member after member; a GPU all at once
-        on_cpu = program.mesh.devices.flat[0].platform == "cpu"
-        return jax.lax.map(member, of) if on_cpu else jax.vmap(member)(of)
+        return jax.lax.scan(lambda s, _: _epoch(s, material, program), state, length=EPOCHS_A_CALL)
 
     spread = jax.shard_map(
-        of_device, mesh=program.mesh, in_specs=(own, reads), out_specs=(own, own),
+        of_device, mesh=program.mesh, in_specs=(own, reads), out_specs=(own, Spec(None, MEMBERS)),
         check_vma=False,
     )  # fmt: skip
     return spread(state, material)
 
 
-def _epoch_if_due(
-    state: TrainingState, material: _Material, program: _Program
-) -> tuple[TrainingState, EpochFigures]:
-    course = state.course
-    active = (course.epoch < material.epochs) & ~course.stopped
-    if program.recipe.patience is not None:
-        active &= course.epoch - course.best_epoch < program.recipe.patience
-
-    def idle(state: TrainingState) -> tuple[TrainingState, EpochFigures]:
-        unknown = jnp.full((), jnp.nan, jnp.float32)
-        no = jnp.zeros((), bool)
-        return state, EpochFigures(
-            no, no, course.epoch, unknown, unknown, course.plateau.rate, course.best_score
-        )
-
-    return jax.lax.cond(active, lambda s: _epoch(s, material, program), idle, state)
-
-
 def _epoch(
     state: TrainingState, material: _Material, program: _Program
 ) -> tuple[TrainingState, EpochFigures]:
-    before, course = state
-    rate = course.plateau.rate
-    attempt, loss, finite = _trained(before, rate, material, program)
-    figures = _figures(attempt.model, loss, material, program)
-    score = figures[program.keep]
+    """An epoch of all members of a device that have one to do."""
+    course = state.course
+    due = (course.epoch < material.epochs) & ~course.stopped
+    if program.recipe.patience is not None:
+        due &= course.epoch - course.best_epoch < program.recipe.patience
+
+    def attempt(of: tuple[Any, ...]) -> tuple[Weights, Array, Array]:
+        mine, rows, rate, due = of
+        nothing = jnp.full((), jnp.nan, jnp.float32), jnp.zeros((), bool)
+        return jax.lax.cond(
+            due,
+            lambda weights: _trained(weights, rate, material._replace(rows=rows), program),
+            lambda weights: (weights, *nothing),
+            mine,
+        )
+
+    # a core does best what stays in its cache: member after member; a GPU all at once
+    on_cpu = program.mesh.devices.flat[0].platform == "cpu"
+    each: Any = (lambda f, of: jax.lax.map(f, of)) if on_cpu else (lambda f, of: jax.vmap(f)(of))
+    of = (state.weights, material.rows, course.plateau.rate, due)
+    attempts, loss, finite = each(attempt, of)
+    figures = _figures(attempts.model, loss, material, program, each)
+    judge = jax.vmap(partial(_judged, program=program))
+    return judge(state, attempts, figures, finite, due)
+
+
+def _judged(
+    before: TrainingState,
+    attempt: Weights,
+    figures: dict[Criterion, Float[Array, ""]],
+    finite: Bool[Array, ""],
+    due: Bool[Array, ""],
+    *,
+    program: _Program,
+) -> tuple[TrainingState, EpochFigures]:
+    """What becomes of a member after an epoch: its best weights, its rate, where it is."""
+    weights, course = before
+    rate, score = course.plateau.rate, figures[program.keep]
     better = finite & (score < course.best_score)
     plateau = after_epoch(course.plateau, figures[program.watch], program.recipe.plateau)
-    attempt = attempt._replace(best=_choose(better, attempt.model, before.best))
+    attempt = attempt._replace(best=_choose(better, attempt.model, weights.best))
     gives_up = ~finite & (course.rollbacks >= ROLLBACKS)
     lowered = course.plateau._replace(rate=jnp.where(gives_up, rate, rate * ROLLBACK_FACTOR))
     after = Course(
@@ -171,15 +174,16 @@ def _epoch(
         stopped=gives_up,
     )
     told = EpochFigures(
-        active=jnp.ones((), bool),
+        active=due,
         finite=finite,
         epoch=course.epoch + 1,
-        loss=jnp.where(finite, loss, jnp.nan),
+        loss=jnp.where(finite, figures["training"], jnp.nan),
         validation=jnp.where(finite, figures["validation"], jnp.nan),
         rate=rate,
         best=after.best_score,
     )
-    return TrainingState(_choose(finite, attempt, before), after), told
+    kept = TrainingState(_choose(finite, attempt, weights), after)
+    return _choose(due, kept, before), told
 
 
 def _trained(
@@ -242,32 +246,39 @@ def _sum_over_windows(
 
 
 def _figures(
-    model: DiscreteModel, loss: Float[Array, ""], material: _Material, program: _Program
-) -> dict[Criterion, Float[Array, ""]]:
+    models: DiscreteModel,
+    loss: Float[Array, " members"],
+    material: _Material,
+    program: _Program,
+    each: Callable[[Any, Any], Any],
+) -> dict[Criterion, Float[Array, " members"]]:
     """What decides over the best weights and the rate after an epoch."""
-    figures: dict[Criterion, Float[Array, ""]] = {
+    figures: dict[Criterion, Float[Array, " members"]] = {
         "training": loss,
-        "validation": jnp.full((), jnp.nan, jnp.float32),
+        "validation": jnp.full(loss.shape, jnp.nan, jnp.float32),
     }
     if material.validation is not None:
-        figures["validation"] = validation_rmse(model, material.validation)
+        runs = material.validation
+        # long and narrow: all members at once, also where training is member after member
+        figures["validation"] = jax.vmap(lambda model: validation_rmse(model, runs))(models)
         if program.held_length:
-            figures["validation-loss"] = _held_loss(model, material, program)
+            figures["validation-loss"] = each(
+                lambda of: _held_loss(of[0], of[1], runs.records, program),
+                (models, material.held_rows),
+            )
     return figures
 
 
-def _held_loss(model: DiscreteModel, material: _Material, program: _Program) -> Float[Array, ""]:
+def _held_loss(
+    model: DiscreteModel, rows: Int[Array, " held"], records: Records, program: _Program
+) -> Float[Array, ""]:
     """The stage's loss over windows that are not trained on."""
-    assert material.validation is not None
-    rows, devices = material.held_rows, program.mesh.shape[WINDOWS]
+    devices = program.mesh.shape[WINDOWS]
     share = -(-len(rows) // devices)
     first = jax.lax.axis_index(WINDOWS) * share
-    mine = jax.lax.dynamic_slice_in_dim(
-        jnp.pad(rows, (0, share * devices - len(rows))), first, share
-    )
-    losses = window_losses(
-        model, mine, material.validation.records, program.held_length, program.recipe.loss
-    )
+    filled = jnp.pad(rows, (0, share * devices - len(rows)))
+    mine = jax.lax.dynamic_slice_in_dim(filled, first, share)
+    losses = window_losses(model, mine, records, program.held_length, program.recipe.loss)
     real = first + jnp.arange(share) < len(rows)
     loss = jnp.sum(jnp.where(real, losses, 0.0)) / len(rows)
     return _sum_over_windows(program.mesh, loss, ())[0]

@@ -158,8 +158,7 @@ def _is_due(stage: Stage, progress: Progress) -> bool:
 def _reports(stage: Stage, told: EpochFigures, member: int) -> list[EpochReport]:
     """The epochs that a member did in a compiled call."""
     figures = [
-        EpochFigures(*(field[member, turn] for field in told))
-        for turn in range(told.epoch.shape[1])
+        EpochFigures(*(field[turn, member] for field in told)) for turn in range(len(told.epoch))
     ]
     return [
         EpochReport(
