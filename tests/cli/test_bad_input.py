@@ -175,3 +175,22 @@ def test_the_data_variable_points_nowhere(tmp_path, monkeypatch, refused):
     monkeypatch.setenv("TUSTINNET_DATA", str(tmp_path))
     refused("reproduce", "--out", tmp_path / "out", names=("TUSTINNET_DATA", "train", "validation"))
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("rates", ["", "0,1", "1,1", "fast", "inf", "-1"])
+def test_rates_that_are_no_factors(rates, folder, small_recipe, tmp_path, refused):
+    out = tmp_path / "run"
+    refused(
+        "fit", folder, "--recipe", small_recipe, "--out", out, f"--rates={rates}",
+        names=("--rates", "different numbers above 0", "--rates 0.3,1,3"),
+    )  # fmt: skip
+    assert not out.exists()
+
+
+def test_a_device_that_is_not_there(folder, small_recipe, tmp_path, refused):
+    out = tmp_path / "run"
+    refused(
+        "fit", folder, "--recipe", small_recipe, "--out", out, "--device", "gpu",
+        names=("--device gpu", "JAX sees none"),
+    )  # fmt: skip
+    assert not out.exists()
