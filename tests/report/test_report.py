@@ -52,7 +52,7 @@ def test_figures_are_written_whole_or_not_at_all(pendulum, run_folder, tmp_path)
     e = pendulum[0]
     run = np.column_stack([e.q, e.velocities()])
     run[200:] = np.inf  # a free run that diverged must not spoil the picture
-    score = Score(e.name, "file", math.inf, (1.0,), (1.0,), (0.0,), run)
+    score = Score(e.name, "file", math.inf, math.inf, (1.0,), (1.0,), (0.0,), run)
     lines = [
         {"stage": "a", "loss": 1.0, "best": 1.0, "validation": None, "rate": 1e-3},
         {"stage": "b", "loss": None, "best": None, "validation": None, "rate": 1e-3},

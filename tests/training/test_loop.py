@@ -119,6 +119,25 @@ def test_the_best_weights_can_be_those_of_the_lowest_training_loss(prepared):
     assert progress[0].best_score == min(r.loss for r in reports if r.stage == "second")
 
 
+def test_an_average_of_the_weights_is_kept_where_one_is_asked_for(prepared):
+    stages = prepared.stages[:1]
+    plain = run(dataclasses.replace(prepared, stages=stages))
+    averaged = run(with_stages(dataclasses.replace(prepared, stages=stages), averaging=0.9))
+    # the average does not change what is trained, only what is judged and kept
+    last, smooth = plain[3][-1][0].weights, averaged[3][-1][0].weights
+    if [r.rate for r in plain[2]] == [r.rate for r in averaged[2]]:
+        assert same_bits(last.model, smooth.model)
+    assert same_bits(last.model, last.average)
+    assert not same_bits(smooth.model, smooth.average)
+    score = validation_rmse(one(averaged[0]), prepared.validation)
+    assert float(score) == pytest.approx(averaged[1][0].best_score, rel=1e-5)
+    between = jax.tree.map(
+        lambda m, a, b: jnp.mean(jnp.abs(a - m)) <= jnp.mean(jnp.abs(b - m)) + 1e-6,
+        smooth.model, smooth.average, prepared.models,
+    )  # fmt: skip
+    assert all(jax.tree.leaves(between))
+
+
 def test_a_stage_ends_when_its_figure_has_not_fallen_for_its_patience(prepared):
     # a rate at which nothing changes: the first epoch stays the best
     still = dataclasses.replace(with_stages(prepared, patience=2), members=(Member(0, 1e-30),))

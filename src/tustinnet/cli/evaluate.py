@@ -1,6 +1,7 @@
 """`tustinnet evaluate`: score a model on records."""
 
 from pathlib import Path
+from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -84,6 +85,7 @@ def _plain(score: "Score") -> dict[str, Any]:
     return {
         "experiment": score.experiment,
         "rmse": score.rmse,
+        "rmse_after": score.rmse_after,
         "coordinate_rmse": list(score.coordinate_rmse),
         "nrmse": list(score.nrmse),
         "fit_percent": list(score.fit_percent),
@@ -96,14 +98,18 @@ def _score_table(
     from tustinnet.data.experiment import position_unit
     from tustinnet.evaluation.free_run import mean_rmse
     from tustinnet.report.tables import Table, number
+    from tustinnet.simulation.initial_state import samples_fitted
 
-    columns = ["record", "split", f"RMSE [{position_unit(coordinates)}]"]
+    fitted = samples_fitted(start)
+    # what the start was fitted to is simulated well by any model
+    after = [f"from sample {fitted}"] if fitted else []
+    columns = ["record", "split", f"RMSE [{position_unit(coordinates)}]", *after]
     for c in coordinates:
         columns += [f"{c.name} [{c.unit}]", "NRMSE", "fit [%]"]
     rows = []
     for split, scores in by_split.items():
         for s in scores:
-            row = [s.experiment, split, number(s.rmse)]
+            row = [s.experiment, split, number(s.rmse), *[number(s.rmse_after) for _ in after]]
             for error, relative, percent in zip(
                 s.coordinate_rmse, s.nrmse, s.fit_percent, strict=True
             ):
@@ -111,5 +117,6 @@ def _score_table(
             rows.append(row)
     # training records flatter a model: their mean stands apart from the others'
     for split, scores in by_split.items():
-        rows.append(["mean", split, number(mean_rmse(scores)), *[""] * (3 * len(coordinates))])
+        means = [mean_rmse(scores), *[fmean(s.rmse_after for s in scores) for _ in after]]
+        rows.append(["mean", split, *map(number, means), *[""] * (3 * len(coordinates))])
     return Table(columns, rows, title=f"Free runs, start '{start}'")

@@ -45,8 +45,9 @@ Start = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
-        help="Start of the free runs: file (first row as stored) or derived-6 (parabola through "
-        "6 samples). Default: file where velocities are stored, else derived-6.",
+        help="Start of the free runs: file (first row as stored), derived-6 (parabola through "
+        "6 samples) or model-20 (from which the model explains 20 samples best). Default: file "
+        "where velocities are stored, else derived-6.",
     ),
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on from the checkpoints in --out.")]

@@ -13,7 +13,8 @@ from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.errors import InputError
 from tustinnet.evaluation import metrics
 from tustinnet.models.base import DiscreteModel, require_fit, with_dtype
-from tustinnet.simulation.initial_state import initial_state, padded_state
+from tustinnet.simulation.initial_state import samples_fitted
+from tustinnet.simulation.model_start import start_states
 from tustinnet.simulation.rollout import rollouts
 
 _STATES_AT_ONCE = 2_000_000  # bounds the memory of k-step-ahead predictions
@@ -27,6 +28,7 @@ class Score:
         experiment: the record.
         start: where the free run started.
         rmse: root mean square of the position error's 2-norm [rad or m].
+        rmse_after: the same without the N samples that a start `model-N` was fitted to.
         coordinate_rmse: per coordinate [rad or m].
         nrmse: per coordinate, over the standard deviation of the measurement.
         fit_percent: per coordinate, 100 (1 - NRMSE).
@@ -36,6 +38,7 @@ class Score:
     experiment: str
     start: str
     rmse: float
+    rmse_after: float
     coordinate_rmse: tuple[float, ...]
     nrmse: tuple[float, ...]
     fit_percent: tuple[float, ...]
@@ -61,7 +64,7 @@ def free_run(
     Args:
         model: the model.
         experiments: records of any lengths, or one.
-        start: a name that `initial_state` knows.
+        start: a name that `start_states` knows.
 
     Returns:
         Per record the states [q, v, z], (n, n_x).
@@ -73,8 +76,9 @@ def free_run(
     experiments = _listed(experiments)
     for experiment in experiments:
         require_fit(model, experiment)
-    x0, u = (jnp.asarray(a) for a in stack_starts(model, experiments, start))
-    runs = np.asarray(_rollouts(with_dtype(model, np.float64).folded(), x0, u))
+    simulator = with_dtype(model, np.float64).folded()
+    x0, u = (jnp.asarray(a) for a in stack_starts(simulator, experiments, start))
+    runs = np.asarray(_rollouts(simulator, x0, u))
     return [run[: len(e)] for run, e in zip(runs, experiments, strict=True)]
 
 
@@ -87,7 +91,7 @@ def stack_starts(
 ) -> tuple[Float[np.ndarray, "records n_x"], Float[np.ndarray, "records steps *drive"]]:
     """Initial states and drives of records, zeros after the end of shorter ones."""
     steps = max(len(e) for e in experiments) - 1
-    x0 = np.stack([padded_state(model, initial_state(e, start)) for e in experiments])
+    x0 = start_states(model, experiments, start)
     drives = [model.drive(e) for e in experiments]
     u = np.zeros((len(experiments), steps, *drives[0].shape[1:]))
     for row, drive in zip(u, drives, strict=True):
@@ -110,7 +114,7 @@ def evaluate(
     Args:
         model: the model.
         experiments: records of any lengths, or one.
-        start: where the free runs start, a name that `initial_state` knows.
+        start: where the free runs start, a name that `start_states` knows.
 
     Returns:
         Per record RMSE, per-coordinate figures and the simulation. A free run that leaves the
@@ -120,7 +124,7 @@ def evaluate(
         InputError: other coordinates, inputs or period than the model's; float64 is off.
     """
     experiments = _listed(experiments)
-    scores = []
+    fitted, scores = samples_fitted(start), []
     for e, x in zip(experiments, free_run(model, experiments, start), strict=True):
         q = x[:, : e.q.shape[1]]
         with np.errstate(over="ignore", invalid="ignore"):
@@ -130,6 +134,7 @@ def evaluate(
                     experiment=e.name,
                     start=start,
                     rmse=metrics.rmse(q, e.q),
+                    rmse_after=metrics.rmse(q[fitted:], e.q[fitted:]),
                     coordinate_rmse=tuple(metrics.coordinate_rmse(q, e.q).tolist()),
                     nrmse=tuple(metrics.nrmse(q, e.q).tolist()),
                     fit_percent=tuple(metrics.fit_percent(q, e.q).tolist()),

@@ -78,7 +78,7 @@ def residual_reports(
     Args:
         model: the model.
         experiments: records.
-        start: where the free runs start, a name that `initial_state` knows.
+        start: where the free runs start, a name that `start_states` knows.
         lags: largest lag in samples.
 
     Raises:

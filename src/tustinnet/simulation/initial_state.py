@@ -35,8 +35,11 @@ def initial_state(experiment: Experiment, start: str) -> Float[np.ndarray, " n_x
         return np.concatenate([experiment.q[0], experiment.v[0]])
     match = re.fullmatch(r"derived-(\d+)", start)
     if not match:
+        known = "'file', 'derived-N' such as derived-6"
+        if samples_fitted(start):
+            raise InputError("start", f"'{start}' without a model", known, "use start_states")
         raise InputError(
-            "start", f"unknown start '{start}'", "'file' or 'derived-N', such as derived-6"
+            "start", f"unknown start '{start}'", f"{known}, or 'model-N' such as model-20"
         )
     samples = int(match[1])
     if not 3 <= samples <= len(experiment):
@@ -46,6 +49,12 @@ def initial_state(experiment: Experiment, start: str) -> Float[np.ndarray, " n_x
     t = experiment.t[:samples]
     q, v = polynomial_fit(t, experiment.q[:samples], 2, at=t[:1])
     return np.concatenate([q[0], v[0]])
+
+
+def samples_fitted(start: str) -> int:
+    """N of a start `model-N`, 0 of any other."""
+    match = re.fullmatch(r"model-(\d+)", start)
+    return int(match[1]) if match else 0
 
 
 def padded_state(model: DiscreteModel, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n_x"]:

@@ -15,6 +15,7 @@ from jax.sharding import PartitionSpec as Spec
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from tustinnet.models.base import DiscreteModel
+from tustinnet.simulation.model_start import model_starts
 from tustinnet.simulation.rollout import rollouts
 from tustinnet.training.layout import MEMBERS, WINDOWS
 from tustinnet.training.losses import window_loss
@@ -143,7 +144,7 @@ def _epoch(
     each: Any = (lambda f, of: jax.lax.map(f, of)) if on_cpu else (lambda f, of: jax.vmap(f)(of))
     of = (state.weights, material.rows, course.plateau.rate, due)
     attempts, loss, finite = each(attempt, of)
-    figures = _figures(attempts.model, loss, material, program, each)
+    figures = _figures(attempts.average, loss, material, program, each)
     judge = jax.vmap(partial(_judged, program=program))
     return judge(state, attempts, figures, finite, due)
 
@@ -162,7 +163,7 @@ def _judged(
     rate, score = course.plateau.rate, figures[program.keep]
     better = finite & (score < course.best_score)
     plateau = after_epoch(course.plateau, figures[program.watch], program.recipe.plateau)
-    attempt = attempt._replace(best=_choose(better, attempt.model, weights.best))
+    attempt = attempt._replace(best=_choose(better, attempt.average, weights.best))
     gives_up = ~finite & (course.rollbacks >= ROLLBACKS)
     lowered = course.plateau._replace(rate=jnp.where(gives_up, rate, rate * ROLLBACK_FACTOR))
     after = Course(
@@ -191,6 +192,8 @@ def _trained(
 ) -> tuple[Weights, Float[Array, ""], Bool[Array, ""]]:
     """A pass over the windows: new weights, mean loss, whether all of it is finite."""
     trainable, frozen = _parted(weights.model, program.trainable)
+    average, _ = _parted(weights.average, program.trainable)
+    kept = program.recipe.averaging or 0.0
     optimiser = adam_without_rate(program.recipe)
     count = len(material.rows)
     batch = min(program.recipe.batch, count)
@@ -208,8 +211,8 @@ def _trained(
     first = jax.lax.axis_index(WINDOWS) * share
     order, valid = (jax.lax.dynamic_slice_in_dim(a, first, share, axis=1) for a in (order, valid))
 
-    def advance(carry: tuple[PyTree, PyTree], chosen: tuple[Array, ...]) -> tuple[Any, Array]:
-        trained, state = carry
+    def advance(carry: tuple[PyTree, ...], chosen: tuple[Array, ...]) -> tuple[Any, Array]:
+        trained, average, state = carry
         index, weight, whole = chosen
 
         def loss_of(trained: PyTree) -> Float[Array, ""]:
@@ -223,16 +226,18 @@ def _trained(
         loss, gradient = _sum_over_windows(program.mesh, *jax.value_and_grad(loss_of)(trained))
         update, state = optimiser.update(gradient, state)
         trained = jax.tree.map(lambda p, d: p - rate * d, trained, update)
-        return (trained, state), loss * whole
+        average = jax.tree.map(lambda a, p: p + kept * (a - p), average, trained)
+        return (trained, average, state), loss * whole
 
-    (trainable, state), losses = jax.lax.scan(
-        advance, (trainable, weights.optimiser), (order, valid, total)
+    (trainable, average, state), losses = jax.lax.scan(
+        advance, (trainable, average, weights.optimiser), (order, valid, total)
     )
     loss = jnp.sum(losses) / count
     finite = jnp.isfinite(loss)
     for leaf in jax.tree.leaves(trainable):
         finite &= jnp.all(jnp.isfinite(leaf))
-    return Weights(eqx.combine(trainable, frozen), state, key, weights.best), loss, finite
+    model, average = (eqx.combine(tree, frozen) for tree in (trainable, average))
+    return Weights(model, average, state, key, weights.best), loss, finite
 
 
 def _sum_over_windows(
@@ -308,8 +313,11 @@ def window_losses(
 @eqx.filter_jit
 def validation_rmse(model: DiscreteModel, runs: ValidationRuns) -> Float[Array, ""]:
     """Mean over records of the free run's RMSE in float32 [rad or m]; NaN counts as infinite."""
-    n_q = runs.q.shape[-1]
-    simulated = rollouts(model.folded(), runs.x0, runs.u)[..., :n_q]
+    n_q, simulator, x0 = runs.q.shape[-1], model.folded(), runs.x0
+    if runs.fitted:
+        u, q = runs.u[:, : runs.fitted - 1], runs.q[:, : runs.fitted]
+        x0 = model_starts(simulator, x0, u, q)
+    simulated = rollouts(simulator, x0, runs.u)[..., :n_q]
     # beyond a record's end the model may do anything, also overflow
     error = jnp.where(runs.weight[..., None] > 0, simulated - runs.q, 0.0)
     mean = jnp.mean(jnp.sqrt(jnp.sum(runs.weight * jnp.sum(error**2, axis=-1), axis=-1)))

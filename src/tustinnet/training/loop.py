@@ -106,7 +106,9 @@ def begin_stage(
     trainable, _ = eqx.partition(models, stage.trainable)
     optimiser = jax.vmap(adam_without_rate(stage.recipe).init)(trainable)
     rates = jnp.asarray(stage.recipe.rate * factors, jnp.float32)
-    return TrainingState(Weights(models, optimiser, keys, models), new_course(rates, stopped))
+    return TrainingState(
+        Weights(models, models, optimiser, keys, models), new_course(rates, stopped)
+    )
 
 
 def _run_stage(

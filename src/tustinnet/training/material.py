@@ -14,6 +14,8 @@ from tustinnet.errors import InputError
 from tustinnet.evaluation.free_run import stack_starts
 from tustinnet.models.base import DiscreteModel
 from tustinnet.signals.windows import random_windows, strided_windows
+from tustinnet.simulation.initial_state import samples_fitted
+from tustinnet.simulation.model_start import guessed_states
 from tustinnet.training.recipe import WindowRecipe
 
 _LONGEST = 4  # an adapted window is at most this many times the recipe's length
@@ -37,11 +39,12 @@ class ValidationRuns(eqx.Module):
     """Free runs to compare with, in float32.
 
     Attributes:
-        x0: initial states, (records, n_x).
+        x0: initial states, or where the search for them begins, (records, n_x).
         u: held inputs, (records, steps, n_u), 0 after a record's end.
         q: measured positions, (records, steps + 1, n_q).
         weight: 1 / length within a record, 0 after its end, (records, steps + 1).
         records: the same records end to end, for losses over windows.
+        fitted: samples that initial states are fitted to, 0 where they are as given.
     """
 
     x0: Float[Array, "records n_x"]
@@ -49,6 +52,7 @@ class ValidationRuns(eqx.Module):
     q: Float[Array, "records samples n_q"]
     weight: Float[Array, "records samples"]
     records: Records
+    fitted: int = eqx.field(static=True, default=0)
 
 
 @dataclass(frozen=True)
@@ -82,6 +86,9 @@ def validation_runs(
 ) -> ValidationRuns:
     """Prepares the free runs of records from a named start, and their windows' states."""
     x0, u = stack_starts(model, experiments, start)
+    fitted = samples_fitted(start)
+    if fitted:
+        x0 = guessed_states(model, experiments, fitted)
     samples = u.shape[1] + 1
     q = np.zeros((len(experiments), samples, len(experiments[0].coordinates)))
     weight = np.zeros((len(experiments), samples))
@@ -89,7 +96,7 @@ def validation_runs(
         q[i, : len(e)] = e.q
         weight[i, : len(e)] = 1.0 / len(e)
     x0, u, q, weight = (jnp.asarray(a, jnp.float32) for a in (x0, u, q, weight))
-    return ValidationRuns(x0, u, q, weight, lay_out(experiments, velocity))
+    return ValidationRuns(x0, u, q, weight, lay_out(experiments, velocity), fitted)
 
 
 def stage_windows(

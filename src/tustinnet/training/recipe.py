@@ -100,6 +100,8 @@ class StageRecipe(Declaration):
         frozen_layers: how many hidden layers, from the first on, do not train (a stem counts
             with the first). The output layer always trains.
         clip: largest norm of the gradient, if it is limited.
+        averaging: share of the running average of the weights that a step of the optimiser
+            leaves; the average is what is validated and kept. None keeps the weights themselves.
     """
 
     name: str
@@ -113,6 +115,7 @@ class StageRecipe(Declaration):
     keep: Criterion = "validation"
     frozen_layers: int = Field(default=0, ge=0)
     clip: float | None = Field(default=None, gt=0)
+    averaging: float | None = Field(default=None, gt=0, lt=1)
 
 
 class Recipe(Declaration):

@@ -23,12 +23,14 @@ class Weights(NamedTuple):
 
     Attributes:
         model: the model.
+        average: the running average of its weights, or the model itself where none is asked for.
         optimiser: the optimiser's state.
         key: the sampler's key.
-        best: the best model so far in this stage.
+        best: the best average so far in this stage.
     """
 
     model: DiscreteModel
+    average: DiscreteModel
     optimiser: PyTree
     key: Key[Array, "*members"]
     best: DiscreteModel

@@ -1,0 +1,137 @@
+"""Initial states, also those from which a model explains the first samples of a record best."""
+
+from collections.abc import Sequence
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tustinnet.data.experiment import Experiment
+from tustinnet.errors import InputError
+from tustinnet.models.base import DiscreteModel, State
+from tustinnet.simulation.initial_state import initial_state, padded_state, samples_fitted
+from tustinnet.simulation.rollout import rollout
+
+_FEWEST = 3  # samples that say something of a velocity
+_PARABOLA = 6  # samples of the parabola that the search begins with
+_TURNS = 12  # Levenberg-Marquardt steps; from a parabola 3 or 4 are enough
+_FIRST_DAMPING = 1e-3
+_UNKNOWN_ERROR = 1e-3  # [rad or m], of positions whose resolution nobody declared
+
+
+def start_states(
+    model: DiscreteModel, experiments: Sequence[Experiment], start: str
+) -> Float[np.ndarray, "records n_x"]:
+    """Where the free runs of records start, (records, n_x).
+
+    Args:
+        model: the model.
+        experiments: the records.
+        start: a name that `initial_state` knows, internal states then at 0; or `model-N`, the
+            state from which the model explains the first N samples best (`model_starts`).
+
+    Raises:
+        InputError: an unknown start, or records too short for it.
+    """
+    samples = samples_fitted(start)
+    if not samples:
+        return np.stack([padded_state(model, initial_state(e, start)) for e in experiments])
+    shortest = min(experiments, key=len)
+    if not _FEWEST <= samples <= len(shortest):
+        raise InputError(
+            shortest.name, f"start '{start}'", f"{_FEWEST} to {len(shortest)} samples for the fit"
+        )
+    guess = guessed_states(model, experiments, samples)
+    u = np.stack([model.drive(e)[: samples - 1] for e in experiments])
+    q = np.stack([e.q[:samples] for e in experiments])
+    return np.asarray(_compiled(model, guess, u, q))
+
+
+def guessed_states(
+    model: DiscreteModel, experiments: Sequence[Experiment], samples: int
+) -> Float[np.ndarray, "records n_x"]:
+    """Where the search for `model-N` begins: parabolas through the first samples."""
+    parabola = f"derived-{min(samples, _PARABOLA)}"
+    return np.stack([padded_state(model, initial_state(e, parabola)) for e in experiments])
+
+
+def position_weights(model: DiscreteModel) -> Float[np.ndarray, " n_q"]:
+    """One over the standard deviation of the positions' errors, (n_q,) [1/rad or 1/m].
+
+    An encoder that counts in steps of `r` errs by `r / sqrt(12)`.
+    """
+    steps = [c.resolution for c in model.coordinates]
+    return np.array([np.sqrt(12.0) / r if r else 1.0 / _UNKNOWN_ERROR for r in steps])
+
+
+def model_starts(
+    model: DiscreteModel,
+    guess: Float[Array | np.ndarray, "batch n_x"],
+    u: Float[Array | np.ndarray, "batch steps *drive"],
+    q: Float[Array | np.ndarray, "batch samples n_q"],
+) -> Float[Array, "batch n_x"]:
+    """Initial states by least squares through the model.
+
+    Minimises the squared position errors over the samples, each over the encoder's standard
+    deviation; internal states are kept near the guess with a standard deviation of 1 in their
+    unit. Levenberg-Marquardt with exact derivatives. The result can be differentiated by the
+    model's parameters: its last step is, at the solution, by the theorem of implicit functions
+    without the second derivatives of the residuals (as in Gauss-Newton).
+
+    Args:
+        model: the model.
+        guess: where the search begins, (batch, n_x).
+        u: what acts between the samples, (batch, samples - 1, ...).
+        q: measured positions, (batch, samples, n_q).
+
+    Returns:
+        (batch, n_x).
+    """
+    weight = jnp.asarray(position_weights(model), jnp.asarray(q).dtype)
+    return jax.vmap(partial(_one, model, weight))(
+        jnp.asarray(guess), jnp.asarray(u), jnp.asarray(q)
+    )
+
+
+_compiled = eqx.filter_jit(model_starts)
+
+
+def _one(model: DiscreteModel, weight: Array, guess: State, u: Array, q: Array) -> State:
+    n_q = q.shape[1]
+
+    def residuals(model: DiscreteModel, x: State) -> Array:
+        error = (rollout(model, x, u)[:, :n_q] - q) * weight
+        return jnp.concatenate([error.ravel(), (x - guess)[2 * n_q :]])
+
+    held: DiscreteModel = jax.tree.map(jax.lax.stop_gradient, model)
+    at = partial(residuals, held)
+
+    def solved(jacobian: Array, r: Array, damping: Array) -> State:
+        normal = jacobian.T @ jacobian
+        # columns in units of their own size: positions, velocities, whatever a state stands for
+        size = jnp.sqrt(jnp.diagonal(normal))
+        size = jnp.where(size > 0, size, 1.0)
+        scaled = normal / (size[:, None] * size) + damping * jnp.eye(len(size), dtype=size.dtype)
+        return jnp.linalg.solve(scaled, jacobian.T @ r / size) / size
+
+    def turn(_: Array, carry: tuple[State, Array, Array]) -> tuple[State, Array, Array]:
+        x, cost, damping = carry
+        tried = x - solved(jax.jacfwd(at)(x), at(x), damping)
+        cost_there = jnp.sum(at(tried) ** 2)
+        better = cost_there < cost
+        return (
+            jnp.where(better, tried, x),
+            jnp.where(better, cost_there, cost),
+            jnp.where(better, damping / 10, damping * 10),
+        )
+
+    begin = jax.lax.stop_gradient(guess)
+    carry = begin, jnp.sum(at(begin) ** 2), jnp.asarray(_FIRST_DAMPING, begin.dtype)
+    x, _, _ = jax.lax.fori_loop(0, _TURNS, turn, carry)
+    x = jax.lax.stop_gradient(x)
+    jacobian = jax.lax.stop_gradient(jax.jacfwd(at)(x))
+    step = solved(jacobian, residuals(model, x), jnp.zeros((), x.dtype))
+    return x - (step - jax.lax.stop_gradient(step))
