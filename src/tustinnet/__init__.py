@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from tustinnet.identification.identify import identify
     from tustinnet.identification.result import Estimate, Identification
     from tustinnet.identification.search import Settings
+    from tustinnet.models.hybrid import HybridModel
     from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Memory, Parameter
     from tustinnet.models.tustin import TustinNet
     from tustinnet.simulation.adaptive import discretise_adaptively
@@ -38,6 +39,7 @@ _HOMES = {
     "Estimate": "identification.result",
     "Experiment": "data.experiment",
     "FitResult": "training.fit",
+    "HybridModel": "models.hybrid",
     "Identification": "identification.result",
     "Input": "data.experiment",
     "InputError": "errors",
@@ -82,6 +84,7 @@ __all__ = [
     "Estimate",
     "Experiment",
     "FitResult",
+    "HybridModel",
     "Identification",
     "Input",
     "InputError",

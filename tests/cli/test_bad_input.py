@@ -194,3 +194,12 @@ def test_a_device_that_is_not_there(folder, small_recipe, tmp_path, refused):
         names=("--device gpu", "JAX sees none"),
     )  # fmt: skip
     assert not out.exists()
+
+
+def test_a_network_is_no_physics_to_correct(folder, run_folder, tmp_path, refused):
+    out = tmp_path / "corrected"
+    refused(
+        "fit", folder, "--physics", run_folder / "model.safetensors", "--out", out,
+        names=("model.safetensors", "trained already", "euler-lagrange"),
+    )  # fmt: skip
+    assert not out.exists()

@@ -88,7 +88,8 @@ def test_adapted_windows_grow_when_little_happens_in_a_sample():
 
 
 def test_records_end_to_end_keep_states_and_held_inputs(pendulum):
-    records = lay_out(list(pendulum), "auto")
+    model = plan(pendulum, tn.read_recipe("standard")).models
+    records = lay_out(model, list(pendulum), "auto")
     second = rows_of(pendulum)[1]
     np.testing.assert_allclose(
         records.x[second.start : second.stop, 0], pendulum[1].q[:, 0], rtol=1e-6

@@ -20,6 +20,7 @@ from tustinnet.artifact.files import write_atomically
 from tustinnet.artifact.model_file import FORMAT, KEY, read_file
 from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
+from tustinnet.models.base import DiscreteModel
 from tustinnet.training.fit import Member, plan
 from tustinnet.training.recipe import Recipe
 from tustinnet.training.state import Progress, TrainingState
@@ -56,10 +57,14 @@ class Checkpointer:
         self._told = progress
 
 
-def fingerprint(data: DataSet, recipe: Recipe, member: Member) -> str:
-    """What a checkpoint belongs to: the recipe, the member and the records."""
+def fingerprint(
+    data: DataSet, recipe: Recipe, member: Member, physics: DiscreteModel | None = None
+) -> str:
+    """What a checkpoint belongs to: the recipe, the member, the records and the physics."""
     digest = hashlib.sha256(recipe.model_dump_json().encode())
     digest.update(member.name.encode())
+    for leaf in jax.tree.leaves(physics):
+        digest.update(np.asarray(leaf).tobytes())
     for e in data:
         digest.update(f"{e.name} {e.split} {e.dt} {e.coordinates} {e.inputs} {e.k_bar}".encode())
         for array in (e.t, e.q, e.u, e.v):
@@ -81,7 +86,11 @@ def write_checkpoint(path: Path, state: TrainingState, progress: Progress, belon
 
 
 def read_checkpoint(
-    path: Path, data: DataSet, recipe: Recipe, member: Member
+    path: Path,
+    data: DataSet,
+    recipe: Recipe,
+    member: Member,
+    physics: DiscreteModel | None = None,
 ) -> tuple[TrainingState, Progress]:
     """Reads the state of one member to resume from.
 
@@ -89,7 +98,7 @@ def read_checkpoint(
         InputError: damaged, or of another recipe, seed, rate or data set.
     """
     header, arrays = read_file(path, [_KIND])
-    if header["fingerprint"] != fingerprint(data, recipe, member):
+    if header["fingerprint"] != fingerprint(data, recipe, member, physics):
         raise InputError(
             path,
             "the checkpoint belongs to another recipe, seed, rate, data set or version",
@@ -98,7 +107,7 @@ def read_checkpoint(
         )
     content = header["progress"]
     progress = Progress(**{**content, "epochs": tuple(content["epochs"])})
-    template = member_of(plan(data, recipe, [member]).template(progress.stage), 0)
+    template = member_of(plan(data, recipe, [member], physics=physics).template(progress.stage), 0)
     leaves = [jnp.asarray(arrays[name]) for name in sorted(arrays)]
     plain = jax.tree.unflatten(jax.tree.structure(_plain(template)), leaves)
     key = jax.random.wrap_key_data(plain.weights.key)

@@ -21,6 +21,7 @@ from tustinnet.data.experiment import Coordinate, Input, position_unit
 from tustinnet.errors import InputError
 from tustinnet.evaluation.free_run import Score, mean_rmse
 from tustinnet.models.base import DiscreteModel
+from tustinnet.models.hybrid import HybridModel, hybrid
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.network import Affine
 from tustinnet.models.tustin import Scaling, TustinNet
@@ -29,7 +30,9 @@ from tustinnet.simulation.integrators import Discretised
 FORMAT = 1
 KEY = "tustinnet"  # where the header stands in the safetensors metadata
 NETWORK = "tustin-net"
-KINDS = (NETWORK, grey_box.KIND)
+HYBRID = "hybrid"
+KINDS = (NETWORK, grey_box.KIND, HYBRID)
+_RESIDUAL = "residual."  # before the names of a hybrid's network arrays
 _PACKAGES = ("tustinnet", "jax", "jaxlib", "equinox", "optax", "numpy")
 
 
@@ -42,8 +45,8 @@ def save(model: DiscreteModel, path: str | Path, **header: Any) -> None:
         header: what else the file shall say: recipe, data, scores.
 
     Raises:
-        InputError: neither a Tustin-Net nor a discretised system, a system that is written in no
-            file, or the file cannot be written.
+        InputError: neither a Tustin-Net nor a discretised system nor a hybrid of both, a system
+            that is written in no file, or the file cannot be written.
     """
     if isinstance(model, TustinNet):
         kind, described = NETWORK, {"structure": _structure(model)}
@@ -51,10 +54,17 @@ def save(model: DiscreteModel, path: str | Path, **header: Any) -> None:
     elif isinstance(model, Discretised):
         kind = grey_box.KIND
         described, arrays = grey_box.described(model)
+    elif isinstance(model, HybridModel) and isinstance(model.physics, Discretised):
+        kind = HYBRID
+        described, arrays = grey_box.described(model.physics)
+        described["structure"] = _structure(model.residual)
+        for name, array in _named_arrays(model.residual).items():
+            arrays[_RESIDUAL + name] = np.asarray(array)
     else:
         raise InputError(
-            path, f"a model of type {type(model).__name__}", "a Tustin-Net or a discretised system"
-        )
+            path, f"a model of type {type(model).__name__}",
+            "a Tustin-Net, a discretised system, or a hybrid of both",
+        )  # fmt: skip
     content = {
         "format": FORMAT,
         "kind": kind,
@@ -71,7 +81,7 @@ def save(model: DiscreteModel, path: str | Path, **header: Any) -> None:
 
 def load_model(
     path: str | Path, system: str | Path | LagrangianSystem | None = None
-) -> TustinNet | Discretised:
+) -> TustinNet | Discretised | HybridModel:
     """Reads the model of a model file.
 
     Args:
@@ -90,7 +100,15 @@ def load_model(
     except (KeyError, TypeError, ValueError) as error:
         raise _unfit(path, error) from error
     try:
-        return grey_box.built(Path(path), header, arrays, system)
+        physics = grey_box.built(Path(path), header, arrays, system)
+        if header["kind"] == grey_box.KIND:
+            return physics
+        inner = {
+            name.removeprefix(_RESIDUAL): array
+            for name, array in arrays.items()
+            if name.startswith(_RESIDUAL)
+        }
+        return hybrid(physics, _build(header, inner))
     except InputError:
         raise  # of the system, not of the file
     except (KeyError, TypeError, ValueError) as error:

@@ -33,6 +33,7 @@ from tustinnet.artifact.model_file import data_header, save, scores_header
 from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
 from tustinnet.evaluation.free_run import Score, evaluate, mean_rmse
+from tustinnet.models.base import DiscreteModel
 from tustinnet.training.fit import FitResult, Member, Plan, plan, run_plan
 from tustinnet.training.recipe import Recipe
 from tustinnet.training.state import EpochReport, Listener, Progress, TrainingState
@@ -103,6 +104,7 @@ def train_runs(
     folder: Path,
     *,
     rates: Sequence[float] = (1.0,),
+    physics: DiscreteModel | None = None,
     resume: bool = False,
     overwrite: bool = False,
     tell: Callable[[Plan], Callable[[EpochReport], None]] = lambda plan: lambda report: None,
@@ -115,6 +117,7 @@ def train_runs(
         seeds: one training each; none touches another.
         folder: where the files go.
         rates: factors of the recipe's rates; every seed is trained with each.
+        physics: a model that the networks are to correct, see `fit`.
         resume: go on from the checkpoints that are there; seeds without one start.
         overwrite: discard what an earlier run left in the folder.
         tell: given the plan of trainings that run together, returns who is told of every epoch.
@@ -138,8 +141,8 @@ def train_runs(
     records = list(data.split(judged) if data.splits else data)
     members = [Member(seed, rate) for seed in seeds for rate in rates]
     results: dict[Member, FitResult] = {}
-    for group, states in _groups(data, recipe, members, folder, resume=resume):
-        prepared = plan(data, recipe, group)
+    for group, states in _groups(data, recipe, members, folder, physics, resume=resume):
+        prepared = plan(data, recipe, group, physics=physics)
         trained = _train_together(data, prepared, folder, states, tell(prepared))
         results.update(zip(group, trained, strict=True))
     runs = []
@@ -205,7 +208,13 @@ _Resumed = tuple[TrainingState, tuple[Progress, ...]] | None
 
 
 def _groups(
-    data: DataSet, recipe: Recipe, members: Sequence[Member], folder: Path, *, resume: bool
+    data: DataSet,
+    recipe: Recipe,
+    members: Sequence[Member],
+    folder: Path,
+    physics: DiscreteModel | None,
+    *,
+    resume: bool,
 ) -> list[tuple[list[Member], _Resumed]]:
     """Members that can train together: those that begin, and those that are in the same stage."""
     fresh: list[Member] = []
@@ -213,7 +222,7 @@ def _groups(
     for member in members:
         path = folder / member.name / _CHECKPOINT
         if resume and path.is_file():
-            state, progress = read_checkpoint(path, data, recipe, member)
+            state, progress = read_checkpoint(path, data, recipe, member, physics)
             found.setdefault(progress.stage, []).append((member, state, progress))
         else:
             fresh.append(member)
@@ -236,7 +245,7 @@ def _train_together(
         require_writable_folder(place)
     keeps = Checkpointer(
         [place / _CHECKPOINT for place in folders],
-        [fingerprint(data, prepared.recipe, member) for member in prepared.members],
+        [fingerprint(data, prepared.recipe, m, prepared.physics) for m in prepared.members],
     )
     begun = resumed[1] if resumed else (None,) * len(folders)
     logs = [

@@ -58,7 +58,9 @@ def fit(
     recipe: Annotated[
         str | None,
         typer.Option(
-            metavar="NAME", help="tustin-net: a packaged recipe, or a TOML file; default standard."
+            metavar="NAME",
+            help="tustin-net: a packaged recipe, or a TOML file; default standard, with --physics "
+            "best-hybrid.",
         ),
     ] = None,
     seeds: options.Seeds = 1,
@@ -68,6 +70,13 @@ def fit(
         typer.Option(
             metavar="X,Y,...",
             help="tustin-net: factors of the recipe's rates; every seed is trained with each.",
+        ),
+    ] = None,
+    physics: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MODEL",
+            help="tustin-net: an identified model whose accelerations the network corrects.",
         ),
     ] = None,
     system: options.System = None,
@@ -119,6 +128,7 @@ def fit(
 ) -> None:
     """Train a Tustin-Net, or identify the parameters of a system; keeps everything in --out."""
     terminal.prepare_jax(device)
+    from tustinnet.artifact.model_file import load_model
     from tustinnet.artifact.run import summary, train_runs
     from tustinnet.cli.inspect import suspicions
     from tustinnet.data.catalog import locate
@@ -126,13 +136,20 @@ def fit(
     from tustinnet.data.loading import load_folder
     from tustinnet.errors import InputError
     from tustinnet.report.progress import TrainingProgress
+    from tustinnet.simulation.integrators import Discretised
     from tustinnet.training.recipe import read_recipe
 
-    _require_fitting_options(
-        model, recipe, system, fix, training=seeds > 1 or resume or rates is not None
-    )
+    training = seeds > 1 or resume or rates is not None or physics is not None
+    # a model that is corrected may be of a system of one's own
+    corrected = physics is not None and model is Family.tustin_net
+    _require_fitting_options(model, recipe, None if corrected else system, fix, training=training)
     factors = _factors(rates)
-    chosen = read_recipe(recipe or "standard")
+    chosen = read_recipe(recipe or ("best-hybrid" if corrected else "standard"))
+    known = None if physics is None else load_model(physics, system)
+    if known is not None and not isinstance(known, Discretised):
+        raise InputError(
+            physics, "a model that is trained already", "one from --model euler-lagrange"
+        )
     folder, declared = locate(data, card)
     if out.resolve() == folder.resolve():
         raise InputError(out, "the folder of the data", "another folder for the run")
@@ -157,7 +174,7 @@ def fit(
         return
     with TrainingProgress(told, quiet=quiet) as progress, terminal.resumable(told, "--resume"):
         runs = train_runs(
-            loaded, chosen, range(seed, seed + seeds), out, rates=factors,
+            loaded, chosen, range(seed, seed + seeds), out, rates=factors, physics=known,
             resume=resume, overwrite=overwrite, tell=progress.follow,
         )  # fmt: skip
     _draw(runs, loaded)
@@ -209,7 +226,7 @@ def _require_fitting_options(
         )  # fmt: skip
     if model is Family.euler_lagrange and training:
         raise InputError(
-            "--seeds, --rates, --resume", "options of a training", "--model tustin-net",
+            "--seeds, --rates, --resume, --physics", "options of a training", "--model tustin-net",
             "an identification has no seeds and is not resumed",
         )  # fmt: skip
     if model is Family.euler_lagrange and recipe is not None:

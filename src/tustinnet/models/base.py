@@ -5,6 +5,7 @@ from typing import TypeVar
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
@@ -46,6 +47,10 @@ class DiscreteModel(eqx.Module):
     def state_size(self) -> int:
         """`n_x`: positions, velocities, internal states."""
         return 2 * len(self.coordinates) + len(self.memory)
+
+    def effort(self, x: State, u: Float[Array, "*ends n_u"]) -> Float[Array, ""]:
+        """How much a network corrects known physics at a state; 0 where there is none to."""
+        return jnp.zeros((), x.dtype)
 
     def drive(self, experiment: Experiment) -> Float[np.ndarray, "steps *drive"]:
         """What a rollout of a record is driven by, a row a period."""

@@ -13,7 +13,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.base import DiscreteModel, State
 from tustinnet.simulation.initial_state import initial_state, padded_state, samples_fitted
-from tustinnet.simulation.rollout import rollout
+from tustinnet.simulation.rollout import precision, rollout
 
 _FEWEST = 3  # samples that say something of a velocity
 _PARABOLA = 6  # samples of the parabola that the search begins with
@@ -90,10 +90,10 @@ def model_starts(
     Returns:
         (batch, n_x).
     """
-    weight = jnp.asarray(position_weights(model), jnp.asarray(q).dtype)
-    return jax.vmap(partial(_one, model, weight))(
-        jnp.asarray(guess), jnp.asarray(u), jnp.asarray(q)
-    )
+    begin, drive, measured = jnp.asarray(guess), jnp.asarray(u), jnp.asarray(q)
+    kind = precision(model, begin, drive, measured)
+    weight = jnp.asarray(position_weights(model), kind)
+    return jax.vmap(partial(_one, model, weight))(begin.astype(kind), drive, measured)
 
 
 _compiled = eqx.filter_jit(model_starts)

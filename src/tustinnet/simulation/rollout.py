@@ -45,7 +45,7 @@ def rollout(
             f"({n_x},) and (steps, {n_u}), or (steps, 2, {n_u}) for inputs on straight lines",
         )
 
-    start = start.astype(_precision(model, start, inputs))
+    start = start.astype(precision(model, start, inputs))
 
     def advance(x: State, u_k: Array) -> tuple[State, State]:
         following = model.step(x, u_k)
@@ -92,7 +92,7 @@ def rollouts(
     places = [i for i, leaf in enumerate(leaves) if _is_layer(leaf)]
     if not places or drive.shape[1] > LONG:
         return jax.vmap(partial(rollout, model))(start, drive)
-    start = start.astype(_precision(model, start, drive))
+    start = start.astype(precision(model, start, drive))
     others = [None if _is_layer(leaf) else leaf for leaf in leaves]
 
     def rebuilt(layers: list[Any], rest: list[Any]) -> DiscreteModel:
@@ -196,7 +196,7 @@ def _is_layer(node: Any) -> bool:
     return isinstance(node, Affine)
 
 
-def _precision(model: DiscreteModel, *signals: Array) -> np.dtype:
+def precision(model: DiscreteModel, *signals: Array) -> np.dtype:
     """A state keeps its precision from step to step: the widest of all that goes into it."""
     arrays = [leaf for leaf in jax.tree.leaves(model) if eqx.is_inexact_array(leaf)]
     return jnp.result_type(*signals, *arrays)

@@ -219,8 +219,9 @@ def _trained(
             model = eqx.combine(trained, frozen)
             rows = material.rows[index]
             losses = window_losses(
-                model, rows, material.records, program.length, program.recipe.loss
-            )
+                model, rows, material.records, program.length, program.recipe.loss,
+                program.recipe.penalty,
+            )  # fmt: skip
             return jnp.sum(weight * losses) / whole
 
         loss, gradient = _sum_over_windows(program.mesh, *jax.value_and_grad(loss_of)(trained))
@@ -295,6 +296,7 @@ def window_losses(
     records: Records,
     length: int,
     kind: LossName,
+    penalty: float = 0.0,
 ) -> Float[Array, " batch"]:
     """The loss of each of a batch of windows, which are gathered from the records by index."""
 
@@ -306,8 +308,13 @@ def window_losses(
 
     target, u = jax.vmap(window)(rows)
     # a stem is folded once a batch, not applied at every step; its gradient passes the fold
-    simulated = rollouts(model.folded(), target[:, 0], u)
-    return jax.vmap(lambda x, y: window_loss(x, y, model.angular, kind))(simulated, target)
+    simulator = model.folded()
+    simulated = rollouts(simulator, target[:, 0], u)
+    losses = jax.vmap(lambda x, y: window_loss(x, y, model.angular, kind))(simulated, target)
+    if penalty:
+        effort = jax.vmap(jax.vmap(simulator.effort))(simulated[:, :-1], u)
+        losses += penalty * jnp.mean(effort, axis=1)
+    return losses
 
 
 @eqx.filter_jit

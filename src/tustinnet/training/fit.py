@@ -1,20 +1,22 @@
 """From a data set and a recipe to a trained model."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
-from jaxtyping import Array, Key, PRNGKeyArray, PyTree
+from jaxtyping import Array, Float, Key, PRNGKeyArray, PyTree
 
 from tustinnet.data.dataset import DataSet
-from tustinnet.data.experiment import Experiment
+from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.errors import InputError
-from tustinnet.models.base import DiscreteModel
+from tustinnet.models.base import DiscreteModel, require_fit, with_dtype
+from tustinnet.models.hybrid import HybridModel, hybrid, uncorrected
 from tustinnet.models.tustin import (
     TustinNet,
     learn_scaling,
@@ -22,6 +24,7 @@ from tustinnet.models.tustin import (
     random_tustin_net,
 )
 from tustinnet.simulation.initial_state import default_start
+from tustinnet.simulation.internal_states import internal_states
 from tustinnet.training.epoch import validation_rmse
 from tustinnet.training.layout import lay_out_devices
 from tustinnet.training.loop import FINISHED, begin_stage, train
@@ -114,6 +117,7 @@ class Plan:
         recipe: the recipe.
         members: what runs together.
         mesh: which device trains what.
+        physics: what the networks correct, or None.
     """
 
     models: DiscreteModel
@@ -125,6 +129,7 @@ class Plan:
     recipe: Recipe
     members: tuple[Member, ...]
     mesh: Mesh
+    physics: DiscreteModel | None = None
 
     @property
     def factors(self) -> np.ndarray:
@@ -142,6 +147,7 @@ def plan(
     recipe: Recipe | str | Path,
     members: Sequence[Member] = (Member(0),),
     devices: Sequence[Any] | None = None,
+    physics: DiscreteModel | None = None,
 ) -> Plan:
     """Prepares trainings that run together: initial weights, windows, validation free runs.
 
@@ -153,6 +159,7 @@ def plan(
         recipe: a packaged recipe's name, a TOML file, or a `Recipe`.
         members: seeds, and factors of the rates.
         devices: where they train; by default all of the kind that JAX prefers.
+        physics: a model whose accelerations the network is to correct, and which stays as it is.
 
     Raises:
         InputError: records too short for a window, no training split, a recipe that does not fit.
@@ -168,7 +175,7 @@ def plan(
     train_set = list(data.split("train") if data.splits else data)
     held = list(data.split("validation")) if "validation" in data.splits else []
     keys = [jax.random.split(jax.random.key(member.seed)) for member in members]
-    models = [_initial_model(train_set, recipe, for_model) for for_model, _ in keys]
+    models = [_initial_model(train_set, recipe, for_model, physics) for for_model, _ in keys]
     stages = tuple(
         _plan_stage(index, stage, models[0], train_set, held, members)
         for index, stage in enumerate(recipe.stages)
@@ -177,13 +184,14 @@ def plan(
     return Plan(
         models=jax.tree.map(lambda *arrays: jnp.stack(arrays), *models),
         stages=stages,
-        records=lay_out(train_set, recipe.velocity),
+        records=lay_out(models[0], train_set, recipe.velocity),
         validation=validation_runs(models[0], held, start, recipe.velocity) if held else None,
         start=start,
         keys=jnp.stack([shuffling for _, shuffling in keys]),
         recipe=recipe,
         members=tuple(members),
         mesh=lay_out_devices(len(members), min(s.batch for s in recipe.stages), devices),
+        physics=physics,
     )
 
 
@@ -192,8 +200,9 @@ def fit(
     recipe: Recipe | str | Path = DEFAULT_RECIPE,
     seed: int = 0,
     listener: Listener = SILENT,
+    physics: DiscreteModel | None = None,
 ) -> FitResult:
-    """Trains a Tustin-Net on a data set.
+    """Trains a Tustin-Net on a data set, or a network that corrects known physics.
 
     Args:
         data: records with the splits `train` and, if weights are to be chosen by free run,
@@ -201,6 +210,8 @@ def fit(
         recipe: a packaged recipe's name, a TOML file, or a `Recipe`.
         seed: initial weights, windows and shuffling follow from it.
         listener: who is told while training goes on.
+        physics: a model to correct, as `identify` returns it; it stays as it is, and the result
+            is a `HybridModel`.
 
     Returns:
         The model and how it came about. A training that diverged returns the best weights it
@@ -209,7 +220,7 @@ def fit(
     Raises:
         InputError: see `plan`.
     """
-    return run_plan(plan(data, recipe, [Member(seed)]), listener)[0]
+    return run_plan(plan(data, recipe, [Member(seed)], physics=physics), listener)[0]
 
 
 def fit_many(
@@ -218,6 +229,7 @@ def fit_many(
     seeds: Sequence[int] = (0,),
     rates: Sequence[float] = (1.0,),
     listener: Listener = SILENT,
+    physics: DiscreteModel | None = None,
 ) -> list[FitResult]:
     """Trains a recipe from several seeds, at several rates, as one batched program.
 
@@ -230,6 +242,7 @@ def fit_many(
         seeds: one training each.
         rates: factors of the recipe's rates; every seed is trained with each.
         listener: who is told while training goes on.
+        physics: as for `fit`.
 
     Returns:
         As `fit` does, for each seed and within it for each rate.
@@ -243,7 +256,7 @@ def fit_many(
             "fit_many", f"seeds {list(seeds)}, rates {list(rates)}",
             "different seeds and different factors above 0",
         )  # fmt: skip
-    return run_plan(plan(data, recipe, members), listener)
+    return run_plan(plan(data, recipe, members, physics=physics), listener)
 
 
 def run_plan(
@@ -269,6 +282,9 @@ def run_plan(
 def _result(prepared: Plan, best: DiscreteModel, m: int, progress: Progress) -> FitResult:
     # off the devices that trained it: what comes now is one model's business
     model = jax.tree.map(lambda a: jnp.asarray(np.asarray(a)[m]), best)
+    if isinstance(model, HybridModel) and prepared.physics is not None:
+        # it was trained with in single precision, but is kept as it was given
+        model = hybrid(prepared.physics, model.residual)
     score = None
     if prepared.validation is not None:
         score = float(validation_rmse(model, prepared.validation))
@@ -287,16 +303,17 @@ def _result(prepared: Plan, best: DiscreteModel, m: int, progress: Progress) -> 
     )
 
 
-def trainable_arrays(model: TustinNet, frozen_layers: int) -> PyTree:
+def trainable_arrays(model: TustinNet | HybridModel, frozen_layers: int) -> PyTree:
     """A tree like the model, True at the arrays that train.
 
     The scaling never trains, the output layer always does, of the hidden layers all but the
-    first `frozen_layers`; a stem trains when the first hidden layer does.
+    first `frozen_layers`; a stem trains when the first hidden layer does. Physics does not.
     """
     mask = jax.tree.map(lambda leaf: False, model)
-    free = [*model.hidden[frozen_layers:], model.output]
-    if model.stem is not None and frozen_layers == 0:
-        free.append(model.stem)
+    network = model.residual if isinstance(model, HybridModel) else model
+    free = [*network.hidden[frozen_layers:], network.output]
+    if network.stem is not None and frozen_layers == 0:
+        free.append(network.stem)
     trained = {id(leaf) for layer in free for leaf in jax.tree.leaves(layer)}
     return jax.tree.map(lambda flag, leaf: id(leaf) in trained, mask, model)
 
@@ -304,7 +321,7 @@ def trainable_arrays(model: TustinNet, frozen_layers: int) -> PyTree:
 def _plan_stage(
     index: int,
     recipe: StageRecipe,
-    model: TustinNet,
+    model: TustinNet | HybridModel,
     train_set: list[Experiment],
     held: list[Experiment],
     members: Sequence[Member],
@@ -323,7 +340,12 @@ def _plan_stage(
     return Stage(recipe, windows, trainable_arrays(model, recipe.frozen_layers), watched)
 
 
-def _initial_model(train_set: list[Experiment], recipe: Recipe, key: PRNGKeyArray) -> TustinNet:
+def _initial_model(
+    train_set: list[Experiment],
+    recipe: Recipe,
+    key: PRNGKeyArray,
+    physics: DiscreteModel | None,
+) -> TustinNet | HybridModel:
     first = train_set[0]
     scaling: Any
     if recipe.model.scaling == "published":
@@ -337,7 +359,9 @@ def _initial_model(train_set: list[Experiment], recipe: Recipe, key: PRNGKeyArra
         scaling = published_scaling(train_set)
     else:
         scaling = learn_scaling(train_set, recipe.velocity)
-    return random_tustin_net(
+    if physics is not None:
+        scaling = replace(scaling, acceleration=_left_by(physics, train_set, recipe.velocity))
+    network = random_tustin_net(
         first.coordinates,
         first.inputs,
         first.dt,
@@ -348,3 +372,30 @@ def _initial_model(train_set: list[Experiment], recipe: Recipe, key: PRNGKeyArra
         activation=recipe.model.activation,
         output_bias=recipe.model.output_bias,
     )
+    if physics is None:
+        return network
+    return uncorrected(with_dtype(physics, np.float32), network)
+
+
+def _left_by(
+    physics: DiscreteModel, train_set: list[Experiment], velocity: VelocitySource
+) -> Float[Array, " n_q"]:
+    """Root mean square of what physics leaves of the accelerations, the unit of a correction."""
+    left = []
+    for e in train_set:
+        require_fit(physics, e)
+        known, drive = np.concatenate([e.q, e.velocities(velocity)], axis=1), physics.drive(e)
+        states = np.concatenate([known, internal_states(physics, known, drive)], axis=1)
+        following = np.asarray(_steps(physics, jnp.asarray(states[:-1]), jnp.asarray(drive)))
+        n_q = e.q.shape[1]
+        left.append((known[1:] - following[:, : 2 * n_q])[:, n_q:] / e.dt)
+    return jnp.asarray(np.sqrt(np.mean(np.concatenate(left) ** 2, axis=0)), jnp.float32)
+
+
+@eqx.filter_jit
+def _steps(
+    model: DiscreteModel,
+    x: Float[Array, "steps n_x"],
+    u: Float[Array, "steps *drive"],
+) -> Float[Array, "steps n_x"]:
+    return jax.vmap(model.step)(x, u)

@@ -33,5 +33,5 @@ def window_loss(
     distance = jnp.where(angular, 2.0 * (1.0 - jnp.cos(position)), position**2)
     total = jnp.sum(distance, axis=1)
     if kind == "state":
-        total = total + jnp.sum(difference[:, n_q:] ** 2, axis=1)
+        total = total + jnp.sum(difference[:, n_q : 2 * n_q] ** 2, axis=1)
     return jnp.mean(total)

@@ -15,6 +15,7 @@ from tustinnet.evaluation.free_run import stack_starts
 from tustinnet.models.base import DiscreteModel
 from tustinnet.signals.windows import random_windows, strided_windows
 from tustinnet.simulation.initial_state import samples_fitted
+from tustinnet.simulation.internal_states import internal_states
 from tustinnet.simulation.model_start import guessed_states
 from tustinnet.training.recipe import WindowRecipe
 
@@ -27,12 +28,12 @@ class Records(eqx.Module):
     """Records end to end, in float32.
 
     Attributes:
-        x: states [q, v], (rows, n_x).
-        u: what acts from each row to the next, (rows, n_u); 0 in the last row of a record.
+        x: states [q, v, z], (rows, n_x).
+        u: what acts from each row to the next, (rows, ...); 0 in the last row of a record.
     """
 
     x: Float[Array, "rows n_x"]
-    u: Float[Array, "rows n_u"]
+    u: Float[Array, "rows *drive"]
 
 
 class ValidationRuns(eqx.Module):
@@ -40,7 +41,7 @@ class ValidationRuns(eqx.Module):
 
     Attributes:
         x0: initial states, or where the search for them begins, (records, n_x).
-        u: held inputs, (records, steps, n_u), 0 after a record's end.
+        u: what drives them, (records, steps, ...), 0 after a record's end.
         q: measured positions, (records, steps + 1, n_q).
         weight: 1 / length within a record, 0 after its end, (records, steps + 1).
         records: the same records end to end, for losses over windows.
@@ -48,7 +49,7 @@ class ValidationRuns(eqx.Module):
     """
 
     x0: Float[Array, "records n_x"]
-    u: Float[Array, "records steps n_u"]
+    u: Float[Array, "records steps *drive"]
     q: Float[Array, "records samples n_q"]
     weight: Float[Array, "records samples"]
     records: Records
@@ -69,13 +70,17 @@ class StageWindows:
     length: int
 
 
-def lay_out(experiments: Sequence[Experiment], velocity: VelocitySource) -> Records:
-    """Lays records end to end."""
-    x = [np.concatenate([e.q, e.velocities(velocity)], axis=1) for e in experiments]
-    u = [np.append(e.held_inputs, np.zeros((1, e.u.shape[1])), axis=0) for e in experiments]
-    return Records(
-        jnp.asarray(np.concatenate(x), jnp.float32), jnp.asarray(np.concatenate(u), jnp.float32)
-    )
+def lay_out(
+    model: DiscreteModel, experiments: Sequence[Experiment], velocity: VelocitySource
+) -> Records:
+    """Lays records end to end, with the model's internal states as they follow the record."""
+    states, drives = [], []
+    for e in experiments:
+        known, drive = np.concatenate([e.q, e.velocities(velocity)], axis=1), model.drive(e)
+        states.append(np.concatenate([known, internal_states(model, known, drive)], axis=1))
+        drives.append(np.append(drive, np.zeros((1, *drive.shape[1:])), axis=0))
+    x, u = np.concatenate(states), np.concatenate(drives)
+    return Records(jnp.asarray(x, jnp.float32), jnp.asarray(u, jnp.float32))
 
 
 def validation_runs(
@@ -96,7 +101,7 @@ def validation_runs(
         q[i, : len(e)] = e.q
         weight[i, : len(e)] = 1.0 / len(e)
     x0, u, q, weight = (jnp.asarray(a, jnp.float32) for a in (x0, u, q, weight))
-    return ValidationRuns(x0, u, q, weight, lay_out(experiments, velocity), fitted)
+    return ValidationRuns(x0, u, q, weight, lay_out(model, experiments, velocity), fitted)
 
 
 def stage_windows(

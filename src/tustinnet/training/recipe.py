@@ -100,6 +100,8 @@ class StageRecipe(Declaration):
         frozen_layers: how many hidden layers, from the first on, do not train (a stem counts
             with the first). The output layer always trains.
         clip: largest norm of the gradient, if it is limited.
+        penalty: weight of the mean squared correction, in the network's units, where a network
+            corrects known physics: the physics explains what it can.
         averaging: share of the running average of the weights that a step of the optimiser
             leaves; the average is what is validated and kept. None keeps the weights themselves.
     """
@@ -115,6 +117,7 @@ class StageRecipe(Declaration):
     keep: Criterion = "validation"
     frozen_layers: int = Field(default=0, ge=0)
     clip: float | None = Field(default=None, gt=0)
+    penalty: float = Field(default=0.0, ge=0)
     averaging: float | None = Field(default=None, gt=0, lt=1)
 
 

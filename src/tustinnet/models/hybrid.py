@@ -1,0 +1,92 @@
+"""Known physics plus a network for what it leaves."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tustinnet.data.experiment import Coordinate, Experiment, Input
+from tustinnet.errors import InputError
+from tustinnet.models.base import DiscreteModel, State
+from tustinnet.models.tustin import TustinNet
+
+
+class HybridModel(DiscreteModel):
+    """A model and a Tustin-Net's network that corrects its accelerations.
+
+        (q_p, v_p, z) = physics(q[k], v[k], z[k], u[k])
+        v[k+1] = v_p + dt f(q[k], v[k], u[k])
+        q[k+1] = q_p + dt^2 f(q[k], v[k], u[k]) / 2
+
+    The correction enters as in a Tustin-Net, so that positions hold the trapezoidal rule as well
+    as they do in the physics. With an output layer of zeros it is the physics.
+
+    Attributes:
+        physics: the model that is corrected, as a rule a discretised Lagrangian system.
+        residual: whose network the correction is; its own trapezoidal step is not used.
+        coordinates: those of the physics.
+        inputs: those of the physics.
+        dt: sampling period of the physics [s].
+    """
+
+    physics: DiscreteModel
+    residual: TustinNet
+    coordinates: tuple[Coordinate, ...] = eqx.field(static=True)
+    inputs: tuple[Input, ...] = eqx.field(static=True)
+    dt: float = eqx.field(static=True)
+
+    def __check_init__(self) -> None:
+        ours, theirs = self.residual, self.physics
+        if [c.name for c in ours.coordinates] != [c.name for c in theirs.coordinates] or [
+            i.name for i in ours.inputs
+        ] != [i.name for i in theirs.inputs]:
+            raise InputError("hybrid", "a network of another system", "the physics' coordinates")
+
+    @property
+    def memory(self) -> tuple[str, ...]:
+        """The internal states of the physics."""
+        return self.physics.memory
+
+    def drive(self, experiment: Experiment) -> Float[np.ndarray, "steps *drive"]:
+        """What the physics is driven by."""
+        return self.physics.drive(experiment)
+
+    def step(self, x: State, u: Array) -> State:
+        """One period: the physics, then the correction."""
+        n_q = len(self.coordinates)
+        change = self.dt * self.correction(x, u)
+        rest = jnp.zeros(len(x) - 2 * n_q, x.dtype)
+        return self.physics.step(x, u) + jnp.concatenate([self.dt / 2 * change, change, rest])
+
+    def correction(self, x: State, u: Array) -> Float[Array, " n_q"]:
+        """`f`, what the network adds to the accelerations, (n_q,) [rad/s^2 or m/s^2]."""
+        begin = u if u.ndim == 1 else u[0]
+        return self.residual.acceleration(x[: 2 * len(self.coordinates)], begin)
+
+    def effort(self, x: State, u: Array) -> Float[Array, ""]:
+        """The squared correction in the network's units."""
+        return jnp.sum((self.correction(x, u) / self.residual.scaling.acceleration) ** 2)
+
+    def folded(self) -> "HybridModel":
+        """The same with folded parts."""
+        return hybrid(self.physics.folded(), self.residual.folded())
+
+
+def hybrid(physics: DiscreteModel, residual: TustinNet) -> HybridModel:
+    """A model whose accelerations a network corrects.
+
+    Raises:
+        InputError: they are not of the same system.
+    """
+    return HybridModel(
+        physics=physics, residual=residual, coordinates=physics.coordinates,
+        inputs=physics.inputs, dt=physics.dt,
+    )  # fmt: skip
+
+
+def uncorrected(physics: DiscreteModel, residual: TustinNet) -> HybridModel:
+    """A hybrid that does not correct anything yet: the network's output layer is set to zero."""
+    silent = eqx.tree_at(lambda net: net.output.weight, residual, residual.output.weight * 0)
+    if silent.output.bias is not None:
+        silent = eqx.tree_at(lambda net: net.output.bias, silent, silent.output.bias * 0)
+    return hybrid(physics, silent)

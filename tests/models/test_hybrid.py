@@ -1,0 +1,171 @@
+"""Physics and a network that corrects it."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import tustinnet as tn
+from tustinnet.models.base import with_dtype
+from tustinnet.models.hybrid import hybrid, uncorrected
+from tustinnet.models.tustin import Scaling, random_tustin_net
+from tustinnet.simulation.internal_states import internal_states
+from tustinnet.simulation.rollout import rollout, rollouts
+
+DT = 0.01
+
+
+def physics(name: str = "qube-servo2"):
+    system = tn.load_system(name)
+    values = {k: jnp.asarray(v) for k, v in system.nominal().items()}
+    return tn.discretise(tn.LagrangianModel(system, values), DT)
+
+
+def network(model, seed: int = 0):
+    ones = jnp.ones(2, jnp.float32)
+    scaling = Scaling(jnp.zeros(0), jnp.zeros(0), 5 * ones, ones[:1], 0.1 * ones)
+    return random_tustin_net(
+        model.coordinates, model.inputs, DT, scaling, jax.random.key(seed), hidden=(6, 5),
+        stem=4, output_bias=True,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["qube-servo2", "qube-servo2-memory"])
+def test_without_a_correction_it_is_the_physics(name):
+    model = physics(name)
+    silent = uncorrected(model, network(model))
+    assert silent.state_size == model.state_size
+    x0, u = np.linspace(0.1, 0.5, model.state_size), np.full((15, 1), 0.3)
+    np.testing.assert_array_equal(rollout(silent, x0, u), rollout(model, x0, u))
+    assert float(silent.effort(jnp.asarray(x0), jnp.asarray(u[0]))) == 0
+
+
+def test_a_correction_enters_velocities_and_by_the_trapezoidal_rule_positions():
+    model = physics("qube-servo2-memory")
+    corrected = hybrid(model, with_dtype(network(model), np.float64))
+    x, u = jnp.asarray(np.linspace(0.1, 0.5, model.state_size)), jnp.array([0.3])
+    added = corrected.step(x, u) - model.step(x, u)
+    f = corrected.residual.acceleration(x[:4], u)
+    np.testing.assert_allclose(added[2:4], DT * f, rtol=1e-9)
+    np.testing.assert_allclose(added[:2], DT**2 / 2 * f, rtol=1e-6)
+    np.testing.assert_array_equal(added[4:], 0)
+    assert corrected.folded().residual.stem is None
+    np.testing.assert_allclose(corrected.folded().step(x, u), corrected.step(x, u), rtol=1e-12)
+
+
+def test_its_batches_have_the_gradients_of_the_plain_scan():
+    model = physics("qube-servo2-memory")
+    corrected = with_dtype(hybrid(model, network(model)), np.float64)
+    x0 = np.random.default_rng(0).normal(size=(3, model.state_size)) * 0.3
+    u = np.full((3, 12, 1), 0.5)
+
+    def loss(simulate):
+        return jax.jit(jax.grad(lambda m: jnp.mean(simulate(m.folded())[..., :2] ** 2)))(corrected)
+
+    ours = loss(lambda m: rollouts(m, x0, u))
+    plain = loss(lambda m: jax.vmap(lambda x, v: rollout(m, x, v))(x0, u))
+    pairs = zip(jax.tree.leaves(ours), jax.tree.leaves(plain), strict=True)
+    for a, b in pairs:
+        assert jnp.linalg.norm(a - b) <= 1e-10 * jnp.linalg.norm(b)
+
+
+def test_a_network_of_another_system_is_refused():
+    model = physics()
+    other = dataclasses.replace(network(model), coordinates=model.coordinates[::-1])
+    with pytest.raises(tn.InputError, match="another system"):
+        hybrid(model, other)
+
+
+def test_internal_states_follow_the_record_they_were_simulated_with():
+    model = physics("qube-servo2-memory")
+    u = np.sin(np.arange(60) * 0.2)[:, None]
+    x0 = np.zeros(model.state_size)
+    x0[1] = 2.0
+    states = np.asarray(rollout(model, x0, u))
+    found = internal_states(model, states[:, :4], u)
+    np.testing.assert_allclose(found, states[:, 4:], rtol=1e-9, atol=1e-15)
+    assert np.ptp(found) > 0
+    assert internal_states(physics(), states[:, :4], u).shape == (61, 0)
+
+
+RECIPE = {
+    "name": "short",
+    "start": "model-12",
+    "model": {"hidden": [6], "output_bias": True},
+    "stages": [
+        {
+            "name": "one", "windows": {"draw": "strided", "length": 10, "count": 60},
+            "rate": 3e-3, "epochs": 10, "batch": 16, "penalty": 1e-3, "averaging": 0.9,
+        }
+    ],
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def records() -> tn.DataSet:
+    """Free runs of the physics with a spring it does not know."""
+    system = tn.load_system("qube-servo2")
+    stiffer = {
+        k: jnp.asarray(v * (3 if k == "cable_stiffness" else 1))
+        for k, v in system.nominal().items()
+    }
+    truth = tn.discretise(tn.LagrangianModel(system, stiffer), DT)
+    made = []
+    for i, split in enumerate(["train", "train", "validation"]):
+        u = np.zeros((150, 1))
+        q = np.asarray(rollout(truth, np.array([0.8 - 0.3 * i, 1.0 + 0.4 * i, 0.0, 0.0]), u[:-1]))
+        made.append(
+            tn.from_arrays(
+                q[:, :2],
+                u,
+                dt=DT,
+                coordinates=list(truth.coordinates),
+                inputs=list(truth.inputs),
+                name=f"run{i}",
+                split=split,
+                v=q[:, 2:4],
+            )
+        )
+    return tn.DataSet("stiffer", tuple(made))
+
+
+def test_training_corrects_what_the_physics_leaves_and_the_file_keeps_it(records, tmp_path):
+    from tustinnet.artifact.run import train_runs
+
+    model = physics()
+    recipe = tn.Recipe.model_validate(RECIPE)
+    runs = train_runs(records, recipe, [0], tmp_path / "run", physics=model)
+    result = runs.best.result
+    assert isinstance(result.model, tn.HybridModel)
+    held = list(records.split("validation"))
+    before, after = (tn.mean_rmse(tn.evaluate(m, held, "file")) for m in (model, result.model))
+    assert after < before
+    # the physics is kept as it was given, in double precision
+    for ours, given in zip(
+        jax.tree.leaves(result.model.physics), jax.tree.leaves(model), strict=True
+    ):
+        assert float(ours) == float(given)
+    loaded = tn.load_model(tmp_path / "run" / "model.safetensors")
+    assert isinstance(loaded, tn.HybridModel)
+    assert tn.mean_rmse(tn.evaluate(loaded, held, "file")) == pytest.approx(after, rel=1e-9)
+    again = train_runs(records, recipe, [0], tmp_path / "run", physics=model, resume=True)
+    assert again.best.mean == runs.best.mean
+    other = jax.tree.map(lambda value: value * 1.01, model)
+    with pytest.raises(tn.InputError, match="checkpoint belongs to another"):
+        train_runs(records, recipe, [0], tmp_path / "run", physics=other, resume=True)
+
+
+def test_a_stronger_penalty_leaves_less_to_the_network(records):
+    efforts = []
+    for penalty in (0.0, 1e4):
+        recipe = {
+            **RECIPE,
+            "stages": [{**RECIPE["stages"][0], "penalty": penalty, "keep": "training"}],
+        }
+        result = tn.fit(records, tn.Recipe.model_validate(recipe), physics=physics())
+        e = records[0]
+        x = jnp.asarray(np.concatenate([e.q, e.velocities("file")], axis=1))
+        efforts.append(float(jnp.mean(jax.vmap(result.model.effort)(x, jnp.asarray(e.u)))))
+    assert efforts[1] < 0.1 * efforts[0]
