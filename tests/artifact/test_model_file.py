@@ -80,7 +80,7 @@ def test_a_checkpoint_is_not_a_model(file):
     rewrite(file, kind="checkpoint")
     with pytest.raises(
         tn.InputError,
-        match="a file of kind 'checkpoint'; expected kind 'tustin-net or euler-lagrange'",
+        match="a file of kind 'checkpoint'; expected kind 'tustin-net or euler-lagrange or hybrid'",
     ):
         tn.load_model(file)
 

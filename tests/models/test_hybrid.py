@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from swinging import CREEPING, DT, SWING, TRUTH, swing_model
 
 import tustinnet as tn
 from tustinnet.models.base import with_dtype
@@ -14,25 +15,23 @@ from tustinnet.models.tustin import Scaling, random_tustin_net
 from tustinnet.simulation.internal_states import internal_states
 from tustinnet.simulation.rollout import rollout, rollouts
 
-DT = 0.01
+SYSTEMS = {"swing": SWING, "creeping swing": CREEPING}  # without and with an internal state
 
 
-def physics(name: str = "qube-servo2"):
-    system = tn.load_system(name)
-    values = {k: jnp.asarray(v) for k, v in system.nominal().items()}
-    return tn.discretise(tn.LagrangianModel(system, values), DT)
+def physics(name: str = "swing"):
+    return tn.discretise(swing_model(system=SYSTEMS[name]), DT)
 
 
 def network(model, seed: int = 0):
-    ones = jnp.ones(2, jnp.float32)
-    scaling = Scaling(jnp.zeros(0), jnp.zeros(0), 5 * ones, ones[:1], 0.1 * ones)
+    one = jnp.ones(1, jnp.float32)
+    scaling = Scaling(jnp.zeros(0), jnp.zeros(0), 5 * one, one, 0.1 * one)
     return random_tustin_net(
         model.coordinates, model.inputs, DT, scaling, jax.random.key(seed), hidden=(6, 5),
         stem=4, output_bias=True,
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ["qube-servo2", "qube-servo2-memory"])
+@pytest.mark.parametrize("name", sorted(SYSTEMS))
 def test_without_a_correction_it_is_the_physics(name):
     model = physics(name)
     silent = uncorrected(model, network(model))
@@ -43,26 +42,26 @@ def test_without_a_correction_it_is_the_physics(name):
 
 
 def test_a_correction_enters_velocities_and_by_the_trapezoidal_rule_positions():
-    model = physics("qube-servo2-memory")
+    model = physics("creeping swing")
     corrected = hybrid(model, with_dtype(network(model), np.float64))
     x, u = jnp.asarray(np.linspace(0.1, 0.5, model.state_size)), jnp.array([0.3])
     added = corrected.step(x, u) - model.step(x, u)
-    f = corrected.residual.acceleration(x[:4], u)
-    np.testing.assert_allclose(added[2:4], DT * f, rtol=1e-9)
-    np.testing.assert_allclose(added[:2], DT**2 / 2 * f, rtol=1e-6)
-    np.testing.assert_array_equal(added[4:], 0)
+    f = corrected.residual.acceleration(x[:2], u)
+    np.testing.assert_allclose(added[1:2], DT * f, rtol=1e-9)
+    np.testing.assert_allclose(added[:1], DT**2 / 2 * f, rtol=1e-6)
+    np.testing.assert_array_equal(added[2:], 0)
     assert corrected.folded().residual.stem is None
     np.testing.assert_allclose(corrected.folded().step(x, u), corrected.step(x, u), rtol=1e-12)
 
 
 def test_its_batches_have_the_gradients_of_the_plain_scan():
-    model = physics("qube-servo2-memory")
+    model = physics("creeping swing")
     corrected = with_dtype(hybrid(model, network(model)), np.float64)
     x0 = np.random.default_rng(0).normal(size=(3, model.state_size)) * 0.3
     u = np.full((3, 12, 1), 0.5)
 
     def loss(simulate):
-        return jax.jit(jax.grad(lambda m: jnp.mean(simulate(m.folded())[..., :2] ** 2)))(corrected)
+        return jax.jit(jax.grad(lambda m: jnp.mean(simulate(m.folded())[..., :1] ** 2)))(corrected)
 
     ours = loss(lambda m: rollouts(m, x0, u))
     plain = loss(lambda m: jax.vmap(lambda x, v: rollout(m, x, v))(x0, u))
@@ -73,21 +72,21 @@ def test_its_batches_have_the_gradients_of_the_plain_scan():
 
 def test_a_network_of_another_system_is_refused():
     model = physics()
-    other = dataclasses.replace(network(model), coordinates=model.coordinates[::-1])
+    other = dataclasses.replace(network(model), coordinates=(tn.Coordinate("b", "angular"),))
     with pytest.raises(tn.InputError, match="another system"):
         hybrid(model, other)
 
 
 def test_internal_states_follow_the_record_they_were_simulated_with():
-    model = physics("qube-servo2-memory")
+    model = physics("creeping swing")
     u = np.sin(np.arange(60) * 0.2)[:, None]
     x0 = np.zeros(model.state_size)
-    x0[1] = 2.0
+    x0[0] = 2.0
     states = np.asarray(rollout(model, x0, u))
-    found = internal_states(model, states[:, :4], u)
-    np.testing.assert_allclose(found, states[:, 4:], rtol=1e-9, atol=1e-15)
+    found = internal_states(model, states[:, :2], u)
+    np.testing.assert_allclose(found, states[:, 2:], rtol=1e-9, atol=1e-15)
     assert np.ptp(found) > 0
-    assert internal_states(physics(), states[:, :4], u).shape == (61, 0)
+    assert internal_states(physics(), states[:, :2], u).shape == (61, 0)
 
 
 RECIPE = {
@@ -105,30 +104,25 @@ RECIPE = {
 
 @pytest.fixture(scope="module")
 def records() -> tn.DataSet:
-    """Free runs of the physics with a spring it does not know."""
-    system = tn.load_system("qube-servo2")
-    stiffer = {
-        k: jnp.asarray(v * (3 if k == "cable_stiffness" else 1))
-        for k, v in system.nominal().items()
-    }
-    truth = tn.discretise(tn.LagrangianModel(system, stiffer), DT)
+    """Free runs of a system that is heavier than the physics knows."""
+    truth = tn.discretise(swing_model({"gravity": 1.3 * TRUTH["gravity"]}), DT)
     made = []
     for i, split in enumerate(["train", "train", "validation"]):
         u = np.zeros((150, 1))
-        q = np.asarray(rollout(truth, np.array([0.8 - 0.3 * i, 1.0 + 0.4 * i, 0.0, 0.0]), u[:-1]))
+        x = np.asarray(rollout(truth, np.array([2.5 - 0.6 * i, 0.0]), u[:-1]))
         made.append(
             tn.from_arrays(
-                q[:, :2],
+                x[:, :1],
                 u,
                 dt=DT,
                 coordinates=list(truth.coordinates),
                 inputs=list(truth.inputs),
                 name=f"run{i}",
                 split=split,
-                v=q[:, 2:4],
+                v=x[:, 1:],
             )
         )
-    return tn.DataSet("stiffer", tuple(made))
+    return tn.DataSet("heavier", tuple(made))
 
 
 def test_training_corrects_what_the_physics_leaves_and_the_file_keeps_it(records, tmp_path):
@@ -147,7 +141,7 @@ def test_training_corrects_what_the_physics_leaves_and_the_file_keeps_it(records
         jax.tree.leaves(result.model.physics), jax.tree.leaves(model), strict=True
     ):
         assert float(ours) == float(given)
-    loaded = tn.load_model(tmp_path / "run" / "model.safetensors")
+    loaded = tn.load_model(tmp_path / "run" / "model.safetensors", SWING)
     assert isinstance(loaded, tn.HybridModel)
     assert tn.mean_rmse(tn.evaluate(loaded, held, "file")) == pytest.approx(after, rel=1e-9)
     again = train_runs(records, recipe, [0], tmp_path / "run", physics=model, resume=True)
