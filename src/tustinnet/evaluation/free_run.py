@@ -77,7 +77,8 @@ def free_run(
     for experiment in experiments:
         require_fit(model, experiment)
     simulator = with_dtype(model, np.float64).folded()
-    x0, u = (jnp.asarray(a) for a in stack_starts(simulator, experiments, start))
+    x0 = jnp.asarray(start_states(simulator, experiments, start))
+    u = jnp.asarray(stack_drives(simulator, experiments))
     runs = np.asarray(_rollouts(simulator, x0, u))
     return [run[: len(e)] for run, e in zip(runs, experiments, strict=True)]
 
@@ -86,17 +87,16 @@ def _listed(experiments: Sequence[Experiment] | Experiment) -> Sequence[Experime
     return [experiments] if isinstance(experiments, Experiment) else experiments
 
 
-def stack_starts(
-    model: DiscreteModel, experiments: Sequence[Experiment], start: str
-) -> tuple[Float[np.ndarray, "records n_x"], Float[np.ndarray, "records steps *drive"]]:
-    """Initial states and drives of records, zeros after the end of shorter ones."""
+def stack_drives(
+    model: DiscreteModel, experiments: Sequence[Experiment]
+) -> Float[np.ndarray, "records steps *drive"]:
+    """What drives the free runs of records, zeros after the end of shorter ones."""
     steps = max(len(e) for e in experiments) - 1
-    x0 = start_states(model, experiments, start)
     drives = [model.drive(e) for e in experiments]
     u = np.zeros((len(experiments), steps, *drives[0].shape[1:]))
     for row, drive in zip(u, drives, strict=True):
         row[: len(drive)] = drive
-    return x0, u
+    return u
 
 
 @eqx.filter_jit

@@ -6,7 +6,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.models.base import DiscreteModel
+
+
+def known_states(
+    model: DiscreteModel, experiment: Experiment, velocity: VelocitySource
+) -> Float[np.ndarray, "n n_x"]:
+    """The states [q, v, z] along a record, internal ones as they follow it, (n, n_x)."""
+    known = np.concatenate([experiment.q, experiment.velocities(velocity)], axis=1)
+    followed = internal_states(model, known, model.drive(experiment))
+    return np.concatenate([known, followed], axis=1)
 
 
 def internal_states(

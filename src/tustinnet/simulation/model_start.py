@@ -39,11 +39,6 @@ def start_states(
     samples = samples_fitted(start)
     if not samples:
         return np.stack([padded_state(model, initial_state(e, start)) for e in experiments])
-    shortest = min(experiments, key=len)
-    if not _FEWEST <= samples <= len(shortest):
-        raise InputError(
-            shortest.name, f"start '{start}'", f"{_FEWEST} to {len(shortest)} samples for the fit"
-        )
     guess = guessed_states(model, experiments, samples)
     u = np.stack([model.drive(e)[: samples - 1] for e in experiments])
     q = np.stack([e.q[:samples] for e in experiments])
@@ -53,7 +48,18 @@ def start_states(
 def guessed_states(
     model: DiscreteModel, experiments: Sequence[Experiment], samples: int
 ) -> Float[np.ndarray, "records n_x"]:
-    """Where the search for `model-N` begins: parabolas through the first samples."""
+    """Where the search for `model-N` begins: parabolas through the first samples.
+
+    Raises:
+        InputError: records too short for it.
+    """
+    shortest = min(experiments, key=len)
+    if not _FEWEST <= samples <= len(shortest):
+        raise InputError(
+            shortest.name,
+            f"start 'model-{samples}'",
+            f"{_FEWEST} to {len(shortest)} samples for the fit",
+        )
     parabola = f"derived-{min(samples, _PARABOLA)}"
     return np.stack([padded_state(model, initial_state(e, parabola)) for e in experiments])
 

@@ -24,7 +24,7 @@ from tustinnet.models.tustin import (
     random_tustin_net,
 )
 from tustinnet.simulation.initial_state import default_start
-from tustinnet.simulation.internal_states import internal_states
+from tustinnet.simulation.internal_states import known_states
 from tustinnet.training.epoch import validation_rmse
 from tustinnet.training.layout import lay_out_devices
 from tustinnet.training.loop import FINISHED, begin_stage, train
@@ -384,11 +384,10 @@ def _left_by(
     left = []
     for e in train_set:
         require_fit(physics, e)
-        known, drive = np.concatenate([e.q, e.velocities(velocity)], axis=1), physics.drive(e)
-        states = np.concatenate([known, internal_states(physics, known, drive)], axis=1)
+        states, drive = known_states(physics, e, velocity), physics.drive(e)
         following = np.asarray(_steps(physics, jnp.asarray(states[:-1]), jnp.asarray(drive)))
-        n_q = e.q.shape[1]
-        left.append((known[1:] - following[:, : 2 * n_q])[:, n_q:] / e.dt)
+        speeds = slice(e.q.shape[1], 2 * e.q.shape[1])
+        left.append((states[1:] - following)[:, speeds] / e.dt)
     return jnp.asarray(np.sqrt(np.mean(np.concatenate(left) ** 2, axis=0)), jnp.float32)
 
 

@@ -11,12 +11,12 @@ from jaxtyping import Array, Float, Int
 from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.data.inspection import transient_end
 from tustinnet.errors import InputError
-from tustinnet.evaluation.free_run import stack_starts
+from tustinnet.evaluation.free_run import stack_drives
 from tustinnet.models.base import DiscreteModel
 from tustinnet.signals.windows import random_windows, strided_windows
 from tustinnet.simulation.initial_state import samples_fitted
-from tustinnet.simulation.internal_states import internal_states
-from tustinnet.simulation.model_start import guessed_states
+from tustinnet.simulation.internal_states import known_states
+from tustinnet.simulation.model_start import guessed_states, start_states
 from tustinnet.training.recipe import WindowRecipe
 
 _LONGEST = 4  # an adapted window is at most this many times the recipe's length
@@ -76,8 +76,8 @@ def lay_out(
     """Lays records end to end, with the model's internal states as they follow the record."""
     states, drives = [], []
     for e in experiments:
-        known, drive = np.concatenate([e.q, e.velocities(velocity)], axis=1), model.drive(e)
-        states.append(np.concatenate([known, internal_states(model, known, drive)], axis=1))
+        drive = model.drive(e)
+        states.append(known_states(model, e, velocity))
         drives.append(np.append(drive, np.zeros((1, *drive.shape[1:])), axis=0))
     x, u = np.concatenate(states), np.concatenate(drives)
     return Records(jnp.asarray(x, jnp.float32), jnp.asarray(u, jnp.float32))
@@ -90,10 +90,14 @@ def validation_runs(
     velocity: VelocitySource,
 ) -> ValidationRuns:
     """Prepares the free runs of records from a named start, and their windows' states."""
-    x0, u = stack_starts(model, experiments, start)
     fitted = samples_fitted(start)
-    if fitted:
-        x0 = guessed_states(model, experiments, fitted)
+    # a start that is fitted is so with the weights of every epoch; here it only needs a guess
+    x0 = (
+        guessed_states(model, experiments, fitted)
+        if fitted
+        else start_states(model, experiments, start)
+    )
+    u = stack_drives(model, experiments)
     samples = u.shape[1] + 1
     q = np.zeros((len(experiments), samples, len(experiments[0].coordinates)))
     weight = np.zeros((len(experiments), samples))
