@@ -1,8 +1,10 @@
 """The model file: written, read, and refused when it is not one."""
 
+import dataclasses
 import json
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import safetensors.numpy
@@ -41,6 +43,20 @@ def test_what_is_read_is_what_was_written_bit_for_bit(model, file):
     for a, b in zip(jax.tree.leaves(again), jax.tree.leaves(model), strict=True):
         assert a.dtype == b.dtype
         assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
+
+
+def test_memory_is_kept_and_files_from_before_there_was_any_still_load(model, file, tmp_path):
+    with_memory = random_tustin_net(
+        model.coordinates, model.inputs, model.dt,
+        dataclasses.replace(model.scaling, memory=jnp.ones(2, jnp.float32)), jax.random.key(4),
+        relaxation_times=(0.2, 1.0),
+    )  # fmt: skip
+    tn.save(with_memory, tmp_path / "memory.safetensors")
+    assert tn.load_model(tmp_path / "memory.safetensors").memory == with_memory.memory
+    header = tn.read_header(file)
+    structure = {k: v for k, v in header["structure"].items() if k != "relaxation_times"}
+    rewrite(file, structure=structure)
+    assert tn.load_model(file).memory == ()
 
 
 def test_the_header_names_structure_coordinates_and_versions(file):

@@ -22,12 +22,14 @@ def physics(name: str = "swing"):
     return tn.discretise(swing_model(system=SYSTEMS[name]), DT)
 
 
-def network(model, seed: int = 0):
+def network(model, seed: int = 0, times: tuple[float, ...] = ()):
     one = jnp.ones(1, jnp.float32)
-    scaling = Scaling(jnp.zeros(0), jnp.zeros(0), 5 * one, one, 0.1 * one)
+    scaling = Scaling(
+        jnp.zeros(0), jnp.zeros(0), 5 * one, one, 0.1 * one, jnp.ones(len(times), jnp.float32)
+    )
     return random_tustin_net(
         model.coordinates, model.inputs, DT, scaling, jax.random.key(seed), hidden=(6, 5),
-        stem=4, output_bias=True,
+        stem=4, output_bias=True, relaxation_times=times,
     )  # fmt: skip
 
 
@@ -52,6 +54,20 @@ def test_a_correction_enters_velocities_and_by_the_trapezoidal_rule_positions():
     np.testing.assert_array_equal(added[2:], 0)
     assert corrected.folded().residual.stem is None
     np.testing.assert_allclose(corrected.folded().step(x, u), corrected.step(x, u), rtol=1e-12)
+
+
+def test_the_network_may_remember_beside_the_physics():
+    model = physics("creeping swing")
+    corrected = with_dtype(hybrid(model, network(model, times=(0.5,))), np.float64)
+    assert corrected.memory == ("creep", "angle, relaxing in 0.5 s")
+    x, u = jnp.array([0.4, 1.0, 0.2, 0.3]), jnp.array([0.3])
+    following = corrected.step(x, u)
+    f = corrected.residual.acceleration(x[jnp.array([0, 1, 3])], u)
+    plain = model.step(x[:3], u)
+    np.testing.assert_allclose(following[1], plain[1] + DT * f[0], rtol=1e-12)
+    np.testing.assert_allclose(following[2], plain[2], rtol=1e-12)
+    speed = (x[1:2] + following[1:2]) / 2
+    np.testing.assert_allclose(following[3:], corrected.residual.relaxed(x[3:], speed), rtol=1e-12)
 
 
 def test_its_batches_have_the_gradients_of_the_plain_scan():

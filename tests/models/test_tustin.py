@@ -1,5 +1,7 @@
 """The Tustin-Net as the paper's equations define it."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -16,6 +18,7 @@ from tustinnet.models.tustin import (
     learn_scaling,
     random_tustin_net,
 )
+from tustinnet.simulation.internal_states import known_states
 
 MIXED = (tn.Coordinate("cart", "linear"), tn.Coordinate("pole", "angular"))
 FORCE = (tn.Input("force", "N"),)
@@ -157,3 +160,40 @@ def test_a_model_refuses_other_coordinates_inputs_and_periods(pendulum):
     unforced = network((tn.Coordinate("angle", "angular"),), ())
     with pytest.raises(tn.InputError, match=r"inputs torque.*\(none\)"):
         require_fit(unforced, pendulum[0])
+
+
+def test_internal_states_relax_and_follow_the_velocity():
+    times = (0.2, 1.0)
+    scaling = dataclasses.replace(unit_scaling(MIXED, 1), memory=jnp.ones(4, jnp.float32))
+    model = random_tustin_net(
+        MIXED, FORCE, 0.01, scaling, jax.random.key(0), hidden=(5,), relaxation_times=times
+    )
+    model = with_dtype(model, np.float64)
+    assert model.state_size == 8
+    assert model.memory[1:3] == ("pole, relaxing in 0.2 s", "cart, relaxing in 1 s")
+    x = jnp.asarray(np.linspace(-1.0, 1.0, 8))
+    following = np.asarray(model.step(x, jnp.ones(1)))
+    speed = (np.asarray(x[2:4]) + following[2:4]) / 2
+    left = np.exp(-0.01 / np.repeat(times, 2))
+    expected = left * np.asarray(x[4:]) + np.repeat(times, 2) * (1 - left) * np.tile(speed, 2)
+    np.testing.assert_allclose(following[4:], expected, rtol=1e-12)
+
+
+def test_the_network_sees_internal_states_in_their_unit(pendulum):
+    records = list(pendulum.split("train"))
+    scaling = learn_scaling(records, relaxation_times=(0.5,))
+    model = random_tustin_net(
+        pendulum.coordinates, pendulum.inputs, pendulum.dt, scaling, jax.random.key(0),
+        hidden=(5,), relaxation_times=(0.5,),
+    )  # fmt: skip
+    z = np.concatenate([known_states(model, e, "auto")[:, 2:] for e in records])
+    np.testing.assert_allclose(scaling.memory, np.sqrt(np.mean(z**2, axis=0)), rtol=1e-2)
+    x, u = jnp.array([0.1, 0.2, 0.3]), jnp.zeros(1)
+    seen = model.features(x, u)
+    np.testing.assert_allclose(seen[3], 0.3 / scaling.memory[0], rtol=1e-6)
+
+
+@pytest.mark.parametrize("time", [0.0, -1.0])
+def test_relaxation_times_are_positive(time):
+    with pytest.raises(tn.InputError, match="relaxation times"):
+        network(relaxation_times=(time,))

@@ -53,6 +53,34 @@ def test_encoder_counts_hurt_it_less_than_the_parabola():
     assert rms["model-20"][1] < 0.3 * rms["derived-6"][1], rms
 
 
+@pytest.mark.parametrize("held", [4, 9])
+def test_samples_before_a_release_are_left_out(held):
+    model = tn.discretise(grey_box(), DT, substeps=2)
+    e = simulated(model, np.array([1.0, 2.0]), counts=2048)
+    q = e.q.copy()
+    q[:held] = q[held]  # a hand holds on, then the record goes on as simulated
+    disturbed = tn.from_arrays(
+        q, e.u, dt=DT, coordinates=list(model.coordinates), inputs=list(model.inputs)
+    )
+    start = start_states(model, [disturbed], f"model-{SAMPLES}")[0]
+    run = np.asarray(rollout(model, start, e.u[:-1]))
+    error = run[SAMPLES // 2 :, 0] - e.q[SAMPLES // 2 :, 0]
+    assert np.abs(error).max() < 2 * np.pi / 2048
+
+
+def test_a_model_that_never_explains_the_samples_is_fitted_to_all_of_them():
+    model = tn.discretise(grey_box(), DT, substeps=2)
+    e = simulated(model, np.array([1.0, 2.0]), counts=2048)
+    wrong = tn.discretise(grey_box(gravity=20 * TRUTH["gravity"]), DT, substeps=2)
+    start = jnp.asarray(start_states(wrong, [e], f"model-{SAMPLES}")[0])
+
+    def cost(x):
+        return jnp.sum((rollout(wrong, x, e.u[:-1])[:, :1] - e.q) ** 2)
+
+    nearby = [cost(start + d * np.array(way)) for d in (-1e-3, 1e-3) for way in ((1, 0), (0, 1))]
+    assert cost(start) < min(nearby)
+
+
 def test_several_records_are_fitted_at_once_each_for_itself():
     model = tn.discretise(grey_box(), DT, substeps=1)
     records = [simulated(model, np.array([a, -a]), 2048) for a in (0.1, 0.4, 0.9)]

@@ -20,7 +20,7 @@ def network(coordinates, activation="leaky_relu", **options):
     n_q = len(coordinates)
     scaling = Scaling(
         0.3 * jnp.ones(linear), 2.0 * jnp.ones(linear), jnp.arange(1.0, n_q + 1), 3 * jnp.ones(1),
-        jnp.arange(5.0, n_q + 5),
+        jnp.arange(5.0, n_q + 5), 0.5 * jnp.ones(len(options.get("relaxation_times", ())) * n_q),
     )  # fmt: skip
     model = random_tustin_net(
         coordinates, (tn.Input("voltage", "V"),), 0.02, scaling, jax.random.key(1),
@@ -50,6 +50,15 @@ def test_it_follows_a_whole_rollout_for_any_mix_of_coordinates(coordinates):
     expected = np.asarray(tn.rollout(model, x, u))
     for k in range(40):
         x = step(x, u[k])
+    np.testing.assert_allclose(x, expected[-1], rtol=1e-10)
+
+
+def test_it_carries_internal_states_along():
+    model = network((SLIDE, ARM), relaxation_times=(0.1, 0.7), output_bias=True)
+    step, x = tn.numpy_step(model), np.linspace(0.1, 0.8, 8)
+    expected = np.asarray(tn.rollout(model, x, np.ones((20, 1))))
+    for _ in range(20):
+        x = step(x, np.ones(1))
     np.testing.assert_allclose(x, expected[-1], rtol=1e-10)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import tustinnet as tn
-from tustinnet.training.epoch import validation_rmse
+from tustinnet.training.epoch import validation_rmse, window_losses
 from tustinnet.training.fit import Member, Plan, fit_many, plan, run_plan, trainable_arrays
 from tustinnet.training.layout import lay_out_devices
 from tustinnet.training.loop import train
@@ -96,7 +96,7 @@ def test_the_output_layer_always_trains_and_the_scaling_never(prepared, frozen):
     assert not any(jax.tree.leaves(mask.scaling))
 
 
-def test_the_second_stage_starts_from_the_best_weights_with_a_freshadam_without_rate(whole):
+def test_the_second_stage_starts_from_the_best_weights_with_a_fresh_optimiser(whole):
     _, _, _, states = whole
     first_end = [s.weights for s, p in states if p[0].stage == 0][-1]
     state, progress = next((s, p) for s, p in states if p[0].stage == 1)
@@ -112,6 +112,28 @@ def test_the_best_weights_are_those_of_the_lowest_validation_free_run(whole, pre
     assert progress[0].best_score == pytest.approx(lowest)
     score = validation_rmse(one(model), prepared.validation)
     assert float(score) == pytest.approx(lowest, rel=1e-5)
+
+
+def test_a_mirrored_window_is_that_of_the_mirrored_records(prepared):
+    model = jax.tree.map(lambda a: a[0], prepared.models)
+    rows, length = jnp.array([0, 7, 20]), 5
+    mirrored = jax.tree.map(jnp.negative, prepared.records)
+    ours = window_losses(model, rows, prepared.records, length, "state", signs=-jnp.ones(3))
+    theirs = window_losses(model, rows, mirrored, length, "state")
+    np.testing.assert_allclose(ours, theirs, rtol=1e-6)
+    assert not np.allclose(ours, window_losses(model, rows, prepared.records, length, "state"))
+
+
+def test_mirrored_training_learns_the_side_that_was_never_recorded(prepared):
+    one_sided = with_stages(prepared, mirror=False, averaging=None)
+    both_sides = with_stages(prepared, mirror=True, averaging=None)
+    rows = jnp.asarray(prepared.stages[0].windows.rows[0])
+    mirrored = jax.tree.map(jnp.negative, prepared.records)
+    losses = []
+    for plan_of_a_side in (one_sided, both_sides):
+        model = jax.tree.map(lambda a: a[0], run(plan_of_a_side)[0])
+        losses.append(float(jnp.mean(window_losses(model, rows, mirrored, 10, "state"))))
+    assert losses[1] < losses[0]
 
 
 def test_the_best_weights_can_be_those_of_the_lowest_training_loss(prepared):

@@ -202,6 +202,7 @@ def _structure(model: TustinNet) -> dict[str, Any]:
         "stem": None if model.stem is None else model.stem.weight.shape[0],
         "activation": model.activation,
         "output_bias": model.output.bias is not None,
+        "relaxation_times": list(model.relaxation_times),
     }
 
 
@@ -218,8 +219,11 @@ def _build(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> TustinNet:
         return Affine(weight, jnp.asarray(arrays[f"{name}.bias"]) if bias else None)
 
     limits = [tuple(i["limits"]) if i["limits"] else None for i in header["inputs"]]
+    # of memory, files say nothing that were written before there was any
     scaling = {
-        f.name: jnp.asarray(arrays[f"scaling.{f.name}"]) for f in dataclasses.fields(Scaling)
+        f.name: jnp.asarray(arrays[f"scaling.{f.name}"])
+        for f in dataclasses.fields(Scaling)
+        if f.name != "memory" or structure.get("relaxation_times")
     }
     return TustinNet(
         stem=affine("stem") if structure["stem"] else None,
@@ -233,4 +237,5 @@ def _build(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> TustinNet:
             for i, limit in zip(header["inputs"], limits, strict=True)
         ),
         dt=header["dt"],
+        relaxation_times=tuple(structure.get("relaxation_times", ())),
     )

@@ -44,8 +44,8 @@ class HybridModel(DiscreteModel):
 
     @property
     def memory(self) -> tuple[str, ...]:
-        """The internal states of the physics."""
-        return self.physics.memory
+        """The internal states of the physics, then those of the network."""
+        return (*self.physics.memory, *self.residual.memory)
 
     def drive(self, experiment: Experiment) -> Float[np.ndarray, "steps *drive"]:
         """What the physics is driven by."""
@@ -53,15 +53,24 @@ class HybridModel(DiscreteModel):
 
     def step(self, x: State, u: Array) -> State:
         """One period: the physics, then the correction."""
-        n_q = len(self.coordinates)
+        n_q, n_p = len(self.coordinates), self.physics.state_size
         change = self.dt * self.correction(x, u)
-        rest = jnp.zeros(len(x) - 2 * n_q, x.dtype)
-        return self.physics.step(x, u) + jnp.concatenate([self.dt / 2 * change, change, rest])
+        following = self.physics.step(x[:n_p], u)
+        v_next = following[n_q : 2 * n_q] + change
+        return jnp.concatenate(
+            [
+                following[:n_q] + self.dt / 2 * change,
+                v_next,
+                following[2 * n_q :],
+                self.residual.relaxed(x[n_p:], (x[n_q : 2 * n_q] + v_next) / 2),
+            ]
+        )
 
     def correction(self, x: State, u: Array) -> Float[Array, " n_q"]:
         """`f`, what the network adds to the accelerations, (n_q,) [rad/s^2 or m/s^2]."""
         begin = u if u.ndim == 1 else u[0]
-        return self.residual.acceleration(x[: 2 * len(self.coordinates)], begin)
+        seen = jnp.concatenate([x[: 2 * len(self.coordinates)], x[self.physics.state_size :]])
+        return self.residual.acceleration(seen, begin)
 
     def effort(self, x: State, u: Array) -> Float[Array, ""]:
         """The squared correction in the network's units."""

@@ -1,6 +1,6 @@
 """Initial states, also those from which a model explains the first samples of a record best."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import equinox as eqx
@@ -19,6 +19,8 @@ _FEWEST = 3  # samples that say something of a velocity
 _PARABOLA = 6  # samples of the parabola that the search begins with
 _TURNS = 12  # Levenberg-Marquardt steps; from a parabola 3 or 4 are enough
 _FIRST_DAMPING = 1e-3
+_LEFT_OUT = (0.0, 0.25, 0.5)  # parts of the samples, from the first on
+_EXPLAINED = 3.0  # standard deviations (root mean square) that a model may leave
 _UNKNOWN_ERROR = 1e-3  # [rad or m], of positions whose resolution nobody declared
 
 
@@ -83,7 +85,11 @@ def model_starts(
 
     Minimises the squared position errors over the samples, each over the encoder's standard
     deviation; internal states are kept near the guess with a standard deviation of 1 in their
-    unit. Levenberg-Marquardt with exact derivatives. The result can be differentiated by the
+    unit. Where that leaves more than 3 standard deviations (root mean square), something else
+    still acted, as a rule the hand that let go: the first quarter of the samples is left out,
+    then the first half. Where that does not help either, all samples count.
+
+    Levenberg-Marquardt with exact derivatives. The result can be differentiated by the
     model's parameters: its last step is, at the solution, by the theorem of implicit functions
     without the second derivatives of the residuals (as in Gauss-Newton).
 
@@ -108,25 +114,31 @@ _compiled = eqx.filter_jit(model_starts)
 def _one(model: DiscreteModel, weight: Array, guess: State, u: Array, q: Array) -> State:
     n_q = q.shape[1]
 
-    def residuals(model: DiscreteModel, x: State) -> Array:
-        error = (rollout(model, x, u)[:, :n_q] - q) * weight
+    def residuals(model: DiscreteModel, kept: Array, x: State) -> Array:
+        error = (rollout(model, x, u)[:, :n_q] - q) * weight * kept[:, None]
         return jnp.concatenate([error.ravel(), (x - guess)[2 * n_q :]])
 
     held: DiscreteModel = jax.tree.map(jax.lax.stop_gradient, model)
-    at = partial(residuals, held)
+    begin = jax.lax.stop_gradient(guess)
+    left_out = jnp.asarray([int(part * len(q)) for part in _LEFT_OUT])
+    kept = (jnp.arange(len(q)) >= left_out[:, None]).astype(begin.dtype)
+    x, cost = jax.vmap(lambda mask: _fitted(partial(residuals, held, mask), begin))(kept)
+    explained = cost <= _EXPLAINED**2 * n_q * jnp.sum(kept, axis=1)
+    # the first that is explained; where none is, the fault is the model's and all samples count
+    chosen = jnp.argmax(explained)
+    x, mask = jax.lax.stop_gradient(x[chosen]), kept[chosen]
+    jacobian = jax.lax.stop_gradient(jax.jacfwd(partial(residuals, held, mask))(x))
+    step = _step(jacobian, residuals(model, mask, x), jnp.zeros((), x.dtype))
+    return x - (step - jax.lax.stop_gradient(step))
 
-    def solved(jacobian: Array, r: Array, damping: Array) -> State:
-        normal = jacobian.T @ jacobian
-        # columns in units of their own size: positions, velocities, whatever a state stands for
-        size = jnp.sqrt(jnp.diagonal(normal))
-        size = jnp.where(size > 0, size, 1.0)
-        scaled = normal / (size[:, None] * size) + damping * jnp.eye(len(size), dtype=size.dtype)
-        return jnp.linalg.solve(scaled, jacobian.T @ r / size) / size
+
+def _fitted(residuals: Callable[[State], Array], begin: State) -> tuple[State, Array]:
+    """Levenberg-Marquardt: the state and the squared residuals that are left."""
 
     def turn(_: Array, carry: tuple[State, Array, Array]) -> tuple[State, Array, Array]:
         x, cost, damping = carry
-        tried = x - solved(jax.jacfwd(at)(x), at(x), damping)
-        cost_there = jnp.sum(at(tried) ** 2)
+        tried = x - _step(jax.jacfwd(residuals)(x), residuals(x), damping)
+        cost_there = jnp.sum(residuals(tried) ** 2)
         better = cost_there < cost
         return (
             jnp.where(better, tried, x),
@@ -134,10 +146,15 @@ def _one(model: DiscreteModel, weight: Array, guess: State, u: Array, q: Array) 
             jnp.where(better, damping / 10, damping * 10),
         )
 
-    begin = jax.lax.stop_gradient(guess)
-    carry = begin, jnp.sum(at(begin) ** 2), jnp.asarray(_FIRST_DAMPING, begin.dtype)
-    x, _, _ = jax.lax.fori_loop(0, _TURNS, turn, carry)
-    x = jax.lax.stop_gradient(x)
-    jacobian = jax.lax.stop_gradient(jax.jacfwd(at)(x))
-    step = solved(jacobian, residuals(model, x), jnp.zeros((), x.dtype))
-    return x - (step - jax.lax.stop_gradient(step))
+    carry = begin, jnp.sum(residuals(begin) ** 2), jnp.asarray(_FIRST_DAMPING, begin.dtype)
+    x, cost, _ = jax.lax.fori_loop(0, _TURNS, turn, carry)
+    return x, cost
+
+
+def _step(jacobian: Array, r: Array, damping: Array) -> State:
+    normal = jacobian.T @ jacobian
+    # columns in units of their own size: positions, velocities, whatever a state stands for
+    size = jnp.sqrt(jnp.diagonal(normal))
+    size = jnp.where(size > 0, size, 1.0)
+    scaled = normal / (size[:, None] * size) + damping * jnp.eye(len(size), dtype=size.dtype)
+    return jnp.linalg.solve(scaled, jacobian.T @ r / size) / size

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from tustinnet.errors import InputError
 from tustinnet.models.base import DiscreteModel
-from tustinnet.models.tustin import TustinNet
+from tustinnet.models.tustin import TustinNet, relax
 
 Vector = Float[np.ndarray, " _"]
 NumpyStep = Callable[[Vector, Vector], Vector]
@@ -69,8 +69,11 @@ def numpy_step(model: DiscreteModel, dtype: type[np.floating] = np.float64) -> N
     n_a, n_l = len(angles), len(lengths)
     # scaling is part of the first layer and of the last one
     s = {name: np.asarray(value, np.float64) for name, value in vars(net.scaling).items()}
-    unit = np.concatenate([np.ones(2 * n_a), s["position_scale"], s["velocity"], s["input"]])
-    shift = np.concatenate([np.zeros(2 * n_a), s["position_offset"], np.zeros(n_q + n_u)])
+    n_z = len(net.memory)
+    unit = np.concatenate(
+        [np.ones(2 * n_a), s["position_scale"], s["velocity"], s["memory"], s["input"]]
+    )
+    shift = np.concatenate([np.zeros(2 * n_a), s["position_offset"], np.zeros(n_q + n_z + n_u)])
     layers = []
     for i, layer in enumerate(net.hidden):
         weight = np.asarray(layer.weight, np.float64)
@@ -84,7 +87,14 @@ def numpy_step(model: DiscreteModel, dtype: type[np.floating] = np.float64) -> N
     offset = np.zeros(n_q) if net.output.bias is None else gain * np.asarray(net.output.bias)
     offset, half = offset.astype(dtype), dtype(net.dt / 2)
     activate = _IN_PLACE[net.activation]
-    width = 2 * n_a + n_l + n_q
+    positions = 2 * n_a + n_l
+    width = positions + n_q + n_z
+    # z relaxes and follows the mean velocity of the period
+    left, moved = (
+        np.asarray(relax(np.full(n_z, z), np.full(n_q, v), net.dt, net.relaxation_times), dtype)
+        for z, v in ((1.0, 0.0), (0.0, 1.0))
+    )
+    times = len(net.relaxation_times)
 
     def step(x: Vector, u: Vector) -> Vector:
         features = np.empty(width + n_u, dtype)
@@ -92,20 +102,23 @@ def numpy_step(model: DiscreteModel, dtype: type[np.floating] = np.float64) -> N
         np.sin(angle, out=features[:n_a])
         np.cos(angle, out=features[n_a : 2 * n_a])
         if n_l:
-            features[2 * n_a : 2 * n_a + n_l] = x[lengths]
-        v = x[n_q:]
-        features[width - n_q : width] = v
+            features[2 * n_a : positions] = x[lengths]
+        v = x[n_q : 2 * n_q]
+        features[positions:width] = x[n_q:]
         features[width:] = u
         z = features
         for weight, bias in layers:
             z = weight @ z
             z += bias
             activate(z)
-        following = np.empty(2 * n_q, dtype)
-        v_next = following[n_q:]
+        following = np.empty(2 * n_q + n_z, dtype)
+        v_next = following[n_q : 2 * n_q]
         np.add(last @ z, v, out=v_next)
         v_next += offset
         np.add(v, v_next, out=following[:n_q])
+        if n_z:
+            mean = np.tile(following[:n_q] / 2, times)
+            following[2 * n_q :] = left * x[2 * n_q :] + moved * mean
         following[:n_q] *= half
         following[:n_q] += x[:n_q]
         return following

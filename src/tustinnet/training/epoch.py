@@ -208,19 +208,24 @@ def _trained(
     order = jnp.pad(order.reshape(steps, batch), filled)
     valid = jnp.pad(valid.reshape(steps, batch), filled)
     total = jnp.sum(valid, axis=1)
+    signs = jnp.ones(order.shape, jnp.float32)
+    if program.recipe.mirror:
+        signs = jax.random.rademacher(jax.random.fold_in(for_order, 1), order.shape, jnp.float32)
     first = jax.lax.axis_index(WINDOWS) * share
-    order, valid = (jax.lax.dynamic_slice_in_dim(a, first, share, axis=1) for a in (order, valid))
+    order, valid, signs = (
+        jax.lax.dynamic_slice_in_dim(a, first, share, axis=1) for a in (order, valid, signs)
+    )
 
     def advance(carry: tuple[PyTree, ...], chosen: tuple[Array, ...]) -> tuple[Any, Array]:
         trained, average, state = carry
-        index, weight, whole = chosen
+        index, weight, sign, whole = chosen
 
         def loss_of(trained: PyTree) -> Float[Array, ""]:
             model = eqx.combine(trained, frozen)
             rows = material.rows[index]
             losses = window_losses(
                 model, rows, material.records, program.length, program.recipe.loss,
-                program.recipe.penalty,
+                program.recipe.penalty, sign,
             )  # fmt: skip
             return jnp.sum(weight * losses) / whole
 
@@ -231,7 +236,7 @@ def _trained(
         return (trained, average, state), loss * whole
 
     (trainable, average, state), losses = jax.lax.scan(
-        advance, (trainable, average, weights.optimiser), (order, valid, total)
+        advance, (trainable, average, weights.optimiser), (order, valid, signs, total)
     )
     loss = jnp.sum(losses) / count
     finite = jnp.isfinite(loss)
@@ -297,8 +302,12 @@ def window_losses(
     length: int,
     kind: LossName,
     penalty: float = 0.0,
+    signs: Float[Array, " batch"] | None = None,
 ) -> Float[Array, " batch"]:
-    """The loss of each of a batch of windows, which are gathered from the records by index."""
+    """The loss of each of a batch of windows, which are gathered from the records by index.
+
+    Where a sign is -1, the window is mirrored: all positions, velocities and inputs.
+    """
 
     def window(row: Array) -> tuple[Array, Array]:
         return (
@@ -307,6 +316,8 @@ def window_losses(
         )
 
     target, u = jax.vmap(window)(rows)
+    if signs is not None:
+        target, u = (a * jnp.expand_dims(signs, tuple(range(1, a.ndim))) for a in (target, u))
     # a stem is folded once a batch, not applied at every step; its gradient passes the fold
     simulator = model.folded()
     simulated = rollouts(simulator, target[:, 0], u)

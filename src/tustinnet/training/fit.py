@@ -358,7 +358,7 @@ def _initial_model(
             )
         scaling = published_scaling(train_set)
     else:
-        scaling = learn_scaling(train_set, recipe.velocity)
+        scaling = learn_scaling(train_set, recipe.velocity, recipe.model.memory)
     if physics is not None:
         scaling = replace(scaling, acceleration=_left_by(physics, train_set, recipe.velocity))
     network = random_tustin_net(
@@ -371,6 +371,7 @@ def _initial_model(
         stem=recipe.model.stem,
         activation=recipe.model.activation,
         output_bias=recipe.model.output_bias,
+        relaxation_times=recipe.model.memory,
     )
     if physics is None:
         return network

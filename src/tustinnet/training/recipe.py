@@ -2,7 +2,7 @@
 
 from importlib import resources
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -26,6 +26,7 @@ class ModelRecipe(Declaration):
         output_bias: whether the output layer has a bias.
         scaling: `records` learns all units from the training records; `published` uses the
             scale of the paper's public code (angular coordinates with stored velocities).
+        memory: relaxation times of internal states [s], none by default (see `TustinNet`).
     """
 
     hidden: tuple[int, ...] = Field(default=(100, 100), min_length=1)
@@ -33,6 +34,13 @@ class ModelRecipe(Declaration):
     activation: Literal["leaky_relu", "relu", "tanh", "silu", "softplus"] = "leaky_relu"
     output_bias: bool = False
     scaling: Literal["records", "published"] = "records"
+    memory: tuple[Annotated[float, Positive], ...] = ()
+
+    @model_validator(mode="after")
+    def _scaled(self) -> "ModelRecipe":
+        if self.memory and self.scaling == "published":
+            raise ValueError("the published scaling has none for `memory`")
+        return self
 
 
 class WindowRecipe(Declaration):
@@ -99,6 +107,8 @@ class StageRecipe(Declaration):
         keep: the criterion whose lowest value marks the best weights (see `PlateauRecipe`).
         frozen_layers: how many hidden layers, from the first on, do not train (a stem counts
             with the first). The output layer always trains.
+        mirror: whether the system behaves alike when all positions, velocities and inputs change
+            their sign; in every epoch half of the windows are then mirrored, by chance.
         clip: largest norm of the gradient, if it is limited.
         penalty: weight of the mean squared correction, in the network's units, where a network
             corrects known physics: the physics explains what it can.
@@ -116,6 +126,7 @@ class StageRecipe(Declaration):
     plateau: PlateauRecipe | None = None
     keep: Criterion = "validation"
     frozen_layers: int = Field(default=0, ge=0)
+    mirror: bool = False
     clip: float | None = Field(default=None, gt=0)
     penalty: float = Field(default=0.0, ge=0)
     averaging: float | None = Field(default=None, gt=0, lt=1)
