@@ -70,6 +70,27 @@ def test_the_network_may_remember_beside_the_physics():
     np.testing.assert_allclose(following[3:], corrected.residual.relaxed(x[3:], speed), rtol=1e-12)
 
 
+def test_a_correction_that_fades_at_rest_leaves_a_free_integrator_where_it_is(tmp_path):
+    free = dataclasses.replace(SWING, name="free", potential=None)
+    model = tn.discretise(swing_model(system=free), DT)
+    network_of_it = with_dtype(network(model), np.float64)
+    x0, u = jnp.array([0.7, 0.0]), jnp.zeros((200, 1))
+    drifting = rollout(hybrid(model, network_of_it), x0, u)
+    assert abs(float(drifting[-1, 0]) - 0.7) > 1e-3
+    fading = hybrid(model, network_of_it, fades_at_rest=True)
+    np.testing.assert_array_equal(rollout(fading, x0, u), np.tile(x0, (201, 1)))
+    # in motion it is the correction as it was
+    fast, drive = jnp.array([0.7, 50.0]), jnp.array([1.0])
+    np.testing.assert_allclose(
+        fading.correction(fast, drive), hybrid(model, network_of_it).correction(fast, drive),
+        rtol=0.03,
+    )  # fmt: skip
+    tn.save(fading, tmp_path / "fading.safetensors")
+    loaded = tn.load_model(tmp_path / "fading.safetensors", free)
+    assert isinstance(loaded, tn.HybridModel)
+    assert loaded.fades_at_rest
+
+
 def test_its_batches_have_the_gradients_of_the_plain_scan():
     model = physics("creeping swing")
     corrected = with_dtype(hybrid(model, network(model)), np.float64)

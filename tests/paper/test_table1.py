@@ -119,11 +119,12 @@ def test_figures_are_drawn_for_every_record_and_figure_4_for_the_papers(layout, 
 def test_models_are_chosen_by_name(layout, tmp_path):
     assert table1.choose_models(None, layout) == (
         ["authors", "tustin-standard", "tustin-transfer", "euler-lagrange",
-         "euler-lagrange-naive"], "",
+         "euler-lagrange-naive", "best-tustin", "best-grey", "best-hybrid"], "",
     )  # fmt: skip
     models, remark = table1.choose_models(None, tmp_path / "elsewhere")
     assert models == [
         "tustin-standard", "tustin-transfer", "euler-lagrange", "euler-lagrange-naive",
+        "best-tustin", "best-grey", "best-hybrid",
     ]  # fmt: skip
     assert "left out" in remark
     with pytest.raises(tn.InputError, match="unknown model 'lstm'"):

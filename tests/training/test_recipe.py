@@ -15,6 +15,8 @@ def test_the_packaged_recipes_are_there_and_valid():
         "paper-code-transfer",
         "standard",
         "transfer",
+        "best-tustin",
+        "best-hybrid",
     }
     for name in names:
         assert tn.read_recipe(name).name == name

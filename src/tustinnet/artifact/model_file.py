@@ -58,6 +58,7 @@ def save(model: DiscreteModel, path: str | Path, **header: Any) -> None:
         kind = HYBRID
         described, arrays = grey_box.described(model.physics)
         described["structure"] = _structure(model.residual)
+        described["structure"]["fades_at_rest"] = model.fades_at_rest
         for name, array in _named_arrays(model.residual).items():
             arrays[_RESIDUAL + name] = np.asarray(array)
     else:
@@ -108,7 +109,8 @@ def load_model(
             for name, array in arrays.items()
             if name.startswith(_RESIDUAL)
         }
-        return hybrid(physics, _build(header, inner))
+        fades = bool(header["structure"].get("fades_at_rest", False))
+        return hybrid(physics, _build(header, inner), fades_at_rest=fades)
     except InputError:
         raise  # of the system, not of the file
     except (KeyError, TypeError, ValueError) as error:

@@ -1,5 +1,6 @@
 """`tustinnet fit`: a model from a folder of logs, trained or identified."""
 
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -52,15 +53,16 @@ class Method(StrEnum):
 def fit(
     data: options.Data,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the run is kept.")],
-    model: Annotated[Family, typer.Option(help="A network, or equations of motion.")] = (
-        Family.tustin_net
-    ),
+    model: Annotated[
+        Family | None,
+        typer.Option(help="A network (the default), or equations of motion."),
+    ] = None,
     recipe: Annotated[
         str | None,
         typer.Option(
             metavar="NAME",
-            help="tustin-net: a packaged recipe, or a TOML file; default standard, with --physics "
-            "best-hybrid.",
+            help="A packaged recipe, or a TOML file. tustin-net: default standard, with --physics "
+            "best-hybrid. euler-lagrange: best-grey, or none.",
         ),
     ] = None,
     seeds: options.Seeds = 1,
@@ -93,32 +95,46 @@ def fit(
         ),
     ] = None,
     iterations: Annotated[
-        int, typer.Option(min=1, metavar="N", help="euler-lagrange: allowed in the last stage.")
-    ] = 50,
+        int | None,
+        typer.Option(
+            min=1, metavar="N", help="euler-lagrange: allowed in the last stage; default 50."
+        ),
+    ] = None,
     initial: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="NAME",
             help="euler-lagrange: initial states while identifying: anchored (searched for, "
             "positions within the encoders' error), free, choose (the better of both on the "
-            "validation records), or held at a start (file, derived-6).",
+            "validation records), or held at a start (file, derived-6). Default: choose.",
         ),
-    ] = "choose",
+    ] = None,
     part: Annotated[
-        Part, typer.Option(help="euler-lagrange: whole records, or up to k_bar.")
-    ] = Part.whole,
+        Part | None,
+        typer.Option(help="euler-lagrange: whole records (the default), or up to k_bar."),
+    ] = None,
     loss: Annotated[
-        Loss, typer.Option(help="euler-lagrange: compare positions, or velocities too.")
-    ] = Loss.positions,
+        Loss | None,
+        typer.Option(help="euler-lagrange: compare positions (the default), or velocities too."),
+    ] = None,
     periodic: Annotated[
-        bool, typer.Option("--periodic", help="euler-lagrange: periodic distance of angles.")
-    ] = False,
+        bool | None,
+        typer.Option(
+            "--periodic/--plain",
+            help="euler-lagrange: periodic distance of angles, or not.",
+            show_default=False,
+        ),
+    ] = None,
     times: Annotated[
-        Times, typer.Option(help="euler-lagrange: step by timestamps or by the period.")
-    ] = Times.recorded,
+        Times | None,
+        typer.Option(help="euler-lagrange: step by timestamps (the default) or by the period."),
+    ] = None,
     method: Annotated[
-        Method, typer.Option(help="euler-lagrange: l-bfgs is for many parameters.")
-    ] = Method.levenberg_marquardt,
+        Method | None,
+        typer.Option(
+            help="euler-lagrange: levenberg-marquardt (the default); l-bfgs is for many parameters."
+        ),
+    ] = None,
     card: options.Card = None,
     device: options.Device = None,
     resume: options.Resume = False,
@@ -135,15 +151,33 @@ def fit(
     from tustinnet.data.inspection import inspect_experiment
     from tustinnet.data.loading import load_folder
     from tustinnet.errors import InputError
+    from tustinnet.identification.recipe import (
+        identification_recipes,
+        read_identification_recipe,
+    )
+    from tustinnet.identification.search import DEFAULT_SETTINGS
     from tustinnet.report.progress import TrainingProgress
     from tustinnet.simulation.integrators import Discretised
     from tustinnet.training.recipe import read_recipe
 
+    family = model or (
+        Family.euler_lagrange if recipe in identification_recipes() else Family.tustin_net
+    )
     training = seeds > 1 or resume or rates is not None or physics is not None
     # a model that is corrected may be of a system of one's own
-    corrected = physics is not None and model is Family.tustin_net
-    _require_fitting_options(model, recipe, None if corrected else system, fix, training=training)
+    corrected = physics is not None and family is Family.tustin_net
+    _require_fitting_options(family, None if corrected else system, fix, training=training)
     factors = _factors(rates)
+    asked = {
+        "initial": initial, "part": part, "loss": loss, "times": times, "periodic": periodic,
+        "method": method, "most": iterations,
+    }  # fmt: skip
+    settings = DEFAULT_SETTINGS
+    if family is Family.euler_lagrange:
+        settings = read_identification_recipe(recipe).settings if recipe else settings
+        given = {k: getattr(v, "value", v) for k, v in asked.items() if v is not None}
+        settings = replace(settings, **given)
+        recipe = None
     chosen = read_recipe(recipe or ("best-hybrid" if corrected else "standard"))
     known = None if physics is None else load_model(physics, system)
     if known is not None and not isinstance(known, Discretised):
@@ -159,14 +193,9 @@ def fit(
         told.print("note: no validation split; the scores below are of the training records")
     for line in suspicions(map(inspect_experiment, loaded)):
         told.print(line)
-    if model is Family.euler_lagrange:
+    if family is Family.euler_lagrange:
         from tustinnet.cli.fit_grey_box import fit_grey_box
-        from tustinnet.identification.search import Settings
 
-        settings = Settings(
-            initial=initial, part=part.value, loss=loss.value, times=times.value, periodic=periodic,
-            method=method.value, most=iterations,
-        )  # fmt: skip
         fit_grey_box(
             loaded, str(system), settings, fix or [], begin or [], out,
             overwrite=overwrite, json=json, quiet=quiet,
@@ -211,7 +240,6 @@ def _factors(rates: str | None) -> list[float]:
 
 def _require_fitting_options(
     model: Family,
-    recipe: str | None,
     system: str | None,
     fix: list[str] | None,
     *,
@@ -229,8 +257,6 @@ def _require_fitting_options(
             "--seeds, --rates, --resume, --physics", "options of a training", "--model tustin-net",
             "an identification has no seeds and is not resumed",
         )  # fmt: skip
-    if model is Family.euler_lagrange and recipe is not None:
-        raise InputError("--recipe", "a recipe for equations of motion", "--model tustin-net")
     if model is Family.tustin_net and (system is not None or fix):
         raise InputError(
             "--system" if system is not None else "--fix", "an option of equations of motion",

@@ -37,8 +37,8 @@ def reproduce(
         typer.Option(
             metavar="NAMES",
             help="authors, tustin-standard, tustin-transfer, tustin-text-standard, "
-            "tustin-text-transfer, euler-lagrange, euler-lagrange-naive; separated by commas or "
-            "repeated. Default: all but the two of the text.",
+            "tustin-text-transfer, euler-lagrange, euler-lagrange-naive, best-tustin, best-grey, "
+            "best-hybrid; separated by commas or repeated. Default: all but the two of the text.",
         ),
     ] = None,
     keep: Annotated[

@@ -2,6 +2,7 @@
 
 import difflib
 import tomllib
+from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -35,6 +36,33 @@ def read_declaration(path: Path, kind: type[Declared]) -> Declared:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(path, f"not valid TOML ({error})", "key = value lines") from error
     return declare(content, kind, path)
+
+
+def packaged_names(package: str) -> list[str]:
+    """Names of the declarations in the folder `recipes` of a package."""
+    folder = resources.files(package) / "recipes"
+    return sorted(
+        f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml")
+    )
+
+
+def read_packaged(name: str | Path, package: str, kind: type[Declared]) -> Declared:
+    """A declaration that comes with a package, by name, or one from a TOML file.
+
+    Raises:
+        InputError: no such recipe; an unknown key or a wrong value in the file.
+    """
+    known = packaged_names(package)
+    if str(name) in known:
+        with resources.as_file(resources.files(package) / "recipes" / f"{name}.toml") as path:
+            return read_declaration(path, kind)
+    if Path(name).suffix == ".toml":
+        return read_declaration(Path(name), kind)
+    raise InputError(
+        "recipe",
+        f"no recipe '{name}'",
+        f"one of {', '.join(known)}, or a file ending in .toml",
+    )
 
 
 def declare(content: dict[str, Any], kind: type[Declared], where: object) -> Declared:

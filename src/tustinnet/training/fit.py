@@ -284,7 +284,9 @@ def _result(prepared: Plan, best: DiscreteModel, m: int, progress: Progress) -> 
     model = jax.tree.map(lambda a: jnp.asarray(np.asarray(a)[m]), best)
     if isinstance(model, HybridModel) and prepared.physics is not None:
         # it was trained with in single precision, but is kept as it was given
-        model = hybrid(prepared.physics, model.residual)
+        model = hybrid(
+            prepared.physics, model.residual, fades_at_rest=prepared.recipe.model.fades_at_rest
+        )
     score = None
     if prepared.validation is not None:
         score = float(validation_rmse(model, prepared.validation))
@@ -375,7 +377,9 @@ def _initial_model(
     )
     if physics is None:
         return network
-    return uncorrected(with_dtype(physics, np.float32), network)
+    return uncorrected(
+        with_dtype(physics, np.float32), network, fades_at_rest=recipe.model.fades_at_rest
+    )
 
 
 def _left_by(

@@ -1,14 +1,14 @@
 """Recipes: how a model is built and trained, as data."""
 
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from tustinnet.data.declaration import Declaration, read_declaration
+from tustinnet.data.declaration import Declaration, packaged_names, read_packaged
 from tustinnet.data.experiment import VelocitySource
-from tustinnet.errors import InputError
+
+_HOME = "tustinnet.training"
 
 LossName = Literal["state", "position"]
 Criterion = Literal["validation", "validation-loss", "training"]
@@ -27,6 +27,8 @@ class ModelRecipe(Declaration):
         scaling: `records` learns all units from the training records; `published` uses the
             scale of the paper's public code (angular coordinates with stored velocities).
         memory: relaxation times of internal states [s], none by default (see `TustinNet`).
+        fades_at_rest: where a network corrects known physics, whether the correction fades at
+            standstill without input (see `HybridModel`).
     """
 
     hidden: tuple[int, ...] = Field(default=(100, 100), min_length=1)
@@ -35,6 +37,7 @@ class ModelRecipe(Declaration):
     output_bias: bool = False
     scaling: Literal["records", "published"] = "records"
     memory: tuple[Annotated[float, Positive], ...] = ()
+    fades_at_rest: bool = False
 
     @model_validator(mode="after")
     def _scaled(self) -> "ModelRecipe":
@@ -174,10 +177,7 @@ def keeping(recipe: Recipe, criterion: Criterion) -> Recipe:
 
 def packaged_recipes() -> list[str]:
     """Names of the recipes that come with the package."""
-    folder = resources.files("tustinnet.training") / "recipes"
-    return sorted(
-        f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml")
-    )
+    return packaged_names(_HOME)
 
 
 def read_recipe(name: str | Path) -> Recipe:
@@ -186,14 +186,4 @@ def read_recipe(name: str | Path) -> Recipe:
     Raises:
         InputError: no such recipe; an unknown key or a wrong value in the file.
     """
-    if str(name) in packaged_recipes():
-        packaged = resources.files("tustinnet.training") / "recipes" / f"{name}.toml"
-        with resources.as_file(packaged) as path:
-            return read_declaration(path, Recipe)
-    if Path(name).suffix == ".toml":
-        return read_declaration(Path(name), Recipe)
-    raise InputError(
-        "recipe",
-        f"no recipe '{name}'",
-        f"one of {', '.join(packaged_recipes())}, or a file ending in .toml",
-    )
+    return read_packaged(name, _HOME, Recipe)
