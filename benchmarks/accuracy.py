@@ -2,6 +2,7 @@
 
     python benchmarks/accuracy.py split FOLDER MODEL [MODEL ...]
     python benchmarks/accuracy.py folds FOLDER RECIPE [--system NAME] [--memory S,S] [--plain]
+    python benchmarks/accuracy.py variants FOLDER
 
 `split` runs free over the validation records and tells the error by coordinate, by time and by
 start; of a grey-box model also by cause: how much of it one parameter takes away that is chosen
@@ -11,6 +12,9 @@ anew for every record.
 is scored once, by a model trained on three of the others; the fourth chooses its weights. With
 --system the system is identified on all four, by `best-grey`, and alone for the recipe
 `best-grey`.
+
+`variants` does so for every piece of physics in `grey_variants.py`, and for the input shifted by
+half a sample.
 """
 
 import argparse
@@ -29,6 +33,7 @@ jax.config.update("jax_enable_x64", True)
 import itertools
 
 import numpy as np
+from grey_variants import SHIFTS, VARIANTS, shifted
 
 import tustinnet as tn
 from tustinnet.data.dataset import DataSet
@@ -44,7 +49,7 @@ FOLDS = 5
 SEEDS = (0, 1, 2)
 STARTS = ("file", "model-10", "model-20", "model-80")
 TIMES = (0.0, 1.0, 3.0, 6.0, np.inf)  # s
-FACTORS = np.concatenate([np.linspace(0.5, 0.9, 5), np.linspace(0.92, 1.08, 17), [1.1, 1.3, 1.6]])
+FACTORS = (0.6, 0.8, 0.9, 0.95, 0.98, 1.0, 1.02, 1.05, 1.1, 1.25, 1.6)
 
 
 def kind(name: str) -> str:
@@ -77,9 +82,8 @@ def fold_models(fold: DataSet, args: argparse.Namespace) -> list[Any]:
     if args.system:
         known = [replace(e, split="train") for e in fold if e.split != "test"]
         settings = read_identification_recipe("best-grey").settings
-        physics = tn.identify(
-            DataSet(fold.name, tuple(known)), load_system(args.system), settings=settings
-        ).model
+        system = load_system(args.system) if isinstance(args.system, str) else args.system
+        physics = tn.identify(DataSet(fold.name, tuple(known)), system, settings=settings).model
         if args.recipe == "best-grey":
             return [physics]
     recipe = tn.read_recipe(args.recipe)
@@ -98,11 +102,13 @@ def folds(args: argparse.Namespace) -> None:
     """Mean and standard error over the records, each scored by models that never saw it."""
     found: dict[str, dict[str, list[float]]] = {start: {} for start in ("file", "model-20")}
     begun = time.perf_counter()
-    for fold in dealt(tn.load(args.folder)):
+    for fold in dealt(shifted(tn.load(args.folder), args.shift)):
         models = fold_models(fold, args)
         for start, of in found.items():
-            of |= scored(models, fold, start)
-        print(f"{fold.name} done after {time.perf_counter() - begun:.0f} s", flush=True)
+            of |= (new := scored(models, fold, start))
+            told = ", ".join(f"{name} {number(np.mean(x))}" for name, x in new.items())
+            print(f"{fold.name}, {start}: {told}", flush=True)
+        print(f"{time.perf_counter() - begun:.0f} s", flush=True)
     rows = []
     for start, of in found.items():
         errors = np.array(list(of.values()))
@@ -116,7 +122,20 @@ def folds(args: argparse.Namespace) -> None:
             ]
         )  # fmt: skip
     columns = ["start", "mean RMSE", "std. error", "each seed", "by kind of record"]
-    print(Table(columns, rows, title=f"{args.recipe}, {len(found['file'])} records").markdown())
+    title = f"{args.title or args.recipe}, {len(found['file'])} records"
+    print(Table(columns, rows, title=title).markdown(), flush=True)
+
+
+def variants(args: argparse.Namespace) -> None:
+    """The same for further physics, and for inputs that come later or earlier."""
+    args.recipe = "best-grey"
+    for args.title, make in VARIANTS.items():
+        args.system = make()
+        folds(args)
+    args.system = VARIANTS["as packaged"]()
+    for args.shift in SHIFTS:
+        args.title = f"input shifted by {args.shift:g} samples"
+        folds(args)
 
 
 def split(args: argparse.Namespace) -> None:
@@ -175,13 +194,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     verbs = parser.add_subparsers(required=True)
     verb: Callable[[argparse.Namespace], None]
-    for verb in (split, folds):
+    for verb in (split, folds, variants):
         sub = verbs.add_parser(verb.__name__)
         sub.add_argument("folder", type=Path)
-        sub.set_defaults(verb=verb)
+        sub.set_defaults(verb=verb, title="", shift=0.0)
         if verb is split:
             sub.add_argument("models", nargs="+", type=Path)
-        else:
+        elif verb is folds:
             sub.add_argument("recipe")
             sub.add_argument("--system")
             sub.add_argument("--memory")

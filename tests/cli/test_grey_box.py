@@ -233,7 +233,10 @@ def test_a_broken_system_file_is_one_line(told, folder, tmp_path, capsys):
         (["--model", "euler-lagrange", "--system", "{}", "--fix", "gain=x"], "NAME=NUMBER"),
         (["--model", "euler-lagrange", "--system", "{}", "--fix", "gain=99"], "0.1..40"),
         (["--model", "euler-lagrange", "--system", "{}", "--initial", "here"], "unknown start"),
-        (["--model", "euler-lagrange", "--system", "{}", "--recipe", "standard"], "expected one of best-grey"),
+        (
+            ["--model", "euler-lagrange", "--system", "{}", "--recipe", "standard"],
+            "expected one of best-grey",
+        ),
         (["--system", "qube-servo2"], "--model euler-lagrange"),
         (["--fix", "gain"], "--model euler-lagrange"),
         (["--model", "euler-lagrange", "--system", "{}", "--seeds", "2"], "no seeds"),

@@ -40,5 +40,5 @@ def test_a_wrong_recipe_is_refused_with_the_key(tmp_path, content, told):
 
 
 def test_an_unknown_recipe_is_refused_with_the_known_ones():
-    with pytest.raises(tn.InputError, match="no recipe .standard.; expected one of best-grey"):
+    with pytest.raises(tn.InputError, match=r"no recipe .standard.; expected one of best-grey"):
         read_identification_recipe("standard")
