@@ -235,6 +235,11 @@ def test_a_broken_system_file_is_one_line(told, folder, tmp_path, capsys):
         (["--model", "euler-lagrange", "--system", "{}", "--initial", "here"], "unknown start"),
         (
             ["--model", "euler-lagrange", "--system", "{}", "--recipe", "standard"],
+            "'standard' is not for --model euler-lagrange",
+        ),
+        (["--model", "tustin-net", "--recipe", "best-grey"], "is not for --model tustin-net"),
+        (
+            ["--model", "euler-lagrange", "--system", "{}", "--recipe", "nope"],
             "expected one of best-grey",
         ),
         (["--system", "qube-servo2"], "--model euler-lagrange"),

@@ -158,7 +158,7 @@ def fit(
     from tustinnet.identification.search import DEFAULT_SETTINGS
     from tustinnet.report.progress import TrainingProgress
     from tustinnet.simulation.integrators import Discretised
-    from tustinnet.training.recipe import read_recipe
+    from tustinnet.training.recipe import packaged_recipes, read_recipe
 
     family = model or (
         Family.euler_lagrange if recipe in identification_recipes() else Family.tustin_net
@@ -167,6 +167,14 @@ def fit(
     # a model that is corrected may be of a system of one's own
     corrected = physics is not None and family is Family.tustin_net
     _require_fitting_options(family, None if corrected else system, fix, training=training)
+    other = {
+        Family.tustin_net: identification_recipes(), Family.euler_lagrange: packaged_recipes(),
+    }[family]  # fmt: skip
+    if recipe in other:
+        raise InputError(
+            "--recipe", f"'{recipe}' is not for --model {family.value}", "one that is",
+            "leave --model out, or see docs/training.md",
+        )  # fmt: skip
     factors = _factors(rates)
     asked = {
         "initial": initial, "part": part, "loss": loss, "times": times, "periodic": periodic,
