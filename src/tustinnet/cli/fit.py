@@ -120,7 +120,7 @@ def fit(
     periodic: Annotated[
         bool | None,
         typer.Option(
-            "--periodic/--plain",
+            "--periodic/--no-periodic",
             help="euler-lagrange: periodic distance of angles, or not.",
             show_default=False,
         ),

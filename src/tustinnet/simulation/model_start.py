@@ -120,7 +120,8 @@ def _one(model: DiscreteModel, weight: Array, guess: State, u: Array, q: Array) 
 
     held: DiscreteModel = jax.tree.map(jax.lax.stop_gradient, model)
     begin = jax.lax.stop_gradient(guess)
-    left_out = jnp.asarray([int(part * len(q)) for part in _LEFT_OUT])
+    most = max(0, len(q) - _FEWEST)  # fewer samples would be explained by any model
+    left_out = jnp.asarray([min(int(part * len(q)), most) for part in _LEFT_OUT])
     kept = (jnp.arange(len(q)) >= left_out[:, None]).astype(begin.dtype)
     x, cost = jax.vmap(lambda mask: _fitted(partial(residuals, held, mask), begin))(kept)
     explained = cost <= _EXPLAINED**2 * n_q * jnp.sum(kept, axis=1)
