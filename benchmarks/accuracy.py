@@ -18,6 +18,7 @@ half a sample.
 """
 
 import argparse
+import itertools
 import re
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -29,8 +30,6 @@ import jax
 
 jax.config.update("jax_num_cpu_devices", 2)
 jax.config.update("jax_enable_x64", True)
-
-import itertools
 
 import numpy as np
 from grey_variants import SHIFTS, VARIANTS, shifted

@@ -1,5 +1,7 @@
 """Known physics plus a network for what it leaves."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -93,9 +95,7 @@ class HybridModel(DiscreteModel):
 
     def folded(self) -> "HybridModel":
         """The same with folded parts."""
-        return hybrid(
-            self.physics.folded(), self.residual.folded(), fades_at_rest=self.fades_at_rest
-        )
+        return replace(self, physics=self.physics.folded(), residual=self.residual.folded())
 
 
 def hybrid(

@@ -225,7 +225,7 @@ def _trained(
             rows = material.rows[index]
             losses = window_losses(
                 model, rows, material.records, program.length, program.recipe.loss,
-                program.recipe.penalty, sign,
+                program.recipe.penalty, sign if program.recipe.mirror else None,
             )  # fmt: skip
             return jnp.sum(weight * losses) / whole
 

@@ -16,7 +16,7 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.errors import InputError
 from tustinnet.models.base import DiscreteModel, require_fit, with_dtype
-from tustinnet.models.hybrid import HybridModel, hybrid, uncorrected
+from tustinnet.models.hybrid import HybridModel, uncorrected
 from tustinnet.models.tustin import (
     TustinNet,
     learn_scaling,
@@ -284,9 +284,7 @@ def _result(prepared: Plan, best: DiscreteModel, m: int, progress: Progress) -> 
     model = jax.tree.map(lambda a: jnp.asarray(np.asarray(a)[m]), best)
     if isinstance(model, HybridModel) and prepared.physics is not None:
         # it was trained with in single precision, but is kept as it was given
-        model = hybrid(
-            prepared.physics, model.residual, fades_at_rest=prepared.recipe.model.fades_at_rest
-        )
+        model = replace(model, physics=prepared.physics)
     score = None
     if prepared.validation is not None:
         score = float(validation_rmse(model, prepared.validation))
