@@ -120,10 +120,10 @@ def test_internal_states_follow_the_record_they_were_simulated_with():
     x0 = np.zeros(model.state_size)
     x0[0] = 2.0
     states = np.asarray(rollout(model, x0, u))
-    found = internal_states(model, states[:, :2], u)
+    found = internal_states(model, [states[:, :2]], [u])[0]
     np.testing.assert_allclose(found, states[:, 2:], rtol=1e-9, atol=1e-15)
     assert np.ptp(found) > 0
-    assert internal_states(physics(), states[:, :2], u).shape == (61, 0)
+    assert internal_states(physics(), [states[:, :2]], [u])[0].shape == (61, 0)
 
 
 RECIPE = {

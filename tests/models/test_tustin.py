@@ -186,7 +186,7 @@ def test_the_network_sees_internal_states_in_their_unit(pendulum):
         pendulum.coordinates, pendulum.inputs, pendulum.dt, scaling, jax.random.key(0),
         hidden=(5,), relaxation_times=(0.5,),
     )  # fmt: skip
-    z = np.concatenate([known_states(model, e, "auto")[:, 2:] for e in records])
+    z = np.concatenate(known_states(model, records, "auto"))[:, 2:]
     np.testing.assert_allclose(scaling.memory, np.sqrt(np.mean(z**2, axis=0)), rtol=1e-2)
     x, u = jnp.array([0.1, 0.2, 0.3]), jnp.zeros(1)
     seen = model.features(x, u)

@@ -266,15 +266,24 @@ class LagrangianModel(ContinuousModel):
 
     def derivative(self, x: State, u: InputVector) -> State:
         """`d/dt [q, v, z] = [v, a, rate]`."""
-        q, v, z = self._parts(x)
-        rates = [v, self.acceleration(x, u)]
-        if self.system.memory:
-            rates.append(jnp.asarray(self.system.memory.rate(q, v, z, self.values)))
-        return jnp.concatenate(rates)
+        return _derivative(self, x, u)
+
+    def memory_rate(self, x: State) -> Internal:
+        """`dz/dt` at a state, (n_z,)."""
+        if self.system.memory is None:
+            return jnp.zeros(0, x.dtype)
+        return jnp.asarray(self.system.memory.rate(*self._parts(x), self.values))
 
     def _parts(self, x: State) -> tuple[Coordinates, Coordinates, Internal]:
         n_q = len(self.coordinates)
         return x[:n_q], x[n_q : 2 * n_q], x[2 * n_q :]
+
+
+# a function of its own, so that it is derived once and not for each of a step's many uses
+@jax.jit
+def _derivative(model: LagrangianModel, x: State, u: InputVector) -> State:
+    v = x[len(model.coordinates) : 2 * len(model.coordinates)]
+    return jnp.concatenate([v, model.acceleration(x, u), model.memory_rate(x)])
 
 
 def solve_positive(matrix: Float[Array, "n n"], right: Float[Array, " n"]) -> Float[Array, " n"]:

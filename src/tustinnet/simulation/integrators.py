@@ -1,5 +1,7 @@
 """Continuous models made discrete."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -12,7 +14,9 @@ from tustinnet.models.base import ContinuousModel, DiscreteModel, InputVector, S
 
 Drive = Float[Array, "*ends n_u"]
 
-_UNROLLED = 2
+# the classical method: where along the step each stage looks, and what it counts
+_REACH = (0.0, 0.5, 0.5, 1.0)
+_SHARE = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
 
 
 class Discretised(DiscreteModel):
@@ -56,13 +60,8 @@ class Discretised(DiscreteModel):
         h = self.dt / self.substeps
 
         def advance(state: State, i: Array) -> tuple[State, None]:
-            return substep(self.continuous, state, u, i, self.substeps, h), None
+            return substep(self.continuous, state, u, i, self.substeps, h, looped=True), None
 
-        # a loop within the loop over samples costs more than it saves
-        if self.substeps <= _UNROLLED:
-            for i in range(self.substeps):
-                x, _ = advance(x, jnp.asarray(i, x.dtype))
-            return x
         return jax.lax.scan(advance, x, jnp.arange(self.substeps, dtype=x.dtype))[0]
 
 
@@ -86,11 +85,18 @@ def discretise(model: ContinuousModel, dt: float, substeps: int = 1) -> Discreti
 
 
 def substep(
-    model: ContinuousModel, x: State, u: Drive, i: Array | int, parts: Array | int, h: Array | float
+    model: ContinuousModel,
+    x: State,
+    u: Drive,
+    i: Array | int,
+    parts: Array | int,
+    h: Array | float,
+    *,
+    looped: bool = False,
 ) -> State:
     """The i-th of so many Runge-Kutta steps of length `h` [s] that make up a period."""
     stages = (at(u, i / parts), at(u, (i + 0.5) / parts), at(u, (i + 1) / parts))
-    return runge_kutta_4(model, x, stages, h)
+    return runge_kutta_4(model, x, stages, h, looped=looped)
 
 
 def at(u: Drive, part: Array | float) -> InputVector:
@@ -103,6 +109,8 @@ def runge_kutta_4(
     x: State,
     u: tuple[InputVector, InputVector, InputVector],
     h: Array | float,
+    *,
+    looped: bool = False,
 ) -> State:
     """One classical Runge-Kutta step of length `h` [s].
 
@@ -111,9 +119,25 @@ def runge_kutta_4(
         x: the state, (n_x,).
         u: the inputs at the beginning, the middle and the end of the step.
         h: length of the step [s].
+        looped: whether the four stages are a loop of the compiled program. That compiles three
+            times as fast; written out they run faster where the derivatives by many parameters
+            are carried along.
     """
-    first = model.derivative(x, u[0])
-    second = model.derivative(x + h / 2 * first, u[1])
-    third = model.derivative(x + h / 2 * second, u[1])
-    fourth = model.derivative(x + h * third, u[2])
-    return x + h / 6 * (first + 2 * second + 2 * third + fourth)
+
+    def stage(carry: tuple[State, State], now: tuple[Any, ...]) -> tuple[tuple[State, State], None]:
+        slope, mean = carry
+        reach, share, held = now
+        slope = model.derivative(x + h * reach * slope, held)
+        return (slope, mean + share * slope), None
+
+    begin, middle, end = u
+    inputs = [begin, middle, middle, end]
+    carry = jnp.zeros_like(x), jnp.zeros_like(x)
+    if looped:
+        tableau = jnp.asarray(_REACH, x.dtype), jnp.asarray(_SHARE, x.dtype)
+        carry, _ = jax.lax.scan(stage, carry, (*tableau, jnp.stack(inputs)))
+    else:
+        for now in zip(_REACH, _SHARE, inputs, strict=True):
+            carry, _ = stage(carry, now)
+    _, mean = carry
+    return x + h * mean

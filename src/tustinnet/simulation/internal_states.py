@@ -1,4 +1,6 @@
-"""Internal states along a record."""
+"""Internal states along records."""
+
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -11,19 +13,19 @@ from tustinnet.models.base import DiscreteModel
 
 
 def known_states(
-    model: DiscreteModel, experiment: Experiment, velocity: VelocitySource
-) -> Float[np.ndarray, "n n_x"]:
-    """The states [q, v, z] along a record, internal ones as they follow it, (n, n_x)."""
-    known = np.concatenate([experiment.q, experiment.velocities(velocity)], axis=1)
-    followed = internal_states(model, known, model.drive(experiment))
-    return np.concatenate([known, followed], axis=1)
+    model: DiscreteModel, experiments: Sequence[Experiment], velocity: VelocitySource
+) -> list[Float[np.ndarray, "_ n_x"]]:
+    """Of each record the states [q, v, z] along it, internal ones as they follow it, (n, n_x)."""
+    known = [np.concatenate([e.q, e.velocities(velocity)], axis=1) for e in experiments]
+    followed = internal_states(model, known, [model.drive(e) for e in experiments])
+    return [np.concatenate(of, axis=1) for of in zip(known, followed, strict=True)]
 
 
 def internal_states(
     model: DiscreteModel,
-    known: Float[np.ndarray, "n n_known"],
-    drive: Float[np.ndarray, "steps *drive"],
-) -> Float[np.ndarray, "n n_z"]:
+    known: Sequence[Float[np.ndarray, "_ n_known"]],
+    drives: Sequence[Float[np.ndarray, "_ *drive"]],
+) -> list[Float[np.ndarray, "_ n_z"]]:
     """What a model's internal states are while positions and velocities are the measured ones.
 
     They begin at 0 and step with the model, whose positions and velocities are put back to the
@@ -31,29 +33,43 @@ def internal_states(
 
     Args:
         model: the model.
-        known: positions and velocities, (n, 2 n_q).
-        drive: what acts between the samples, (n - 1, ...).
+        known: of each record positions and velocities, (n, 2 n_q).
+        drives: of each record what acts between the samples, (n - 1, ...).
 
     Returns:
-        (n, n_z).
+        Of each record (n, n_z).
     """
     n_z = len(model.memory)
     if not n_z:
-        return np.zeros((len(known), 0))
-    return np.asarray(_followed(model, jnp.asarray(known), jnp.asarray(drive)))
+        return [np.zeros((len(x), 0)) for x in known]
+    # all of one length, by zeros that nobody reads: one program for all of them
+    longest = max(map(len, known))
+    states = np.stack([_lengthened(x, longest) for x in known])
+    drive = np.stack([_lengthened(u, longest - 1) for u in drives])
+    found = np.asarray(_followed(model, jnp.asarray(states), jnp.asarray(drive)))
+    return [z[: len(x)] for z, x in zip(found, known, strict=True)]
+
+
+def _lengthened(rows: np.ndarray, length: int) -> np.ndarray:
+    return np.pad(rows, [(0, length - len(rows)), *[(0, 0)] * (rows.ndim - 1)])
 
 
 @eqx.filter_jit
 def _followed(
-    model: DiscreteModel, known: Float[Array, "n n_known"], drive: Float[Array, "steps *drive"]
-) -> Float[Array, "n n_z"]:
+    model: DiscreteModel,
+    known: Float[Array, "records n n_known"],
+    drive: Float[Array, "records steps *drive"],
+) -> Float[Array, "records n n_z"]:
     n_z = len(model.memory)
 
-    def advance(z: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
-        x, u = now
-        following = model.step(jnp.concatenate([x, z]), u)[-n_z:]
-        return following, following
+    def follow(known: Array, drive: Array) -> Array:
+        def advance(z: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
+            x, u = now
+            following = model.step(jnp.concatenate([x, z]), u)[-n_z:]
+            return following, following
 
-    first = jnp.zeros(n_z, known.dtype)
-    _, states = jax.lax.scan(advance, first, (known[:-1], drive))
-    return jnp.concatenate([first[None], states])
+        first = jnp.zeros(n_z, known.dtype)
+        _, states = jax.lax.scan(advance, first, (known[:-1], drive))
+        return jnp.concatenate([first[None], states])
+
+    return jax.vmap(follow)(known, drive)

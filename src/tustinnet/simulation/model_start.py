@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -112,44 +113,81 @@ _compiled = eqx.filter_jit(model_starts)
 
 
 def _one(model: DiscreteModel, weight: Array, guess: State, u: Array, q: Array) -> State:
-    n_q = q.shape[1]
-
-    def residuals(model: DiscreteModel, kept: Array, x: State) -> Array:
-        error = (rollout(model, x, u)[:, :n_q] - q) * weight * kept[:, None]
-        return jnp.concatenate([error.ravel(), (x - guess)[2 * n_q :]])
-
-    held: DiscreteModel = jax.tree.map(jax.lax.stop_gradient, model)
-    begin = jax.lax.stop_gradient(guess)
     most = max(0, len(q) - _FEWEST)  # fewer samples would be explained by any model
     left_out = jnp.asarray([min(int(part * len(q)), most) for part in _LEFT_OUT])
-    kept = (jnp.arange(len(q)) >= left_out[:, None]).astype(begin.dtype)
-    x, cost = jax.vmap(lambda mask: _fitted(partial(residuals, held, mask), begin))(kept)
-    explained = cost <= _EXPLAINED**2 * n_q * jnp.sum(kept, axis=1)
+    kept = (jnp.arange(len(q)) >= left_out[:, None]).astype(guess.dtype)
+
+    # the search itself is not differentiated, only its solution
+    of, to, begin, drive, measured = jax.lax.stop_gradient((model, weight, guess, u, q))
+
+    def fitted(mask: Array) -> _Fit:
+        return _fitted(lambda x: _residuals(of, to, mask, begin, drive, measured, x), begin)
+
+    fits = jax.vmap(fitted)(kept)
+    explained = fits.cost <= _EXPLAINED**2 * q.shape[1] * jnp.sum(kept, axis=1)
     # the first that is explained; where none is, the fault is the model's and all samples count
     chosen = jnp.argmax(explained)
-    x, mask = jax.lax.stop_gradient(x[chosen]), kept[chosen]
-    jacobian = jax.lax.stop_gradient(jax.jacfwd(partial(residuals, held, mask))(x))
-    step = _step(jacobian, residuals(model, mask, x), jnp.zeros((), x.dtype))
-    return x - (step - jax.lax.stop_gradient(step))
+    x, jacobian, mask = fits.x[chosen], fits.jacobian[chosen], kept[chosen]
+    return _with_derivative((x, jacobian), model, weight, mask, guess, u, q)
 
 
-def _fitted(residuals: Callable[[State], Array], begin: State) -> tuple[State, Array]:
-    """Levenberg-Marquardt: the state and the squared residuals that are left."""
+def _residuals(
+    model: DiscreteModel, weight: Array, kept: Array, guess: State, u: Array, q: Array, x: State
+) -> Array:
+    n_q = q.shape[1]
+    error = (rollout(model, x, u)[:, :n_q] - q) * weight * kept[:, None]
+    return jnp.concatenate([error.ravel(), (x - guess)[2 * n_q :]])
 
-    def turn(_: Array, carry: tuple[State, Array, Array]) -> tuple[State, Array, Array]:
-        x, cost, damping = carry
-        tried = x - _step(jax.jacfwd(residuals)(x), residuals(x), damping)
-        cost_there = jnp.sum(residuals(tried) ** 2)
-        better = cost_there < cost
-        return (
-            jnp.where(better, tried, x),
-            jnp.where(better, cost_there, cost),
-            jnp.where(better, damping / 10, damping * 10),
-        )
 
-    carry = begin, jnp.sum(residuals(begin) ** 2), jnp.asarray(_FIRST_DAMPING, begin.dtype)
-    x, cost, _ = jax.lax.fori_loop(0, _TURNS, turn, carry)
-    return x, cost
+@eqx.filter_custom_jvp
+def _with_derivative(solution: tuple[State, Array], *arguments: Any) -> State:
+    """The solution; how it moves with the arguments of `_residuals` is known at it only."""
+    return solution[0]
+
+
+@_with_derivative.def_jvp
+def _move(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[State, State]:
+    (x, jacobian), *arguments = primals
+    _, moved = eqx.filter_jvp(partial(_residuals, x=x), tuple(arguments), tangents[1:])
+    return x, -_step(jacobian, moved, jnp.zeros((), x.dtype))
+
+
+class _Fit(NamedTuple):
+    """A state, its residuals, their derivatives by it and their squared sum."""
+
+    x: State
+    residuals: Array
+    jacobian: Array
+    cost: Array
+
+
+def _fitted(residuals: Callable[[State], Array], begin: State) -> _Fit:
+    """Levenberg-Marquardt."""
+
+    def again(x: State) -> tuple[Array, Array]:
+        found = residuals(x)
+        return found, found
+
+    def turn(_: Array, carry: tuple[_Fit, State, Array]) -> tuple[_Fit, State, Array]:
+        best, tried, damping = carry
+        jacobian, found = jax.jacfwd(again, has_aux=True)(tried)
+        there = _Fit(tried, found, jacobian, jnp.sum(found**2))
+        better = there.cost < best.cost
+        best = jax.tree.map(lambda yes, no: jnp.where(better, yes, no), there, best)
+        damping = jnp.where(better, damping / 10, damping * 10)
+        return best, best.x - _step(best.jacobian, best.residuals, damping), damping
+
+    # the beginning is what is tried first, so that the model is written into the program once
+    shape = jax.eval_shape(residuals, begin)
+    nothing = jnp.zeros(shape.shape, shape.dtype)
+    unknown = _Fit(
+        begin,
+        nothing,
+        jnp.zeros((*shape.shape, len(begin)), shape.dtype),
+        jnp.full((), jnp.inf, shape.dtype),
+    )
+    damping = jnp.asarray(10 * _FIRST_DAMPING, begin.dtype)
+    return jax.lax.fori_loop(0, 1 + _TURNS, turn, (unknown, begin, damping))[0]
 
 
 def _step(jacobian: Array, r: Array, damping: Array) -> State:

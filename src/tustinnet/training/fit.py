@@ -384,14 +384,16 @@ def _left_by(
     physics: DiscreteModel, train_set: list[Experiment], velocity: VelocitySource
 ) -> Float[Array, " n_q"]:
     """Root mean square of what physics leaves of the accelerations, the unit of a correction."""
-    left = []
     for e in train_set:
         require_fit(physics, e)
-        states, drive = known_states(physics, e, velocity), physics.drive(e)
-        following = np.asarray(_steps(physics, jnp.asarray(states[:-1]), jnp.asarray(drive)))
-        speeds = slice(e.q.shape[1], 2 * e.q.shape[1])
-        left.append((states[1:] - following)[:, speeds] / e.dt)
-    return jnp.asarray(np.sqrt(np.mean(np.concatenate(left) ** 2, axis=0)), jnp.float32)
+    states = known_states(physics, train_set, velocity)
+    drive = np.concatenate([physics.drive(e) for e in train_set])
+    x = np.concatenate([x[:-1] for x in states])
+    measured = np.concatenate([x[1:] for x in states])
+    following = np.asarray(_steps(physics, jnp.asarray(x), jnp.asarray(drive)))
+    n_q = len(physics.coordinates)
+    left = (measured - following)[:, n_q : 2 * n_q] / physics.dt
+    return jnp.asarray(np.sqrt(np.mean(left**2, axis=0)), jnp.float32)
 
 
 @eqx.filter_jit

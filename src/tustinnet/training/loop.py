@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Float, Key
 
 from tustinnet.models.base import DiscreteModel
@@ -19,6 +19,7 @@ from tustinnet.training.epoch import (
     adam_without_rate,
     compiled_epochs,
 )
+from tustinnet.training.layout import MEMBERS
 from tustinnet.training.material import Records, ValidationRuns
 from tustinnet.training.state import (
     SILENT,
@@ -122,6 +123,8 @@ def _run_stage(
     listener: Listener,
 ) -> tuple[TrainingState, tuple[Progress, ...]]:
     run = compiled_epochs(stage, records, validation, mesh)
+    # laid out from the first call on as the calls leave it, or the second compiles anew
+    state = jax.device_put(state, NamedSharding(mesh, PartitionSpec(MEMBERS)))
     while any(_is_due(stage, p) for p in progress):
         begun = time.perf_counter()
         state, told = run(state)

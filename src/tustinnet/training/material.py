@@ -74,12 +74,9 @@ def lay_out(
     model: DiscreteModel, experiments: Sequence[Experiment], velocity: VelocitySource
 ) -> Records:
     """Lays records end to end, with the model's internal states as they follow the record."""
-    states, drives = [], []
-    for e in experiments:
-        drive = model.drive(e)
-        states.append(known_states(model, e, velocity))
-        drives.append(np.append(drive, np.zeros((1, *drive.shape[1:])), axis=0))
-    x, u = np.concatenate(states), np.concatenate(drives)
+    drives = [model.drive(e) for e in experiments]
+    x = np.concatenate(known_states(model, experiments, velocity))
+    u = np.concatenate([np.append(u, np.zeros((1, *u.shape[1:])), axis=0) for u in drives])
     return Records(jnp.asarray(x, jnp.float32), jnp.asarray(u, jnp.float32))
 
 
