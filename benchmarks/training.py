@@ -28,9 +28,9 @@ jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
 import tustinnet as tn
 from tustinnet.simulation.rollout import rollout
 from tustinnet.training.epoch import EPOCHS_A_CALL, compiled_epochs
-from tustinnet.training.fit import Member, Plan, plan
 from tustinnet.training.losses import window_loss
 from tustinnet.training.material import StageWindows
+from tustinnet.training.plan import Member, Plan, plan
 
 Call = Callable[[], None]
 

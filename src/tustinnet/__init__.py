@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from tustinnet.simulation.rollout import rollout
     from tustinnet.simulation.substeps import choose_substeps
     from tustinnet.systems.registry import load_system
-    from tustinnet.training.fit import FitResult, Member, fit, fit_many
+    from tustinnet.training.fit import FitResult, fit, fit_many
+    from tustinnet.training.plan import Member
     from tustinnet.training.recipe import Recipe, read_recipe
 
 _HOMES = {
@@ -46,7 +47,7 @@ _HOMES = {
     "LagrangianModel": "models.lagrangian",
     "LagrangianSystem": "models.lagrangian",
     "Linearisation": "simulation.linearisation",
-    "Member": "training.fit",
+    "Member": "training.plan",
     "Memory": "models.lagrangian",
     "Parameter": "models.lagrangian",
     "Recipe": "training.recipe",

@@ -42,7 +42,7 @@ def test_the_readmes_program_runs_as_it_stands(folder, tmp_path, monkeypatch, ca
     for stage in recipe["stages"]:
         stage |= {"epochs": 2}
     quick = tn.Recipe.model_validate(recipe)  # as written, but two epochs a stage
-    monkeypatch.setattr("tustinnet.training.fit.read_recipe", lambda name: quick)
+    monkeypatch.setattr("tustinnet.training.plan.read_recipe", lambda name: quick)
     folder.rename(tmp_path / "LOGS")
     monkeypatch.chdir(tmp_path)
     exec(compile(program, "README.md", "exec"), {})

@@ -18,7 +18,7 @@ from tustinnet.report.figures import (
 )
 from tustinnet.report.progress import TrainingProgress
 from tustinnet.report.tables import Table, number
-from tustinnet.training.fit import Member, plan
+from tustinnet.training.plan import Member, plan
 from tustinnet.training.state import EpochReport
 
 

@@ -11,9 +11,10 @@ import pytest
 
 import tustinnet as tn
 from tustinnet.training.epoch import validation_rmse, window_losses
-from tustinnet.training.fit import Member, Plan, fit_many, plan, run_plan, trainable_arrays
+from tustinnet.training.fit import fit_many, run_plan
 from tustinnet.training.layout import lay_out_devices
 from tustinnet.training.loop import train
+from tustinnet.training.plan import Member, Plan, plan, trainable_arrays
 from tustinnet.training.state import EpochReport, Listener, Progress, TrainingState
 
 

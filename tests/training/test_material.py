@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import tustinnet as tn
-from tustinnet.training.fit import plan
 from tustinnet.training.material import (
     adapted_length,
     held_windows,
@@ -12,6 +11,7 @@ from tustinnet.training.material import (
     stage_windows,
     validation_runs,
 )
+from tustinnet.training.plan import plan
 from tustinnet.training.recipe import WindowRecipe
 
 

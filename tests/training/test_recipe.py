@@ -35,7 +35,7 @@ def test_the_papers_transfer_recipe_says_what_the_paper_says():
 
 @pytest.mark.real
 def test_the_codes_standard_and_transfer_recipes_process_as_many_points(real_data):
-    from tustinnet.training.fit import plan
+    from tustinnet.training.plan import plan
 
     data = tn.load(real_data)
     points = {}

@@ -21,7 +21,7 @@ from tustinnet.artifact.model_file import FORMAT, KEY, read_file
 from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
 from tustinnet.models.base import DiscreteModel
-from tustinnet.training.fit import Member, plan
+from tustinnet.training.plan import Member, plan
 from tustinnet.training.recipe import Recipe
 from tustinnet.training.state import Progress, TrainingState
 

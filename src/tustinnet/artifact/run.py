@@ -34,7 +34,8 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
 from tustinnet.evaluation.free_run import Score, evaluate, mean_rmse
 from tustinnet.models.base import DiscreteModel
-from tustinnet.training.fit import FitResult, Member, Plan, plan, run_plan
+from tustinnet.training.fit import FitResult, run_plan
+from tustinnet.training.plan import Member, Plan, plan
 from tustinnet.training.recipe import Recipe
 from tustinnet.training.state import EpochReport, Listener, Progress, TrainingState
 

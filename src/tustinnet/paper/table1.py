@@ -24,7 +24,7 @@ from tustinnet.paper.published import (
 )
 from tustinnet.report.tables import Table, number
 from tustinnet.systems.registry import load_system
-from tustinnet.training.fit import Plan
+from tustinnet.training.plan import Plan
 from tustinnet.training.recipe import Criterion, keeping, read_recipe
 from tustinnet.training.state import EpochReport
 

@@ -12,7 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.status import Status
 
 from tustinnet.identification.least_squares import Iteration
-from tustinnet.training.fit import Plan
+from tustinnet.training.plan import Plan
 from tustinnet.training.state import EpochReport
 
 _WIDE = 110  # columns of a terminal that leave room for a longer bar
