@@ -13,6 +13,7 @@ from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.errors import InputError
 from tustinnet.evaluation import metrics
 from tustinnet.models.base import DiscreteModel, require_fit, with_dtype
+from tustinnet.signals.stacking import stacked
 from tustinnet.simulation.initial_state import samples_fitted
 from tustinnet.simulation.model_start import start_states
 from tustinnet.simulation.rollout import rollouts
@@ -91,12 +92,7 @@ def stack_drives(
     model: DiscreteModel, experiments: Sequence[Experiment]
 ) -> Float[np.ndarray, "records steps *drive"]:
     """What drives the free runs of records, zeros after the end of shorter ones."""
-    steps = max(len(e) for e in experiments) - 1
-    drives = [model.drive(e) for e in experiments]
-    u = np.zeros((len(experiments), steps, *drives[0].shape[1:]))
-    for row, drive in zip(u, drives, strict=True):
-        row[: len(drive)] = drive
-    return u
+    return stacked([model.drive(e) for e in experiments])
 
 
 @eqx.filter_jit

@@ -282,7 +282,7 @@ class LagrangianModel(ContinuousModel):
 # a function of its own, so that it is derived once and not for each of a step's many uses
 @jax.jit
 def _derivative(model: LagrangianModel, x: State, u: InputVector) -> State:
-    v = x[len(model.coordinates) : 2 * len(model.coordinates)]
+    _, v, _ = model._parts(x)
     return jnp.concatenate([v, model.acceleration(x, u), model.memory_rate(x)])
 
 

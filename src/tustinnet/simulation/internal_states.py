@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.models.base import DiscreteModel
+from tustinnet.signals.stacking import stacked
 
 
 def known_states(
@@ -42,16 +43,10 @@ def internal_states(
     n_z = len(model.memory)
     if not n_z:
         return [np.zeros((len(x), 0)) for x in known]
-    # all of one length, by zeros that nobody reads: one program for all of them
-    longest = max(map(len, known))
-    states = np.stack([_lengthened(x, longest) for x in known])
-    drive = np.stack([_lengthened(u, longest - 1) for u in drives])
-    found = np.asarray(_followed(model, jnp.asarray(states), jnp.asarray(drive)))
+    # all of one length, so that one program serves them; nobody reads what follows a record's end
+    states, drive = jnp.asarray(stacked(known)), jnp.asarray(stacked(drives))
+    found = np.asarray(_followed(model, states, drive))
     return [z[: len(x)] for z, x in zip(found, known, strict=True)]
-
-
-def _lengthened(rows: np.ndarray, length: int) -> np.ndarray:
-    return np.pad(rows, [(0, length - len(rows)), *[(0, 0)] * (rows.ndim - 1)])
 
 
 @eqx.filter_jit

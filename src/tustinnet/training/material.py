@@ -13,6 +13,7 @@ from tustinnet.data.inspection import transient_end
 from tustinnet.errors import InputError
 from tustinnet.evaluation.free_run import stack_drives
 from tustinnet.models.base import DiscreteModel
+from tustinnet.signals.stacking import stacked
 from tustinnet.signals.windows import random_windows, strided_windows
 from tustinnet.simulation.initial_state import samples_fitted
 from tustinnet.simulation.internal_states import known_states
@@ -95,12 +96,8 @@ def validation_runs(
         else start_states(model, experiments, start)
     )
     u = stack_drives(model, experiments)
-    samples = u.shape[1] + 1
-    q = np.zeros((len(experiments), samples, len(experiments[0].coordinates)))
-    weight = np.zeros((len(experiments), samples))
-    for i, e in enumerate(experiments):
-        q[i, : len(e)] = e.q
-        weight[i, : len(e)] = 1.0 / len(e)
+    q = stacked([e.q for e in experiments])
+    weight = stacked([np.full(len(e), 1.0 / len(e)) for e in experiments])
     x0, u, q, weight = (jnp.asarray(a, jnp.float32) for a in (x0, u, q, weight))
     return ValidationRuns(x0, u, q, weight, lay_out(model, experiments, velocity), fitted)
 

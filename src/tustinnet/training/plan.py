@@ -18,6 +18,7 @@ from tustinnet.errors import InputError
 from tustinnet.models.base import DiscreteModel, require_fit, with_dtype
 from tustinnet.models.hybrid import HybridModel, uncorrected
 from tustinnet.models.tustin import (
+    Scaling,
     TustinNet,
     learn_scaling,
     published_scaling,
@@ -130,7 +131,8 @@ def plan(
     train_set = list(data.split("train") if data.splits else data)
     held = list(data.split("validation")) if "validation" in data.splits else []
     keys = [jax.random.split(jax.random.key(member.seed)) for member in members]
-    models = [_initial_model(train_set, recipe, for_model, physics) for for_model, _ in keys]
+    scaling = _scaling(train_set, recipe, physics)
+    models = [_initial_model(train_set[0], recipe, scaling, key, physics) for key, _ in keys]
     stages = tuple(
         _plan_stage(index, stage, models[0], train_set, held, members)
         for index, stage in enumerate(recipe.stages)
@@ -187,16 +189,10 @@ def _plan_stage(
     return Stage(recipe, windows, trainable_arrays(model, recipe.frozen_layers), watched)
 
 
-def _initial_model(
-    train_set: list[Experiment],
-    recipe: Recipe,
-    key: PRNGKeyArray,
-    physics: DiscreteModel | None,
-) -> TustinNet | HybridModel:
-    first = train_set[0]
-    scaling: Any
+def _scaling(train_set: list[Experiment], recipe: Recipe, physics: DiscreteModel | None) -> Scaling:
+    """The units of a network, the same for all members."""
     if recipe.model.scaling == "published":
-        if any(c.kind == "linear" for c in first.coordinates):
+        if any(c.kind == "linear" for c in train_set[0].coordinates):
             raise InputError(
                 f"recipe '{recipe.name}'",
                 "the published scaling is defined for angular coordinates",
@@ -206,8 +202,18 @@ def _initial_model(
         scaling = published_scaling(train_set)
     else:
         scaling = learn_scaling(train_set, recipe.velocity, recipe.model.memory)
-    if physics is not None:
-        scaling = replace(scaling, acceleration=_left_by(physics, train_set, recipe.velocity))
+    if physics is None:
+        return scaling
+    return replace(scaling, acceleration=_left_by(physics, train_set, recipe.velocity))
+
+
+def _initial_model(
+    first: Experiment,
+    recipe: Recipe,
+    scaling: Scaling,
+    key: PRNGKeyArray,
+    physics: DiscreteModel | None,
+) -> TustinNet | HybridModel:
     network = random_tustin_net(
         first.coordinates,
         first.inputs,
