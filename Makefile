@@ -11,7 +11,7 @@ BIN := .venv/bin
 
 help:
 	@echo "make install     the package and its command in .venv"
-	@echo "make demo        the whole job on a simulated twin, offline, about 3 minutes (DEMO=$(DEMO))"
+	@echo "make demo        the whole job on a simulated twin, offline, about 2 minutes (DEMO=$(DEMO))"
 	@echo "make reproduce   the paper's results (DATA=FOLDER OUT=$(OUT) SEEDS=$(SEEDS))"
 	@echo "make bench       speed against PyTorch, plain JAX and scipy (DATA=FOLDER; 'bench' extra)"
 	@echo "make test        linter, type checker, layers, tests"
@@ -24,8 +24,11 @@ demo: .venv/installed
 reproduce: .venv/installed
 	$(BIN)/tustinnet reproduce --data $(DATA) --out $(OUT) --seeds $(SEEDS)
 
-test: check
-	$(BIN)/pytest -q
+# linter, types and layers run beside the tests, and say something only where they fail
+test: .venv/installed-dev
+	@$(MAKE) --no-print-directory check > .venv/check.log 2>&1 & check=$$!; \
+	$(BIN)/pytest -q -n auto; tests=$$?; \
+	wait $$check || { cat .venv/check.log; exit 1; }; exit $$tests
 
 check: .venv/installed-dev
 	$(BIN)/ruff check .

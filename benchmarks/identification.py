@@ -21,17 +21,18 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import tustinnet as tn
-from tustinnet.identification.search import Search
-from tustinnet.identification.sensitivity import normal_products
-from tustinnet.identification.space import make_space
+from tustinnet.fitting.recipe import SearchRecipe
+from tustinnet.fitting.shooting.normal import normal_products
+from tustinnet.fitting.shooting.space import make_space
+from tustinnet.fitting.shooting.stages import Problem
 from tustinnet.systems import qube_servo2, qube_servo2_twin
 from tustinnet.systems.twin import Logger
 
 SYSTEM, TRUTH = qube_servo2.WITH_MEMORY, qube_servo2_twin.TWIN_VALUES
-FREE = [p for p in SYSTEM.parameters if not p.fixed]
+SEARCHED = [p for p in SYSTEM.parameters if not p.fixed]
 EXACT = Logger(jitter=0.0, counts=False, substeps=2)
-SETTINGS = tn.Settings(initial="anchored")
-EXACT_SETTINGS = tn.Settings(initial="anchored", substeps=EXACT.substeps)
+RECIPE = tn.read_recipe("grey", ["search.initial=anchored"])
+EXACT_RECIPE = tn.read_recipe(RECIPE, [f"search.substeps={EXACT.substeps}"])
 
 
 def training_records(seed: int, *, exact: bool) -> tn.DataSet:
@@ -39,7 +40,10 @@ def training_records(seed: int, *, exact: bool) -> tn.DataSet:
     data = qube_servo2_twin.twin(seed, EXACT if exact else Logger())
     records = tuple(data.split("train"))
     if exact:
-        records = tuple(replace(e, coordinates=SYSTEM.coordinates) for e in records)
+        records = tuple(
+            replace(e, channels=replace(e.channels, coordinates=SYSTEM.coordinates))
+            for e in records
+        )
     return tn.DataSet(data.name, records)
 
 
@@ -74,9 +78,9 @@ def starts(count: int = 20) -> None:
     for k in range(count):
         begin = {
             p.name: float(np.clip(TRUTH[p.name] * 3 ** generator.uniform(-1, 1), p.lower, p.upper))
-            for p in FREE
+            for p in SEARCHED
         }
-        result = tn.identify(data, SYSTEM, start_values=begin, settings=EXACT_SETTINGS)
+        result = tn.identify(data, SYSTEM, EXACT_RECIPE, begin=begin)
         worst = max(abs(e) for e in errors(result).values())
         reached += worst < 1e-4
         print(f"start {k}: largest relative error {worst:.1e}, {result.outcome}", flush=True)
@@ -85,7 +89,7 @@ def starts(count: int = 20) -> None:
 
 def recovery() -> None:
     """The generator's own integration steps, no encoders, no jitter."""
-    result = tn.identify(training_records(0, exact=True), SYSTEM, settings=EXACT_SETTINGS)
+    result = tn.identify(training_records(0, exact=True), SYSTEM, EXACT_RECIPE)
     for name, error in errors(result).items():
         print(f"{name:<18}{error:+.1e}")
 
@@ -95,7 +99,7 @@ def coverage(count: int = 20) -> None:
     inside: dict[str, list[bool]] = {}
     naive: dict[str, list[bool]] = {}
     for seed in range(100, 100 + count):
-        result = tn.identify(training_records(seed, exact=False), SYSTEM, settings=SETTINGS)
+        result = tn.identify(training_records(seed, exact=False), SYSTEM, RECIPE)
         for e in result.estimates:
             low, high = e.interval or (np.nan, np.nan)
             inside.setdefault(e.name, []).append(bool(low <= TRUTH[e.name] <= high))
@@ -140,11 +144,12 @@ def against_scipy(folder: str) -> None:
     system = qube_servo2.SYSTEM
     space = make_space(system, {}, {})
     vector = space.vector(system.nominal())
-    search = Search(system, records, [], tn.Settings(initial="file"), space, lambda _: None)
-    segments = search.segments(None, "file")
+    search = SearchRecipe(initial="file")
+    problem = Problem(system, tuple(records), (), search, lambda _: None)
+    segments, shape = problem.segments(None, "file"), problem.shape(space)
 
     def ours() -> np.ndarray:
-        return normal_products(search.shape, space, vector, segments.x0, segments, 2).error
+        return normal_products(shape, space, vector, segments.x0, segments, 2).error
 
     errors, times = ours(), []
     for _ in range(5):

@@ -26,11 +26,11 @@ import optax
 jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
 
 import tustinnet as tn
-from tustinnet.simulation.rollout import rollout
-from tustinnet.training.epoch import EPOCHS_A_CALL, compiled_epochs
-from tustinnet.training.losses import window_loss
-from tustinnet.training.material import StageWindows
-from tustinnet.training.plan import Member, Plan, plan
+from tustinnet.fitting.gradient.epoch import EPOCHS_A_CALL, compiled_epochs
+from tustinnet.fitting.gradient.material import StageWindows
+from tustinnet.fitting.gradient.plan import Plan, plan
+from tustinnet.fitting.task import Member, make_task
+from tustinnet.simulate.rollout import rollout
 
 Call = Callable[[], None]
 
@@ -55,13 +55,14 @@ def prepared(folder: str, batch: int, seeds: int = 1) -> Plan:
     recipe["model"]["stem"] = None
     recipe["stages"] = [recipe["stages"][0] | {"batch": batch}]
     members = [Member(seed) for seed in range(seeds)]
-    return plan(tn.load(folder), tn.Recipe.model_validate(recipe), members)
+    return plan(make_task(tn.load(folder), recipe, members))
 
 
 def this_package(work: Plan) -> Call:
     """The epochs of a compiled call as the training loop makes it, without validation."""
-    epochs = compiled_epochs(work.stages[0], work.records, None, work.mesh)
-    state = work.template(0)
+    blind = replace(work, validation=None)
+    epochs = compiled_epochs(blind, blind.stages[0])
+    state = work.begin(0)
 
     def call() -> None:
         jax.block_until_ready(epochs(state))
@@ -79,7 +80,7 @@ def plain_scan(work: Plan, batch: int) -> Call:
 
     def loss(weights, x, u):  # noqa: ANN001, ANN202
         def one(target, inputs):  # noqa: ANN001, ANN202
-            return window_loss(rollout(weights, target[0], inputs), target, model.angular, "state")
+            return work.stages[0].residual.window_loss(rollout(weights, target[0], inputs), target)
 
         return jnp.mean(jax.vmap(one)(x, u))
 
@@ -109,8 +110,8 @@ def eager_torch(work: Plan, batch: int) -> Call:
     rows = work.stages[0].windows.rows[0]
     x = torch.tensor(np.stack([np.asarray(work.records.x)[r : r + length + 1] for r in rows]))
     u = torch.tensor(np.stack([np.asarray(work.records.u)[r : r + length] for r in rows]))
-    scale = torch.tensor(np.asarray(work.models.scaling.velocity)[0])
-    gain = torch.tensor(np.asarray(work.models.scaling.acceleration)[0]) * dt
+    scale = torch.tensor(np.asarray(work.models.network.scaling.velocity)[0])
+    gain = torch.tensor(np.asarray(work.models.network.scaling.acceleration)[0]) * dt
     net = torch.nn.Sequential(
         torch.nn.Linear(7, HIDDEN), torch.nn.LeakyReLU(0.01), torch.nn.Linear(HIDDEN, HIDDEN),
         torch.nn.LeakyReLU(0.01), torch.nn.Linear(HIDDEN, 2),
@@ -195,8 +196,8 @@ def several_seeds(folder: str, seeds: int = 8) -> None:
 
 def seconds_an_epoch(work: Plan) -> float:
     """Median time of an epoch with all that a training does in it."""
-    epochs = compiled_epochs(work.stages[0], work.records, work.validation, work.mesh)
-    state = work.template(0)
+    epochs = compiled_epochs(work, work.stages[0])
+    state = work.begin(0)
     return median_seconds(lambda: jax.block_until_ready(epochs(state))) / EPOCHS_A_CALL
 
 

@@ -2,7 +2,7 @@
 
 Use it with the card double_pendulum_dfki.toml:
 
-    tustinnet fit FOLDER --card examples/double_pendulum_dfki.toml --model euler-lagrange \
+    tustinnet fit FOLDER --card examples/double_pendulum_dfki.toml \
         --system examples/double_pendulum.py --out my-pendulum
 
 References:

@@ -2,7 +2,7 @@
 
 Force balance: M a = gain u - viscous - Coulomb friction - offset. Use it with the card emps.toml:
 
-    tustinnet fit FOLDER --card examples/emps.toml --model euler-lagrange \
+    tustinnet fit FOLDER --card examples/emps.toml \
         --system examples/emps.py --out my-emps
 
 References:

@@ -5,8 +5,11 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-# before JAX is loaded: what the command keeps between runs is not for tests
-os.environ["JAX_ENABLE_COMPILATION_CACHE"] = "false"
+# before JAX is loaded, and for the processes that tests start: what one test has compiled serves
+# the next ones, also in a later session
+os.environ["JAX_COMPILATION_CACHE_DIR"] = str(Path(__file__).parents[1] / ".pytest_cache/compiled")
+os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
+os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
 
 import jax
 import jaxtyping
@@ -14,7 +17,8 @@ import numpy as np
 import pytest
 
 import tustinnet as tn
-from tustinnet.artifact.run import train_runs
+from tustinnet.fitting.task import Member, make_task
+from tustinnet.store.run import run_task
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_num_cpu_devices", 2)  # as the command has on a machine with two cores
@@ -185,7 +189,9 @@ def trained_once(pendulum: tn.DataSet, tmp_path_factory: pytest.TempPathFactory)
     place = tmp_path_factory.mktemp("trained")
     (place / "small.toml").write_text(SMALL_RECIPE)
     data = tn.load(write_folder(pendulum, place / "logs"))
-    train_runs(data, tn.read_recipe(place / "small.toml"), [0, 1], place / "run")
+    run_task(
+        make_task(data, place / "small.toml", [Member(0), Member(1)]), data.name, place / "run"
+    )
     return place / "run"
 
 

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -14,7 +13,6 @@ from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Memor
 DT = 0.02
 TILT = 0.4  # of the direction that angles are counted from: the two sides differ
 COUNT = 2 * np.pi / 4096
-ROLLOUT = eqx.filter_jit(tn.rollout)
 TRUTH = {"inertia": 0.05, "damping": 0.02, "gravity": 1.5, "gain": 0.15}
 FAR = {"damping": 0.06, "gravity": 0.5, "gain": 0.45}  # a factor of 3 away
 
@@ -62,7 +60,7 @@ def swing_model(
 ) -> LagrangianModel:
     """The system with the values that the records are made with, or others."""
     everything = system.nominal() | TRUTH | dict(values)
-    return LagrangianModel(system, {k: jnp.asarray(v) for k, v in everything.items()})
+    return system.model({k: jnp.asarray(v) for k, v in everything.items()})
 
 
 def simulated(
@@ -77,7 +75,7 @@ def simulated(
     drive = u[:-1, None]
     if system.inputs[0].hold == "first-order":
         drive = np.stack([u[:-1, None], u[1:, None]], axis=1)
-    x = np.asarray(ROLLOUT(model, np.array(x0), drive))
+    x = np.asarray(tn.rollout(model, np.array(x0), drive))
     return tn.from_arrays(
         x[:, 0], u, v=x[:, 1], dt=DT, name=name,
         coordinates=system.coordinates, inputs=system.inputs,
@@ -117,7 +115,9 @@ def read_by_encoder(e: tn.Experiment) -> tn.Experiment:
         q=np.round(e.q / COUNT) * COUNT,
         v=None,
         v_measured=False,
-        coordinates=tuple(replace(c, resolution=COUNT) for c in e.coordinates),
+        channels=replace(
+            e.channels, coordinates=tuple(replace(c, resolution=COUNT) for c in e.coordinates)
+        ),
     )
 
 

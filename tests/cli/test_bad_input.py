@@ -200,6 +200,70 @@ def test_a_network_is_no_physics_to_correct(folder, run_folder, tmp_path, refuse
     out = tmp_path / "corrected"
     refused(
         "fit", folder, "--physics", run_folder / "model.safetensors", "--out", out,
-        names=("model.safetensors", "trained already", "euler-lagrange"),
+        names=("--physics", "'tustin-net'", "trained already", "--system first"),
+    )  # fmt: skip
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("seeds", ["", "0", "-1", "x", "2.5", "1,1", "0,x", ","])
+def test_seeds_that_are_none(seeds, folder, small_recipe, tmp_path, refused):
+    out = tmp_path / "run"
+    refused(
+        "fit", folder, "--recipe", small_recipe, "--out", out, f"--seeds={seeds}",
+        names=("--seeds", "different seeds", "--seeds 3"),
+    )  # fmt: skip
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "names"),
+    [
+        ("epochs", ("--set", "'epochs'", "KEY=VALUE")),
+        ("search.loss=state", ("small.toml, search", "unknown key", "stages")),
+        ("model.hiden=[4]", ("small.toml, model.hiden", "did you mean 'hidden'?")),
+        ("model.correction.hidden=[4]", ("small.toml, model.correction", "unknown key")),
+        ("model.kind=lstm", ("small.toml, model.kind", "'lstm'", "tustin-net, euler-lagrange")),
+        ("stages.*.epoch=3", ("small.toml, stages.0.epoch", "did you mean 'epochs'?")),
+        ("stages.1.penalty=1", ("small.toml, stages.1.penalty", "unknown key")),
+        ("stages.7.epochs=3", ("--set", "no place '7' in a list of 2", "0 to 1")),
+        ("stages.0.epochs=many", ("small.toml, stages.0.epochs", "integer", "'many'")),
+        ("stages.0.epochs=0", ("small.toml, stages.0.epochs", "greater than 0")),
+        ("stages.0.frozen_layers=3", ("small.toml", "stage 'first' freezes 3 of 2 hidden")),
+    ],
+)
+def test_changes_that_a_recipe_does_not_take(
+    change, names, folder, small_recipe, tmp_path, refused
+):
+    out = tmp_path / "run"
+    refused(
+        "fit", folder, "--recipe", small_recipe, "--out", out, "--set", change, names=names
+    )  # fmt: skip
+    assert not out.exists()
+
+
+def test_a_key_that_is_set_twice(folder, small_recipe, tmp_path, refused):
+    refused(
+        "fit", folder, "--recipe", small_recipe, "--out", tmp_path / "run",
+        "--set", "model.hidden=[4]", "--set", "model.hidden=[5]",
+        names=("--set", "'model.hidden' twice"),
+    )  # fmt: skip
+
+
+def test_a_run_is_resumed_or_overwritten(folder, small_recipe, tmp_path, refused):
+    refused(
+        "fit", folder, "--recipe", small_recipe, "--out", tmp_path / "run",
+        "--resume", "--overwrite", names=("--resume, --overwrite", "both", "one of them"),
+    )  # fmt: skip
+
+
+def test_what_a_network_has_no_use_for(folder, run_folder, small_recipe, tmp_path, refused):
+    out = tmp_path / "none"
+    fit = ("fit", folder, "--recipe", small_recipe, "--out", out)
+    refused(*fit, "--system", "qube-servo2", names=("--system", "'tustin-net'", "--recipe grey"))
+    model = run_folder / "model.safetensors"
+    refused(*fit, "--physics", model, names=("--physics", "'tustin-net'", "best-hybrid"))
+    refused(
+        "fit", folder, "--recipe", "best-hybrid", "--out", out,
+        names=("recipe 'best-hybrid'", "no physics", "--physics"),
     )  # fmt: skip
     assert not out.exists()

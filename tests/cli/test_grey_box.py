@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from conftest import write_folder
 from test_verbs import tustinnet
 
 import tustinnet as tn
+from tustinnet.cli import demo
 from tustinnet.cli.main import run
 from tustinnet.systems import qube_servo2_twin
 
@@ -53,8 +55,8 @@ def identified_once(pendulum, tmp_path_factory):
     (place / "small_pendulum.py").write_text(SYSTEM)
     logs = write_folder(pendulum, place / "logs")
     with pytest.raises(SystemExit) as ended:
-        run(["fit", str(logs), "--model", "euler-lagrange", "--system",
-             str(place / "small_pendulum.py"), "--out", str(place / "grey")])  # fmt: skip
+        run(["fit", str(logs), "--recipe", "grey", "--system", str(place / "small_pendulum.py"),
+             "--out", str(place / "grey")])  # fmt: skip
     assert not ended.value.code
     return place / "grey"
 
@@ -70,7 +72,7 @@ def test_fit_finds_the_parameters_and_keeps_model_summary_and_figures(identified
     found = {e["name"]: e for e in summary["identification"]["estimates"]}
     for name, value in TRUTH.items():
         assert found[name]["value"] == pytest.approx(value, rel=0.02)
-    assert summary["identification"]["held"] == {"inertia": 1.0}
+    assert summary["identification"]["fixed"] == {"inertia": 1.0}
     assert summary["scores"]["split"] == "validation"
     assert summary["scores"]["mean"] < 0.02
     names = {p.name for p in (identified / "figures").iterdir()}
@@ -78,16 +80,7 @@ def test_fit_finds_the_parameters_and_keeps_model_summary_and_figures(identified
 
 
 def test_a_second_fit_does_not_overwrite_the_first(identified, folder, system, capsys):
-    arguments = [
-        "fit",
-        folder,
-        "--model",
-        "euler-lagrange",
-        "--system",
-        system,
-        "--out",
-        identified,
-    ]
+    arguments = ["fit", folder, "--recipe", "grey", "--system", system, "--out", identified]
     before = (identified / "model.safetensors").read_bytes()
     code, _, err = tustinnet(capsys, *arguments)
     assert code == 1
@@ -111,7 +104,7 @@ def test_every_verb_takes_the_model_with_its_system(identified, folder, system, 
     )
     assert code == 0
     assert len(list((tmp_path / "sim").glob("*.csv"))) == 5
-    code, out, _ = tustinnet(capsys, "show", model, "--system", system)
+    code, out, _ = tustinnet(capsys, "show", model)
     assert code == 0
     assert "gravity 20" in out
     assert "Runge-Kutta" in out
@@ -128,7 +121,41 @@ def test_a_changed_system_is_refused_but_comments_may_change(identified, folder,
     system.write_text("# a remark\n" + SYSTEM.replace("A pendulum with friction", "Much said"))
     assert tustinnet(capsys, *arguments)[0] == 0
     system.write_text(SYSTEM.replace("jnp.cos(q[0])", "jnp.cos(2 * q[0])"))
-    code, _, err = tustinnet(capsys, *arguments)
+    code, out, err = tustinnet(capsys, *arguments)
+    assert code == 1
+    assert out == ""
+    assert "'small-pendulum' has changed since the model was identified" in err
+    assert "'angle' moves otherwise by" in err
+
+
+CALLING = SYSTEM.replace("jnp.cos(q[0])", "height(q)")
+HEIGHT = "def height(q):\n    return jnp.cos(q[0])\n"
+
+
+def in_the_same_file(system, height):
+    system.write_text(CALLING.replace("SYSTEM =", f"{height}\n\nSYSTEM ="))
+
+
+def in_a_module(system, height):
+    (system.parent / "heights.py").write_text(f"import jax.numpy as jnp\n\n\n{height}")
+    system.write_text(
+        CALLING.replace("import tustinnet", "from heights import height\nimport tustinnet")
+    )
+    sys.modules.pop("heights", None)
+
+
+@pytest.mark.parametrize("write", [in_the_same_file, in_a_module])
+def test_a_function_that_the_energies_call_may_move_but_not_change(
+    identified, folder, system, monkeypatch, capsys, write
+):
+    monkeypatch.syspath_prepend(system.parent)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    monkeypatch.setitem(sys.modules, "heights", None)  # put back as it was, not there
+    model = identified / "model.safetensors"
+    write(system, HEIGHT)
+    assert tn.load_model(model, system).state_size == 2
+    write(system, HEIGHT.replace("cos(q[0])", "cos(1.0001 * q[0])"))
+    code, _, err = tustinnet(capsys, "evaluate", model, folder, "--system", system)
     assert code == 1
     assert "has changed since the model was identified" in err
 
@@ -179,7 +206,7 @@ def test_a_reversed_input_ends_with_its_name_and_exit_code_1(folder, system, tmp
         path.write_text("\n".join([head, *turned]) + "\n")
     assert card.is_file()
     code, out, err = tustinnet(
-        capsys, "fit", folder, "--model", "euler-lagrange", "--system", system,
+        capsys, "fit", folder, "--recipe", "grey", "--system", system,
         "--out", tmp_path / "turned",
     )  # fmt: skip
     assert code == 1
@@ -213,7 +240,7 @@ def test_a_broken_system_file_is_one_line(told, folder, tmp_path, capsys):
     path = tmp_path / "broken.py"
     path.write_text(BROKEN[told])
     code, _, err = tustinnet(
-        capsys, "fit", folder, "--model", "euler-lagrange", "--system", path,
+        capsys, "fit", folder, "--recipe", "grey", "--system", path,
         "--out", tmp_path / "out",
     )  # fmt: skip
     assert code == 1
@@ -222,42 +249,54 @@ def test_a_broken_system_file_is_one_line(told, folder, tmp_path, capsys):
     assert "Traceback" not in err
 
 
+GREY = ["--recipe", "grey", "--system", "{}"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["--model", "euler-lagrange"], "--system NAME or --system FILE.py"),
-        (["--model", "euler-lagrange", "--system", "qube-servo3"], "no such system"),
-        (["--model", "euler-lagrange", "--system", "nowhere.py"], "no such file"),
-        (["--model", "euler-lagrange", "--system", "qube-servo2"], "coordinates"),
-        (["--model", "euler-lagrange", "--system", "{}", "--fix", "mass"], "no parameter 'mass'"),
-        (["--model", "euler-lagrange", "--system", "{}", "--fix", "gain=x"], "NAME=NUMBER"),
-        (["--model", "euler-lagrange", "--system", "{}", "--fix", "gain=99"], "0.1..40"),
-        (["--model", "euler-lagrange", "--system", "{}", "--initial", "here"], "unknown start"),
+        (["--recipe", "grey"], ["recipe 'grey'", "no system", "--system"]),
+        (["--recipe", "best-grey"], ["recipe 'best-grey'", "no system", "--system"]),
+        (["--recipe", "grey", "--system", "qube-servo3"], ["'qube-servo3'", "no such system"]),
+        (["--recipe", "grey", "--system", "nowhere.py"], ["nowhere.py", "no such file"]),
+        (["--system", "qube-servo2"], ["coordinates", "theta (angular)", "'qube-servo2'"]),
+        (["--recipe", "standard", "--system", "{}"], ["--system", "tustin-net", "--recipe grey"]),
+        (["--recipe", "nope", "--system", "{}"], ["no recipe 'nope'", "one of best-grey"]),
+        ([*GREY, "--set", "model.fixed.mass=nominal"], ["no parameter 'mass'", "inertia"]),
+        ([*GREY, "--set", "model.fixed.gain=x"], ["model.fixed.gain", "valid number"]),
+        ([*GREY, "--set", "model.fixed.gain=99"], ["'gain'", "0.1..40"]),
+        ([*GREY, "--set", "model.begin.gain=99"], ["'gain'", "0.1..40"]),
+        ([*GREY, "--set", "model.begin.mass=1"], ["no parameter 'mass'"]),
+        ([*GREY, "--set", "model.fix.gain=4"], ["model.fix", "did you mean 'fixed'?"]),
         (
-            ["--model", "euler-lagrange", "--system", "{}", "--recipe", "standard"],
-            "'standard' is not for --model euler-lagrange",
+            [*GREY, "--set", "model.fixed.gain=1", "--set", "model.fixed.gain=2"],
+            ["--set", "'model.fixed.gain' twice"],
         ),
-        (["--model", "tustin-net", "--recipe", "best-grey"], "is not for --model tustin-net"),
-        (
-            ["--model", "euler-lagrange", "--system", "{}", "--recipe", "nope"],
-            "expected one of best-grey",
-        ),
-        (["--system", "qube-servo2"], "--model euler-lagrange"),
-        (["--fix", "gain"], "--model euler-lagrange"),
-        (["--model", "euler-lagrange", "--system", "{}", "--seeds", "2"], "no seeds"),
-        (["--model", "euler-lagrange", "--system", "{}", "--begin", "gain=99"], "0.1..40"),
-        (
-            ["--model", "euler-lagrange", "--system", "{}", "--fix", "gain=1", "--fix", "gain=2"],
-            "'gain' twice",
-        ),
+        ([*GREY, "--set", "search.initial=here"], ["search.initial", "unknown start"]),
+        ([*GREY, "--set", "search.initial=model-20"], ["search.initial", "fitted", "derived-6"]),
+        ([*GREY, "--set", "search.method=newton"], ["search.method", "'l-bfgs'", "'newton'"]),
+        ([*GREY, "--set", "search.los=state"], ["search.los", "did you mean 'loss'?"]),
+        ([*GREY, "--set", "stages.0.epochs=3"], ["recipe 'grey', stages", "unknown key"]),
+        (["--set", "search.loss=state"], ["recipe 'standard', search", "unknown key"]),
+        (["--set", "model.fixed.gain=4"], ["recipe 'standard', model.fixed", "unknown key"]),
+        ([*GREY, "--seeds", "2"], ["--seeds", "'grey' identifies", "no seeds"]),
+        ([*GREY, "--seeds", "1"], ["--seeds", "no seeds"]),
+        ([*GREY, "--rates", "1,0.5"], ["--rates", "'grey' identifies"]),
+        ([*GREY, "--resume"], ["--resume", "an identification is not resumed"]),
     ],
+    ids=lambda part: " ".join(part),
 )
 def test_options_that_do_not_fit_are_one_line(arguments, told, folder, system, tmp_path, capsys):
     arguments = [a.format(system) for a in arguments]
-    code, _, err = tustinnet(capsys, "fit", folder, "--out", tmp_path / "out", *arguments)
+    out = tmp_path / "out"
+    code, printed, err = tustinnet(capsys, "fit", folder, "--out", out, *arguments)
     assert code == 1
-    assert told in err
+    assert printed == ""
+    (line,) = [line for line in err.splitlines() if line.startswith("error: ")]
+    for word in told:
+        assert word in line
     assert "Traceback" not in err
+    assert not list(out.glob("*"))
 
 
 def test_ranges_may_change_without_losing_the_model(identified, folder, system, capsys):
@@ -273,7 +312,7 @@ def test_two_variants_of_a_system_are_compared(identified, folder, system, tmp_p
     stiff.write_text(
         SYSTEM.replace("small-pendulum", "stiff").replace("v[0] ** 2 / 2", "v[0] ** 2")
     )
-    arguments = ["fit", folder, "--model", "euler-lagrange", "--system", stiff, "--quiet"]
+    arguments = ["fit", folder, "--recipe", "grey", "--system", stiff, "--quiet"]
     assert tustinnet(capsys, *arguments, "--out", tmp_path / "stiff")[0] == 0
     models = [identified / "model.safetensors", tmp_path / "stiff" / "model.safetensors"]
     code, out, _ = tustinnet(
@@ -290,7 +329,7 @@ def test_records_that_simulate_to_infinity_are_a_named_outcome(folder, system, t
         )
     )
     code, out, err = tustinnet(
-        capsys, "fit", folder, "--model", "euler-lagrange", "--system", system,
+        capsys, "fit", folder, "--recipe", "grey", "--system", system,
         "--out", tmp_path / "out",
     )  # fmt: skip
     assert code == 1
@@ -301,11 +340,12 @@ def test_records_that_simulate_to_infinity_are_a_named_outcome(folder, system, t
 
 def test_fixed_parameters_stay(folder, system, tmp_path, capsys):
     code, out, _ = tustinnet(
-        capsys, "fit", folder, "--model", "euler-lagrange", "--system", system, "--fix",
-        "gain=4", "--fix", "inertia", "--json", "--out", tmp_path / "out", "--quiet",
+        capsys, "fit", folder, "--recipe", "grey", "--system", system,
+        "--set", "model.fixed.gain=4", "--set", "model.fixed.inertia=nominal",
+        "--json", "--out", tmp_path / "out", "--quiet",
     )  # fmt: skip
     assert code == 0
-    assert json.loads(out)["identification"]["held"] == {"inertia": 1.0, "gain": 4.0}
+    assert json.loads(out)["identification"]["fixed"] == {"inertia": 1.0, "gain": 4.0}
 
 
 def test_the_demo_does_the_whole_job_and_says_twin_everywhere(
@@ -313,9 +353,19 @@ def test_the_demo_does_the_whole_job_and_says_twin_everywhere(
 ):
     runs = {"train": (3, 2), "validation": (1, 1), "test": (1, 1)}
     monkeypatch.setattr(qube_servo2_twin, "_TWIN_RUNS", runs)
-    monkeypatch.setattr("tustinnet.cli.demo._DRAWN", ("twin_fall_test1",))
-    recipes = {"Tustin-Net, standard": small_recipe, "Tustin-Net, transfer": small_recipe}
-    monkeypatch.setattr("tustinnet.cli.demo._RECIPES", recipes)
+    for name in ("_fall", "_noise"):  # 3 s of each
+        whole = getattr(qube_servo2_twin, name)
+        cut = lambda *drawn, whole=whole: replace(run := whole(*drawn), u=run.u[:300])  # noqa: E731
+        monkeypatch.setattr(qube_servo2_twin, name, cut)
+    monkeypatch.setattr(demo, "_DRAWN", ("twin_fall_test1",))
+    quick = tn.read_recipe(
+        "grey", ["search.initial=anchored", "search.substeps=2", "search.iterations=5"]
+    )
+    fitted = {
+        label: (quick if tn.read_recipe(recipe).name == "grey" else small_recipe, system)
+        for label, (recipe, system) in demo._FITTED.items()
+    }
+    monkeypatch.setattr(demo, "_FITTED", fitted)
     out = tmp_path / "demo"
     code, printed, _ = tustinnet(capsys, "demo", "--out", out)
     assert code == 0
@@ -332,7 +382,7 @@ def test_the_demo_does_the_whole_job_and_says_twin_everywhere(
 
 
 def test_a_twin_written_and_read_again_is_the_same(tmp_path):
-    from tustinnet.artifact.data_set_folder import write_data_set
+    from tustinnet.store.data_set_folder import write_data_set
 
     data = qube_servo2_twin.twin(3)
     few = tn.DataSet(data.name, tuple(data.split("validation")))

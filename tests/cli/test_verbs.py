@@ -33,14 +33,18 @@ def test_help_names_every_verb_and_loads_no_jax():
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    for verb in ("fit", "simulate", "evaluate", "inspect", "show", "reproduce"):
+    for verb in (
+        "demo", "inspect", "fit", "cross-validate", "simulate", "evaluate", "compare", "residuals",
+        "show", "reproduce",
+    ):  # fmt: skip
         assert f"\n  {verb} " in done.stdout
 
 
 def test_wrong_usage_exits_with_2(capsys):
     assert tustinnet(capsys, "fit")[0] == 2
     assert tustinnet(capsys, "inspect", "--nonsense")[0] == 2
-    assert tustinnet(capsys, "fit", "x", "--out", "y", "--seeds", "0")[0] == 2
+    assert tustinnet(capsys, "simulate", "m", "x")[0] == 2
+    assert tustinnet(capsys, "cross-validate", "x", "--out", "y", "--folds", "2")[0] == 2
 
 
 def test_version(capsys):
@@ -96,6 +100,19 @@ def test_fit_trains_every_seed_at_several_rates(folder, small_recipe, tmp_path, 
         (0, 1.0, "seed-0/model.safetensors"), (0, 0.5, "seed-0-rate-0.5/model.safetensors"),
         (1, 1.0, "seed-1/model.safetensors"), (1, 0.5, "seed-1-rate-0.5/model.safetensors"),
     ]  # fmt: skip
+
+
+def test_fit_takes_seeds_by_name_and_changes_of_the_recipe(folder, small_recipe, tmp_path, capsys):
+    code, out, _ = tustinnet(
+        capsys, "fit", folder, "--recipe", small_recipe, "--out", tmp_path / "run",
+        "--seeds", "4,7", "--set", "stages.*.epochs=1", "--set", "description=quick",
+        "--json", "--quiet",
+    )  # fmt: skip
+    assert code == 0
+    told = json.loads(out)
+    assert [(s["seed"], s["epochs"]) for s in told["seeds"]] == [(4, [1, 1]), (7, [1, 1])]
+    shown = json.loads(tustinnet(capsys, "show", tmp_path / "run/model.safetensors", "--json")[1])
+    assert shown["recipe"]["description"] == "quick"
 
 
 def test_fit_resumes_a_finished_run(model, folder, small_recipe, capsys):

@@ -97,7 +97,7 @@ def test_two_records_of_one_name_are_refused(three: tn.DataSet) -> None:
 
 
 def test_another_period_is_refused_and_rounding_is_not(three: tn.DataSet) -> None:
-    with pytest.raises(tn.InputError, match=r"d: sampling period 0\.02 s, but a has 0\.01 s"):
+    with pytest.raises(tn.InputError, match=r"d: sampling period 0\.02 s; .* 0\.01 s as in a"):
         three.merge([record("d", dt=0.02)])
     assert len(three.merge([record("d", dt=0.01 * (1 + 1e-9))])) == 4
 
@@ -138,7 +138,9 @@ def test_the_order_of_coordinates_matters() -> None:
 
 
 def test_records_may_differ_in_what_does_not_change_the_system(three: tn.DataSet) -> None:
-    other = replace(record("d"), coordinates=(tn.Coordinate("angle", "angular", 1e-3),))
+    other = record("d")
+    finer = replace(other.channels, coordinates=(tn.Coordinate("angle", "angular", 1e-3),))
+    other = replace(other, channels=finer)
     assert len(three.merge([other])) == 4
 
 

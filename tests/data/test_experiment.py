@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import tustinnet as tn
-from tustinnet.data.experiment import Hold
+from tustinnet.channels import Hold
 
 DT = 0.02
 COUNT = 2e-3

@@ -135,7 +135,7 @@ def test_a_folder_with_none_of_the_files_is_refused(tmp_path: Path) -> None:
 def test_files_of_different_periods_are_refused(tmp_path: Path) -> None:
     write(tmp_path / "a.csv")
     write(tmp_path / "b.csv", time=np.arange(40) * 0.02)
-    with pytest.raises(tn.InputError, match=r"b: sampling period 0\.02 s, but a has 0\.01 s"):
+    with pytest.raises(tn.InputError, match=r"b: sampling period 0\.02 s; .* 0\.01 s as in a"):
         load_folder(tmp_path, card(dt=None, splits={"train": ["*.csv"]}, **timed()))
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import tustinnet as tn
+from tustinnet.models.integrate import discretise
 from tustinnet.models.lagrangian import (
     LagrangianModel,
     LagrangianSystem,
@@ -17,7 +18,6 @@ from tustinnet.models.lagrangian import (
     Parameter,
     solve_positive,
 )
-from tustinnet.simulation.integrators import discretise
 from tustinnet.systems import qube_servo2
 
 G = 9.81
@@ -264,16 +264,16 @@ def test_a_body_without_forces_keeps_its_velocity():
     x = jnp.array([0.3, 1.5])
     np.testing.assert_allclose(free.derivative(x, jnp.zeros(0)), [1.5, 0.0])
     assert free.energy(x) == pytest.approx(2.25)
-    assert free.memory == ()
+    assert free.internal == ()
 
 
 def test_memory_adds_states_with_rates_and_a_force():
     sticky = LagrangianModel(STICKY_CART, {"mass": jnp.asarray(2.0)})
     found = sticky.derivative(jnp.array([0.3, 1.5, 0.2, 9.0]), jnp.array([4.0]))
     np.testing.assert_allclose(found, [1.5, (4.0 - 7.0 * 0.2) / 2.0, 1.5 - 3.0 * 0.2, 2.25])
-    assert sticky.memory == ("creep", "heat")
+    assert sticky.internal == ("creep", "heat")
     discrete = discretise(sticky, 0.01)
-    assert discrete.memory == ("creep", "heat")
+    assert discrete.internal == ("creep", "heat")
     assert discrete.state_size == 4
     assert discretise(model(), 0.01).state_size == 4
 

@@ -8,9 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tustinnet as tn
-from tustinnet.models.base import with_dtype
-from tustinnet.models.tustin import Scaling, TustinNet, random_tustin_net
-from tustinnet.simulation.rollout import rollout
+from tustinnet.families.tustin_net import TustinNet, random_tustin_net
+from tustinnet.models.blocks import Scaling
+from tustinnet.models.contract import with_dtype
+from tustinnet.simulate.rollout import rollout
 
 COORDINATES = (tn.Coordinate("arm", "angular"), tn.Coordinate("slide", "linear"))
 INPUTS = (tn.Input("voltage", "V"),)
@@ -19,7 +20,7 @@ INPUTS = (tn.Input("voltage", "V"),)
 def network(seed: int, dt: float) -> TustinNet:
     scaling = Scaling(jnp.zeros(1), jnp.ones(1), jnp.ones(2), jnp.ones(1), 5 * jnp.ones(2))
     model = random_tustin_net(
-        COORDINATES, INPUTS, dt, scaling, jax.random.key(seed), hidden=(6, 5), stem=4
+        tn.Channels(COORDINATES, INPUTS, dt), scaling, jax.random.key(seed), hidden=(6, 5), stem=4
     )
     return with_dtype(model, np.float64)
 
@@ -65,11 +66,10 @@ def test_gradient_equals_finite_differences():
     x, u = random_run(model, 3, 25)
 
     def energy(weight):
-        moved = jax.tree.map(lambda leaf: leaf, model)
-        object.__setattr__(moved, "output", type(model.output)(weight, None))
+        moved = eqx.tree_at(lambda m: m.network.output.weight, model, weight)
         return jnp.sum(rollout(moved, jnp.asarray(x[0]), jnp.asarray(u))[:, :2] ** 2)
 
-    weight = model.output.weight
+    weight = model.network.output.weight
     gradient = jax.grad(energy)(weight)
     h = 1e-6
     for i, j in [(0, 0), (1, 3)]:
@@ -86,7 +86,7 @@ def test_a_long_rollout_and_its_gradient_equal_the_plain_ones(monkeypatch):
         return jnp.sum(rollout(m, jnp.asarray(x[0]), jnp.asarray(u))[:, :2] ** 2)
 
     plain, gradient = eqx.filter_value_and_grad(energy)(model)
-    monkeypatch.setattr("tustinnet.simulation.rollout.LONG", 10)
+    monkeypatch.setattr("tustinnet.simulate.rollout.LONG", 10)
     long, other = eqx.filter_value_and_grad(energy)(model)
     np.testing.assert_allclose(long, plain, rtol=1e-12)
     for a, b in zip(jax.tree.leaves(gradient), jax.tree.leaves(other), strict=True):

@@ -6,9 +6,13 @@ import math
 import numpy as np
 import pytest
 from rich.console import Console
+from swinging import SWING, data_set, records
 
 import tustinnet as tn
-from tustinnet.evaluation.free_run import Score
+from tustinnet.evaluate.scores import Score
+from tustinnet.fitting.gradient.plan import plan
+from tustinnet.fitting.listener import EpochReport, Iteration
+from tustinnet.fitting.task import Member, make_task
 from tustinnet.report.figures import (
     ahead_figure,
     free_run_figure,
@@ -16,10 +20,8 @@ from tustinnet.report.figures import (
     training_figure,
     write_figure,
 )
-from tustinnet.report.progress import TrainingProgress
+from tustinnet.report.progress import FitProgress
 from tustinnet.report.tables import Table, number
-from tustinnet.training.plan import Member, plan
-from tustinnet.training.state import EpochReport
 
 
 @pytest.mark.parametrize(
@@ -47,8 +49,7 @@ def test_units_in_brackets_are_printed_as_they_are():
         assert text in out.getvalue()
 
 
-def test_figures_are_written_whole_or_not_at_all(pendulum, run_folder, tmp_path):
-    model = tn.load_model(run_folder / "model.safetensors")
+def test_figures_are_written_whole_or_not_at_all(pendulum, tmp_path):
     e = pendulum[0]
     run = np.column_stack([e.q, e.velocities()])
     run[200:] = np.inf  # a free run that diverged must not spoil the picture
@@ -60,7 +61,7 @@ def test_figures_are_written_whole_or_not_at_all(pendulum, run_folder, tmp_path)
     pictures = {
         "run.png": free_run_figure(e, {"model": score}),
         "training.svg": training_figure({"seed-0": lines, "seed-1": lines}),
-        "ahead.pdf": ahead_figure({"model": np.array([0.1, 0.2])}, model),
+        "ahead.pdf": ahead_figure({"model": np.array([0.1, 0.2])}, pendulum.channels),
         "records.png": inspection_figure(
             list(pendulum), [tn.inspect_experiment(x) for x in pendulum]
         ),
@@ -74,12 +75,12 @@ def test_figures_are_written_whole_or_not_at_all(pendulum, run_folder, tmp_path)
 
 
 def test_progress_shows_loss_validation_rate_and_time_left(pendulum, small_recipe):
-    prepared = plan(pendulum, small_recipe)
+    prepared = plan(make_task(pendulum, small_recipe))
     for terminal in (True, False):
         out = io.StringIO()
         console = Console(file=out, force_terminal=terminal, width=160)
-        with TrainingProgress(console) as progress:
-            told = progress.follow(prepared)
+        with FitProgress(console) as progress:
+            told = progress.follow(prepared).epoch
             told(EpochReport("first", 1, 0.5, 0.25, 1e-3, 0.25))
             told(EpochReport("second", 4, 0.4, 0.2, 5e-4, 0.2, "back to the last good state"))
         text = out.getvalue()
@@ -93,8 +94,9 @@ def test_progress_of_trainings_that_run_together_tells_the_slowest_and_the_best(
     pendulum, small_recipe
 ):
     out = io.StringIO()
-    with TrainingProgress(Console(file=out, width=160)) as progress:
-        told = progress.follow(plan(pendulum, small_recipe, [Member(3), Member(4, 0.5)]))
+    with FitProgress(Console(file=out, width=160)) as progress:
+        members = [Member(3), Member(4, 0.5)]
+        told = progress.follow(plan(make_task(pendulum, small_recipe, members))).epoch
         told(EpochReport("second", 4, 0.4, 0.2, 5e-4, 0.15))
         assert out.getvalue() == ""
         told(EpochReport("second", 4, 0.4, 0.2, 5e-4, 0.2, "something happened", 1))
@@ -103,10 +105,39 @@ def test_progress_of_trainings_that_run_together_tells_the_slowest_and_the_best(
     assert "small, seed 4 rate 0.5: something happened" in out.getvalue()
 
 
+@pytest.mark.parametrize("terminal", [True, False])
+def test_progress_of_an_identification_shows_its_stages(terminal):
+    out = io.StringIO()
+    task = make_task(data_set(records()), "grey", system=SWING)
+    with FitProgress(Console(file=out, force_terminal=terminal, width=160)) as progress:
+        told = progress.follow(task, "swing").iteration
+        told(Iteration("first values", 1, 0.5, 0.0))
+        told(Iteration("whole records", 1, 0.25, 0.1))
+        told(Iteration("whole records", 2, 0.125, 0.1))
+    text = out.getvalue()
+    assert ("\x1b[" in text) is terminal
+    if terminal:
+        assert "swing" in text
+        assert "whole records, iteration 2, cost 0.125" in text
+    else:  # a line a stage
+        assert text.splitlines() == [
+            "swing: first values, iteration 1, cost 0.5",
+            "swing: whole records, iteration 1, cost 0.25",
+        ]
+
+
+def test_quiet_progress_of_an_identification_says_nothing():
+    out = io.StringIO()
+    with FitProgress(Console(file=out), quiet=True) as progress:
+        task = make_task(data_set(records()), "grey", system=SWING)
+        progress.follow(task).iteration(Iteration("first values", 1, 0.5, 0.0))
+    assert out.getvalue() == ""
+
+
 def test_quiet_progress_tells_events_only(pendulum, small_recipe):
     out = io.StringIO()
-    with TrainingProgress(Console(file=out), quiet=True) as progress:
-        told = progress.follow(plan(pendulum, small_recipe))
+    with FitProgress(Console(file=out), quiet=True) as progress:
+        told = progress.follow(plan(make_task(pendulum, small_recipe))).epoch
         told(EpochReport("second", 4, 0.4, 0.2, 5e-4, 0.2))
         assert out.getvalue() == ""
         told(EpochReport("second", 4, 0.4, 0.2, 5e-4, 0.2, "something happened"))

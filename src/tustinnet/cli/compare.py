@@ -1,11 +1,16 @@
 """`tustinnet compare`: several models on the same records."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tustinnet.cli import options, terminal
+
+if TYPE_CHECKING:
+    from tustinnet.data.experiment import Experiment
+    from tustinnet.evaluate.scores import Score
+    from tustinnet.report.tables import Table
 
 
 def compare(
@@ -29,20 +34,19 @@ def compare(
 ) -> None:
     """Compare the free runs of several models: one table, one overlay a record."""
     terminal.prepare_jax()
-    from tustinnet.artifact.model_file import load_model, read_header
-    from tustinnet.cli.records import judged_records
-    from tustinnet.data.experiment import position_unit
-    from tustinnet.evaluation.free_run import evaluate, mean_rmse
+    from tustinnet.cli.request import judged_records
+    from tustinnet.evaluate.scores import evaluate, mean_rmse, rmse_by_record
     from tustinnet.report.figures import free_run_figure, write_figure
-    from tustinnet.report.tables import Table, number
-    from tustinnet.systems.registry import load_system
+    from tustinnet.store.model_file import load_model, system_of
+    from tustinnet.systems.files import load_system
 
-    records, begin = judged_records(data, card, split, start)
     own = {found.name: found for found in map(load_system, system or [])}
-    scores = {}
-    for label, path in zip(_labels(models), models, strict=True):
-        name = read_header(path).get("system", {}).get("name")
-        scores[label] = evaluate(load_model(path, own.get(name)), records, begin)
+    loaded = [load_model(path, own.get(system_of(path))) for path in models]
+    records, begin = judged_records(data, card, split, start, loaded)
+    scores = {
+        label: evaluate(model, records, begin)
+        for label, model in zip(_labels(models), loaded, strict=True)
+    }
     if figures is not None:
         for i, e in enumerate(records):
             runs = {label: found[i] for label, found in scores.items()}
@@ -56,13 +60,20 @@ def compare(
                 label: {
                     "file": str(path),
                     "mean": means[label],
-                    "rmse": {s.experiment: s.rmse for s in scores[label]},
+                    "rmse": rmse_by_record(scores[label]),
                 }
                 for label, path in zip(scores, models, strict=True)
             },
         }
         terminal.print_json(content)
         return
+    terminal.print_tables(_table(records, scores, begin))
+
+
+def _table(records: "list[Experiment]", scores: "dict[str, list[Score]]", begin: str) -> "Table":
+    from tustinnet.evaluate.scores import mean_rmse
+    from tustinnet.report.tables import Table, number
+
     rows = [
         [e.name, e.split or "all", *[number(found[i].rmse) for found in scores.values()]]
         for i, e in enumerate(records)
@@ -71,9 +82,8 @@ def compare(
         inside = [i for i, e in enumerate(records) if (e.split or "all") == name]
         groups = [mean_rmse([found[i] for i in inside]) for found in scores.values()]
         rows.append(["mean", name, *map(number, groups)])
-    unit = position_unit(records[0].coordinates)
-    title = f"Free-run RMSE [{unit}], start '{begin}'"
-    terminal.print_tables(Table(["record", "split", *scores], rows, title=title))
+    title = f"Free-run RMSE [{records[0].channels.unit}], start '{begin}'"
+    return Table(["record", "split", *scores], rows, title=title)
 
 
 def _labels(paths: list[Path]) -> list[str]:

@@ -1,6 +1,6 @@
 """`tustinnet demo`: the whole main job on simulated records, offline."""
 
-from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,14 +12,16 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from tustinnet.data.dataset import DataSet
-    from tustinnet.evaluation.free_run import Score
+    from tustinnet.evaluate.scores import Score
     from tustinnet.report.tables import Table
 
-_SYSTEMS = {
-    "Euler-Lagrange, no spring": "qube-servo2-naive",
-    "Euler-Lagrange": "qube-servo2",
+# what is fitted: a recipe, and the system where one is identified
+_FITTED = {
+    "Euler-Lagrange, no spring": ("grey", "qube-servo2-naive"),
+    "Euler-Lagrange": ("grey", "qube-servo2"),
+    "Tustin-Net, standard": ("standard", None),
+    "Tustin-Net, transfer": ("transfer", None),
 }
-_RECIPES = {"Tustin-Net, standard": "standard", "Tustin-Net, transfer": "transfer"}
 _START = "derived-6"  # the twin moves when its records begin, and `file` would say it does not
 _DRAWN = ("twin_fall_test1", "twin_noise_test2")
 
@@ -38,18 +40,12 @@ def demo(
     shows how the command works, not how accurate the models are on an apparatus.
     """
     terminal.prepare_jax(device)
-    from tustinnet.artifact.data_set_folder import write_data_set
-    from tustinnet.artifact.files import (
-        require_new,
-        require_writable_folder,
-        to_json,
-        write_atomically,
-    )
     from tustinnet.cli.inspect import time_table
     from tustinnet.data.catalog import load
     from tustinnet.data.inspection import inspect_experiment
-    from tustinnet.evaluation.free_run import mean_rmse
     from tustinnet.report.figures import inspection_figure, write_figure
+    from tustinnet.store.data_set_folder import write_data_set
+    from tustinnet.store.files import require_new, require_writable_folder
     from tustinnet.systems import qube_servo2_twin
 
     told = terminal.messages()
@@ -67,29 +63,15 @@ def demo(
     if not json:
         terminal.print_tables(time_table(reports))
     _say(told, quiet, "3/4 fitting four models on the training records")
-    judged = list(data.split("test"))
-    # what is fitted and what chooses between fits must not see the records that judge
-    material = type(data)(data.name, tuple(e for e in data if e.split != "test"))
-    scores = {
-        **_identified(material, judged, out, told, quiet=quiet, overwrite=overwrite),
-        **_trained(material, judged, out, seed, told, quiet=quiet, overwrite=overwrite),
-    }
-    _say(told, quiet, f"4/4 free runs of the {len(judged)} test records")
-    table = _table(scores)
-    write_atomically(table_file, table.markdown())
-    content = {
-        "data": data.name, "split": "test", "start": _START, "units": "rad",
-        "models": {
-            label: {"mean": mean_rmse(s), "rmse": {x.experiment: x.rmse for x in s}}
-            for label, s in scores.items()
-        },
-    }  # fmt: skip
-    write_atomically(out / "twin_table.json", to_json(content))
+    earlier = "discard" if overwrite else "refuse"
+    scores = _fitted(data, out, seed, told, quiet=quiet, earlier=earlier)
+    _say(told, quiet, f"4/4 free runs of the {len(data.split('test'))} test records")
+    content = _write(data, scores, out)
     figures = _draw(data, scores, out)
     if json:
         terminal.print_json(content)
     else:
-        terminal.print_tables(table)
+        terminal.print_tables(_table(scores))
     _say(told, quiet, f"written to {out}: {table_file.name}, {', '.join(figures)}")
     _say(told, quiet, f"look again: tustinnet inspect {logs}; tustinnet compare {out}/twin_*/"
                       f"model.safetensors {logs} --split test")  # fmt: skip
@@ -104,55 +86,45 @@ def _folder(out: Path, label: str) -> Path:
     return out / f"twin_{label.lower().replace(', ', '_').replace(' ', '_').replace('-', '_')}"
 
 
-def _identified(
-    data: "DataSet",
-    judged: Sequence[Any],
-    out: Path,
-    told: "Console",
-    *,
-    quiet: bool,
-    overwrite: bool,
+def _fitted(
+    data: "DataSet", out: Path, seed: int, told: "Console", *, quiet: bool, earlier: Any
 ) -> "dict[str, list[Score]]":
-    from tustinnet.artifact.identification import require_free_folder, write_identification
-    from tustinnet.evaluation.free_run import evaluate
-    from tustinnet.identification.identify import identify
-    from tustinnet.report.progress import IdentificationProgress
-    from tustinnet.systems.registry import load_system
+    """Fits every model; the test records, which judge, take part in nothing."""
+    from tustinnet.evaluate.scores import evaluate
+    from tustinnet.fitting.task import Member, make_task
+    from tustinnet.report.progress import FitProgress
+    from tustinnet.store.run import run_task
 
     scores = {}
-    for label, name in _SYSTEMS.items():
-        require_free_folder(_folder(out, label), overwrite=overwrite)
-        with IdentificationProgress(told, quiet=quiet, label=label) as progress:
-            result = identify(data, load_system(name), told=progress.told)
-        chosen_by = evaluate(result.model, list(data.split("validation")), _START)
-        write_identification(_folder(out, label), data, result, "validation", _START, chosen_by)
-        scores[label] = evaluate(result.model, judged, _START)
-        _say(told, quiet, f"{label}: {result.outcome}, {result.seconds:.0f} s")
+    with FitProgress(told, quiet=quiet) as progress:
+        for label, (recipe, system) in _FITTED.items():
+            members = [Member(seed if system is None else 0)]
+            task = make_task(data, recipe, members, system=system)
+            follow = partial(progress.follow, label=label)
+            best = run_task(task, data.name, _folder(out, label), earlier, follow).best.result
+            scores[label] = evaluate(best.model, list(data.split("test")), _START)
+            _say(told, quiet, f"{label}: {best.outcome}, {best.seconds:.0f} s")
     return scores
 
 
-def _trained(
-    data: "DataSet", judged: Sequence[Any], out: Path, seed: int, told: "Console",
-    *, quiet: bool, overwrite: bool,
-) -> "dict[str, list[Score]]":  # fmt: skip
-    from tustinnet.artifact.run import train_runs
-    from tustinnet.evaluation.free_run import evaluate
-    from tustinnet.report.progress import TrainingProgress
-    from tustinnet.training.recipe import read_recipe
+def _write(data: "DataSet", scores: "dict[str, list[Score]]", out: Path) -> dict[str, Any]:
+    from tustinnet.evaluate.scores import mean_rmse, rmse_by_record
+    from tustinnet.store.files import to_json, write_atomically
 
-    scores = {}
-    with TrainingProgress(told, quiet=quiet) as progress:
-        for label, recipe in _RECIPES.items():
-            runs = train_runs(
-                data, read_recipe(recipe), [seed], _folder(out, label), overwrite=overwrite,
-                tell=lambda plan, label=label: progress.follow(plan, label),
-            )  # fmt: skip
-            scores[label] = evaluate(runs.best.result.model, judged, _START)
-    return scores
+    content = {
+        "data": data.name, "split": "test", "start": _START, "units": data.channels.unit,
+        "models": {
+            label: {"mean": mean_rmse(found), "rmse": rmse_by_record(found)}
+            for label, found in scores.items()
+        },
+    }  # fmt: skip
+    write_atomically(out / "twin_table.md", _table(scores).markdown())
+    write_atomically(out / "twin_table.json", to_json(content))
+    return content
 
 
 def _table(scores: "dict[str, list[Score]]") -> "Table":
-    from tustinnet.evaluation.free_run import mean_rmse
+    from tustinnet.evaluate.scores import mean_rmse
     from tustinnet.report.tables import Table, number
 
     names = [s.experiment.removeprefix("twin_") for s in next(iter(scores.values()))]

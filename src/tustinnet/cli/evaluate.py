@@ -9,8 +9,8 @@ import typer
 from tustinnet.cli import options, terminal
 
 if TYPE_CHECKING:
-    from tustinnet.data.experiment import Coordinate
-    from tustinnet.evaluation.free_run import Score
+    from tustinnet.channels import Channels
+    from tustinnet.evaluate.scores import Score
     from tustinnet.report.tables import Table
 
 
@@ -32,13 +32,14 @@ def evaluate(
 ) -> None:
     """Score free runs: RMSE, per coordinate, NRMSE, fit in percent, k steps ahead."""
     terminal.prepare_jax()
-    from tustinnet.artifact.model_file import load_model
-    from tustinnet.cli.records import judged_records
-    from tustinnet.evaluation.free_run import Score, mean_rmse, rmse_ahead
-    from tustinnet.evaluation.free_run import evaluate as score_records
+    from tustinnet.cli.request import judged_records
+    from tustinnet.evaluate.ahead import rmse_ahead
+    from tustinnet.evaluate.scores import Score, mean_rmse
+    from tustinnet.evaluate.scores import evaluate as score_records
+    from tustinnet.store.model_file import load_model
 
     judged = load_model(model, system)
-    records, begin = judged_records(data, card, split, start)
+    records, begin = judged_records(data, card, split, start, [judged])
     scores = score_records(judged, records, begin)
     by_split: dict[str, list[Score]] = {}
     for e, score in zip(records, scores, strict=True):
@@ -50,7 +51,7 @@ def evaluate(
         for e, score in zip(records, scores, strict=True):
             write_figure(free_run_figure(e, {model.stem: score}), figures / f"{e.name}.png")
         if errors is not None:
-            write_figure(ahead_figure({model.stem: errors}, judged), figures / "ahead.png")
+            write_figure(ahead_figure({model.stem: errors}, judged.channels), figures / "ahead.png")
         terminal.messages().print(f"figures: {figures}")
     if json:
         content: dict[str, Any] = {
@@ -67,18 +68,19 @@ def evaluate(
             content["ahead"] = {"dt": judged.dt, "rmse": errors.tolist()}
         terminal.print_json(content)
         return
-    terminal.print_tables(_score_table(by_split, judged.coordinates, begin))
+    terminal.print_tables(_score_table(by_split, judged.channels, begin))
     if errors is not None:
-        from tustinnet.data.experiment import position_unit
-        from tustinnet.report.tables import Table, number
+        terminal.print_tables(_ahead_table(errors.tolist(), judged.channels))
 
-        marks = sorted({k for k in (1, 2, 5, 10, 20, 50, 100, 200, 500) if k < len(errors)})
-        rows = [[str(k), f"{k * judged.dt:g}", number(errors[k - 1], 4)]
-                for k in [*marks, len(errors)]]  # fmt: skip
-        unit = position_unit(judged.coordinates)
-        terminal.print_tables(
-            Table(["k", "horizon [s]", f"RMSE [{unit}]"], rows, title="k steps ahead")
-        )
+
+def _ahead_table(errors: list[float], channels: "Channels") -> "Table":
+    from tustinnet.report.tables import Table, number
+
+    marks = sorted({k for k in (1, 2, 5, 10, 20, 50, 100, 200, 500) if k < len(errors)})
+    rows = [[str(k), f"{k * channels.dt:g}", number(errors[k - 1], 4)]
+            for k in [*marks, len(errors)]]  # fmt: skip
+    columns = ["k", "horizon [s]", f"RMSE [{channels.unit}]"]
+    return Table(columns, rows, title="k steps ahead")
 
 
 def _plain(score: "Score") -> dict[str, Any]:
@@ -92,19 +94,16 @@ def _plain(score: "Score") -> dict[str, Any]:
     }
 
 
-def _score_table(
-    by_split: dict[str, list["Score"]], coordinates: tuple["Coordinate", ...], start: str
-) -> "Table":
-    from tustinnet.data.experiment import position_unit
-    from tustinnet.evaluation.free_run import mean_rmse
+def _score_table(by_split: dict[str, list["Score"]], channels: "Channels", start: str) -> "Table":
+    from tustinnet.evaluate.scores import mean_rmse
     from tustinnet.report.tables import Table, number
-    from tustinnet.simulation.initial_state import samples_fitted
+    from tustinnet.simulate.starts import start_named
 
-    fitted = samples_fitted(start)
+    fitted = start_named(start).fitted
     # what the start was fitted to is simulated well by any model
     after = [f"from sample {fitted}"] if fitted else []
-    columns = ["record", "split", f"RMSE [{position_unit(coordinates)}]", *after]
-    for c in coordinates:
+    columns = ["record", "split", f"RMSE [{channels.unit}]", *after]
+    for c in channels.coordinates:
         columns += [f"{c.name} [{c.unit}]", "NRMSE", "fit [%]"]
     rows = []
     for split, scores in by_split.items():
@@ -118,5 +117,5 @@ def _score_table(
     # training records flatter a model: their mean stands apart from the others'
     for split, scores in by_split.items():
         means = [mean_rmse(scores), *[fmean(s.rmse_after for s in scores) for _ in after]]
-        rows.append(["mean", split, *map(number, means), *[""] * (3 * len(coordinates))])
+        rows.append(["mean", split, *map(number, means), *[""] * (3 * channels.n_q)])
     return Table(columns, rows, title=f"Free runs, start '{start}'")

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from tustinnet.cli.compare import compare
+from tustinnet.cli.cross_validate import cross_validate
 from tustinnet.cli.demo import demo
 from tustinnet.cli.evaluate import evaluate
 from tustinnet.cli.fit import fit
@@ -23,7 +24,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # loading rich would double the time that --help takes
 )
-for verb in (demo, inspect, fit, simulate, evaluate, compare, residuals, show, reproduce):
+_VERBS = (
+    demo, inspect, fit, cross_validate, simulate, evaluate, compare, residuals, show, reproduce,
+)  # fmt: skip
+for verb in _VERBS:
     app.command()(verb)
 
 

@@ -36,6 +36,23 @@ System = Annotated[
         "file with SYSTEM (it is run).",
     ),
 ]
+Recipe = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="A packaged recipe, or a TOML file; its [model] kind says what is fitted. Default: "
+        "standard, with --system grey, with --physics best-hybrid.",
+    ),
+]
+Set = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change a key of the recipe, e.g. model.hidden=[64,64], stages.*.epochs=50, "
+        "search.loss=state, model.fixed.mass=0.4; repeatable.",
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")]
 Split = Annotated[
@@ -46,8 +63,9 @@ Start = Annotated[
     typer.Option(
         metavar="NAME",
         help="Start of the free runs: file (first row as stored), derived-6 (parabola through "
-        "6 samples) or model-20 (from which the model explains 20 samples best). Default: file "
-        "where velocities are stored, else derived-6.",
+        "6 samples), model-20 (from which the model explains 20 samples best) or warm-up-20 "
+        "(internal states follow 20 samples). Default: a warm-up where the model needs one, else "
+        "file where velocities are stored, else derived-6.",
     ),
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on from the checkpoints in --out.")]
@@ -55,5 +73,6 @@ Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace what is there already in --out.")
 ]
 Seeds = Annotated[
-    int, typer.Option(min=1, metavar="K", help="How many seeds to train; all at once.")
+    str | None,
+    typer.Option(metavar="K|A,B,..", help="How many seeds, from 0 on, or which; all at once."),
 ]

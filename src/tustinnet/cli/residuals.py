@@ -24,19 +24,19 @@ def residuals(
 ) -> None:
     """Test the free-run residuals: whiteness, correlation with the inputs, 99 % bounds."""
     terminal.prepare_jax()
-    from tustinnet.artifact.model_file import load_model
-    from tustinnet.cli.records import judged_records
-    from tustinnet.evaluation.residuals import residual_reports
+    from tustinnet.cli.request import judged_records
+    from tustinnet.evaluate.residuals import residual_reports
     from tustinnet.report.figures import write_figure
     from tustinnet.report.residuals import residual_figure
     from tustinnet.report.tables import Table, number
+    from tustinnet.store.model_file import load_model
 
     judged = load_model(model, system)
-    records, begin = judged_records(data, card, split, start)
+    records, begin = judged_records(data, card, split, start, [judged])
     reports = residual_reports(judged, records, begin, lags)
     title = f"Residuals of {len(records)} free runs, start '{begin}'"
     if figure is not None:
-        write_figure(residual_figure(reports, judged.inputs, judged.dt, title), figure)
+        write_figure(residual_figure(reports, judged.channels, title), figure)
         terminal.messages().print(f"figure: {figure}")
     if json:
         plain = [

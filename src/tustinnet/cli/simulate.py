@@ -24,15 +24,15 @@ def simulate(
 ) -> None:
     """Simulate records from their start with only the input; one CSV file each."""
     terminal.prepare_jax()
-    from tustinnet.artifact.files import require_new, require_writable_folder
-    from tustinnet.artifact.model_file import load_model
-    from tustinnet.artifact.simulation_file import write_simulation
     from tustinnet.data.catalog import locate
     from tustinnet.data.loading import load_folder
     from tustinnet.errors import InputError
-    from tustinnet.evaluation.free_run import evaluate
+    from tustinnet.evaluate.scores import evaluate
     from tustinnet.report.tables import Table, number
-    from tustinnet.simulation.initial_state import default_start
+    from tustinnet.simulate.starts import default_start
+    from tustinnet.store.files import require_new, require_writable_folder
+    from tustinnet.store.model_file import load_model
+    from tustinnet.store.simulation_file import write_simulation
 
     simulator = load_model(model, system)
     folder, declared = locate(data, card)
@@ -40,7 +40,7 @@ def simulate(
     records = list(loaded.split(split) if split else loaded)
     if experiment:
         records = [loaded[name] for name in experiment]
-    begin = start or default_start(records)
+    begin = start or default_start(records, simulator)
     scores = evaluate(simulator, records, begin)
     paths = [out / f"{e.name}.csv" for e in records]
     sources = {(folder / e.source).resolve() for e in loaded if e.source}

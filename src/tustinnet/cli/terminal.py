@@ -24,7 +24,7 @@ def messages() -> "Console":
 
 def print_json(content: Any) -> None:
     """A result as JSON on standard output."""
-    from tustinnet.artifact.files import to_json
+    from tustinnet.store.files import to_json
 
     sys.stdout.write(to_json(content))
 
@@ -38,13 +38,6 @@ def print_tables(*tables: "Table") -> None:
         console = Console(highlight=False, width=_PIPED_WIDTH)
     for table in tables:
         table.print(console)
-
-
-def _cores() -> int:
-    """Cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 @contextmanager
@@ -70,9 +63,11 @@ def prepare_jax(device: str | None = None) -> None:
     """
     import jax
 
+    from tustinnet.cores import cores
+
     jax.config.update("jax_enable_x64", True)
     if "JAX_NUM_CPU_DEVICES" not in os.environ:
-        jax.config.update("jax_num_cpu_devices", _cores())
+        jax.config.update("jax_num_cpu_devices", cores())
     if device is not None:
         from tustinnet.errors import InputError
 

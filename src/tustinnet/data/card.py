@@ -5,8 +5,8 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, StrictInt, StrictStr, field_validator, model_validator
 
+from tustinnet.channels import Channels, Coordinate, Hold, Input, Kind
 from tustinnet.data.declaration import Declaration
-from tustinnet.data.experiment import Coordinate, Hold, Input, Kind
 
 SplitName = Literal["train", "validation", "test"]
 ColumnKey = StrictInt | StrictStr  # a number counts from 1
@@ -239,3 +239,11 @@ class Card(Declaration):
         if self.dt is None and self.time is None:
             raise ValueError("neither `dt` nor a time column says how far apart samples are")
         return self
+
+    def channels(self, dt: float) -> Channels:
+        """What the records will say of their columns, at a sampling period [s]."""
+        return Channels(
+            tuple(c.coordinate() for c in self.coordinates),
+            tuple(i.input() for i in self.inputs),
+            dt,
+        )

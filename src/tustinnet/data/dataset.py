@@ -8,15 +8,15 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from tustinnet.data.experiment import Coordinate, Experiment, Input, Kind, unwrap_angles
+from tustinnet.channels import Channels, Coordinate, HasChannels, Input, Kind
+from tustinnet.data.experiment import Experiment, unwrap_angles
 from tustinnet.errors import InputError
 
 _OTHER_PERIOD = 0.2  # relative; a median interval this far from `dt` is another period
-_PERIOD_TOLERANCE = 1e-6  # relative; two records of one data set share one period
 
 
 @dataclass(frozen=True)
-class DataSet:
+class DataSet(HasChannels):
     """Records of one system, of any lengths, with the same coordinates, inputs and period.
 
     Attributes:
@@ -36,14 +36,7 @@ class DataSet:
             if experiment.name in seen:
                 raise InputError(self.name, f"two experiments named '{experiment.name}'", "one")
             seen.add(experiment.name)
-            require_same_system(experiment, first.coordinates, first.inputs, first.name)
-            if abs(experiment.dt / first.dt - 1) > _PERIOD_TOLERANCE:
-                raise InputError(
-                    experiment.name,
-                    f"sampling period {experiment.dt:g} s, but {first.name} has {first.dt:g} s",
-                    "one period in a data set",
-                    "resample one of them, or declare `dt` in the card",
-                )
+            first.channels.require_same(experiment.channels, experiment.name, first.name)
 
     def __len__(self) -> int:
         return len(self.experiments)
@@ -70,19 +63,9 @@ class DataSet:
         return f"DataSet({self.name!r}, {len(self)} experiments)"
 
     @property
-    def coordinates(self) -> tuple[Coordinate, ...]:
-        """The coordinates that all records share."""
-        return self.experiments[0].coordinates
-
-    @property
-    def inputs(self) -> tuple[Input, ...]:
-        """The inputs that all records share."""
-        return self.experiments[0].inputs
-
-    @property
-    def dt(self) -> float:
-        """The sampling period that all records share [s]."""
-        return self.experiments[0].dt
+    def channels(self) -> Channels:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """What all records share: coordinates, inputs, sampling period."""
+        return self.experiments[0].channels
 
     @property
     def splits(self) -> tuple[str, ...]:
@@ -147,17 +130,10 @@ def from_arrays(
         InputError: shapes that do not fit, numbers that are not finite, timestamps whose median
             interval is not `dt`.
     """
-    if isinstance(coordinates, Mapping):
-        coordinates = [Coordinate(c, kind) for c, kind in coordinates.items()]
-    if isinstance(inputs, Mapping):
-        inputs = [Input(i, unit) for i, unit in inputs.items()]
-    if not all(isinstance(c, Coordinate) for c in coordinates):
-        raise InputError(name, "coordinates without a kind", '{"arm": "angular", "cart": "linear"}')
-    if not all(isinstance(i, Input) for i in inputs):
-        raise InputError(name, "inputs without a unit", '{"motor": "V"}')
+    channels = _channels(name, coordinates, inputs, dt)
     positions = _columns(q, name)
     n = len(positions)
-    columns = list(enumerate(coordinates))[: positions.shape[1]]
+    columns = list(enumerate(channels.coordinates))[: positions.shape[1]]
     angles = {j: c.name for j, c in columns if c.kind == "angular"}
     positions, notes = unwrap_angles(positions, angles)
     times = np.arange(n) * dt if t is None else np.asarray(t, dtype=float)
@@ -173,12 +149,27 @@ def from_arrays(
         u=np.zeros((n, 0)) if u is None else _columns(u, name),
         v=None if v is None else _columns(v, name),
         v_measured=v is not None and v_measured,
-        dt=dt,
-        coordinates=tuple(coordinates),
-        inputs=tuple(inputs),
+        channels=channels,
         split=split,
         notes=notes,
     )
+
+
+def _channels(
+    name: str,
+    coordinates: Sequence[Coordinate] | Mapping[str, Kind],
+    inputs: Sequence[Input] | Mapping[str, str],
+    dt: float,
+) -> Channels:
+    if isinstance(coordinates, Mapping):
+        coordinates = [Coordinate(c, kind) for c, kind in coordinates.items()]
+    if isinstance(inputs, Mapping):
+        inputs = [Input(i, unit) for i, unit in inputs.items()]
+    if not all(isinstance(c, Coordinate) for c in coordinates):
+        raise InputError(name, "coordinates without a kind", '{"arm": "angular", "cart": "linear"}')
+    if not all(isinstance(i, Input) for i in inputs):
+        raise InputError(name, "inputs without a unit", '{"motor": "V"}')
+    return Channels(tuple(coordinates), tuple(inputs), dt)
 
 
 def _columns(values: ArrayLike, name: str) -> Float[np.ndarray, "n c"]:
@@ -191,35 +182,3 @@ def _columns(values: ArrayLike, name: str) -> Float[np.ndarray, "n c"]:
     if array.ndim not in (1, 2):
         raise InputError(name, f"an array of shape {array.shape}", "(samples, channels)")
     return array[:, None] if array.ndim == 1 else array
-
-
-def require_same_system(
-    experiment: Experiment,
-    coordinates: tuple[Coordinate, ...],
-    inputs: tuple[Input, ...],
-    where: str,
-) -> None:
-    """Raises unless an experiment has these coordinates and inputs (names, kinds, order)."""
-    for what, have, want in (
-        (
-            "coordinates",
-            [(c.name, c.kind) for c in experiment.coordinates],
-            [(c.name, c.kind) for c in coordinates],
-        ),
-        (
-            "inputs",
-            [(i.name, f"{i.unit}, {i.hold}") for i in experiment.inputs],
-            [(i.name, f"{i.unit}, {i.hold}") for i in inputs],
-        ),
-    ):
-        if have != want:
-            raise InputError(
-                experiment.name,
-                f"{what} {_listed(have)}",
-                f"{_listed(want)} as in {where}",
-                "check the data card: names, kinds, units and order must agree",
-            )
-
-
-def _listed(pairs: list[tuple[str, str]]) -> str:
-    return ", ".join(f"{name} ({kind})" for name, kind in pairs) or "(none)"

@@ -2,6 +2,7 @@
 
 import difflib
 import tomllib
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -27,15 +28,23 @@ def read_declaration(path: Path, kind: type[Declared]) -> Declared:
         InputError: no such file, no TOML, an unknown key (with the nearest known one), a value
             of the wrong kind; the message names the key.
     """
+    return declare(read_toml(path), kind, path)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The content of a TOML file.
+
+    Raises:
+        InputError: no such file, or no TOML.
+    """
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise InputError(path, "no such file", "a TOML file") from None
     except OSError as error:
         raise InputError(path, f"cannot be read ({error.strerror})", "a TOML file") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(path, f"not valid TOML ({error})", "key = value lines") from error
-    return declare(content, kind, path)
 
 
 def packaged_names(package: str) -> list[str]:
@@ -46,22 +55,26 @@ def packaged_names(package: str) -> list[str]:
     )
 
 
-def read_packaged(name: str | Path, package: str, kind: type[Declared]) -> Declared:
-    """A declaration that comes with a package, by name, or one from a TOML file.
+def read_packaged(name: str | Path, packages: Sequence[str]) -> tuple[dict[str, Any], object]:
+    """A recipe that comes with one of some packages, by name, or one from a TOML file.
+
+    Returns:
+        Its content, and what to call it in messages.
 
     Raises:
-        InputError: no such recipe; an unknown key or a wrong value in the file.
+        InputError: no such recipe.
     """
-    known = packaged_names(package)
+    known = {found: home for home in packages for found in packaged_names(home)}
     if str(name) in known:
-        with resources.as_file(resources.files(package) / "recipes" / f"{name}.toml") as path:
-            return read_declaration(path, kind)
+        place = resources.files(known[str(name)]) / "recipes" / f"{name}.toml"
+        with resources.as_file(place) as path:
+            return read_toml(path), f"recipe '{name}'"
     if Path(name).suffix == ".toml":
-        return read_declaration(Path(name), kind)
+        return read_toml(Path(name)), name
     raise InputError(
         "recipe",
         f"no recipe '{name}'",
-        f"one of {', '.join(known)}, or a file ending in .toml",
+        f"one of {', '.join(sorted(known))}, or a file ending in .toml",
     )
 
 

@@ -1,47 +1,21 @@
 """One recorded run of a mechanical system."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
+from tustinnet.channels import Channels, HasChannels
 from tustinnet.data.recording import Recording, describe_recording
 from tustinnet.errors import InputError
 from tustinnet.signals import resampling
 from tustinnet.signals.derivatives import VelocityMethod, differentiate
 
-Kind = Literal["angular", "linear"]
-Hold = Literal["zero-order", "first-order"]
 VelocitySource = Literal["auto", "file", "stencil", "savgol", "kalman"]
 
 _STENCIL_SAMPLES = 5
-
-
-@dataclass(frozen=True)
-class Coordinate:
-    """A generalised coordinate of the system.
-
-    Attributes:
-        name: what it is called.
-        kind: `angular` (radians, not wrapped) or `linear` (metres).
-        resolution: encoder count [rad or m], if known.
-    """
-
-    name: str
-    kind: Kind
-    resolution: float | None = None
-
-    @property
-    def unit(self) -> str:
-        """`rad` or `m`."""
-        return "rad" if self.kind == "angular" else "m"
-
-
-def position_unit(coordinates: Sequence[Coordinate]) -> str:
-    """`rad`, `m`, or `rad and m`, of a figure over all coordinates."""
-    return " and ".join(dict.fromkeys(c.unit for c in coordinates))
 
 
 def unwrap_angles(
@@ -61,25 +35,8 @@ def unwrap_angles(
     return q, tuple(notes)
 
 
-@dataclass(frozen=True)
-class Input:
-    """An input of the system.
-
-    Attributes:
-        name: what it is called.
-        unit: its unit, as it stands in the data.
-        hold: what happens between samples: held (`zero-order`) or a straight line (`first-order`).
-        limits: smallest and largest value the actuator takes, if known.
-    """
-
-    name: str
-    unit: str
-    hold: Hold = "zero-order"
-    limits: tuple[float, float] | None = None
-
-
 @dataclass(frozen=True, eq=False)
-class Experiment:
+class Experiment(HasChannels):
     """One frozen record of one run. SI units, angles in radians and not wrapped.
 
     Attributes:
@@ -87,9 +44,7 @@ class Experiment:
         t: timestamps as recorded, (n,) [s].
         q: positions, (n, n_q) [rad or m].
         u: inputs, (n, n_u); `u[k]` acts from sample k on.
-        dt: sampling period [s].
-        coordinates: the columns of `q`.
-        inputs: the columns of `u`.
+        channels: the columns of `q` and `u`, and the sampling period.
         v: velocities as they stand in the file, (n, n_q) [rad/s or m/s], or None.
         v_measured: whether `v` was measured by a sensor of its own.
         split: `train`, `validation`, `test` or None.
@@ -105,9 +60,7 @@ class Experiment:
     t: Float[np.ndarray, " n"]
     q: Float[np.ndarray, "n n_q"]
     u: Float[np.ndarray, "n n_u"]
-    dt: float
-    coordinates: tuple[Coordinate, ...]
-    inputs: tuple[Input, ...] = ()
+    channels: Channels
     v: Float[np.ndarray, "n n_q"] | None = None
     v_measured: bool = False
     split: str | None = None
@@ -182,18 +135,17 @@ class Experiment:
             q=self.q[part],
             u=self.u[part],
             v=None if self.v is None else self.v[part],
-            dt=self.dt * stride,
+            channels=replace(self.channels, dt=self.dt * stride),
             k_bar=None if k_bar is None else -(-k_bar // stride),
             first_row=self.first_row + start,
         )
 
     def _require_held(self, start: int, stop: int, stride: int) -> None:
         changed = np.diff(self.u[start:stop], axis=0) != 0
-        ramps = np.array([i.hold == "first-order" for i in self.inputs], dtype=bool)
         changes = np.arange(1, len(changed) + 1)
         # a held input may change at a kept sample; a ramp that ends there began before it
         between = changes % stride != 0
-        lost = changes[(changed & (between[:, None] | ramps)).any(axis=1)]
+        lost = changes[(changed & (between[:, None] | self.channels.ramped)).any(axis=1)]
         if len(lost):
             raise InputError(
                 self.name,
@@ -212,7 +164,6 @@ class Experiment:
             span = self.t[-1] - self.t[0]
             raise InputError(self.name, f"period {dt} s", f"more than 0 and less than {span:g} s")
         grid = resampling.regular_grid(self.t, dt)
-        held = np.array([i.hold == "zero-order" for i in self.inputs], dtype=bool)
         k_bar = None
         if self.k_bar is not None:
             end = len(self) == self.k_bar
@@ -221,12 +172,12 @@ class Experiment:
         return replace(
             self,
             t=grid,
-            dt=dt,
+            channels=replace(self.channels, dt=dt),
             q=resampling.resample_positions(self.t, self.q, grid),
             u=np.where(
-                held,
-                resampling.resample_held(self.t, self.u, grid),
+                self.channels.ramped,
                 resampling.resample_linear(self.t, self.u, grid),
+                resampling.resample_held(self.t, self.u, grid),
             ),
             v=None if self.v is None else resampling.resample_linear(self.t, self.v, grid),
             k_bar=k_bar,
@@ -262,11 +213,6 @@ class Experiment:
         return tuple(kept)
 
     @property
-    def resolution(self) -> Float[np.ndarray, " n_q"]:
-        """Encoder counts [rad or m], 0 where unknown, (n_q,)."""
-        return np.array([c.resolution or 0.0 for c in self.coordinates])
-
-    @property
     def forced(self) -> bool:
         """Whether an input changes during the record."""
         return bool(np.ptp(self.u, axis=0).any()) if self.u.size else False
@@ -277,14 +223,13 @@ class Experiment:
 
         The sample itself under a zero-order hold, the mean of both ends under a first-order one.
         """
-        first_order = np.array([i.hold == "first-order" for i in self.inputs], dtype=bool)
-        return np.where(first_order, (self.u[:-1] + self.u[1:]) / 2, self.u[:-1])
+        return self.input_ends.mean(axis=1)
 
     @property
     def input_ends(self) -> Float[np.ndarray, "steps 2 n_u"]:
         """The inputs at both ends of every period, (n - 1, 2, n_u); alike where they are held."""
-        first_order = np.array([i.hold == "first-order" for i in self.inputs], dtype=bool)
-        return np.stack([self.u[:-1], np.where(first_order, self.u[1:], self.u[:-1])], axis=1)
+        last = np.where(self.channels.ramped, self.u[1:], self.u[:-1])
+        return np.stack([self.u[:-1], last], axis=1)
 
     def velocities(self, source: VelocitySource = "auto") -> Float[np.ndarray, "n n_q"]:
         """Velocities, (n, n_q) [rad/s or m/s].
@@ -314,7 +259,7 @@ class Experiment:
                 "leave the record out",
             )
         method: VelocityMethod = source
-        return differentiate(self.q, self.dt, method, self.resolution)
+        return differentiate(self.q, self.dt, method, self.channels.resolution)
 
     @property
     def padded_rows(self) -> tuple[int, int]:

@@ -113,7 +113,7 @@ def inspect_experiment(experiment: Experiment) -> ExperimentReport:
     e = experiment
     v = e.velocities("stencil")
     recording = e.recording or describe_recording(e.t, e.q, e.dt)
-    thresholds = transients.rest_thresholds(e.q, v, e.resolution, e.dt)
+    thresholds = transients.rest_thresholds(e.q, v, e.channels.resolution, e.dt)
     return ExperimentReport(
         name=e.name,
         split=e.split,
@@ -144,7 +144,9 @@ def transient_end(experiment: Experiment) -> int:
     if experiment.forced:
         return len(experiment)
     v = experiment.velocities("stencil")
-    thresholds = transients.rest_thresholds(experiment.q, v, experiment.resolution, experiment.dt)
+    thresholds = transients.rest_thresholds(
+        experiment.q, v, experiment.channels.resolution, experiment.dt
+    )
     return transients.settling_index(experiment.q, v, thresholds)
 
 

@@ -58,7 +58,10 @@ def _with_common_period(experiments: list[Experiment], card: Card) -> tuple[Expe
         return tuple(experiments)
     common = float(np.median([e.dt for e in experiments]))
     return tuple(
-        replace(e, dt=common) if abs(e.dt / common - 1) < _SAME_CLOCK else e for e in experiments
+        replace(e, channels=replace(e.channels, dt=common))
+        if abs(e.dt / common - 1) < _SAME_CLOCK
+        else e
+        for e in experiments
     )
 
 
@@ -187,9 +190,8 @@ def _experiment(
     q, notes = unwrap_angles(q, angles)
     t, dt = _times(pick, card, len(q), where)
     experiment = Experiment(
-        name=name, t=t, q=q, u=u, v=v, v_measured=measured, dt=dt, notes=notes,
-        coordinates=tuple(c.coordinate() for c in card.coordinates),
-        inputs=tuple(i.input() for i in card.inputs), **metadata,
+        name=name, t=t, q=q, u=u, v=v, v_measured=measured, notes=notes,
+        channels=card.channels(dt), **metadata,
     )  # fmt: skip
     return experiment if card.time is None else _judge_times(experiment, card, where)
 

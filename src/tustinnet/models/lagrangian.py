@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import equinox as eqx
@@ -11,12 +12,16 @@ import jax.numpy as jnp
 import jax.scipy.linalg
 from jaxtyping import Array, Float
 
-from tustinnet.data.experiment import Coordinate, Input
+from tustinnet.channels import Channels, Coordinate, Input
 from tustinnet.errors import InputError
-from tustinnet.models.base import ContinuousModel, InputVector, State
+from tustinnet.models.contract import (
+    ContinuousModel,
+    Coordinates,
+    InputVector,
+    Internal,
+    State,
+)
 
-Coordinates = Float[Array, " n_q"]
-Internal = Float[Array, " n_z"]
 Scalar = Float[Array, ""]
 Values = Mapping[str, Any]
 
@@ -142,16 +147,25 @@ class LagrangianSystem:
         known = ", ".join(p.name for p in self.parameters)
         raise InputError(f"system '{self.name}'", f"no parameter '{name}'", f"one of {known}")
 
+    @cached_property
+    def channels(self) -> Channels:
+        """Its coordinates and inputs, in continuous time."""
+        return Channels(self.coordinates, self.inputs)
+
     @property
-    def memory_names(self) -> tuple[str, ...]:
+    def internal(self) -> tuple[str, ...]:
         """What the internal states are called."""
         return self.memory.names if self.memory else ()
+
+    def model(self, values: Values) -> "LagrangianModel":
+        """Its equations of motion with the values of all parameters, by name."""
+        return LagrangianModel(self, dict(values))
 
     def _require_shapes(self) -> None:
         """Every function must answer, with the shape that the equations of motion need."""
         q = v = jax.ShapeDtypeStruct((len(self.coordinates),), jnp.float32)
         u = jax.ShapeDtypeStruct((len(self.inputs),), jnp.float32)
-        z = jax.ShapeDtypeStruct((len(self.memory_names),), jnp.float32)
+        z = jax.ShapeDtypeStruct((len(self.internal),), jnp.float32)
         p = {k: jax.ShapeDtypeStruct((), jnp.float32) for k in self.nominal()}
         wanted: list[tuple[str, Callable[..., Any], tuple[Any, ...], tuple[int, ...]]]
         wanted = [("kinetic", self.kinetic, (q, v, p), ())]
@@ -212,19 +226,14 @@ class LagrangianModel(ContinuousModel):
     values: dict[str, Array]
 
     @property
-    def coordinates(self) -> tuple[Coordinate, ...]:
-        """The coordinates of the system."""
-        return self.system.coordinates
+    def channels(self) -> Channels:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The coordinates and inputs of the system."""
+        return self.system.channels
 
     @property
-    def inputs(self) -> tuple[Input, ...]:
-        """The inputs of the system."""
-        return self.system.inputs
-
-    @property
-    def memory(self) -> tuple[str, ...]:
+    def internal(self) -> tuple[str, ...]:
         """What its internal states are called."""
-        return self.system.memory_names
+        return self.system.internal
 
     def mass_matrix(self, q: Coordinates) -> Float[Array, "n_q n_q"]:
         """`M(q)`, (n_q, n_q) [kg m^2, kg m or kg]."""
@@ -268,22 +277,22 @@ class LagrangianModel(ContinuousModel):
         """`d/dt [q, v, z] = [v, a, rate]`."""
         return _derivative(self, x, u)
 
-    def memory_rate(self, x: State) -> Internal:
+    def internal_rate(self, x: State) -> Internal:
         """`dz/dt` at a state, (n_z,)."""
         if self.system.memory is None:
             return jnp.zeros(0, x.dtype)
         return jnp.asarray(self.system.memory.rate(*self._parts(x), self.values))
 
     def _parts(self, x: State) -> tuple[Coordinates, Coordinates, Internal]:
-        n_q = len(self.coordinates)
-        return x[:n_q], x[n_q : 2 * n_q], x[2 * n_q :]
+        of = self.channels
+        return x[of.position], x[of.velocity], x[of.internal]
 
 
 # a function of its own, so that it is derived once and not for each of a step's many uses
 @jax.jit
 def _derivative(model: LagrangianModel, x: State, u: InputVector) -> State:
     _, v, _ = model._parts(x)
-    return jnp.concatenate([v, model.acceleration(x, u), model.memory_rate(x)])
+    return jnp.concatenate([v, model.acceleration(x, u), model.internal_rate(x)])
 
 
 def solve_positive(matrix: Float[Array, "n n"], right: Float[Array, " n"]) -> Float[Array, " n"]:

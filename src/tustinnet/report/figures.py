@@ -12,12 +12,12 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from tustinnet.artifact.files import write_atomically
-from tustinnet.data.experiment import Experiment, position_unit
+from tustinnet.channels import Channels
+from tustinnet.data.experiment import Experiment
 from tustinnet.data.inspection import ExperimentReport
 from tustinnet.errors import InputError
-from tustinnet.evaluation.free_run import Score
-from tustinnet.models.base import DiscreteModel
+from tustinnet.evaluate.scores import Score
+from tustinnet.store.files import write_atomically
 
 MEASURED = "#111111"
 INPUT = "#5b7fa6"
@@ -76,7 +76,7 @@ def free_run_figure(
         recorded: what to call the record's own line.
     """
     with house_style():
-        n_q, unit = len(experiment.coordinates), position_unit(experiment.coordinates)
+        n_q, unit = experiment.channels.n_q, experiment.channels.unit
         figure = Figure(figsize=(7.0, 1.9 * n_q + 0.5), layout="constrained")
         panels = np.atleast_1d(figure.subplots(n_q, 1, sharex=True))
         t = experiment.t - experiment.t[0]
@@ -155,18 +155,16 @@ def _stage_begins(lines: Sequence[Mapping[str, Any]]) -> list[int]:
     return [k for k in range(1, len(lines)) if lines[k]["stage"] != lines[k - 1]["stage"]]
 
 
-def ahead_figure(
-    errors: Mapping[str, Float[np.ndarray, " horizon"]], model: DiscreteModel
-) -> Figure:
-    """k-step-ahead RMSE against the horizon, a line a label; `model` gives period and unit."""
+def ahead_figure(errors: Mapping[str, Float[np.ndarray, " horizon"]], channels: Channels) -> Figure:
+    """k-step-ahead RMSE against the horizon, a line a label; `channels` give period and unit."""
     with house_style():
         figure = Figure(figsize=(5.0, 3.2), layout="constrained")
         axes = figure.subplots()
         for i, (label, rmse) in enumerate(errors.items()):
             steps = np.arange(1, len(rmse) + 1)
-            axes.plot(steps * model.dt, rmse, color=COLOURS[i % len(COLOURS)], label=label)
+            axes.plot(steps * channels.dt, rmse, color=COLOURS[i % len(COLOURS)], label=label)
         axes.set_xlabel("horizon [s]")
-        axes.set_ylabel(f"k-step-ahead RMSE [{position_unit(model.coordinates)}]")
+        axes.set_ylabel(f"k-step-ahead RMSE [{channels.unit}]")
         axes.set_ylim(bottom=0)
         axes.legend()
         return figure
@@ -194,7 +192,6 @@ def inspection_figure(
                 )
                 if report.k_bar < len(e):
                     axes.axhspan(resting - reach, resting + reach, color="#2e8b57", alpha=0.18)
-                if report.k_bar < len(e):
                     axes.axvline(t[report.k_bar], color=COLOURS[0], linewidth=0.9)
                 for begin, end in report.recording.gaps:
                     axes.axvspan(begin - e.t[0], end - e.t[0], color=COLOURS[1], alpha=0.5)

@@ -3,7 +3,7 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from tustinnet.identification.result import Identification
+from tustinnet.fitting.report import Identification
 from tustinnet.report.figures import COLOURS, INPUT, house_style
 
 

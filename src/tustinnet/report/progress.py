@@ -1,72 +1,30 @@
-"""Training as it goes on: a bar on a terminal, a line now and then elsewhere."""
+"""Fits as they go on: bars on a terminal, a line now and then elsewhere."""
 
 import math
 import time
-from collections.abc import Callable
 from contextlib import AbstractContextManager
 from types import TracebackType
 from typing import Self
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.status import Status
 
-from tustinnet.identification.least_squares import Iteration
-from tustinnet.training.plan import Plan
-from tustinnet.training.state import EpochReport
+from tustinnet.fitting.gradient.plan import Plan
+from tustinnet.fitting.listener import EpochReport, Iteration, Listener
+from tustinnet.fitting.task import Task
 
 _WIDE = 110  # columns of a terminal that leave room for a longer bar
 _LINE_EVERY = 15.0  # seconds between two lines where there is no terminal
 
 
-class IdentificationProgress(AbstractContextManager["IdentificationProgress"]):
-    """Shows stage, iteration and residual of an identification.
+class FitProgress(AbstractContextManager["FitProgress"]):
+    """Shows how fits within the context go on.
+
+    Of trainings loss, validation RMSE, rate and time left; of identifications stage, iteration
+    and cost.
 
     Args:
-        console: where to; a terminal gets a line that changes while the context is open, a file
-            or pipe, or a terminal that shows something else, a line a stage.
-        quiet: show nothing.
-        label: what is being identified.
-    """
-
-    def __init__(self, console: Console, *, quiet: bool = False, label: str = "") -> None:
-        self._console, self._quiet, self._label = console, quiet, label and f"{label}: "
-        self._status: Status | None = None
-        self._stage = ""
-
-    def __enter__(self) -> Self:
-        if self._console.is_terminal and not self._quiet:
-            self._status = self._console.status(f"{self._label}compiling")
-            self._status.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if self._status:
-            self._status.stop()
-
-    def told(self, iteration: Iteration) -> None:
-        """Who is to be told of every iteration."""
-        line = (
-            f"{self._label}{iteration.stage}, iteration {iteration.number}, "
-            f"cost {iteration.cost:.4g}"
-        )
-        if self._status:
-            self._status.update(line)
-        elif not self._quiet and iteration.stage != self._stage:
-            self._console.print(line, highlight=False, soft_wrap=True)
-        self._stage = iteration.stage
-
-
-class TrainingProgress(AbstractContextManager["TrainingProgress"]):
-    """Shows loss, validation RMSE, rate and time left of the trainings within the context.
-
-    Args:
-        console: where to; a terminal gets a bar, a file or pipe gets plain lines.
+        console: where to; a terminal gets bars, a file or pipe plain lines.
         quiet: show only events such as a return to the last good state.
     """
 
@@ -96,49 +54,88 @@ class TrainingProgress(AbstractContextManager["TrainingProgress"]):
         if self._bars:
             self._bars.stop()
 
-    def follow(self, plan: Plan, label: str = "") -> Callable[[EpochReport], None]:
-        """Who is to be told of every epoch of trainings that run together."""
-        work = {s.recipe.name: s.windows.rows.shape[1] * s.windows.length for s in plan.stages}
-        before, total, epochs_before, epochs = {}, 0, {}, 0
-        for stage in plan.stages:
-            before[stage.recipe.name], epochs_before[stage.recipe.name] = total, epochs
-            total += stage.recipe.epochs * work[stage.recipe.name]
-            epochs += stage.recipe.epochs
-        names = [f"{label or plan.recipe.name}, {m.name.replace('-', ' ')}" for m in plan.members]
-        more = f" and {len(names) - 1} more" if len(names) > 1 else ""
-        name = names[0] + more
-        task = self._bars.add_task(name, total=total, figures="compiling") if self._bars else None
-        begun = last = time.monotonic()
-        first: int | None = None
-        # of several that run together the slowest says what is done, the best one how well
-        reached = [0] * len(names)
-        lowest = [math.inf] * len(names)
-
-        def told(report: EpochReport) -> None:
-            nonlocal last, first
-            if report.event:
-                self._console.print(f"{names[report.member]}: {report.event}", highlight=False)
-            reached[report.member] = before[report.stage] + report.epoch * work[report.stage]
-            lowest[report.member] = report.best
-            done = min(reached)
-            first = done if first is None else first
-            epoch = epochs_before[report.stage] + report.epoch
-            best = f"best {min(lowest):.3f} " if more else ""
-            figures = (
-                f"{epoch}/{epochs} loss {report.loss:.3g} rmse {report.validation:.3f} {best}"
-                f"rate {report.rate:.1e}"
+    def follow(self, prepared: Plan | Task, label: str = "") -> Listener:
+        """Who is to be told of fits that run together."""
+        if isinstance(prepared, Plan):
+            return Listener(
+                epoch=_Trainings(self._console, self._bars, prepared, label, self._quiet)
             )
-            if self._bars and task is not None:
-                self._bars.update(task, completed=done, description=name, figures=figures)
-                return
-            now = time.monotonic()
-            if self._quiet or (now - last < _LINE_EVERY and done < total):
-                return
-            last = now
-            left = (now - begun) * (total - done) / max(done - first, 1) if done > first else 0.0
-            self._console.print(
-                f"{name}: {100 * done / total:.0f} %, {figures}, {left:.0f} s left",
-                highlight=False, soft_wrap=True,
-            )  # fmt: skip
+        name = label or prepared.recipe.name
+        return Listener(iteration=_Identification(self._console, self._bars, name, self._quiet))
 
-        return told
+
+class _Identification:
+    """A line that changes on a terminal, a line a stage elsewhere."""
+
+    def __init__(self, console: Console, bars: Progress | None, label: str, quiet: bool) -> None:
+        self._console, self._bars, self._label, self._quiet = console, bars, label, quiet
+        self._stage = ""
+        self._task = bars.add_task(label, total=None, figures="compiling") if bars else None
+
+    def __call__(self, iteration: Iteration) -> None:
+        told = f"{iteration.stage}, iteration {iteration.number}, cost {iteration.cost:.4g}"
+        if self._bars and self._task is not None:
+            self._bars.update(self._task, figures=told)
+        elif not self._quiet and iteration.stage != self._stage:
+            self._console.print(f"{self._label}: {told}", highlight=False, soft_wrap=True)
+        self._stage = iteration.stage
+
+
+class _Trainings:
+    """A bar on a terminal, a line now and then elsewhere, for trainings that run together.
+
+    Of several the slowest says what is done, the best one how well.
+    """
+
+    def __init__(
+        self, console: Console, bars: Progress | None, plan: Plan, label: str, quiet: bool
+    ) -> None:
+        self._console, self._bars, self._quiet = console, bars, quiet
+        # what was done before each stage: in steps of windows, and in epochs
+        self._before, self._total, self._epochs_before, self._epochs = {}, 0, {}, 0
+        self._work = {
+            s.recipe.name: s.windows.rows.shape[1] * s.windows.length for s in plan.stages
+        }
+        for stage in plan.stages:
+            name = stage.recipe.name
+            self._before[name], self._epochs_before[name] = self._total, self._epochs
+            self._total += stage.recipe.epochs * self._work[name]
+            self._epochs += stage.recipe.epochs
+        called = label or plan.recipe.name
+        self._names = [f"{called}, {m.name.replace('-', ' ')}" for m in plan.members]
+        self._more = f" and {len(self._names) - 1} more" if len(self._names) > 1 else ""
+        self._name = self._names[0] + self._more
+        self._task = (
+            bars.add_task(self._name, total=self._total, figures="compiling") if bars else None
+        )
+        self._begun = self._last = time.monotonic()
+        self._first: int | None = None
+        self._reached = [0] * len(self._names)
+        self._lowest = [math.inf] * len(self._names)
+
+    def __call__(self, report: EpochReport) -> None:
+        stage, m = report.stage, report.member
+        if report.event:
+            self._console.print(f"{self._names[m]}: {report.event}", highlight=False)
+        self._reached[m] = self._before[stage] + report.epoch * self._work[stage]
+        self._lowest[m] = report.best
+        done = min(self._reached)
+        self._first = done if self._first is None else self._first
+        epoch = self._epochs_before[stage] + report.epoch
+        best = f"best {min(self._lowest):.3f} " if self._more else ""
+        figures = (
+            f"{epoch}/{self._epochs} loss {report.loss:.3g} rmse {report.validation:.3f} {best}"
+            f"rate {report.rate:.1e}"
+        )
+        if self._bars and self._task is not None:
+            self._bars.update(self._task, completed=done, figures=figures)
+            return
+        now = time.monotonic()
+        if self._quiet or (now - self._last < _LINE_EVERY and done < self._total):
+            return
+        self._last, since = now, done - self._first
+        left = (now - self._begun) * (self._total - done) / since if since else 0.0
+        self._console.print(
+            f"{self._name}: {100 * done / self._total:.0f} %, {figures}, {left:.0f} s left",
+            highlight=False, soft_wrap=True,
+        )  # fmt: skip

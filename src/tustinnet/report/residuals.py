@@ -6,24 +6,22 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from tustinnet.data.experiment import Input
-from tustinnet.evaluation.residuals import CONFIDENCE, ResidualReport
+from tustinnet.channels import Channels
+from tustinnet.evaluate.residuals import CONFIDENCE, ResidualReport
 from tustinnet.report.figures import COLOURS, INPUT, house_style
 
 _BAND = "#2e8b57"
 
 
-def residual_figure(
-    reports: Sequence[ResidualReport], inputs: Sequence[Input], dt: float, title: str
-) -> Figure:
+def residual_figure(reports: Sequence[ResidualReport], channels: Channels, title: str) -> Figure:
     """Autocorrelation and correlation with the inputs, a row a coordinate, 99 % bounds shaded.
 
     Args:
         reports: what `residual_reports` found.
-        inputs: the inputs.
-        dt: sampling period [s].
+        channels: inputs and period.
         title: a line above.
     """
+    dt = channels.dt
     with house_style():
         crossed = len(reports[0].cross)
         columns = 1 + crossed
@@ -38,7 +36,7 @@ def residual_figure(
                 _stems(row[1 + k], times, report.cross[k], float(report.cross_bound[k]))
         panels[0][0].set_title("autocorrelation", loc="left")
         for k in range(crossed):
-            panels[0][1 + k].set_title(f"correlation with {inputs[k].name}", loc="left")
+            panels[0][1 + k].set_title(f"correlation with {channels.inputs[k].name}", loc="left")
         for axes in panels[-1]:
             axes.set_xlabel("lag [s]")
         shaded = f"shaded: {100 * CONFIDENCE:.0f} % of the lags of residuals with nothing left"

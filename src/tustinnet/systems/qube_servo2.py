@@ -15,12 +15,10 @@ from dataclasses import replace
 
 import jax.numpy as jnp
 
-from tustinnet.data.experiment import Coordinate, Input
+from tustinnet.channels import Coordinate, Input
 from tustinnet.models import forces
-from tustinnet.models.base import InputVector
+from tustinnet.models.contract import Coordinates, InputVector, Internal
 from tustinnet.models.lagrangian import (
-    Coordinates,
-    Internal,
     LagrangianSystem,
     Memory,
     Parameter,

@@ -5,8 +5,8 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 
+from tustinnet.channels import Channels
 from tustinnet.data.dataset import DataSet
-from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.systems.qube_servo2 import WITH_MEMORY
 from tustinnet.systems.twin import AS_LOGGED, Logger, Run, log_runs
 
@@ -53,10 +53,8 @@ def twin(seed: int = 0, logger: Logger = AS_LOGGED) -> DataSet:
         ]
     values = {name: jnp.asarray(value, jnp.float64) for name, value in TWIN_VALUES.items()}
     coordinates = tuple(replace(c, resolution=COUNT) for c in WITH_MEMORY.coordinates)
-    records = log_runs(
-        LagrangianModel(WITH_MEMORY, values), coordinates, WITH_MEMORY.inputs, runs, logger,
-        generator,
-    )  # fmt: skip
+    channels = Channels(coordinates, WITH_MEMORY.inputs)
+    records = log_runs(WITH_MEMORY.model(values), channels, runs, logger, generator)
     return DataSet(TWIN_NAME, records)
 
 

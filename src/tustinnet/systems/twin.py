@@ -1,7 +1,7 @@
 """Twins: simulated records that look as if an apparatus had been logged."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
@@ -9,10 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tustinnet.data.experiment import Coordinate, Experiment, Input
-from tustinnet.models.base import ContinuousModel, State
+from tustinnet.channels import Channels
+from tustinnet.data.experiment import Experiment
+from tustinnet.models.contract import ContinuousModel, Model
+from tustinnet.models.integrate import discretise
 from tustinnet.signals.derivatives import five_point_stencil
-from tustinnet.simulation.integrators import substep
+from tustinnet.signals.stacking import stacked
+from tustinnet.simulate.drive import Drive
+from tustinnet.simulate.rollout import rollout
 
 _LEAD, _TRAIL = 3, 2  # rows at a record's ends whose velocities are stored as 0, as in real logs
 
@@ -57,8 +61,7 @@ AS_LOGGED = Logger()
 
 def log_runs(
     model: ContinuousModel,
-    coordinates: tuple[Coordinate, ...],
-    inputs: tuple[Input, ...],
+    channels: Channels,
     runs: Sequence[Run],
     logger: Logger,
     generator: np.random.Generator,
@@ -70,8 +73,7 @@ def log_runs(
 
     Args:
         model: the twin's equations of motion.
-        coordinates: its coordinates, with the encoders' counts.
-        inputs: its inputs.
+        channels: its coordinates, with the encoders' counts, and its inputs.
         runs: what to do.
         logger: how it is logged.
         generator: the source of jitter and of the counts' places.
@@ -79,26 +81,25 @@ def log_runs(
     longest = max(len(run.u) for run in runs)
     t = np.arange(longest) * logger.dt + logger.jitter * generator.normal(size=(len(runs), longest))
     t -= t[:, :1]
-    u = np.zeros((len(runs), longest, len(inputs)))
-    for row, run in zip(u, runs, strict=True):
-        row[: len(run.u)] = run.u
-    x0 = np.stack([run.x0 for run in runs])
-    x = np.asarray(_simulate(model, x0, u[:, :-1], np.diff(t, axis=1), logger.substeps))
-    n_q = len(coordinates)
+    u = stacked([run.u for run in runs])[:, :-1]
+    drive = Drive(np.stack([u, u], axis=2), np.diff(t, axis=1))
+    x0 = jnp.asarray(np.stack([run.x0 for run in runs]))
+    x = np.asarray(_simulate(discretise(model, logger.dt, logger.substeps), x0, drive))
+    channels = replace(channels, dt=logger.dt)
+    n_q, count = channels.n_q, channels.resolution
     records = []
     for run, states, times in zip(runs, x, t, strict=True):
         n = len(run.u)
-        q = states[:n, :n_q]
+        q = states[:n, channels.position]
         if logger.counts:
-            count = np.array([c.resolution for c in coordinates], dtype=float)
             place = generator.uniform(-0.5, 0.5, n_q) * count
             q = np.round((q - place) / count) * count + place
         v = five_point_stencil(q, logger.dt)
         v[:_LEAD] = v[n - _TRAIL :] = 0.0
         records.append(
             Experiment(
-                name=run.name, t=times[:n], q=q, u=run.u, v=v, dt=logger.dt, split=run.split,
-                coordinates=coordinates, inputs=inputs, source="simulated",
+                name=run.name, t=times[:n], q=q, u=run.u, v=v, channels=channels,
+                split=run.split, source="simulated",
             )
         )  # fmt: skip
     return tuple(records)
@@ -106,20 +107,6 @@ def log_runs(
 
 @eqx.filter_jit
 def _simulate(
-    model: ContinuousModel,
-    x0: Float[Array | np.ndarray, "runs n_x"],
-    u: Float[Array | np.ndarray, "runs steps n_u"],
-    periods: Float[Array | np.ndarray, "runs steps"],
-    parts: int,
+    model: Model, x0: Float[Array, "runs n_x"], drive: Drive
 ) -> Float[Array, "runs samples n_x"]:
-    def run(x: State, drive: Array, lengths: Array) -> Array:
-        def advance(state: State, now: tuple[Array, Array]) -> tuple[State, State]:
-            held, period = now
-            state = jax.lax.fori_loop(
-                0, parts, lambda i, s: substep(model, s, held, i, parts, period / parts), state
-            )
-            return state, state
-
-        return jnp.concatenate([x[None], jax.lax.scan(advance, x, (drive, lengths))[1]])
-
-    return jax.vmap(run)(jnp.asarray(x0), jnp.asarray(u), jnp.asarray(periods))
+    return jax.vmap(lambda x, u: rollout(model, x, u))(x0, drive)

@@ -1,1 +1,0 @@
-"""Everything that is kept on disk: model files, checkpoints, run folders."""

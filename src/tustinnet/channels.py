@@ -1,0 +1,210 @@
+"""Coordinates, inputs and sampling period as one object, and the layout of a state."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from tustinnet.errors import InputError
+
+Kind = Literal["angular", "linear"]
+Hold = Literal["zero-order", "first-order"]
+
+_SAME_PERIOD = 1e-6  # relative; two periods this near are one
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """A generalised coordinate of the system.
+
+    Attributes:
+        name: what it is called.
+        kind: `angular` (radians, not wrapped) or `linear` (metres).
+        resolution: encoder count [rad or m], if known.
+    """
+
+    name: str
+    kind: Kind
+    resolution: float | None = None
+
+    @property
+    def unit(self) -> str:
+        """`rad` or `m`."""
+        return "rad" if self.kind == "angular" else "m"
+
+
+@dataclass(frozen=True)
+class Input:
+    """An input of the system.
+
+    Attributes:
+        name: what it is called.
+        unit: its unit, as it stands in the data.
+        hold: what happens between samples: held (`zero-order`) or a straight line (`first-order`).
+        limits: smallest and largest value the actuator takes, if known.
+    """
+
+    name: str
+    unit: str
+    hold: Hold = "zero-order"
+    limits: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Channels:
+    """Coordinates, inputs and sampling period of a record, a data set, a model or a system.
+
+    A state is `x = [q, v, z]`: positions [rad or m], velocities [rad/s or m/s] and, of models
+    that have any, internal states. `position`, `velocity` and `internal` say where they stand on
+    the last axis of an array of states.
+
+    Attributes:
+        coordinates: the columns of `q`.
+        inputs: the columns of `u`.
+        dt: sampling period [s]; 0 in continuous time.
+    """
+
+    coordinates: tuple[Coordinate, ...]
+    inputs: tuple[Input, ...] = ()
+    dt: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "coordinates", tuple(self.coordinates))
+        object.__setattr__(self, "inputs", tuple(self.inputs))
+
+    @property
+    def n_q(self) -> int:
+        """How many coordinates."""
+        return len(self.coordinates)
+
+    @property
+    def n_u(self) -> int:
+        """How many inputs."""
+        return len(self.inputs)
+
+    @property
+    def position(self) -> slice:
+        """Where the positions stand in a state."""
+        return slice(0, self.n_q)
+
+    @property
+    def velocity(self) -> slice:
+        """Where the velocities stand in a state."""
+        return slice(self.n_q, 2 * self.n_q)
+
+    @property
+    def measured(self) -> slice:
+        """Where positions and velocities stand, what a record says of a state."""
+        return slice(0, 2 * self.n_q)
+
+    @property
+    def internal(self) -> slice:
+        """Where the internal states stand."""
+        return slice(2 * self.n_q, None)
+
+    @cached_property
+    def angular(self) -> Bool[np.ndarray, " n_q"]:
+        """Which coordinates are angles."""
+        return np.array([c.kind == "angular" for c in self.coordinates], dtype=bool)
+
+    @cached_property
+    def ramped(self) -> Bool[np.ndarray, " n_u"]:
+        """Which inputs follow straight lines from sample to sample (first-order hold)."""
+        return np.array([i.hold == "first-order" for i in self.inputs], dtype=bool)
+
+    @cached_property
+    def resolution(self) -> Float[np.ndarray, " n_q"]:
+        """Encoder counts [rad or m], 0 where unknown."""
+        return np.array([c.resolution or 0.0 for c in self.coordinates])
+
+    @property
+    def unit(self) -> str:
+        """`rad`, `m`, or `rad and m`, of a figure over all coordinates."""
+        return " and ".join(dict.fromkeys(c.unit for c in self.coordinates))
+
+    def require_same(self, other: "Channels", whose: object, where: str) -> None:
+        """Raises unless another object speaks of the same system at the same period.
+
+        Names, kinds, units, holds and order count, resolutions and limits do not; a period only
+        where both have one.
+
+        Args:
+            other: the channels to check.
+            whose: what they are of, for the message.
+            where: what these are of, for the message.
+        """
+        for what, have, want in (
+            ("coordinates", _kinds(other), _kinds(self)),
+            ("inputs", _holds(other), _holds(self)),
+        ):
+            if have != want:
+                raise InputError(
+                    whose,
+                    f"{what} {_listed(have)}",
+                    f"{_listed(want)} as in {where}",
+                    "check the data card: names, kinds, units and order must agree",
+                )
+        if self.dt and other.dt and abs(other.dt / self.dt - 1) > _SAME_PERIOD:
+            raise InputError(
+                whose,
+                f"sampling period {other.dt:g} s",
+                f"{self.dt:g} s as in {where}",
+                "resample the records, or fit a model for this period",
+            )
+
+    def as_header(self) -> dict[str, Any]:
+        """The same as plain values, as model files have it."""
+        return {
+            "coordinates": [asdict(c) for c in self.coordinates],
+            "inputs": [asdict(i) for i in self.inputs],
+            "dt": self.dt,
+        }
+
+    @classmethod
+    def from_header(cls, header: dict[str, Any]) -> "Channels":
+        """What `as_header` made."""
+        limits = [tuple(i["limits"]) if i["limits"] else None for i in header["inputs"]]
+        return cls(
+            tuple(Coordinate(**c) for c in header["coordinates"]),
+            tuple(
+                Input(**{**i, "limits": limit})
+                for i, limit in zip(header["inputs"], limits, strict=True)
+            ),
+            header["dt"],
+        )
+
+
+class HasChannels:
+    """Short ways to the parts of `channels`, for everything that has them."""
+
+    channels: Channels
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """The coordinates, in the order of `q`."""
+        return self.channels.coordinates
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """The inputs, in the order of `u`."""
+        return self.channels.inputs
+
+    @property
+    def dt(self) -> float:
+        """Sampling period [s]."""
+        return self.channels.dt
+
+
+def _kinds(of: Channels) -> Sequence[tuple[str, str]]:
+    return [(c.name, c.kind) for c in of.coordinates]
+
+
+def _holds(of: Channels) -> Sequence[tuple[str, str]]:
+    return [(i.name, f"{i.unit}, {i.hold}") for i in of.inputs]
+
+
+def _listed(pairs: Sequence[tuple[str, str]]) -> str:
+    return ", ".join(f"{name} ({kind})" for name, kind in pairs) or "(none)"

@@ -1,0 +1,68 @@
+"""`tustinnet cross-validate`: a recipe on records that its models never saw."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tustinnet.cli import options, terminal
+
+
+def cross_validate(
+    data: options.Data,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where folds.json goes.")],
+    recipe: options.Recipe = None,
+    changes: options.Set = None,
+    system: options.System = None,
+    physics: Annotated[
+        str | None,
+        typer.Option(
+            metavar="RECIPE",
+            help="How the physics that a network corrects is identified in every fold. Default: "
+            "best-grey.",
+        ),
+    ] = None,
+    folds: Annotated[int, typer.Option(min=3, metavar="N", help="How many folds.")] = 5,
+    seeds: options.Seeds = None,
+    start: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Start of the free runs; may be repeated."),
+    ] = None,
+    card: options.Card = None,
+    device: options.Device = None,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Score a recipe on every record by models that never saw it: mean and standard error."""
+    terminal.prepare_jax(device)
+    from tustinnet.cli.request import recipe_of, seeds_of
+    from tustinnet.data.catalog import load
+    from tustinnet.evaluate.folds import cross_validate, make_question
+    from tustinnet.report.fits import folds_table
+    from tustinnet.report.progress import FitProgress
+    from tustinnet.store.files import (
+        require_new,
+        require_writable_folder,
+        to_json,
+        write_atomically,
+    )
+
+    chosen = recipe_of(recipe, changes, system=system, physics=physics)
+    asked = make_question(
+        chosen, system=system, physics=physics, folds=folds,
+        seeds=None if seeds is None else seeds_of(seeds), starts=start or (),
+    )  # fmt: skip
+    told, file = terminal.messages(), out / "folds.json"
+    require_new([file], overwrite=overwrite)
+    require_writable_folder(out)
+    with FitProgress(told, quiet=quiet) as progress:
+        found = cross_validate(load(data, card), asked, progress.follow)
+    write_atomically(file, to_json(found.as_plain()))
+    table = folds_table(found)
+    write_atomically(out / "folds.md", table.markdown())
+    if json:
+        terminal.print_json(found.as_plain())
+    else:
+        terminal.print_tables(table)
+    told.print(f"written: {file}, {out / 'folds.md'}")

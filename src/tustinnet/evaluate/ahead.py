@@ -1,0 +1,64 @@
+"""How far ahead a model sees: k-step-ahead errors."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from tustinnet.data.experiment import Experiment, VelocitySource
+from tustinnet.errors import InputError
+from tustinnet.evaluate.scores import simulated
+from tustinnet.models.contract import Model, require_fit, require_float64, with_dtype
+from tustinnet.simulate.along import states_along
+from tustinnet.simulate.drive import Drive
+
+_STEPS_AT_ONCE = 2_000_000  # bounds the RAM of k-step-ahead predictions
+
+
+def rmse_ahead(
+    model: Model,
+    experiments: Sequence[Experiment],
+    horizon: int,
+    velocity: VelocitySource = "auto",
+) -> Float[np.ndarray, " horizon"]:
+    """k-step-ahead RMSE against k, for every k from every sample that has k samples after it.
+
+    Internal states begin as the record up to the sample led to them; samples that a model's
+    warm-up needs are not started from.
+
+    Args:
+        model: the model.
+        experiments: the records.
+        horizon: largest k, less than the longest record's length.
+        velocity: where the velocities at the starting samples come from.
+
+    Returns:
+        RMSE of the positions' 2-norm for k = 1..horizon [rad or m].
+
+    Raises:
+        InputError: a horizon that no record has; see also `free_run`.
+    """
+    require_float64("rmse_ahead")
+    evaluated = with_dtype(model, np.float64).folded()
+    longest = max(len(e) for e in experiments) - evaluated.warm_up
+    if not 1 <= horizon < longest:
+        raise InputError("horizon", f"{horizon} steps", f"1 to {longest - 1}")
+    for e in experiments:
+        require_fit(model, e)
+    squares, count = np.zeros(horizon), np.zeros(horizon)
+    along = states_along(evaluated, experiments, velocity)
+    begins = [np.arange(evaluated.warm_up, len(e) - 1) for e in experiments]
+    # as many at once everywhere, so that one compiled program serves records of all lengths
+    size = max(1, min(_STEPS_AT_ONCE // horizon, max(map(len, begins))))
+    for e, states, mine in zip(experiments, along, begins, strict=True):
+        for first in range(0, len(mine), size):
+            begin = mine[first : first + size]
+            index = np.resize(begin, size)[:, None] + np.arange(horizon)
+            inside = (index < len(e) - 1) & (np.arange(size) < len(begin))[:, None]
+            index = np.minimum(index, len(e) - 2)  # beyond the end any input will do
+            drive = Drive(e.input_ends[index])
+            runs = np.asarray(simulated(evaluated, states[index[:, 0]], drive))
+            error = np.sum((runs[:, 1:, e.channels.position] - e.q[index + 1]) ** 2, axis=2)
+            squares += np.sum(np.where(inside, error, 0.0), axis=0)
+            count += np.sum(inside, axis=0)
+    return np.sqrt(squares / count)

@@ -1,0 +1,162 @@
+"""What the errors of a simulation still contain: whiteness, correlation with the inputs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.signal
+import scipy.stats
+from jaxtyping import Float
+
+from tustinnet.data.experiment import Experiment
+from tustinnet.errors import InputError
+from tustinnet.evaluate.scores import free_run
+from tustinnet.models.contract import Model
+from tustinnet.simulate.starts import start_named
+
+CONFIDENCE = 0.99
+_QUANTILE = float(scipy.stats.norm.ppf((1 + CONFIDENCE) / 2))
+
+
+@dataclass(frozen=True)
+class ResidualReport:
+    """Residuals of one coordinate over several free runs.
+
+    Attributes:
+        coordinate: its name.
+        rms: root mean square [rad or m].
+        mean: mean [rad or m].
+        autocorrelation: at lags 0..L, (L + 1,).
+        white_bound: what independent residuals stay within at 99 % of the lags.
+        outside: share of the lags 1..L beyond it.
+        cross: correlation with each input at lags -L..L (the residual later where positive),
+            (n_u, 2 L + 1); empty where no input changes.
+        cross_bound: what residuals that owe nothing to each input stay within at 99 % of the lags,
+            (n_u,).
+        cross_outside: share of the lags 0..L beyond it, per input, (n_u,).
+    """
+
+    coordinate: str
+    rms: float
+    mean: float
+    autocorrelation: Float[np.ndarray, " lags"]
+    white_bound: float
+    outside: float
+    cross: Float[np.ndarray, "n_u both"]
+    cross_bound: Float[np.ndarray, " n_u"]
+    cross_outside: Float[np.ndarray, " n_u"]
+
+    @property
+    def white(self) -> bool:
+        """Whether no more lags are outside than independent residuals would have."""
+        return self.outside <= 1 - CONFIDENCE + 0.01
+
+    @property
+    def sentence(self) -> str:
+        """What it means."""
+        first = float(self.autocorrelation[1]) if len(self.autocorrelation) > 1 else 0.0
+        told = (
+            "white: nothing predictable is left"
+            if self.white
+            else f"not white ({100 * self.outside:.0f} % of the lags outside, {first:.2f} from one "
+            "sample to the next): the model lacks something"
+        )
+        if len(self.cross_outside) and float(self.cross_outside.max()) > 1 - CONFIDENCE + 0.01:
+            told += (
+                f"; {100 * self.cross_outside.max():.0f} % of the lags correlate with an input: "
+                "its effect is not all modelled"
+            )
+        return told
+
+
+def residual_reports(
+    model: Model, experiments: Sequence[Experiment], start: str, lags: int = 50
+) -> list[ResidualReport]:
+    """Examines the free-run residuals (measured minus simulated) of records.
+
+    Correlations are pooled over the records; residuals are not centred, so an offset counts.
+
+    Args:
+        model: the model.
+        experiments: records.
+        start: where the free runs start, the name of a start.
+        lags: largest lag in samples.
+
+    Raises:
+        InputError: lags that the shortest record does not have, a free run that diverges; see also
+            `free_run`.
+
+    References:
+        Söderström, Stoica (1989), System Identification, section 11.2.
+        Ljung (1999), System Identification: Theory for the User, section 16.6.
+    """
+    shortest = min(len(e) for e in experiments)
+    if not 1 <= lags < shortest:
+        raise InputError("lags", f"{lags} samples", f"1 to {shortest - 1}")
+    runs = free_run(model, experiments, start)
+    begin, at = start_named(start).first, model.channels.position
+    residuals = [e.q[begin:] - x[begin:, at] for e, x in zip(experiments, runs, strict=True)]
+    for e, r in zip(experiments, residuals, strict=True):
+        if not np.isfinite(r).all():
+            raise InputError(
+                e.name, "a free run that diverges", "a model that simulates it", "leave it out"
+            )
+    forced = [i for i, e in enumerate(experiments) if e.forced]
+    inputs = [(u := experiments[i].u[begin:]) - u.mean(axis=0) for i in forced]
+    return [
+        _report(model, j, [r[:, j] for r in residuals], forced, inputs, lags)
+        for j in range(model.channels.n_q)
+    ]
+
+
+def _report(
+    model: Model,
+    j: int,
+    series: Sequence[np.ndarray],
+    forced: Sequence[int],
+    inputs: Sequence[np.ndarray],
+    lags: int,
+) -> ResidualReport:
+    """The report of one coordinate; `inputs` are those of the records that have some."""
+    whole = np.concatenate(series)
+    own = _correlation(series, series, lags)
+    bound = _QUANTILE / np.sqrt(len(whole))
+    crossed = [
+        _cross([series[i] for i in forced], [u[:, k] for u in inputs], lags)
+        for k in range(model.channels.n_u if forced else 0)
+    ]
+    return ResidualReport(
+        coordinate=model.coordinates[j].name,
+        rms=float(np.sqrt(np.mean(whole**2))),
+        mean=float(whole.mean()),
+        autocorrelation=own[lags:],
+        white_bound=float(bound),
+        outside=float(np.mean(np.abs(own[lags + 1 :]) > bound)),
+        cross=np.array([c[0] for c in crossed]).reshape(len(crossed), 2 * lags + 1),
+        cross_bound=np.array([c[1] for c in crossed]),
+        cross_outside=np.array([c[2] for c in crossed]),
+    )
+
+
+def _cross(
+    residuals: Sequence[np.ndarray], inputs: Sequence[np.ndarray], lags: int
+) -> tuple[Float[np.ndarray, " both"], float, float]:
+    """Correlation of residuals with an input, its bound, the share of lags 0..L outside."""
+    both = _correlation(residuals, inputs, lags)
+    samples = sum(map(len, residuals))
+    # coloured signals correlate by chance over more lags than white ones do
+    of_residual = _correlation(residuals, residuals, lags)
+    of_input = _correlation(inputs, inputs, lags)
+    bound = _QUANTILE * np.sqrt(max(float(of_residual @ of_input), 1.0) / samples)
+    return both, float(bound), float(np.mean(np.abs(both[lags:]) > bound))
+
+
+def _correlation(
+    later: Sequence[np.ndarray], earlier: Sequence[np.ndarray], lags: int
+) -> Float[np.ndarray, " both"]:
+    """Normalised correlation at lags -L..L, pooled over records, not centred."""
+    total = np.zeros(2 * lags + 1)
+    for a, b in zip(later, earlier, strict=True):
+        total += scipy.signal.correlate(a, b)[len(b) - 1 - lags : len(b) + lags]
+    power = np.sqrt(sum(a @ a for a in later) * sum(b @ b for b in earlier))
+    return total / power if power > 0 else total

@@ -1,0 +1,164 @@
+"""Free runs of a model over records, and their scores."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+
+from tustinnet.channels import Channels
+from tustinnet.data.experiment import Experiment
+from tustinnet.evaluate import metrics
+from tustinnet.models.contract import Model, require_fit, require_float64, with_dtype
+from tustinnet.simulate.along import states_along
+from tustinnet.simulate.drive import Drive, drives_of
+from tustinnet.simulate.rollout import rollouts
+from tustinnet.simulate.starts import Start, start_named, start_states
+
+
+@dataclass(frozen=True)
+class Score:
+    """How one record was simulated.
+
+    Attributes:
+        experiment: the record.
+        start: where the free run started.
+        rmse: root mean square of the position error's 2-norm, from where the free run begins
+            [rad or m].
+        rmse_after: the same without the samples that the start was fitted to.
+        coordinate_rmse: per coordinate [rad or m].
+        nrmse: per coordinate, over the standard deviation of the measurement.
+        fit_percent: per coordinate, 100 (1 - NRMSE).
+        simulated: the free run's states, (n, n_x); before it begins, those along the record.
+    """
+
+    experiment: str
+    start: str
+    rmse: float
+    rmse_after: float
+    coordinate_rmse: tuple[float, ...]
+    nrmse: tuple[float, ...]
+    fit_percent: tuple[float, ...]
+    simulated: Float[np.ndarray, "n n_x"]
+
+
+def free_run(
+    model: Model, experiments: Sequence[Experiment] | Experiment, start: str | Start
+) -> list[Float[np.ndarray, "n n_x"]]:
+    """Simulates records in double precision, each from its start with only its input.
+
+    Args:
+        model: the model.
+        experiments: records of any lengths, or one.
+        start: where the free runs start, as `start_states` takes it.
+
+    Returns:
+        Per record the states [q, v, z], (n, n_x). Of a start in the middle of a record, the rows
+        before it are the measured states.
+
+    Raises:
+        InputError: other coordinates, inputs or period than the model's; float64 is off.
+    """
+    require_float64("free_run")
+    experiments, rule = _listed(experiments), _rule(start)
+    for experiment in experiments:
+        require_fit(model, experiment)
+    simulator = with_dtype(model, np.float64).folded()
+    x0 = start_states(simulator, experiments, rule)
+    tails = [e[rule.first :] for e in experiments]
+    runs = [
+        run[: len(e)]
+        for run, e in zip(
+            np.asarray(simulated(simulator, x0, drives_of(tails))), tails, strict=True
+        )
+    ]
+    if not rule.first:
+        return runs
+    heads = states_along(simulator, [e[: rule.first + 1] for e in experiments], "stencil")
+    return [np.concatenate([head[:-1], run]) for head, run in zip(heads, runs, strict=True)]
+
+
+def _listed(experiments: Sequence[Experiment] | Experiment) -> Sequence[Experiment]:
+    return [experiments] if isinstance(experiments, Experiment) else experiments
+
+
+def _rule(start: str | Start) -> Start:
+    return start_named(start) if isinstance(start, str) else start
+
+
+@eqx.filter_jit
+def simulated(
+    model: Model, x0: Float[Array | np.ndarray, "runs n_x"], drive: Drive
+) -> Float[Array, "runs samples n_x"]:
+    """Free runs side by side, compiled."""
+    return rollouts(model, x0, drive)
+
+
+def evaluate(
+    model: Model, experiments: Sequence[Experiment] | Experiment, start: str | Start
+) -> list[Score]:
+    """Scores the free runs of records.
+
+    Args:
+        model: the model.
+        experiments: records of any lengths, or one.
+        start: where the free runs start, as `start_states` takes it.
+
+    Returns:
+        Per record RMSE, per-coordinate figures and the simulation. A free run that leaves the
+        range of floating-point numbers scores infinity.
+
+    Raises:
+        InputError: other coordinates, inputs or period than the model's; float64 is off.
+    """
+    experiments, rule, scores = _listed(experiments), _rule(start), []
+    for e, x in zip(experiments, free_run(model, experiments, rule), strict=True):
+        q, measured = x[rule.first :, e.channels.position], e.q[rule.first :]
+        after = rule.fitted - rule.first
+        with np.errstate(over="ignore", invalid="ignore"):
+            q = np.where(np.isfinite(q), q, np.inf)
+            scores.append(
+                Score(
+                    experiment=e.name,
+                    start=rule.name,
+                    rmse=metrics.rmse(q, measured),
+                    rmse_after=metrics.rmse(q[after:], measured[after:]),
+                    coordinate_rmse=tuple(metrics.coordinate_rmse(q, measured).tolist()),
+                    nrmse=tuple(metrics.nrmse(q, measured).tolist()),
+                    fit_percent=tuple(metrics.fit_percent(q, measured).tolist()),
+                    simulated=x,
+                )
+            )
+    return scores
+
+
+def mean_rmse(scores: Sequence[Score]) -> float:
+    """Mean RMSE over records, the figure that models are compared by.
+
+    Args:
+        scores: what `evaluate` returned.
+
+    Returns:
+        The mean of the records' RMSE [rad or m].
+    """
+    return float(np.mean([score.rmse for score in scores]))
+
+
+def rmse_by_record(scores: Sequence[Score]) -> dict[str, float]:
+    """RMSE of each record by name."""
+    return {score.experiment: score.rmse for score in scores}
+
+
+def scores_header(
+    judged: str, start: str, channels: Channels, scores: Sequence[Score]
+) -> Mapping[str, Any]:
+    """How a model simulates the records it is judged by, as files have it."""
+    return {
+        "split": judged,
+        "start": start,
+        "unit": channels.unit,
+        "rmse": rmse_by_record(scores),
+        "mean": mean_rmse(scores),
+    }

@@ -1,0 +1,1 @@
+"""Families of models: what a kind of model is, how it is built, kept and told, a file each."""

@@ -1,0 +1,161 @@
+"""Euler-Lagrange models: a system's equations of motion with identified parameters.
+
+The equations themselves are in `models.lagrangian`. A file keeps the system's name and the
+values, never its code; what its code computes at fixed states is compared when it is loaded.
+"""
+
+import inspect
+import warnings
+from pathlib import Path
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from pydantic import Field
+
+from tustinnet.errors import InputError
+from tustinnet.families.family import Arrays, Family, Header, Hyper
+from tustinnet.models.integrate import Discretised, discretise
+from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
+from tustinnet.registry import SYSTEMS
+from tustinnet.systems.files import load_system
+
+_VALUES, _PROBED = "values", "probed"  # arrays: the parameters' values, derivatives at the probes
+_PROBES = 16
+_REACH = {"q": 2.0, "v": 3.0, "z": 0.5, "u": 3.0}  # how far from 0 the probes are, SI units
+_SAME = {True: 1e-6, False: 1e-3}  # relative, in double and in single precision
+
+
+class EulerLagrangeHyper(Hyper):
+    """A system whose parameters are identified.
+
+    Attributes:
+        system: a packaged system by name, or a Python file; what `--system` gives comes first.
+        fixed: parameters to hold, at a value or at their `nominal` one.
+        begin: where the search for a parameter starts.
+    """
+
+    system: str | None = None
+    fixed: dict[str, float | Literal["nominal"]] = Field(default_factory=dict)
+    begin: dict[str, float] = Field(default_factory=dict)
+
+
+class EulerLagrangeFamily(Family):
+    """Identified systems."""
+
+    kind = "euler-lagrange"
+    hyper = EulerLagrangeHyper
+    trains = False
+    needs = frozenset({"system"})
+    correctable = True
+    model = LagrangianModel
+
+    def describe(self, model: Discretised) -> tuple[Header, Arrays]:
+        """The system's name, its parameters, and what its equations give at fixed states."""
+        continuous = model.continuous
+        assert isinstance(continuous, LagrangianModel)
+        system, names = continuous.system, sorted(continuous.values)
+        header = {
+            "system": {"name": system.name, "file": _file_of(system)},
+            "parameters": names,
+            "substeps": model.substeps,
+        }
+        values = np.array([float(continuous.values[name]) for name in names])
+        return header, {_VALUES: values, _PROBED: _probed(continuous)}
+
+    def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> Discretised:
+        """The packaged system, or the one given, with the file's values."""
+        belongs = header["system"]
+        if system is None and belongs["name"] not in SYSTEMS:
+            file = belongs["file"] or "FILE.py"
+            raise InputError(
+                where,
+                f"a model of the system '{belongs['name']}', which the package does not have",
+                f"its file ({file})",
+                f"add --system {file} (in Python: load_model(path, system=...))",
+            )
+        found = load_system(belongs["name"] if system is None else system)
+        if found.name != belongs["name"]:
+            raise InputError(
+                where, f"the system '{found.name}'", f"'{belongs['name']}', which the model is of"
+            )
+        if sorted(found.nominal()) != header["parameters"]:
+            raise InputError(
+                where, "parameters that the system does not have", "those of the system"
+            )
+        values = dict(zip(header["parameters"], jnp.asarray(arrays[_VALUES]), strict=True))
+        model = found.model(values)
+        _require_same(model, arrays.get(_PROBED), where)
+        return discretise(model, header["dt"], header["substeps"])
+
+    def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
+        """The system and the values."""
+        system = header["system"]
+        told = f"{system['name']} ({system['file']})" if system["file"] else system["name"]
+        values = dict(zip(header["parameters"], arrays[_VALUES].tolist(), strict=True))
+        return [
+            ("system", f"{told}, {header['substeps']} Runge-Kutta steps a period"),
+            ("values", ", ".join(f"{name} {value:.4g}" for name, value in values.items())),
+        ]
+
+
+FAMILY = EulerLagrangeFamily()
+
+
+def _file_of(system: LagrangianSystem) -> str:
+    """The name of the file that a system is written in, empty where it is in none."""
+    try:
+        return Path(inspect.getsourcefile(system.kinetic) or "").name
+    except TypeError:
+        return ""
+
+
+@eqx.filter_jit
+def _derivatives(
+    model: LagrangianModel, x: Float[Array, "probes n_x"], u: Float[Array, "probes n_u"]
+) -> Float[Array, "probes n_x"]:
+    return jax.vmap(model.derivative)(x, u)
+
+
+def _probed(model: LagrangianModel) -> Float[np.ndarray, "probes n_x"]:
+    """The derivatives at states that are the same for every model of the same size."""
+    of, generator = model.channels, np.random.default_rng(0)
+    sizes = {"q": of.n_q, "v": of.n_q, "z": len(model.internal), "u": of.n_u}
+    drawn = {k: _REACH[k] * generator.uniform(-1, 1, (_PROBES, n)) for k, n in sizes.items()}
+    x = np.concatenate([drawn["q"], drawn["v"], drawn["z"]], axis=1)
+    found = _derivatives(model, jnp.asarray(x), jnp.asarray(drawn["u"]))
+    return np.asarray(found, np.float64)
+
+
+def _require_same(model: LagrangianModel, stored: np.ndarray | None, where: Path) -> None:
+    """Raises unless the system computes what it did when the model was identified."""
+    if stored is None:
+        if model.system.name not in SYSTEMS:
+            warnings.warn(
+                f"{where}: written before model files kept what a system computes; that "
+                f"'{model.system.name}' has not changed since could not be checked",
+                stacklevel=2,
+            )
+        return
+    now = _probed(model)
+    both = np.isfinite(stored) & np.isfinite(now)
+    unit = np.max(np.abs(stored), axis=0, where=np.isfinite(stored), initial=1e-12)
+    off = np.where(both, np.abs(now - stored) / unit, np.isfinite(stored) != np.isfinite(now))
+    worst = int(np.argmax(off.max(axis=0)))
+    if off.max() > _SAME[bool(jax.config.read("jax_enable_x64"))]:
+        of = model.channels
+        names = [
+            *(c.name for c in of.coordinates),
+            *(c.name for c in of.coordinates),
+            *model.internal,
+        ]
+        raise InputError(
+            where,
+            f"the system '{model.system.name}' has changed since the model was identified: "
+            f"'{names[worst]}' moves otherwise by {100 * off.max():.2g} %",
+            "the equations of motion as they were",
+            "identify it again, or give the file as it was then with --system FILE.py",
+        )

@@ -1,0 +1,198 @@
+"""What every family of models answers; all that the rest of the package knows of it."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
+
+from tustinnet.data.declaration import Declaration
+from tustinnet.data.experiment import Experiment, VelocitySource
+from tustinnet.errors import InputError
+from tustinnet.models.blocks import Affine
+from tustinnet.models.contract import Model
+from tustinnet.models.integrate import FromContinuous
+from tustinnet.registry import FAMILIES
+
+Header = dict[str, Any]
+Arrays = dict[str, np.ndarray]
+Vector = Float[np.ndarray, " _"]
+NumpyStep = Callable[[Vector, Vector], Vector]
+Regulariser = Callable[[Model, Float[Array, " n_x"], Array], Float[Array, ""]]
+Given = Literal["system", "physics"]
+
+
+class Hyper(Declaration):
+    """The table `[model]` of a recipe.
+
+    Attributes:
+        kind: the family.
+    """
+
+    kind: str
+
+
+class StageKeys(Declaration):
+    """Keys of a training stage that only some families know."""
+
+
+class Family(ABC):
+    """A kind of model.
+
+    Attributes:
+        kind: its name in recipes and model files.
+        hyper: what the table `[model]` of a recipe may say.
+        stage: keys of a training stage beside those that all families know.
+        trains: whether it has weights that are trained; else parameters that are identified.
+        needs: what has to be given beside a recipe, a `system` or the `physics` to correct.
+        correctable: whether a network may correct its models.
+        model: the class of its models, or of what is stepped in them.
+    """
+
+    kind: ClassVar[str]
+    hyper: ClassVar[type[Hyper]]
+    stage: ClassVar[type[StageKeys]] = StageKeys
+    trains: ClassVar[bool] = True
+    needs: ClassVar[frozenset[Given]] = frozenset()
+    correctable: ClassVar[bool] = False
+    model: ClassVar[type]
+
+    def owns(self, model: Any) -> bool:
+        """Whether a model is of this family."""
+        core = model.continuous if isinstance(model, FromContinuous) else model
+        return isinstance(core, self.model)
+
+    def builder(
+        self,
+        hyper: Any,
+        experiments: Sequence[Experiment],
+        velocity: VelocitySource,
+        physics: Model | None,
+    ) -> Callable[[PRNGKeyArray], Model]:
+        """How a model is made from a key, once what records say of it has been learnt.
+
+        Args:
+            hyper: the recipe's table `[model]`.
+            experiments: the training records.
+            velocity: which velocities to use.
+            physics: the model to correct, for families that correct one.
+
+        Raises:
+            InputError: records that the family cannot be built for.
+        """
+        raise InputError(f"kind '{self.kind}'", "nothing to train", "a kind of model with weights")
+
+    def check(self, hyper: Any, stage: Any) -> None:  # noqa: B027 (most have nothing to check)
+        """Raises `ValueError` where a stage of a recipe does not fit the model it describes."""
+
+    def trainable(self, model: Any, stage: Any) -> PyTree:
+        """A tree like the model, True at the arrays that train in a stage; here all layers."""
+        return mask_of(model, layers_in(model))
+
+    def regulariser(self, stage: Any) -> Regulariser | None:
+        """What a stage adds to the loss at every step, from model, state and input; None for none.
+
+        Two that are alike must be equal, so that one compiled program serves both.
+        """
+        return None
+
+    @abstractmethod
+    def describe(self, model: Any) -> tuple[Header, Arrays]:
+        """What a model file says of a model, beside its channels, and its arrays by name."""
+
+    @abstractmethod
+    def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> Model:
+        """The model of a file; `system` is what the user gave for one of his own, `where` the file.
+
+        A header that does not fit raises KeyError, TypeError or ValueError.
+        """
+
+    @abstractmethod
+    def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
+        """What `show` tells of a file beside what it tells of all, as words and what they say."""
+
+    def numpy_step(self, model: Any, dtype: type[np.floating]) -> NumpyStep:
+        """A step that needs NumPy only."""
+        raise InputError(
+            "numpy_step", f"a model of kind '{self.kind}'", "a Tustin-Net", "use compiled_step"
+        )
+
+
+def family_of(model: Any) -> Family:
+    """The family of a model.
+
+    Raises:
+        InputError: none of the registry has it.
+    """
+    for kind in FAMILIES.names():
+        if FAMILIES[kind].owns(model):
+            return FAMILIES[kind]
+    raise InputError(
+        f"a {type(model).__name__}", "a model of no registered family",
+        f"a model of one of the kinds {', '.join(FAMILIES.names())}",
+    )  # fmt: skip
+
+
+class LayeredStage(StageKeys):
+    """Of networks with hidden layers.
+
+    Attributes:
+        frozen_layers: how many hidden layers, from the first on, do not train (a stem counts
+            with the first). The output layer always trains.
+    """
+
+    frozen_layers: int = 0
+
+
+def layers_in(tree: PyTree) -> list[Affine]:
+    """The layers of a model."""
+    leaves = jax.tree.leaves(tree, is_leaf=lambda node: isinstance(node, Affine))
+    return [leaf for leaf in leaves if isinstance(leaf, Affine)]
+
+
+def mask_of(model: Model, training: PyTree) -> PyTree:
+    """A tree like the model, True at the arrays that also stand in `training`."""
+    trained = {id(leaf) for leaf in jax.tree.leaves(training)}
+    return jax.tree.map(lambda leaf: id(leaf) in trained, model)
+
+
+def named_arrays(tree: PyTree, prefix: str = "") -> Arrays:
+    """The arrays of a model by the names that they have in a file."""
+    paths = jax.tree_util.tree_leaves_with_path(eqx.filter(tree, eqx.is_array))
+    name = jax.tree_util.keystr
+    return {
+        prefix + name(path, simple=True, separator="."): np.asarray(leaf) for path, leaf in paths
+    }
+
+
+def filled(make: Callable[[], PyTree], arrays: Arrays, prefix: str = "") -> Any:
+    """What `make` builds, with the arrays of a file in it; nothing is computed.
+
+    Raises:
+        KeyError: an array is missing.
+        ValueError: an array of another shape.
+    """
+    blank = eqx.filter_eval_shape(make)
+
+    def fill(path: Any, leaf: Any) -> Any:
+        if not isinstance(leaf, jax.ShapeDtypeStruct):
+            return leaf
+        name = prefix + jax.tree_util.keystr(path, simple=True, separator=".")
+        if name not in arrays and 0 in leaf.shape:
+            return jnp.zeros(leaf.shape, leaf.dtype)  # files from before there were any
+        array = jnp.asarray(arrays[name])
+        if array.shape != leaf.shape:
+            raise ValueError(f"{name} of shape {array.shape}, expected {leaf.shape}")
+        return array
+
+    return jax.tree_util.tree_map_with_path(fill, blank)
+
+
+def below(prefix: str, arrays: Arrays) -> Arrays:
+    """The arrays whose names begin with a prefix, without it."""
+    return {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}

@@ -1,0 +1,167 @@
+"""A gated recurrent unit whose hidden state is the model's internal state."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, PRNGKeyArray
+from pydantic import Field
+
+from tustinnet.channels import Channels
+from tustinnet.data.experiment import Experiment, VelocitySource
+from tustinnet.families.family import Arrays, Family, Header, Hyper, filled, named_arrays
+from tustinnet.families.networks import blank_scaling, units_shown
+from tustinnet.models.blocks import Affine, Scaling, feature_count, learn_scaling, random_affine
+from tustinnet.models.contract import (
+    AccelerationModel,
+    Coordinates,
+    InputVector,
+    Internal,
+    Model,
+    State,
+)
+
+
+class GRU(AccelerationModel):
+    """A gated recurrent unit that is told its own positions and velocities again.
+
+        r = s(W_r phi + U_r h + b_r),  g = s(W_g phi + U_g h + b_g),  s the logistic function
+        h[k+1] = g h + (1 - g) tanh(W_n phi + r (U_n h + c_n) + b_n)
+        q[k+1] = q[k] + dt (v[k] + y_q),  v[k+1] = v[k] + dt y_v,  [y_q, y_v] = W_y h[k+1] + b_y
+
+    `phi` are the features that a Tustin-Net sees, scaled. No rule binds positions to velocities:
+    what the trapezoidal rule is worth shows in the difference to a Tustin-Net. The hidden state
+    `h` begins at 0 and means nothing before it has followed `warm_up` samples of a record. As a
+    correction of another model only its accelerations `y_v` count.
+
+    Attributes:
+        by_features: `[W_r, W_g, W_n]` and their biases.
+        by_hidden: `[U_r, U_g, U_n]`, and `c_n` behind zeros.
+        output: `W_y`, `b_y`, in units of the velocities and accelerations.
+        scaling: units of what it sees and says.
+        channels: its coordinates, inputs and period.
+        needed: samples of a record that the hidden state needs.
+
+    References:
+        Cho et al. (2014), Learning phrase representations using RNN encoder-decoder for
+        statistical machine translation, arXiv 1406.1078.
+        Bonassi, Farina, Xie, Scattolini (2022), On recurrent neural networks for learning-based
+        control, Journal of Process Control 114.
+    """
+
+    by_features: Affine
+    by_hidden: Affine
+    output: Affine
+    scaling: Scaling
+    channels: Channels = eqx.field(static=True)
+    needed: int = eqx.field(static=True)
+
+    @property
+    def warm_up(self) -> int:
+        """Samples of a record that the hidden state follows before a free run."""
+        return self.needed
+
+    @property
+    def internal(self) -> tuple[str, ...]:
+        """The hidden units."""
+        return tuple(f"hidden {i}" for i in range(self.by_hidden.weight.shape[1]))
+
+    def silent(self) -> "GRU":
+        """The same with an output layer of zeros."""
+        return eqx.tree_at(lambda m: m.output, self, self.output.zeros())
+
+    def _said(self, x: State, u: InputVector) -> tuple[Array, Array]:
+        """The rates of positions and velocities, in SI units, and the new hidden state."""
+        h = x[self.channels.internal]
+        phi = self.by_features(self.scaling.features(self.channels, x, u))
+        n = len(h)
+        told = self.by_hidden(h)
+        reset, gate = jax.nn.sigmoid(phi[: 2 * n] + told[: 2 * n]).reshape(2, n)
+        new = jnp.tanh(phi[2 * n :] + reset * told[2 * n :])
+        h = gate * h + (1 - gate) * new
+        unit = jnp.concatenate([self.scaling.velocity, self.scaling.acceleration])
+        return unit * self.output(h), h
+
+    def accelerate(
+        self, x: State, u: InputVector
+    ) -> tuple[Coordinates, Callable[[Coordinates], Internal]]:
+        """Its accelerations; the hidden state does not depend on the mean velocity."""
+        said, h = self._said(x, u)
+        return said[self.channels.velocity], lambda mean: h
+
+    def step(self, x: State, u: InputVector) -> State:
+        """One period, by what it says of positions and velocities."""
+        of = self.channels
+        said, h = self._said(x, u)
+        drift = jnp.concatenate([x[of.velocity], jnp.zeros(of.n_q, x.dtype)])
+        return jnp.concatenate([x[of.measured] + self.dt * (drift + said), h])
+
+
+class GRUHyper(Hyper):
+    """A gated recurrent unit.
+
+    Attributes:
+        hidden: its hidden units.
+        warm_up: samples of a record that its hidden state follows before a free run.
+    """
+
+    hidden: int = Field(default=32, gt=0)
+    warm_up: int = Field(default=20, ge=6)
+
+
+class GRUFamily(Family):
+    """Gated recurrent units."""
+
+    kind = "gru"
+    hyper = GRUHyper
+    model = GRU
+
+    def builder(
+        self,
+        hyper: GRUHyper,
+        experiments: Sequence[Experiment],
+        velocity: VelocitySource,
+        physics: Model | None,
+    ) -> Callable[[PRNGKeyArray], GRU]:
+        """Random weights, units from the records."""
+        channels, scaling = experiments[0].channels, learn_scaling(experiments, velocity)
+        return lambda key: random_gru(channels, scaling, key, hyper.hidden, hyper.warm_up)
+
+    def describe(self, model: GRU) -> tuple[Header, Arrays]:
+        """Hidden units and warm-up; all arrays."""
+        structure = {"hidden": len(model.internal), "warm_up": model.warm_up}
+        return {"structure": structure}, named_arrays(model)
+
+    def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> GRU:
+        """From structure and arrays."""
+        channels, s = Channels.from_header(header), header["structure"]
+        blank = blank_scaling(channels)
+        key = jax.random.key(0)
+        return filled(lambda: random_gru(channels, blank, key, s["hidden"], s["warm_up"]), arrays)
+
+    def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
+        """Size, warm-up and units."""
+        s = header["structure"]
+        told = f"{s['hidden']} hidden units, warm-up of {s['warm_up']} samples"
+        return [("network", told), units_shown(arrays)]
+
+
+FAMILY = GRUFamily()
+
+
+def random_gru(
+    channels: Channels, scaling: Scaling, key: PRNGKeyArray, hidden: int, warm_up: int
+) -> GRU:
+    """A unit with random float32 weights, uniform within 1/sqrt(n_in) of 0."""
+    first, second, third = jax.random.split(key, 3)
+    return GRU(
+        by_features=random_affine(feature_count(channels), 3 * hidden, first),
+        by_hidden=random_affine(hidden, 3 * hidden, second),
+        output=random_affine(hidden, 2 * channels.n_q, third),
+        scaling=scaling,
+        channels=channels,
+        needed=warm_up,
+    )

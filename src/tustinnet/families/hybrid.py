@@ -1,0 +1,294 @@
+"""Known physics plus a network for what it leaves."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
+from pydantic import Field, SerializeAsAny, field_validator
+
+from tustinnet.channels import Channels
+from tustinnet.data.declaration import declare
+from tustinnet.data.experiment import Experiment, VelocitySource
+from tustinnet.errors import InputError
+from tustinnet.families.family import (
+    Arrays,
+    Family,
+    Header,
+    Hyper,
+    LayeredStage,
+    Regulariser,
+    below,
+    family_of,
+)
+from tustinnet.models.contract import AccelerationModel, Drive, Model, State, require_fit
+from tustinnet.registry import FAMILIES, USUAL
+from tustinnet.signals.stacking import stacked
+from tustinnet.simulate.along import followed
+from tustinnet.simulate.drive import drives_of
+
+_REST = 0.01  # a mean square of scaled velocities and inputs: a tenth of what is usual
+_PHYSICS, _CORRECTION = "physics", "correction"
+
+
+class HybridModel(Model):
+    """A model and a network that corrects its accelerations.
+
+        (q_p, v_p, z) = physics(q[k], v[k], z[k], u[k])
+        v[k+1] = v_p + dt f(q[k], v[k], u[k])
+        q[k+1] = q_p + dt^2 f(q[k], v[k], u[k]) / 2
+
+    The correction enters as in a Tustin-Net, so that positions hold the trapezoidal rule as well
+    as they do in the physics. With an output layer of zeros it is the physics.
+
+    Where it fades at rest, `f` is multiplied by `s / (s + 0.01)`, `s` the mean square of the
+    scaled velocities and inputs: at standstill without input the physics alone decides. What the
+    network makes of standstill in the records then cannot drive off a coordinate that nothing
+    holds (a free integrator), and equilibria stay where the physics has them.
+
+    Attributes:
+        physics: the model that is corrected, as a rule a discretised Lagrangian system.
+        correction: whose accelerations correct it; its own trapezoidal step is not used.
+        fades_at_rest: whether the correction does.
+    """
+
+    physics: Model
+    correction: AccelerationModel
+    fades_at_rest: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self) -> None:
+        ours, theirs = self.correction, self.physics
+        if [c.name for c in ours.coordinates] != [c.name for c in theirs.coordinates] or [
+            i.name for i in ours.inputs
+        ] != [i.name for i in theirs.inputs]:
+            raise InputError("hybrid", "a network of another system", "the physics' coordinates")
+
+    @property
+    def channels(self) -> Channels:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Those of the physics."""
+        return self.physics.channels
+
+    @property
+    def internal(self) -> tuple[str, ...]:
+        """The internal states of the physics, then those of the correction."""
+        return (*self.physics.internal, *self.correction.internal)
+
+    @property
+    def warm_up(self) -> int:
+        """The longer of both."""
+        return max(self.physics.warm_up, self.correction.warm_up)
+
+    def seen(self, ends: Float[Array, "*batch 2 n_u"]) -> Float[Array, "*any n_u"]:
+        """What the physics is driven by."""
+        return self.physics.seen(ends)
+
+    def step(self, x: State, u: Drive) -> State:
+        """One period: the physics, then the correction."""
+        of, n_p = self.channels, self.physics.state_size
+        f, remember = self._corrected(x, u)
+        change = self.dt * f
+        following = self.physics.step(x[:n_p], u)
+        v_next = following[of.velocity] + change
+        return jnp.concatenate(
+            [
+                following[of.position] + self.dt / 2 * change,
+                v_next,
+                following[of.internal],
+                remember((x[of.velocity] + v_next) / 2),
+            ]
+        )
+
+    def corrected_by(self, x: State, u: Drive) -> Float[Array, " n_q"]:
+        """`f`, what the network adds to the accelerations, (n_q,) [rad/s^2 or m/s^2]."""
+        return self._corrected(x, u)[0]
+
+    def _corrected(self, x: State, u: Drive) -> tuple[Array, Callable[[Array], Array]]:
+        begin = u if u.ndim == 1 else u[0]
+        of, unit = self.channels, self.correction.scaling
+        seen = jnp.concatenate([x[of.measured], x[self.physics.state_size :]])
+        f, remember = self.correction.accelerate(seen, begin)
+        if not self.fades_at_rest:
+            return f, remember
+        motion = jnp.concatenate([x[of.velocity] / unit.velocity, begin / unit.input])
+        level = jnp.mean(motion**2)
+        return f * level / (level + _REST), remember
+
+    def effort(self, x: State, u: Drive) -> Float[Array, ""]:
+        """The squared correction in the network's units."""
+        return jnp.sum((self.corrected_by(x, u) / self.correction.scaling.acceleration) ** 2)
+
+    def folded(self) -> "HybridModel":
+        """The same with folded parts."""
+        correction = cast(AccelerationModel, self.correction.folded())
+        return HybridModel(self.physics.folded(), correction, self.fades_at_rest)
+
+
+class HybridHyper(Hyper):
+    """A network that corrects physics.
+
+    Attributes:
+        correction: the network: the table `[model]` of a kind that says accelerations.
+        fades_at_rest: whether the correction fades at standstill without input.
+    """
+
+    correction: SerializeAsAny[Hyper] = Field(default_factory=lambda: _hyper({}))
+    fades_at_rest: bool = False
+
+    @field_validator("correction", mode="before")
+    @classmethod
+    def _of_its_kind(cls, content: Any) -> Any:
+        return content if isinstance(content, Hyper) else _hyper(content)
+
+
+def _hyper(content: Any) -> Hyper:
+    if not isinstance(content, dict):
+        raise InputError("correction", f"{content!r}", "a table of a kind of network")
+    family = FAMILIES[content.get("kind", USUAL)]
+    if not issubclass(family.model, AccelerationModel):
+        raise InputError("correction", f"kind '{family.kind}'", "a kind that says accelerations")
+    return declare({"kind": family.kind, **content}, family.hyper, "correction")
+
+
+class HybridStage(LayeredStage):
+    """Stages of hybrids.
+
+    Attributes:
+        frozen_layers: of the correction, if it has layers that can be frozen.
+        penalty: weight of the mean squared correction, in the network's units: the physics
+            explains what it can.
+    """
+
+    penalty: float = Field(default=0.0, ge=0)
+
+
+@dataclass(frozen=True)
+class Effort:
+    """The squared correction times a weight, added to the loss."""
+
+    weight: float
+
+    def __call__(self, model: Any, x: Float[Array, " n_x"], u: Array) -> Float[Array, ""]:
+        """At a state under an input."""
+        return self.weight * model.effort(x, u)
+
+
+class HybridFamily(Family):
+    """Hybrids."""
+
+    kind = "hybrid"
+    hyper = HybridHyper
+    stage = HybridStage
+    needs = frozenset({"physics"})
+    model = HybridModel
+
+    def builder(
+        self,
+        hyper: HybridHyper,
+        experiments: Sequence[Experiment],
+        velocity: VelocitySource,
+        physics: Model | None,
+    ) -> Callable[[PRNGKeyArray], HybridModel]:
+        """A correction that does not correct anything yet, in units of what the physics leaves."""
+        assert physics is not None
+        for e in experiments:
+            require_fit(physics, e)
+        make = FAMILIES[hyper.correction.kind].builder(
+            hyper.correction, experiments, velocity, None
+        )
+        left = _left_by(physics, experiments, velocity)
+
+        def build(key: PRNGKeyArray) -> HybridModel:
+            correction = eqx.tree_at(lambda m: m.scaling.acceleration, make(key), left)
+            return HybridModel(physics, correction.silent(), hyper.fades_at_rest)
+
+        return build
+
+    def check(self, hyper: HybridHyper, stage: HybridStage) -> None:
+        """What the correction's family says of the stage."""
+        family = FAMILIES[hyper.correction.kind]
+        if issubclass(family.stage, LayeredStage):
+            family.check(hyper.correction, stage)
+        elif stage.frozen_layers:
+            raise ValueError(f"`frozen_layers` means nothing to kind '{family.kind}'")
+
+    def trainable(self, model: HybridModel, stage: HybridStage) -> PyTree:
+        """What trains of the correction; the physics does not."""
+        of_correction = family_of(model.correction).trainable(model.correction, stage)
+        nothing = jax.tree.map(lambda _: False, model)
+        return eqx.tree_at(lambda m: m.correction, nothing, of_correction)
+
+    def regulariser(self, stage: HybridStage) -> Regulariser | None:
+        """The penalty on the correction."""
+        return Effort(stage.penalty) if stage.penalty else None
+
+    def describe(self, model: HybridModel) -> tuple[Header, Arrays]:
+        """Both parts as their families describe them."""
+        header: Header = {"fades_at_rest": model.fades_at_rest}
+        arrays: Arrays = {}
+        for name in (_PHYSICS, _CORRECTION):
+            part = getattr(model, name)
+            family = family_of(part)
+            described, own = family.describe(part)
+            header[name] = {"kind": family.kind, **described, **part.channels.as_header()}
+            arrays |= {f"{name}.{n}": a for n, a in own.items()}
+        return header, arrays
+
+    def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> HybridModel:
+        """Both parts; files of format 1 have them side by side in the header."""
+        header, arrays = _as_now(header, arrays)
+        physics, correction = (
+            FAMILIES[header[name]["kind"]].restore(
+                header[name], below(f"{name}.", arrays), system, where
+            )
+            for name in (_PHYSICS, _CORRECTION)
+        )
+        return HybridModel(physics, correction, bool(header["fades_at_rest"]))
+
+    def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
+        """Both parts."""
+        header, arrays = _as_now(header, arrays)
+        fades = ", fading at rest" if header["fades_at_rest"] else ""
+        lines = []
+        for name, remark in ((_PHYSICS, ""), (_CORRECTION, fades)):
+            part = header[name]
+            lines.append((name, part["kind"] + remark))
+            lines += FAMILIES[part["kind"]].shown(part, below(f"{name}.", arrays))
+        return lines
+
+
+FAMILY = HybridFamily()
+
+
+def _as_now(header: Header, arrays: Arrays) -> tuple[Header, Arrays]:
+    """Header and arrays of a file of format 1 as they would be written today."""
+    if _PHYSICS in header:
+        return header, arrays
+    of = {key: header[key] for key in ("coordinates", "inputs", "dt")}
+    physics = {key: header[key] for key in ("system", "parameters", "substeps")}
+    now = {
+        **header,
+        "fades_at_rest": header["structure"].get("fades_at_rest", False),
+        _PHYSICS: {"kind": "euler-lagrange", **physics, **of},
+        _CORRECTION: {"kind": "tustin-net", "structure": header["structure"], **of},
+    }
+    named = {f"{_CORRECTION}.{n}": a for n, a in below("residual.", arrays).items()}
+    return now, {**named, f"{_PHYSICS}.values": arrays["values"]}
+
+
+def _left_by(
+    physics: Model, experiments: Sequence[Experiment], velocity: VelocitySource
+) -> Float[Array, " n_q"]:
+    """Root mean square of what physics leaves of the accelerations, the unit of a correction."""
+    measured = [np.concatenate([e.q, e.velocities(velocity)], axis=1) for e in experiments]
+    said = np.asarray(followed(physics, jnp.asarray(stacked(measured)), drives_of(experiments)))
+    at = physics.channels.velocity
+    left = [
+        x[1:, at] - run[1 : len(x), at] for x, run in zip(measured, said, strict=True)
+    ]  # fmt: skip
+    left = np.concatenate(left) / physics.dt
+    return jnp.asarray(np.sqrt(np.mean(left**2, axis=0)), jnp.float32)

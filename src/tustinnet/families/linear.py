@@ -1,0 +1,144 @@
+"""A linear state-space model, fitted by its simulation error."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+from pydantic import Field
+
+from tustinnet.channels import Channels
+from tustinnet.data.experiment import Experiment, VelocitySource
+from tustinnet.families.family import Arrays, Family, Header, Hyper, filled, named_arrays
+from tustinnet.models.blocks import Affine, root_mean_square
+from tustinnet.models.contract import InputVector, Model, State
+
+_FIRST_COUPLING = 0.1  # standard deviation of the weights that random internal states begin with
+
+
+class LinearModel(Model):
+    """`x[k+1] = x[k] + U (W [(x[k] - o) / s; u[k] / s_u] + b)` with one unit `s` a state.
+
+    The same as `x[k+1] = A x[k] + B u[k] + c`, written so that all weights are of one size.
+    Angles enter as they are: the model is about one place, where the records are on average.
+
+    Attributes:
+        change: `W` and `b`, from the scaled state and inputs to the scaled change in a period.
+        offset: `o`, mean positions and zeros, (n_x,).
+        unit: `s`, root mean squares of positions about the offset, velocities, internal states.
+        moved: `U`, root mean squares of what a period changes, (n_x,).
+        input: `s_u`, (n_u,).
+        channels: its coordinates, inputs and period.
+
+    References:
+        Ljung (1999), System Identification: Theory for the User, section 4.3, and section 7.2 for
+        the output-error criterion.
+    """
+
+    change: Affine
+    offset: Float[Array, " n_x"]
+    unit: Float[Array, " n_x"]
+    moved: Float[Array, " n_x"]
+    input: Float[Array, " n_u"]
+    channels: Channels = eqx.field(static=True)
+
+    @property
+    def internal(self) -> tuple[str, ...]:
+        """States beside positions and velocities."""
+        return tuple(f"state {i}" for i in range(len(self.offset) - 2 * self.channels.n_q))
+
+    def step(self, x: State, u: InputVector) -> State:
+        """One period."""
+        seen = jnp.concatenate([(x - self.offset) / self.unit, u / self.input])
+        return x + self.moved * self.change(seen)
+
+
+class LinearHyper(Hyper):
+    """A linear state-space model.
+
+    Attributes:
+        internal: states beside positions and velocities.
+    """
+
+    internal: int = Field(default=0, ge=0)
+
+
+class LinearFamily(Family):
+    """Linear state-space models."""
+
+    kind = "linear"
+    hyper = LinearHyper
+    correctable = True
+    model = LinearModel
+
+    def builder(
+        self,
+        hyper: LinearHyper,
+        experiments: Sequence[Experiment],
+        velocity: VelocitySource,
+        physics: Model | None,
+    ) -> Callable[[PRNGKeyArray], LinearModel]:
+        """One-step least squares on the records; internal states begin at random."""
+        channels, n_z = experiments[0].channels, hyper.internal
+        x = [np.concatenate([e.q, e.velocities(velocity)], axis=1) for e in experiments]
+        before, change = (
+            np.concatenate([a[:-1] for a in x]), np.concatenate([np.diff(a, axis=0) for a in x])
+        )  # fmt: skip
+        u = np.concatenate([e.held_inputs for e in experiments])
+        offset = np.where(np.arange(2 * channels.n_q) < channels.n_q, before.mean(axis=0), 0.0)
+        unit, moved = root_mean_square(before - offset), root_mean_square(change)
+        seen = np.hstack([(before - offset) / unit, u / (size := root_mean_square(u))])
+        affine = np.hstack([seen, np.ones((len(seen), 1))])
+        found = np.linalg.lstsq(affine, change / moved, rcond=None)[0].T
+        plain = [
+            np.pad(a, (0, n_z), constant_values=fill)
+            for a, fill in ((offset, 0.0), (unit, 1.0), (moved, channels.dt))
+        ]
+        arrays = [jnp.asarray(a, jnp.float32) for a in (*plain, size)]
+
+        def build(key: PRNGKeyArray) -> LinearModel:
+            return LinearModel(_begun(found, channels, n_z, key), *arrays, channels=channels)
+
+        return build
+
+    def describe(self, model: LinearModel) -> tuple[Header, Arrays]:
+        """The number of internal states; all arrays."""
+        return {"structure": {"internal": len(model.internal)}}, named_arrays(model)
+
+    def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> LinearModel:
+        """From structure and arrays."""
+        channels = Channels.from_header(header)
+        n_x = 2 * channels.n_q + header["structure"]["internal"]
+
+        def make() -> LinearModel:
+            change = Affine(jnp.zeros((n_x, n_x + channels.n_u)), jnp.zeros(n_x))
+            sizes = (n_x, n_x, n_x, channels.n_u)
+            return LinearModel(change, *(jnp.zeros(n) for n in sizes), channels=channels)
+
+        return filled(make, arrays)
+
+    def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
+        """Its order and eigenvalues."""
+        n_x = len(arrays["offset"])
+        by_state = arrays["change.weight"][:, :n_x] / arrays["unit"]
+        values = np.linalg.eigvals(np.eye(n_x) + arrays["moved"][:, None] * by_state)
+        size = ", ".join(f"{abs(v):.4f}" for v in sorted(values, key=abs, reverse=True))
+        return [("order", f"{n_x} states"), ("eigenvalues", f"of size {size}")]
+
+
+FAMILY = LinearFamily()
+
+
+def _begun(found: np.ndarray, channels: Channels, n_z: int, key: PRNGKeyArray) -> Affine:
+    """The least-squares map, widened by internal states that decay and are weakly coupled."""
+    n, n_u = 2 * channels.n_q, channels.n_u
+    drawn = _FIRST_COUPLING * jax.random.normal(key, (n + n_z, n + n_z + n_u), jnp.float32)
+    drawn = drawn.at[:n].set(0.0).at[:n, n : n + n_z].set(drawn[:n, n : n + n_z])
+    known = jnp.asarray(found, jnp.float32)
+    weight = drawn.at[:n, :n].set(known[:, :n]).at[:n, n + n_z :].set(known[:, n:-1])
+    weight = weight.at[n:, n : n + n_z].add(-jnp.eye(n_z, dtype=jnp.float32))
+    return Affine(weight, jnp.pad(known[:, -1], (0, n_z)))

@@ -1,0 +1,93 @@
+"""What the families with a feedforward network share: its recipe keys, its place in files."""
+
+from typing import Annotated, Any, Literal
+
+import jax
+import jax.numpy as jnp
+from pydantic import Field, field_validator
+
+from tustinnet.channels import Channels
+from tustinnet.families.family import Arrays, Hyper, LayeredStage, filled
+from tustinnet.models.blocks import Layers, Network, Scaling, feature_count, random_network
+from tustinnet.registry import SCALINGS
+
+
+class NetworkHyper(Hyper):
+    """The feedforward network in a model.
+
+    Attributes:
+        hidden: units of each hidden layer.
+        stem: units of an affine layer before them, trained unfolded, or none.
+        activation: leaky_relu, relu, tanh, silu or softplus.
+        output_bias: whether the output layer has a bias.
+        scaling: a name of the registry; `records` learns all units from the training records.
+    """
+
+    hidden: tuple[Annotated[int, Field(gt=0)], ...] = Field(default=(100, 100), min_length=1)
+    stem: int | None = Field(default=None, gt=0)
+    activation: Literal["leaky_relu", "relu", "tanh", "silu", "softplus"] = "leaky_relu"
+    output_bias: bool = False
+    scaling: str = "records"
+
+    @field_validator("scaling")
+    @classmethod
+    def _known(cls, scaling: str) -> str:
+        if scaling not in SCALINGS:
+            raise ValueError(f"no scaling '{scaling}'; known: {', '.join(SCALINGS.names())}")
+        return scaling
+
+    @property
+    def layers(self) -> dict[str, Any]:
+        """The same as `Layers` takes it."""
+        return self.model_dump(include={"hidden", "stem", "activation", "output_bias"})
+
+
+def structure_of(network: Network) -> dict[str, Any]:
+    """What a model file says of a network."""
+    return {
+        "hidden": [layer.weight.shape[0] for layer in network.hidden],
+        "stem": None if network.stem is None else network.stem.weight.shape[0],
+        "activation": network.activation,
+        "output_bias": network.output.bias is not None,
+    }
+
+
+def network_from(
+    structure: dict[str, Any], arrays: Arrays, channels: Channels, seen: int, said: int
+) -> Network:
+    """The network of a model file."""
+    memory = seen - feature_count(channels)
+    layers = Layers(**{k: structure[k] for k in ("hidden", "stem", "activation", "output_bias")})
+
+    def make() -> Network:
+        scaling = blank_scaling(channels, memory)
+        return random_network(scaling, jax.random.key(0), seen, said, layers)
+
+    return filled(make, arrays)
+
+
+def network_shown(structure: dict[str, Any], arrays: Arrays) -> list[tuple[str, str]]:
+    """What `show` tells of a network."""
+    bias = "with" if structure["output_bias"] else "without"
+    told = f"hidden {structure['hidden']}, {structure['activation']}, output {bias} bias"
+    return [("network", told), units_shown(arrays)]
+
+
+def units_shown(arrays: Arrays) -> tuple[str, str]:
+    """What `show` tells of the units of a network."""
+    names = ("position_offset", "position_scale", "velocity", "input", "acceleration")
+    units = [f"{n} {[float(f'{v:.4g}') for v in arrays[f'scaling.{n}']]}" for n in names]
+    return "scaling", ", ".join(units)
+
+
+def blank_scaling(channels: Channels, memory: int = 0) -> Scaling:
+    """Units of the right sizes, all 0, for the arrays of a file to be put into."""
+    linear = channels.n_q - int(channels.angular.sum())
+    sizes = (linear, linear, channels.n_q, channels.n_u, channels.n_q, memory)
+    return Scaling(*(jnp.zeros(n, jnp.float32) for n in sizes))
+
+
+def check_frozen(hyper: NetworkHyper, stage: LayeredStage) -> None:
+    """Raises `ValueError` where a stage freezes more hidden layers than there are."""
+    if not 0 <= stage.frozen_layers <= len(hyper.hidden):
+        raise ValueError(f"freezes {stage.frozen_layers} of {len(hyper.hidden)} hidden layers")

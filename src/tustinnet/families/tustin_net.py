@@ -1,0 +1,334 @@
+"""Tustin-Net: trapezoidal positions, a network for the change of the velocities."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
+from pydantic import Field, model_validator
+
+from tustinnet.channels import Channels
+from tustinnet.data.experiment import Experiment, VelocitySource
+from tustinnet.errors import InputError
+from tustinnet.families.family import (
+    Arrays,
+    Family,
+    Header,
+    LayeredStage,
+    NumpyStep,
+    Vector,
+    mask_of,
+    named_arrays,
+)
+from tustinnet.families.networks import (
+    NetworkHyper,
+    check_frozen,
+    network_from,
+    network_shown,
+    structure_of,
+)
+from tustinnet.models.blocks import Layers, Network, Scaling, feature_count, random_network
+from tustinnet.models.contract import (
+    AccelerationModel,
+    Coordinates,
+    InputVector,
+    Internal,
+    Model,
+    State,
+)
+from tustinnet.registry import SCALINGS
+
+
+class TustinNet(AccelerationModel):
+    """Tustin-Net.
+
+        q[k+1] = q[k] + dt (v[k] + v[k+1]) / 2
+        v[k+1] = v[k] + dt f(cat(sin q[k], cos q[k], v[k], u[k]))
+
+    `f` is a feedforward network with M hidden layers, here with its inputs and outputs scaled:
+    `f(z) = a * (W_{M+1} sigma(W_M ... sigma(W_1 z + b_1) ... + b_M))`. Linear coordinates enter
+    as they are instead of by sine and cosine.
+
+    With memory, `f` also sees internal states, which follow each velocity and relax:
+
+        z[k+1] = exp(-dt/t) z[k] + t (1 - exp(-dt/t)) (v[k] + v[k+1]) / 2
+
+    for each relaxation time t, exact for the mean velocity of the period. They are what the
+    deflection of a Maxwell element is: what a cable, rubber or creeping friction remembers.
+
+    Attributes:
+        network: the network.
+        channels: the coordinates, in the order of q, the inputs, in the order of u, the period.
+        relaxation_times: t of the internal states [s]; each gives one a coordinate.
+
+    References:
+        Pozzoli, Gallieri, Scattolini (2020), Tustin neural networks: a class of recurrent nets
+        for adaptive MPC of mechanical systems, arXiv 1911.01310.
+        van Esch, Bonassi, Schön, section 3.1.
+    """
+
+    network: Network
+    channels: Channels = eqx.field(static=True)
+    relaxation_times: tuple[float, ...] = eqx.field(static=True, default=())
+
+    def __check_init__(self) -> None:
+        if not all(time > 0 for time in self.relaxation_times):
+            raise InputError(
+                "memory", f"relaxation times {self.relaxation_times} s", "times above 0 s"
+            )
+        seen = feature_count(self.channels, len(self.internal))
+        self.network.require_shape(seen, self.channels.n_q)
+
+    @property
+    def internal(self) -> tuple[str, ...]:
+        """What its internal states are called."""
+        return tuple(
+            f"{c.name}, relaxing in {time:g} s"
+            for time in self.relaxation_times
+            for c in self.coordinates
+        )
+
+    @property
+    def scaling(self) -> Scaling:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The units of the network."""
+        return self.network.scaling
+
+    def silent(self) -> "TustinNet":
+        """The same with an output layer of zeros."""
+        return eqx.tree_at(lambda m: m.network.output, self, self.network.output.zeros())
+
+    def acceleration(self, x: State, u: InputVector) -> Coordinates:
+        """`f`, the mean acceleration over the coming period, (n_q,) [rad/s^2 or m/s^2]."""
+        return self.network.scaling.acceleration * self.network(self.channels, x, u)
+
+    def accelerate(
+        self, x: State, u: InputVector
+    ) -> tuple[Coordinates, Callable[[Coordinates], Internal]]:
+        """The acceleration, and how the internal states follow the mean velocity."""
+        z = x[self.channels.internal]
+        return self.acceleration(x, u), lambda mean: self.relaxed(z, mean)
+
+    def relaxed(self, z: Internal, v: Coordinates) -> Internal:
+        """The internal states after a period with the mean velocity `v`."""
+        if not self.relaxation_times:
+            return z
+        return jnp.asarray(relax(z, v, self.dt, self.relaxation_times))
+
+    def folded(self) -> "TustinNet":
+        """The same function with the stem merged into the first hidden layer."""
+        if self.network.stem is None:
+            return self
+        return TustinNet(self.network.folded(), self.channels, self.relaxation_times)
+
+
+def relax(
+    z: Float[Array | np.ndarray, " n_z"],
+    v: Float[Array | np.ndarray, " n_q"],
+    dt: float,
+    times: Sequence[float],
+) -> Float[Array | np.ndarray, " n_z"]:
+    """`exp(-dt/t) z + t (1 - exp(-dt/t)) v`, first all coordinates of the first time."""
+    time = np.repeat(np.asarray(times), len(v))
+    left = np.exp(-dt / time)
+    moved = v[np.tile(np.arange(len(v)), len(times))]
+    return (left * z + (time * (1 - left)) * moved).astype(z.dtype)
+
+
+class TustinNetHyper(NetworkHyper):
+    """A Tustin-Net.
+
+    Attributes:
+        memory: relaxation times of internal states [s], none by default (see `TustinNet`).
+
+    The others are those of the network.
+    """
+
+    memory: tuple[Annotated[float, Field(gt=0)], ...] = ()
+
+    @model_validator(mode="after")
+    def _scaled(self) -> "TustinNetHyper":
+        if self.memory and self.scaling != "records":
+            raise ValueError(f"the scaling '{self.scaling}' has none for `memory`")
+        return self
+
+
+class TustinNetFamily(Family):
+    """Tustin-Nets."""
+
+    kind = "tustin-net"
+    hyper = TustinNetHyper
+    stage = LayeredStage
+    model = TustinNet
+
+    def builder(
+        self,
+        hyper: TustinNetHyper,
+        experiments: Sequence[Experiment],
+        velocity: VelocitySource,
+        physics: Model | None,
+    ) -> Callable[[PRNGKeyArray], TustinNet]:
+        """Random weights, units from the records."""
+        channels = experiments[0].channels
+        learn = SCALINGS[hyper.scaling]
+        scaling = learn(experiments, velocity, hyper.memory)
+        return lambda key: random_tustin_net(
+            channels, scaling, key, relaxation_times=hyper.memory, **hyper.layers
+        )
+
+    def check(self, hyper: TustinNetHyper, stage: LayeredStage) -> None:
+        """No more layers can be frozen than there are."""
+        check_frozen(hyper, stage)
+
+    def trainable(self, model: TustinNet, stage: LayeredStage) -> PyTree:
+        """The layers that are not frozen."""
+        return mask_of(model, model.network.layers_from(stage.frozen_layers))
+
+    def describe(self, model: TustinNet) -> tuple[Header, Arrays]:
+        """The structure of the network; arrays by their places in it."""
+        structure = structure_of(model.network)
+        structure["relaxation_times"] = list(model.relaxation_times)
+        return {"structure": structure}, named_arrays(model.network)
+
+    def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> TustinNet:
+        """From structure and arrays."""
+        channels = Channels.from_header(header)
+        times = tuple(header["structure"].get("relaxation_times", ()))
+        seen = feature_count(channels, len(times) * channels.n_q)
+        network = network_from(header["structure"], arrays, channels, seen, channels.n_q)
+        return TustinNet(network, channels, times)
+
+    def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
+        """Layers and units."""
+        return network_shown(header["structure"], arrays)
+
+    def numpy_step(self, model: TustinNet, dtype: type[np.floating]) -> NumpyStep:
+        """Its step, scaling merged into the first and the last layer."""
+        return _numpy_step(model, dtype)
+
+
+FAMILY = TustinNetFamily()
+
+
+def random_tustin_net(
+    channels: Channels,
+    scaling: Scaling,
+    key: PRNGKeyArray,
+    *,
+    relaxation_times: Sequence[float] = (),
+    **layers: Any,
+) -> TustinNet:
+    """A Tustin-Net with random float32 weights, uniform within 1/sqrt(n_in) of 0.
+
+    Args:
+        channels: its coordinates, inputs and period.
+        scaling: units of the network's inputs and outputs.
+        key: the source of randomness.
+        relaxation_times: those of the internal states [s].
+        layers: hidden, stem, activation and output_bias, see `Layers`.
+    """
+    seen = feature_count(channels, len(relaxation_times) * channels.n_q)
+    network = random_network(scaling, key, seen, channels.n_q, Layers(**layers))
+    return TustinNet(network, channels, tuple(relaxation_times))
+
+
+# the activations of a network, each in the place of its argument
+def _leaky_relu(z: Vector) -> None:
+    np.maximum(z, 0.01 * z, out=z)
+
+
+def _relu(z: Vector) -> None:
+    np.maximum(z, 0.0, out=z)
+
+
+def _tanh(z: Vector) -> None:
+    np.tanh(z, out=z)
+
+
+def _silu(z: Vector) -> None:
+    z /= 1 + np.exp(-z)
+
+
+def _softplus(z: Vector) -> None:
+    np.logaddexp(z, 0.0, out=z)
+
+
+_IN_PLACE = {
+    "leaky_relu": _leaky_relu,
+    "relu": _relu,
+    "tanh": _tanh,
+    "silu": _silu,
+    "softplus": _softplus,
+}
+
+
+def _numpy_layers(
+    network: Network, channels: Channels, n_z: int, dtype: type[np.floating]
+) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray, np.ndarray]:
+    """Hidden layers that take features without units; output layer that says velocity changes."""
+    s = {name: np.asarray(value, np.float64) for name, value in vars(network.scaling).items()}
+    angles = np.ones(2 * int(channels.angular.sum()))
+    unit = np.concatenate([angles, s["position_scale"], s["velocity"], s["memory"], s["input"]])
+    rest = np.zeros(channels.n_q + n_z + channels.n_u)
+    shift = np.concatenate([0 * angles, s["position_offset"], rest])
+    layers = []
+    for i, layer in enumerate(network.hidden):
+        weight = np.asarray(layer.weight, np.float64)
+        bias = np.zeros(len(weight)) if layer.bias is None else np.asarray(layer.bias, np.float64)
+        if i == 0:
+            weight = weight / unit
+            bias = bias - weight @ shift
+        layers.append((weight.astype(dtype), bias.astype(dtype)))
+    gain, output = channels.dt * s["acceleration"], network.output
+    last = (gain[:, None] * np.asarray(output.weight, np.float64)).astype(dtype)
+    offset = np.zeros(channels.n_q) if output.bias is None else gain * np.asarray(output.bias)
+    return layers, last, offset.astype(dtype)
+
+
+def _numpy_step(model: TustinNet, dtype: type[np.floating]) -> NumpyStep:
+    of, times = model.channels, model.relaxation_times
+    n_q, n_u, n_z = of.n_q, of.n_u, len(model.internal)
+    angles, lengths = np.flatnonzero(of.angular), np.flatnonzero(~of.angular)
+    n_a, n_l = len(angles), len(lengths)
+    network = model.network.folded()
+    layers, last, offset = _numpy_layers(network, of, n_z, dtype)
+    half, activate = dtype(of.dt / 2), _IN_PLACE[network.activation]
+    velocity, internal = of.velocity, of.internal
+    positions = 2 * n_a + n_l
+    width = positions + n_q + n_z
+    # z relaxes and follows the mean velocity of the period
+    left, moved = (
+        np.asarray(relax(np.full(n_z, z), np.full(n_q, v), of.dt, times), dtype)
+        for z, v in ((1.0, 0.0), (0.0, 1.0))
+    )
+
+    def step(x: Vector, u: Vector) -> Vector:
+        features = np.empty(width + n_u, dtype)
+        angle = x[:n_q] if not n_l else x[angles]
+        np.sin(angle, out=features[:n_a])
+        np.cos(angle, out=features[n_a : 2 * n_a])
+        if n_l:
+            features[2 * n_a : positions] = x[lengths]
+        v = x[velocity]
+        features[positions:width] = x[n_q:]
+        features[width:] = u
+        z = features
+        for weight, bias in layers:
+            z = weight @ z
+            z += bias
+            activate(z)
+        following = np.empty(2 * n_q + n_z, dtype)
+        v_next = following[velocity]
+        np.add(last @ z, v, out=v_next)
+        v_next += offset
+        np.add(v, v_next, out=following[:n_q])
+        if n_z:
+            mean = np.tile(following[:n_q] / 2, len(times))
+            following[internal] = left * x[internal] + moved * mean
+        following[:n_q] *= half
+        following[:n_q] += x[:n_q]
+        return following
+
+    return step

@@ -1,0 +1,189 @@
+"""What members are trained on: records laid end to end, windows and free runs as indices."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from tustinnet.data.experiment import Experiment, VelocitySource
+from tustinnet.data.inspection import transient_end
+from tustinnet.errors import InputError
+from tustinnet.fitting.recipe import WindowRecipe
+from tustinnet.models.contract import Model
+from tustinnet.signals.stacking import stacked
+from tustinnet.signals.windows import random_windows, strided_windows
+from tustinnet.simulate.along import states_along
+from tustinnet.simulate.drive import drives_of
+from tustinnet.simulate.starts import Start
+
+_LONGEST = 4  # an adapted window is at most this many times the recipe's length
+_USUAL_SHARE = 4  # and at most the median record over this
+_ROUND = 5  # adapted lengths are multiples of this
+
+
+class Records(eqx.Module):
+    """Records end to end, in float32.
+
+    Attributes:
+        x: positions and velocities, (rows, 2 n_q).
+        u: what acts from each row to the next, (rows, ...); 0 in the last row of a record.
+    """
+
+    x: Float[Array, "rows n_measured"]
+    u: Float[Array, "rows *drive"]
+
+
+class ValidationRuns(eqx.Module):
+    """Free runs to compare with, in float32.
+
+    Attributes:
+        start: where they start.
+        material: what the start needs of the records.
+        u: what drives them from the start on, (records, steps, ...), 0 after a record's end.
+        q: measured positions from the start on, (records, steps + 1, n_q).
+        weight: 1 / length within a record, 0 after its end, (records, steps + 1).
+    """
+
+    start: Start = eqx.field(static=True)
+    material: Any
+    u: Float[Array, "records steps *drive"]
+    q: Float[Array, "records samples n_q"]
+    weight: Float[Array, "records samples"]
+
+
+@dataclass(frozen=True)
+class StageWindows:
+    """The windows of a stage.
+
+    Attributes:
+        rows: the row of `Records` at which each window begins, (count,); of several members
+            that train together (members, count).
+        length: steps in a window that are compared.
+        warm_up: steps before them that internal states need.
+    """
+
+    rows: Int[np.ndarray, "*members count"]
+    length: int
+    warm_up: int = 0
+
+
+class Pool:
+    """The records that any member has a use for, once each.
+
+    Args:
+        experiments: the records, perhaps several times.
+    """
+
+    def __init__(self, experiments: Sequence[Experiment]) -> None:
+        self.experiments = tuple({e.name: e for e in experiments}.values())
+        names = [e.name for e in self.experiments]
+        lengths = [len(e) for e in self.experiments]
+        begins = np.concatenate([[0], np.cumsum(lengths)[:-1]]).astype(int)
+        self.place = {name: i for i, name in enumerate(names)}
+        self.begin = dict(zip(names, begins.tolist(), strict=True))
+
+    def records(self, model: Model, velocity: VelocitySource) -> Records:
+        """The records laid end to end."""
+        x = [np.concatenate([e.q, e.velocities(velocity)], axis=1) for e in self.experiments]
+        seen = [np.asarray(model.seen(jnp.asarray(e.input_ends))) for e in self.experiments]
+        u = [np.append(u, np.zeros((1, *u.shape[1:])), axis=0) for u in seen]
+        return Records(*(jnp.asarray(np.concatenate(a), jnp.float32) for a in (x, u)))
+
+    def internal_states(
+        self, model: Model, velocity: VelocitySource
+    ) -> Float[np.ndarray, "rows n_z"]:
+        """The states with which windows begin; none for models that warm up in every window."""
+        rows = sum(len(e) for e in self.experiments)
+        if model.warm_up or not model.internal:
+            return np.zeros((rows, 0), np.float32)
+        along = states_along(model, self.experiments, velocity)
+        return np.concatenate(along)[:, model.channels.internal].astype(np.float32)
+
+    def rows(self, windows: Int[np.ndarray, "count 2"], of: Sequence[Experiment]) -> np.ndarray:
+        """The rows at which windows (record, first sample) of some of the records begin."""
+        begins = np.array([self.begin[e.name] for e in of], dtype=int)
+        return begins[windows[:, 0]] + windows[:, 1]
+
+
+def validation_runs(
+    model: Model, experiments: Sequence[Experiment], start: Start
+) -> ValidationRuns:
+    """Prepares the free runs of records from a start."""
+    tails = [e[start.first :] for e in experiments]
+    u = model.seen(jnp.asarray(drives_of(tails).ends))
+    q = stacked([e.q for e in tails])
+    weight = stacked([np.full(len(e), 1.0 / len(e)) for e in tails])
+    arrays = (start.material(model, experiments), u, q, weight)
+    return ValidationRuns(start, *jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), arrays))
+
+
+def stage_windows(
+    experiments: Sequence[Experiment],
+    recipe: WindowRecipe,
+    generator: np.random.Generator,
+    warm_up: int = 0,
+) -> tuple[Int[np.ndarray, "count 2"], int]:
+    """Draws the windows of a stage: (record, first sample) of each, and their length.
+
+    Raises:
+        InputError: a record is not longer than a window, or no window fits.
+    """
+    length = adapted_length(experiments, recipe.length) if recipe.adapt else recipe.length
+    reach, shortest = length + warm_up, min(experiments, key=len)
+    if len(shortest) <= reach:
+        raise InputError(
+            shortest.name,
+            f"{len(shortest)} samples",
+            f"more than a window of {reach} steps",
+            "leave the record out, or shorten `length` in the recipe",
+        )
+    windows = draw(experiments, recipe, reach, generator)
+    if not len(windows):
+        raise InputError(
+            "windows",
+            f"no window of {reach} steps fits (longest record: {max(map(len, experiments))})",
+            "longer records",
+            "shorten `length` in the recipe",
+        )
+    return windows, length
+
+
+def draw(
+    experiments: Sequence[Experiment],
+    recipe: WindowRecipe,
+    length: int,
+    generator: np.random.Generator,
+) -> Int[np.ndarray, "count 2"]:
+    """Windows of the recipe's rule, (record, first sample); none where no record is long enough."""
+    lengths = [len(e) for e in experiments]
+    ends = [transient_end(e) for e in experiments] if recipe.until == "k_bar" else lengths
+    if recipe.draw == "random":
+        return random_windows(lengths, length, recipe.count or 0, generator, ends)
+    reach = [min(n, end + length) for n, end in zip(lengths, ends, strict=True)]
+    possible = sum(round(recipe.part * max(n - length, 0)) for n in reach)
+    step = recipe.step or max(1, round(possible / (recipe.count or 1)))
+    return strided_windows(reach, length, step, recipe.part)
+
+
+def adapted_length(experiments: Sequence[Experiment], length: int) -> int:
+    """A window length that fits the records.
+
+    The faster a log is sampled compared to the motion, the less happens in a window. The length
+    grows, up to four times, towards the samples in which the slowest coordinate covers one
+    standard deviation of its positions at its typical speed; and shrinks to a quarter of the
+    median record.
+    """
+    q = np.concatenate([e.q - e.q.mean(axis=0) for e in experiments])
+    v = np.concatenate([e.velocities() for e in experiments])
+    moving = v.std(axis=0) > 0
+    covered = q.std(axis=0)[moving] / (v.std(axis=0)[moving] * experiments[0].dt)
+    slowest = float(covered.max()) if moving.any() else float(length)
+    usual = int(np.median([len(e) for e in experiments]))
+    longest = min(_LONGEST * length, usual // _USUAL_SHARE)
+    wanted = min(max(length, slowest), longest)
+    return max(_ROUND, int(wanted) // _ROUND * _ROUND)

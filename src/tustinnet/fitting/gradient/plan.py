@@ -1,0 +1,244 @@
+"""Everything that training needs, from a task."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh
+from jaxtyping import Array, Float, Int, Key
+
+from tustinnet.data.experiment import Experiment
+from tustinnet.errors import InputError
+from tustinnet.fitting.gradient.layout import lay_out_devices
+from tustinnet.fitting.gradient.material import (
+    Pool,
+    Records,
+    StageWindows,
+    ValidationRuns,
+    adapted_length,
+    draw,
+    stage_windows,
+    validation_runs,
+)
+from tustinnet.fitting.gradient.state import Stage, TrainingState, begin_stage
+from tustinnet.fitting.recipe import StageRecipe, TrainingRecipe
+from tustinnet.fitting.residual import residual_of
+from tustinnet.fitting.task import Fold, Member, Task
+from tustinnet.models.contract import Model, with_dtype
+from tustinnet.simulate.starts import default_start, start_named
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything that training needs, prepared from a task.
+
+    Attributes:
+        task: what is to be fitted.
+        given: the members' models with their initial weights, as they were built.
+        models: the same in single precision, arrays with the member first.
+        stages: the stages with their windows drawn.
+        records: the records, end to end.
+        internal: internal states along them, by member, (members, rows, n_z).
+        validation: the validation free runs of all members, or None.
+        chosen: which of these each member has, (members, runs).
+        counted: 1 for each that counts, 0 for what fills up, (members, runs).
+        start: where these start.
+        keys: the sources of the shuffling, one a member.
+        mesh: which device trains what.
+    """
+
+    task: Task
+    given: tuple[Model, ...]
+    models: Model
+    stages: tuple[Stage, ...]
+    records: Records
+    internal: Float[Array, "members rows n_z"]
+    validation: ValidationRuns | None
+    chosen: Int[Array, "members runs"]
+    counted: Float[Array, "members runs"]
+    start: str
+    keys: Key[Array, " members"]
+    mesh: Mesh
+
+    @property
+    def recipe(self) -> TrainingRecipe:
+        """The recipe."""
+        recipe = self.task.recipe
+        assert isinstance(recipe, TrainingRecipe)
+        return recipe
+
+    @property
+    def members(self) -> tuple[Member, ...]:
+        """What trains together."""
+        return self.task.members
+
+    @property
+    def factors(self) -> np.ndarray:
+        """What each member multiplies the rates by."""
+        return np.array([member.rate for member in self.members])
+
+    def begin(self, stage: int) -> TrainingState:
+        """The state in which a stage begins from the initial weights."""
+        going = jnp.zeros(len(self.members), bool)
+        return begin_stage(self.models, self.stages[stage], self.keys, self.factors, going)
+
+
+def plan(task: Task, devices: Sequence[Any] | None = None) -> Plan:
+    """Prepares trainings that run together: initial weights, windows, validation free runs.
+
+    Args:
+        task: what is to be fitted.
+        devices: where they train; by default all of the kind that JAX prefers.
+
+    Raises:
+        InputError: records too short for a window, a recipe that does not fit, members that cannot
+            train together.
+    """
+    recipe, folds, members = task.recipe, task.folds, task.members
+    if not isinstance(recipe, TrainingRecipe):
+        raise InputError(f"recipe '{recipe.name}'", "nothing to train", "a recipe with stages")
+    keys = [jax.random.split(jax.random.key(member.seed)) for member in members]
+    used = sorted({m.fold for m in members})
+    make = {
+        f: recipe.family.builder(
+            recipe.model, folds[f].roles.train, recipe.velocity, folds[f].physics
+        )
+        for f in used
+    }
+    given = tuple(make[m.fold](key) for m, (key, _) in zip(members, keys, strict=True))
+    single = [with_dtype(model, np.float32) for model in given]
+    require_alike(single)
+    pool = Pool([e for f in used for e in folds[f].roles.all])
+    stages = tuple(
+        _plan_stage(index, stage, task, single[0], pool)
+        for index, stage in enumerate(recipe.stages)
+    )
+    named = recipe.start or default_start(pool.experiments, single[0])
+    along = {m.fold: pool.internal_states(given[i], recipe.velocity)
+             for i, m in reversed(list(enumerate(members)))}  # fmt: skip
+    validation, chosen, counted = _validation(task, single[0], named)
+    return Plan(
+        task=task,
+        given=given,
+        models=jax.tree.map(lambda *arrays: jnp.stack(arrays), *single),
+        stages=stages,
+        records=pool.records(single[0], recipe.velocity),
+        internal=jnp.asarray(np.stack([along[m.fold] for m in members])),
+        validation=validation,
+        chosen=chosen,
+        counted=counted,
+        start=named,
+        keys=jnp.stack([shuffling for _, shuffling in keys]),
+        mesh=lay_out_devices(len(members), min(s.batch for s in recipe.stages), devices),
+    )
+
+
+def require_alike(models: Sequence[Model]) -> None:
+    """Raises unless models have the same structure, so that one program trains them."""
+    if len({jax.tree.structure(model) for model in models}) > 1:
+        raise InputError("members", "models of different structure", "models that are alike")
+
+
+def groups_alike(task: Task) -> list[list[Member]]:
+    """Members that can train together: in folds whose windows and models are alike.
+
+    Members of kinds that are identified are fitted one by one and make one group.
+    """
+    recipe = task.recipe
+    if not isinstance(recipe, TrainingRecipe):
+        return [list(task.members)]
+    groups: dict[Any, list[Member]] = {}
+    alike: dict[int, Any] = {}
+    for member in task.members:
+        if member.fold not in alike:
+            alike[member.fold] = _likeness(recipe, task.folds[member.fold])
+        groups.setdefault(alike[member.fold], []).append(member)
+    return list(groups.values())
+
+
+def _likeness(recipe: TrainingRecipe, fold: Fold) -> Any:
+    """What must be the same for members to train as one program."""
+    train = fold.roles.train
+    windows = [s.windows for s in recipe.stages]
+    return (
+        tuple(adapted_length(train, w.length) if w.adapt else w.length for w in windows),
+        tuple(residual_of(stage, train) for stage in recipe.stages),
+        jax.tree.structure(fold.physics),
+    )
+
+
+def _plan_stage(index: int, recipe: StageRecipe, task: Task, model: Model, pool: Pool) -> Stage:
+    """The stage with the windows of every member drawn."""
+    family, warm_up = task.recipe.family, model.warm_up
+    roles = [task.folds[m.fold].roles for m in task.members]
+    drawn, lengths = [], set()
+    for m, of in zip(task.members, roles, strict=True):
+        generator = np.random.default_rng([m.seed, index])
+        windows, length = stage_windows(of.train, recipe.windows, generator, warm_up)
+        drawn.append(pool.rows(windows, of.train))
+        lengths.add(length)
+    if len(lengths) > 1:
+        raise InputError(f"stage '{recipe.name}'", "windows of different lengths", "one length")
+    length, watched = lengths.pop(), None
+    criteria = (recipe.keep, recipe.plateau.watch if recipe.plateau else None)
+    if "validation-loss" in criteria:
+        found = []
+        for m, of in zip(task.members, roles, strict=True):
+            generator = np.random.default_rng([m.seed, index, 1])
+            if of.validation:
+                windows = draw(of.validation, recipe.windows, length + warm_up, generator)
+                found.append(pool.rows(windows, of.validation))
+        if len(found) == len(roles) and all(len(rows) for rows in found):
+            watched = StageWindows(_side_by_side(found), length, warm_up)
+    residuals = {residual_of(recipe, of.train) for of in roles}
+    if len(residuals) > 1:
+        raise InputError(f"stage '{recipe.name}'", "residuals of different units", "one unit")
+    return Stage(
+        recipe=recipe,
+        windows=StageWindows(_side_by_side(drawn), length, warm_up),
+        trainable=family.trainable(model, recipe),
+        residual=residuals.pop(),
+        regulariser=family.regulariser(recipe),
+        watched=watched,
+    )
+
+
+def _side_by_side(rows: Sequence[np.ndarray]) -> Int[np.ndarray, "members count"]:
+    """As many windows for every member as the fewest have, the others thinned out evenly."""
+    fewest = min(map(len, rows))
+    return np.stack([r[np.linspace(0, len(r) - 1, fewest).round().astype(int)] for r in rows])
+
+
+def _validation(
+    task: Task, model: Model, start: str
+) -> tuple[ValidationRuns | None, Int[Array, "members runs"], Float[Array, "members runs"]]:
+    """The free runs that judge, which of them each member has, and what counts of these."""
+    mine = [task.folds[m.fold].roles.validation for m in task.members]
+    if not all(mine):
+        nothing = jnp.zeros((len(mine), 0))
+        return None, nothing.astype(jnp.int32), nothing
+    every: tuple[Experiment, ...] = tuple({e.name: e for of in mine for e in of}.values())
+    place = {e.name: i for i, e in enumerate(every)}
+    most = max(map(len, mine))
+    chosen = np.zeros((len(mine), most), np.int32)
+    counted = np.zeros((len(mine), most), np.float32)
+    for m, of in enumerate(mine):
+        chosen[m, : len(of)] = [place[e.name] for e in of]
+        counted[m, : len(of)] = 1.0
+    runs = validation_runs(model, every, start_named(start))
+    return runs, jnp.asarray(chosen), jnp.asarray(counted)
+
+
+def completed(prepared: Plan, member: int, trained: Model) -> Model:
+    """A trained model whose arrays that never trained are those that were given, bit for bit.
+
+    Training is in single precision; physics that is corrected stays as it was.
+    """
+    ever = jax.tree.map(lambda *of: any(of), *(stage.trainable for stage in prepared.stages))
+    new, _ = eqx.partition(trained, ever)
+    _, old = eqx.partition(prepared.given[member], ever)
+    return eqx.combine(new, old)

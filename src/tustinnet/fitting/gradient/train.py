@@ -1,0 +1,52 @@
+"""From a plan to trained models."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from tustinnet.fitting.gradient.epoch import validation_rmse
+from tustinnet.fitting.gradient.loop import Resumed, train
+from tustinnet.fitting.gradient.plan import Plan, completed
+from tustinnet.fitting.gradient.state import Progress
+from tustinnet.fitting.listener import SILENT, Listener
+from tustinnet.fitting.report import FINISHED, FitResult
+from tustinnet.models.contract import Model
+
+
+def train_plan(
+    prepared: Plan, listener: Listener = SILENT, resume: Resumed | None = None
+) -> list[FitResult]:
+    """Trains as planned, from the beginning or from a state that a listener was given.
+
+    Returns:
+        The members' models and how they came about. A training that diverged returns the best
+        weights it had and says so in `outcome`.
+    """
+    best, progress = train(prepared, listener, resume)
+    return [_result(prepared, best, m, p) for m, p in enumerate(progress)]
+
+
+def _result(prepared: Plan, best: Model, m: int, progress: Progress) -> FitResult:
+    # off the devices that trained it: what comes now is one model's business
+    model = jax.tree.map(lambda a: jnp.asarray(np.asarray(a)[m]), best)
+    score = None
+    if prepared.validation is not None:
+        mine = prepared.chosen[m], prepared.counted[m]
+        score = float(validation_rmse(model, prepared.validation, *mine))
+    details = {
+        "windows": [s.windows.rows.shape[1] for s in prepared.stages],
+        "window_lengths": [s.windows.length for s in prepared.stages],
+        "epochs": list(progress.epochs),
+        "kept_epoch": progress.best_epoch,
+    }
+    return FitResult(
+        model=completed(prepared, m, model).folded(),
+        recipe=prepared.recipe,
+        member=prepared.members[m],
+        outcome=progress.outcome,
+        sound=progress.outcome == FINISHED,
+        start=prepared.start,
+        validation_rmse=score,
+        seconds=progress.seconds,
+        details={"training": details},
+    )

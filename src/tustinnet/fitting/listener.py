@@ -1,0 +1,66 @@
+"""Who is told while a fit goes on, and what."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True)
+class EpochReport:
+    """What an epoch of a member did.
+
+    Attributes:
+        stage: the stage's name.
+        epoch: its number in the stage, from 1.
+        loss: mean training loss.
+        validation: mean free-run RMSE over the validation records [rad or m], NaN without them.
+        rate: the rate that was used.
+        best: the lowest figure of the stage so far.
+        event: a sentence when something happened, else empty.
+        member: which of those that train together.
+    """
+
+    stage: str
+    epoch: int
+    loss: float
+    validation: float
+    rate: float
+    best: float
+    event: str = ""
+    member: int = 0
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """Where the search is.
+
+    Attributes:
+        stage: what it is doing.
+        number: iterations so far in the stage.
+        cost: sum over records of the mean squared residual.
+        damping: Levenberg-Marquardt's.
+    """
+
+    stage: str
+    number: int
+    cost: float
+    damping: float
+
+
+@dataclass(frozen=True)
+class Listener:
+    """Who is told while a fit goes on; each call may be slow.
+
+    Attributes:
+        epoch: of every epoch of every member.
+        state: of a training's state and the members' progress, after every compiled call, which
+            does several epochs, and at the ends of stages: all that a resumed run needs.
+        iteration: of every iteration of an identification.
+    """
+
+    epoch: Callable[[EpochReport], None] = field(default=lambda report: None)
+    state: Callable[[Any, Any], None] = field(default=lambda state, progress: None)
+    iteration: Callable[[Iteration], None] = field(default=lambda iteration: None)
+
+
+SILENT = Listener()  # nobody is told

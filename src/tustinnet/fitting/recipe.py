@@ -1,0 +1,337 @@
+"""Recipes: how a model is built and fitted, as data.
+
+The table `[model]` names the kind of model. With it goes what other keys there may be: `stages`
+for kinds with weights, `search` for kinds with parameters.
+"""
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, SerializeAsAny, create_model, field_validator, model_validator
+
+from tustinnet.data.declaration import Declaration, declare, packaged_names, read_packaged
+from tustinnet.data.experiment import VelocitySource
+from tustinnet.errors import InputError
+from tustinnet.families.family import Family, Hyper
+from tustinnet.registry import FAMILIES, RECIPE_HOMES, USUAL
+from tustinnet.simulate.starts import start_named
+
+Compared = Literal["position", "state"]
+Criterion = Literal["validation", "validation-loss", "training"]
+Initial = Literal["choose", "anchored", "unanchored"]
+
+Positive = Field(gt=0)
+
+
+class WindowRecipe(Declaration):
+    """Which windows of the records a stage is trained on.
+
+    Attributes:
+        draw: `strided` from the first row on, or `random`.
+        length: steps in a window.
+        adapt: whether `length` may change with the records: longer where the system moves
+            slowly compared to the period, shorter where records are short.
+        step: samples between two strided windows.
+        count: number of windows; for strided ones the step is chosen so that there are about
+            as many.
+        part: share of the possible beginnings that strided windows use, from the first on.
+        until: `k_bar` to begin windows only before the end of the transient.
+    """
+
+    draw: Literal["strided", "random"]
+    length: int = Positive
+    adapt: bool = False
+    step: int | None = Field(default=None, gt=0)
+    count: int | None = Field(default=None, gt=0)
+    part: float = Field(default=1.0, gt=0, le=1)
+    until: Literal["k_bar", "end"] = "end"
+
+    @model_validator(mode="after")
+    def _complete(self) -> "WindowRecipe":
+        if self.draw == "random" and (self.count is None or self.step or self.part != 1.0):
+            raise ValueError("random windows take `count`, not `step` or `part`")
+        if self.draw == "strided" and (self.step is None) == (self.count is None):
+            raise ValueError("strided windows take either `step` or `count`")
+        return self
+
+
+class PlateauRecipe(Declaration):
+    """When the rate is reduced.
+
+    A criterion is the mean RMSE of the `validation` free runs, the `validation-loss` over the
+    windows that the stage's rule gives in the validation records, or the `training` loss.
+
+    Attributes:
+        factor: multiplies the rate.
+        patience: epochs without improvement that are tolerated.
+        watch: the criterion that should fall.
+    """
+
+    factor: float = Field(gt=0, lt=1)
+    patience: int = Field(ge=0)
+    watch: Criterion = "validation"
+
+
+class StageRecipe(Declaration):
+    """One stage of training; kinds of models may know more keys.
+
+    Attributes:
+        name: what it is called.
+        windows: what it is trained on.
+        loss: what is compared, `state` (positions and velocities) or `position`.
+        periodic: whether angles are compared by the periodic distance `2 (1 - cos e)`.
+        scaled: whether velocities count in units in which they spread as their positions do, see
+            `Residual`.
+        rate: Adam's rate at the beginning.
+        epochs: passes over the windows, at most.
+        patience: epochs without a lower value of `keep` after which the stage ends, if ever.
+        batch: windows in a step of the optimiser.
+        plateau: when the rate is reduced, if ever.
+        keep: the criterion whose lowest value marks the best weights (see `PlateauRecipe`).
+        mirror: whether the system behaves alike when all positions, velocities and inputs change
+            their sign; in every epoch half of the windows are then mirrored, by chance.
+        clip: largest norm of the gradient, if it is limited.
+        averaging: share of the running average of the weights that a step of the optimiser
+            leaves; the average is what is validated and kept. None keeps the weights themselves.
+    """
+
+    name: str
+    windows: WindowRecipe
+    loss: Compared = "state"
+    periodic: bool = True
+    scaled: bool = False
+    rate: float = Positive
+    epochs: int = Positive
+    patience: int | None = Field(default=None, gt=0)
+    batch: int = Positive
+    plateau: PlateauRecipe | None = None
+    keep: Criterion = "validation"
+    mirror: bool = False
+    clip: float | None = Field(default=None, gt=0)
+    averaging: float | None = Field(default=None, gt=0, lt=1)
+
+
+class SearchRecipe(Declaration):
+    """How parameters are identified.
+
+    Attributes:
+        initial: what is done with every record's initial state while identifying. `anchored`:
+            searched for, positions kept near what the encoder read; `unanchored`: searched for
+            freely, which lets a model with missing physics start where it fits; `choose`: both,
+            and the better free run on the validation records decides (`anchored` without them);
+            or a start without a model (`file`, `derived-6`), which is then not searched for.
+        loss: what is compared, `position` (the paper) or `state`, velocities too.
+        periodic: whether angles are compared by the periodic distance `2 (1 - cos e)`.
+        scaled: whether velocities count in units in which they spread as their positions do, see
+            `Residual`.
+        times: `recorded`: step from timestamp to timestamp; `nominal`: by the sampling period, for
+            logs whose timestamps jitter more than their sampling does.
+        part: `whole` records, or `transients`: up to `k_bar`, without the standstill after it.
+        method: `levenberg-marquardt`, or `l-bfgs` for systems with many parameters.
+        tolerance: converged when the next step promises less than this part of the cost.
+        iterations: allowed in the last stage.
+        substeps: integration steps in a period; none to choose them from the error target, a
+            quarter of an encoder count within 2 s.
+    """
+
+    initial: Initial | str = "choose"
+    loss: Compared = "position"
+    periodic: bool = False
+    scaled: bool = True
+    times: Literal["recorded", "nominal"] = "recorded"
+    part: Literal["whole", "transients"] = "whole"
+    method: Literal["levenberg-marquardt", "l-bfgs"] = "levenberg-marquardt"
+    tolerance: float = Field(default=1e-5, gt=0)
+    iterations: int = Field(default=50, gt=0)
+    substeps: int | None = Field(default=None, gt=0)
+
+    @field_validator("initial")
+    @classmethod
+    def _known(cls, initial: str) -> str:
+        if initial not in ("choose", "anchored", "unanchored") and start_named(initial).fitted:
+            raise ValueError("a start that is fitted; choose, anchored, unanchored or derived-6")
+        return initial
+
+
+class Recipe(Declaration):
+    """How a model is built and fitted.
+
+    Attributes:
+        name: what it is called.
+        description: a sentence for people.
+        model: the kind of model and what there is to say of it.
+    """
+
+    name: str
+    description: str = ""
+    model: SerializeAsAny[Hyper]
+
+    @property
+    def family(self) -> Family:
+        """The family of its models."""
+        return FAMILIES[self.model.kind]
+
+
+class TrainingRecipe(Recipe):
+    """How a model with weights is trained.
+
+    Attributes:
+        name: what it is called.
+        description: a sentence for people.
+        model: the kind of model and what there is to say of it.
+        velocity: where the training velocities come from (`Experiment.velocities`).
+        start: where the validation free runs start; when left out, the model's warm-up if it
+            needs one, else `file` where velocities are stored, else `derived-6`.
+        stages: at least one.
+    """
+
+    velocity: VelocitySource = "auto"
+    start: str | None = None
+    stages: list[SerializeAsAny[StageRecipe]] = Field(min_length=1)
+
+    @field_validator("start")
+    @classmethod
+    def _known(cls, start: str | None) -> str | None:
+        return start and start_named(start).name
+
+    @model_validator(mode="after")
+    def _stages_fit(self) -> "TrainingRecipe":
+        names = [stage.name for stage in self.stages]
+        if len(set(names)) < len(names):
+            raise ValueError("two stages have the same name")
+        for stage in self.stages:
+            try:
+                self.family.check(self.model, stage)
+            except ValueError as error:
+                raise ValueError(f"stage '{stage.name}' {error}") from None
+        return self
+
+    def each(self, **changes: Any) -> "TrainingRecipe":
+        """The same recipe with other values in every stage."""
+        stages = [stage.model_copy(update=changes) for stage in self.stages]
+        return self.model_copy(update={"stages": stages})
+
+
+class IdentificationRecipe(Recipe):
+    """How the parameters of a system are identified.
+
+    Attributes:
+        name: what it is called.
+        description: a sentence for people.
+        model: the kind of model and what there is to say of it.
+        search: how to search.
+    """
+
+    search: SearchRecipe = SearchRecipe()
+
+
+@cache
+def recipe_type(family: Family) -> type[Recipe]:
+    """What a recipe of a family may say."""
+    if not family.trains:
+        return create_model(
+            "IdentificationRecipe", __base__=IdentificationRecipe, model=(family.hyper, ...)
+        )
+    stage = create_model("StageRecipe", __base__=(StageRecipe, family.stage))
+    return create_model(
+        "TrainingRecipe",
+        __base__=TrainingRecipe,
+        model=(family.hyper, ...),
+        stages=(list[stage], Field(min_length=1)),  # pyright: ignore[reportInvalidTypeForm]
+    )
+
+
+def packaged_recipes() -> list[str]:
+    """Names of the recipes that come with the package."""
+    return sorted(name for home in RECIPE_HOMES for name in packaged_names(home))
+
+
+def read_recipe(
+    which: "str | Path | Mapping[str, Any] | Recipe", changes: Sequence[str] = ()
+) -> Recipe:
+    """A packaged recipe by name, or a recipe from a TOML file, or from the same as a mapping.
+
+    Args:
+        which: the recipe.
+        changes: `KEY=VALUE`, the key with dots between tables, as `stages.0.epochs=20` or, in
+            all stages, `stages.*.epochs=20`; the value as TOML has it, text also without quotes.
+
+    Raises:
+        InputError: no such recipe; an unknown key, one that is changed twice, or a wrong value.
+    """
+    _require_once(changes)
+    if isinstance(which, Recipe):
+        if not changes:
+            return which
+        # as a file would have it: without keys that were left out, lists that changes can reach
+        content = which.model_dump(mode="json", exclude_unset=True)
+        where = f"recipe '{which.name}'"
+    elif isinstance(which, Mapping):
+        content, where = deepcopy(dict(which)), "recipe"
+    else:
+        content, where = read_packaged(which, RECIPE_HOMES)
+    for change in changes:
+        _change(content, change)
+    table = content.get("model", {})
+    if not isinstance(table, dict):
+        raise InputError(f"{where}, model", f"{table!r}", 'a table with `kind = "..."`')
+    kind = str(table.get("kind", USUAL))
+    if kind not in FAMILIES:
+        known = ", ".join(FAMILIES.names())
+        raise InputError(f"{where}, model.kind", f"no kind of model '{kind}'", f"one of {known}")
+    content["model"] = {"kind": kind, **table}
+    return declare(content, recipe_type(FAMILIES[kind]), where)
+
+
+def _require_once(changes: Sequence[str]) -> None:
+    keys = [change.partition("=")[0].strip() for change in changes]
+    for i, key in enumerate(keys):
+        if key in keys[:i]:
+            raise InputError("--set", f"'{key}' twice", "once")
+
+
+def _change(content: dict[str, Any], change: str) -> None:
+    """Puts the value of `KEY=VALUE` into the content of a recipe."""
+    key, equals, text = change.partition("=")
+    if not equals or not key.strip():
+        raise InputError("--set", f"'{change}'", "KEY=VALUE", "for instance stages.0.epochs=20")
+    *path, last = key.strip().split(".")
+    places: list[Any] = [content]
+    for part in path:
+        places = [found for place in places for found in _inside(place, part, change)]
+    for place in places:
+        if isinstance(place, list):
+            for index in _indices(place, last, change):
+                place[index] = _value(text)
+        else:
+            place[last] = _value(text)
+
+
+def _inside(place: Any, part: str, change: str) -> list[Any]:
+    if isinstance(place, list):
+        return [place[i] for i in _indices(place, part, change)]
+    if not isinstance(place.setdefault(part, {}), dict | list):
+        raise InputError("--set", f"'{change}': '{part}' is no table", "a key of a table")
+    return [place[part]]
+
+
+def _indices(place: Sequence[Any], part: str, change: str) -> Sequence[int]:
+    if part == "*":
+        return range(len(place))
+    if not part.isdigit() or int(part) >= len(place):
+        raise InputError(
+            "--set", f"'{change}': no place '{part}' in a list of {len(place)}",
+            f"a number from 0 to {len(place) - 1}, or * for all",
+        )  # fmt: skip
+    return [int(part)]
+
+
+def _value(text: str) -> Any:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text.strip()

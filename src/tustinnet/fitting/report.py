@@ -1,0 +1,199 @@
+"""The account of a fit: what every way of fitting returns, and the same in plain values."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from tustinnet.data.experiment import Experiment
+from tustinnet.fitting.recipe import Recipe
+from tustinnet.fitting.task import Member
+from tustinnet.models.contract import Model
+from tustinnet.models.integrate import Discretised
+from tustinnet.models.lagrangian import LagrangianSystem
+
+FINISHED = "finished"
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter as identified.
+
+    Attributes:
+        name: the parameter.
+        unit: its SI unit.
+        value: the value found.
+        error: standard error to trust, None where the value stands at the end of its range.
+        naive_error: standard error from `J'J`, which takes residuals for independent noise.
+        interval: 95 % interval that goes with `error`, or None.
+        lower: smallest value allowed.
+        upper: largest.
+        bound: `lower` or `upper` where it stands at the end of its range, else "".
+    """
+
+    name: str
+    unit: str
+    value: float
+    error: float | None
+    naive_error: float | None
+    interval: tuple[float, float] | None
+    lower: float
+    upper: float
+    bound: str = ""
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What an identification found.
+
+    Attributes:
+        system: the system.
+        model: the model with the values found.
+        estimates: the parameters that were searched for.
+        fixed: the parameters that were not, by name.
+        correlation: of the estimates' errors, (n_p, n_p), NaN for those at a bound.
+        condition: how much better the best determined combination of parameters is than the worst.
+        converged: whether the search ended at a minimum.
+        outcome: why it stopped, as a sentence.
+        reversed_signs: coordinates and inputs whose sign is probably the wrong way round:
+            alternatives, each the names to reverse together.
+        findings: what one should know before using it, in plain language.
+        trust: which errors to believe: `records` (how they disagree) or `residuals` (J'J).
+        rmse: per record, root mean square of the residuals' 2-norm, from the initial states below.
+        autocorrelation: of the residuals from one sample to the next, per channel, (n_y,).
+        initial: how initial states were treated, see `SearchRecipe`.
+        initial_states: those found, by record, (n_x,) each.
+        validation_rmse: mean free-run RMSE of the validation records, if there are any.
+        substeps: integration steps in a sampling period.
+        iterations: of the last stage.
+        seconds: time it took.
+    """
+
+    system: LagrangianSystem
+    model: Discretised
+    estimates: tuple[Estimate, ...]
+    fixed: Mapping[str, float]
+    correlation: Float[np.ndarray, "n_p n_p"]
+    condition: float
+    converged: bool
+    outcome: str
+    reversed_signs: tuple[tuple[str, ...], ...]
+    findings: tuple[str, ...]
+    trust: str
+    rmse: Mapping[str, float]
+    autocorrelation: tuple[float, ...]
+    initial: str
+    initial_states: Mapping[str, tuple[float, ...]]
+    validation_rmse: float | None
+    substeps: int
+    iterations: int
+    seconds: float
+
+    @property
+    def sound(self) -> bool:
+        """Whether it ended at a minimum and no sign is suspected to be reversed."""
+        return self.converged and not self.reversed_signs
+
+    @property
+    def values(self) -> dict[str, float]:
+        """All values by name, those fixed included."""
+        return dict(self.fixed) | {e.name: e.value for e in self.estimates}
+
+    def as_plain(self) -> dict[str, Any]:
+        """The same as plain values, as files have it."""
+        return {
+            "system": self.system.name,
+            "converged": self.converged,
+            "findings": list(self.findings),
+            "trust": self.trust,
+            "condition": self.condition,
+            "initial": self.initial,
+            "iterations": self.iterations,
+            "substeps": self.substeps,
+            "estimates": [dataclasses.asdict(e) for e in self.estimates],
+            "fixed": dict(self.fixed),
+            "correlation": self.correlation.tolist(),
+            "residual_rmse": dict(self.rmse),
+            "residual_autocorrelation": list(self.autocorrelation),
+            "initial_states": {name: list(x) for name, x in self.initial_states.items()},
+        }
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """A fitted model and how it came about.
+
+    Attributes:
+        model: the model, in the cheapest form that computes the same.
+        recipe: what was done.
+        member: the seed, and what the recipe's rates were multiplied by.
+        outcome: a sentence on why the fit ended.
+        sound: whether it ended as it should.
+        start: where the validation free runs started.
+        validation_rmse: mean free-run RMSE over the validation records [rad or m], or None.
+        seconds: time spent, compilation included; of fits that ran together an equal share.
+        details: what this way of fitting tells, plain values, under one word: `training` has
+            `windows`, `window_lengths`, `epochs` of each stage and `kept_epoch`, the epoch of the
+            last one whose weights the model has; `identification` has the estimates.
+        findings: what one should know before using the model, in plain language.
+        identification: all that an identification found, None of a training.
+    """
+
+    model: Model
+    recipe: Recipe
+    member: Member
+    outcome: str
+    sound: bool
+    start: str
+    validation_rmse: float | None
+    seconds: float
+    details: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    findings: tuple[str, ...] = ()
+    identification: Identification | None = None
+
+    @property
+    def seed(self) -> int:
+        """The seed."""
+        return self.member.seed
+
+    @property
+    def finished(self) -> bool:
+        """Whether it ended as it should."""
+        return self.sound
+
+    @property
+    def failure(self) -> str:
+        """What went wrong, of a fit that is not sound: a reversed sign first, else the outcome."""
+        found = self.identification
+        return self.findings[0] if found and found.reversed_signs else self.outcome
+
+    def told(self, key: str) -> Any:
+        """One of the details, None where this way of fitting does not have it."""
+        return next((of[key] for of in self.details.values() if key in of), None)
+
+    def as_header(self) -> dict[str, Any]:
+        """What a model file says of the fit."""
+        common = {
+            "seed": self.seed,
+            "rate": self.member.rate,
+            "outcome": self.outcome,
+            "seconds": self.seconds,
+        }
+        return {
+            "recipe": self.recipe.model_dump(mode="json"),
+            **{way: {**common, **of} for way, of in self.details.items()},
+        }
+
+
+def data_header(name: str, records: Sequence[Experiment]) -> dict[str, Any]:
+    """The records that a model was made from, with their checksums."""
+    return {
+        "name": name,
+        "records": [
+            {"name": e.name, "split": e.split, "source": e.source, "sha256": e.sha256}
+            for e in records
+        ],
+    }

@@ -1,0 +1,99 @@
+"""What is compared: the one residual that training and identification share."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tustinnet.data.experiment import Experiment
+from tustinnet.fitting.recipe import SearchRecipe, StageRecipe
+
+_NOTHING = 1.0  # the unit of a signal that never changes
+
+
+@dataclass(frozen=True)
+class Residual:
+    """How a simulated state differs from a recorded one; its square is the loss.
+
+    A residual is `e / unit`, or for a periodic channel `2 sin(e / 2) / unit`, whose square is the
+    periodic distance `2 (1 - cos e)` of the paper. The first channels of a state are compared:
+    positions, and velocities where the loss is of the `state`.
+
+    Attributes:
+        periodic: which of the compared channels are, (n_y,).
+        unit: what each is divided by, (n_y,).
+
+    References:
+        van Esch, Bonassi, Schön, equations of the periodic distance and of the state loss.
+    """
+
+    periodic: tuple[bool, ...]
+    unit: tuple[float, ...]
+
+    @property
+    def channels(self) -> int:
+        """`n_y`, how many channels are compared."""
+        return len(self.unit)
+
+    @property
+    def weight(self) -> Float[np.ndarray, " n_y"]:
+        """One over the units."""
+        return 1.0 / np.array(self.unit)
+
+    def bent(self, error: Float[Array, "*any n_y"]) -> Float[Array, "*any n_y"]:
+        """Errors as they count, without units."""
+        if not any(self.periodic):
+            return error
+        return jnp.where(np.array(self.periodic), 2 * jnp.sin(error / 2), error)
+
+    def slope(self, error: Float[Array, "*any n_y"]) -> Float[Array, "*any n_y"]:
+        """The derivative of `bent`."""
+        return jnp.where(np.array(self.periodic), jnp.cos(error / 2), 1.0)
+
+    def window_loss(
+        self, simulated: Float[Array, "samples n_x"], target: Float[Array, "samples n_x"]
+    ) -> Float[Array, ""]:
+        """Mean over the steps k = 1..T of a window of the squared residual.
+
+        Args:
+            simulated: states of the rollout, (T + 1, n_x); the first is the given start.
+            target: recorded states, (T + 1, n_x).
+        """
+        error = (simulated - target)[1:, : self.channels]
+        weight = jnp.asarray(self.weight, error.dtype)
+        return jnp.mean(jnp.sum((weight * self.bent(error)) ** 2, axis=1))
+
+
+def residual_of(recipe: StageRecipe | SearchRecipe, experiments: Sequence[Experiment]) -> Residual:
+    """The residual that a recipe asks for.
+
+    Scaled, each velocity counts in the unit in which it spreads as much as its position does, and
+    where coordinates are of different kinds each position is measured by its spread. Not scaled,
+    all channels count in SI units.
+
+    Args:
+        recipe: the keys `loss`, `periodic` and `scaled` of it.
+        experiments: the training records.
+    """
+    channels = experiments[0].channels
+    angular = tuple(bool(a) and recipe.periodic for a in channels.angular)
+    state = recipe.loss == "state"
+    periodic = (*angular, *([False] * channels.n_q if state else []))
+    if not recipe.scaled:
+        return Residual(periodic, (1.0,) * len(periodic))
+    span = _spread([e.q.var(axis=0) for e in experiments])
+    mixed = len({c.kind for c in channels.coordinates}) > 1
+    position = np.where(span > 0, span, _NOTHING) if mixed else np.ones(channels.n_q)
+    if not state:
+        return Residual(periodic, tuple(position.tolist()))
+    speed = _spread([np.mean(e.velocities() ** 2, axis=0) for e in experiments])
+    speed = np.where(speed > 0, speed, _NOTHING)
+    # a coordinate that never moves has no say
+    velocity = np.where(span > 0, position * speed / np.where(span > 0, span, 1.0), np.inf)
+    return Residual(periodic, (*position.tolist(), *velocity.tolist()))
+
+
+def _spread(squares: Sequence[np.ndarray]) -> np.ndarray:
+    return np.sqrt(np.mean(squares, axis=0))

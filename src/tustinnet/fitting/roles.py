@@ -1,0 +1,57 @@
+"""Which records train, which choose and judge: one rule for everything that fits."""
+
+from dataclasses import dataclass
+
+from tustinnet.data.dataset import DataSet
+from tustinnet.data.experiment import Experiment
+from tustinnet.errors import InputError
+
+TRAIN, VALIDATION = "train", "validation"
+
+
+@dataclass(frozen=True)
+class Roles:
+    """What the records of a data set are for.
+
+    Attributes:
+        train: the model is fitted to them.
+        validation: their free runs choose between epochs, initial states and seeds; may be none.
+    """
+
+    train: tuple[Experiment, ...]
+    validation: tuple[Experiment, ...]
+
+    @property
+    def judging(self) -> tuple[Experiment, ...]:
+        """The records whose free runs rank what was fitted: validation, or training without."""
+        return self.validation or self.train
+
+    @property
+    def judged(self) -> str:
+        """The name of their split."""
+        return VALIDATION if self.validation else TRAIN
+
+    @property
+    def all(self) -> tuple[Experiment, ...]:
+        """All of them."""
+        return (*self.train, *self.validation)
+
+
+def roles(data: DataSet) -> Roles:
+    """The split `train` trains, `validation` chooses; `test` records take part in nothing.
+
+    A data set without splits is trained on as a whole.
+
+    Raises:
+        InputError: no `DataSet`, or splits without one for training.
+    """
+    if not isinstance(data, DataSet):
+        raise InputError(
+            "data",
+            f"a {type(data).__name__}",
+            "a DataSet",
+            "use tn.load(folder) or tn.DataSet(name, experiments)",
+        )
+    train = data.split(TRAIN) if data.splits else data
+    chosen = data.split(VALIDATION) if VALIDATION in data.splits else ()
+    return Roles(tuple(train), tuple(chosen))

@@ -1,0 +1,206 @@
+"""What an identification found, in words and numbers."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from tustinnet.data.experiment import Experiment
+from tustinnet.fitting.report import Estimate, Identification
+from tustinnet.fitting.shooting.least_squares import Fitted
+from tustinnet.fitting.shooting.space import Space
+from tustinnet.fitting.shooting.uncertainty import Uncertainty
+from tustinnet.models.integrate import Discretised
+from tustinnet.models.lagrangian import LagrangianSystem
+
+_POOR_CONDITION = 1e3
+_AT_THE_COUNT = 1.5  # times the rms error of rounding to counts
+_CORRELATED = 0.2  # residuals' correlation from one sample to the next that is more than chance
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a search found, before it is put into words.
+
+    Attributes:
+        fitted: where it ended.
+        space: the parameters' coordinates.
+        model: the model with the values found.
+        records: the records.
+        certain: how far the values can be trusted.
+        reversed_signs: see `Identification`.
+        remarks: what was said on the way.
+        initial: how initial states were treated.
+        validation_rmse: mean free-run RMSE of the validation records, or None.
+    """
+
+    fitted: Fitted
+    space: Space
+    model: Discretised
+    records: Sequence[Experiment]
+    certain: Uncertainty
+    reversed_signs: tuple[tuple[str, ...], ...]
+    remarks: tuple[str, ...]
+    initial: str
+    validation_rmse: float | None
+
+
+def described(system: LagrangianSystem, found: Found, seconds: float) -> Identification:
+    """Puts the parts of an identification together and says what they mean."""
+    fitted, space, certain, records = found.fitted, found.space, found.certain, found.records
+    estimates = _estimates(space, fitted, certain)
+    lag, multiple = _residuals(fitted, records)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        errors = np.sqrt(np.diag(certain.trusted))
+        correlation = certain.trusted / np.outer(errors, errors)
+    diverged = fitted.why == "diverged"
+    findings = [
+        *_about_signs(found.reversed_signs),
+        *found.remarks,
+        *_about_bounds(estimates),
+        *([] if diverged else _about_condition(space, certain)),
+        _about_errors(certain, lag, multiple, len(records)) if fitted.why == "converged" else "",
+    ]
+    rms = np.sqrt(fitted.normal.cost)
+    return Identification(
+        system=system,
+        model=found.model,
+        estimates=estimates,
+        fixed=dict(space.fixed),
+        correlation=correlation,
+        condition=certain.condition,
+        converged=fitted.why == "converged",
+        outcome=_outcome(fitted),
+        reversed_signs=found.reversed_signs,
+        findings=tuple(f for f in findings if f),
+        trust="residuals" if certain.clustered is None else "records",
+        rmse={e.name: float(r) for e, r in zip(records, rms, strict=True)},
+        autocorrelation=tuple(lag.tolist()),
+        initial=found.initial,
+        initial_states={e.name: tuple(x.tolist()) for e, x in zip(records, fitted.x0, strict=True)},
+        validation_rmse=found.validation_rmse,
+        substeps=found.model.substeps,
+        iterations=fitted.iterations,
+        seconds=seconds,
+    )
+
+
+def _outcome(fitted: Fitted) -> str:
+    return {
+        "diverged": "diverged: from the values found the records simulate to infinity; look at the "
+        "signs in the data card and in the system file, and at the ranges",
+        "converged": f"converged: no step promises a lower cost ({fitted.iterations} iterations)",
+        "stalled": "stalled: no step lowers the cost though the gradient is not zero; start from "
+        "other values, or look for a jump in the energies or forces",
+        "limit": f"stopped at the limit of {fitted.iterations} iterations while still falling; "
+        "allow more, or start from other values",
+    }[fitted.why]
+
+
+def _estimates(space: Space, fitted: Fitted, certain: Uncertainty) -> tuple[Estimate, ...]:
+    bounds = space.at_bounds(fitted.vector)
+    numbers, slopes = space.numbers(fitted.vector), space.slopes(fitted.vector)
+    low, high = space.lower, space.upper
+    with np.errstate(invalid="ignore"):  # what rounding has made negative is not known
+        naive = np.sqrt(np.diag(certain.naive)) * np.abs(slopes)
+        trusted = np.sqrt(np.diag(certain.trusted))
+    found = []
+    for i, p in enumerate(space.searched):
+        known = p.name not in bounds and bool(np.isfinite(trusted[i]))
+        half = certain.trusted_quantile * trusted[i]
+        # beyond its range a value is excluded beforehand
+        edges = np.clip([fitted.vector[i] - half, fitted.vector[i] + half], low[i], high[i])
+        interval = np.exp(edges) if p.positive else edges * slopes[i]
+        found.append(
+            Estimate(
+                name=p.name,
+                unit=p.unit,
+                value=numbers[p.name],
+                error=float(trusted[i] * abs(slopes[i])) if known else None,
+                naive_error=float(naive[i]) if known and np.isfinite(naive[i]) else None,
+                interval=(float(interval[0]), float(interval[1])) if known else None,
+                lower=p.lower,
+                upper=p.upper,
+                bound=bounds.get(p.name, ""),
+            )
+        )
+    return tuple(found)
+
+
+def _residuals(
+    fitted: Fitted, records: Sequence[Experiment]
+) -> tuple[Float[np.ndarray, " n_y"], float | None]:
+    """Correlation from sample to sample, and the size in encoder noise where counts are known."""
+    errors = [
+        np.nan_to_num(x[: len(e)], posinf=0.0, neginf=0.0)
+        for x, e in zip(fitted.normal.error, records, strict=True)
+    ]
+    before, after = (
+        np.concatenate([x[part] for x in errors]) for part in (slice(-1), slice(1, None))
+    )
+    power = np.sum(before**2, axis=0)
+    lag = np.divide(
+        np.sum(before * after, axis=0), power, out=np.zeros_like(power), where=power > 0
+    )
+    counts = records[0].channels.resolution
+    if not np.all(counts > 0):
+        return lag, None
+    sizes = np.sqrt(np.mean(np.concatenate(errors)[:, : len(counts)] ** 2, axis=0))
+    return lag, float(np.max(sizes / (counts / np.sqrt(12))))
+
+
+def _about_signs(reversed_signs: Sequence[tuple[str, ...]]) -> list[str]:
+    if not reversed_signs:
+        return []
+    each = [" and ".join(f"'{name}'" for name in names) for names in reversed_signs]
+    return [
+        f"the sign of {' or of '.join(each)} is probably reversed: turned around, the equations of "
+        "motion explain the records clearly better; check the data card or the system's signs"
+    ]
+
+
+def _about_bounds(estimates: Sequence[Estimate]) -> list[str]:
+    return [
+        f"'{e.name}' stands at the {e.bound} end of its range ({e.value:.4g} {e.unit}): the model "
+        "lacks something, or the range is wrong"
+        for e in estimates
+        if e.bound
+    ]
+
+
+def _about_condition(space: Space, certain: Uncertainty) -> list[str]:
+    if certain.condition < _POOR_CONDITION:
+        return []
+    members = np.argsort(-np.abs(certain.worst))
+    names = [space.names[i] for i in members if abs(certain.worst[i]) > 0.1]
+    if len(names) == 1:
+        return [f"'{names[0]}' has hardly any effect on the simulations; fix it"]
+    return [
+        f"badly conditioned ({certain.condition:.1g}): {', '.join(names)} can change together with "
+        "hardly any effect on the simulations; fix one of them or record motion that tells them "
+        "apart"
+    ]
+
+
+def _about_errors(
+    certain: Uncertainty, lag: np.ndarray, multiple: float | None, records: int
+) -> str:
+    strongest = float(lag[np.argmax(np.abs(lag))])
+    correlated = abs(strongest) > _CORRELATED
+    if multiple is not None and multiple < _AT_THE_COUNT:
+        return "residuals are no larger than the encoders' quantisation: nothing is missing"
+    size = f"{multiple:.0f} times the encoders' quantisation and " if multiple else ""
+    if correlated:
+        told = (
+            f"residuals are {size}alike from sample to sample (correlation {strongest:.2f}): "
+            "something is not modelled, and errors from J'J are too small"
+        )
+    else:
+        told = f"residuals are {size}independent from sample to sample"
+    if certain.clustered is not None:
+        return f"{told}; trust the errors from how the {records} records disagree"
+    few = f"{records} record{'s are' if records > 1 else ' is'} too few"
+    if correlated:
+        return f"{told}, {few} to say by how much"
+    return f"{told}; the errors are those from J'J, {few} for others"

@@ -1,0 +1,238 @@
+"""Identification of a grey-box model: from records and a system to parameters one can trust."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tustinnet.data.dataset import DataSet
+from tustinnet.data.experiment import Experiment
+from tustinnet.data.inspection import transient_end
+from tustinnet.errors import InputError
+from tustinnet.fitting.listener import Iteration, Listener
+from tustinnet.fitting.recipe import IdentificationRecipe, read_recipe
+from tustinnet.fitting.report import FitResult, Identification
+from tustinnet.fitting.shooting import inverse_dynamics
+from tustinnet.fitting.shooting.findings import Found, described
+from tustinnet.fitting.shooting.least_squares import prior_deviation
+from tustinnet.fitting.shooting.space import make_space
+from tustinnet.fitting.shooting.stages import Problem, State, model_of, prior, search
+from tustinnet.fitting.shooting.uncertainty import Uncertainty, uncertainty
+from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task
+from tustinnet.models.contract import require_float64
+from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
+from tustinnet.simulate.starts import default_start
+from tustinnet.systems.files import AnySystem
+
+# what right signs leave of the momentum is a few hundredths, what wrong ones leave over a half
+_POORLY_EXPLAINED = 0.1
+_SHORTEST = 10  # samples of a transient worth fitting
+DEFAULT_IDENTIFICATION = "grey"
+
+
+def identify(
+    data: DataSet,
+    system: AnySystem,
+    recipe: AnyRecipe = DEFAULT_IDENTIFICATION,
+    *,
+    begin: Mapping[str, float] | None = None,
+    fixed: Mapping[str, float] | None = None,
+    told: Callable[[Iteration], None] = lambda _: None,
+) -> Identification:
+    """Identifies a system's parameters by the simulation error over all training records at once.
+
+    First values come from the equations of motion on the measured motion; then the simulation
+    error over segments of one swing, of four swings and over whole records is minimised.
+
+    Args:
+        data: records; those of the split `train` are used, or all where there are no splits.
+        system: the system, its name or its file, see `LagrangianSystem`.
+        recipe: a recipe of a kind that is identified; `grey` by default.
+        begin: where the search starts, by name, besides what the recipe says; the nominal values
+            for those not given.
+        fixed: parameters to fix at a value, besides those that the recipe and the system fix.
+        told: who is told of every iteration.
+
+    Returns:
+        The model, its parameters with errors and correlations, and what there is to say of them.
+
+    Raises:
+        InputError: records of another system, a value outside its range, a mass matrix that is
+            not positive definite, float64 is off.
+    """
+    chosen = read_recipe(recipe)
+    given = {"begin": dict(begin or {}), "fixed": dict(fixed or {})}
+    more = {key: {**getattr(chosen.model, key, {}), **values} for key, values in given.items()}
+    changed = chosen.model_copy(update={"model": chosen.model.model_copy(update=more)})
+    return _identify(make_task(data, changed, system=system), Member(), told)
+
+
+def identify_task(task: Task, member: Member, listener: Listener) -> FitResult:
+    """Identifies the system of a task from the records of a member's fold."""
+    found = _identify(task, member, listener.iteration)
+    roles = task.folds[member.fold].roles
+    return FitResult(
+        model=found.model,
+        recipe=task.recipe,
+        member=member,
+        outcome=found.outcome,
+        sound=found.sound,
+        start=default_start(roles.all),
+        validation_rmse=found.validation_rmse,
+        seconds=found.seconds,
+        details={"identification": found.as_plain()},
+        findings=found.findings,
+        identification=found,
+    )
+
+
+def _identify(task: Task, member: Member, told: Callable[[Iteration], None]) -> Identification:
+    require_float64("identify")
+    begun = time.perf_counter()
+    system, recipe, roles = task.system, task.recipe, task.folds[member.fold].roles
+    assert system is not None
+    assert isinstance(recipe, IdentificationRecipe)
+    records = list(roles.train)
+    system.channels.require_same(
+        records[0].channels, records[0].name, f"the system '{system.name}'"
+    )
+    if recipe.search.part == "transients":
+        records = _transients(records)
+    begin = dict(getattr(recipe.model, "begin", {}))
+    nominal, fixed = system.nominal(), _numbers(system, getattr(recipe.model, "fixed", {}))
+    space = make_space(system, begin, fixed)
+    first = space.clipped(space.vector(nominal | begin))
+    values = {k: jnp.asarray(v, jnp.float64) for k, v in space.values(first).items()}
+    _require_mass(system.model(values), records)
+    _require_finite(system.model(values), records)
+    problem = Problem(system, tuple(records), roles.validation, recipe.search, told)
+    ended, initial, validation = search(problem, State(space, first))
+    reversed_signs: tuple[tuple[str, ...], ...] = ()
+    if ended.unexplained > _POORLY_EXPLAINED:
+        reversed_signs = inverse_dynamics.likely_reversals(
+            system, ended.space, ended.space.vector(nominal | begin), problem.motion
+        )
+    assert ended.fitted is not None
+    found = Found(
+        fitted=ended.fitted,
+        space=ended.space,
+        model=model_of(problem, ended),
+        records=records,
+        certain=_certain(problem, ended, initial),
+        reversed_signs=reversed_signs,
+        remarks=ended.remarks,
+        initial=initial,
+        validation_rmse=validation,
+    )
+    return described(system, found, time.perf_counter() - begun)
+
+
+def _numbers(system: LagrangianSystem, fixed: Mapping[str, float | str]) -> dict[str, float]:
+    """The values of fixed parameters, `nominal` ones looked up."""
+    return {
+        name: system.parameter(name).nominal if isinstance(value, str) else value
+        for name, value in fixed.items()
+    }
+
+
+def _certain(problem: Problem, ended: State, initial: str) -> Uncertainty:
+    """How far the values found can be trusted; those at an end of their range have no errors."""
+    fitted, space = ended.fitted, ended.space
+    assert fitted is not None
+    known = prior(problem, ended)
+    curvature = known.weight * prior_deviation(known, space, fitted.vector)[1] ** 2
+    bounds = space.at_bounds(fitted.vector)
+    moving = np.array([name not in bounds for name in space.names])
+    return uncertainty(fitted.normal, problem.segments(None, initial), curvature, moving)
+
+
+def _transients(records: Sequence[Experiment]) -> list[Experiment]:
+    """Records up to `k_bar`; those that hardly move before it are left out."""
+    ends = [transient_end(e) for e in records]
+    kept = [e[:end] for e, end in zip(records, ends, strict=True) if end >= _SHORTEST]
+    if not kept:
+        raise InputError("part 'transients'", "no record that moves", "records with a transient")
+    return kept
+
+
+@eqx.filter_jit
+def _mass_matrices(
+    model: LagrangianModel, q: Float[Array, "n n_q"]
+) -> Float[Array, "two n n_q n_q"]:
+    """The mass matrix at some positions, as found at rest and in motion."""
+    hessian = jax.hessian(model.system.kinetic, argnums=1)
+    return jnp.stack(
+        [
+            jax.vmap(lambda x, s=s: hessian(x, jnp.full_like(x, s), model.values))(q)
+            for s in (0.0, 1.0)
+        ]
+    )
+
+
+def _require_mass(model: LagrangianModel, records: Sequence[Experiment]) -> None:
+    """The mass matrix must be positive definite wherever the records have been."""
+    system = model.system
+    q = np.concatenate([e.q[:: max(1, len(e) // 50)] for e in records])
+    still, moving = np.asarray(_mass_matrices(model, jnp.asarray(q)))
+    where = f"system '{system.name}', kinetic"
+    if not np.isfinite(still).all():
+        raise InputError(where, "not a finite number at a measured position", "finite numbers")
+    if not np.allclose(still, moving, rtol=1e-6, atol=1e-9 * np.abs(still).max()):
+        raise InputError(
+            where, "not quadratic in v", "T = v' M(q) v / 2", "leave higher powers out"
+        )
+    values = np.linalg.eigvalsh(still)
+    k = int(np.argmin(values[:, 0]))
+    if not values[k, 0] > 1e-12 * values[k, -1]:
+        at = ", ".join(f"{c.name} {x:.3g}" for c, x in zip(system.coordinates, q[k], strict=True))
+        raise InputError(
+            where,
+            f"a mass matrix that is singular or negative at {at} (eigenvalues "
+            f"{', '.join(f'{x:.2g}' for x in values[k])})",
+            "a positive definite one",
+            "every coordinate needs an inertia; write T as a sum of squares with positive masses",
+        )
+
+
+@eqx.filter_jit
+def _answers(
+    model: LagrangianModel,
+    q: Float[Array, "n n_q"],
+    v: Float[Array, "n n_q"],
+    u: Float[Array, "n n_u"],
+) -> dict[str, Float[Array, "n n_q"]]:
+    """What energies and forces contribute to the equations of motion at some samples."""
+    p, asked = model.values, {}
+    if potential := model.system.potential:
+        asked["potential"] = jax.vmap(lambda q: jax.grad(potential)(q, p))(q)
+    if lost := model.system.dissipation:
+        asked["dissipation"] = jax.vmap(lambda q, v: jnp.asarray(lost(q, v, p)))(q, v)
+    if acting := model.system.input_map:
+        asked["input_map"] = jax.vmap(lambda q, v, u: jnp.asarray(acting(q, v, u, p)))(q, v, u)
+    return asked
+
+
+def _require_finite(model: LagrangianModel, records: Sequence[Experiment]) -> None:
+    """Energies and forces must be numbers, and have derivatives, at the first values."""
+    q, v, u = (
+        np.concatenate(of)
+        for of in zip(*[(e.q, e.velocities(), e.u) for e in records], strict=True)
+    )
+    for name, found in _answers(model, *map(jnp.asarray, (q, v, u))).items():
+        bad = np.flatnonzero(~np.isfinite(np.asarray(found)).all(axis=1))
+        if len(bad):
+            k = int(bad[0])
+            at = [
+                f"{c.name} {q[k, j]:.3g} at {v[k, j]:.3g}/s"
+                for j, c in enumerate(model.coordinates)
+            ]
+            raise InputError(
+                f"system '{model.system.name}', {name}",
+                f"not a finite number for {', '.join(at)}",
+                "finite numbers wherever the records have been",
+                "guard divisions, logarithms and roots; start from other values",
+            )

@@ -1,0 +1,221 @@
+"""First values of parameters: the equations of motion on measured motion, without simulation."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from itertools import combinations
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.optimize
+from jaxtyping import Array, Float, Int
+
+from tustinnet.data.experiment import Experiment
+from tustinnet.fitting.shooting.space import Searched, Space
+from tustinnet.models.lagrangian import LagrangianSystem, Parameter
+
+_SHORTEST, _LONGEST = 8, 200  # samples of a window
+_TELLING = 0.7  # a reversal is likely when it leaves less than this part of the residual
+_MOST_FLIPPED = 2
+_WELL_EXPLAINED = 0.1
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Measured motion, records one after the other.
+
+    Attributes:
+        q: positions, (n, n_q).
+        v: velocities, (n, n_q).
+        u: inputs, (n, n_u).
+        begins: first sample of every window, (n_w,).
+        record: index of the record each window is of, (n_w,).
+        length: samples of a window.
+        dt: sampling period [s].
+    """
+
+    q: Float[np.ndarray, "n n_q"]
+    v: Float[np.ndarray, "n n_q"]
+    u: Float[np.ndarray, "n n_u"]
+    begins: Int[np.ndarray, " n_w"]
+    record: Int[np.ndarray, " n_w"]
+    length: int
+    dt: float
+
+
+def measured_motion(experiments: Sequence[Experiment]) -> Motion:
+    """Positions, velocities and inputs of records, and windows of a quarter of a swing."""
+    velocities = [e.velocities() for e in experiments]
+    length = min(_quarter_swing(velocities), *(len(e) for e in experiments))
+    begins, record, offset = [], [], 0
+    for i, e in enumerate(experiments):
+        added = range(offset, offset + len(e) - length + 1, max(1, length // 2))
+        begins += added
+        record += [i] * len(added)
+        offset += len(e)
+    # an input held over the period acts, on average, where the period's middle is
+    inputs = [np.vstack([e.held_inputs, e.held_inputs[-1:]]) for e in experiments]
+    delayed = [np.vstack([u[:1], (u[1:] + u[:-1]) / 2]) for u in inputs]
+    return Motion(
+        np.concatenate([e.q for e in experiments]),
+        np.concatenate(velocities),
+        np.concatenate(delayed),
+        np.array(begins),
+        np.array(record),
+        length,
+        experiments[0].dt,
+    )
+
+
+def first_values(
+    system: LagrangianSystem, space: Space, vector: Searched, motion: Motion
+) -> tuple[Searched, Float[np.ndarray, " n_r"]]:
+    """Least squares on the equations of motion.
+
+    With the momentum `P = dT/dv`, `dP/dt = dT/dq - dV/dq + Q - D` is multiplied by a smooth bump
+    that is 0 at the ends of a window and integrated, the left side by parts. So no acceleration is
+    needed, and the residuals are linear in the base parameters. Forces with memory are left out.
+
+    Args:
+        system: the system.
+        space: the parameters' coordinates.
+        vector: where to start.
+        motion: what was measured.
+
+    Returns:
+        The vector, and per record what is left of the change of momentum: 0 explains all of it,
+        1 nothing, (n_r,).
+
+    References:
+        Atkeson, An, Hollerbach (1986), Estimation of inertial parameters of manipulator loads
+        and links (linear least squares). Preisig, Rippin (1993), modulating functions.
+    """
+    rows = motion.begins[:, None] + np.arange(motion.length)
+    s = np.linspace(-1, 1, motion.length)
+    bump = (1 - s**2) ** 3
+    slope = -6 * s * (1 - s**2) ** 2 * 2 / ((motion.length - 1) * motion.dt)
+    fixed, measured = space.fixed_arrays, (motion.q, motion.v, motion.u)
+
+    def at(point: Searched) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        answers = _momenta(system, space.searched, fixed, point, measured)
+        momentum, force, by_momentum, by_force = (np.asarray(a) for a in answers)
+        lifted = np.tensordot(momentum[rows], slope, ([1], [0]))
+        residual = lifted + np.tensordot(force[rows], bump, ([1], [0]))
+        jacobian = np.tensordot(by_momentum[rows], slope, ([1], [0])) + np.tensordot(
+            by_force[rows], bump, ([1], [0])
+        )
+        return residual, jacobian, lifted
+
+    # each equation in units of its own momentum at the start
+    unit = np.sqrt(np.mean(at(vector)[2] ** 2, axis=0))
+    unit = np.where(unit > 0, unit, 1.0) * np.sqrt(len(rows))
+    # residuals and their derivatives are asked for one after the other, at the same point
+    answer = lru_cache(1)(lambda point: at(np.frombuffer(point)))
+
+    margin = 1e-9 * (space.upper - space.lower)
+    found = scipy.optimize.least_squares(
+        lambda point: (answer(point.tobytes())[0] / unit).ravel(),
+        np.clip(vector, space.lower + margin, space.upper - margin),
+        cast(
+            Any, lambda point: (answer(point.tobytes())[1] / unit[:, None]).reshape(-1, len(vector))
+        ),
+        bounds=(space.lower, space.upper),
+        max_nfev=60,
+    )
+    residual, _, lifted = at(found.x)
+    return space.clipped(found.x), _left(motion.record, residual / unit, lifted / unit)
+
+
+def _left(
+    record: Int[np.ndarray, " n_w"],
+    residual: Float[np.ndarray, "n_w n_q"],
+    lifted: Float[np.ndarray, "n_w n_q"],
+) -> Float[np.ndarray, " n_r"]:
+    """Per record what is left of the change of momentum, from the windows' residuals."""
+    left, moved = (np.bincount(record, np.sum(x**2, axis=1)) for x in (residual, lifted))
+    windows = np.bincount(record)
+    usual = windows * moved.sum() / windows.sum()  # a record that hardly moves says little
+    return left / np.maximum(np.maximum(moved, usual / 10), 1e-300)
+
+
+def likely_reversals(
+    system: LagrangianSystem, space: Space, vector: Searched, motion: Motion
+) -> tuple[tuple[str, ...], ...]:
+    """Coordinates or inputs whose sign explains the motion clearly better when it is reversed.
+
+    Args:
+        system: the system.
+        space: the parameters' coordinates.
+        vector: where to start.
+        motion: what was measured.
+
+    Returns:
+        Alternatives, each the names to reverse together, as few as possible; a symmetric system
+        may have several. Empty where the signs are right.
+    """
+    names = [c.name for c in system.coordinates] + [i.name for i in system.inputs]
+    n_q = len(system.coordinates)
+
+    def left(flipped: tuple[int, ...]) -> np.ndarray:
+        signs = np.ones(len(names))
+        signs[list(flipped)] = -1.0
+        q, v, u = motion.q * signs[:n_q], motion.v * signs[:n_q], motion.u * signs[n_q:]
+        turned = replace(motion, q=q, v=v, u=u)
+        return first_values(system, space, vector, turned)[1]
+
+    before = left(())
+    for count in range(1, _MOST_FLIPPED + 1):
+        tried = {flipped: left(flipped) for flipped in combinations(range(len(names)), count)}
+        # the record that is explained worst tells: others may not move what is reversed, but
+        # none that was explained well may suffer
+        allowed = np.maximum(before, _WELL_EXPLAINED)
+        found = {f: shares.max() for f, shares in tried.items() if np.all(shares <= allowed)}
+        best = min(found.values(), default=np.inf)
+        if best < _TELLING * before.max():
+            alike = [f for f, value in found.items() if value < 1.1 * best]
+            return tuple(tuple(names[i] for i in flipped) for flipped in alike)
+    return ()
+
+
+def _quarter_swing(velocities: Sequence[np.ndarray]) -> int:
+    """Samples in which the fastest coordinate's velocity forgets itself: a quarter of a swing."""
+    shortest = _LONGEST
+    for v in velocities:
+        for column in v.T:
+            if not np.ptp(column):
+                continue
+            centred = column - column.mean()
+            spectrum = np.abs(np.fft.rfft(centred, 2 * len(centred))) ** 2
+            correlation = np.fft.irfft(spectrum)[: len(centred)]
+            below = np.flatnonzero(correlation <= 0)
+            if len(below):
+                shortest = min(shortest, int(below[0]))
+    return max(_SHORTEST, shortest)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _momenta(
+    system: LagrangianSystem,
+    searched: tuple[Parameter, ...],
+    fixed: dict[str, Array],
+    vector: Array,
+    measured: tuple[Array, Array, Array],
+) -> tuple[Array, ...]:
+    """Momentum and generalised force at every sample, and both by the parameters."""
+
+    def at(point: Array, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
+        values = Space(searched, fixed).values(point)
+        model = system.model(values)
+        momentum = jax.grad(system.kinetic, argnums=1)(q, v, values)
+        force = jax.grad(system.kinetic)(q, v, values)
+        if system.potential:
+            force = force - jax.grad(system.potential)(q, values)
+        still = jnp.zeros(len(system.internal), q.dtype)
+        return momentum, force + model.applied(q, v, still, u)
+
+    def both(q: Array, v: Array, u: Array) -> tuple[Array, ...]:
+        return *at(vector, q, v, u), *jax.jacfwd(at)(vector, q, v, u)
+
+    return jax.vmap(both)(*measured)

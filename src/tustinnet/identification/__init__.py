@@ -1,1 +1,0 @@
-"""Parameters of grey-box models from records, with what can be trusted of them."""

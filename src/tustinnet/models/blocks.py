@@ -1,0 +1,300 @@
+"""What networks are made of: layers, units, features of a state."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.signal
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from tustinnet.channels import Channels
+from tustinnet.data.experiment import Experiment, VelocitySource
+from tustinnet.errors import InputError
+
+ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
+    "leaky_relu": lambda z: jax.nn.leaky_relu(z, 0.01),
+    "relu": jax.nn.relu,
+    "tanh": jnp.tanh,
+    "silu": jax.nn.silu,
+    "softplus": jax.nn.softplus,
+}
+
+
+class Affine(eqx.Module):
+    """`z -> W z + b`, the bias optional.
+
+    Attributes:
+        weight: `W`, (n_out, n_in).
+        bias: `b`, (n_out,), or None.
+    """
+
+    weight: Float[Array, "n_out n_in"]
+    bias: Float[Array, " n_out"] | None
+
+    def __call__(self, z: Float[Array, " n_in"]) -> Float[Array, " n_out"]:
+        """Applies the map."""
+        product = z @ self.weight.T
+        return product if self.bias is None else product + self.bias
+
+    def zeros(self) -> "Affine":
+        """A map of the same shape that gives zero."""
+        return jax.tree.map(jnp.zeros_like, self)
+
+
+def fold(first: Affine, second: Affine) -> Affine:
+    """The affine map that applies `first`, then `second`."""
+    bias = second.bias
+    if first.bias is not None:
+        carried = second.weight @ first.bias
+        bias = carried if bias is None else bias + carried
+    return Affine(second.weight @ first.weight, bias)
+
+
+def random_affine(n_in: int, n_out: int, key: PRNGKeyArray, *, bias: bool = True) -> Affine:
+    """Float32 weights, and perhaps biases, uniform within 1/sqrt(n_in) of 0."""
+    bound = n_in**-0.5
+    for_weight, for_bias = jax.random.split(key)
+    weight = jax.random.uniform(for_weight, (n_out, n_in), jnp.float32, -bound, bound)
+    if not bias:
+        return Affine(weight, None)
+    return Affine(weight, jax.random.uniform(for_bias, (n_out,), jnp.float32, -bound, bound))
+
+
+class Scaling(eqx.Module):
+    """Units of what a network sees and says. Never trained.
+
+    Attributes:
+        position_offset: subtracted from linear positions [m], (n_linear,).
+        position_scale: divides linear positions [m], (n_linear,).
+        velocity: divides velocities [rad/s or m/s], (n_q,).
+        input: divides inputs, (n_u,).
+        acceleration: multiplies the accelerations that a network says [rad/s^2 or m/s^2], (n_q,).
+        memory: divides internal states that are fed to a network, (n_z,).
+    """
+
+    position_offset: Float[Array, " n_linear"]
+    position_scale: Float[Array, " n_linear"]
+    velocity: Float[Array, " n_q"]
+    input: Float[Array, " n_u"]
+    acceleration: Float[Array, " n_q"]
+    memory: Float[Array, " n_z"] = eqx.field(default_factory=lambda: jnp.zeros(0, jnp.float32))
+
+    def features(
+        self, channels: Channels, x: Float[Array, " n_x"], u: Float[Array, " n_u"]
+    ) -> Float[Array, " n_0"]:
+        """What a network sees: sines, cosines, linear positions, velocities, inputs, scaled.
+
+        As many of the internal states as `memory` has units for stand before the inputs.
+        """
+        angle, length = _parted(x[channels.position], channels.angular)
+        features = [
+            jnp.sin(angle),
+            jnp.cos(angle),
+            (length - self.position_offset) / self.position_scale,
+            x[channels.velocity] / self.velocity,
+        ]
+        if len(self.memory):
+            features.append(x[channels.internal] / self.memory)
+        return jnp.concatenate([*features, u / self.input])
+
+
+def feature_count(channels: Channels, memory: int = 0) -> int:
+    """Three features per angular coordinate, two per linear one, one per internal state, input."""
+    return 2 * channels.n_q + int(channels.angular.sum()) + memory + channels.n_u
+
+
+def _parted(q: Float[Array, " n_q"], angular: np.ndarray) -> tuple[Array, Array]:
+    """Angular and linear positions; no gather, whose gradient is slow, where all are of a kind."""
+    if angular.all():
+        return q, q[:0]
+    if not angular.any():
+        return q[:0], q
+    return q[angular], q[~angular]
+
+
+class Network(eqx.Module):
+    """A feedforward network of the features of a state.
+
+    `W_{M+1} sigma(W_M ... sigma(W_1 z + b_1) ... + b_M)`
+
+    Attributes:
+        stem: an affine layer without activation before the first hidden layer, or None. It adds
+            nothing to what the network can represent but changes how it trains; `folded` merges
+            it into the first hidden layer.
+        hidden: the M hidden layers.
+        output: the output layer, without bias unless asked for.
+        scaling: units of what it sees and says.
+        activation: name of sigma, a key of `ACTIVATIONS`.
+    """
+
+    stem: Affine | None
+    hidden: tuple[Affine, ...]
+    output: Affine
+    scaling: Scaling
+    activation: str = eqx.field(static=True)
+
+    def __check_init__(self) -> None:
+        if self.activation not in ACTIVATIONS:
+            raise InputError(
+                "activation", f"unknown '{self.activation}'", f"one of {', '.join(ACTIVATIONS)}"
+            )
+        if not self.hidden:
+            raise InputError("hidden layers", "none", "at least one")
+        layers = [*([self.stem] if self.stem else []), *self.hidden, self.output]
+        for before, layer in pairwise(layers):
+            if layer.weight.shape[1] != before.weight.shape[0]:
+                raise InputError(
+                    "network",
+                    f"a layer takes {layer.weight.shape[1]} values",
+                    f"{before.weight.shape[0]}",
+                )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """How many features it takes, how many values it says."""
+        first = self.stem if self.stem is not None else self.hidden[0]
+        return first.weight.shape[1], self.output.weight.shape[0]
+
+    def __call__(
+        self, channels: Channels, x: Float[Array, " n_x"], u: Float[Array, " n_u"]
+    ) -> Float[Array, " n_out"]:
+        """What it says of a state and an input, in its own units."""
+        sigma = ACTIVATIONS[self.activation]
+        z = self.scaling.features(channels, x, u)
+        if self.stem is not None:
+            z = self.stem(z)
+        for layer in self.hidden:
+            z = sigma(layer(z))
+        return self.output(z)
+
+    def require_shape(self, seen: int, said: int) -> None:
+        """Raises unless it takes and says so many values."""
+        if self.shape != (seen, said):
+            raise InputError(
+                "network", f"{self.shape[0]} features and {self.shape[1]} outputs",
+                f"{seen} and {said}",
+            )  # fmt: skip
+
+    def folded(self) -> "Network":
+        """The same function with the stem merged into the first hidden layer."""
+        if self.stem is None:
+            return self
+        first = fold(self.stem, self.hidden[0])
+        return Network(None, (first, *self.hidden[1:]), self.output, self.scaling, self.activation)
+
+    def layers_from(self, frozen: int) -> list[Affine]:
+        """The layers that train when the first so many hidden ones do not; a stem counts with it.
+
+        The output layer always trains.
+        """
+        layers = [*self.hidden[frozen:], self.output]
+        return layers if self.stem is None or frozen else [self.stem, *layers]
+
+
+@dataclass(frozen=True)
+class Layers:
+    """The layers of a network.
+
+    Attributes:
+        hidden: units of each hidden layer.
+        stem: units of the affine layer before them, if any.
+        activation: a key of `ACTIVATIONS`.
+        output_bias: whether the output layer has a bias (the paper: no).
+    """
+
+    hidden: Sequence[int] = (100, 100)
+    stem: int | None = None
+    activation: str = "leaky_relu"
+    output_bias: bool = False
+
+    def __post_init__(self) -> None:
+        hidden, stem = tuple(self.hidden), self.stem
+        if not hidden or min(hidden) < 1 or (stem is not None and stem < 1):
+            raise InputError("network", f"hidden layers {hidden}, stem {stem}", "at least 1 unit")
+
+
+def random_network(
+    scaling: Scaling, key: PRNGKeyArray, seen: int, said: int, layers: Layers
+) -> Network:
+    """A network with random float32 weights, uniform within 1/sqrt(n_in) of 0.
+
+    Args:
+        scaling: units of what it sees and says.
+        key: the source of randomness.
+        seen: how many features it takes.
+        said: how many values it says.
+        layers: its layers.
+    """
+    stem, hidden = layers.stem, layers.hidden
+    widths = [seen, *([stem] if stem else []), *hidden]
+    keys = jax.random.split(key, len(widths))
+    made = [
+        random_affine(n_in, n_out, k)
+        for n_in, n_out, k in zip(widths[:-1], widths[1:], keys[:-1], strict=True)
+    ]
+    return Network(
+        stem=made[0] if stem else None,
+        hidden=tuple(made[1 if stem else 0 :]),
+        output=random_affine(widths[-1], said, keys[-1], bias=layers.output_bias),
+        scaling=scaling,
+        activation=layers.activation,
+    )
+
+
+def learn_scaling(
+    experiments: Sequence[Experiment],
+    velocity: VelocitySource = "auto",
+    relaxation_times: Sequence[float] = (),
+) -> Scaling:
+    """Units from the training records.
+
+    Linear positions are centred and divided by their standard deviation, velocities and inputs
+    divided by their root mean square, and accelerations are measured in root mean squares
+    of the velocity's change per period. States that follow the velocity and relax are divided by
+    their root mean square.
+
+    Args:
+        experiments: the training records.
+        velocity: which velocities to use.
+        relaxation_times: those of the internal states [s].
+    """
+    channels = experiments[0].channels
+    q = np.concatenate([e.q for e in experiments])[:, ~channels.angular]
+    velocities = [e.velocities(velocity) for e in experiments]
+    change = np.concatenate([np.diff(v, axis=0) for v in velocities]) / channels.dt
+    followed = [relaxing(v, channels.dt, relaxation_times) for v in velocities]
+    return scaling_of(
+        position_offset=q.mean(axis=0),
+        position_scale=q.std(axis=0),
+        velocity=root_mean_square(np.concatenate(velocities)),
+        input=root_mean_square(np.concatenate([e.u for e in experiments])),
+        acceleration=root_mean_square(change),
+        memory=root_mean_square(np.concatenate(followed)),
+    )
+
+
+def relaxing(
+    v: Float[np.ndarray, "n n_q"], dt: float, times: Sequence[float]
+) -> Float[np.ndarray, "n n_z"]:
+    """States along a record that follow each velocity and relax, from 0; see `TustinNet`."""
+    mean = np.concatenate([np.zeros((1, v.shape[1])), (v[:-1] + v[1:]) / 2])
+    followed = [
+        scipy.signal.lfilter([time * (1 - left)], [1.0, -left], mean, axis=0)
+        for time, left in ((time, np.exp(-dt / time)) for time in times)
+    ]
+    return np.concatenate([np.zeros((len(v), 0)), *followed], axis=1)
+
+
+def root_mean_square(signal: Float[np.ndarray, "n c"]) -> Float[np.ndarray, " c"]:
+    """The root mean square of each column, 1 where a signal never acts."""
+    size = np.sqrt(np.mean(signal**2, axis=0))
+    return np.where(size > 0, size, 1.0)
+
+
+def scaling_of(dtype: type = np.float32, **fields: np.ndarray) -> Scaling:
+    """Units from plain arrays."""
+    return Scaling(**{name: jnp.asarray(value, dtype) for name, value in fields.items()})

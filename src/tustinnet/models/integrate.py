@@ -1,0 +1,141 @@
+"""Continuous models made discrete by fixed steps."""
+
+from dataclasses import replace
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from tustinnet.channels import Channels
+from tustinnet.errors import InputError
+from tustinnet.models.contract import ContinuousModel, Drive, InputVector, Model, State
+
+# the classical method: where along the step each stage looks, and what it counts
+_REACH = (0.0, 0.5, 0.5, 1.0)
+_SHARE = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
+
+
+class FromContinuous(Model):
+    """A continuous model stepped from sample to sample.
+
+    Inputs are held over the period (zero-order hold), so no stage of a method looks at the next
+    sample; or they follow a straight line (first-order hold), when a step is given both ends.
+
+    Attributes:
+        continuous: the model.
+        channels: its channels, with a sampling period.
+    """
+
+    continuous: ContinuousModel
+    channels: Channels = eqx.field(static=True)
+
+    @property
+    def internal(self) -> tuple[str, ...]:
+        """What the internal states of the continuous model are called."""
+        return self.continuous.internal
+
+    def seen(self, ends: Float[Array, "*batch 2 n_u"]) -> Float[Array, "*any n_u"]:
+        """Both ends of every period where an input follows a line, else the held inputs."""
+        return ends if self.channels.ramped.any() else ends[..., 0, :]
+
+    def step(self, x: State, u: Drive) -> State:
+        """One sampling period."""
+        return self.advance(x, u, self.dt)
+
+
+class Discretised(FromContinuous):
+    """A continuous model stepped by the classical Runge-Kutta method.
+
+    Attributes:
+        continuous: the model.
+        channels: its channels, with a sampling period.
+        substeps: Runge-Kutta steps in a period.
+        unrolled: whether steps and stages are written out in the compiled program. As loops they
+            compile three times as fast, which is what equations of motion from energies need;
+            networks, which are small programs, run faster written out.
+    """
+
+    substeps: int = eqx.field(static=True)
+    unrolled: bool = eqx.field(static=True, default=False)
+
+    def advance(self, x: State, u: Drive, period: Array | float) -> State:
+        """The state after a period [s]: `substeps` Runge-Kutta steps of fourth order."""
+        parts, h = self.substeps, period / self.substeps
+        if self.unrolled:
+            for i in range(parts):
+                x = runge_kutta_4(self.continuous, x, between(u, i, parts), h)
+            return x
+
+        def stretch(state: State, i: Array) -> tuple[State, None]:
+            return runge_kutta_4(self.continuous, state, between(u, i, parts), h, looped=True), None
+
+        return jax.lax.scan(stretch, x, jnp.arange(parts, dtype=x.dtype))[0]
+
+
+def discretise(
+    model: ContinuousModel, dt: float, substeps: int = 1, *, unrolled: bool = False
+) -> Discretised:
+    """A continuous model as a discrete one, by fixed Runge-Kutta steps.
+
+    Args:
+        model: the model.
+        dt: sampling period [s].
+        substeps: Runge-Kutta steps in a period; `choose_substeps` says how many are needed.
+        unrolled: whether the steps are written out in the compiled program, see `Discretised`.
+    """
+    if not dt > 0 or substeps < 1:
+        raise InputError("discretise", f"period {dt} s, {substeps} substeps", "positive numbers")
+    return Discretised(model, replace(model.channels, dt=dt), substeps, unrolled)
+
+
+def between(
+    u: Drive, i: Array | int, parts: Array | int
+) -> tuple[InputVector, InputVector, InputVector]:
+    """Inputs at the beginning, the middle and the end of the i-th of so many parts of a period."""
+    return at(u, i / parts), at(u, (i + 0.5) / parts), at(u, (i + 1) / parts)
+
+
+def at(u: Drive, part: Array | float) -> InputVector:
+    """Inputs at a part of the period, 0..1: held, or on the line between both ends."""
+    return u if u.ndim == 1 else u[0] + part * (u[1] - u[0])
+
+
+def runge_kutta_4(
+    model: ContinuousModel,
+    x: State,
+    u: tuple[InputVector, InputVector, InputVector],
+    h: Array | float,
+    *,
+    looped: bool = False,
+) -> State:
+    """One classical Runge-Kutta step of length `h` [s].
+
+    Args:
+        model: the model.
+        x: the state, (n_x,).
+        u: the inputs at the beginning, the middle and the end of the step.
+        h: length of the step [s].
+        looped: whether the four stages are a loop of the compiled program. That compiles three
+            times as fast; written out they run faster where the derivatives by many parameters
+            are carried along.
+    """
+
+    def stage(carry: tuple[State, State], now: tuple[Any, ...]) -> tuple[tuple[State, State], None]:
+        slope, mean = carry
+        reach, share, held = now
+        slope = model.derivative(x + h * reach * slope, held)
+        return (slope, mean + share * slope), None
+
+    begin, middle, end = u
+    inputs = [begin, middle, middle, end]
+    carry = jnp.zeros_like(x), jnp.zeros_like(x)
+    if looped:
+        tableau = jnp.asarray(_REACH, x.dtype), jnp.asarray(_SHARE, x.dtype)
+        carry, _ = jax.lax.scan(stage, carry, (*tableau, jnp.stack(inputs)))
+    else:
+        for now in zip(_REACH, _SHARE, inputs, strict=True):
+            carry, _ = stage(carry, now)
+    _, mean = carry
+    return x + h * mean

@@ -1,0 +1,86 @@
+"""What can be named: families of models, scalings, systems. A new one is a line here.
+
+Other packages add theirs by entry points of the groups `tustinnet.families`,
+`tustinnet.scalings` and `tustinnet.systems`; a program adds one by `register`.
+"""
+
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import Any, Generic, TypeVar, cast
+
+from tustinnet.errors import InputError
+
+Thing = TypeVar("Thing")
+
+
+@dataclass(frozen=True)
+class Registry(Generic[Thing]):
+    """Things by name, loaded when they are asked for.
+
+    Attributes:
+        what: what a name stands for, for messages.
+        group: the group of entry points by which other packages add theirs.
+        places: where each thing is, `module:attribute`, or the thing itself.
+    """
+
+    what: str
+    group: str
+    places: dict[str, str | Thing]
+
+    def names(self) -> tuple[str, ...]:
+        """All names, those of other packages included."""
+        return (*self.places, *(e.name for e in entry_points(group=self.group)))
+
+    def register(self, name: str, thing: Thing) -> None:
+        """Adds a thing, or puts it in the place of another one of the same name."""
+        self.places[name] = thing
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.names()
+
+    def __getitem__(self, name: str) -> Thing:
+        if name in self.places:
+            place = self.places[name]
+            if not isinstance(place, str):
+                return place
+            module, _, attribute = place.partition(":")
+            return cast(Thing, getattr(import_module(module), attribute))
+        for entry in entry_points(group=self.group, name=name):
+            return cast(Thing, entry.load())
+        raise InputError(
+            f"{self.what} '{name}'", f"no such {self.what}", f"one of {', '.join(self.names())}"
+        )
+
+
+FAMILIES: Registry[Any] = Registry(
+    "kind of model",
+    "tustinnet.families",
+    {
+        "tustin-net": "tustinnet.families.tustin_net:FAMILY",
+        "euler-lagrange": "tustinnet.families.euler_lagrange:FAMILY",
+        "hybrid": "tustinnet.families.hybrid:FAMILY",
+        "gru": "tustinnet.families.gru:FAMILY",
+        "neural-ode": "tustinnet.families.neural_ode:FAMILY",
+        "linear": "tustinnet.families.linear:FAMILY",
+    },
+)
+USUAL = next(iter(FAMILIES.places))  # the kind of a recipe that names none
+SCALINGS: Registry[Any] = Registry(
+    "scaling",
+    "tustinnet.scalings",
+    {
+        "records": "tustinnet.models.blocks:learn_scaling",
+        "published": "tustinnet.reproduce.published:published_scaling",
+    },
+)
+SYSTEMS: Registry[Any] = Registry(
+    "system",
+    "tustinnet.systems",
+    {
+        "qube-servo2": "tustinnet.systems.qube_servo2:SYSTEM",
+        "qube-servo2-naive": "tustinnet.systems.qube_servo2:NAIVE",
+        "qube-servo2-memory": "tustinnet.systems.qube_servo2:WITH_MEMORY",
+    },
+)
+RECIPE_HOMES: list[str] = ["tustinnet.fitting", "tustinnet.reproduce"]  # packages with `recipes/`

@@ -1,0 +1,95 @@
+"""Tables of fits: members of a training, parameters of an identification, folds."""
+
+import math
+
+from tustinnet.evaluate.folds import Validated
+from tustinnet.fitting.report import Identification
+from tustinnet.report.tables import Table, number
+from tustinnet.store.run import Run
+
+
+def members_table(run: Run) -> Table:
+    """Every member of a training, and the spread where there are several."""
+    unit = run.roles.train[0].channels.unit
+    rows = [
+        [
+            of.result.member.name.removeprefix("seed-"),
+            number(of.mean),
+            " + ".join(map(str, of.result.told("windows"))),
+            " + ".join(map(str, of.result.told("epochs"))),
+            str(of.result.told("kept_epoch")),
+            f"{of.result.seconds:.0f}",
+            of.result.outcome.split(":")[0],
+        ]
+        for of in run.members
+    ]
+    if len(rows) > 1:
+        spread = run.spread()
+        low, high = number(spread["min"]), number(spread["max"])
+        told = f"{number(spread['median'])} ({low}..{high})"
+        rows.append(["median (range)", told, "", "", "", "", ""])
+    return Table(
+        ["seed", f"mean RMSE [{unit}]", "windows", "epochs", "kept", "seconds", "outcome"],
+        rows,
+        title=f"{run.best.result.recipe.name}, {run.judged} free runs, start '{run.start}'",
+    )
+
+
+def parameter_table(result: Identification) -> Table:
+    """Parameters with the errors to trust and those of J'J."""
+    rows = []
+    for e in result.estimates:
+        at = f"at the {e.bound} end" if e.bound else ""
+        digits = _digits(e.value, e.error)
+        interval = "–"
+        if e.interval:
+            interval = f"{e.interval[0]:.{digits}g}..{e.interval[1]:.{digits}g}"
+        rows.append(
+            [
+                e.name, f"{e.value:.{digits}g}", e.unit, _error(e.error), interval,
+                _error(e.naive_error), f"{e.lower:.3g}..{e.upper:.3g} {at}".strip(),
+            ]
+        )  # fmt: skip
+    rows += [[name, f"{value:.4g}", result.system.parameter(name).unit, "fixed", "", "", ""]
+             for name, value in result.fixed.items()]  # fmt: skip
+    columns = ["parameter", "value", "unit", "std. error", "95 %", "error of J'J", "range"]
+    source = "how the records disagree" if result.trust == "records" else "J'J"
+    return Table(columns, rows, title=f"{result.system.name}; standard errors from {source}")
+
+
+def _digits(value: float, error: float | None) -> int:
+    """Significant digits that show a value to a tenth of its error."""
+    if not error or not value:
+        return 4
+    return int(min(max(4, math.ceil(math.log10(abs(value) / error)) + 2), 12))
+
+
+def _error(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2g}"
+
+
+def judged_table(run: Run) -> Table:
+    """The free runs that judge the best model of a run."""
+    best = run.best
+    rows = [[s.experiment, number(s.rmse)] for s in best.scores]
+    rows.append(["mean", number(best.mean)])
+    return Table(["record", "RMSE"], rows, title=f"{run.judged} free runs, start '{run.start}'")
+
+
+def folds_table(found: Validated) -> Table:
+    """Every record's mean over the seeds, by start, and the means with their standard errors."""
+    summary = found.summary()
+    by_start = {start: found.means(start) for start in summary}
+    folds = {s.record: s.fold for s in found.scores}
+    rows = [
+        [record, str(fold), *[number(means[record]) for means in by_start.values()]]
+        for record, fold in folds.items()
+    ]
+    means = [f"{number(s['mean'])} ± {number(s['standard_error'])}" for s in summary.values()]
+    rows.append(["mean ± standard error", "", *means])
+    seeds = [" ".join(number(x) for x in s["by_seed"].values()) for s in summary.values()]
+    if len(next(iter(summary.values()))["by_seed"]) > 1:
+        rows.append(["each seed", "", *seeds])
+    columns = ["record", "fold", *[f"from {start}" for start in by_start]]
+    title = f"{found.recipe}: free-run RMSE [{found.unit}] of models that never saw the record"
+    return Table(columns, rows, title=title)

@@ -1,0 +1,102 @@
+"""The paper's figures: two drawings, and free runs of our models."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from tustinnet.data.dataset import DataSet
+from tustinnet.errors import InputError
+from tustinnet.evaluate.scores import Score
+from tustinnet.report.figures import free_run_figure, write_figure
+from tustinnet.reproduce.drawings import architecture_figure, mechanism_figure
+from tustinnet.reproduce.table1 import Row
+
+# the paper's colours and lines: Algorithm 1 red and dash-dotted, Euler-Lagrange orange and dashed,
+# without spring purple and dotted; the others by their place in the table
+_STYLES = {
+    "tustin-transfer": ("#c0392b", "-."),
+    "tustin-standard": ("#2e8b57", "--"),
+    "euler-lagrange": ("#e08e0b", "--"),
+    "euler-lagrange-naive": ("#7d3c98", ":"),
+    "authors-transfer": ("#922b21", (0, (1, 1))),
+    "authors-standard": ("#5d6d7e", (0, (5, 2, 1, 2))),
+    "tustin-text-transfer": ("#d98880", "-."),
+    "tustin-text-standard": ("#a04000", "--"),
+}
+# what each figure compares; of networks ours, or the authors' where ours were not trained
+_COMPARED = {
+    "figure3": (("euler-lagrange",), ("euler-lagrange-naive",)),
+    "figure4": (("tustin-standard", "authors-standard"), ("tustin-transfer", "authors-transfer")),
+    "figure5": (("euler-lagrange",), ("tustin-transfer", "authors-transfer")),
+}
+_NAMES = {
+    "euler-lagrange": "Euler-Lagrange",
+    "euler-lagrange-naive": "Euler-Lagrange, no spring",
+    "tustin-transfer": "Tustin-Net, Algorithm 1",
+    "tustin-standard": "Tustin-Net, standard",
+    "authors-transfer": "authors' weights, Algorithm 1",
+    "authors-standard": "authors' weights, standard",
+    "tustin-text-transfer": "Algorithm 1 as in the text",
+    "tustin-text-standard": "standard as in the text",
+}
+_DEFAULT_RECORDS = ("fallTest4", "fallVal4")
+
+
+def choose_experiment(data: DataSet, split: str, wanted: str | None) -> str:
+    """The record of the figures: the one asked for, else the paper's, else the split's first."""
+    names = [e.name for e in data.split(split)]
+    if wanted is not None:
+        if wanted not in names:
+            raise InputError("--experiment", f"no record '{wanted}'", f"one of {', '.join(names)}")
+        return wanted
+    return next((name for name in _DEFAULT_RECORDS if name in names), names[0])
+
+
+def draw(data: DataSet, rows: Sequence[Row], split: str, chosen: str, folder: Path) -> list[Path]:
+    """Draws the paper's five figures and every record's free runs, as PNG and SVG.
+
+    Figures 1 and 2 are drawings; 3, 4 and 5 are free runs of the chosen record.
+    Of several seeds the one with the median mean RMSE is drawn. Figure 3 compares the
+    Euler-Lagrange model with and without spring, Figure 4 standard training with Algorithm 1,
+    Figure 5 the Euler-Lagrange model with Algorithm 1; each where both models are there.
+    """
+    shown = _median_rows(rows)
+    written = _both(mechanism_figure(), folder / "figure1")
+    written += _both(architecture_figure(), folder / "figure2")
+    for e in data.split(split):
+        runs = {m: _of(row, e.name) for m, row in shown.items() if m in _STYLES}
+        written += _write(e.name, runs, data, folder / f"free_run_{e.name}")
+    for name, sides in _COMPARED.items():
+        pair = [next((m for m in side if m in shown), None) for side in sides]
+        compared = {m: _of(shown[m], chosen) for m in pair if m is not None}
+        if len(compared) == len(sides):
+            written += _write(chosen, compared, data, folder / name)
+    return written
+
+
+def _median_rows(rows: Sequence[Row]) -> dict[str, Row]:
+    by_model: dict[str, list[Row]] = {}
+    for row in rows:
+        by_model.setdefault(row.model, []).append(row)
+    return {
+        model: sorted(group, key=lambda row: row.mean)[(len(group) - 1) // 2]
+        for model, group in by_model.items()
+    }
+
+
+def _of(row: Row, experiment: str) -> Score:
+    return next(score for score in row.scores if score.experiment == experiment)
+
+
+def _write(name: str, runs: dict[str, Score], data: DataSet, stem: Path) -> list[Path]:
+    styles = {_NAMES[model]: _STYLES[model] for model in runs}
+    named = {_NAMES[model]: score for model, score in runs.items()}
+    return _both(free_run_figure(data[name], named, styles), stem)
+
+
+def _both(figure: Figure, stem: Path) -> list[Path]:
+    paths = [stem.with_name(f"{stem.name}{ending}") for ending in (".png", ".svg")]
+    for path in paths:
+        write_figure(figure, path)
+    return paths

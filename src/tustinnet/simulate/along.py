@@ -1,0 +1,56 @@
+"""States along records: what a model's state is while positions and velocities are measured."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tustinnet.data.experiment import Experiment, VelocitySource
+from tustinnet.models.contract import Model
+from tustinnet.signals.stacking import stacked
+from tustinnet.simulate.drive import Drive, drives_of
+from tustinnet.simulate.rollout import rollout
+
+
+def states_along(
+    model: Model, experiments: Sequence[Experiment], velocity: VelocitySource = "auto"
+) -> list[Float[np.ndarray, "_ n_x"]]:
+    """Of each record the states [q, v, z] along it, (n, n_x).
+
+    Internal states begin at 0 and step with the model, whose positions and velocities are put
+    back to the measured ones at every sample.
+
+    Args:
+        model: the model.
+        experiments: the records.
+        velocity: where the velocities come from, see `Experiment.velocities`.
+    """
+    known = [np.concatenate([e.q, e.velocities(velocity)], axis=1) for e in experiments]
+    if not model.internal:
+        return known
+    # all of one length, so that one program serves them; nobody reads what follows a record's end
+    runs = followed(model, jnp.asarray(stacked(known)), drives_of(experiments))
+    internal = np.asarray(runs)[..., model.channels.internal]
+    return [np.concatenate([x, z[: len(x)]], axis=1) for x, z in zip(known, internal, strict=True)]
+
+
+@eqx.filter_jit
+def followed(
+    model: Model, known: Float[Array, "records n n_measured"], drive: Drive
+) -> Float[Array, "records n n_x"]:
+    """What a model says of every sample from the measured one before it, internal states from 0.
+
+    Args:
+        model: the model.
+        known: positions and velocities, (records, n, 2 n_q).
+        drive: what acts between the samples.
+    """
+
+    def one(known: Array, drive: Drive) -> Array:
+        internal = jnp.zeros(len(model.internal), known.dtype)
+        return rollout(model, jnp.concatenate([known[0], internal]), drive, known)
+
+    return jax.vmap(one)(known, drive)

@@ -1,0 +1,151 @@
+"""Initial states from which a model explains the first samples of a record best."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tustinnet.models.contract import Model, State
+from tustinnet.simulate.drive import Drive
+from tustinnet.simulate.rollout import precision, rollout
+
+FEWEST = 3  # samples that say something of a velocity
+_TURNS = 12  # Levenberg-Marquardt steps; from a parabola 3 or 4 are enough
+_FIRST_DAMPING = 1e-3
+_LEFT_OUT = (0.0, 0.25, 0.5)  # parts of the samples, from the first on
+_EXPLAINED = 3.0  # standard deviations (root mean square) that a model may leave
+_UNKNOWN_ERROR = 1e-3  # [rad or m], of positions whose resolution nobody declared
+
+
+def position_weights(model: Model) -> Float[np.ndarray, " n_q"]:
+    """One over the standard deviation of the positions' errors, (n_q,) [1/rad or 1/m].
+
+    An encoder that counts in steps of `r` errs by `r / sqrt(12)`.
+    """
+    errors = [r / np.sqrt(12.0) if r else _UNKNOWN_ERROR for r in model.channels.resolution]
+    return 1.0 / np.array(errors)
+
+
+def model_starts(
+    model: Model,
+    guess: Float[Array | np.ndarray, "batch n_x"],
+    drive: Drive,
+    q: Float[Array | np.ndarray, "batch samples n_q"],
+) -> Float[Array, "batch n_x"]:
+    """Initial states by least squares through the model.
+
+    Minimises the squared position errors over the samples, each over the encoder's standard
+    deviation; internal states are kept near the guess with a standard deviation of 1 in their
+    unit. Where that leaves more than 3 standard deviations (root mean square), something else
+    still acted, as a rule the hand that let go: the first quarter of the samples is left out,
+    then the first half. Where that does not help either, all samples count.
+
+    Levenberg-Marquardt with exact derivatives. The result can be differentiated by the
+    model's parameters: its last step is, at the solution, by the theorem of implicit functions
+    without the second derivatives of the residuals (as in Gauss-Newton).
+
+    Args:
+        model: the model.
+        guess: where the search begins, (batch, n_x).
+        drive: what acts between the samples, (batch, samples - 1, ...).
+        q: measured positions, (batch, samples, n_q).
+
+    Returns:
+        (batch, n_x).
+    """
+    begin, measured = jnp.asarray(guess), jnp.asarray(q)
+    drive = jax.tree.map(jnp.asarray, drive)
+    kind = precision(model, begin, jnp.asarray(drive.ends), measured)
+    weight = jnp.asarray(position_weights(model), kind)
+    return jax.vmap(partial(_one, model, weight))(begin.astype(kind), drive, measured)
+
+
+def _one(model: Model, weight: Array, guess: State, u: Drive, q: Array) -> State:
+    most = max(0, len(q) - FEWEST)  # fewer samples would be explained by any model
+    left_out = jnp.asarray([min(int(part * len(q)), most) for part in _LEFT_OUT])
+    kept = (jnp.arange(len(q)) >= left_out[:, None]).astype(guess.dtype)
+    weights = kept[:, :, None] * weight
+
+    # the search itself is not differentiated, only its solution
+    of, to, begin, drive, measured = jax.lax.stop_gradient((model, weights, guess, u, q))
+
+    def fitted(to: Array) -> _Fit:
+        return _fitted(lambda x: _residuals(of, to, begin, drive, measured, x), begin)
+
+    fits = jax.vmap(fitted)(to)
+    explained = fits.cost <= _EXPLAINED**2 * q.shape[1] * jnp.sum(kept, axis=1)
+    # the first that is explained; where none is, the fault is the model's and all samples count
+    chosen = jnp.argmax(explained)
+    solution = fits.x[chosen], fits.jacobian[chosen]
+    return _with_derivative(solution, model, weights[chosen], guess, u, q)
+
+
+def _residuals(model: Model, weight: Array, guess: State, u: Drive, q: Array, x: State) -> Array:
+    of = model.channels
+    error = (rollout(model, x, u)[:, of.position] - q) * weight
+    return jnp.concatenate([error.ravel(), (x - guess)[of.internal]])
+
+
+@eqx.filter_custom_jvp
+def _with_derivative(solution: tuple[State, Array], *arguments: Any) -> State:
+    """The solution; how it moves with the arguments of `_residuals` is known at it only."""
+    return solution[0]
+
+
+@_with_derivative.def_jvp
+def _move(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[State, State]:
+    (x, jacobian), *arguments = primals
+    _, moved = eqx.filter_jvp(partial(_residuals, x=x), tuple(arguments), tangents[1:])
+    return x, -_step(jacobian, moved, jnp.zeros((), x.dtype))
+
+
+class _Fit(NamedTuple):
+    """A state, its residuals, their derivatives by it and their squared sum."""
+
+    x: State
+    residuals: Array
+    jacobian: Array
+    cost: Array
+
+
+def _fitted(residuals: Callable[[State], Array], begin: State) -> _Fit:
+    """Levenberg-Marquardt."""
+
+    def again(x: State) -> tuple[Array, Array]:
+        found = residuals(x)
+        return found, found
+
+    def turn(_: Array, carry: tuple[_Fit, State, Array]) -> tuple[_Fit, State, Array]:
+        best, tried, damping = carry
+        jacobian, found = jax.jacfwd(again, has_aux=True)(tried)
+        there = _Fit(tried, found, jacobian, jnp.sum(found**2))
+        better = there.cost < best.cost
+        best = jax.tree.map(lambda yes, no: jnp.where(better, yes, no), there, best)
+        damping = jnp.where(better, damping / 10, damping * 10)
+        return best, best.x - _step(best.jacobian, best.residuals, damping), damping
+
+    # the beginning is what is tried first, so that the model is written into the program once
+    shape = jax.eval_shape(residuals, begin)
+    nothing = jnp.zeros(shape.shape, shape.dtype)
+    unknown = _Fit(
+        begin,
+        nothing,
+        jnp.zeros((*shape.shape, len(begin)), shape.dtype),
+        jnp.full((), jnp.inf, shape.dtype),
+    )
+    damping = jnp.asarray(10 * _FIRST_DAMPING, begin.dtype)
+    return jax.lax.fori_loop(0, 1 + _TURNS, turn, (unknown, begin, damping))[0]
+
+
+def _step(jacobian: Array, r: Array, damping: Array) -> State:
+    normal = jacobian.T @ jacobian
+    # columns in units of their own size: positions, velocities, whatever a state stands for
+    size = jnp.sqrt(jnp.diagonal(normal))
+    size = jnp.where(size > 0, size, 1.0)
+    scaled = normal / (size[:, None] * size) + damping * jnp.eye(len(size), dtype=size.dtype)
+    return jnp.linalg.solve(scaled, jacobian.T @ r / size) / size

@@ -1,0 +1,64 @@
+"""Linear models about a point."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tustinnet.errors import InputError
+from tustinnet.models.contract import ContinuousModel, Model
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """`dx' = A dx + B du` about a point, or `dx[k+1] = A dx[k] + B du[k]` of a discrete model.
+
+    Attributes:
+        a: A, (n_x, n_x).
+        b: B, (n_x, n_u).
+        drift: how fast the point itself moves, (n_x,) [per second; per sample of a discrete model];
+            0 at an equilibrium.
+        dt: sampling period of a discrete model [s], None of a continuous one.
+    """
+
+    a: Float[np.ndarray, "n_x n_x"]
+    b: Float[np.ndarray, "n_x n_u"]
+    drift: Float[np.ndarray, " n_x"]
+    dt: float | None
+
+
+def linearize(
+    model: ContinuousModel | Model,
+    x: Float[Array | np.ndarray, " n_x"],
+    u: Float[Array | np.ndarray, " n_u"],
+) -> Linearisation:
+    """Linearises a model by automatic differentiation.
+
+    Args:
+        model: a continuous model, or a discrete one.
+        x: the state, usually an equilibrium, (n_x,); `drift` tells how far from one it is.
+        u: the inputs there, (n_u,).
+
+    Raises:
+        InputError: shapes that the model does not have.
+    """
+    n_x, n_u = model.state_size, model.channels.n_u
+    at, inputs = jnp.asarray(x), jnp.asarray(u)
+    if at.shape != (n_x,) or inputs.shape != (n_u,):
+        raise InputError(
+            "linearize",
+            f"x of shape {at.shape}, u of shape {inputs.shape}",
+            f"({n_x},) and ({n_u},)",
+        )
+    discrete = isinstance(model, Model)
+    function = model.step if discrete else model.derivative
+    a, b = jax.jacfwd(function, argnums=(0, 1))(at, inputs)
+    moved = function(at, inputs)
+    return Linearisation(
+        np.asarray(a),
+        np.asarray(b),
+        np.asarray(moved - at if discrete else moved),
+        model.dt if discrete else None,
+    )

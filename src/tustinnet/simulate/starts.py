@@ -1,0 +1,276 @@
+"""Where a free run starts: the state at a sample of a record, guessed from samples around it.
+
+A start is one class here and one entry of `STARTS`.
+"""
+
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tustinnet.data.experiment import Experiment
+from tustinnet.errors import InputError
+from tustinnet.models.contract import Model
+from tustinnet.signals.derivatives import polynomial_fit
+from tustinnet.simulate.along import followed
+from tustinnet.simulate.drive import drives_of
+from tustinnet.simulate.fitted_start import FEWEST, model_starts
+
+DERIVED = 6  # samples of the usual parabola
+_FEWEST_DERIVED = 3
+
+
+@dataclass(frozen=True)
+class Start(ABC):
+    """A rule that guesses the state at a sample of a record.
+
+    Attributes:
+        samples: how many samples it is given, from the record's first on.
+    """
+
+    pattern: ClassVar[str]
+
+    samples: int
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """What scores call it."""
+
+    @property
+    def first(self) -> int:
+        """The sample at which the free run begins."""
+        return 0
+
+    @property
+    def fitted(self) -> int:
+        """Samples that any model then simulates well, because the state was chosen for them."""
+        return 0
+
+    @abstractmethod
+    def material(self, model: Model, experiments: Sequence[Experiment]) -> Any:
+        """What `states` needs of records, arrays with the record first.
+
+        Raises:
+            InputError: a record that does not have what the start asks for.
+        """
+
+    def states(self, model: Model, material: Any) -> Float[Array, "records n_x"]:
+        """The states; can be compiled, and differentiated by the model."""
+        return jnp.asarray(material)
+
+
+class Stored(Start):
+    """`file`: the first row as it is stored, velocities included."""
+
+    pattern: ClassVar[str] = r"file"
+
+    @property
+    def name(self) -> str:
+        """`file`."""
+        return "file"
+
+    def material(self, model: Model, experiments: Sequence[Experiment]) -> Any:
+        """The first rows, internal states at 0."""
+        return np.stack([padded(model, _stored(e)) for e in experiments])
+
+
+class Derived(Start):
+    """`derived-N`: the least-squares parabola through the first N samples, at their times."""
+
+    pattern: ClassVar[str] = r"derived-(\d+)"
+
+    @property
+    def name(self) -> str:
+        """`derived-N`."""
+        return f"derived-{self.samples}"
+
+    def material(self, model: Model, experiments: Sequence[Experiment]) -> Any:
+        """Values and slopes at the first sample, internal states at 0."""
+        for e in experiments:
+            _require_samples(e, self.name, self.samples, _FEWEST_DERIVED, "the parabola")
+        return np.stack([padded(model, parabola(e, 0, self.samples)) for e in experiments])
+
+
+class Fitted(Start):
+    """`model-N`: the state from which the model explains the first N samples best."""
+
+    pattern: ClassVar[str] = r"model-(\d+)"
+
+    @property
+    def name(self) -> str:
+        """`model-N`."""
+        return f"model-{self.samples}"
+
+    @property
+    def fitted(self) -> int:
+        """All N."""
+        return self.samples
+
+    def material(self, model: Model, experiments: Sequence[Experiment]) -> Any:
+        """Where the search begins, parabolas; the inputs and positions of the first samples."""
+        for e in experiments:
+            _require_samples(e, self.name, self.samples, FEWEST, "the fit")
+        reach = min(self.samples, DERIVED)
+        guess = np.stack([padded(model, parabola(e, 0, reach)) for e in experiments])
+        drive = drives_of([e[: self.samples] for e in experiments])
+        return guess, drive, np.stack([e.q[: self.samples] for e in experiments])
+
+    def states(self, model: Model, material: Any) -> Float[Array, "records n_x"]:
+        """Least squares through the model, see `model_starts`."""
+        return model_starts(model, *material)
+
+
+class WarmUp(Start):
+    """`warm-up-N`: internal states follow the first N samples; the run begins at the last of them.
+
+    Positions and velocities there are those of the parabola through the 6 samples up to it, so
+    that nothing later is used. For models whose internal states say what the past was.
+    """
+
+    pattern: ClassVar[str] = r"warm-up-(\d+)"
+
+    @property
+    def name(self) -> str:
+        """`warm-up-N`."""
+        return f"warm-up-{self.samples}"
+
+    @property
+    def first(self) -> int:
+        """The last of the N samples."""
+        return self.samples - 1
+
+    @property
+    def fitted(self) -> int:
+        """All N."""
+        return self.samples
+
+    def material(self, model: Model, experiments: Sequence[Experiment]) -> Any:
+        """Positions and velocities along the first N samples, and the inputs."""
+        for e in experiments:
+            _require_samples(e, self.name, self.samples, DERIVED, "the warm-up")
+        heads = [e[: self.samples] for e in experiments]
+        known = [np.concatenate([e.q, e.velocities("stencil")], axis=1) for e in heads]
+        for x, e in zip(known, heads, strict=True):
+            x[-1] = parabola(e, self.first, DERIVED)
+        return np.stack(known), drives_of(heads)
+
+    def states(self, model: Model, material: Any) -> Float[Array, "records n_x"]:
+        """The measured state with the internal states that the samples led to."""
+        known, drive = material
+        run = followed(model, jnp.asarray(known), drive)
+        internal = run[:, -1, model.channels.internal]
+        return jnp.concatenate([jnp.asarray(known)[:, -1].astype(run.dtype), internal], axis=1)
+
+
+STARTS: tuple[type[Start], ...] = (Stored, Derived, Fitted, WarmUp)
+
+
+def start_named(name: str) -> Start:
+    """A start by its name: `file`, `derived-6`, `model-20`, `warm-up-20`, any number in its place.
+
+    Raises:
+        InputError: no such start.
+    """
+    for kind in STARTS:
+        match = re.fullmatch(kind.pattern, name)
+        if match:
+            return kind(int(match[1]) if match.groups() else 1)
+    raise InputError(
+        "start",
+        f"unknown start '{name}'",
+        "'file', 'derived-N' such as derived-6, 'model-N' such as model-20, or 'warm-up-N'",
+    )
+
+
+def default_start(experiments: Sequence[Experiment], model: Model | None = None) -> str:
+    """The start that is used where nobody names one.
+
+    A warm-up for models that need one; else `file` where every record stores velocities, else
+    `derived-6`.
+    """
+    if model is not None and model.warm_up:
+        return WarmUp(model.warm_up).name
+    return "file" if all(e.v is not None for e in experiments) else Derived(DERIVED).name
+
+
+def start_states(
+    model: Model, experiments: Sequence[Experiment], start: str | Start
+) -> Float[np.ndarray, "records n_x"]:
+    """Where the free runs of records start, (records, n_x).
+
+    Args:
+        model: the model.
+        experiments: the records.
+        start: a start, or the name of one.
+
+    Raises:
+        InputError: an unknown start, or records too short for it.
+    """
+    rule = start_named(start) if isinstance(start, str) else start
+    return np.asarray(_states(rule, model, rule.material(model, experiments)))
+
+
+@eqx.filter_jit
+def _states(rule: Start, model: Model, material: Any) -> Float[Array, "records n_x"]:
+    return rule.states(model, material)
+
+
+def initial_state(experiment: Experiment, start: str) -> Float[np.ndarray, " n_x"]:
+    """The initial state of a record's free run without a model, [q, v], (2 n_q,).
+
+    Args:
+        experiment: the record.
+        start: `file`, the first row as it is stored, velocities included; or `derived-N`, the
+            least-squares parabola through the first N samples (6 is usual).
+
+    Raises:
+        InputError: an unknown start, no velocities for `file`, too few samples for `derived-N`.
+    """
+    rule = start_named(start)
+    if rule.fitted:
+        raise InputError(
+            "start", f"'{start}' without a model", "'file', 'derived-N' such as derived-6",
+            "use start_states",
+        )  # fmt: skip
+    if isinstance(rule, Stored):
+        return _stored(experiment)
+    _require_samples(experiment, rule.name, rule.samples, _FEWEST_DERIVED, "the parabola")
+    return parabola(experiment, 0, rule.samples)
+
+
+def padded(model: Model, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n_x"]:
+    """Positions and velocities with the model's internal states at 0."""
+    return np.concatenate([x, np.zeros(model.state_size - len(x))])
+
+
+def parabola(e: Experiment, k: int, samples: int) -> Float[np.ndarray, " n"]:
+    """Value and slope at sample k of the least-squares parabola through so many samples there.
+
+    At the beginning of a record these are the first ones, else those up to sample k.
+    """
+    near = slice(max(0, k + 1 - samples), max(k + 1, samples))
+    q, v = polynomial_fit(e.t[near], e.q[near], 2, at=e.t[k : k + 1])
+    return np.concatenate([q[0], v[0]])
+
+
+def _stored(e: Experiment) -> Float[np.ndarray, " n"]:
+    if e.v is None:
+        raise InputError(
+            e.name,
+            "start 'file' without velocity columns",
+            "velocities in the file",
+            f"use the start '{Derived(DERIVED).name}'",
+        )
+    return np.concatenate([e.q[0], e.v[0]])
+
+
+def _require_samples(e: Experiment, name: str, samples: int, fewest: int, what: str) -> None:
+    if not fewest <= samples <= len(e):
+        raise InputError(e.name, f"start '{name}'", f"{fewest} to {len(e)} samples for {what}")

@@ -1,0 +1,85 @@
+"""How many integration steps a sampling period needs."""
+
+import math
+from collections.abc import Callable, Sequence
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from tustinnet.data.experiment import Experiment
+from tustinnet.errors import InputError
+from tustinnet.models.contract import ContinuousModel
+from tustinnet.models.integrate import discretise
+from tustinnet.simulate.drive import Drive, drives_of
+from tustinnet.simulate.rollout import rollout
+from tustinnet.simulate.starts import default_start, start_states
+
+PROBED_SECONDS = 2.0  # of each record
+_MOST_SUBSTEPS = 64
+
+
+def choose_substeps(
+    model: ContinuousModel, experiments: Sequence[Experiment], tolerance: float
+) -> int:
+    """How many Runge-Kutta steps a sampling period needs.
+
+    The first 2 s of every record are simulated with 1, 2, 4, ... substeps until the positions are
+    within the tolerance.
+
+    Args:
+        model: the model.
+        experiments: records that show the speeds it is to be simulated at.
+        tolerance: the error target, largest position error within these 2 s [rad or m].
+
+    Returns:
+        A power of two, at most 64.
+    """
+    if not tolerance > 0:
+        raise InputError("choose_substeps", f"tolerance {tolerance:g}", "a positive number")
+    dt = experiments[0].dt
+    steps = max(1, round(PROBED_SECONDS / dt))
+    probed = [e[: steps + 1] for e in experiments]
+    x0 = start_states(discretise(model, dt), probed, default_start(probed))
+    drive = drives_of(probed)
+
+    def positions(substeps: int) -> np.ndarray:
+        return np.asarray(_positions(model, x0, drive, dt, substeps))
+
+    return enough_substeps(positions, tolerance)
+
+
+def enough_substeps(positions: Callable[[int], np.ndarray], tolerance: float) -> int:
+    """The least power of two whose positions are within a tolerance, at most 64.
+
+    Positions that stay infinite whatever the number get 1: more steps would not mend them.
+
+    Compared with twice as many; a fourth-order method leaves 15/16 of that difference to the
+    coarser one's error.
+
+    Args:
+        positions: simulates with a number of substeps.
+        tolerance: largest error allowed [rad or m].
+    """
+    substeps, coarse = 1, positions(1)
+    while substeps < _MOST_SUBSTEPS:
+        fine = positions(2 * substeps)
+        error = float(np.max(np.abs(fine - coarse))) * 16 / 15
+        if math.isfinite(error) and error < tolerance:
+            return substeps
+        substeps, coarse = 2 * substeps, fine
+    return substeps if np.isfinite(coarse).all() else 1
+
+
+@eqx.filter_jit
+def _positions(
+    model: ContinuousModel,
+    x0: Float[Array | np.ndarray, "records n_x"],
+    drive: Drive,
+    dt: float,
+    substeps: int,
+) -> Float[Array, "records samples n_q"]:
+    stepped = discretise(model, dt, substeps)
+    runs = jax.vmap(lambda x, u: rollout(stepped, x, u))(x0, drive)
+    return runs[..., model.channels.position]

@@ -1,0 +1,79 @@
+"""Records as a folder of CSV files with a data card."""
+
+from pathlib import Path
+
+import numpy as np
+import tomli_w
+
+from tustinnet.data.catalog import CARD_NAME
+from tustinnet.data.dataset import DataSet
+from tustinnet.data.experiment import Experiment
+from tustinnet.store.files import require_new, require_writable_folder, write_atomically
+
+
+def write_data_set(
+    data: DataSet, folder: Path, description: str, *, overwrite: bool = False
+) -> Path:
+    """Writes records in the layout of the published Qube-Servo 2 logs, and a card that reads them.
+
+    Columns without header: inputs, positions, time, then velocities where the records have them.
+
+    Args:
+        data: the records.
+        folder: where to; a file a record in a subfolder a split.
+        description: what the card says of them.
+        overwrite: replace files that are there.
+
+    Returns:
+        The data card.
+    """
+    paths = {e.name: folder / (e.split or "") / f"{e.name}.csv" for e in data}
+    card = folder / CARD_NAME
+    require_new([card, *paths.values()], overwrite=overwrite)
+    require_writable_folder(folder)
+    for e in data:
+        write_atomically(paths[e.name], _rows(e))
+    write_atomically(card, _card(data, folder, paths, description))
+    return card
+
+
+def _rows(e: Experiment) -> str:
+    columns = [e.u, e.q, e.t[:, None], *([] if e.v is None else [e.v])]
+    table = np.concatenate(columns, axis=1)
+    return "".join(",".join(f"{x:.9g}" for x in row) + "\n" for row in table)
+
+
+def _card(data: DataSet, folder: Path, paths: dict[str, Path], description: str) -> str:
+    first, of = data[0], data.channels
+    time = of.n_u + of.n_q + 1
+    inputs = [
+        {"name": i.name, "column": k, "unit": i.unit, "hold": i.hold}
+        | ({"limits": list(i.limits)} if i.limits else {})
+        for k, i in enumerate(of.inputs, 1)
+    ]
+    coordinates = [
+        {"name": c.name, "kind": c.kind, "column": k, "unit": c.unit}
+        | ({"resolution": c.resolution} if c.resolution else {})
+        | ({} if first.v is None else {"velocity": {
+            "column": k + of.n_q + 1, "unit": f"{c.unit}/s", "measured": first.v_measured,
+        }})
+        for k, c in enumerate(of.coordinates, of.n_u + 1)
+    ]  # fmt: skip
+    splits = {
+        split: [
+            {"file": paths[e.name].relative_to(folder).as_posix(), "name": e.name}
+            for e in data.split(split)
+        ]
+        for split in data.splits
+    }
+    card = {
+        "name": data.name,
+        "description": description,
+        "dt": data.dt,
+        "format": {"header": False, "columns": time + (0 if first.v is None else of.n_q)},
+        "time": {"column": time},
+        "inputs": inputs,
+        "coordinates": coordinates,
+        "splits": splits,
+    }
+    return tomli_w.dumps(card)

@@ -1,0 +1,30 @@
+"""Simulated records as CSV files."""
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from tustinnet.data.experiment import Experiment
+from tustinnet.store.files import write_atomically
+
+
+def write_simulation(
+    path: Path, experiment: Experiment, states: Float[np.ndarray, "n n_x"]
+) -> None:
+    """Writes time, inputs, simulated positions and velocities, measured positions of a record.
+
+    SI units; a header names the columns after the channels, `NAME_dot` for velocities and
+    `NAME_measured` for the record's positions.
+    """
+    import polars as pl
+
+    q, v = states[:, experiment.channels.position], states[:, experiment.channels.velocity]
+    columns = {"time": experiment.t}
+    columns |= {c.name: experiment.u[:, j] for j, c in enumerate(experiment.inputs)}
+    columns |= {c.name: q[:, j] for j, c in enumerate(experiment.coordinates)}
+    columns |= {f"{c.name}_dot": v[:, j] for j, c in enumerate(experiment.coordinates)}
+    columns |= {
+        f"{c.name}_measured": experiment.q[:, j] for j, c in enumerate(experiment.coordinates)
+    }
+    write_atomically(path, pl.DataFrame(columns).write_csv())

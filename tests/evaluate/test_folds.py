@@ -1,0 +1,366 @@
+"""Cross-validation: every record scored by models that never saw it."""
+
+import json
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from swinging import DT, SWING, TRUTH, records, swing_model
+
+import tustinnet as tn
+from tustinnet.evaluate import folds
+from tustinnet.evaluate.folds import (
+    Deal,
+    FoldScore,
+    Question,
+    Validated,
+    cross_validate,
+    dealt,
+    make_question,
+)
+from tustinnet.fitting.gradient.material import Pool
+from tustinnet.fitting.gradient.plan import Plan, groups_alike
+from tustinnet.fitting.report import FitResult
+from tustinnet.fitting.roles import Roles
+from tustinnet.fitting.task import Fold, Member, Task
+from tustinnet.models.integrate import Discretised
+from tustinnet.store.files import to_json
+
+TINY: dict[str, Any] = {
+    "name": "tiny",
+    "model": {"hidden": [5]},
+    "stages": [
+        {"name": "only", "windows": {"draw": "strided", "length": 10, "step": 8}, "rate": 3e-3,
+         "epochs": 2, "batch": 16}
+    ],
+}  # fmt: skip
+HYBRID = {**TINY, "model": {"kind": "hybrid", "correction": {"hidden": [4]}}}
+
+
+def names(experiments) -> list[str]:
+    return [e.name for e in experiments]
+
+
+def short(split: str | None = None, kinds: str = "aaaabbbc") -> tn.DataSet:
+    """Records of some kinds."""
+    made = [
+        tn.from_arrays(
+            np.sin(np.arange(20) * 0.1 + i), dt=DT, coordinates={"a": "angular"},
+            name=f"{kind}{i}", split=split,
+        )
+        for i, kind in enumerate(kinds)
+    ]  # fmt: skip
+    return tn.DataSet("short", tuple(made))
+
+
+# --- how records are dealt ---
+
+
+@pytest.mark.parametrize("count", [3, 4, 5, 8])
+def test_every_record_is_scored_once_and_has_no_other_part_in_its_fold(count):
+    data = short()
+    deals = dealt(data, count)
+    assert len(deals) == count
+    assert sorted(names(e for d in deals for e in d.scored)) == sorted(names(data))
+    for d in deals:
+        parts = [set(names(of)) for of in (d.scored, d.roles.train, d.roles.validation)]
+        assert all(parts)
+        assert set.union(*parts) == set(names(data))
+        assert sum(map(len, parts)) == len(data)
+
+
+def test_the_fold_after_the_scored_one_chooses():
+    deals = dealt(short(), 4)
+    assert [d.roles.validation for d in deals] == [d.scored for d in (*deals[1:], deals[0])]
+
+
+def test_records_of_a_kind_are_spread_over_the_folds():
+    for d in dealt(short(kinds="aaaabbbb"), 4):
+        assert sorted(name[0] for name in names(d.scored)) == ["a", "b"]
+
+
+def test_records_of_the_split_test_stay_out():
+    data = short(split="train")
+    without = tn.DataSet(
+        "some", tuple(replace(e, split="test") if e.name in ("a0", "b4") else e for e in data)
+    )
+    deals = dealt(without, 3)
+    seen = {e.name for d in deals for e in (*d.scored, *d.roles.all)}
+    assert seen == set(names(data)) - {"a0", "b4"}
+
+
+@pytest.mark.parametrize(
+    ("kinds", "count", "told"),
+    [
+        ("aaaa", 2, "2 folds of 4 records; expected 3 to 4"),
+        ("aaaa", 5, "5 folds of 4 records; expected 3 to 4"),
+        ("aa", 3, "expected at least 3 records"),
+    ],
+)
+def test_too_few_folds_or_records_are_refused(kinds, count, told):
+    with pytest.raises(tn.InputError, match=told):
+        dealt(short(kinds=kinds), count)
+
+
+# --- what is asked ---
+
+
+@pytest.mark.parametrize(
+    ("recipe", "given", "told"),
+    [
+        ("standard", {"physics": "best-grey"}, "--physics: means nothing to .* 'tustin-net'"),
+        ("grey", {"physics": "best-grey"}, "--physics: means nothing to .* 'euler-lagrange'"),
+        ("grey", {"seeds": (0, 1), "system": SWING}, "--seeds: an identification has no seeds"),
+        ("standard", {"system": SWING}, "--system: a system, which means nothing"),
+        ("grey", {}, "--system: no system"),
+        ("best-hybrid", {}, "--system: no system"),
+        ("best-hybrid", {"physics": "standard"}, "--physics: a recipe of kind 'tustin-net'"),
+        ("standard", {"seeds": (1, 1)}, r"--seeds: \[1, 1\]; expected at least one, all diff"),
+        ("standard", {"seeds": ()}, r"--seeds: \[\]"),
+        ("standard", {"starts": ("here",)}, "unknown start 'here'"),
+        ("nothing", {}, "no recipe 'nothing'"),
+    ],
+)
+def test_what_means_nothing_or_is_missing_is_refused_by_name(recipe, given, told):
+    with pytest.raises(tn.InputError, match=told):
+        make_question(recipe, **given)
+
+
+def test_a_question_is_filled_with_what_is_usual():
+    asked = make_question("best-hybrid", system=SWING)
+    assert asked.physics == tn.read_recipe("best-grey")
+    assert asked.system is SWING
+    assert (asked.folds, asked.seeds, asked.starts) == (5, (0,), ())
+    grey = make_question("grey", system="qube-servo2")
+    assert grey.physics is None
+    assert grey.system is not None
+    assert grey.system.name == "qube-servo2"
+
+
+def test_a_recipe_may_name_the_system():
+    named = tn.read_recipe("best-grey", ["model.system=qube-servo2"])
+    for asked in (make_question(named), make_question("best-hybrid", physics=named)):
+        assert asked.system is not None
+        assert asked.system.name == "qube-servo2"
+
+
+# --- what is done: trainings ---
+
+
+@pytest.fixture(scope="module")
+def done(pendulum) -> tuple[Validated, list[Plan], list[FitResult]]:
+    """Three folds and two seeds, and every plan that was trained, and what came of it."""
+    plans: list[Plan] = []
+    results: list[FitResult] = []
+
+    def train(prepared, listener):
+        plans.append(prepared)
+        results.extend(train_plan(prepared, listener))
+        return results[-len(prepared.members) :]
+
+    with pytest.MonkeyPatch.context() as patch:
+        train_plan = folds.train_plan
+        patch.setattr(folds, "train_plan", train)
+        asked = make_question(TINY, folds=3, seeds=(4, 7), starts=("derived-6", "derived-8"))
+        return cross_validate(pendulum, asked), plans, results
+
+
+def test_every_record_is_scored_by_all_seeds(done, pendulum):
+    found, _, _ = done
+    scored = sorted((s.record, s.seed) for s in found.scores)
+    assert scored == sorted((e.name, seed) for e in pendulum for seed in (4, 7))
+    fold_of = {e.name: f for f, d in enumerate(dealt(pendulum, 3)) for e in d.scored}
+    assert all(s.fold == fold_of[s.record] for s in found.scores)
+    assert all(set(s.rmse) == {"derived-6", "derived-8"} for s in found.scores)
+    assert all(math.isfinite(r) for s in found.scores for r in s.rmse.values())
+
+
+def test_members_of_all_folds_train_together(done):
+    found, plans, results = done
+    assert len(plans) == 1
+    assert [(m.fold, m.seed) for m in plans[0].members] == [
+        (fold, seed) for fold in (0, 1, 2) for seed in (4, 7)
+    ]
+    assert list(found.outcomes) == [
+        f"fold {fold}, seed {seed}" for fold in (0, 1, 2) for seed in (4, 7)
+    ]
+    assert set(found.outcomes.values()) == {"finished"}
+    assert found.seconds == pytest.approx(sum(r.seconds for r in results))
+
+
+def test_no_member_sees_the_records_that_it_is_scored_on(done, pendulum):
+    _, [prepared], _ = done
+    deals = dealt(pendulum, 3)
+    pool = Pool([e for d in deals for e in d.roles.all])
+    length = prepared.stages[0].windows.length
+    for m, member in enumerate(prepared.members):
+        deal = deals[member.fold]
+        assert prepared.task.folds[member.fold].roles == deal.roles
+        rows = prepared.stages[0].windows.rows[m]
+        own = {
+            row: e.name for e in deal.roles.train
+            for row in range(pool.begin[e.name], pool.begin[e.name] + len(e) - length)
+        }  # fmt: skip
+        assert {own[row] for row in rows.tolist()} == set(names(deal.roles.train))
+        assert prepared.validation is not None
+        counted = np.asarray(prepared.chosen[m])[np.asarray(prepared.counted[m]) > 0]
+        assert len(counted) == len(deal.roles.validation)
+        for i, e in zip(counted, deal.roles.validation, strict=True):
+            judged = np.asarray(prepared.validation.q[i, : len(e)])
+            np.testing.assert_allclose(judged, e.q, rtol=1e-6)
+
+
+def test_the_score_of_a_record_is_that_of_its_folds_model(done, pendulum):
+    found, _, results = done
+    by = {(r.member.fold, r.seed): r.model for r in results}
+    for s in (found.scores[0], found.scores[-1]):
+        [score] = tn.evaluate(by[s.fold, s.seed], pendulum[s.record], "derived-6")
+        # alone it is not summed in the order in which it is beside other records
+        assert s.rmse["derived-6"] == pytest.approx(score.rmse, rel=1e-6)
+
+
+def test_members_of_folds_are_what_they_are_alone(done):
+    # the first fold trains on the fewest windows: together, all have as many
+    _, [prepared], results = done
+    [alone] = folds.train_plan(folds.plan(prepared.task.of(prepared.members[:1])))
+    assert alone.member == results[0].member == Member(4, fold=0)
+    assert alone.told("windows") == results[0].told("windows")
+    assert alone.validation_rmse == pytest.approx(results[0].validation_rmse, rel=1e-3)
+
+
+def test_the_summary_is_what_one_computes_by_hand(done, pendulum):
+    found, _, _ = done
+    for start in ("derived-6", "derived-8"):
+        table = {
+            e.name: [s.rmse[start] for s in found.scores if s.record == e.name] for e in pendulum
+        }
+        means = [sum(of) / 2 for of in table.values()]
+        mean = sum(means) / 5
+        error = math.sqrt(sum((m - mean) ** 2 for m in means) / 4) / math.sqrt(5)
+        told = found.summary()[start]
+        assert told["mean"] == pytest.approx(mean)
+        assert told["standard_error"] == pytest.approx(error)
+        assert found.means(start) == pytest.approx(
+            {name: sum(of) / 2 for name, of in table.items()}
+        )
+        for i, seed in enumerate((4, 7)):
+            by_seed = sum(of[i] for of in table.values()) / 5
+            assert told["by_seed"][str(seed)] == pytest.approx(by_seed)
+
+
+def test_what_was_found_is_the_same_after_a_file(done):
+    found, _, _ = done
+    plain = found.as_plain()
+    assert json.loads(to_json(plain)) == plain
+    assert plain["unit"] == "rad"
+    assert len(plain["records"]) == 10
+
+
+def test_a_free_run_that_left_all_bounds_is_null_in_a_file():
+    scores = tuple(FoldScore(f"r{i}", i, 0, {"file": x}) for i, x in enumerate((1.0, math.inf)))
+    kept = json.loads(to_json(Validated("tiny", "rad", scores, {}, 0.0).as_plain()))
+    assert [r["rmse"]["file"] for r in kept["records"]] == [1.0, None]
+    assert kept["summary"]["file"]["mean"] is None
+    assert kept["summary"]["file"]["standard_error"] is None
+
+
+def test_folds_whose_windows_differ_in_length_do_not_train_together(pendulum):
+    adapting = tn.read_recipe(TINY, ["stages.0.windows.adapt=true", "stages.0.windows.length=50"])
+    whole, cut = (Fold(Roles((part,), (pendulum[1],))) for part in (pendulum[0], pendulum[0][:60]))
+    members = tuple(Member(seed, fold=f) for f in range(3) for seed in (0, 1))
+    task = Task(adapting, (whole, cut, whole), members)
+    assert [[m.fold for m in group] for group in groups_alike(task)] == [[0, 0, 2, 2], [1, 1]]
+    alike = Task(tn.read_recipe(TINY), (whole, cut, whole), members)
+    assert groups_alike(alike) == [list(members)]
+
+
+# --- what is done: identifications ---
+
+
+@pytest.fixture
+def identified(monkeypatch) -> list[Task]:
+    """Instead of identifying, the true model is the answer; every task that was asked for."""
+    asked: list[Task] = []
+
+    def fit_task(task, listener):
+        asked.append(task)
+        return [
+            FitResult(tn.discretise(swing_model(TRUTH | {"gain": 0.15 + member.fold}), DT, 8),
+                      task.recipe, member, "finished", True, "file", None, 1.0)
+            for member in task.members
+        ]  # fmt: skip
+
+    monkeypatch.setattr(folds, "fit_task", fit_task)
+    return asked
+
+
+def swinging() -> tuple[tn.DataSet, list[Deal]]:
+    data = tn.DataSet("swing", tuple(records()))
+    return data, dealt(data, 3)
+
+
+def test_an_identification_has_all_records_that_are_not_scored(identified):
+    data, deals = swinging()
+    found = cross_validate(data, make_question("best-grey", system=SWING, folds=3, starts=["file"]))
+    [task] = identified
+    assert task.system is SWING
+    assert task.members == tuple(Member(fold=f) for f in range(3))
+    assert [f.roles for f in task.folds] == [Roles(d.roles.all, ()) for d in deals]
+    # the model of fold 0 has the gain that made the records
+    right = [s for s in found.scores if s.fold == 0]
+    assert all(s.rmse["file"] < 1e-6 for s in right)
+    assert sorted(s.record for s in found.scores) == sorted(names(data))
+
+
+def test_records_that_choose_how_to_begin_are_left_to_an_identification_that_needs_them(identified):
+    data, deals = swinging()
+    cross_validate(data, make_question("grey", system=SWING, folds=3, starts=["file"]))
+    assert [f.roles for f in identified[0].folds] == [d.roles for d in deals]
+
+
+def test_a_hybrid_corrects_the_physics_of_its_own_fold(identified, monkeypatch):
+    data, deals = swinging()
+    plans: list[Plan] = []
+
+    def train_plan(prepared, listener):
+        plans.append(prepared)
+        return [
+            FitResult(model, prepared.recipe, m, "finished", True, "file", None, 1.0)
+            for m, model in zip(prepared.members, prepared.given, strict=True)
+        ]
+
+    monkeypatch.setattr(folds, "train_plan", train_plan)
+    asked = make_question(HYBRID, system=SWING, folds=3, seeds=(0, 1), starts=["file"])
+    found = cross_validate(data, asked)
+    assert [f.roles for f in identified[0].folds] == [Roles(d.roles.all, ()) for d in deals]
+    [prepared] = plans
+    assert prepared.task.system is None
+    assert [f.roles for f in prepared.task.folds] == [d.roles for d in deals]
+    gains = []
+    for model in prepared.given:
+        assert isinstance(model, tn.HybridModel)
+        assert isinstance(model.physics, Discretised)
+        assert isinstance(model.physics.continuous, tn.LagrangianModel)
+        gains.append(model.physics.continuous.values["gain"])
+    assert [round(float(g), 2) for g in gains] == [0.15, 0.15, 1.15, 1.15, 2.15, 2.15]
+    assert len(found.scores) == 2 * len(data)
+
+
+def test_whoever_wants_to_know_is_given_what_runs_together(identified):
+    data, _ = swinging()
+    told: list[object] = []
+
+    def tell(task):
+        told.append(task)
+        return folds.SILENT
+
+    cross_validate(data, make_question("best-grey", system=SWING, folds=3, starts=["file"]), tell)
+    assert told == identified
+
+
+def test_the_usual_starts_are_the_usual_one_and_a_fitted_one(identified):
+    data, _ = swinging()
+    found = cross_validate(data, Question(tn.read_recipe("best-grey"), system=SWING, folds=3))
+    assert set(found.scores[0].rmse) == {"file", "model-20"}

@@ -1,0 +1,203 @@
+"""The Tustin-Net as the paper's equations define it."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import tustinnet as tn
+from tustinnet.families.tustin_net import TustinNet, random_tustin_net
+from tustinnet.models.blocks import (
+    ACTIVATIONS,
+    Affine,
+    Scaling,
+    feature_count,
+    fold,
+    learn_scaling,
+)
+from tustinnet.models.contract import require_fit, with_dtype
+from tustinnet.simulate.along import states_along
+
+MIXED = (tn.Coordinate("cart", "linear"), tn.Coordinate("pole", "angular"))
+FORCE = (tn.Input("force", "N"),)
+
+
+def unit_scaling(coordinates: tuple[tn.Coordinate, ...], inputs: int) -> Scaling:
+    linear = sum(c.kind == "linear" for c in coordinates)
+    n_q = len(coordinates)
+    return Scaling(
+        jnp.zeros(linear), jnp.ones(linear), jnp.ones(n_q), jnp.ones(inputs), jnp.ones(n_q)
+    )
+
+
+def network(
+    coordinates: tuple[tn.Coordinate, ...] = MIXED,
+    inputs: tuple[tn.Input, ...] = FORCE,
+    seed: int = 0,
+    **options,
+) -> TustinNet:
+    scaling = unit_scaling(coordinates, len(inputs))
+    channels = tn.Channels(coordinates, inputs, 0.01)
+    return random_tustin_net(
+        channels, scaling, jax.random.key(seed), **{"hidden": (8, 6), **options}
+    )
+
+
+def test_step_is_the_papers_equations_written_out():
+    model = with_dtype(
+        network((tn.Coordinate("a", "angular"), tn.Coordinate("b", "angular"))), np.float64
+    )
+    q, v, u = np.array([0.3, 4.0]), np.array([-1.0, 2.0]), np.array([0.7])
+    z = np.concatenate([np.sin(q), np.cos(q), v, u])
+    for layer in model.network.hidden:
+        z = np.asarray(layer.weight) @ z + np.asarray(layer.bias)
+        z = np.where(z > 0, z, 0.01 * z)
+    v_next = v + 0.01 * np.asarray(model.network.output.weight) @ z
+    q_next = q + 0.01 * (v + v_next) / 2
+    x = model.step(jnp.concatenate([q, v]), jnp.asarray(u))
+    np.testing.assert_allclose(x, np.concatenate([q_next, v_next]), rtol=1e-13)
+
+
+def test_output_has_no_bias_unless_asked_for():
+    assert network().network.output.bias is None
+    assert network(output_bias=True).network.output.bias is not None
+
+
+def test_linear_coordinates_enter_as_they_are_and_angles_by_sine_and_cosine():
+    model = network()
+    x, u = jnp.array([2.0, 0.5, 3.0, 4.0]), jnp.array([5.0])
+    features = model.scaling.features(model.channels, x, u)
+    expected = [np.sin(0.5), np.cos(0.5), 2.0, 3.0, 4.0, 5.0]
+    np.testing.assert_allclose(features, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("coordinates", "inputs", "count"),
+    [
+        (MIXED, FORCE, 6),
+        ((tn.Coordinate("a", "angular"), tn.Coordinate("b", "angular")), FORCE, 7),
+        ((tn.Coordinate("a", "angular"),), (), 3),
+        ((tn.Coordinate("x", "linear"),), FORCE * 2, 4),
+    ],
+)
+def test_any_number_of_coordinates_and_inputs(coordinates, inputs, count):
+    assert feature_count(tn.Channels(coordinates, inputs)) == count
+    model = network(coordinates, tuple(tn.Input(f"u{i}", "V") for i in range(len(inputs))))
+    x = model.step(jnp.ones(2 * len(coordinates)), jnp.ones(len(inputs)))
+    assert x.shape == (2 * len(coordinates),)
+    assert bool(jnp.all(jnp.isfinite(x)))
+
+
+@pytest.mark.parametrize("hidden", [(5,), (7, 5), (4, 6, 3)])
+def test_any_number_of_hidden_layers(hidden):
+    model = network(hidden=hidden)
+    assert [layer.weight.shape[0] for layer in model.network.hidden] == list(hidden)
+
+
+def test_angles_a_full_turn_apart_move_alike():
+    model = with_dtype(
+        network((tn.Coordinate("a", "angular"), tn.Coordinate("b", "angular"))), np.float64
+    )
+    x, u = jnp.array([0.3, -2.0, 1.0, 0.5]), jnp.array([0.2])
+    turned = x + jnp.array([2 * jnp.pi, -4 * jnp.pi, 0.0, 0.0])
+    np.testing.assert_allclose(model.step(turned, u)[2:], model.step(x, u)[2:], atol=1e-12)
+
+
+@pytest.mark.parametrize("activation", sorted(ACTIVATIONS))
+def test_activation_is_chosen(activation):
+    x = network(activation=activation).step(jnp.ones(4), jnp.ones(1))
+    assert bool(jnp.all(jnp.isfinite(x)))
+
+
+def test_unknown_activation_is_refused_with_the_known_ones():
+    with pytest.raises(tn.InputError, match=r"unknown 'step'.*leaky_relu"):
+        network(activation="step")
+
+
+def test_folding_the_stem_changes_nothing():
+    model = with_dtype(network(stem=9), np.float64)
+    x, u = jnp.array([0.1, 0.2, -0.5, 0.9]), jnp.array([0.4])
+    assert model.network.stem is not None
+    assert model.folded().network.stem is None
+    np.testing.assert_allclose(model.folded().step(x, u), model.step(x, u), rtol=1e-12)
+
+
+def test_fold_composes_affine_maps_with_and_without_bias():
+    first = Affine(jnp.array([[1.0, 2.0], [0.0, 1.0]]), jnp.array([1.0, -1.0]))
+    second = Affine(jnp.array([[3.0, 1.0]]), None)
+    z = jnp.array([0.5, 2.0])
+    np.testing.assert_allclose(fold(first, second)(z), second(first(z)))
+
+
+def test_layers_that_do_not_fit_are_refused():
+    model = network()
+    with pytest.raises(tn.InputError, match="layer takes"):
+        eqx.tree_at(lambda n: n.hidden, model.network, model.network.hidden[::-1]).__check_init__()
+
+
+def test_scaling_is_learnt_from_the_records(pendulum):
+    train = list(pendulum.split("train"))
+    scaling = learn_scaling(train)
+    v = np.concatenate([e.velocities() for e in train])
+    np.testing.assert_allclose(scaling.velocity, np.sqrt(np.mean(v**2, axis=0)), rtol=1e-6)
+    u = np.concatenate([e.u for e in train])
+    np.testing.assert_allclose(scaling.input, np.sqrt(np.mean(u**2, axis=0)), rtol=1e-6)
+    assert scaling.position_scale.shape == (0,)
+
+
+def test_scaling_of_a_signal_that_never_acts_is_one():
+    q = np.sin(np.arange(50) * 0.1)
+    still = tn.from_arrays(q, np.zeros(50), dt=0.1, coordinates={"a": "angular"}, inputs={"u": "V"})
+    assert learn_scaling([still]).input.tolist() == [1.0]
+
+
+def test_a_model_refuses_other_coordinates_inputs_and_periods(pendulum):
+    model = network((tn.Coordinate("angle", "angular"),), (tn.Input("torque", "N m"),))
+    with pytest.raises(tn.InputError, match=r"sampling period 0\.02 s; expected 0\.01 s"):
+        require_fit(model, pendulum[0])
+    other = network((tn.Coordinate("height", "linear"),), (tn.Input("torque", "N m"),))
+    with pytest.raises(tn.InputError, match=r"angle \(angular\).*height \(linear\)"):
+        require_fit(other, pendulum[0])
+    unforced = network((tn.Coordinate("angle", "angular"),), ())
+    with pytest.raises(tn.InputError, match=r"inputs torque.*\(none\)"):
+        require_fit(unforced, pendulum[0])
+
+
+def test_internal_states_relax_and_follow_the_velocity():
+    times = (0.2, 1.0)
+    scaling = dataclasses.replace(unit_scaling(MIXED, 1), memory=jnp.ones(4, jnp.float32))
+    model = random_tustin_net(
+        tn.Channels(MIXED, FORCE, 0.01), scaling, jax.random.key(0), hidden=(5,),
+        relaxation_times=times,
+    )  # fmt: skip
+    model = with_dtype(model, np.float64)
+    assert model.state_size == 8
+    assert model.internal[1:3] == ("pole, relaxing in 0.2 s", "cart, relaxing in 1 s")
+    x = jnp.asarray(np.linspace(-1.0, 1.0, 8))
+    following = np.asarray(model.step(x, jnp.ones(1)))
+    speed = (np.asarray(x[2:4]) + following[2:4]) / 2
+    left = np.exp(-0.01 / np.repeat(times, 2))
+    expected = left * np.asarray(x[4:]) + np.repeat(times, 2) * (1 - left) * np.tile(speed, 2)
+    np.testing.assert_allclose(following[4:], expected, rtol=1e-12)
+
+
+def test_the_network_sees_internal_states_in_their_unit(pendulum):
+    records = list(pendulum.split("train"))
+    scaling = learn_scaling(records, relaxation_times=(0.5,))
+    model = random_tustin_net(
+        pendulum.channels, scaling, jax.random.key(0), hidden=(5,), relaxation_times=(0.5,)
+    )
+    z = np.concatenate(states_along(model, records, "auto"))[:, 2:]
+    np.testing.assert_allclose(scaling.memory, np.sqrt(np.mean(z**2, axis=0)), rtol=1e-2)
+    x, u = jnp.array([0.1, 0.2, 0.3]), jnp.zeros(1)
+    seen = model.scaling.features(model.channels, x, u)
+    np.testing.assert_allclose(seen[3], 0.3 / scaling.memory[0], rtol=1e-6)
+
+
+@pytest.mark.parametrize("time", [0.0, -1.0])
+def test_relaxation_times_are_positive(time):
+    with pytest.raises(tn.InputError, match="relaxation times"):
+        network(relaxation_times=(time,))

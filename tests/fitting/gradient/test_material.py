@@ -1,0 +1,143 @@
+"""Windows and records as training sees them."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import tustinnet as tn
+from tustinnet.fitting.gradient.material import (
+    Pool,
+    adapted_length,
+    draw,
+    stage_windows,
+    validation_runs,
+)
+from tustinnet.fitting.gradient.plan import plan
+from tustinnet.fitting.recipe import WindowRecipe
+from tustinnet.fitting.task import make_task
+from tustinnet.models.contract import Model
+from tustinnet.simulate.starts import start_named
+
+
+def generator() -> np.random.Generator:
+    return np.random.default_rng(0)
+
+
+def model_of(data: tn.DataSet, **model: object) -> Model:
+    """A model of the data set, not trained."""
+    recipe = tn.read_recipe("standard", [f"model.{k}={v}" for k, v in model.items()])
+    return plan(make_task(data, recipe)).given[0]
+
+
+def rows_of(pendulum: tn.DataSet) -> list[range]:
+    ends = np.cumsum([len(e) for e in pendulum])
+    return [range(end - len(e), end) for e, end in zip(pendulum, ends, strict=True)]
+
+
+@pytest.mark.parametrize(
+    "recipe",
+    [
+        WindowRecipe(draw="strided", length=30, step=7),
+        WindowRecipe(draw="strided", length=30, count=25, until="k_bar"),
+        WindowRecipe(draw="random", length=30, count=50),
+        WindowRecipe(draw="random", length=30, count=50, until="k_bar"),
+    ],
+)
+def test_no_window_crosses_from_one_record_into_the_next(pendulum, recipe):
+    windows, length = stage_windows(list(pendulum), recipe, generator())
+    rows = Pool(list(pendulum)).rows(windows, list(pendulum))
+    assert len(rows) > 0
+    for row in rows.tolist():
+        record = next(r for r in rows_of(pendulum) if row in r)
+        assert row + length in record
+
+
+def test_a_warm_up_before_a_window_stays_within_its_record(pendulum):
+    recipe = WindowRecipe(draw="strided", length=30, step=1)
+    windows, length = stage_windows(list(pendulum), recipe, generator(), warm_up=20)
+    assert length == 30
+    for record, first in windows.tolist():
+        assert first + 20 + length < len(pendulum[record])
+
+
+def test_windows_are_drawn_once_per_seed(pendulum):
+    recipe = WindowRecipe(draw="random", length=20, count=30)
+    first, again = (stage_windows(list(pendulum), recipe, generator()) for _ in range(2))
+    other = stage_windows(list(pendulum), recipe, np.random.default_rng(1))
+    assert first[0].tolist() == again[0].tolist() != other[0].tolist()
+
+
+def test_a_count_of_strided_windows_is_about_met(pendulum):
+    recipe = WindowRecipe(draw="strided", length=20, count=100)
+    assert 80 <= len(stage_windows(list(pendulum), recipe, generator())[0]) <= 120
+
+
+def test_a_record_shorter_than_a_window_is_named(pendulum):
+    recipe = WindowRecipe(draw="strided", length=190, step=5)
+    with pytest.raises(tn.InputError, match=r"noise2: 180 samples; expected more than a window"):
+        stage_windows(list(pendulum), recipe, generator())
+
+
+def test_random_windows_too_long_for_every_record_are_refused(pendulum):
+    recipe = WindowRecipe(draw="random", length=178, count=5)
+    with pytest.raises(tn.InputError, match="no window of 178 steps fits"):
+        stage_windows([pendulum["noise2"]], recipe, generator())
+
+
+def test_held_windows_leave_out_records_that_are_too_short(pendulum):
+    recipe = WindowRecipe(draw="strided", length=10, step=5)
+    held = [pendulum["noise2"], pendulum["fall1"]]
+    windows = draw(held, recipe, 200, generator())
+    assert set(windows[:, 0].tolist()) == {1}
+    assert min(Pool(held).rows(windows, held)) >= len(pendulum["noise2"])
+    assert not len(draw(held, recipe, 400, generator()))
+
+
+def test_adapted_windows_shrink_with_short_records(pendulum):
+    short = [e[:60] for e in pendulum]
+    assert adapted_length(short, 50) <= 15
+    recipe = WindowRecipe(draw="strided", length=50, step=5, adapt=True)
+    assert stage_windows(short, recipe, generator())[1] == adapted_length(short, 50)
+
+
+def test_adapted_windows_grow_when_little_happens_in_a_sample():
+    t = np.arange(8000) * 0.001
+    slow = tn.from_arrays(np.sin(2 * t), dt=0.001, coordinates={"a": "angular"})
+    assert adapted_length([slow], 50) == 200
+
+
+def test_records_end_to_end_keep_states_and_held_inputs(pendulum):
+    records = Pool(list(pendulum)).records(model_of(pendulum), "auto")
+    second = rows_of(pendulum)[1]
+    np.testing.assert_allclose(
+        records.x[second.start : second.stop, 0], pendulum[1].q[:, 0], rtol=1e-6
+    )
+    np.testing.assert_allclose(records.u[second.start : second.stop - 1], pendulum[1].held_inputs)
+    assert records.u[second.stop - 1].tolist() == [0.0]
+
+
+def test_a_record_that_several_members_use_is_laid_out_once(pendulum):
+    pool = Pool([pendulum[0], pendulum[1], pendulum[0]])
+    assert [e.name for e in pool.experiments] == ["fall1", "fall2"]
+    of = [pendulum[1], pendulum[0]]
+    assert pool.rows(np.array([[0, 7], [1, 3]]), of).tolist() == [len(pendulum[0]) + 7, 3]
+
+
+def test_windows_begin_with_internal_states_that_followed_their_record(pendulum):
+    pool = Pool(list(pendulum))
+    assert pool.internal_states(model_of(pendulum), "auto").shape[1] == 0
+    model = model_of(pendulum, memory="[0.5]")
+    states = pool.internal_states(model, "auto")
+    first = rows_of(pendulum)[1].start
+    e, v = pendulum[1], pendulum[1].velocities()[:, 0]
+    assert states[first].tolist() == [0.0]
+    by_hand = 0.0
+    for k in range(4):
+        x = np.array([e.q[k, 0], v[k], by_hand])
+        by_hand = float(model.step(jnp.asarray(x), jnp.asarray(e.held_inputs[k]))[2])
+        np.testing.assert_allclose(states[first + k + 1], [by_hand], rtol=1e-4)
+
+
+def test_validation_weights_sum_to_one_within_each_record(pendulum):
+    runs = validation_runs(model_of(pendulum), list(pendulum), start_named("derived-6"))
+    np.testing.assert_allclose(runs.weight.sum(axis=1), 1.0, rtol=1e-5)

@@ -1,0 +1,205 @@
+"""Parameters that records cannot tell apart."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from swinging import SWING, changed, falls, records
+
+import tustinnet as tn
+from tustinnet.fitting.residual import Residual
+from tustinnet.fitting.shooting.identifiability import Confounded, confounded
+from tustinnet.fitting.shooting.normal import Shape, normal_products
+from tustinnet.fitting.shooting.segments import Cut, cut
+from tustinnet.fitting.shooting.space import Space, make_space
+from tustinnet.models.lagrangian import LagrangianSystem, Parameter
+from tustinnet.systems import qube_servo2, qube_servo2_twin
+
+
+def plain(**ranges: tuple[float, float]) -> Space:
+    """Parameters of the given ranges."""
+    searched = tuple(Parameter(name, "", sum(r) / 2, *r) for name, r in ranges.items())
+    return Space(searched, {})
+
+
+ABC = plain(a=(1.0, 5.0), b=(1.0, 2.0), c=(1.0, 9.0))
+CENTRE = ABC.vector({"a": 3.0, "b": 1.5, "c": 5.0})
+
+
+def found_by(jacobian: np.ndarray, space: Space = ABC) -> tuple[Confounded, ...]:
+    return confounded(space, CENTRE, jacobian.T @ jacobian)
+
+
+def columns(count: int) -> np.ndarray:
+    return np.random.default_rng(0).normal(size=(100, count))
+
+
+def test_parameters_that_act_each_in_their_own_way_are_told_apart():
+    assert found_by(columns(3)) == ()
+    assert found_by(columns(3) * [1.0, 1e-4, 1e4]) == ()
+
+
+def test_a_common_factor_is_told_as_ratios_with_the_narrowest_range_to_fix():
+    a, b = columns(2).T
+    (found,) = found_by(np.stack([a, b, -a - b], axis=1))
+    assert found.shares == pytest.approx({"a": 1.0, "b": 1.0, "c": 1.0})
+    assert found.suggestion == "b"
+    assert "only ratios of a, b and c can be identified" in str(found)
+    assert "'b' is known best" in str(found)
+
+
+def test_a_sum_is_told_with_how_its_parts_change_together():
+    a, b = columns(2).T
+    (found,) = found_by(np.stack([3.0 * a, b, 5.0 * a], axis=1))
+    assert found.shares == pytest.approx({"a": 1.0, "c": -0.6})
+    assert found.suggestion == "a"
+    assert str(found).startswith("a and c cannot be told apart")
+
+
+def test_a_parameter_without_effect_is_told_alone():
+    (found,) = found_by(columns(3) * [1.0, 0.0, 1.0])
+    assert found.shares == {"b": 1.0}
+    assert "'b' has no effect on these records; fix it" in str(found)
+
+
+def test_several_directions_name_a_parameter_each_that_no_other_has():
+    a = columns(1)[:, 0]
+    found = found_by(np.stack([a, 2 * a, 3 * a], axis=1))
+    names = {f.suggestion for f in found}
+    assert names == {"a", "b"}
+    for f in found:
+        assert names & set(f.shares) == {f.suggestion}
+
+
+def test_where_nothing_has_an_effect_every_parameter_is_told_alone():
+    found = found_by(np.zeros((5, 3)))
+    assert sorted(f.suggestion for f in found) == ["a", "b", "c"]
+    assert all(len(f.shares) == 1 for f in found)
+
+
+# --- derivatives of simulations ---
+
+
+def products(
+    system: LagrangianSystem, experiments: list[tn.Experiment], length: int, space: Space
+) -> np.ndarray:
+    vector = space.vector(system.nominal())
+    model = tn.discretise(system.model(space.values(vector)), experiments[0].dt)
+    n_q = len(system.coordinates)
+    residual = Residual((False,) * n_q, (1.0,) * n_q)
+    pieces = cut(experiments, model, Cut(residual, length, timestamps=False))
+    longest = max(len(e) for e in experiments) - 1
+    shape = Shape(system, space.searched, residual, 2, longest)
+    return normal_products(shape, space, vector, pieces.x0, pieces, 1).pp.sum(axis=0)
+
+
+def directions(
+    system: LagrangianSystem, experiments: list[tn.Experiment], space: Space
+) -> tuple[Confounded, ...]:
+    vector = space.vector(system.nominal())
+    return confounded(space, vector, products(system, experiments, 60, space))
+
+
+def test_only_ratios_of_a_pendulums_inertia_and_forces_are_identifiable():
+    loose = changed("inertia", fixed=False)
+    (found,) = directions(loose, records(), make_space(loose, {}, {}))
+    assert set(found.shares) == {"inertia", "damping", "gravity", "gain"}
+    assert found.suggestion == "inertia"
+    assert "only ratios" in str(found)
+
+
+def test_free_swings_say_nothing_of_the_input():
+    (found,) = directions(SWING, list(falls()), make_space(SWING, {}, {}))
+    assert found.shares == {"gain": 1.0}
+    assert directions(SWING, records(), make_space(SWING, {}, {})) == ()
+
+
+@pytest.fixture(scope="module")
+def rotary() -> list[tn.Experiment]:
+    """Two falls and two records under noise of the twin, 3 s of each."""
+    names = ("twin_fall1", "twin_fall2", "twin_noise1", "twin_noise2")
+    data = qube_servo2_twin.twin()
+    return [data[name][:300] for name in names]
+
+
+LOOSE = replace(
+    qube_servo2.SYSTEM,
+    parameters=tuple(replace(p, fixed=False) for p in qube_servo2.SYSTEM.parameters),
+)
+LOOSE_SPACE = make_space(LOOSE, {}, {})
+
+
+def base_parameters(vector: jax.Array) -> jax.Array:
+    """Logarithms of all that the rotary pendulum's motion depends on, over one of them.
+
+    The equations hold three inertias, two dampings, two stiffnesses, the gain of the voltage and
+    the pendulum's weight, which all others are divided by.
+    """
+    p = LOOSE_SPACE.values(vector)
+    arm = p["rotor_inertia"] + p["hub_mass"] * p["hub_radius"] ** 2 / 2
+    base = jnp.stack([
+        arm + (p["arm_mass"] / 3 + p["pendulum_mass"]) * p["arm_length"] ** 2,
+        p["pendulum_mass"] * p["pendulum_centre"] ** 2 + p["pendulum_inertia"],
+        p["pendulum_mass"] * p["arm_length"] * p["pendulum_centre"],
+        p["arm_damping"] + p["torque_constant"] * p["back_emf"] / p["resistance"],
+        p["pendulum_damping"],
+        p["cable_stiffness"],
+        p["cable_quadratic"],
+        p["torque_constant"] / p["resistance"],
+    ])  # fmt: skip
+    return jnp.log(base / (p["pendulum_mass"] * p["pendulum_centre"]))
+
+
+def test_the_rotary_pendulums_null_space_is_that_of_its_base_parameters(rotary):
+    found = directions(LOOSE, rotary, LOOSE_SPACE)
+    vector = LOOSE_SPACE.vector(LOOSE.nominal())
+    slopes = np.asarray(jax.jit(jax.jacfwd(base_parameters))(jnp.asarray(vector)))
+    assert np.linalg.matrix_rank(slopes) == 8
+    assert len(found) == len(vector) - 8
+    for direction in found:
+        along = np.array([direction.shares.get(name, 0.0) for name in LOOSE_SPACE.names])
+        moved = np.abs(slopes @ along).max() / np.abs(slopes * along).max()
+        assert moved < 5e-3, str(direction)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"back_emf": 1.0, "arm_damping": -0.7},  # kt kv / R over the arm's damping
+        {"hub_radius": 1.0, "hub_mass": -2.0},
+        {"resistance": 1.0, "torque_constant": 1.0},
+        {
+            "torque_constant": 1.0, "rotor_inertia": 1.0, "hub_mass": 1.0, "arm_mass": 1.0,
+            "pendulum_mass": 1.0, "pendulum_inertia": 1.0, "arm_damping": 1.0,
+            "pendulum_damping": 1.0, "cable_stiffness": 1.0, "cable_quadratic": 0.025,
+        },
+    ],
+    ids=["back-emf", "hub", "gain", "scale"],
+)  # fmt: skip
+def test_the_rotary_pendulums_known_ambiguities_are_among_those_found(rotary, change):
+    found = directions(LOOSE, rotary, LOOSE_SPACE)
+    basis = np.array([[f.shares.get(n, 0.0) for n in LOOSE_SPACE.names] for f in found]).T
+    along = np.array([change.get(n, 0.0) for n in LOOSE_SPACE.names])
+    left = along - basis @ np.linalg.lstsq(basis, along)[0]
+    assert np.abs(left).max() < 5e-3
+
+
+def test_the_rotary_pendulums_best_known_parameters_are_named(rotary):
+    shares = {f.suggestion: set(f.shares) for f in directions(LOOSE, rotary, LOOSE_SPACE)}
+    assert {"resistance", "torque_constant", "hub_mass", "hub_radius"} < set(shares)
+    assert shares["back_emf"] == {"back_emf", "arm_damping"}
+
+
+def test_with_the_named_parameters_fixed_the_others_are_identifiable(rotary):
+    named = {f.suggestion for f in directions(LOOSE, rotary, LOOSE_SPACE)}
+    kept = np.array([name not in named for name in LOOSE_SPACE.names])
+    whole = products(LOOSE, rotary, 60, LOOSE_SPACE)[np.ix_(kept, kept)]
+    unit = np.sqrt(np.diag(whole))
+    assert np.linalg.cond(whole / np.outer(unit, unit)) < 1e8
+
+
+def test_falls_alone_leave_the_voltages_gain_open_too(rotary):
+    found = directions(LOOSE, rotary[:2], LOOSE_SPACE)
+    assert len(found) == 8

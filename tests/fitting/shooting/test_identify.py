@@ -1,0 +1,428 @@
+"""Identification from end to end, on records made with known values."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from swinging import (
+    CREEPING,
+    DT,
+    FAR,
+    SWING,
+    TRUTH,
+    changed,
+    data_set,
+    falls,
+    noises,
+    noisy,
+    read_by_encoder,
+    records,
+    simulated,
+    voltage,
+)
+
+import tustinnet as tn
+from tustinnet.fitting.listener import Iteration, Listener
+from tustinnet.fitting.recipe import Recipe
+
+SEARCHED = ("damping", "gravity", "gain")
+
+
+def grey(*changes: str) -> Recipe:
+    """The recipe `grey` with other values of keys under `[search]`."""
+    return tn.read_recipe("grey", [f"search.{change}" for change in changes])
+
+
+def errors(found: tn.Identification, truth: dict[str, float] = TRUTH) -> dict[str, float]:
+    """Relative errors of the estimates."""
+    return {e.name: e.value / truth[e.name] - 1 for e in found.estimates}
+
+
+def worst(found: tn.Identification, truth: dict[str, float] = TRUTH) -> float:
+    return max(abs(error) for error in errors(found, truth).values())
+
+
+def with_validation() -> tn.DataSet:
+    first, *others = records()
+    return data_set(
+        [replace(first, split="validation"), *(replace(e, split="train") for e in others)]
+    )
+
+
+@pytest.fixture(scope="module")
+def clean() -> tn.Identification:
+    """From records without noise, starting a factor of 3 away."""
+    return tn.identify(data_set(records()), SWING, begin=FAR)
+
+
+def test_the_truth_is_found_from_a_factor_of_three_away(clean):
+    assert [e.name for e in clean.estimates] == list(SEARCHED)
+    assert worst(clean) < 1e-4
+    assert clean.converged
+    assert clean.outcome.startswith("converged")
+    assert clean.values == pytest.approx(TRUTH, rel=1e-4)
+
+
+def test_the_model_found_is_the_identified_one(clean):
+    assert clean.model.substeps == clean.substeps
+    assert clean.model.dt == DT
+    values = {name: float(value) for name, value in clean.model.continuous.values.items()}  # pyright: ignore[reportAttributeAccessIssue]
+    assert values == pytest.approx(clean.values)
+    assert tn.mean_rmse(tn.evaluate(clean.model, records(), "file")) < 1e-4
+
+
+def test_a_result_says_what_was_found_and_fixed(clean):
+    assert clean.fixed == {"inertia": 0.05}
+    assert set(clean.rmse) == set(clean.initial_states) == {"fall1", "fall2", "noise1", "noise2"}
+    assert max(clean.rmse.values()) < 1e-4
+    assert clean.initial_states["fall2"] == pytest.approx((-1.5, 3.0), abs=1e-3)
+    assert clean.initial == "anchored"
+    assert clean.validation_rmse is None
+    assert len(clean.autocorrelation) == 1
+    assert clean.condition < 10
+    assert clean.seconds > 0
+
+
+def test_rmse_is_that_of_the_simulations_from_the_initial_states_found():
+    experiments = [noisy(e, 0.01, i) for i, e in enumerate(records())]
+    found = tn.identify(data_set(experiments), SWING)
+    for e in experiments:
+        x = tn.rollout(found.model, np.array(found.initial_states[e.name]), e.held_inputs)
+        error = np.asarray(x)[:, 0] - e.q[:, 0]
+        assert found.rmse[e.name] == pytest.approx(np.sqrt(np.mean(error**2)), rel=0.02)
+
+
+def test_the_correlation_is_symmetric_with_a_unit_diagonal(clean):
+    np.testing.assert_allclose(np.diag(clean.correlation), 1.0)
+    np.testing.assert_allclose(clean.correlation, clean.correlation.T)
+    assert np.abs(clean.correlation).max() < 1 + 1e-9
+
+
+def test_an_estimate_carries_its_unit_range_errors_and_interval():
+    read = [read_by_encoder(e) for e in records()]
+    for e in tn.identify(data_set(read), SWING).estimates:
+        p = SWING.parameter(e.name)
+        assert (e.unit, e.lower, e.upper, e.bound) == (p.unit, p.lower, p.upper, "")
+        assert e.error is not None
+        assert e.naive_error is not None
+        assert e.interval is not None
+        assert e.interval[0] < e.value < e.interval[1]
+        assert 1 / 20 < e.error / e.naive_error < 20
+
+
+def test_intervals_contain_the_truth_as_an_encoder_reads():
+    generator = np.random.default_rng(0)
+    inside = []
+    for seed in range(6):
+        experiments = []
+        for i in range(4):
+            u = voltage(200, 10 * seed + i) if i % 2 else np.zeros(200)
+            x0 = [generator.uniform(-1.5, 2.5), generator.uniform(-2, 2)]
+            experiments.append(read_by_encoder(simulated(f"e{i}", x0, u)))
+        found = tn.identify(data_set(experiments), SWING)
+        for e in found.estimates:
+            assert e.interval is not None
+            inside.append(e.interval[0] <= TRUTH[e.name] <= e.interval[1])
+        assert worst(found) < 0.01
+    assert np.mean(inside) > 0.7
+
+
+def test_every_stage_is_told():
+    told: list[Iteration] = []
+    tn.identify(data_set(records()), SWING, told=told.append)
+    stages = list(dict.fromkeys(i.stage for i in told))
+    assert stages[0] == "first values"
+    assert stages[1].startswith("segments of ")
+    assert stages[-1] == "whole records, anchored start"
+    for stage in stages[1:]:
+        assert next(i.number for i in told if i.stage == stage) == 1
+
+
+# --- keys of [search] ---
+
+
+def test_the_gradient_method_finds_the_same():
+    recipe = grey("method=l-bfgs", "tolerance=1e-7")
+    assert worst(tn.identify(data_set(records()), SWING, recipe)) < 2e-3
+
+
+def test_velocities_can_be_compared_too():
+    found = tn.identify(data_set(records()), SWING, grey("loss=state"))
+    assert worst(found) < 1e-3
+    assert len(found.autocorrelation) == 2
+
+
+def test_angles_can_be_compared_by_the_periodic_distance():
+    """One record is a full turn off, which no simulation can follow otherwise."""
+    first, *others = records()
+    whole_turn = replace(first, q=first.q + 2 * np.pi * (np.arange(200) > 60)[:, None], v=None)
+    found = tn.identify(
+        data_set([replace(whole_turn, v_measured=False), *others]), SWING, grey("periodic=true")
+    )
+    assert worst(found) < 1e-3
+
+
+def test_only_transients_can_be_compared():
+    """Two seconds after the beginning the pendulum is put elsewhere by hand."""
+    spoilt = [
+        replace(e, q=np.where(np.arange(200)[:, None] < 100, e.q, 1.0), k_bar=100) for e in falls()
+    ]
+    experiments = [*spoilt, *noises()]
+    found = tn.identify(data_set(experiments), SWING, grey("part=transients"))
+    assert worst(found) < 1e-4
+    assert worst(tn.identify(data_set(experiments), SWING)) > 1e-2
+
+
+def test_a_start_can_be_named():
+    found = tn.identify(data_set(records()), SWING, grey("initial=file"))
+    assert worst(found) < 1e-4
+    assert found.initial == "file"
+    assert found.initial_states["fall1"] == (2.5, 0.0)
+
+
+def test_initial_states_can_be_searched_for_without_an_anchor():
+    found = tn.identify(data_set(records()), SWING, grey("initial=unanchored"))
+    assert worst(found) < 1e-4
+    assert found.initial == "unanchored"
+
+
+def test_an_unknown_start_is_refused():
+    with pytest.raises(tn.InputError, match="unknown start 'guessed'"):
+        tn.identify(data_set(records()), SWING, grey("initial=guessed"))
+
+
+def test_timestamps_that_jitter_more_than_the_sampling_did_can_be_left_aside():
+    late = np.random.default_rng(0).uniform(-4e-3, 4e-3, 200)
+    experiments = [replace(e, t=e.t + late[: len(e)]) for e in records()]
+    nominal = tn.identify(data_set(experiments), SWING, grey("times=nominal"))
+    assert worst(nominal) < 1e-4
+    assert worst(tn.identify(data_set(experiments), SWING)) > 1e-3
+
+
+def test_integration_steps_are_chosen_unless_they_are_given():
+    assert tn.identify(data_set(records()), SWING, grey("substeps=2")).substeps == 2
+
+
+def test_the_better_start_on_the_validation_records_is_chosen():
+    found = tn.identify(with_validation(), SWING)
+    assert worst(found) < 1e-4
+    assert found.initial in ("anchored", "unanchored")
+    assert set(found.rmse) == {"fall2", "noise1", "noise2"}
+    score = tn.mean_rmse(
+        tn.evaluate(found.model, list(with_validation().split("validation")), "file")
+    )
+    assert found.validation_rmse == pytest.approx(score, rel=1e-3)
+
+
+# --- systems of other kinds ---
+
+
+def test_internal_states_are_identified_with_the_rest():
+    values = {"offset": -0.1, "stiffness": 0.9, "relaxation": 6.0}
+    experiments = [
+        simulated(e.name, [float(e.q[0, 0]), float(e.velocities("file")[0, 0]), 0.0],
+                  e.u[:, 0], values, CREEPING)
+        for e in records()
+    ]  # fmt: skip
+    found = tn.identify(data_set(experiments), CREEPING)
+    assert worst(found, TRUTH | values) < 1e-3
+    assert all(len(x) == 3 for x in found.initial_states.values())
+    assert found.initial_states["fall1"][2] == 0.0
+
+
+def test_inputs_on_straight_lines_are_followed():
+    ramped = replace(SWING, inputs=(replace(SWING.inputs[0], hold="first-order"),))
+    experiments = [
+        simulated(f"e{i}", [1.0 + i, 0.0], voltage(200, i), system=ramped) for i in range(2)
+    ]
+    assert worst(tn.identify(data_set(experiments), ramped)) < 1e-4
+
+
+def test_a_system_without_inputs_is_identified():
+    cart = tn.LagrangianSystem(
+        name="cart",
+        coordinates=(tn.Coordinate("place", "linear"),),
+        inputs=(),
+        parameters=(
+            tn.Parameter("stiffness", "N/m", 20.0, 1.0, 500.0),
+            tn.Parameter("damping", "N s/m", 0.5, 0.0, 10.0),
+        ),
+        kinetic=lambda q, v, p: v[0] ** 2 / 2,
+        potential=lambda q, p: p["stiffness"] * q[0] ** 2 / 2,
+        dissipation=lambda q, v, p: p["damping"] * v,
+    )
+    t = np.arange(100) * DT
+    wave = np.sqrt(40.0 - 0.15**2)
+    q = 0.2 * np.exp(-0.15 * t) * np.cos(wave * t)
+    e = tn.from_arrays(q, dt=DT, coordinates=cart.coordinates)
+    found = tn.identify(data_set([e]), cart)
+    assert worst(found, {"stiffness": 40.0, "damping": 0.3}) < 1e-4
+
+
+# --- what there is to say ---
+
+
+def test_a_confounded_parameter_is_fixed_at_its_first_value_and_told():
+    loose = changed("inertia", fixed=False)
+    found = tn.identify(data_set(records()), loose, begin={"inertia": 0.1})
+    assert found.fixed == pytest.approx({"inertia": 0.1})
+    doubled = {name: 2 * value for name, value in TRUTH.items()}
+    assert worst(found, doubled) < 1e-4
+    (told,) = [f for f in found.findings if "only ratios" in f]
+    assert "'inertia' is known best" in told
+    assert "fixed at its first value" in told
+
+
+def test_a_parameter_without_effect_is_fixed_and_told():
+    found = tn.identify(data_set(list(falls())), SWING)
+    assert found.fixed == pytest.approx({"inertia": 0.05, "gain": 0.1})
+    assert any("'gain' has no effect" in f for f in found.findings)
+    assert worst(found) < 1e-4
+
+
+def test_fixed_values_stay():
+    found = tn.identify(data_set(records()), SWING, fixed={"gain": 0.15})
+    assert found.fixed == {"inertia": 0.05, "gain": 0.15}
+    assert worst(found) < 1e-4
+
+
+def test_a_recipe_fixes_parameters_and_says_where_to_begin_unless_arguments_do(clean):
+    changes = ("model.fixed.gain=0.3", "model.fixed.inertia=nominal", "model.begin.damping=0.9")
+    recipe = tn.read_recipe("grey", changes)
+    with pytest.raises(tn.InputError, match="'damping': 9 "):
+        tn.identify(data_set(records()), SWING, recipe, begin={"damping": 9.0})
+    found = tn.identify(data_set(records()), SWING, recipe, fixed={"gain": 0.15})
+    assert found.fixed == {"inertia": 0.05, "gain": 0.15}
+    assert found.values == pytest.approx(clean.values, rel=1e-4)
+    assert tn.identify(data_set(records()), SWING, recipe).fixed["gain"] == 0.3
+    wild = tn.read_recipe("grey", ["model.begin.damping=9"])
+    with pytest.raises(tn.InputError, match="'damping': 9 "):
+        tn.identify(data_set(records()), SWING, wild)
+
+
+def test_a_reversed_input_is_told_with_the_bound_it_leads_to():
+    found = tn.identify(data_set([replace(e, u=-e.u) for e in records()]), SWING)
+    gain = found.estimates[2]
+    assert (gain.name, gain.bound) == ("gain", "lower")
+    assert gain.error is None
+    assert gain.interval is None
+    assert np.isnan(found.correlation[2]).all()
+    assert found.reversed_signs == (("voltage",),)
+    assert not found.sound
+    assert any("'gain' stands at the lower end of its range" in f for f in found.findings)
+    assert any("sign of 'voltage' is probably reversed" in f for f in found.findings)
+
+
+def test_a_record_that_is_stuck_raises_no_doubt_of_the_signs():
+    stuck = replace(falls()[0], name="stuck", q=np.full((200, 1), -0.1), v=np.zeros((200, 1)))
+    assert tn.identify(data_set([*records(), stuck]), SWING).reversed_signs == ()
+
+
+def test_right_signs_are_not_doubted(clean):
+    assert clean.reversed_signs == ()
+    assert clean.sound
+    assert not any("reversed" in f for f in clean.findings)
+
+
+def test_a_prior_pulls_a_parameter_that_the_records_say_little_of():
+    experiments = [noisy(e, 0.05, i)[:60] for i, e in enumerate(records())]
+    loose = tn.identify(data_set(experiments), SWING)
+    known = changed("damping", nominal=0.04, prior=1e-4)
+    pulled = tn.identify(data_set(experiments), known)
+    assert loose.values["damping"] < 0.03
+    assert pulled.values["damping"] == pytest.approx(0.04, abs=4e-4)
+
+
+def test_a_parameter_known_only_beforehand_has_the_error_of_its_prior():
+    experiments = [noisy(e, 0.05, i)[:60] for i, e in enumerate(records())]
+    known = changed("damping", nominal=0.02, prior=1e-4)
+    damping = tn.identify(data_set(experiments), known).estimates[0]
+    assert damping.naive_error == pytest.approx(1e-4, rel=0.1)
+    assert damping.error is not None
+    assert 0.9e-4 < damping.error < 2e-4
+
+
+def test_few_records_say_nothing_of_how_they_disagree():
+    white = [noisy(e, 0.01, i) for i, e in enumerate(noises())]
+    few = tn.identify(data_set(white), SWING)
+    assert few.trust == "residuals"
+    assert "J'J" in few.findings[-1]
+    assert "too few" in few.findings[-1]
+    assert all(e.error == pytest.approx(e.naive_error) for e in few.estimates)
+    every = tn.identify(data_set([noisy(e, 0.01, i) for i, e in enumerate(records())]), SWING)
+    assert every.trust == "records"
+    assert "4 records disagree" in every.findings[-1]
+
+
+def test_white_residuals_are_called_independent_and_others_are_not():
+    white = tn.identify(data_set([noisy(e, 0.01, i) for i, e in enumerate(records())]), SWING)
+    assert abs(white.autocorrelation[0]) < 0.1
+    assert "independent from sample to sample" in white.findings[-1]
+    poor = changed("damping", lower=0.1, upper=1.0, nominal=0.2)
+    missing = tn.identify(data_set(records()), poor)
+    assert missing.autocorrelation[0] > 0.5
+    assert "something is not modelled" in missing.findings[-1]
+
+
+def test_residuals_are_compared_with_the_encoders_counts():
+    found = tn.identify(data_set([read_by_encoder(e) for e in records()]), SWING)
+    assert "no larger than the encoders' quantisation" in found.findings[-1]
+
+
+# --- as a fit ---
+
+
+def test_a_fit_of_a_system_is_its_identification(clean):
+    told: list[Iteration] = []
+    found = tn.fit(data_set(records()), system=SWING, listener=Listener(iteration=told.append))
+    assert found.recipe.name == "grey"
+    assert found.identification is not None
+    assert found.identification.values == pytest.approx(clean.values, rel=1e-4)
+    assert found.model is found.identification.model
+    assert (found.outcome, found.sound) == (found.identification.outcome, True)
+    assert (found.start, found.validation_rmse) == ("file", None)
+    assert found.details == {"identification": found.identification.as_plain()}
+    assert found.told("fixed") == {"inertia": 0.05}
+    assert {i.stage for i in told} >= {"first values", "whole records, anchored start"}
+    with pytest.raises(tn.InputError, match="an identification has no seeds"):
+        tn.fit(data_set(records()), system=SWING, seed=3)
+
+
+# --- what is refused ---
+
+
+def test_a_singular_mass_matrix_is_refused_with_where_it_is():
+    flat = replace(SWING, kinetic=lambda q, v, p: p["inertia"] * jnp.cos(q[0]) * v[0] ** 2 / 2)
+    with pytest.raises(tn.InputError, match=r"swing', kinetic: a mass matrix .* at angle"):
+        tn.identify(data_set(records()), flat)
+
+
+def test_records_of_another_system_are_refused():
+    other = replace(SWING, coordinates=(tn.Coordinate("height", "linear"),))
+    with pytest.raises(tn.InputError, match=r"fall1: coordinates angle.*the system 'swing'"):
+        tn.identify(data_set(records()), other)
+    unforced = replace(SWING, inputs=(), input_map=None)
+    with pytest.raises(tn.InputError, match=r"inputs voltage.*the system 'swing'"):
+        tn.identify(data_set(records()), unforced)
+
+
+def test_single_precision_is_refused():
+    with jax.enable_x64(False), pytest.raises(tn.InputError, match=r"identify: .*float64"):
+        tn.identify(data_set(records()), SWING)
+
+
+def test_records_that_say_nothing_of_any_parameter_are_refused():
+    with pytest.raises(tn.InputError, match="gain"):
+        tn.identify(data_set(list(falls())), SWING, fixed={"damping": 0.02, "gravity": 1.5})
+
+
+def test_a_start_outside_its_range_is_refused():
+    with pytest.raises(tn.InputError, match="'gain': 3 N m/V"):
+        tn.identify(data_set(records()), SWING, begin={"gain": 3.0})
+
+
+def test_a_recipe_that_trains_is_refused():
+    with pytest.raises(tn.InputError, match="means nothing to a recipe of kind 'tustin-net'"):
+        tn.identify(data_set(records()), SWING, "standard")

@@ -1,0 +1,176 @@
+"""Levenberg-Marquardt within a box, and the gradient method beside it."""
+
+import numpy as np
+import pytest
+from swinging import DT, FAR, SWING, TRUTH, changed, noisy, records, swing_model
+
+import tustinnet as tn
+from tustinnet.fitting.residual import Residual
+from tustinnet.fitting.shooting import least_squares
+from tustinnet.fitting.shooting.by_gradient import minimise_by_gradient
+from tustinnet.fitting.shooting.least_squares import (
+    Cost,
+    Fitted,
+    Limits,
+    Prior,
+    Told,
+    eliminated,
+    minimise,
+)
+from tustinnet.fitting.shooting.normal import Shape, normal_products
+from tustinnet.fitting.shooting.segments import Cut, Segments, cut
+from tustinnet.fitting.shooting.space import Space, make_space
+from tustinnet.models.lagrangian import LagrangianSystem
+
+SPACE = make_space(SWING, {}, {})
+POSITION = Residual((False,), (1.0,))
+NO_PRIOR = Prior(np.zeros(3), np.zeros(3), 1e-10, 0.0)
+SEARCHED_TRUTH = {name: TRUTH[name] for name in SPACE.names}
+
+
+def shape(system: LagrangianSystem = SWING, space: Space = SPACE) -> Shape:
+    return Shape(system, space.searched, POSITION, 2, 199)
+
+
+def segments(length: int | None = 25, noise: float = 0.0) -> Segments:
+    experiments = [noisy(e, noise, i) for i, e in enumerate(records())]
+    how = Cut(POSITION, length, timestamps=False)
+    return cut(experiments, tn.discretise(swing_model(), DT), how)
+
+
+def search(
+    values: dict[str, float],
+    pieces: Segments,
+    *,
+    method=minimise,
+    prior: Prior = NO_PRIOR,
+    system: LagrangianSystem = SWING,
+    tolerance: float = 1e-9,
+    iterations: int = 60,
+    told: Told = lambda iterations, cost, damping: None,
+) -> Fitted:
+    space = make_space(system, {}, {})
+    vector = space.vector(system.nominal() | values)
+    cost = Cost(shape(system, space), space, pieces, prior, substeps=1)
+    return method(cost, vector, Limits(tolerance, iterations), told)
+
+
+def test_it_reaches_the_truth_from_afar():
+    told: list[tuple[int, float, float]] = []
+    fitted = search(FAR, segments(), told=lambda *of: told.append(of))
+    found = SPACE.numbers(fitted.vector)
+    assert {n: found[n] for n in SEARCHED_TRUTH} == pytest.approx(SEARCHED_TRUTH, rel=1e-4)
+    assert fitted.why == "converged"
+    assert fitted.evaluations > fitted.iterations > 2
+    assert [number for number, _, _ in told] == list(range(1, fitted.iterations + 1))
+    costs = [cost for _, cost, _ in told]
+    assert costs == sorted(costs, reverse=True)
+    assert costs[-1] == fitted.cost < 1e-6
+
+
+def test_initial_states_are_found_with_the_parameters():
+    pieces = segments()
+    fitted = search(FAR, pieces)
+    begins = np.concatenate([[0], np.cumsum(pieces.steps)])[:-1]
+    truth = np.concatenate([np.hstack([e.q, e.velocities("file")])[:-1] for e in records()])
+    read, found = (np.abs(x0 - truth[begins]).max() for x0 in (pieces.x0, fitted.x0))
+    assert found < 1e-4 < 0.1 < read
+
+
+def test_every_iterate_stays_within_the_box_and_an_active_bound_is_told(monkeypatch):
+    narrow = changed("damping", lower=0.03, upper=0.07, nominal=0.05)
+    space = make_space(narrow, {}, {})
+    visited = []
+
+    def watched(shape, space, vector, *rest):
+        visited.append(vector)
+        return normal_products(shape, space, vector, *rest)
+
+    monkeypatch.setattr(least_squares, "normal_products", watched)
+    fitted = search(FAR, segments(), system=narrow)
+    assert len(visited) == fitted.evaluations > 3
+    assert np.all(np.array(visited) >= space.lower)
+    assert np.all(np.array(visited) <= space.upper)
+    assert space.at_bounds(fitted.vector) == {"damping": "lower"}
+    assert fitted.why == "converged"
+
+
+def test_a_bound_that_was_touched_on_the_way_is_left_again():
+    fitted = search({"damping": 1e-3, "gravity": 10.0, "gain": 0.01}, segments())
+    assert SPACE.at_bounds(fitted.vector) == {}
+    assert SPACE.numbers(fitted.vector)["gain"] == pytest.approx(TRUTH["gain"], rel=1e-4)
+
+
+def test_eliminating_the_initial_states_gives_the_whole_gauss_newton_step():
+    pieces = segments(50)
+    vector = SPACE.vector(TRUTH | {"gravity": 1.2, "damping": 0.03})
+    normal = normal_products(shape(), SPACE, vector, pieces.x0, pieces, 1)
+    matrices, gradients, by_gradient, by_step = eliminated(normal)
+    step = -np.linalg.solve(matrices.sum(axis=0), gradients.sum(axis=0))
+    states = by_gradient + by_step @ step
+
+    n_s, n_x = pieces.x0.shape
+    whole = np.zeros((3 + n_s * n_x, 3 + n_s * n_x))
+    whole[:3, :3] = normal.pp.sum(axis=0)
+    for s in range(n_s):
+        rows = slice(3 + s * n_x, 3 + (s + 1) * n_x)
+        whole[:3, rows], whole[rows, :3] = normal.px[s], normal.px[s].T
+        whole[rows, rows] = normal.xx[s]
+    gradient = np.concatenate([normal.gp.sum(axis=0), normal.gx.ravel()])
+    dense = -np.linalg.solve(whole, gradient)
+    np.testing.assert_allclose(step, dense[:3], rtol=1e-6)
+    np.testing.assert_allclose(states.ravel(), dense[3:], rtol=1e-6, atol=1e-9)
+
+
+def test_states_that_are_given_do_not_move():
+    how = Cut(POSITION, start="file", timestamps=False)
+    pieces = cut(records(), tn.discretise(swing_model(), DT), how)
+    fitted = search({"gravity": 1.4}, pieces)
+    np.testing.assert_array_equal(fitted.x0, pieces.x0)
+    assert SPACE.numbers(fitted.vector)["gravity"] == pytest.approx(1.5, rel=1e-4)
+
+
+def test_the_limit_of_iterations_is_told():
+    assert search(FAR, segments(), iterations=2).why == "limit"
+
+
+def test_what_was_measured_holds_the_initial_positions():
+    pieces = segments(None, noise=0.02)
+    loose, tight = (
+        search({}, pieces, prior=Prior(np.zeros(3), np.zeros(3), variance, 0.0))
+        for variance in (1e-10, 1e3)
+    )
+    moved = [np.abs(f.x0 - pieces.x0)[:, 0].max() for f in (loose, tight)]
+    assert moved[1] < 1e-4 < 1e-3 < moved[0]
+
+
+def test_a_strong_prior_decides():
+    pieces = segments(None)
+    prior = Prior(np.array([0.0, 3.0, 0.0]), np.array([0.0, 1 / 0.01, 0.0]), 1e-6, 1e3)
+    fitted = search({}, pieces, prior=prior)
+    assert SPACE.numbers(fitted.vector)["gravity"] == pytest.approx(3.0, abs=0.05)
+
+
+def test_the_gradient_method_ends_at_the_same_minimum():
+    pieces = segments(25, noise=1e-3)
+    told: list[tuple[int, float, float]] = []
+    expected = search(FAR, pieces)
+    found = search(
+        FAR, pieces, method=minimise_by_gradient, tolerance=1e-7, told=lambda *of: told.append(of)
+    )
+    np.testing.assert_allclose(found.vector, expected.vector, atol=2e-3)
+    assert found.cost == pytest.approx(expected.cost, rel=1e-3)
+    assert found.normal.cost.sum() == pytest.approx(expected.normal.cost.sum(), rel=1e-3)
+    assert len(told) == found.iterations
+
+
+def test_the_gradient_method_keeps_to_the_box_and_heeds_priors():
+    narrow = changed("damping", lower=0.03, upper=0.07, nominal=0.05)
+    prior = Prior(np.array([0.0, 1.0, 0.0]), np.array([0.0, 1 / 0.1, 0.0]), 1e-6, 0.02)
+    found = search(
+        FAR, segments(), method=minimise_by_gradient, system=narrow, prior=prior, tolerance=1e-7
+    )
+    expected = search(FAR, segments(), system=narrow, prior=prior)
+    np.testing.assert_allclose(found.vector, expected.vector, atol=2e-3)
+    assert np.exp(found.vector[0]) == pytest.approx(0.03)
+    assert np.exp(expected.vector[1]) < 1.45

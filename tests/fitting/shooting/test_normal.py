@@ -1,0 +1,156 @@
+"""Products of simulation errors and their derivatives, against a simulation written in numpy."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from swinging import CREEPING, DT, TILT, TRUTH, simulated, swing_model, voltage
+
+import tustinnet as tn
+from tustinnet.fitting.residual import Residual
+from tustinnet.fitting.shooting.normal import Normal, Shape, lanes_for, normal_products
+from tustinnet.fitting.shooting.segments import Cut, Segments, cut
+from tustinnet.fitting.shooting.space import make_space
+
+SPACE = make_space(CREEPING, {}, {})
+VALUES = CREEPING.nominal() | {"damping": 0.03, "gravity": 1.3, "gain": 0.12}
+VECTOR = SPACE.vector(VALUES)
+SUBSTEPS = 2
+
+
+def segments() -> Segments:
+    """Seven segments of three records of unequal length, timestamps jittering."""
+    lengths = (70, 50, 31)
+    experiments = []
+    for i, samples in enumerate(lengths):
+        e = simulated(f"e{i}", [2.5 - 2 * i, 0.5], voltage(samples, i))
+        experiments.append(replace(e, t=e.t + 1e-3 * np.sin(np.arange(samples))))
+    model = tn.discretise(swing_model(system=CREEPING), DT)
+    return cut(experiments, model, Cut(Residual((False,), (1 / 1.5,)), 22))
+
+
+def shape(lanes: int = 2, *, periodic: bool = False) -> Shape:
+    return Shape(CREEPING, SPACE.searched, Residual((periodic,), (1 / 1.5,)), lanes, 69)
+
+
+@pytest.fixture(scope="module")
+def pieces() -> Segments:
+    return segments()
+
+
+@pytest.fixture(scope="module")
+def states(pieces) -> np.ndarray:
+    """Initial states away from those that were read."""
+    away = 0.1 * np.random.default_rng(5).normal(size=pieces.x0.shape)
+    return pieces.x0 + away * pieces.searched
+
+
+@pytest.fixture(scope="module")
+def normal(pieces, states) -> Normal:
+    return normal_products(shape(), SPACE, VECTOR, states, pieces, SUBSTEPS)
+
+
+def by_hand(p: dict[str, float], x0: np.ndarray, u: np.ndarray, periods: np.ndarray) -> np.ndarray:
+    """Angles of the creeping swing by the classical Runge-Kutta method."""
+
+    def slope(x: np.ndarray, volts: float) -> np.ndarray:
+        force = p["gain"] * volts + p["offset"] - p["damping"] * x[1] - p["stiffness"] * x[2]
+        force -= p["gravity"] * np.sin(x[0] - TILT)
+        return np.array([x[1], force / p["inertia"], x[1] - p["relaxation"] * x[2]])
+
+    x, angles = x0, [x0[0]]
+    for volts, period in zip(u, periods, strict=True):
+        h = period / SUBSTEPS
+        for _ in range(SUBSTEPS):
+            k1 = slope(x, volts)
+            k2 = slope(x + h / 2 * k1, volts)
+            k3 = slope(x + h / 2 * k2, volts)
+            k4 = slope(x + h * k3, volts)
+            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        angles.append(x[0])
+    return np.array(angles)
+
+
+def residuals(
+    s: Segments, row: int, vector: np.ndarray, x0: np.ndarray, *, periodic: bool = False
+) -> np.ndarray:
+    steps = s.steps[row]
+    angles = by_hand(SPACE.numbers(vector), x0, s.drive[row, :steps, 0], s.periods[row, :steps])
+    error = angles - s.target[row, : steps + 1, 0]
+    return (2 * np.sin(error / 2) if periodic else error) * s.weight[row, : steps + 1, 0]
+
+
+def differences(function, at: np.ndarray) -> np.ndarray:
+    h = 1e-5
+    steps = h * np.eye(len(at))
+    return np.stack([(function(at + d) - function(at - d)) / (2 * h) for d in steps], axis=1)
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+def test_products_are_those_of_finite_differences(pieces, states, normal, periodic):
+    if periodic:
+        normal = normal_products(shape(periodic=True), SPACE, VECTOR, states, pieces, SUBSTEPS)
+    for row, x0 in enumerate(states):
+        r = residuals(pieces, row, VECTOR, x0, periodic=periodic)
+        jacobian = differences(
+            lambda v, row=row, x0=x0: residuals(pieces, row, v, x0, periodic=periodic), VECTOR
+        )
+        by_state = pieces.searched[row] * differences(
+            lambda x, row=row: residuals(pieces, row, VECTOR, x, periodic=periodic), x0
+        )
+        expected = {
+            "pp": jacobian.T @ jacobian, "px": jacobian.T @ by_state, "xx": by_state.T @ by_state,
+            "gp": jacobian.T @ r, "gx": by_state.T @ r, "cost": r @ r,
+        }  # fmt: skip
+        for name, value in expected.items():
+            found = getattr(normal, name)[row]
+            np.testing.assert_allclose(found, value, rtol=1e-6, atol=1e-9, err_msg=name)
+
+
+def test_errors_are_simulated_minus_measured_and_zero_in_the_padding(pieces, states, normal):
+    for row, x0 in enumerate(states):
+        end = pieces.steps[row] + 1
+        expected = residuals(pieces, row, VECTOR, x0) / pieces.weight[row, :end, 0]
+        np.testing.assert_allclose(normal.error[row, :end, 0], expected, atol=1e-10)
+        assert not normal.error[row, end:].any()
+
+
+def test_states_that_are_not_searched_for_have_no_derivative(pieces, normal):
+    given = pieces.searched == 0
+    assert given.any()
+    assert not np.diagonal(normal.xx, axis1=1, axis2=2)[given].any()
+    assert not normal.gx[given].any()
+
+
+@pytest.mark.parametrize("lanes", [1, 5])
+def test_products_do_not_depend_on_how_many_stand_side_by_side(pieces, states, normal, lanes):
+    other = normal_products(shape(lanes), SPACE, VECTOR, states, pieces, SUBSTEPS)
+    for part in fields(Normal):
+        np.testing.assert_allclose(
+            getattr(other, part.name), getattr(normal, part.name), rtol=1e-9, atol=1e-12
+        )
+
+
+def test_products_come_in_the_order_of_the_segments(pieces, states, normal):
+    order = np.random.default_rng(3).permutation(len(states))
+    shuffled = replace(
+        pieces, **{part.name: getattr(pieces, part.name)[order] for part in fields(Segments)}
+    )
+    other = normal_products(shape(), SPACE, VECTOR, states[order], shuffled, SUBSTEPS)
+    for part in fields(Normal):
+        np.testing.assert_allclose(
+            getattr(other, part.name), getattr(normal, part.name)[order], rtol=1e-9, atol=1e-12
+        )
+
+
+def test_the_truth_leaves_no_error(pieces):
+    e = simulated("e", [1.0, 0.0, 0.0], voltage(60, 4), {"stiffness": 0.8}, CREEPING)
+    model = tn.discretise(swing_model(system=CREEPING), DT)
+    s = cut([e], model, Cut(Residual((False,), (1.0,)), start="file", timestamps=False))
+    truth = SPACE.vector(CREEPING.nominal() | TRUTH | {"stiffness": 0.8})
+    found = normal_products(shape(), SPACE, truth, s.x0, s, 8)
+    assert found.cost[0] < 1e-20
+
+
+def test_few_records_take_few_lanes():
+    assert [lanes_for(n) for n in (1, 2, 4, 7, 16, 100)] == [2, 2, 2, 4, 8, 8]

@@ -1,0 +1,142 @@
+"""Errors of estimates, against repeated draws of the noise."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from swinging import DT, SWING, TRUTH, noises, noisy, records, simulated, swing_model
+
+import tustinnet as tn
+from tustinnet.fitting.residual import Residual
+from tustinnet.fitting.shooting.least_squares import Cost, Fitted, Limits, Prior, minimise
+from tustinnet.fitting.shooting.normal import Shape
+from tustinnet.fitting.shooting.segments import Cut, Segments, cut
+from tustinnet.fitting.shooting.space import make_space
+from tustinnet.fitting.shooting.uncertainty import Uncertainty, uncertainty
+
+SPACE = make_space(SWING, {}, {})
+SIZE = 0.01
+POSITION = Residual((False,), (1.0,))
+
+
+def fitted_to(experiments: list[tn.Experiment]) -> tuple[Segments, Fitted]:
+    """Whole records and the parameters that fit them."""
+    model = tn.discretise(swing_model(), DT)
+    pieces = cut(experiments, model, Cut(POSITION, timestamps=False))
+    nothing = Prior(np.zeros(3), np.zeros(3), 0.0, 0.0)
+    shape = Shape(SWING, SPACE.searched, POSITION, 2, 199)
+    cost = Cost(shape, SPACE, pieces, nothing, substeps=1)
+    return pieces, minimise(cost, SPACE.vector(TRUTH), Limits(1e-6, 20))
+
+
+def fit(experiments: list[tn.Experiment]) -> tuple[np.ndarray, Uncertainty]:
+    """Estimates in the coordinates of the search, and what is believed of them."""
+    pieces, fitted = fitted_to(experiments)
+    certain = uncertainty(fitted.normal, pieces, np.zeros(3), np.ones(3, dtype=bool))
+    return fitted.vector, certain
+
+
+def test_both_covariances_are_those_of_repeated_draws_of_white_noise():
+    found, naive, clustered = [], [], []
+    for draw in range(40):
+        experiments = [noisy(e, SIZE, 10 * draw + i) for i, e in enumerate(records())]
+        vector, certain = fit(experiments)
+        assert certain.clustered is not None
+        found.append(vector)
+        naive.append(certain.naive)
+        clustered.append(certain.clustered)
+    scatter = np.cov(np.array(found).T)
+    spread = np.sqrt(np.diag(scatter))
+    for claimed in (naive, clustered):
+        mean = np.mean(claimed, axis=0)
+        ratio = np.sqrt(np.diag(mean)) / spread
+        assert np.all((ratio > 0.7) & (ratio < 1.5)), ratio
+    correlation = scatter / np.outer(spread, spread)
+    claimed = np.mean(naive, axis=0)
+    unit = np.sqrt(np.diag(claimed))
+    np.testing.assert_allclose(claimed / np.outer(unit, unit), correlation, atol=0.35)
+
+
+def test_errors_shrink_with_the_noise():
+    loud = fit([noisy(e, SIZE, i) for i, e in enumerate(records())])[1]
+    quiet = fit([noisy(e, SIZE / 10, i) for i, e in enumerate(records())])[1]
+    ratio = np.sqrt(np.diag(loud.naive) / np.diag(quiet.naive))
+    np.testing.assert_allclose(ratio, 10.0, rtol=0.05)
+
+
+@pytest.mark.parametrize(
+    "unit",
+    [
+        1e-3,
+        1e-10,
+    ],
+)
+def test_an_error_does_not_depend_on_the_unit_in_which_its_parameter_is_searched(unit):
+    experiments = [noisy(e, SIZE, i) for i, e in enumerate(records())]
+    pieces, fitted = fitted_to(experiments)
+    units = np.array([unit, 1.0, 1.0])
+    coarse = replace(
+        fitted.normal,
+        pp=fitted.normal.pp * np.outer(units, units),
+        px=fitted.normal.px * units[:, None],
+        gp=fitted.normal.gp * units,
+    )
+    every = np.ones(3, dtype=bool)
+    expected = uncertainty(fitted.normal, pieces, np.zeros(3), every)
+    found = uncertainty(coarse, pieces, np.zeros(3), every)
+    np.testing.assert_allclose(
+        np.sqrt(np.diag(found.naive)) * units, np.sqrt(np.diag(expected.naive)), rtol=1e-4
+    )
+    np.testing.assert_allclose(
+        np.sqrt(np.diag(found.trusted)) * units, np.sqrt(np.diag(expected.trusted)), rtol=1e-4
+    )
+    assert found.condition == pytest.approx(expected.condition, rel=1e-4)
+
+
+def test_records_that_disagree_make_errors_larger_than_their_residuals_say():
+    """One of four was made with another damping."""
+    odd = simulated("odd", [2.5, 0.0], np.zeros(200), {"damping": 0.022})
+    experiments = [noisy(e, 1e-4, i) for i, e in enumerate([odd, *records()[1:]])]
+    _, certain = fit(experiments)
+    assert certain.clustered is not None
+    assert certain.clustered[0, 0] > 10 * certain.naive[0, 0]
+
+
+def test_fewer_than_four_records_leave_only_the_residuals():
+    _, certain = fit([noisy(e, SIZE, i) for i, e in enumerate(records()[:3])])
+    assert certain.clustered is None
+    assert certain.trusted is certain.naive
+    assert certain.trusted_quantile == pytest.approx(1.96, abs=0.01)
+
+
+def test_few_records_have_wide_quantiles():
+    _, certain = fit([noisy(e, SIZE, i) for i, e in enumerate(records())])
+    assert certain.trusted is certain.clustered
+    assert certain.trusted_quantile == pytest.approx(3.182, abs=1e-3)  # Student's t, 3 degrees
+
+
+def test_a_parameter_at_a_bound_has_no_error_and_takes_no_part():
+    pieces, fitted = fitted_to([noisy(e, SIZE, i) for i, e in enumerate(records())])
+    moving = np.array([True, False, True])
+    certain = uncertainty(fitted.normal, pieces, np.zeros(3), moving)
+    every = uncertainty(fitted.normal, pieces, np.zeros(3), np.ones(3, dtype=bool))
+    for covariance in (certain.naive, certain.clustered):
+        assert covariance is not None
+        assert np.isnan(covariance[1]).all()
+        assert np.isfinite(covariance[np.ix_(moving, moving)]).all()
+    assert certain.worst[1] == 0.0
+    assert certain.naive[0, 0] < every.naive[0, 0]
+
+
+def test_the_worst_determined_direction_is_named_by_its_largest_entry():
+    _, certain = fit([noisy(e, SIZE, i) for i, e in enumerate(noises())])
+    assert np.abs(certain.worst).max() == pytest.approx(1.0)
+    assert 1.0 < certain.condition < 10.0
+
+
+def test_priors_make_errors_smaller():
+    pieces, fitted = fitted_to([noisy(e, SIZE, i) for i, e in enumerate(records())])
+    every = np.ones(3, dtype=bool)
+    loose = uncertainty(fitted.normal, pieces, np.zeros(3), every)
+    known = uncertainty(fitted.normal, pieces, np.array([1e3, 0.0, 0.0]), every)
+    assert known.naive[0, 0] < loose.naive[0, 0] / 100

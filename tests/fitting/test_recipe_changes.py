@@ -1,0 +1,147 @@
+"""Changes of recipes, `KEY=VALUE`, and what is refused by the kind of model."""
+
+from copy import deepcopy
+from typing import Any
+
+import pytest
+
+import tustinnet as tn
+from tustinnet.fitting.recipe import IdentificationRecipe, TrainingRecipe
+
+SMALL: dict[str, Any] = {
+    "name": "small",
+    "model": {"hidden": [8, 6]},
+    "stages": [
+        {"name": name, "windows": {"draw": "strided", "length": 10, "step": 8}, "rate": 1e-3,
+         "epochs": 5, "batch": 16}
+        for name in ("first", "second")
+    ],
+}  # fmt: skip
+
+
+def training(*changes: str, which: Any = SMALL) -> TrainingRecipe:
+    recipe = tn.read_recipe(which, changes)
+    assert isinstance(recipe, TrainingRecipe)
+    return recipe
+
+
+def test_keys_reach_into_tables_and_lists():
+    recipe = training(
+        "model.activation=tanh", "stages.1.windows.length=20", "stages.0.epochs = 7",
+        "model.hidden=[4]", "name=other",
+    )  # fmt: skip
+    assert recipe.name == "other"
+    assert recipe.model.model_dump()["hidden"] == (4,)
+    assert recipe.model.model_dump()["activation"] == "tanh"
+    assert [s.windows.length for s in recipe.stages] == [10, 20]
+    assert [s.epochs for s in recipe.stages] == [7, 5]
+    assert training("model.hidden.1=3").model.model_dump()["hidden"] == (8, 3)
+
+
+def test_a_star_changes_all_stages():
+    recipe = training("stages.*.epochs=3", "stages.*.windows.step=4")
+    assert [(s.epochs, s.windows.step) for s in recipe.stages] == [(3, 4), (3, 4)]
+    assert training("model.hidden.*=5").model.model_dump()["hidden"] == (5, 5)
+
+
+def test_a_change_makes_the_table_that_it_needs():
+    recipe = training(
+        "stages.0.plateau.factor=0.5", "stages.0.plateau.patience=2", "stages.0.rate=2e-3"
+    )
+    first, second = recipe.stages
+    assert first.plateau is not None
+    assert (first.plateau.factor, first.plateau.patience) == (0.5, 2)
+    assert second.plateau is None
+    assert first.rate == 2e-3
+
+
+def test_a_key_that_is_changed_twice_is_refused():
+    with pytest.raises(tn.InputError, match=r"'stages\.0\.rate' twice"):
+        training("stages.0.rate=1", "stages.0.rate=2e-3")
+
+
+@pytest.mark.parametrize("written", ["model-20", '"model-20"', "'model-20'", " model-20 "])
+def test_text_needs_no_quotes(written):
+    assert training(f"start={written}").start == "model-20"
+
+
+def test_values_are_read_as_toml_has_them():
+    recipe = training("stages.0.mirror=true", "stages.0.windows={draw='random',length=5,count=3}")
+    assert recipe.stages[0].mirror is True
+    assert recipe.stages[0].windows.count == 3
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ("stages.2.epochs=3", r"no place '2' in a list of 2; expected a number from 0 to 1, or \*"),
+        ("stages.last.epochs=3", "no place 'last'"),
+        ("stages.-1.epochs=3", "no place '-1'"),
+        ("model.hidden.2=3", "no place '2'"),
+        ("stages.0.epochs", r"KEY=VALUE; for instance stages\.0\.epochs=20"),
+        ("=3", "KEY=VALUE"),
+        ("name.first=3", "'name' is no table"),
+        ("stages.0.epochs=none", r"stages\.0\.epochs: .*integer"),
+        ("stages.0.epoch=3", "did you mean 'epochs'"),
+        ("stages.*.epochs=0", r"stages\.0\.epochs: .*greater than 0"),
+        ("model.kind=tustin", "no kind of model 'tustin'; expected one of tustin-net"),
+        ("model.scaling=metres", "no scaling 'metres'; known: records, published"),
+        ("model=tustin-net", "expected a table with `kind"),
+        ("start=somewhere", "unknown start 'somewhere'"),
+    ],
+)
+def test_a_change_that_cannot_be_made_is_refused_by_name(change, told):
+    with pytest.raises(tn.InputError, match=told):
+        tn.read_recipe(SMALL, [change])
+
+
+@pytest.mark.parametrize(
+    ("recipe", "change", "told"),
+    [
+        ("standard", "stages.0.penalty=0.1", r"stages\.0\.penalty: unknown key"),
+        ("gru", "stages.0.frozen_layers=1", r"stages\.0\.frozen_layers: unknown key"),
+        ("standard", "search.loss=state", "search: unknown key"),
+        ("standard", "model.fades_at_rest=true", r"model\.fades_at_rest: unknown key"),
+        ("grey", "stages.0.epochs=3", "stages: unknown key"),
+        ("grey", "search.los=state", "did you mean 'loss'"),
+        ("grey", "model.hidden=[3]", r"model\.hidden: unknown key"),
+        ("grey", "search.initial=model-20", "a start that is fitted"),
+        ("best-hybrid", "model.correction.hiden=[3]", "did you mean 'hidden'"),
+        ("best-hybrid", "model.correction.kind=euler-lagrange", "a kind that says accelerations"),
+        ("best-hybrid", "model.correction.kind=nothing", "nothing"),
+    ],
+)
+def test_a_key_that_the_kind_does_not_know_is_refused_by_name(recipe, change, told):
+    with pytest.raises(tn.InputError, match=told):
+        tn.read_recipe(recipe, [change])
+
+
+def test_keys_of_a_kind_are_read_by_that_kind():
+    hybrid = training("stages.*.penalty=0.1", "model.correction.hidden=[4]", which="best-hybrid")
+    assert {s.model_dump()["penalty"] for s in hybrid.stages} == {0.1}
+    assert hybrid.model.model_dump()["correction"]["hidden"] == (4,)
+    grey = tn.read_recipe("grey", ["search.iterations=7", "model.fixed.gain=nominal"])
+    assert isinstance(grey, IdentificationRecipe)
+    assert grey.search.iterations == 7
+    assert grey.model.model_dump()["fixed"] == {"gain": "nominal"}
+
+
+def test_another_kind_can_be_chosen_by_a_change():
+    assert training("model.kind=neural-ode").family.kind == "neural-ode"
+
+
+def test_a_mapping_is_not_touched_by_changes_of_it():
+    mine = deepcopy(SMALL)
+    training("stages.*.epochs=3", "model.hidden=[3]", which=mine)
+    assert mine == SMALL
+
+
+def test_a_recipe_is_changed_like_the_file_it_came_from():
+    for which in (SMALL, "best-tustin", "best-hybrid"):
+        recipe = training(which=which)
+        changes = ("stages.0.plateau.factor=0.5", "stages.0.plateau.patience=3", "name=mine")
+        assert training(*changes, which=recipe) == training(*changes, which=which)
+        assert tn.read_recipe(recipe) is recipe
+    assert training("model.hidden.0=3", which=training()).model.model_dump()["hidden"] == (3, 6)
+    changed = training("name=mine", which=training().each(epochs=2))
+    assert [s.epochs for s in changed.stages] == [2, 2]

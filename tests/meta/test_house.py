@@ -1,0 +1,279 @@
+"""House rules that no linter knows: what the source may say, and where."""
+
+import ast
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+import tustinnet
+from tustinnet.registry import FAMILIES
+
+SOURCE = Path(tustinnet.__file__).parent
+MODULES = sorted(p.relative_to(SOURCE).as_posix() for p in SOURCE.rglob("*.py"))
+MOST_PARAMETERS = 6
+LONGEST = 60  # lines of a function, its docstring included
+
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+@cache
+def tree_of(module: str) -> ast.Module:
+    return ast.parse((SOURCE / module).read_text(encoding="utf-8"), module)
+
+
+def modules_outside(*places: str) -> list[str]:
+    """Modules that are none of some files and in none of some folders."""
+    return [m for m in MODULES if not any(m == p or m.startswith(f"{p}/") for p in places)]
+
+
+def functions_in(tree: ast.Module) -> Iterator[tuple[str, Function, bool]]:
+    """Every function with its full name, and whether it is the method of a class."""
+
+    def inside(node: ast.AST, prefix: str) -> Iterator[tuple[str, Function, bool]]:
+        for child in ast.iter_child_nodes(node):
+            if isinstance(child, Function | ast.ClassDef):
+                name = f"{prefix}{child.name}"
+                if isinstance(child, Function):
+                    yield name, child, isinstance(node, ast.ClassDef)
+                yield from inside(child, f"{name}.")
+            else:
+                yield from inside(child, prefix)
+
+    return inside(tree, "")
+
+
+# --- the families are known by their names alone ---
+
+
+def classes_of_families() -> set[str]:
+    places = [m for m in MODULES if m.startswith("families/")]
+    nodes = [node for m in places for node in ast.walk(tree_of(m))]
+    return {node.name for node in nodes if isinstance(node, ast.ClassDef)}
+
+
+def names_in(node: ast.AST) -> set[str]:
+    """The names that an expression says, `a.B` as `B`, too."""
+    found = {n.id for n in ast.walk(node) if isinstance(n, ast.Name)}
+    return found | {n.attr for n in ast.walk(node) if isinstance(n, ast.Attribute)}
+
+
+def asking_for_class(tree: ast.AST, classes: set[str]) -> Iterator[ast.expr | ast.pattern]:
+    """Where something is asked whether it is of one of some classes, or what its class is."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Call(func=ast.Name(id="isinstance" | "issubclass"), args=[_, asked]):
+                if names_in(asked) & classes:
+                    yield node
+            case ast.MatchClass(cls=asked) if names_in(asked) & classes:
+                yield node
+            case ast.Compare(left=left, comparators=others):
+                if any(names_in(side) & classes for side in (left, *others)):
+                    yield node
+
+
+def decisions_by_text(tree: ast.AST, texts: set[str]) -> Iterator[ast.expr | ast.pattern]:
+    """Where one of some texts is compared with, matched, or a key of a mapping."""
+
+    def says(node: ast.AST | None) -> bool:
+        if isinstance(node, ast.Tuple | ast.List | ast.Set):
+            return any(says(item) for item in node.elts)
+        return isinstance(node, ast.Constant) and node.value in texts
+
+    for node in ast.walk(tree):
+        match node:
+            case ast.Compare(left=left, comparators=others) if any(map(says, (left, *others))):
+                yield node
+            case ast.MatchValue(value=value) if says(value):
+                yield node
+            case ast.Dict(keys=keys) if any(map(says, keys)):
+                yield node
+            case ast.Subscript(value=ast.Name(id="Literal")):
+                pass  # a type
+            case ast.Subscript(slice=key) if says(key):
+                yield node
+
+
+EVERYDAY_WORDS = {"linear"}  # also a kind of coordinate
+FREE_OF_FAMILIES = modules_outside("families", "registry.py", "models", "reproduce")
+
+
+@pytest.mark.parametrize("module", FREE_OF_FAMILIES)
+def test_nothing_is_decided_by_the_kind_of_a_model(module):
+    tree, kinds = tree_of(module), set(FAMILIES.places) - EVERYDAY_WORDS
+    lines = [
+        node.lineno
+        for found in (asking_for_class(tree, classes_of_families()), decisions_by_text(tree, kinds))
+        for node in found
+    ]
+    assert not lines, f"{module}: a family answers by a method or a flag, see families/family.py"
+
+
+def test_linear_is_only_asked_of_coordinates():
+    for module in FREE_OF_FAMILIES:
+        for node in decisions_by_text(tree_of(module), EVERYDAY_WORDS):
+            assert isinstance(node, ast.Compare), f"{module}:{node.lineno}"
+            assert "kind" in names_in(node.left), f"{module}:{node.lineno}"
+
+
+# --- where things stand in a state is said once ---
+
+# where both numbers of a state's parts are wanted, not places in a state, and why
+SIZES = {
+    "channels.py": "it says the layout",
+    "models/contract.py": "`state_size` counts the state",
+    "models/blocks.py": "`feature_count` counts the features of a network",
+    "families/gru.py": "how many outputs a network has",
+    "families/neural_ode.py": "how many outputs a network has",
+    "families/linear.py": "the size of the measured part in a matrix",
+}
+NUMPY_STEP = "families/tustin_net.py"  # written out for speed, without the package
+NOT_STATES = {"signs"}  # one of each coordinate and each input
+
+
+def counts_coordinates(node: ast.AST | None) -> bool:
+    """Whether an index is `n_q`, or a sum or multiple of it."""
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult | ast.Add):
+        return counts_coordinates(node.left) or counts_coordinates(node.right)
+    match node:
+        case ast.Name(id="n_q") | ast.Attribute(attr="n_q"):
+            return True
+    return False
+
+
+def slices_by_hand(tree: ast.AST) -> Iterator[ast.expr]:
+    """`x[:n_q]`, `x[n_q:]`, `x[n_q : 2 * n_q]`."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Subscript) and not names_in(node.value) & NOT_STATES:
+            for part in ast.walk(node.slice):
+                ends = (part.lower, part.upper) if isinstance(part, ast.Slice) else ()
+                if any(map(counts_coordinates, ends)):
+                    yield node
+
+
+def doubled(tree: ast.AST) -> Iterator[ast.expr]:
+    """`2 * n_q`."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult):
+            sides = (node.left, node.right)
+            twice = any(isinstance(s, ast.Constant) and s.value == 2 for s in sides)
+            if twice and counts_coordinates(node):
+                yield node
+
+
+def within(tree: ast.AST, function: str) -> set[ast.AST]:
+    """All that stands in a function."""
+    for node in ast.walk(tree):
+        if isinstance(node, Function) and node.name == function:
+            return set(ast.walk(node))
+    raise AssertionError(f"no function {function}")
+
+
+@pytest.mark.parametrize("module", modules_outside("channels.py"))
+def test_a_state_is_taken_apart_by_its_channels(module):
+    tree = tree_of(module)
+    found: set[ast.expr] = set(slices_by_hand(tree))
+    if module not in SIZES:
+        found |= set(doubled(tree))
+    if module == NUMPY_STEP:
+        found = {node for node in found if node not in within(tree, "_numpy_step")}
+    lines = sorted(node.lineno for node in found)
+    assert not lines, f"{module}: channels.position, .velocity, .measured, .internal say it"
+
+
+# --- functions are small ---
+
+# what is over a limit today
+MANY_PARAMETERS = {"data/dataset.py": "from_arrays takes what an Experiment is made of"}
+LONG_FUNCTIONS: dict[str, str] = {}
+
+
+def known_as(over: dict[str, str], modules: list[str]) -> list:
+    """Modules as arguments of a test, those over a limit expected to fail."""
+    return [
+        pytest.param(m, marks=pytest.mark.xfail(reason=over[m], strict=False)) if m in over else m
+        for m in modules
+    ]
+
+
+def parameters_of(function: Function, *, method: bool) -> list[str]:
+    """What a call gives, keywords included; not `self` or `cls`."""
+    of = function.args
+    positional = [a.arg for a in (*of.posonlyargs, *of.args)]
+    if method and positional[:1] in (["self"], ["cls"]):
+        positional = positional[1:]
+    starred = [a.arg for a in (of.vararg, of.kwarg) if a is not None]
+    return [*positional, *(a.arg for a in of.kwonlyargs), *starred]
+
+
+@pytest.mark.parametrize("module", known_as(MANY_PARAMETERS, modules_outside("cli")))
+def test_functions_take_few_parameters(module):
+    over = {
+        name: len(parameters_of(function, method=method))
+        for name, function, method in functions_in(tree_of(module))
+        if len(parameters_of(function, method=method)) > MOST_PARAMETERS
+    }
+    assert not over, f"{module}: at most {MOST_PARAMETERS}"
+
+
+@pytest.mark.parametrize("module", known_as(LONG_FUNCTIONS, MODULES))
+def test_functions_are_short(module):
+    over = {}
+    for name, function, _ in functions_in(tree_of(module)):
+        lines = (function.end_lineno or 0) - function.lineno + 1
+        if lines > LONGEST:
+            over[name] = lines
+    assert not over, f"{module}: at most {LONGEST} lines"
+
+
+# --- time is run through in two places ---
+
+LOOPS = {"scan", "fori_loop", "while_loop"}
+LOOPS_OVER_TIME = {
+    "simulate/rollout.py": "the rollout",
+    "fitting/shooting/normal.py": "states and their derivatives by parameters, side by side",
+}
+OTHER_LOOPS = {
+    "models/integrate.py": "the parts of a period, and the stages of a Runge-Kutta step",
+    "simulate/fitted_start.py": "the turns of the search for a start",
+    "fitting/gradient/epoch.py": "epochs, and the steps of the optimiser in one",
+}
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_time_is_run_through_in_two_places(module):
+    lines = [
+        node.lineno
+        for node in ast.walk(tree_of(module))
+        if (isinstance(node, ast.Attribute) and node.attr in LOOPS and "lax" in names_in(node))
+        or (isinstance(node, ast.ImportFrom) and {a.name for a in node.names} & LOOPS)
+    ]
+    if module in LOOPS_OVER_TIME or module in OTHER_LOOPS:
+        assert lines, f"{module}: has no loop any more, take it off the list"
+    else:
+        assert not lines, f"{module}: use simulate.rollout"
+
+
+# --- the checks find what they are for ---
+
+
+def test_the_checks_find_what_they_are_for():
+    source = """
+if isinstance(m, TustinNet) or type(m) is TustinNet or kind == "gru" or kind in ("hybrid", "x"):
+    of = {"gru": 1}
+    of["gru"]
+match kind:
+    case "gru": pass
+match m:
+    case TustinNet(): pass
+position, velocity, both = x[..., :n_q], x[c.n_q : 2 * c.n_q], x[: 2 * n_q]
+"""
+    tree = ast.parse(source)
+    assert len(list(asking_for_class(tree, {"TustinNet"}))) == 3
+    assert len(list(decisions_by_text(tree, {"gru", "hybrid"}))) == 5
+    assert len(list(slices_by_hand(tree))) == 3
+    assert len(list(doubled(tree))) == 2
+    assert {"TustinNet", "HybridModel"} <= classes_of_families()
+    (method,) = functions_in(ast.parse("class A:\n    def f(self, a, *b, c, **d): pass"))
+    assert parameters_of(method[1], method=method[2]) == ["a", "c", "b", "d"]

@@ -1,0 +1,137 @@
+"""Initial states by least squares through the model."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from swinging import CREEPING, DT, SWING, TRUTH, swing_model
+
+import tustinnet as tn
+from tustinnet.simulate.drive import drive_of
+from tustinnet.simulate.fitted_start import model_starts
+from tustinnet.simulate.rollout import rollout
+from tustinnet.simulate.starts import initial_state, start_states
+
+SAMPLES = 20
+
+
+def grey_box(creeping: bool = False, **changed: float) -> tn.LagrangianModel:
+    return swing_model(changed, CREEPING if creeping else SWING)
+
+
+def simulated(model, x0: np.ndarray, counts: int | None = None) -> tn.Experiment:
+    """A record of a model's free run, read exactly or by encoders."""
+    u = 0.5 * np.sin(np.arange(SAMPLES) * 0.3)[:, None]
+    q = np.asarray(rollout(model, x0, u[:-1]))[:, :1]
+    if counts:
+        step = 2 * np.pi / counts
+        q = np.round(q / step) * step
+    return tn.from_arrays(
+        q, u, dt=DT, coordinates=list(model.coordinates), inputs=list(model.inputs)
+    )
+
+
+@pytest.mark.parametrize("creeping", [False, True])
+def test_exact_positions_give_back_the_state_they_came_from(creeping):
+    model = tn.discretise(grey_box(creeping), DT, substeps=2)
+    truth = np.array([2.5, 3.0])
+    padded = np.pad(truth, (0, model.state_size - 2))
+    found = start_states(model, [simulated(model, padded)], f"model-{SAMPLES}")[0]
+    # an internal state is only known as well as it moves the positions in the first samples
+    np.testing.assert_allclose(found[:2], truth, atol=1e-6)
+    assert np.all(np.abs(found[2:]) < 1e-3)
+
+
+def test_encoder_counts_hurt_it_less_than_the_parabola():
+    model = tn.discretise(grey_box(), DT, substeps=2)
+    errors = {"model-20": [], "derived-6": []}
+    for seed in range(10):
+        truth = np.random.default_rng(seed).normal(size=2) * [1.5, 4.0]
+        e = simulated(model, truth, counts=2048)
+        for start, found in errors.items():
+            found.append(start_states(model, [e], start)[0] - truth)
+    rms = {start: np.sqrt(np.mean(np.square(found), axis=0)) for start, found in errors.items()}
+    assert rms["model-20"][1] < 0.3 * rms["derived-6"][1], rms
+
+
+@pytest.mark.parametrize("held", [4, 9])
+def test_samples_before_a_release_are_left_out(held):
+    model = tn.discretise(grey_box(), DT, substeps=2)
+    e = simulated(model, np.array([1.0, 2.0]), counts=2048)
+    q = e.q.copy()
+    q[:held] = q[held]  # a hand holds on, then the record goes on as simulated
+    disturbed = tn.from_arrays(
+        q, e.u, dt=DT, coordinates=list(model.coordinates), inputs=list(model.inputs)
+    )
+    start = start_states(model, [disturbed], f"model-{SAMPLES}")[0]
+    run = np.asarray(rollout(model, start, e.u[:-1]))
+    error = run[SAMPLES // 2 :, 0] - e.q[SAMPLES // 2 :, 0]
+    assert np.abs(error).max() < 2 * np.pi / 2048
+
+
+def test_a_model_that_never_explains_the_samples_is_fitted_to_all_of_them():
+    model = tn.discretise(grey_box(), DT, substeps=2)
+    e = simulated(model, np.array([1.0, 2.0]), counts=2048)
+    wrong = tn.discretise(grey_box(gravity=20 * TRUTH["gravity"]), DT, substeps=2)
+    start = jnp.asarray(start_states(wrong, [e], f"model-{SAMPLES}")[0])
+
+    def cost(x):
+        return jnp.sum((rollout(wrong, x, e.u[:-1])[:, :1] - e.q) ** 2)
+
+    nearby = [cost(start + d * np.array(way)) for d in (-1e-3, 1e-3) for way in ((1, 0), (0, 1))]
+    assert cost(start) < min(nearby)
+
+
+def test_several_records_are_fitted_at_once_each_for_itself():
+    model = tn.discretise(grey_box(), DT, substeps=1)
+    records = [simulated(model, np.array([a, -a]), 2048) for a in (0.1, 0.4, 0.9)]
+    together = start_states(model, records, "model-12")
+    alone = np.concatenate([start_states(model, [e], "model-12") for e in records])
+    np.testing.assert_allclose(together, alone, rtol=1e-9, atol=1e-12)
+
+
+def test_its_derivative_by_a_parameter_is_that_of_the_solution():
+    e = simulated(tn.discretise(grey_box(), DT), np.array([1.0, 2.0]))
+    name, nominal = "gravity", TRUTH["gravity"]
+    guess = jnp.asarray(initial_state(e, "derived-6"))[None]
+
+    drive = jax.tree.map(lambda a: a[None], drive_of(e))
+
+    @jax.jit
+    def start(value):
+        model = tn.discretise(grey_box(**{name: value}), DT)
+        return model_starts(model, guess, drive, jnp.asarray(e.q[None]))[0]
+
+    step = 1e-5 * nominal
+    numeric = (start(nominal + step) - start(nominal - step)) / (2 * step)
+    exact = jax.jacrev(start)(jnp.asarray(nominal))
+    # exact residuals are 0 at the solution, so that Gauss-Newton leaves nothing out
+    np.testing.assert_allclose(exact, numeric, rtol=1e-3, atol=1e-6 * float(jnp.max(abs(exact))))
+
+
+def test_networks_and_training_start_there_too(pendulum, small_recipe):
+    small = tn.read_recipe(small_recipe).model_dump()
+    # a program a stage: one will do
+    recipe = {**small, "start": "model-12", "stages": small["stages"][:1]}
+    result = tn.fit(pendulum, recipe)
+    assert result.start == "model-12"
+    scores = tn.evaluate(result.model, list(pendulum.split("validation")), "model-12")
+    assert result.validation_rmse == pytest.approx(tn.mean_rmse(scores), rel=1e-2)
+    for score, e in zip(scores, pendulum.split("validation"), strict=True):
+        error = np.sum((score.simulated[:, :1] - e.q) ** 2, axis=1)
+        assert score.rmse == pytest.approx(np.sqrt(error.mean()))
+        assert score.rmse_after == pytest.approx(np.sqrt(error[12:].mean()))
+
+
+@pytest.mark.parametrize("start", ["model-2", "model-21", "model-x"])
+def test_too_few_or_too_many_samples_are_refused(start):
+    model = tn.discretise(grey_box(), DT)
+    e = simulated(model, np.array([1.0, 2.0]))
+    with pytest.raises(tn.InputError, match="start"):
+        start_states(model, [e], start)
+
+
+def test_initial_state_says_that_it_needs_a_model():
+    e = simulated(tn.discretise(grey_box(), DT), np.array([1.0, 2.0]))
+    with pytest.raises(tn.InputError, match=r"'model-20' without a model.*start_states"):
+        initial_state(e, "model-20")

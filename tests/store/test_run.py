@@ -1,0 +1,166 @@
+"""Run folders: what is kept, and going on after a kill."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import safetensors.numpy
+
+import tustinnet as tn
+from tustinnet.fitting.task import Member, make_task
+from tustinnet.store.run import MODEL, Earlier, Run, run_task
+
+
+def arrays(path: Path) -> dict[str, bytes]:
+    return {name: a.tobytes() for name, a in safetensors.numpy.load_file(path).items()}
+
+
+def run(data, recipe, seeds, folder: Path, earlier: Earlier = "refuse", rates=(1.0,)) -> Run:
+    """Trains seeds at some rates and keeps everything in a folder."""
+    members = [Member(seed, rate) for seed in seeds for rate in rates]
+    return run_task(make_task(data, recipe, members), data.name, folder, earlier)
+
+
+def small(small_recipe: Path) -> tn.Recipe:
+    return tn.read_recipe(small_recipe)
+
+
+def test_a_run_keeps_model_log_and_summary_of_every_seed(run_folder):
+    kept = json.loads((run_folder / "summary.json").read_text())
+    for seed in (0, 1):
+        folder = run_folder / f"seed-{seed}"
+        lines = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+        assert len(lines) == 9
+        assert {"stage", "epoch", "loss", "validation", "rate"} <= set(lines[0])
+        header = tn.read_header(folder / MODEL)
+        assert header["training"]["seed"] == seed
+        assert header["training"]["epochs"] == kept["seeds"][seed]["epochs"] == [5, 4]
+        assert header["scores"]["mean"] == pytest.approx(kept["seeds"][seed]["mean"])
+    best = run_folder / f"seed-{kept['best_seed']}" / MODEL
+    assert arrays(run_folder / MODEL) == arrays(best)
+
+
+def test_the_spread_is_reported_not_only_the_best(run_folder):
+    told = json.loads((run_folder / "summary.json").read_text())
+    means = sorted(seed["mean"] for seed in told["seeds"])
+    assert told["spread"]["min"] == means[0] < means[1] == told["spread"]["max"]
+    assert told["spread"]["median"] == pytest.approx(np.mean(means))
+    assert told["spread"]["std"] > 0
+
+
+def test_the_header_names_recipe_data_and_scores(run_folder):
+    header = tn.read_header(run_folder / MODEL)
+    assert header["recipe"]["name"] == "small"
+    assert [r["source"] for r in header["data"]["records"]][:2] == ["fall1.csv", "fall2.csv"]
+    assert all(len(r["sha256"]) == 64 for r in header["data"]["records"])
+    assert header["scores"]["split"] == "validation"
+    assert header["scores"]["start"] == "derived-6"
+
+
+def test_a_seed_alone_is_the_same_as_among_others(run_folder, folder, small_recipe, tmp_path):
+    run(tn.load(folder), small(small_recipe), [1], tmp_path / "alone")
+    there, here = (
+        safetensors.numpy.load_file(f / "seed-1" / MODEL) for f in (run_folder, tmp_path / "alone")
+    )
+    for name, array in there.items():
+        # alone it has both devices, and sums in another order
+        np.testing.assert_allclose(array, here[name], rtol=1e-3, atol=1e-4)
+
+
+def test_a_seed_that_joins_later_does_not_disturb_those_that_are_done(
+    run_folder, folder, small_recipe
+):
+    before = arrays(run_folder / "seed-1" / MODEL)
+    joined = run(
+        tn.load(folder), small(small_recipe), [0, 1, 2], run_folder, "resume", rates=[1.0, 0.5]
+    )
+    assert arrays(run_folder / "seed-1" / MODEL) == before
+    assert [(r.result.seed, r.result.member.rate) for r in joined.members] == [
+        (0, 1.0), (0, 0.5), (1, 1.0), (1, 0.5), (2, 1.0), (2, 0.5),
+    ]  # fmt: skip
+    assert (run_folder / "seed-2-rate-0.5" / MODEL).is_file()
+    assert all(r.result.finished for r in joined.members)
+
+
+def test_an_earlier_run_is_not_overwritten_unasked(run_folder, folder, small_recipe):
+    data, recipe = tn.load(folder), small(small_recipe)
+    with pytest.raises(tn.InputError, match="--resume"):
+        run(data, recipe, [0], run_folder)
+    again = run(data, recipe, [0], run_folder, "discard")
+    assert [p.name for p in run_folder.glob("seed-*")] == ["seed-0"]
+    assert len(again.members) == 1
+
+
+def test_resuming_a_finished_run_changes_nothing(run_folder, folder, small_recipe):
+    before = arrays(run_folder / MODEL), (run_folder / "seed-0" / "log.jsonl").read_text()
+    run(tn.load(folder), small(small_recipe), [0, 1], run_folder, "resume")
+    after = arrays(run_folder / MODEL), (run_folder / "seed-0" / "log.jsonl").read_text()
+    assert after == before
+
+
+def test_a_checkpoint_of_another_run_is_refused(run_folder, folder, small_recipe):
+    data, recipe = tn.load(folder), small(small_recipe)
+    other = recipe.model_copy(update={"name": "other"})
+    for arguments in ((data, other), (data.exclude("fall1"), recipe)):
+        with pytest.raises(tn.InputError, match="another recipe, seed, rate, data set"):
+            run(*arguments, [0], run_folder, "resume")
+
+
+def test_a_damaged_checkpoint_is_refused(run_folder, folder, small_recipe):
+    path = run_folder / "seed-0" / "checkpoint.safetensors"
+    path.write_bytes(path.read_bytes()[:200])
+    with pytest.raises(tn.InputError, match="cut short"):
+        run(tn.load(folder), small(small_recipe), [0], run_folder, "resume")
+
+
+def test_a_run_without_validation_records_is_judged_on_its_training_records(
+    pendulum, small_recipe, tmp_path
+):
+    alone = run(pendulum.split("train"), small(small_recipe), [0], tmp_path / "run")
+    assert alone.judged == "train"
+    assert len(alone.members[0].scores) == 3
+
+
+PROGRAM = """
+import sys, jax
+jax.config.update("jax_enable_x64", True)
+from pathlib import Path
+import tustinnet as tn
+from tustinnet.fitting.task import make_task
+from tustinnet.store import checkpoint
+from tustinnet.store.run import run_task
+checkpoint._INTERVAL = 0.0
+data = tn.load(sys.argv[1])
+earlier = "resume" if "resume" in sys.argv else "refuse"
+run_task(make_task(data, sys.argv[2]), data.name, Path(sys.argv[3]), earlier)
+"""
+
+
+def test_killed_at_any_moment_and_resumed_it_ends_with_the_same_bits(
+    folder, small_recipe, tmp_path
+):
+    small_recipe.write_text(small_recipe.read_text().replace("epochs = 5", "epochs = 60"))
+    out = [str(tmp_path / name) for name in ("whole", "killed")]
+
+    def start(place: str, *more: str) -> subprocess.Popen:
+        command = [sys.executable, "-c", PROGRAM, str(folder), str(small_recipe), place, *more]
+        return subprocess.Popen(command, env={**os.environ, "JAX_PLATFORMS": "cpu"})
+
+    log = Path(out[1]) / "seed-0" / "log.jsonl"
+    whole, process = (start(place) for place in out)
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline and (not log.is_file() or len(log.read_text()) < 900):
+        time.sleep(0.005)
+    process.send_signal(signal.SIGKILL)
+    assert process.wait(30) == -signal.SIGKILL
+    assert not (Path(out[1]) / MODEL).exists()
+    assert start(out[1], "resume").wait(120) == 0
+    assert whole.wait(120) == 0
+    assert arrays(Path(out[0]) / MODEL) == arrays(Path(out[1]) / MODEL)
+    assert log.read_text() == (Path(out[0]) / "seed-0" / "log.jsonl").read_text()
