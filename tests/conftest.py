@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 # before JAX is loaded, and for the processes that tests start: what one test has compiled serves
-# the next ones, also in a later session
+# the next ones, also in a later run
 os.environ["JAX_COMPILATION_CACHE_DIR"] = str(Path(__file__).parents[1] / ".pytest_cache/compiled")
 os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
 os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"

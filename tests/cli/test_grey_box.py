@@ -394,3 +394,13 @@ def test_a_twin_written_and_read_again_is_the_same(tmp_path):
         assert r.padded_rows == e.padded_rows
         assert replace(r.coordinates[0]) == e.coordinates[0]
         assert (r.name, r.split) == (e.name, e.split)
+
+
+def test_a_system_that_no_model_is_of_is_refused(run_folder, folder, system, capsys):
+    model = run_folder / "model.safetensors"
+    code, _, err = tustinnet(capsys, "evaluate", model, folder, "--system", system)
+    assert code == 1
+    assert "means nothing to a model of kind 'tustin-net'" in err
+    code, _, err = tustinnet(capsys, "compare", model, folder, "--system", system)
+    assert code == 1
+    assert "'small-pendulum', which no model is of" in err

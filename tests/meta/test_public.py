@@ -90,9 +90,18 @@ def test_other_measured_systems_load_with_the_example_cards(real_data, card, fil
 
 def test_links_in_the_pages_lead_somewhere():
     for page in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]:
-        for target in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text(encoding="utf-8")):
+        for target in re.findall(r"\]\(([^)]+)\)", page.read_text(encoding="utf-8")):
             if "://" not in target:
-                assert (page.parent / target).exists(), f"{page.name}: {target}"
+                file, _, heading = target.partition("#")
+                linked = page.parent / file if file else page
+                assert linked.exists(), f"{page.name}: {target}"
+                assert not heading or heading in headings(linked), f"{page.name}: {target}"
+
+
+def headings(page: Path) -> list[str]:
+    """The headings of a page as links name them."""
+    found = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), flags=re.M)
+    return [re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in found]
 
 
 def test_every_dependency_is_pinned():

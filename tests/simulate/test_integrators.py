@@ -47,7 +47,7 @@ def run(model: tn.LagrangianModel, e: tn.Experiment, substeps: int = 1) -> np.nd
 
 def seen(model: tn.LagrangianModel, e: tn.Experiment) -> Array:
     """What the steps of a record are driven by."""
-    return discretise(model, DT).seen(jnp.asarray(drive_of(e).ends))
+    return jnp.asarray(discretise(model, DT).seen(drive_of(e).ends))
 
 
 def test_a_held_input_drives_by_its_samples_and_a_straight_line_by_both_ends():

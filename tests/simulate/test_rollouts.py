@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -87,9 +88,12 @@ def test_values_and_gradients_are_those_of_the_plain_scan(
     np.testing.assert_allclose(states, expected_states, rtol=0, atol=tolerance * max(size, 1.0))
     np.testing.assert_allclose(value, expected_value, rtol=tolerance)
     pairs = zip(jax.tree.leaves(gradient), jax.tree.leaves(expected), strict=True)
+    whole = optax.tree.norm(expected)
     for ours, plain in pairs:
         assert ours.dtype == plain.dtype
-        assert jnp.linalg.norm(ours - plain) <= tolerance * jnp.linalg.norm(plain) + 1e-30
+        # a part that cancels has the rounding of what cancelled in it
+        near = jnp.linalg.norm(plain) + 0.1 * whole
+        assert jnp.linalg.norm(ours - plain) <= tolerance * near + 1e-30
 
 
 def test_frozen_layers_and_models_without_layers_work_too(pendulum):

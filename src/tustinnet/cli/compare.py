@@ -35,13 +35,17 @@ def compare(
     """Compare the free runs of several models: one table, one overlay a record."""
     terminal.prepare_jax()
     from tustinnet.cli.request import judged_records
+    from tustinnet.errors import InputError
     from tustinnet.evaluate.scores import evaluate, mean_rmse, rmse_by_record
     from tustinnet.report.figures import free_run_figure, write_figure
     from tustinnet.store.model_file import load_model, system_of
     from tustinnet.systems.files import load_system
 
     own = {found.name: found for found in map(load_system, system or [])}
-    loaded = [load_model(path, own.get(system_of(path))) for path in models]
+    belongs = [system_of(path) for path in models]
+    if unused := [name for name in own if name not in belongs]:
+        raise InputError("--system", f"'{unused[0]}', which no model is of", "a model's system")
+    loaded = [load_model(path, own.get(of)) for path, of in zip(models, belongs, strict=True)]
     records, begin = judged_records(data, card, split, start, loaded)
     scores = {
         label: evaluate(model, records, begin)

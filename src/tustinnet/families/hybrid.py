@@ -26,7 +26,15 @@ from tustinnet.families.family import (
     below,
     family_of,
 )
-from tustinnet.models.contract import AccelerationModel, Drive, Model, State, require_fit
+from tustinnet.models.contract import (
+    AccelerationModel,
+    Drive,
+    Ends,
+    Model,
+    Seen,
+    State,
+    require_fit,
+)
 from tustinnet.registry import FAMILIES, USUAL
 from tustinnet.signals.stacking import stacked
 from tustinnet.simulate.along import followed
@@ -83,7 +91,7 @@ class HybridModel(Model):
         """The longer of both."""
         return max(self.physics.warm_up, self.correction.warm_up)
 
-    def seen(self, ends: Float[Array, "*batch 2 n_u"]) -> Float[Array, "*any n_u"]:
+    def seen(self, ends: Ends) -> Seen:
         """What the physics is driven by."""
         return self.physics.seen(ends)
 

@@ -7,6 +7,7 @@ from typing import TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
@@ -18,6 +19,8 @@ from tustinnet.models.blocks import Scaling
 State = Float[Array, " n_x"]
 InputVector = Float[Array, " n_u"]
 Drive = Float[Array, "*ends n_u"]
+Ends = Float[Array | np.ndarray, "*batch 2 n_u"]
+Seen = Float[Array | np.ndarray, "*any n_u"]
 Internal = Float[Array, " n_z"]
 Coordinates = Float[Array, " n_q"]
 
@@ -61,9 +64,9 @@ class Model(_Stateful):
             f"steps of its sampling period, {self.dt:g} s", "resample the record",
         )  # fmt: skip
 
-    def seen(self, ends: Float[Array, "*batch 2 n_u"]) -> Float[Array, "*any n_u"]:
+    def seen(self, ends: Ends) -> Seen:
         """What steps are driven by, of the inputs at both ends of each period: here the mean."""
-        return jnp.mean(ends, axis=-2)
+        return ends.mean(axis=-2)
 
     @property
     def warm_up(self) -> int:

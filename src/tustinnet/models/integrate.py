@@ -6,11 +6,19 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from tustinnet.channels import Channels
 from tustinnet.errors import InputError
-from tustinnet.models.contract import ContinuousModel, Drive, InputVector, Model, State
+from tustinnet.models.contract import (
+    ContinuousModel,
+    Drive,
+    Ends,
+    InputVector,
+    Model,
+    Seen,
+    State,
+)
 
 # the classical method: where along the step each stage looks, and what it counts
 _REACH = (0.0, 0.5, 0.5, 1.0)
@@ -36,7 +44,7 @@ class FromContinuous(Model):
         """What the internal states of the continuous model are called."""
         return self.continuous.internal
 
-    def seen(self, ends: Float[Array, "*batch 2 n_u"]) -> Float[Array, "*any n_u"]:
+    def seen(self, ends: Ends) -> Seen:
         """Both ends of every period where an input follows a line, else the held inputs."""
         return ends if self.channels.ramped.any() else ends[..., 0, :]
 

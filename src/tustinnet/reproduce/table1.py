@@ -83,6 +83,11 @@ class Row:
     epochs: Sequence[int] | None = None
 
     @property
+    def start(self) -> str:
+        """Where its free runs start: models that need a warm-up do not start from the file."""
+        return self.scores[0].start
+
+    @property
     def mean(self) -> float:
         """Mean RMSE over the records [rad]."""
         return mean_rmse(self.scores)
@@ -237,6 +242,7 @@ def as_json(rows: Sequence[Row], split: str) -> dict[str, Any]:
                 "model": row.model,
                 "seed": row.seed,
                 "recipe": row.recipe,
+                "start": row.start,
                 "rmse": rmse_by_record(row.scores),
                 "mean": row.mean,
                 "train_seconds": row.train_seconds,
@@ -259,6 +265,7 @@ def as_table(rows: Sequence[Row], split: str) -> Table:
         lines.append([f"paper: {model}", *cells, mean if same_records else f"{mean}*"])
     for row in rows:
         label = row.model if row.seed is None else f"{row.model}, seed {row.seed}"
+        label += _told_start(row)
         lines.append([label, *[number(s.rmse) for s in row.scores], number(row.mean)])
     lines += _medians(rows)
     note = "" if same_records else "; * the paper's mean over its own (test) records"
@@ -278,5 +285,10 @@ def _medians(rows: Sequence[Row]) -> list[list[str]]:
         means = [row.mean for row in group]
         told = f"{number(statistics.median(means))} ({number(min(means))}..{number(max(means))})"
         cells = [number(statistics.median(column)) for column in columns]
-        lines.append([f"{model}, median of {len(group)} seeds", *cells, told])
+        label = f"{model}, median of {len(group)} seeds{_told_start(group[0])}"
+        lines.append([label, *cells, told])
     return lines
+
+
+def _told_start(row: Row) -> str:
+    return "" if row.start == START else f", from {row.start}"

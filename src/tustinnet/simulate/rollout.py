@@ -82,11 +82,11 @@ class _Course(NamedTuple):
 def _course(model: Model, u: Driven, measured: Any) -> _Course:
     period = None
     if isinstance(u, Drive):
-        seen = model.seen(jnp.asarray(u.ends))
+        seen = jnp.asarray(model.seen(jnp.asarray(u.ends)))
         period = None if u.periods is None else jnp.asarray(u.periods)
     else:
         seen = jnp.asarray(u)
-        seen = model.seen(seen) if seen.ndim == 3 else seen
+        seen = jnp.asarray(model.seen(seen)) if seen.ndim == 3 else seen
     if measured is None:
         return _Course(seen, period, None, None)
     steps, count = len(seen), len(measured)

@@ -60,6 +60,11 @@ def load_model(path: str | Path, system: AnySystem | None = None) -> Model:
             is not known or has changed.
     """
     header, arrays = read_file(Path(path), FAMILIES.names())
+    if system is not None and not _system_in(header):
+        raise InputError(
+            f"system for {path}", f"means nothing to a model of kind '{header['kind']}'",
+            "a model of a system", "leave --system out",
+        )  # fmt: skip
     try:
         return FAMILIES[header["kind"]].restore(header, arrays, system, Path(path))
     except InputError:
@@ -134,7 +139,10 @@ def read_file(path: Path, kinds: Sequence[str]) -> tuple[dict[str, Any], dict[st
 
 def system_of(path: str | Path) -> str:
     """The name of the system that a model file belongs to, also that a network corrects; or ""."""
-    header = read_header(path)
+    return _system_in(read_header(path))
+
+
+def _system_in(header: dict[str, Any]) -> str:
     while "physics" in header:
         header = header["physics"]
     return str(header.get("system", {}).get("name", ""))

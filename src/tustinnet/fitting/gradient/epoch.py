@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import optax
 from jax.flatten_util import ravel_pytree
-from jax.sharding import Mesh
+from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as Spec
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
@@ -118,7 +118,10 @@ def compiled_epochs(prepared: Plan, stage: Stage) -> EpochsFunction:
     )
     epochs = jnp.asarray(recipe.epochs, jnp.int32)
     material = _Material(own, epochs, prepared.records, validation)
-    return lambda state: _run(state, material, program=program)
+    # laid out as the first call takes it: arrays without entries come back laid out otherwise, and
+    # another layout would be compiled for anew
+    layout = NamedSharding(prepared.mesh, Spec(MEMBERS))
+    return lambda state: _run(jax.device_put(state, layout), material, program=program)
 
 
 def _possible(wanted: Criterion, stage: Stage, validation: ValidationRuns | None) -> Criterion:

@@ -6,10 +6,8 @@ from dataclasses import replace
 
 import jax
 import numpy as np
-from jax.sharding import NamedSharding, PartitionSpec
 
 from tustinnet.fitting.gradient.epoch import ROLLBACK_FACTOR, ROLLBACKS, compiled_epochs
-from tustinnet.fitting.gradient.layout import MEMBERS
 from tustinnet.fitting.gradient.plan import Plan
 from tustinnet.fitting.gradient.state import (
     EpochFigures,
@@ -75,8 +73,6 @@ def _run_stage(
 ) -> Resumed:
     stage = prepared.stages[index]
     run = compiled_epochs(prepared, stage)
-    # laid out from the first call on as the calls leave it, or the second compiles anew
-    state = jax.device_put(state, NamedSharding(prepared.mesh, PartitionSpec(MEMBERS)))
     while any(_is_due(stage, p) for p in progress):
         begun = time.perf_counter()
         state, told = run(state)

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -89,7 +88,7 @@ def cut(experiments: Sequence[Experiment], model: Model, how: Cut) -> Segments:
         (i, a, b) for i, e in enumerate(experiments) for a, b in _bounds(len(e) - 1, how.length)
     ]
     longest = max(b - a for _, a, b in pieces)
-    drives = [np.asarray(model.seen(jnp.asarray(e.input_ends))) for e in experiments]
+    drives = [np.asarray(model.seen(e.input_ends)) for e in experiments]
     x0 = np.zeros((len(pieces), model.state_size))
     searched, precision = np.ones_like(x0), np.zeros_like(x0)
     drive = np.zeros((len(pieces), longest, *drives[0].shape[1:]))
