@@ -1,6 +1,7 @@
 """Table 1: its rows, formats and choices, on a stand-in with the published layout."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -69,6 +70,7 @@ def test_the_json_says_split_units_start_records_and_rows(layout):
     assert set(row) == {
         "model", "seed", "recipe", "rmse", "mean", "train_seconds", "windows", "epochs",
     }  # fmt: skip
+    assert "start" not in row  # that of the table; rows that start otherwise say so
     assert list(row["rmse"]) == content["experiments"]
     assert row["mean"] == pytest.approx(np.mean(list(row["rmse"].values())))
 
@@ -172,3 +174,12 @@ def test_reproduce_writes_tables_and_figures_and_trains_on_no_test_record(
     assert "test" not in {record["split"] for record in model["data"]["records"]}
     for name in ("table1.md", "table1.tex", "free_run_fallTest4.png", "free_run_fallTest4.svg"):
         assert (out / name).is_file()
+
+
+def test_a_row_that_starts_otherwise_than_the_table_says_so(layout):
+    row = authors_rows(layout, "test")[0]
+    scores = tuple(replace(score, start="warm-up-20") for score in row.scores)
+    other = replace(row, model="gru", scores=scores)
+    (told,) = table1.as_json([other], "test")["rows"]
+    assert told["start"] == "warm-up-20"
+    assert any("gru, from warm-up-20" in line[0] for line in table1.as_table([other], "test").rows)

@@ -242,13 +242,13 @@ def as_json(rows: Sequence[Row], split: str) -> dict[str, Any]:
                 "model": row.model,
                 "seed": row.seed,
                 "recipe": row.recipe,
-                "start": row.start,
                 "rmse": rmse_by_record(row.scores),
                 "mean": row.mean,
                 "train_seconds": row.train_seconds,
                 "windows": None if row.windows is None else list(row.windows),
                 "epochs": None if row.epochs is None else list(row.epochs),
             }
+            | ({} if row.start == START else {"start": row.start})
             for row in rows
         ],
     }
