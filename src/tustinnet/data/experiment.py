@@ -231,6 +231,16 @@ class Experiment(HasChannels):
         last = np.where(self.channels.ramped, self.u[1:], self.u[:-1])
         return np.stack([self.u[:-1], last], axis=1)
 
+    def measured_states(
+        self, velocity: VelocitySource = "auto"
+    ) -> Float[np.ndarray, "n n_measured"]:
+        """Positions and velocities [q, v] of every sample, (n, 2 n_q).
+
+        Args:
+            velocity: where the velocities come from, see `velocities`.
+        """
+        return np.concatenate([self.q, self.velocities(velocity)], axis=1)
+
     def velocities(self, source: VelocitySource = "auto") -> Float[np.ndarray, "n n_q"]:
         """Velocities, (n, n_q) [rad/s or m/s].
 

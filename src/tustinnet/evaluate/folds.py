@@ -246,12 +246,10 @@ def cross_validate(data: DataSet, asked: Question, tell: Tell = lambda task: SIL
     """
     deals, recipe = dealt(data, asked.folds), asked.recipe
     physics = [None] * len(deals) if asked.physics is None else _physics(deals, asked, tell)
-    folds = tuple(Fold(d.roles, p) for d, p in zip(deals, physics, strict=True))
+    folds = tuple(Fold(_used(d.roles, recipe), p) for d, p in zip(deals, physics, strict=True))
     own = None if asked.physics else asked.system
     seeds = asked.seeds if recipe.family.trains else (0,)
     members = tuple(Member(seed, fold=f) for f in range(len(folds)) for seed in seeds)
-    if not recipe.family.trains:
-        folds = tuple(Fold(_identified_from(d.roles, recipe)) for d in deals)
     task, results = Task(recipe, folds, members, own), []
     for group in groups_alike(task):
         results += _fitted(task.of(group), tell)
@@ -266,19 +264,20 @@ def cross_validate(data: DataSet, asked: Question, tell: Tell = lambda task: SIL
     )
 
 
-def _identified_from(of: Roles, recipe: Recipe) -> Roles:
+def _used(of: Roles, recipe: Recipe) -> Roles:
     """An identification has no epochs to choose: what would choose them trains, too.
 
     Unless the recipe leaves it to these records how initial states are treated.
     """
-    search = recipe.search if isinstance(recipe, IdentificationRecipe) else None
-    return of if search is not None and search.initial == "choose" else Roles(of.all, ())
+    if not isinstance(recipe, IdentificationRecipe) or recipe.search.initial == "choose":
+        return of
+    return Roles(of.all, ())
 
 
 def _physics(deals: Sequence[Deal], asked: Question, tell: Tell) -> list[Model]:
     """What every fold's networks correct, identified from all records that are not scored."""
     assert asked.physics is not None
-    folds = tuple(Fold(_identified_from(d.roles, asked.physics)) for d in deals)
+    folds = tuple(Fold(_used(d.roles, asked.physics)) for d in deals)
     members = tuple(Member(fold=f) for f in range(len(folds)))
     task = Task(asked.physics, folds, members, asked.system)
     return [result.model for result in _fitted(task, tell)]

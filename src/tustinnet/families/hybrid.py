@@ -292,7 +292,7 @@ def _left_by(
     physics: Model, experiments: Sequence[Experiment], velocity: VelocitySource
 ) -> Float[Array, " n_q"]:
     """Root mean square of what physics leaves of the accelerations, the unit of a correction."""
-    measured = [np.concatenate([e.q, e.velocities(velocity)], axis=1) for e in experiments]
+    measured = [e.measured_states(velocity) for e in experiments]
     said = np.asarray(followed(physics, jnp.asarray(stacked(measured)), drives_of(experiments)))
     at = physics.channels.velocity
     left = [

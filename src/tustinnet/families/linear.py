@@ -84,7 +84,7 @@ class LinearFamily(Family):
     ) -> Callable[[PRNGKeyArray], LinearModel]:
         """One-step least squares on the records; internal states begin at random."""
         channels, n_z = experiments[0].channels, hyper.internal
-        x = [np.concatenate([e.q, e.velocities(velocity)], axis=1) for e in experiments]
+        x = [e.measured_states(velocity) for e in experiments]
         before, change = (
             np.concatenate([a[:-1] for a in x]), np.concatenate([np.diff(a, axis=0) for a in x])
         )  # fmt: skip

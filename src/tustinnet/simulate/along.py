@@ -28,7 +28,7 @@ def states_along(
         experiments: the records.
         velocity: where the velocities come from, see `Experiment.velocities`.
     """
-    known = [np.concatenate([e.q, e.velocities(velocity)], axis=1) for e in experiments]
+    known = [e.measured_states(velocity) for e in experiments]
     if not model.internal:
         return known
     # all of one length, so that one program serves them; nobody reads what follows a record's end

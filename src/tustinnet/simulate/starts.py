@@ -156,7 +156,7 @@ class WarmUp(Start):
         for e in experiments:
             _require_samples(e, self.name, self.samples, DERIVED, "the warm-up")
         heads = [e[: self.samples] for e in experiments]
-        known = [np.concatenate([e.q, e.velocities("stencil")], axis=1) for e in heads]
+        known = [e.measured_states("stencil") for e in heads]
         for x, e in zip(known, heads, strict=True):
             x[-1] = parabola(e, self.first, DERIVED)
         return np.stack(known), drives_of(heads)

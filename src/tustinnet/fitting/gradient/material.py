@@ -89,7 +89,7 @@ class Pool:
 
     def records(self, model: Model, velocity: VelocitySource) -> Records:
         """The records laid end to end."""
-        x = [np.concatenate([e.q, e.velocities(velocity)], axis=1) for e in self.experiments]
+        x = [e.measured_states(velocity) for e in self.experiments]
         seen = [np.asarray(model.seen(e.input_ends)) for e in self.experiments]
         u = [np.append(u, np.zeros((1, *u.shape[1:])), axis=0) for u in seen]
         return Records(*(jnp.asarray(np.concatenate(a), jnp.float32) for a in (x, u)))
