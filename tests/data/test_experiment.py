@@ -92,6 +92,11 @@ def test_a_single_sample_is_no_record() -> None:
         tn.from_arrays([1.0], dt=DT, coordinates={"angle": "angular"})
 
 
+def test_a_field_that_from_arrays_does_not_take_is_refused_by_name():
+    with pytest.raises(TypeError, match="no 'splits'; of a record it takes t, v, v_measured, name"):
+        tn.from_arrays([1.0, 2], dt=DT, coordinates={"angle": "angular"}, splits="train")  # pyright: ignore[reportCallIssue]
+
+
 @pytest.mark.parametrize("k_bar", [-1, 11])
 def test_k_bar_outside_the_record_is_refused(k_bar: int) -> None:
     with pytest.raises(tn.InputError, match=f"k_bar {k_bar}; expected a sample index from 0 to 10"):

@@ -184,18 +184,6 @@ def test_a_state_is_taken_apart_by_its_channels(module):
 
 # --- functions are small ---
 
-# what is over a limit today
-MANY_PARAMETERS = {"data/dataset.py": "from_arrays takes what an Experiment is made of"}
-LONG_FUNCTIONS: dict[str, str] = {}
-
-
-def known_as(over: dict[str, str], modules: list[str]) -> list:
-    """Modules as arguments of a test, those over a limit expected to fail."""
-    return [
-        pytest.param(m, marks=pytest.mark.xfail(reason=over[m], strict=False)) if m in over else m
-        for m in modules
-    ]
-
 
 def parameters_of(function: Function, *, method: bool) -> list[str]:
     """What a call gives, keywords included; not `self` or `cls`."""
@@ -207,7 +195,7 @@ def parameters_of(function: Function, *, method: bool) -> list[str]:
     return [*positional, *(a.arg for a in of.kwonlyargs), *starred]
 
 
-@pytest.mark.parametrize("module", known_as(MANY_PARAMETERS, modules_outside("cli")))
+@pytest.mark.parametrize("module", modules_outside("cli"))
 def test_functions_take_few_parameters(module):
     over = {
         name: len(parameters_of(function, method=method))
@@ -217,7 +205,7 @@ def test_functions_take_few_parameters(module):
     assert not over, f"{module}: at most {MOST_PARAMETERS}"
 
 
-@pytest.mark.parametrize("module", known_as(LONG_FUNCTIONS, MODULES))
+@pytest.mark.parametrize("module", MODULES)
 def test_functions_are_short(module):
     over = {}
     for name, function, _ in functions_in(tree_of(module)):

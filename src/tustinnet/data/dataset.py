@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, overload
+from typing import Any, TypedDict, Unpack, overload
 
 import numpy as np
 from jaxtyping import Float
@@ -97,6 +97,25 @@ class DataSet(HasChannels):
         return replace(self, experiments=(*self.experiments, *added))
 
 
+class RecordFields(TypedDict, total=False):
+    """What `from_arrays` may be told of a record beside its channels.
+
+    Attributes:
+        t: timestamps [s]; multiples of the period by default. For a log that is irregular beyond
+            jitter, follow with `resample`.
+        v: velocities, shaped like the positions.
+        v_measured: whether a sensor measured them; by default yes.
+        name: what the record is called; by default `experiment`.
+        split: `train`, `validation`, `test` or None.
+    """
+
+    t: ArrayLike | None
+    v: ArrayLike | None
+    v_measured: bool
+    name: str
+    split: str | None
+
+
 def from_arrays(
     q: ArrayLike,
     u: ArrayLike | None = None,
@@ -104,11 +123,7 @@ def from_arrays(
     dt: float,
     coordinates: Sequence[Coordinate] | Mapping[str, Kind],
     inputs: Sequence[Input] | Mapping[str, str] = (),
-    t: ArrayLike | None = None,
-    v: ArrayLike | None = None,
-    v_measured: bool = True,
-    name: str = "experiment",
-    split: str | None = None,
+    **record: Unpack[RecordFields],
 ) -> Experiment:
     """One record from arrays.
 
@@ -119,17 +134,17 @@ def from_arrays(
         dt: sampling period [s].
         coordinates: the columns of `q`, as `Coordinate`s or as `{name: "angular" or "linear"}`.
         inputs: the columns of `u`, as `Input`s or, under a zero-order hold, as `{name: unit}`.
-        t: timestamps [s]; multiples of `dt` by default. For a log that is irregular beyond
-            jitter, follow with `resample`.
-        v: velocities, shaped like `q`.
-        v_measured: whether a sensor measured them.
-        name: what the record is called.
-        split: `train`, `validation`, `test` or None.
+        record: `t`, `v`, `v_measured`, `name` and `split`, see `RecordFields`.
 
     Raises:
         InputError: shapes that do not fit, numbers that are not finite, timestamps whose median
             interval is not `dt`.
+        TypeError: another field of a record.
     """
+    if unknown := sorted(record.keys() - RecordFields.__annotations__.keys()):
+        fields = ", ".join(RecordFields.__annotations__)
+        raise TypeError(f"from_arrays takes no '{unknown[0]}'; of a record it takes {fields}")
+    name, t, v = record.get("name", "experiment"), record.get("t"), record.get("v")
     channels = _channels(name, coordinates, inputs, dt)
     positions = _columns(q, name)
     n = len(positions)
@@ -148,9 +163,9 @@ def from_arrays(
         q=positions,
         u=np.zeros((n, 0)) if u is None else _columns(u, name),
         v=None if v is None else _columns(v, name),
-        v_measured=v is not None and v_measured,
+        v_measured=v is not None and record.get("v_measured", True),
         channels=channels,
-        split=split,
+        split=record.get("split"),
         notes=notes,
     )
 
