@@ -3,12 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from tustinnet.errors import InputError
+from tustinnet.errors import InputError, require_name, require_text
 
 Kind = Literal["angular", "linear"]
 Hold = Literal["zero-order", "first-order"]
@@ -29,6 +29,13 @@ class Coordinate:
     name: str
     kind: Kind
     resolution: float | None = None
+
+    def __post_init__(self) -> None:
+        require_name(self.name, "coordinate")
+        if self.kind not in get_args(Kind):
+            raise InputError(
+                f"coordinate '{self.name}'", f"kind '{self.kind}'", "'angular' or 'linear'"
+            )
 
     @property
     def unit(self) -> str:
@@ -51,6 +58,14 @@ class Input:
     unit: str
     hold: Hold = "zero-order"
     limits: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        require_name(self.name, "input")
+        require_text(self.unit, f"unit of input '{self.name}'")
+        if self.hold not in get_args(Hold):
+            raise InputError(
+                f"input '{self.name}'", f"hold '{self.hold}'", "'zero-order' or 'first-order'"
+            )
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from tustinnet.channels import Channels, Coordinate, HasChannels, Input, Kind
 from tustinnet.data.experiment import Experiment, unwrap_angles
-from tustinnet.errors import InputError
+from tustinnet.errors import InputError, require_text
 
 _OTHER_PERIOD = 0.2  # relative; a median interval this far from `dt` is another period
 
@@ -29,6 +29,7 @@ class DataSet(HasChannels):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "experiments", tuple(self.experiments))
+        require_text(self.name, "data set")
         if not self.experiments:
             raise InputError(self.name, "no experiments", "at least one")
         first, seen = self.experiments[0], set()

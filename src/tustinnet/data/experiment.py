@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from tustinnet.channels import Channels, HasChannels
 from tustinnet.data.recording import Recording, describe_recording
-from tustinnet.errors import InputError
+from tustinnet.errors import InputError, require_name
 from tustinnet.signals import resampling
 from tustinnet.signals.derivatives import VelocityMethod, differentiate
 
@@ -72,6 +72,7 @@ class Experiment(HasChannels):
     notes: tuple[str, ...] = field(default=())
 
     def __post_init__(self) -> None:
+        require_name(self.name, "record")
         if not self.dt > 0 or not np.isfinite(self.dt):
             raise InputError(
                 self.name, f"sampling period {self.dt}", "a positive number of seconds"
