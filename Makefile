@@ -4,10 +4,12 @@ DATA ?= qube-servo2
 OUT ?= results/reproduce
 DEMO ?= results/demo
 SEEDS ?= 1
+MINUTES ?= 5
+SEED ?= 0
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo reproduce test check bench clean
+.PHONY: help install demo reproduce test check torture bench clean
 
 help:
 	@echo "make install     the package and its command in .venv"
@@ -15,6 +17,7 @@ help:
 	@echo "make reproduce   the paper's results (DATA=FOLDER OUT=$(OUT) SEEDS=$(SEEDS))"
 	@echo "make bench       speed against PyTorch, plain JAX and scipy (DATA=FOLDER; 'bench' extra)"
 	@echo "make test        linter, type checker, layers, tests"
+	@echo "make torture     kills, damaged inputs, faults, load for about MINUTES=$(MINUTES) (SEED=$(SEED))"
 
 install: .venv/installed
 
@@ -35,6 +38,10 @@ check: .venv/installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/basedpyright
 	$(BIN)/lint-imports
+
+# stops by itself; results/torture.json has what was found, docs/reliability.md says what is tried
+torture: .venv/installed-dev
+	$(BIN)/python -m tests.torture --minutes $(MINUTES) --seed $(SEED)
 
 bench: .venv/installed-bench
 	$(BIN)/python benchmarks/training.py compare $(DATA)

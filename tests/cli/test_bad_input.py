@@ -177,12 +177,14 @@ def test_the_data_variable_points_nowhere(tmp_path, monkeypatch, refused):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("rates", ["", "0,1", "1,1", "fast", "inf", "-1"])
+@pytest.mark.parametrize(
+    "rates", ["[]", "[0,1]", "[1,1]", "fast", "[inf]", "[-1]", "[1e9]", "[1e-300]", "1"]
+)
 def test_rates_that_are_no_factors(rates, folder, small_recipe, tmp_path, refused):
     out = tmp_path / "run"
     refused(
-        "fit", folder, "--recipe", small_recipe, "--out", out, f"--rates={rates}",
-        names=("--rates", "different numbers above 0", "--rates 0.3,1,3"),
+        "fit", folder, "--recipe", small_recipe, "--out", out, "--set", f"rates={rates}",
+        names=("rates",),
     )  # fmt: skip
     assert not out.exists()
 
@@ -205,7 +207,9 @@ def test_a_network_is_no_physics_to_correct(folder, run_folder, tmp_path, refuse
     assert not out.exists()
 
 
-@pytest.mark.parametrize("seeds", ["", "0", "-1", "x", "2.5", "1,1", "0,x", ","])
+@pytest.mark.parametrize(
+    "seeds", ["", "0", "-1", "x", "2.5", "1,1", "0,x", ",", "9" * 12, "9" * 12 + ",1", "9" * 5000]
+)
 def test_seeds_that_are_none(seeds, folder, small_recipe, tmp_path, refused):
     out = tmp_path / "run"
     refused(

@@ -215,6 +215,18 @@ def test_a_reversed_input_ends_with_its_name_and_exit_code_1(folder, system, tmp
     assert "'gain' stands at the lower end of its range" in out
 
 
+# a function that fails from a call on
+LATE = """calls = []
+
+
+def late():
+    calls.append(1)
+    if len(calls) > {}:
+        raise RuntimeError("late")
+
+
+SYSTEM ="""
+
 BROKEN = {
     "no SYSTEM": "x = 1\n",
     "fails at line 1 with ZeroDivisionError": "1 / 0\n",
@@ -231,11 +243,36 @@ BROKEN = {
     "with SystemExit: 0": "raise SystemExit(0)\n",
     "range 100..1; expected lower first": SYSTEM.replace("10.0, 1.0, 100.0", "10.0, 100.0, 1.0"),
     "coordinates": SYSTEM.replace('"angle", "angular"', '"x", "linear"'),
+    "fails at line 1 with GeneratorExit": "raise GeneratorExit\n",
+    "fails at line 1 with KeyboardInterrupt": "raise KeyboardInterrupt\n",
+    "fails at line 1 with RecursionError": "(f := lambda: f())()\n",
+    "fails at line 3 with Bad: without a text": (
+        "class Bad(Exception):\n    def __str__(self): raise Bad\nraise Bad\n"
+    ),
+    "broken.py at line 13: system 'small-pendulum', input_map: fails with RuntimeError: late": (
+        SYSTEM.replace('p["gain"] * u', "late()").replace("SYSTEM =", LATE.format(0))
+    ),
+    "input_map fails at line 13 with RuntimeError: late": (  # when the equations are derived
+        SYSTEM.replace('p["gain"] * u', "late() or u").replace("SYSTEM =", LATE.format(2))
+    ),
+    "input_map fails at line 13 with SystemExit: late": (  # while parameters are identified
+        SYSTEM.replace('p["gain"] * u', "late() or p['gain'] * u").replace(
+            "SYSTEM =", LATE.format(3).replace("RuntimeError", "SystemExit")
+        )
+    ),
+    "jacrev requires real-valued outputs": SYSTEM.replace('p["inertia"] * v[0] ** 2 / 2', "3"),
+    "unhashable type: 'list'": SYSTEM.replace(
+        '(tn.Coordinate("angle", "angular"),)', '[tn.Coordinate("angle", "angular")]'
+    ),
+    "holds the character '\\x1b'": SYSTEM.replace("small-pendulum", "\\x1b[31m"),
+    "null bytes": "x = 1\0\n",
+    "broken.py: more than 1 MB": "#" * 1_000_001,
     "nominal value 10": SYSTEM.replace("10.0, 1.0, 100.0", "10.0, 11.0, 100.0"),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("told", BROKEN)
+@pytest.mark.usefixtures("unchecked")
 def test_a_broken_system_file_is_one_line(told, folder, tmp_path, capsys):
     path = tmp_path / "broken.py"
     path.write_text(BROKEN[told])
@@ -247,6 +284,34 @@ def test_a_broken_system_file_is_one_line(told, folder, tmp_path, capsys):
     assert told in err
     assert err.count("error: ") == 1
     assert "Traceback" not in err
+
+
+def test_a_system_file_is_text_in_a_file(tmp_path):
+    path = tmp_path / "arm.py"
+    path.write_bytes(b"# -*- coding: latin-1 -*-\n# \xe9\n" + SYSTEM.encode())
+    with pytest.raises(tn.InputError, match=r"arm\.py: cannot be read .*utf-8"):
+        tn.load_system(path)
+    path.unlink()
+    path.mkdir()
+    with pytest.raises(tn.InputError, match=r"arm\.py: a folder or pipe"):
+        tn.load_system(path)
+
+
+def test_a_system_file_is_run_once_and_leaves_nothing_beside_it(
+    identified, folder, system, tmp_path, capsys
+):
+    system.write_text(f"{SYSTEM}print('it runs')\n")
+    before = set(system.parent.iterdir())
+    model = identified / "model.safetensors"
+    for arguments in (
+        ["evaluate", model, folder],
+        ["compare", model, folder],
+        ["fit", folder, "--out", tmp_path / "again", "--quiet"],
+    ):
+        code, out, err = tustinnet(capsys, *arguments, "--system", system)
+        assert code == 0, err
+        assert out.count("it runs") == 1
+    assert set(system.parent.iterdir()) - before == {tmp_path / "again"}
 
 
 GREY = ["--recipe", "grey", "--system", "{}"]
@@ -281,7 +346,7 @@ GREY = ["--recipe", "grey", "--system", "{}"]
         (["--set", "model.fixed.gain=4"], ["recipe 'standard', model.fixed", "unknown key"]),
         ([*GREY, "--seeds", "2"], ["--seeds", "'grey' identifies", "no seeds"]),
         ([*GREY, "--seeds", "1"], ["--seeds", "no seeds"]),
-        ([*GREY, "--rates", "1,0.5"], ["--rates", "'grey' identifies"]),
+        ([*GREY, "--set", "rates=[1,0.5]"], ["recipe 'grey', rates", "unknown key"]),
         ([*GREY, "--resume"], ["--resume", "an identification is not resumed"]),
     ],
     ids=lambda part: " ".join(part),

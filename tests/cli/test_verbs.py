@@ -92,7 +92,7 @@ def test_fit_reports_the_spread_of_several_seeds_and_keeps_model_and_figures(
 def test_fit_trains_every_seed_at_several_rates(folder, small_recipe, tmp_path, capsys):
     code, out, _ = tustinnet(
         capsys, "fit", folder, "--recipe", small_recipe, "--out", tmp_path / "run", "--seeds", 2,
-        "--rates", "1,0.5", "--device", "cpu", "--json",
+        "--set", "rates=[1,0.5]", "--device", "cpu", "--json",
     )  # fmt: skip
     assert code == 0
     told = [(s["seed"], s["rate"], s["model"]) for s in json.loads(out)["seeds"]]
@@ -129,7 +129,7 @@ def test_fit_resumes_a_finished_run(model, folder, small_recipe, capsys):
 def test_a_training_that_diverges_ends_with_an_account_and_exit_code_1(
     folder, small_recipe, tmp_path, capsys
 ):
-    small_recipe.write_text(small_recipe.read_text().replace("rate = 3e-3", "rate = 1e25"))
+    small_recipe.write_text(small_recipe.read_text().replace("rate = 3e-3", "rate = 1e3"))
     code, out, err = tustinnet(
         capsys, "fit", folder, "--recipe", small_recipe, "--out", tmp_path / "run"
     )
@@ -184,6 +184,58 @@ def test_fit_says_what_looks_wrong_in_the_records(folder, small_recipe, tmp_path
     )
     assert code == 0
     assert "suspicious: angle: encoder count 0.001534 rad found, 0.0020944 rad declared" in err
+
+
+def spoil(folder: Path, *, still: bool = False) -> None:
+    """Makes a sample of a record jump, or lets the torque of every record be a still angle, too."""
+    if not still:
+        lines = (folder / "fall2.csv").read_text().splitlines()
+        cells = lines[101].split(",")
+        lines[101] = ",".join([cells[0], str(float(cells[1]) + 100), *cells[2:]])
+        (folder / "fall2.csv").write_text("\n".join(lines) + "\n")
+        return
+    for path in folder.glob("*.csv"):
+        head, *rows = path.read_text().splitlines()
+        path.write_text("\n".join([f"{head},other", *(f"{row},0.3" for row in rows)]) + "\n")
+    card = folder / "dataset.toml"
+    other = '[[coordinates]]\nname = "other"\nkind = "linear"\ncolumn = "other"\n[[inputs]]'
+    card.write_text(card.read_text().replace("[[inputs]]", other))
+
+
+def test_strict_refuses_records_in_which_something_looks_wrong(
+    folder, small_recipe, tmp_path, capsys
+):
+    fit = ("fit", folder, "--recipe", small_recipe, "--set", "stages.*.epochs=1", "--quiet")
+    assert tustinnet(capsys, "inspect", folder, "--strict")[0] == 0
+    assert tustinnet(capsys, *fit, "--out", tmp_path / "sound", "--strict")[0] == 0
+    spoil(folder)
+    told = "record 'fall2': angle jumps at sample 100, 101 (bad rows, or lost counts?)"
+    validate = ("cross-validate", folder, "--recipe", small_recipe, "--folds", 3)
+    for verb in (
+        ("inspect", folder),
+        (*fit, "--out", tmp_path / "run"),
+        (*validate, "--out", tmp_path / "folds"),
+    ):
+        code, out, err = tustinnet(capsys, *verb, "--strict")
+        assert code == 1
+        assert out == ""
+        assert f"error: {told}; expected records in which nothing looks wrong; repair it" in err
+    assert not (tmp_path / "run").exists()
+    assert tustinnet(capsys, "inspect", folder)[0] == 0
+
+
+def test_fit_and_cross_validate_say_first_what_looks_wrong_and_what_never_moves(
+    folder, small_recipe, tmp_path, capsys
+):
+    spoil(folder)
+    spoil(folder, still=True)
+    with_recipe = (folder, "--recipe", small_recipe, "--set", "stages.*.epochs=1", "--quiet")
+    for verb in (("fit", *with_recipe), ("cross-validate", *with_recipe, "--folds", 3)):
+        code, _, err = tustinnet(capsys, *verb, "--out", tmp_path / verb[0])
+        assert code == 0
+        assert "suspicious: angle jumps at sample 100, 101" in err
+        assert "suspicious: other never changes" in err
+        assert "other never moves in the training records: nothing can be learnt of it" in err
 
 
 def test_evaluate_prints_the_scores_with_their_start(model, folder, capsys):

@@ -89,7 +89,7 @@ def test_an_unknown_key_far_from_all_is_refused_with_the_known_ones() -> None:
             {"coordinates": [{**ANGLE, "velocity": {"column": "v", "unit": "mm/s"}}]},
             "velocity unit 'mm/s' of an? angular",
         ),
-        ({"coordinates": [{**ANGLE, "resolution": 0}]}, "resolution: .*greater than 0"),
+        ({"coordinates": [{**ANGLE, "resolution": 0}]}, "resolution: .*greater than or equal"),
         ({"coordinates": [{**ANGLE, "sign": 2}]}, "sign: .*1 or -1"),
         ({"coordinates": [ANGLE, ANGLE]}, "two channels are called 'angle'"),
         (
@@ -99,13 +99,53 @@ def test_an_unknown_key_far_from_all_is_refused_with_the_known_ones() -> None:
         ({"coordinates": []}, "coordinates: .*at least 1"),
         ({"dt": None}, "neither `dt` nor a time column"),
         ({"dt": "fast"}, r"dt: .*\(got 'fast'\)"),
-        ({"dt": 0}, "dt: .*greater than 0"),
+        ({"dt": 0}, "dt: .*greater than or equal"),
+        ({"dt": 1e-320}, "dt: .*greater than or equal"),
+        ({"dt": 1e300}, "dt: .*less than or equal"),
+        ({"dt": float("nan")}, "dt: .*finite"),
+        ({"name": "a\nb"}, "name: .*holds the character"),
+        ({"coordinates": [{**ANGLE, "name": "a/b"}]}, r"coordinates\.0\.name: .*the name 'a/b'"),
+        ({"coordinates": [{**ANGLE, "column": 0}]}, r"0\.column: columns count from 1"),
+        ({"coordinates": [{**ANGLE, "column": 10**9}]}, r"0\.column: columns count from 1"),
+        ({"coordinates": [{**ANGLE, "offset": float("inf")}]}, r"0\.offset: "),
+        ({"coordinates": [{**ANGLE, "counts_per_revolution": 1e300}]}, "counts_per_revolution: "),
+        ({"inputs": [{"name": "u", "column": 1, "unit": "V", "scale": 1e200}]}, "scale: .*less"),
+        (
+            {"inputs": [{"name": "u", "column": 1, "unit": "V", "limits": [0, float("inf")]}]},
+            r"limits\.1: ",
+        ),
+        ({"time": {"column": "t", "tolerance": float("inf")}}, "tolerance: "),
+        ({"format": {"columns": 10**9}}, r"format\.columns: .*less"),
+        ({"format": {"delimiter": "ab"}}, r"format\.delimiter: one mark"),
+        ({"format": {"delimiter": '"'}}, r"format\.delimiter: one mark"),
+        ({"splits": {"train": [{"file": "a.csv", "rows": [9, 9]}]}}, "rows: the first row, then"),
+        ({"splits": {"train": [{"file": "a.csv", "rows": [-1, 9]}]}}, r"rows\.0: .*greater"),
+        ({"splits": {"train": [{"file": "a.csv", "k_bar": 10**15}]}}, "k_bar: .*less"),
+        ({"splits": {"train": [{"file": "a.csv", "name": "../a"}]}}, r"name: .*the name '\.\./a'"),
         ({"splits": {"trian": ["a.csv"]}}, "splits.trian.*'train', 'validation' or 'test'"),
     ],
 )
 def test_what_makes_no_sense_is_refused_with_its_key(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(tn.InputError, match=f"dataset.toml, .*{message}"):
         read(**changes)
+
+
+@pytest.mark.parametrize(
+    ("file", "message"),
+    [
+        ("/etc/passwd", "a path below the card's folder"),
+        ("../other/log.csv", "a path below the card's folder"),
+        ("a/../../log.csv", "a path below the card's folder"),
+        ("C:\\logs\\log.csv", "a path below the card's folder"),
+        ("..\\log.csv", "a path below the card's folder"),
+        ("", "a path below the card's folder"),
+        ("**/*.csv", r"a pattern without '\*\*'"),
+        (f"a/{'ä' * 128}", "a file name of more than 255 bytes"),
+    ],
+)
+def test_files_lie_below_the_cards_folder(file: str, message: str) -> None:
+    with pytest.raises(tn.InputError, match=rf"splits\.train\.0\.file: {message}"):
+        read(splits={"train": [file]})
 
 
 def test_a_time_column_stands_in_for_the_period() -> None:

@@ -73,6 +73,27 @@ def test_a_number_that_is_not_finite_is_refused_with_its_sample(
         replace(e, **{attribute: broken})
 
 
+@pytest.mark.parametrize("attribute", ["t", "q", "u", "v"])
+def test_a_number_whose_square_overflows_is_refused_with_its_sample(attribute: str) -> None:
+    e = replace(record(10), v=np.ones((10, 1)))
+    broken = getattr(e, attribute).copy()
+    broken[7] = -1e200
+    with pytest.raises(tn.InputError, match=rf"{attribute} is -1e\+200 at sample 7; .*at most 1e"):
+        replace(e, **{attribute: broken})
+
+
+def test_a_grid_far_longer_than_the_record_is_refused() -> None:
+    e = record(10)
+    wild = replace(e, t=np.arange(10) + np.where(np.arange(10) < 6, 0, 1e6))
+    with pytest.raises(
+        tn.InputError, match=r"experiment, sample 6: a grid of 0\.02 s makes 5e\+07"
+    ):
+        wild.resample(DT)
+    with pytest.raises(tn.InputError, match=r"a grid of 1e-300 s makes"):
+        e.resample(1e-300)
+    assert len(e.resample(DT / 8)) == 73
+
+
 @pytest.mark.parametrize(("times", "sample"), [([0, 1, 1, 2], 2), ([0, 1, 2, 1.5], 3)])
 def test_times_that_repeat_or_go_back_are_refused_with_their_sample(
     times: list[float], sample: int

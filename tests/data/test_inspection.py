@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import tustinnet as tn
-from tustinnet.data.inspection import inspect_experiment, transient_end
+from tustinnet.data.inspection import inspect_experiment, still, transient_end
+from tustinnet.systems.qube_servo2_twin import twin
 
 DT = 0.01
 COUNT = 2 * np.pi / 4096
@@ -188,7 +189,46 @@ def test_padded_velocities_are_suspicious() -> None:
 def test_a_jump_is_suspicious_with_its_sample() -> None:
     q, _ = swing()
     q[300] += 1.0
-    assert "angle jumps at sample 299, 300, 301" in suspicious(record(quantised(q)))
+    assert "angle jumps at sample 300, 301 (bad rows" in suspicious(record(quantised(q)))
+
+
+def test_a_jump_in_a_short_record_is_suspicious() -> None:
+    q, _ = swing(60)
+    q[33:] += 1000.0
+    assert "angle jumps at sample 33 (bad rows, or lost counts?)" in suspicious(record(q))
+
+
+def test_degrees_declared_as_radians_are_suspicious() -> None:
+    told = suspicious(record(np.rad2deg(1.5 * swing(rate=0.1)[0]), resolution=None))
+    assert "angle moves more than a quarter turn in" in told
+    assert "wrong unit" in told
+    assert "jumps" not in told
+
+
+def test_magnitudes_that_no_mechanism_has_are_suspicious() -> None:
+    q, _ = swing()
+    told = suspicious(record(q * 1e7, u=1e10 * q))
+    assert "angle reaches 1e+07 rad" in told
+    assert "torque reaches 1e+10 N m" in told
+
+
+def test_a_spike_of_an_input_is_suspicious_with_its_sample() -> None:
+    q, _ = swing()
+    u = np.random.default_rng(0).normal(size=len(q))
+    assert suspicious(record(q, u=u)) == ""
+    u[55] = 1e4
+    assert "torque has spikes at sample 55" in suspicious(record(q, u=u))
+
+
+@pytest.mark.real
+def test_the_measured_records_have_padded_velocities_and_nothing_else(real_data: Path) -> None:
+    for e in tn.load(real_data):
+        assert all("padded" in text for text in inspect_experiment(e).suspicious), e.name
+
+
+def test_records_of_the_twin_have_padded_velocities_and_nothing_else() -> None:
+    for e in twin(0):
+        assert all("padded" in text for text in inspect_experiment(e).suspicious), e.name
 
 
 @pytest.mark.parametrize("factor", [-1.0, 180 / np.pi, np.pi / 180, 1e3])
@@ -216,3 +256,14 @@ def test_a_coordinate_that_never_changes_is_suspicious() -> None:
         np.stack([q, 0 * q], 1), dt=DT, coordinates={"moving": "angular", "still": "angular"}
     )
     assert inspect_experiment(e).suspicious == ("still never changes",)
+    assert still([e]) == ["still"]
+    assert still([e, replace(e, q=e.q[:, ::-1])]) == []
+
+
+def test_the_rounding_of_a_constant_is_no_motion() -> None:
+    q, _ = swing()
+    both = np.stack([q, 0.3 + 1e-16 * np.arange(len(q)) / len(q)], 1)
+    e = tn.from_arrays(both, dt=DT, coordinates={"a": "angular", "b": "angular"})
+    assert still([e]) == ["b"]
+    for source in ("stencil", "savgol"):
+        assert not e.velocities(source)[:, 1].any()

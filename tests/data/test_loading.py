@@ -1,6 +1,8 @@
 """From files and data frames to records, as a card says."""
 
 import hashlib
+import os
+import time
 from pathlib import Path
 from typing import Any
 
@@ -66,10 +68,10 @@ def test_a_record_says_where_it_came_from(folder: Path) -> None:
 
 
 def test_patterns_find_files_in_natural_order(tmp_path: Path) -> None:
-    for number in (1, 2, 10, 21, 3):
+    for number in (1, 2, 10, "21²", 3):
         write(tmp_path / "train" / f"run{number}.csv")
     data = load_folder(tmp_path, card(splits={"train": ["train/run*.csv"]}))
-    assert [e.name for e in data] == ["run1", "run2", "run3", "run10", "run21"]
+    assert [e.name for e in data] == ["run1", "run2", "run3", "run10", "run21²"]
     assert data[3].source == "train/run10.csv"
 
 
@@ -148,6 +150,57 @@ def test_files_whose_clocks_jitter_are_one_data_set(tmp_path: Path) -> None:
     assert data.dt == pytest.approx(DT, rel=1e-2)
 
 
+# --- what a card may name ---
+
+
+@pytest.mark.parametrize("file", ["link.csv", "*.csv", "away/log.csv", "a*/log.csv"])
+def test_a_link_that_leaves_the_folder_is_refused(tmp_path: Path, file: str) -> None:
+    folder, other = tmp_path / "logs", tmp_path / "other"
+    folder.mkdir()
+    (folder / "link.csv").symlink_to(write(other / "log.csv"))
+    (folder / "away").symlink_to(other)
+    with pytest.raises(tn.InputError, match=r"\.csv: a link that leaves the folder"):
+        load_folder(folder, card(splits={"train": [file]}))
+
+
+def test_links_inside_of_the_folder_and_to_it_are_followed(tmp_path: Path) -> None:
+    path = write(tmp_path / "logs" / "log.csv")
+    (path.parent / "link.csv").symlink_to(path)
+    (tmp_path / "here").symlink_to(path.parent)
+    assert len(one(tmp_path / "here" / "link.csv")) == 40
+
+
+def test_a_device_is_never_read(tmp_path: Path) -> None:
+    (tmp_path / "zero.csv").symlink_to("/dev/zero")
+    os.mkfifo(tmp_path / "pipe.csv")
+    with pytest.raises(tn.InputError, match=r"zero\.csv: a link that leaves the folder"):
+        one(tmp_path / "zero.csv")
+    with pytest.raises(tn.InputError, match=r"pipe\.csv: a folder, pipe or device"):
+        one(tmp_path / "pipe.csv")
+
+
+def test_links_in_a_circle_are_told(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").symlink_to(tmp_path / "b.csv")
+    (tmp_path / "b.csv").symlink_to(tmp_path / "a.csv")
+    for file in ("a.csv", "*.csv"):
+        with pytest.raises(tn.InputError, match=r"a\.csv: (no such file|cannot be followed)"):
+            load_folder(tmp_path, card(splits={"train": [file]}))
+
+
+def test_folders_that_a_pattern_finds_are_no_records(tmp_path: Path) -> None:
+    (tmp_path / "run.old.csv").mkdir()
+    write(tmp_path / "run1.csv")
+    assert [e.name for e in load_folder(tmp_path, card(splits={"train": ["run*"]}))] == ["run1"]
+
+
+def test_a_file_whose_name_is_no_records_name_is_told(tmp_path: Path) -> None:
+    path = write(tmp_path / "._run.csv")
+    with pytest.raises(tn.InputError, match=r"^\._run\.csv: the name '\._run'.*name = \"\.\.\.\""):
+        one(path)
+    files = [{"file": path.name, "name": "run"}]
+    assert load_folder(tmp_path, card(splits={"train": files}))[0].name == "run"
+
+
 # --- columns ---
 
 
@@ -166,6 +219,21 @@ def test_names_without_a_header_are_explained(tmp_path: Path) -> None:
         one(path, format={"header": False})
 
 
+def test_a_file_without_header_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("0.5,1\n0.6,2\n0.8,3\n")
+    with pytest.raises(tn.InputError, match=r"no column 'angle'.*has no header: columns go by"):
+        one(path)
+    e = one(path, coordinates=[{**ANGLE, "column": 1}], inputs=[])
+    np.testing.assert_array_equal(e.q[:, 0], [0.5, 0.6, 0.8])
+    assert e.notes == ("no header: the first row is a sample",)
+
+
+def test_numbers_name_columns_of_a_file_with_header(tmp_path: Path) -> None:
+    e = one(write(tmp_path / "log.csv"), coordinates=[{**ANGLE, "column": 2}])
+    assert len(e) == 40
+
+
 def test_columns_go_by_number_from_1(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("0.5,1\n0.6,2\n0.8,3\n")
@@ -177,11 +245,10 @@ def test_columns_go_by_number_from_1(tmp_path: Path) -> None:
     np.testing.assert_array_equal(e.u[:, 0], [1, 2, 3])
 
 
-@pytest.mark.parametrize("number", [0, 4])
-def test_a_column_number_out_of_range_is_refused(tmp_path: Path, number: int) -> None:
+def test_a_column_number_out_of_range_is_refused(tmp_path: Path) -> None:
     path = write(tmp_path / "log.csv")
-    with pytest.raises(tn.InputError, match=f"3 columns; expected a column {number} .*from 1"):
-        one(path, coordinates=[{**ANGLE, "column": number}])
+    with pytest.raises(tn.InputError, match=r"3 columns; expected a column 4 .*from 1"):
+        one(path, coordinates=[{**ANGLE, "column": 4}])
 
 
 def test_another_number_of_columns_than_declared_is_refused(tmp_path: Path) -> None:
@@ -200,6 +267,22 @@ def test_a_number_that_is_not_finite_is_refused_with_file_sample_and_column(
     path = write(tmp_path / "log.csv", angle=angle)
     with pytest.raises(tn.InputError, match=rf"log\.csv, row 15, angle: {value} \(2 such\)"):
         one(path)
+
+
+def test_a_number_too_large_is_refused_with_its_row_in_the_file(tmp_path: Path) -> None:
+    write(tmp_path / "log.csv", angle=np.where(np.arange(40) == 13, 1e200, 0.5))
+    files = [{"file": "log.csv", "rows": [10, 30]}]
+    with pytest.raises(tn.InputError, match=r"row 15, angle: 1e\+200 .*at most 1e\+100"):
+        load_folder(tmp_path, card(splits={"train": files}))
+
+
+def test_many_columns_take_no_time(tmp_path: Path) -> None:
+    path, names = tmp_path / "log.csv", [f"c{k}" for k in range(10_000)]
+    rows = [",".join(names), ",".join(["1"] * 10_000), ",".join(["2"] * 10_000)]
+    path.write_text("\n".join(rows))
+    start = time.monotonic()
+    one(path, coordinates=[{**ANGLE, "column": "c9999"}], inputs=[])
+    assert time.monotonic() - start < 2.0
 
 
 def test_columns_that_are_not_used_may_hold_anything_finite_or_not(tmp_path: Path) -> None:
@@ -285,7 +368,7 @@ def gap(tmp_path: Path) -> Path:
 def test_irregular_times_are_refused_with_what_can_be_done(gap: Path) -> None:
     with pytest.raises(
         tn.InputError,
-        match=r'log\.csv: interval of 0\.06 s before sample 20 .*0\.01 s within 5%.*"resample"',
+        match=r'log\.csv, row 22: interval of 0\.06 s before sample 20 .*within 5%.*"resample"',
     ):
         one(gap, **timed())
 
@@ -303,6 +386,25 @@ def test_irregular_times_are_resampled_where_the_card_says_so(gap: Path) -> None
     np.testing.assert_allclose(e.q[:, 0], np.sin(3 * e.t), atol=1e-4)
     assert "resampled onto a grid of 0.01 s" in e.notes[0]
     assert "1 gaps interpolated" in e.notes[0]
+
+
+@pytest.mark.parametrize("wild", [1e9, 1e18, 1e99])
+def test_a_wild_timestamp_makes_no_endless_grid(tmp_path: Path, wild: float) -> None:
+    t = np.arange(40) * DT
+    t[30:] += wild * np.arange(1, 11)
+    path = write(tmp_path / "log.csv", time=t)
+    files = [{"file": path.name, "rows": [5, 31]}]
+    with pytest.raises(tn.InputError, match=r"log\.csv, row 32: a grid of 0\.01 s makes .* of 26"):
+        load_folder(tmp_path, card(splits={"train": files}, **timed(irregular="resample")))
+
+
+@pytest.mark.parametrize("interval", [1e-320, 1e-12, 1e12])
+def test_a_period_that_no_log_has_is_refused(tmp_path: Path, interval: float) -> None:
+    path = write(tmp_path / "log.csv", time=np.arange(40) * interval)
+    with pytest.raises(tn.InputError, match=r"median interval .*1e-09 to 10000 s"):
+        one(path, dt=None, **timed())
+    with pytest.raises(tn.InputError, match=r"median interval .*0\.01 s as in the card"):
+        one(path, **timed())
 
 
 def test_keeping_times_of_another_period_is_refused(tmp_path: Path) -> None:

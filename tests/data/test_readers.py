@@ -5,11 +5,13 @@ from typing import Any
 
 import h5py
 import numpy as np
+import pandas as pd
 import polars as pl
 import pytest
 import scipy.io
 
-from tustinnet.data.readers import Columns, frame_columns, read_columns
+from tustinnet.data.columns import Columns, frame_columns
+from tustinnet.data.readers import read_columns
 from tustinnet.errors import InputError
 
 ANGLE = np.array([0.5, -1.25, 3e-3])
@@ -73,6 +75,31 @@ def test_text_with_a_header_is_read(
 def test_text_without_a_header_is_numbered_from_1(tmp_path: Path) -> None:
     path = text_file(tmp_path, "0.5,1\n-1.25,0\n3e-3,-2\n")
     assert_columns(read_columns(path, header=False), {"column 1": ANGLE, "column 2": VOLTAGE})
+
+
+@pytest.mark.parametrize("number", ["1", " -.5e-3", "+1.", "nan", "-Inf"])
+def test_a_first_row_of_numbers_is_no_header(tmp_path: Path, number: str) -> None:
+    path = text_file(tmp_path, f"# rig\n{number},,2\n3,,4\n")
+    found = read_columns(path)
+    assert found.names == ("column 1", "column 2", "column 3")
+    assert found.notes == ("no header: the first row is a sample",)
+    np.testing.assert_array_equal(found["column 3"], [2, 4])
+    with pytest.raises(InputError, match=r"row 2: only numbers.*`header = false`"):
+        read_columns(path, header=True)
+
+
+def test_names_beside_numbers_must_be_told_from_a_sample(tmp_path: Path) -> None:
+    path = text_file(tmp_path, "0.5,start\n0.6,\n0.7,stop\n")
+    with pytest.raises(InputError, match=r"row 1: .*the number 0\.5.*`header = true`.*false"):
+        read_columns(path)["0.5"]
+    np.testing.assert_array_equal(read_columns(path, header=True)["0.5"], [0.6, 0.7])
+    assert len(read_columns(path, header=False)["column 1"]) == 3
+
+
+def test_columns_without_a_name_are_numbered(tmp_path: Path) -> None:
+    found = read_columns(text_file(tmp_path, ",angle,,\n7,1,2,3\n8,4,5,6\n"))
+    assert found.names == ("column 1", "angle", "column 3", "column 4")
+    np.testing.assert_array_equal(found["column 4"], [3, 6])
 
 
 def test_empty_lines_are_no_rows(tmp_path: Path) -> None:
@@ -226,19 +253,30 @@ def test_a_damaged_file_is_refused(tmp_path: Path, ending: str, damage: str) -> 
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2] if damage == "cut" else b"\x07noise" * 500)
     with pytest.raises(InputError, match=r"log\.(parquet|npz|mat)"):
-        read_columns(path)
+        numbers(read_columns(path))
 
 
 def test_pickled_objects_are_not_loaded(tmp_path: Path) -> None:
     path = tmp_path / "log.npz"
     np.savez(path, a=np.array([{"x": 1}, None], dtype=object))
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="holds no samples; expected columns of numbers"):
         read_columns(path)
 
 
 def test_an_unknown_ending_is_refused_with_the_known_ones(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"ending '\.xlsx'; expected one of \.csv.*\.npz"):
         read_columns(text_file(tmp_path, "x", "log.xlsx"))
+
+
+def test_two_columns_of_one_name_of_a_data_frame_are_refused() -> None:
+    frame = pd.DataFrame([[1.0, 2.0], [3.0, 4.0]], columns=["a", "a"])
+    with pytest.raises(InputError, match="bench: two columns are called 'a'"):
+        frame_columns(frame, "bench")
+
+
+def test_a_column_of_lists_is_not_numbers() -> None:
+    with pytest.raises(InputError, match=r"bench, a: cannot be turned into numbers"):
+        frame_columns(pl.DataFrame({"a": [[1], [2]]}), "bench")["a"]
 
 
 def test_what_is_no_data_frame_is_refused() -> None:

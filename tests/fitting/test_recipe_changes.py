@@ -88,6 +88,27 @@ def test_values_are_read_as_toml_has_them():
         ("model.scaling=metres", "no scaling 'metres'; known: records, published"),
         ("model=tustin-net", "expected a table with `kind"),
         ("start=somewhere", "unknown start 'somewhere'"),
+        ("stages.0.rate=inf", r"stages\.0\.rate: .*finite"),
+        ("stages.0.clip=inf", r"stages\.0\.clip: .*finite"),
+        ("stages.0.clip=1e300", r"stages\.0\.clip: .*less than or equal"),
+        ("stages.0.rate=1e25", r"stages\.0\.rate: .*less than or equal"),
+        ("stages.0.epochs=1000000000000", r"stages\.0\.epochs: .*less than or equal"),
+        ("stages.0.epochs=99999999999999999999", "an integer of more than 64 bits"),
+        ("stages.0.epochs=" + "9" * 5000, "--set: '9999.*digits"),
+        ("stages.0.batch=10000000000", r"stages\.0\.batch: .*less than or equal"),
+        ("stages.0.windows.length=10000000000", r"windows\.length: .*less than or equal"),
+        ("stages.0.windows.step=10000000000", r"windows\.step: .*less than or equal"),
+        ("model.hidden=[100000]", r"model\.hidden\.0: .*less than or equal"),
+        (f"model.hidden={[1] * 101}", r"model\.hidden: .*at most 100"),
+        ("model.stem=100000", r"model\.stem: .*less than or equal"),
+        ("model.memory=[inf]", r"model\.memory\.0: .*finite"),
+        ("stages.0.frozen_layers=-1", r"frozen_layers: .*greater than or equal"),
+        ("model.hidden=" + "[" * 3000, "--set: .*recursion"),
+        ("model.hidden=" + "[" * 25 + "]" * 25, "nested deeper than 20"),
+        (".".join("a" * 1000) + "=1", "nested deeper than 20"),
+        ("stages.0.rate=1\nx=2", r"stages\.0\.rate: .*valid number"),
+        ("name=a\x1b[31m", "name: .*holds the character"),
+        ("stages.0.name=a/b", r"stages\.0\.name: the name 'a/b'"),
     ],
 )
 def test_a_change_that_cannot_be_made_is_refused_by_name(change, told):
@@ -106,6 +127,18 @@ def test_a_change_that_cannot_be_made_is_refused_by_name(change, told):
         ("grey", "search.los=state", "did you mean 'loss'"),
         ("grey", "model.hidden=[3]", r"model\.hidden: unknown key"),
         ("grey", "search.initial=model-20", "a start that is fitted"),
+        ("gru", "model.hidden=1000000", r"model\.hidden: .*less than or equal"),
+        ("gru", "model.warm_up=1000000000", r"model\.warm_up: .*less than or equal"),
+        ("linear", "model.internal=1000000", r"model\.internal: .*less than or equal"),
+        ("neural-ode", "model.substeps=1000000", r"model\.substeps: .*less than or equal"),
+        ("neural-ode", "model.fades_at_rest=true", r"model\.fades_at_rest: unknown key"),
+        ("linear", "stages.0.penalty=0.1", r"stages\.0\.penalty: unknown key"),
+        ("best-hybrid", "stages.0.penalty=inf", r"stages\.0\.penalty: .*finite"),
+        ("best-hybrid", "model.correction.stem=100000", r"stem: .*less than or equal"),
+        ("grey", "search.iterations=1000000000000", r"search\.iterations: .*less than or equal"),
+        ("grey", "search.substeps=1000000000000", r"search\.substeps: .*less than or equal"),
+        ("grey", "search.tolerance=inf", r"search\.tolerance: .*finite"),
+        ("grey", "model.fixed.gain=nan", r"model\.fixed\.gain"),
         ("best-hybrid", "model.correction.hiden=[3]", "did you mean 'hidden'"),
         ("best-hybrid", "model.correction.kind=euler-lagrange", "a kind that says accelerations"),
         ("best-hybrid", "model.correction.kind=nothing", "nothing"),
@@ -145,3 +178,14 @@ def test_a_recipe_is_changed_like_the_file_it_came_from():
     assert training("model.hidden.0=3", which=training()).model.model_dump()["hidden"] == (3, 6)
     changed = training("name=mine", which=training().each(epochs=2))
     assert [s.epochs for s in changed.stages] == [2, 2]
+
+
+def test_a_mapping_is_as_moderate_as_a_file():
+    deep: dict[str, Any] = {}
+    inside = deep
+    for _ in range(5000):
+        inside["a"] = inside = {}
+    with pytest.raises(tn.InputError, match="nested deeper than 20"):
+        tn.read_recipe({**SMALL, "model": deep})
+    with pytest.raises(tn.InputError, match="more than 64 bits"):
+        tn.read_recipe({**SMALL, "velocity": 10**5000})

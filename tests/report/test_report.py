@@ -67,10 +67,10 @@ def test_figures_are_written_whole_or_not_at_all(pendulum, tmp_path):
         ),
     }
     for name, figure in pictures.items():
-        write_figure(figure, tmp_path / "deep" / name)
+        write_figure(figure, tmp_path / "deep", name)
     assert {p.name for p in (tmp_path / "deep").iterdir()} == set(pictures)
     with pytest.raises(tn.InputError, match=r"xyz.*expected .*png"):
-        write_figure(pictures["run.png"], tmp_path / "picture.xyz")
+        write_figure(pictures["run.png"], tmp_path, "picture.xyz")
     assert not (tmp_path / "picture.xyz").exists()
 
 

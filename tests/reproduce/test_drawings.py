@@ -26,7 +26,7 @@ def test_drawings_are_written(tmp_path, draw, ending):
     figure = draw()
     assert isinstance(figure, Figure)
     path = tmp_path / f"drawing{ending}"
-    write_figure(figure, path)
+    write_figure(figure, path.parent, path.name)
     start = b"\x89PNG" if ending == ".png" else b"<?xml"
     assert path.read_bytes().startswith(start)
 

@@ -5,9 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tustinnet.errors import InputError
 from tustinnet.signals.resampling import (
     regular_grid,
     regularity,
+    require_short_grid,
     resample_held,
     resample_linear,
     resample_positions,
@@ -74,6 +76,13 @@ def test_the_grid_of_a_regular_record_keeps_its_last_sample(
 
 def test_the_grid_ends_inside_the_record() -> None:
     np.testing.assert_allclose(regular_grid(np.array([1.0, 1.05, 1.36]), 0.1), [1, 1.1, 1.2, 1.3])
+
+
+def test_a_grid_is_at_most_ten_times_as_long_as_the_record() -> None:
+    t = np.arange(20.0)
+    require_short_grid(t, 0.1, str)
+    with pytest.raises(InputError, match=r"^7: a grid of 0\.1 s makes .* \(interval of 1e\+18 s\)"):
+        require_short_grid(np.where(t < 7, t, 1e18), 0.1, str)
 
 
 def test_positions_are_interpolated_to_a_millionth_of_a_swing() -> None:

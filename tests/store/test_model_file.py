@@ -1,7 +1,6 @@
 """The model file: written, read, and refused when it is not one."""
 
 import dataclasses
-import json
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +11,8 @@ import safetensors.numpy
 import tustinnet as tn
 from tustinnet.families.tustin_net import TustinNet, random_tustin_net
 from tustinnet.models.blocks import learn_scaling
-from tustinnet.store.model_file import FORMAT, KEY
+from tustinnet.registry import FAMILIES
+from tustinnet.store.sealed import FORMAT, read_sealed, write_sealed
 
 
 @pytest.fixture
@@ -31,10 +31,9 @@ def file(model, tmp_path):
 
 
 def rewrite(path, **changes) -> None:
-    with safetensors.safe_open(path, framework="numpy") as stored:
-        header = json.loads(stored.metadata()[KEY])
-        arrays = {name: stored.get_tensor(name).copy() for name in stored.keys()}  # noqa: SIM118 (not a dict)
-    path.write_bytes(safetensors.numpy.save(arrays, {KEY: json.dumps(header | changes)}))
+    """The same file with another header, sealed again."""
+    header, arrays = read_sealed(path, FAMILIES.names())
+    write_sealed(path.parent, path.name, header | changes, arrays)
 
 
 def test_what_is_read_is_what_was_written_bit_for_bit(model, file):
@@ -112,8 +111,50 @@ def test_a_newer_version_is_refused_with_the_remedy(file):
 
 
 def test_a_header_that_does_not_fit_its_arrays_is_refused(file):
-    rewrite(file, coordinates=[])
+    rewrite(file, coordinates=[{"name": "other", "kind": "linear"}])
     with pytest.raises(tn.InputError, match="do not fit"):
+        tn.load_model(file)
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"coordinates": []}, "coordinates: List should have at least 1 item"),
+        ({"coordinates": [{"name": "../x", "kind": "angular"}]}, r"coordinates.*'\.\./x'"),
+        ({"coordinates": 3}, "coordinates"),
+        ({"inputs": [{"name": "a\x1b[1m", "unit": "V"}]}, r"'\\x1b'"),
+        ({"dt": float("nan")}, "dt"),
+        ({"dt": None}, "dt"),
+        ({"structure": {}}, "do not fit"),
+        ({"structure": {"hidden": [10**12]}}, "do not fit"),
+        ({"structure": None}, "do not fit"),
+        ({"format": float("inf")}, "without a tustinnet header"),
+        ({"kind": ["tustin-net"]}, "a file of kind"),
+    ],
+)
+def test_a_header_that_says_nonsense_is_refused(file, changes, told):
+    rewrite(file, **changes)
+    with pytest.raises(tn.InputError, match=told):
+        tn.load_model(file)
+
+
+def test_every_flipped_bit_is_found_or_means_nothing(model, file):
+    whole = file.read_bytes()
+    generator = np.random.default_rng(0)
+    for place in generator.integers(0, len(whole), 300):
+        damaged = bytearray(whole)
+        damaged[place] ^= 1 << int(generator.integers(8))
+        file.write_bytes(damaged)
+        with pytest.raises(tn.InputError):
+            tn.load_model(file)
+
+
+def test_numbers_that_are_not_finite_are_refused(file):
+    header, arrays = read_sealed(file, FAMILIES.names())
+    name = next(n for n in arrays if n.endswith("weight"))
+    arrays[name][0, 0] = np.nan
+    write_sealed(file.parent, file.name, header, arrays)
+    with pytest.raises(tn.InputError, match="not finite"):
         tn.load_model(file)
 
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,8 +14,9 @@ import pytest
 import safetensors.numpy
 
 import tustinnet as tn
+from tustinnet.fitting.listener import Listener
 from tustinnet.fitting.task import Member, make_task
-from tustinnet.store.run import MODEL, Earlier, Run, run_task
+from tustinnet.store.run import MODEL, Earlier, Run, read_log, run_task
 
 
 def arrays(path: Path) -> dict[str, bytes]:
@@ -117,6 +119,55 @@ def test_a_damaged_checkpoint_is_refused(run_folder, folder, small_recipe):
     path.write_bytes(path.read_bytes()[:200])
     with pytest.raises(tn.InputError, match="cut short"):
         run(tn.load(folder), small(small_recipe), [0], run_folder, "resume")
+
+
+@pytest.mark.parametrize("damage", ["gone", "cut", "list", "binary", "other keys", "deep"])
+def test_a_damaged_log_is_set_aside_and_said_so(run_folder, folder, small_recipe, damage):
+    log = run_folder / "seed-0" / "log.jsonl"
+    lines = log.read_text().splitlines(keepends=True)
+    content = {
+        "gone": b"", "cut": ("".join(lines[:4]) + lines[4][:9]).encode(), "binary": b"\xff\x00",
+        "list": ("".join(lines[:3]) + "[1]\n").encode(), "deep": b"[" * 100_000,
+        "other keys": (lines[0] + '{"stage": 3}\n').encode(),
+    }[damage]  # fmt: skip
+    log.write_bytes(content)
+    if damage == "gone":
+        log.unlink()
+    sound = {"cut": 4, "list": 3, "other keys": 1}.get(damage, 0)
+    told: list[str] = []
+    task = make_task(tn.load(folder), small(small_recipe), [Member(0), Member(1)])
+    run_task(task, "x", run_folder, "resume", lambda prepared: Listener(remark=told.append))
+    assert len(told) == 1
+    assert f"seed-0/log.jsonl: {sound} sound lines, expected 9" in told[0]
+    assert log.read_text() == "".join(lines[:sound])
+    assert log.with_name("log.damaged.jsonl").read_bytes() == content
+    assert len(read_log(run_folder / "seed-0")) == sound
+
+
+def test_a_diverged_training_is_resumed_with_its_whole_log(folder, small_recipe, tmp_path):
+    small_recipe.write_text(small_recipe.read_text().replace("rate = 3e-3", "rate = 1e3"))
+    first = run(tn.load(folder), small(small_recipe), [0], tmp_path / "run")
+    log = tmp_path / "run" / "seed-0" / "log.jsonl"
+    before = log.read_bytes()
+    assert before
+    again = run(tn.load(folder), small(small_recipe), [0], tmp_path / "run", "resume")
+    assert log.read_bytes() == before
+    assert again.best.result.outcome == first.best.result.outcome
+    assert first.best.result.outcome.startswith("diverged")
+
+
+def test_a_folder_that_is_removed_while_it_is_written_into_ends_the_run(
+    folder, small_recipe, tmp_path
+):
+    place = tmp_path / "run"
+
+    def remove(report) -> None:
+        if report.epoch == 2 and place.exists():
+            shutil.rmtree(place)
+
+    task = make_task(tn.load(folder), small(small_recipe))
+    with pytest.raises(tn.InputError, match=r"log\.jsonl: cannot be written \(No such file"):
+        run_task(task, "x", place, "refuse", lambda prepared: Listener(epoch=remove))
 
 
 def test_a_run_without_validation_records_is_judged_on_its_training_records(

@@ -54,7 +54,7 @@ def compare(
     if figures is not None:
         for i, e in enumerate(records):
             runs = {label: found[i] for label, found in scores.items()}
-            write_figure(free_run_figure(e, runs), figures / f"{e.name}.png")
+            write_figure(free_run_figure(e, runs), figures, f"{e.name}.png")
         terminal.messages().print(f"figures: {figures}")
     means = {label: mean_rmse(found) for label, found in scores.items()}
     if json:

@@ -29,6 +29,7 @@ def cross_validate(
         typer.Option(metavar="NAME", help="Start of the free runs; may be repeated."),
     ] = None,
     card: options.Card = None,
+    strict: options.Strict = False,
     device: options.Device = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
@@ -36,17 +37,11 @@ def cross_validate(
 ) -> None:
     """Score a recipe on every record by models that never saw it: mean and standard error."""
     terminal.prepare_jax(device)
-    from tustinnet.cli.request import recipe_of, seeds_of
-    from tustinnet.data.catalog import load
+    from tustinnet.cli.request import loaded, recipe_of, seeds_of, tell_still
     from tustinnet.evaluate.folds import cross_validate, make_question
     from tustinnet.report.fits import folds_table
     from tustinnet.report.progress import FitProgress
-    from tustinnet.store.files import (
-        require_new,
-        require_writable_folder,
-        to_json,
-        write_atomically,
-    )
+    from tustinnet.store.files import owned, require_new, to_json, write_into
 
     chosen = recipe_of(recipe, changes, system=system, physics=physics)
     asked = make_question(
@@ -55,12 +50,13 @@ def cross_validate(
     )  # fmt: skip
     told, file = terminal.messages(), out / "folds.json"
     require_new([file], overwrite=overwrite)
-    require_writable_folder(out)
-    with FitProgress(told, quiet=quiet) as progress:
-        found = cross_validate(load(data, card), asked, progress.follow)
-    write_atomically(file, to_json(found.as_plain()))
+    records = loaded(data, card, out, told, strict=strict)
+    tell_still([e for e in records if e.split != "test"], told)
+    with owned(out), FitProgress(told, quiet=quiet) as progress:
+        found = cross_validate(records, asked, progress.follow)
+    write_into(out, file.name, to_json(found.as_plain()))
     table = folds_table(found)
-    write_atomically(out / "folds.md", table.markdown())
+    write_into(out, "folds.md", table.markdown())
     if json:
         terminal.print_json(found.as_plain())
     else:

@@ -59,7 +59,7 @@ def demo(
     _say(told, quiet, f"2/4 looking at the {len(data)} records: {out / 'twin_records.png'}")
     training = list(data.split("train"))
     reports = [inspect_experiment(e) for e in training]
-    write_figure(inspection_figure(training, reports), out / "twin_records.png")
+    write_figure(inspection_figure(training, reports), out, "twin_records.png")
     if not json:
         terminal.print_tables(time_table(reports))
     _say(told, quiet, "3/4 fitting four models on the training records")
@@ -109,7 +109,7 @@ def _fitted(
 
 def _write(data: "DataSet", scores: "dict[str, list[Score]]", out: Path) -> dict[str, Any]:
     from tustinnet.evaluate.scores import mean_rmse, rmse_by_record
-    from tustinnet.store.files import to_json, write_atomically
+    from tustinnet.store.files import to_json, write_into
 
     content = {
         "data": data.name, "split": "test", "start": _START, "units": data.channels.unit,
@@ -118,8 +118,8 @@ def _write(data: "DataSet", scores: "dict[str, list[Score]]", out: Path) -> dict
             for label, found in scores.items()
         },
     }  # fmt: skip
-    write_atomically(out / "twin_table.md", _table(scores).markdown())
-    write_atomically(out / "twin_table.json", to_json(content))
+    write_into(out, "twin_table.md", _table(scores).markdown())
+    write_into(out, "twin_table.json", to_json(content))
     return content
 
 
@@ -147,6 +147,6 @@ def _draw(data: "DataSet", scores: "dict[str, list[Score]]", out: Path) -> list[
             label: next(s for s in found if s.experiment == name) for label, found in scores.items()
         }
         figure = free_run_figure(data[name], runs, recorded="twin")
-        write_figure(figure, out / f"{name}.png")
+        write_figure(figure, out, f"{name}.png")
         written.append(f"{name}.png")
     return written

@@ -49,9 +49,9 @@ def evaluate(
         from tustinnet.report.figures import ahead_figure, free_run_figure, write_figure
 
         for e, score in zip(records, scores, strict=True):
-            write_figure(free_run_figure(e, {model.stem: score}), figures / f"{e.name}.png")
+            write_figure(free_run_figure(e, {model.stem: score}), figures, f"{e.name}.png")
         if errors is not None:
-            write_figure(ahead_figure({model.stem: errors}, judged.channels), figures / "ahead.png")
+            write_figure(ahead_figure({model.stem: errors}, judged.channels), figures, "ahead.png")
         terminal.messages().print(f"figures: {figures}")
     if json:
         content: dict[str, Any] = {

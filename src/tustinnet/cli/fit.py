@@ -9,6 +9,7 @@ from tustinnet.cli import options, terminal
 
 if TYPE_CHECKING:
     from tustinnet.data.dataset import DataSet
+    from tustinnet.fitting.recipe import Recipe
     from tustinnet.store.run import Earlier, Run
 
 
@@ -18,19 +19,13 @@ def fit(
     recipe: options.Recipe = None,
     changes: options.Set = None,
     seeds: options.Seeds = None,
-    rates: Annotated[
-        str | None,
-        typer.Option(
-            metavar="X,Y,...",
-            help="Factors of the recipe's rates; every seed is trained with each.",
-        ),
-    ] = None,
     physics: Annotated[
         Path | None,
         typer.Option(metavar="MODEL", help="A model whose accelerations a network corrects."),
     ] = None,
     system: options.System = None,
     card: options.Card = None,
+    strict: options.Strict = False,
     device: options.Device = None,
     resume: options.Resume = False,
     overwrite: options.Overwrite = False,
@@ -39,22 +34,25 @@ def fit(
 ) -> None:
     """Fit a model as a recipe says: train its weights or identify its parameters."""
     terminal.prepare_jax(device)
-    from tustinnet.cli.request import loaded, members_of, recipe_of
+    from tustinnet.cli.request import loaded, members_of, recipe_of, tell_still
     from tustinnet.fitting.task import make_task
     from tustinnet.report.progress import FitProgress
     from tustinnet.store.model_file import load_model
     from tustinnet.store.run import run_task
 
     chosen = recipe_of(recipe, changes, system=system, physics=physics)
-    members = members_of(seeds, rates, chosen)
+    members = members_of(seeds, chosen)
     known = None if physics is None else load_model(physics, system)
     earlier = _earlier(resume=resume, overwrite=overwrite)
     told = terminal.messages()
-    records = loaded(data, card, out, told)
+    records = loaded(data, card, out, told, strict=strict)
+    if "validation" not in records.splits:
+        told.print("note: no validation split; the scores below are of the training records")
     # with physics, a system is that of the physics
     of = None if physics is not None else system
     task = make_task(records, chosen, members, physics=known, system=of)
-    with FitProgress(told, quiet=quiet) as progress, terminal.resumable(told, "--resume"):
+    tell_still(task.folds[0].roles.train, told)
+    with FitProgress(told, quiet=quiet) as progress, terminal.interruptible(_remedy(chosen)):
         run = run_task(task, records.name, out, earlier, progress.follow)
     _draw(run, records)
     if json:
@@ -67,6 +65,13 @@ def fit(
         told.print(f"error: {who}{result.failure}")
     if len(unfinished) == len(run.members):
         raise typer.Exit(1)
+
+
+def _remedy(recipe: "Recipe") -> str:
+    """What to do after an interruption."""
+    if recipe.family.trains:
+        return "--resume goes on from the checkpoint"
+    return "an identification begins anew, with --overwrite where it left files"
 
 
 def _earlier(*, resume: bool, overwrite: bool) -> "Earlier":
@@ -101,14 +106,16 @@ def _draw(run: "Run", data: "DataSet") -> None:
     from tustinnet.report.identification import correlation_figure
     from tustinnet.store.run import read_log
 
-    folder, best = run.folder / "figures", run.best
+    best = run.best
     histories = {of.result.member.name: read_log(of.folder) for of in run.members}
     if all(histories.values()):
-        write_figure(training_figure(histories), folder / "training.png")
+        write_figure(training_figure(histories), run.folder, "figures/training.png")
     if best.result.identification is not None:
-        write_figure(correlation_figure(best.result.identification), folder / "correlation.png")
+        write_figure(
+            correlation_figure(best.result.identification), run.folder, "figures/correlation.png"
+        )
     label = best.result.recipe.name
     label += f", {best.result.member.name}" if len(run.members) > 1 else ""
     for score in best.scores:
         picture = free_run_figure(data[score.experiment], {label: score})
-        write_figure(picture, folder / f"{score.experiment}.png")
+        write_figure(picture, run.folder, f"figures/{score.experiment}.png")

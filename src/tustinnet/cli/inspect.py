@@ -17,6 +17,7 @@ def inspect(
     data: options.Data,
     card: options.Card = None,
     split: options.Split = None,
+    strict: options.Strict = False,
     json: options.Json = False,
     figure: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Draw the records (.png, .svg, .pdf).")
@@ -29,12 +30,14 @@ def inspect(
     from tustinnet.data.inspection import inspect_experiment
 
     loaded = load(data, card)
-    records = loaded.split(split) if split else loaded
+    records = loaded if split is None else loaded.split(split)
     reports = [inspect_experiment(e) for e in records]
+    if strict:
+        require_sound(reports)
     if figure is not None:
         from tustinnet.report.figures import inspection_figure, write_figure
 
-        write_figure(inspection_figure(list(records), reports), figure)
+        write_figure(inspection_figure(list(records), reports), figure.parent, figure.name)
         terminal.messages().print(f"figure: {figure}")
     if json:
         terminal.print_json(
@@ -51,6 +54,22 @@ def inspect(
 def suspicions(reports: Iterable["ExperimentReport"]) -> list[str]:
     """What looks wrong in records, a line each, told once where many share it."""
     return _lines("suspicious", ((r.name, text) for r in reports for text in r.suspicious))
+
+
+def require_sound(reports: Iterable["ExperimentReport"]) -> None:
+    """Raises where something looks wrong in a record.
+
+    Raises:
+        InputError: the first such record, with the first thing that was found.
+    """
+    from tustinnet.errors import InputError
+
+    for r in reports:
+        if r.suspicious:
+            raise InputError(
+                f"record '{r.name}'", r.suspicious[0], "records in which nothing looks wrong",
+                "repair it, or leave --strict out",
+            )  # fmt: skip
 
 
 def _lines(kind: str, remarks: Iterable[tuple[str, str]]) -> list[str]:

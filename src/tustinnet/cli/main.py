@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from tustinnet.cli import terminal
 from tustinnet.cli.compare import compare
 from tustinnet.cli.cross_validate import cross_validate
 from tustinnet.cli.demo import demo
@@ -28,7 +29,7 @@ _VERBS = (
     demo, inspect, fit, cross_validate, simulate, evaluate, compare, residuals, show, reproduce,
 )  # fmt: skip
 for verb in _VERBS:
-    app.command()(verb)
+    app.command()(terminal.interruptible()(verb))
 
 
 def _version(asked: bool) -> None:

@@ -68,6 +68,9 @@ Start = Annotated[
         "file where velocities are stored, else derived-6.",
     ),
 ]
+Strict = Annotated[
+    bool, typer.Option("--strict", help="Refuse records in which something looks wrong.")
+]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on from the checkpoints in --out.")]
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace what is there already in --out.")

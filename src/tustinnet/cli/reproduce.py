@@ -77,7 +77,7 @@ def reproduce(
     from tustinnet.errors import InputError
     from tustinnet.report.progress import FitProgress
     from tustinnet.reproduce import figures, table1
-    from tustinnet.store.files import require_writable_folder, to_json, write_atomically
+    from tustinnet.store.files import owned, to_json, write_into
 
     told = terminal.messages()
     folder, card = locate(data)
@@ -90,23 +90,23 @@ def reproduce(
     scored = table1.choose_split(records, split)
     chosen, remark = table1.choose_models(models or (), folder)
     drawn = figures.choose_experiment(records, scored, experiment)
-    require_writable_folder(out)
     told.print(f"data: {folder}; scoring the {scored} split, start '{table1.START}'")
     for line in _remarks(folder, remark, out / "runs", overwrite=overwrite):
         told.print(line)
     ask = table1.Ask(chosen, scored, seeds, None if keep is None else keep.value, overwrite)
-    with FitProgress(told, quiet=quiet) as progress, terminal.resumable(told, "the same command"):
+    with (
+        owned(out),
+        FitProgress(told, quiet=quiet) as progress,
+        terminal.interruptible("the same command goes on"),
+    ):
         rows = table1.build_rows(
             records, folder, ask, out / "runs",
             lambda name: lambda prepared: progress.follow(prepared, name),
         )  # fmt: skip
     content, table = table1.as_json(rows, scored), table1.as_table(rows, scored)
-    for name, text in (
-        ("json", to_json(content)),
-        ("md", table.markdown()),
-        ("tex", table.latex()),
-    ):
-        write_atomically(out / f"table1.{name}", text)
+    write_into(out, "table1.json", to_json(content))
+    write_into(out, "table1.md", table.markdown())
+    write_into(out, "table1.tex", table.latex())
     written = figures.draw(records, rows, scored, drawn, out)
     if json:
         terminal.print_json(content)

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from tustinnet.fitting.task import Member
     from tustinnet.models.contract import Model
 
+_MOST_SEEDS, _LARGEST_SEED = 1000, 2**32 - 1
+
 
 def recipe_of(
     name: str | None, changes: Sequence[str] | None, *, system: object, physics: object
@@ -25,18 +27,20 @@ def recipe_of(
     return read_recipe(name or usual, changes or ())
 
 
-def members_of(seeds: str | None, rates: str | None, recipe: "Recipe") -> "list[Member]":
-    """The members that `--seeds` and `--rates` ask for."""
+def members_of(seeds: str | None, recipe: "Recipe") -> "list[Member]":
+    """The members that `--seeds` and the recipe's `rates` ask for."""
     from tustinnet.errors import InputError
+    from tustinnet.fitting.recipe import TrainingRecipe
     from tustinnet.fitting.task import Member
 
-    for option, given in (("--seeds", seeds), ("--rates", rates)):
-        if given is not None and not recipe.family.trains:
-            raise InputError(
-                option, f"an option of a training; '{recipe.name}' identifies",
-                "a recipe of a kind with weights", "an identification has no seeds",
-            )  # fmt: skip
-    return [Member(seed, rate) for seed in seeds_of(seeds) for rate in _rates_of(rates)]
+    if isinstance(recipe, TrainingRecipe):
+        return [Member(seed, rate) for seed in seeds_of(seeds) for rate in recipe.rates]
+    if seeds is not None:
+        raise InputError(
+            "--seeds", f"an option of a training; '{recipe.name}' identifies",
+            "a recipe of a kind with weights", "an identification has no seeds",
+        )  # fmt: skip
+    return [Member()]
 
 
 def seeds_of(seeds: str | None) -> tuple[int, ...]:
@@ -48,8 +52,12 @@ def seeds_of(seeds: str | None) -> tuple[int, ...]:
     except ValueError:
         listed = []
     several = seeds is not None and "," in seeds
-    found = tuple(listed) if several else tuple(range(*listed[:1] or (0,)))
-    if not found or min(found) < 0 or len(set(found)) < len(found):
+    found = tuple(listed if several else range(min(*listed, _MOST_SEEDS + 1) if listed else 0))
+    if (
+        not 0 < len(found) <= _MOST_SEEDS
+        or not 0 <= min(found) <= max(found) <= _LARGEST_SEED
+        or len(set(found)) < len(found)
+    ):
         raise InputError(
             "--seeds", f"'{seeds}'", "a number above 0, or different seeds, separated by commas",
             "for instance --seeds 3, or --seeds 4,5, (a comma behind a single one)",
@@ -57,28 +65,12 @@ def seeds_of(seeds: str | None) -> tuple[int, ...]:
     return found
 
 
-def _rates_of(rates: str | None) -> list[float]:
-    from tustinnet.errors import InputError
+def loaded(data: str, card: Path | None, out: Path, told: "Console", *, strict: bool) -> "DataSet":
+    """The records to fit to; says what looks wrong in them, and refuses to write among them.
 
-    try:
-        factors = [float(x) for x in rates.split(",")] if rates is not None else [1.0]
-    except ValueError:
-        factors = []
-    if (
-        not factors
-        or not all(0 < x < float("inf") for x in factors)
-        or len(set(factors)) < len(factors)
-    ):
-        raise InputError(
-            "--rates", f"'{rates}'", "different numbers above 0, separated by commas",
-            "for instance --rates 0.3,1,3",
-        )  # fmt: skip
-    return factors
-
-
-def loaded(data: str, card: Path | None, out: Path, told: "Console") -> "DataSet":
-    """The records to fit to; says what looks wrong in them, and refuses to write among them."""
-    from tustinnet.cli.inspect import suspicions
+    Strict, it refuses records in which something looks wrong.
+    """
+    from tustinnet.cli.inspect import require_sound, suspicions
     from tustinnet.data.catalog import locate
     from tustinnet.data.inspection import inspect_experiment
     from tustinnet.data.loading import load_folder
@@ -88,11 +80,20 @@ def loaded(data: str, card: Path | None, out: Path, told: "Console") -> "DataSet
     if out.resolve() == folder.resolve():
         raise InputError(out, "the folder of the data", "another folder for the run")
     records = load_folder(folder, declared)
-    if "validation" not in records.splits:
-        told.print("note: no validation split; the scores below are of the training records")
-    for line in suspicions(map(inspect_experiment, records)):
+    reports = [inspect_experiment(e) for e in records]
+    if strict:
+        require_sound(reports)
+    for line in suspicions(reports):
         told.print(line)
     return records
+
+
+def tell_still(experiments: "Sequence[Experiment]", told: "Console") -> None:
+    """Says which coordinates do not move in any of the records that train."""
+    from tustinnet.data.inspection import still
+
+    for name in still(experiments):
+        told.print(f"{name} never moves in the training records: nothing can be learnt of it")
 
 
 def judged_records(
@@ -103,6 +104,6 @@ def judged_records(
     from tustinnet.simulate.starts import default_start
 
     found = load(data, card)
-    records = list(found.split(split) if split else found)
+    records = list(found if split is None else found.split(split))
     needing = max(models, key=lambda model: model.warm_up)
-    return records, start or default_start(records, needing)
+    return records, default_start(records, needing) if start is None else start

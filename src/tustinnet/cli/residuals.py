@@ -36,7 +36,7 @@ def residuals(
     reports = residual_reports(judged, records, begin, lags)
     title = f"Residuals of {len(records)} free runs, start '{begin}'"
     if figure is not None:
-        write_figure(residual_figure(reports, judged.channels, title), figure)
+        write_figure(residual_figure(reports, judged.channels, title), figure.parent, figure.name)
         terminal.messages().print(f"figure: {figure}")
     if json:
         plain = [

@@ -6,18 +6,22 @@ import typer
 
 from tustinnet.cli import options, terminal
 
+_LONGEST_LINE = 1000  # characters
+
 
 def show(model: options.Model, json: options.Json = False) -> None:
     """Print a model file's header: structure or parameters, data, scores."""
+    from tustinnet.errors import printable, refusing
     from tustinnet.store.model_file import shown
 
     header, own = shown(model)
     if json:
         terminal.print_json(header)
         return
-    lines = [*_channels(header), *own, *_fit(header), *_identified(header), *_scores(header)]
+    with refusing(model, "its header says something else than fits write", "a run's model file"):
+        lines = [*_channels(header), *own, *_fit(header), *_identified(header), *_scores(header)]
     for key, value in lines:
-        typer.echo(f"{key:<14}{value}")
+        typer.echo(f"{key:<14}{printable(str(value), _LONGEST_LINE)}")
 
 
 def _channels(header: dict[str, Any]) -> list[tuple[str, str]]:

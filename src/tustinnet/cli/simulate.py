@@ -37,10 +37,9 @@ def simulate(
     simulator = load_model(model, system)
     folder, declared = locate(data, card)
     loaded = load_folder(folder, declared)
-    records = list(loaded.split(split) if split else loaded)
-    if experiment:
-        records = [loaded[name] for name in experiment]
-    begin = start or default_start(records, simulator)
+    chosen = loaded if split is None else loaded.split(split)
+    records = [chosen[name] for name in experiment] if experiment else list(chosen)
+    begin = default_start(records, simulator) if start is None else start
     scores = evaluate(simulator, records, begin)
     paths = [out / f"{e.name}.csv" for e in records]
     sources = {(folder / e.source).resolve() for e in loaded if e.source}
@@ -51,7 +50,7 @@ def simulate(
     require_writable_folder(out)
     written = []
     for e, score, path in zip(records, scores, paths, strict=True):
-        write_simulation(path, e, score.simulated)
+        write_simulation(out, e, score.simulated)
         written.append({"experiment": e.name, "rmse": score.rmse, "file": str(path)})
     if json:
         terminal.print_json({"start": begin, "simulations": written})

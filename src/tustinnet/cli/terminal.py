@@ -1,10 +1,13 @@
 """What every verb does with the terminal: messages, results, precision."""
 
 import os
+import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -40,14 +43,65 @@ def print_tables(*tables: "Table") -> None:
         table.print(console)
 
 
+class Stopped(KeyboardInterrupt):
+    """Ctrl-C, SIGTERM or SIGHUP.
+
+    Attributes:
+        code: the usual exit code: 130, 143 or 129.
+    """
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.code = 128 + number
+
+
+_verbs = 0  # how deep in `interruptible`
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    """Raises in a verb; ends the process at once before it, and while a module loads.
+
+    An exception would leave half a module, and compiled ones crash; nothing is being written then.
+    """
+    while frame is not None and frame.f_globals.get("__name__") != "importlib._bootstrap":
+        frame = frame.f_back
+    if _verbs and frame is None:
+        raise Stopped(number)
+    os.write(2, b"interrupted\n")
+    os._exit(128 + number)
+
+
 @contextmanager
-def resumable(console: "Console", remedy: str) -> Iterator[None]:
-    """Says how to go on when a training is interrupted; exit code 130 as is usual."""
+def stoppable() -> Iterator[None]:
+    """Ctrl-C, SIGTERM and SIGHUP end what is inside with one line.
+
+    Those that whoever started the command has it ignore stay ignored.
+    """
+    before = {}
+    if threading.current_thread() is threading.main_thread():  # others cannot set handlers
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
+            number = getattr(signal, name, None)
+            if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+                before[number] = signal.signal(number, _stop)
     try:
         yield
-    except KeyboardInterrupt:
-        console.print(f"interrupted; {remedy} goes on from the checkpoint")
-        raise SystemExit(130) from None
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def interruptible(remedy: str = "") -> Iterator[None]:
+    """Ends with one line and the usual exit code when interrupted."""
+    global _verbs
+    _verbs += 1
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        sys.stderr.write(f"interrupted; {remedy}\n" if remedy else "interrupted\n")
+        raise SystemExit(getattr(stop, "code", 128 + signal.SIGINT)) from None
+    finally:
+        _verbs -= 1
 
 
 def prepare_jax(device: str | None = None) -> None:

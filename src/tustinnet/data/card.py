@@ -1,15 +1,30 @@
 """The data card: a TOML file that says what the columns of a folder of logs mean."""
 
-from typing import Literal
+from pathlib import PureWindowsPath
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, StrictInt, StrictStr, field_validator, model_validator
+from pydantic import AfterValidator, Field, StrictInt, StrictStr, field_validator, model_validator
 
 from tustinnet.channels import Channels, Coordinate, Hold, Input, Kind
-from tustinnet.data.declaration import Declaration
+from tustinnet.data.declaration import Declaration, Name, Sentence, Text
+
+SHORTEST_DT, LONGEST_DT = 1e-9, 1e4  # sampling periods [s]
+_MOST_COLUMNS = 10**6
+_LONGEST_PART = 255  # bytes of a file's name, as file systems have it
+
+
+def _column(key: int | str) -> int | str:
+    if isinstance(key, int) and not 1 <= key <= _MOST_COLUMNS:
+        raise ValueError("columns count from 1")
+    return key
+
 
 SplitName = Literal["train", "validation", "test"]
-ColumnKey = StrictInt | StrictStr  # a number counts from 1
+ColumnKey = Annotated[StrictInt | StrictStr, AfterValidator(_column)]  # a number counts from 1
+Amount = Annotated[float, Field(ge=-1e15, le=1e15)]
+Resolution = Annotated[float, Field(ge=1e-12, le=1e6)]
+Row = Annotated[StrictInt, Field(ge=0, le=10**12)]
 
 _ANGLE = {"rad": 1.0, "deg": np.pi / 180, "rev": 2 * np.pi, "mrad": 1e-3}
 _LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
@@ -47,14 +62,14 @@ class CoordinateCard(Declaration):
         velocity: the velocity column, if there is one.
     """
 
-    name: str
+    name: Name
     kind: Kind
     column: ColumnKey
     unit: str | None = None
     sign: Literal[1, -1] = 1
-    offset: float = 0.0
-    resolution: float | None = Field(default=None, gt=0)
-    counts_per_revolution: float | None = Field(default=None, gt=0)
+    offset: Amount = 0.0
+    resolution: Resolution | None = None
+    counts_per_revolution: float | None = Field(default=None, ge=1, le=1e12)
     unwrap: bool = True
     velocity: VelocityCard | None = None
 
@@ -120,14 +135,14 @@ class InputCard(Declaration):
         limits: smallest and largest `value` of the actuator.
     """
 
-    name: str
+    name: Name
     column: ColumnKey
-    unit: str
-    scale: float = 1.0
+    unit: Text
+    scale: Amount = 1.0
     sign: Literal[1, -1] = 1
-    offset: float = 0.0
+    offset: Amount = 0.0
     hold: Hold = "zero-order"
-    limits: tuple[float, float] | None = None
+    limits: tuple[Amount, Amount] | None = None
 
     @field_validator("limits")
     @classmethod
@@ -154,7 +169,7 @@ class TimeCard(Declaration):
 
     column: ColumnKey
     unit: Literal["s", "ms", "us", "ns"] = "s"
-    tolerance: float = Field(default=0.05, ge=0)
+    tolerance: float = Field(default=0.05, ge=0, le=1e3)
     irregular: Literal["refuse", "resample", "keep"] = "refuse"
 
     def factor(self) -> float:
@@ -166,30 +181,57 @@ class FileCard(Declaration):
     """One file, or a range of its rows, as a record.
 
     Attributes:
-        file: path below the card's folder, or a pattern (`train/*.csv`).
+        file: path below the card's folder, or a pattern (`train/*.csv`); no `..` and no `**`.
         name: what the record is called; the file's name without ending by default.
         rows: first row and the row after the last, counted from 0 after any header.
         k_bar: end of the transient as a row of the record, instead of the detected one.
     """
 
     file: str
-    name: str | None = None
-    rows: tuple[int, int] | None = None
-    k_bar: int | None = Field(default=None, ge=0)
+    name: Name | None = None
+    rows: tuple[Row, Row] | None = None
+    k_bar: Row | None = None
+
+    @field_validator("file")
+    @classmethod
+    def _below_the_folder(cls, file: str) -> str:
+        path = PureWindowsPath(file)  # knows the separators of every system
+        if not path.parts or path.drive or path.root or ".." in path.parts:
+            raise ValueError("a path below the card's folder, without '..'")
+        if "**" in file:
+            raise ValueError("a pattern without '**'; name every folder")
+        if any(len(part.encode(errors="replace")) > _LONGEST_PART for part in path.parts):
+            raise ValueError(f"a file name of more than {_LONGEST_PART} bytes")
+        return file
+
+    @field_validator("rows")
+    @classmethod
+    def _in_order(cls, rows: tuple[int, int] | None) -> tuple[int, int] | None:
+        if rows is not None and rows[0] >= rows[1]:
+            raise ValueError("the first row, then the row after the last")
+        return rows
 
 
 class FormatCard(Declaration):
     """How text files are laid out.
 
     Attributes:
-        header: whether the first row names the columns.
+        header: whether the first row names the columns; by default it does unless it holds
+            nothing but numbers.
         delimiter: what separates the columns; a tab in .tsv files, else a comma, by default.
         columns: how many columns there must be, if that is to be checked.
     """
 
-    header: bool = True
-    delimiter: str | None = Field(default=None, min_length=1, max_length=1)
-    columns: int | None = Field(default=None, gt=0)
+    header: bool | None = None
+    delimiter: str | None = None
+    columns: StrictInt | None = Field(default=None, ge=1, le=_MOST_COLUMNS)
+
+    @field_validator("delimiter")
+    @classmethod
+    def _one_mark(cls, mark: str | None) -> str | None:
+        if mark is not None and (len(mark) != 1 or mark not in "\t !$%&*,/:;<=>?@^_|~"):
+            raise ValueError("one mark, e.g. ';', ',', '|' or a tab")
+        return mark
 
 
 class Card(Declaration):
@@ -207,9 +249,9 @@ class Card(Declaration):
         inputs: any number.
     """
 
-    name: str
-    description: str = ""
-    dt: float | None = Field(default=None, gt=0, allow_inf_nan=False)
+    name: Text
+    description: Sentence = ""
+    dt: float | None = Field(default=None, ge=SHORTEST_DT, le=LONGEST_DT)
     splits: dict[SplitName, list[FileCard]] = Field(default_factory=dict)
     optional_splits: list[SplitName] = Field(default_factory=list)
     format: FormatCard = FormatCard()
@@ -239,6 +281,14 @@ class Card(Declaration):
         if self.dt is None and self.time is None:
             raise ValueError("neither `dt` nor a time column says how far apart samples are")
         return self
+
+    @property
+    def columns(self) -> list[ColumnKey]:
+        """All columns that are wanted of a file, by name or number."""
+        velocities = [c.velocity.column for c in self.coordinates if c.velocity is not None]
+        times = [] if self.time is None else [self.time.column]
+        positions = [c.column for c in self.coordinates]
+        return [*positions, *(i.column for i in self.inputs), *velocities, *times]
 
     def channels(self, dt: float) -> Channels:
         """What the records will say of their columns, at a sampling period [s]."""

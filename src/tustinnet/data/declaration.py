@@ -1,21 +1,53 @@
 """TOML files that declare something (a data set, a recipe), read strictly."""
 
 import difflib
+import re
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Annotated, Any, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
-from tustinnet.errors import InputError
+from tustinnet.errors import InputError, refusing, require_name, require_text
+
+_LARGEST = 1_000_000  # bytes of a text that somebody wrote
+_DEEPEST = 20  # tables in tables
+_INTEGERS = 2**63  # TOML has integers of 64 bits
+# tomllib takes an hour for a key of half a million parts, so that these are refused before it
+_LONG_KEY = re.compile(
+    rf"""(?<![\w"'-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{_DEEPEST}}}"""
+)
+_NESTED = f"nested deeper than {_DEEPEST}"
+
+
+def _name(name: str) -> str:
+    require_name(name, "")  # the message begins with the key
+    return name
+
+
+def _text(text: str) -> str:
+    require_text(text, "")
+    return text
+
+
+def _sentence(text: str) -> str:
+    words = text.split()
+    for word in words:
+        require_text(word, "")
+    return " ".join(words)
+
+
+Name = Annotated[str, AfterValidator(_name)]  # can be a file's name
+Text = Annotated[str, AfterValidator(_text)]  # can be printed
+Sentence = Annotated[str, AfterValidator(_sentence)]  # the same, of any length and on any lines
 
 
 class Declaration(BaseModel):
-    """A table of a TOML file: frozen, no key but the declared ones."""
+    """A table of a TOML file: frozen, no key but the declared ones, numbers finite."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 Declared = TypeVar("Declared", bound=Declaration)
@@ -37,14 +69,37 @@ def read_toml(path: Path) -> dict[str, Any]:
     Raises:
         InputError: no such file, or no TOML.
     """
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(path, "no such file", "a TOML file") from None
-    except OSError as error:
-        raise InputError(path, f"cannot be read ({error.strerror})", "a TOML file") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(path, f"not valid TOML ({error})", "key = value lines") from error
+    text = read_source(path, "a TOML file")
+    with refusing(path, "not valid TOML", "key = value lines"):
+        return parse_toml(text)
+
+
+def read_source(path: Path, what: str) -> str:
+    """A text that somebody wrote: a file of at most 1 MB in UTF-8.
+
+    Raises:
+        InputError: no such file, no file at all, too large, or no text; `what` is expected.
+    """
+    with refusing(path, "cannot be read", f"{what} in UTF-8"):
+        if not path.is_file():  # a pipe may never end
+            raise InputError(path, "a folder or pipe" if path.exists() else "no such file", what)
+        with path.open("rb") as file:
+            content = file.read(_LARGEST + 1)
+        if len(content) > _LARGEST:
+            raise InputError(path, "more than 1 MB", what)
+        return content.decode("utf-8-sig")
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """What a text of TOML says.
+
+    Raises:
+        ValueError: no TOML, or nested too deep.
+        RecursionError: nested so deep that it cannot even be read.
+    """
+    if _LONG_KEY.search(text):
+        raise ValueError(_NESTED)
+    return tomllib.loads(text)
 
 
 def packaged_names(package: str) -> list[str]:
@@ -80,6 +135,7 @@ def read_packaged(name: str | Path, packages: Sequence[str]) -> tuple[dict[str, 
 
 def declare(content: dict[str, Any], kind: type[Declared], where: object) -> Declared:
     """Validates a mapping as a declaration; `where` names it in errors."""
+    require_plain(content, where)
     try:
         return kind.model_validate(content)
     except ValidationError as error:
@@ -95,12 +151,32 @@ def declare(content: dict[str, Any], kind: type[Declared], where: object) -> Dec
             raise InputError(f"{where}, {key}", "unknown key", "", hint) from None
         if first["type"] == "missing":
             raise InputError(f"{where}, {key}", "missing", "a value for this key") from None
-        message = first["msg"].removeprefix("Value error, ")
+        message = first["msg"].removeprefix("Value error, ").removeprefix(": ")
         received = first.get("input")
         if isinstance(received, dict):  # a whole table: name it instead of printing it
             called = f" '{received['name']}'" if "name" in received else ""
             raise InputError(f"{where}, {key}{called}", message) from None
+        if isinstance(first.get("ctx", {}).get("error"), InputError):  # it says what it was given
+            raise InputError(f"{where}, {key}", message) from None
         raise InputError(f"{where}, {key}", f"{message} (got {repr(received)[:60]})") from None
+
+
+def require_plain(content: Mapping[str, Any], where: object) -> None:
+    """Raises unless a mapping could be that of a TOML file of moderate depth.
+
+    Raises:
+        InputError: tables or lists nested deeper than 20, or an integer of more than 64 bits.
+    """
+    level: list[Any] = [content]
+    for _ in range(_DEEPEST + 1):
+        if any(isinstance(x, int) and not -_INTEGERS <= x < _INTEGERS for x in level):
+            raise InputError(where, "an integer of more than 64 bits", "a smaller number")
+        inside = [x.values() if isinstance(x, Mapping) else x for x in level
+                  if isinstance(x, Mapping | list | tuple)]  # fmt: skip
+        if not inside:
+            return
+        level = [x for values in inside for x in values]
+    raise InputError(where, _NESTED, "a few tables")
 
 
 def _known_keys(kind: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:

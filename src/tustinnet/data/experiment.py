@@ -15,6 +15,7 @@ from tustinnet.signals.derivatives import VelocityMethod, differentiate
 
 VelocitySource = Literal["auto", "file", "stencil", "savgol", "kalman"]
 
+LARGEST = 1e100  # of a position, input or velocity; squares of larger ones overflow
 _STENCIL_SAMPLES = 5
 
 
@@ -106,10 +107,15 @@ class Experiment(HasChannels):
                 f"{attribute} has shape {array.shape}",
                 f"{wanted}: samples by {'inputs' if attribute == 'u' else 'coordinates'}",
             )
-        if not np.isfinite(array).all():
-            row = int(np.argwhere(~np.isfinite(array))[0][0])
+        usable = np.abs(array) <= LARGEST
+        if not usable.all():
+            row, *column = (int(index) for index in np.argwhere(~usable)[0])
+            value = array[row, *column]
+            found = f"is {value:g}" if np.isfinite(value) else "is not finite"
             raise InputError(
-                self.name, f"{attribute} is not finite at sample {row}", "finite numbers"
+                self.name,
+                f"{attribute} {found} at sample {row}",
+                f"finite numbers of at most {LARGEST:g}",
             )
         array.setflags(write=False)
         object.__setattr__(self, attribute, array)
@@ -160,10 +166,15 @@ class Experiment(HasChannels):
 
         Positions by cubic spline, velocities and first-order-held inputs linearly; a held input
         becomes its mean over each period of the grid, so that its impulse is kept.
+
+        Raises:
+            InputError: a period longer than the record, or a grid of more than 10 times its
+                samples; the message names the longest interval.
         """
         if not 0 < dt < self.t[-1] - self.t[0]:
             span = self.t[-1] - self.t[0]
             raise InputError(self.name, f"period {dt} s", f"more than 0 and less than {span:g} s")
+        resampling.require_short_grid(self.t, dt, lambda k: f"{self.name}, sample {k}")
         grid = resampling.regular_grid(self.t, dt)
         k_bar = None
         if self.k_bar is not None:

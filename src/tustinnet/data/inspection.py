@@ -1,5 +1,6 @@
 """What a record holds, before anything is fitted to it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.recording import Recording, describe_recording
-from tustinnet.signals import transients
+from tustinnet.signals import outliers, transients
 from tustinnet.signals.transients import RestThresholds
 
 _REST_SECONDS = 0.25  # slow for this long around a sample: near an equilibrium, not a turning point
@@ -18,6 +19,8 @@ _REST_SECONDS = 0.25  # slow for this long around a sample: near an equilibrium,
 _FEW_LEVELS = 10
 _STUCK_SHARE = 0.02
 _OTHER_COUNT = 0.01  # relative; an encoder count this far from the declared one is another
+_QUARTER, _OFTEN = np.pi / 2, 0.05  # an angle that moves so far a sample, so often, is none
+_FARTHEST, _STRONGEST = 1e6, 1e9  # rad or m, and of inputs: no mechanism has them
 
 
 @dataclass(frozen=True)
@@ -132,6 +135,17 @@ def inspect_experiment(experiment: Experiment) -> ExperimentReport:
     )
 
 
+def still(experiments: Sequence[Experiment]) -> list[str]:
+    """The names of the coordinates that move in none of some records of a system."""
+    moving = moves_in(experiments)
+    return [c.name for c, m in zip(experiments[0].coordinates, moving, strict=True) if not m]
+
+
+def moves_in(experiments: Sequence[Experiment]) -> Bool[np.ndarray, " n_q"]:
+    """Which coordinates move in at least one of some records."""
+    return np.any([transients.moves(e.q) for e in experiments], axis=0)
+
+
 def transient_end(experiment: Experiment) -> int:
     """`k_bar`: where the transient of a record ends, as a sample index.
 
@@ -218,21 +232,10 @@ def _suspicious(
             f"velocity columns are padded with zero rows ({lead} at the beginning, {trail} at the "
             "end): not measured"
         )
-    for j, coordinate in enumerate(e.coordinates):
-        if not np.ptp(e.q[:, j]):
-            found.append(f"{coordinate.name} never changes")
-            continue
-        step = np.abs(np.diff(e.q[:, j], n=2))
-        scale = max(float(np.quantile(step, 0.99)), 2 * (coordinate.resolution or 0.0))
-        spikes = np.flatnonzero(step > 10 * scale) + 1 if scale else np.array([], dtype=int)
-        if len(spikes):
-            found.append(f"{coordinate.name} jumps at sample {_first(spikes)}")
-        declared, count = coordinate.resolution, recording.counts[j]
-        if declared and count and abs(count / declared - 1) > _OTHER_COUNT:
-            found.append(
-                f"{coordinate.name}: encoder count {count:.5g} {coordinate.unit} found, "
-                f"{declared:.5g} {coordinate.unit} declared"
-            )
+    for j in range(len(e.coordinates)):
+        found += _suspicious_positions(e, j, recording.counts[j])
+    for j in range(len(e.inputs)):
+        found += _suspicious_input(e, j)
     real = slice(lead, len(e) - trail)
     if e.v is not None and real.stop > real.start:
         size = np.sqrt(np.mean(v[real] ** 2, axis=0))
@@ -244,6 +247,40 @@ def _suspicious(
             if differs
         ]
     return tuple(found)
+
+
+def _suspicious_positions(e: Experiment, j: int, count: float | None) -> list[str]:
+    """What looks wrong in the positions of a coordinate, whose encoder count was found or not."""
+    of, q = e.coordinates[j], e.q[:, j]
+    if not transients.moves(e.q)[j]:
+        return [f"{of.name} never changes"]
+    found = []
+    if np.abs(q).max() > _FARTHEST:
+        found.append(f"{of.name} reaches {np.abs(q).max():.3g} {of.unit} (unit or a bad row?)")
+    wild = np.mean(np.abs(np.diff(q)) > _QUARTER) if of.kind == "angular" else 0.0
+    if wild > _OFTEN:
+        found.append(
+            f"{of.name} moves more than a quarter turn in {wild:.0%} of the periods "
+            "(wrong unit, or sampled too slowly?)"
+        )
+    elif len(rows := outliers.jumps(e.t, q, of.resolution or count or 0.0)):
+        found.append(f"{of.name} jumps at sample {_first(rows)} (bad rows, or lost counts?)")
+    if of.resolution and count and abs(count / of.resolution - 1) > _OTHER_COUNT:
+        found.append(
+            f"{of.name}: encoder count {count:.5g} {of.unit} found, "
+            f"{of.resolution:.5g} {of.unit} declared"
+        )
+    return found
+
+
+def _suspicious_input(e: Experiment, j: int) -> list[str]:
+    of, u = e.inputs[j], e.u[:, j]
+    found = []
+    if np.abs(u).max() > _STRONGEST:
+        found.append(f"{of.name} reaches {np.abs(u).max():.3g} {of.unit} (unit or a bad row?)")
+    if len(rows := outliers.spikes(u)):
+        found.append(f"{of.name} has spikes at sample {_first(rows)} (bad rows?)")
+    return found
 
 
 def _first(rows: np.ndarray) -> str:

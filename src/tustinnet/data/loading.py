@@ -2,6 +2,7 @@
 
 import hashlib
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,15 +11,17 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.data.card import Card, ColumnKey, FileCard
+from tustinnet.data.card import LONGEST_DT, SHORTEST_DT, Card, ColumnKey, FileCard
+from tustinnet.data.columns import NUMBERED, Column, Columns, frame_columns
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import declare, read_declaration
-from tustinnet.data.experiment import Experiment, unwrap_angles
-from tustinnet.data.readers import NUMBERED, Column, Columns, frame_columns, read_columns
-from tustinnet.errors import InputError
+from tustinnet.data.experiment import LARGEST, Experiment, unwrap_angles
+from tustinnet.data.readers import read_columns
+from tustinnet.errors import InputError, refusing, require_name
 from tustinnet.signals import resampling
 
 _SAME_UNIT = 0.2  # a period this near to dt times a power of 1000 is in another unit
+_LEAST_RATIO = 1e-300  # of a median interval to dt; its logarithm is wanted
 _SAME_CLOCK = 1e-3  # relative; median intervals this near come from one clock
 _WHAT_IRREGULAR_OFFERS = 'set `irregular = "resample"` (onto a grid) or "keep" under [time]'
 
@@ -31,8 +34,9 @@ def load_folder(folder: Path, card: Card) -> DataSet:
         card: what to read and what it means.
 
     Raises:
-        InputError: a file is missing or damaged, a column is not there, a number is not finite,
-            the time base is not as declared, nothing moves; the message names file and row.
+        InputError: a file is missing or damaged or outside of the folder, a column is not there,
+            a number is not finite, the time base is not as declared, nothing moves; the message
+            names file and row.
     """
     entries = _named(
         [
@@ -93,12 +97,14 @@ def _expand(folder: Path, split: str, entries: list[FileCard], card: Card) -> li
     missing: list[str] = []
     for entry in entries:
         if any(c in entry.file for c in "*?["):
-            paths = sorted(folder.glob(entry.file), key=lambda p: _natural(p.as_posix()))
+            with refusing(folder / entry.file, "no usable pattern", "e.g. train/*.csv"):
+                paths = [p for p in folder.glob(entry.file) if not p.is_dir()]
+            files = [p.relative_to(folder).as_posix() for p in paths]
             found += [
-                entry.model_copy(update={"file": p.relative_to(folder).as_posix()}) for p in paths
+                entry.model_copy(update={"file": file}) for file in sorted(files, key=_natural)
             ]
             missing += [] if paths else [entry.file]
-        elif (folder / entry.file).is_file():
+        elif _exists(folder / entry.file):
             found.append(entry)
         else:
             missing.append(entry.file)
@@ -112,6 +118,21 @@ def _expand(folder: Path, split: str, entries: list[FileCard], card: Card) -> li
     return found
 
 
+def _exists(path: Path) -> bool:
+    with refusing(path, "cannot be looked for", "a file below the card's folder"):
+        return path.exists()
+
+
+def _require_inside(folder: Path, path: Path) -> None:
+    """Raises unless a file, links followed, lies in the folder: a card names no other files."""
+    with refusing(path, "cannot be followed", "a file below the card's folder"):
+        inside = path.resolve().is_relative_to(folder.resolve())
+    if not inside:
+        raise InputError(
+            path, "a link that leaves the folder", f"a file below {folder}", "copy the file there"
+        )
+
+
 def _named(entries: list[tuple[str, FileCard]]) -> list[tuple[str, FileCard]]:
     """Names records after their files; by folder too, and by rows, where that would be doubled."""
     seen: dict[tuple[str, object], str] = {}
@@ -121,26 +142,38 @@ def _named(entries: list[tuple[str, FileCard]]) -> list[tuple[str, FileCard]]:
             raise InputError(
                 entry.file, f"listed in the splits {before} and {split}", "one split a file"
             )
-    stems = [Path(entry.file).stem for _, entry in entries]
-    files = [entry.file for _, entry in entries]
+    stems = Counter(Path(entry.file).stem for _, entry in entries)
+    files = Counter(entry.file for _, entry in entries)
     named = []
-    for (split, entry), stem in zip(entries, stems, strict=True):
+    for split, entry in entries:
         name = entry.name
         if name is None:
-            path = Path(entry.file).with_suffix("").as_posix().replace("/", "_")
-            name = stem if stems.count(stem) == files.count(entry.file) else path
-            if entry.rows is not None and files.count(entry.file) > 1:
+            path, stem = Path(entry.file).with_suffix(""), Path(entry.file).stem
+            same = stems[stem] == files[entry.file]
+            name = stem if same else path.as_posix().replace("/", "_")
+            if entry.rows is not None and files[entry.file] > 1:
                 name += f"_{entry.rows[0]}-{entry.rows[1]}"
+            _require_default_name(name, entry.file)
         named.append((split, entry.model_copy(update={"name": name})))
     return named
 
 
+def _require_default_name(name: str, file: str) -> None:
+    try:
+        require_name(name, file)
+    except InputError as error:
+        where, found = str(error).split(": ", 1)
+        hint = 'give the record another: `{ file = "...", name = "..." }` under [splits]'
+        raise InputError(where, found, "", hint) from None
+
+
 def _natural(text: str) -> list[tuple[int, str]]:
-    return [(int(p), "") if p.isdigit() else (-1, p) for p in re.split(r"(\d+)", text)]
+    return [(int(p), "") if p.isdecimal() else (-1, p) for p in re.split(r"(\d+)", text)]
 
 
 def _load_file(folder: Path, split: str, entry: FileCard, card: Card) -> Experiment:
     path = folder / entry.file
+    _require_inside(folder, path)
     columns = read_columns(path, header=card.format.header, delimiter=card.format.delimiter)
     if card.format.columns is not None and len(columns.names) != card.format.columns:
         raise InputError(
@@ -154,10 +187,15 @@ def _load_file(folder: Path, split: str, entry: FileCard, card: Card) -> Experim
         split=split,
         k_bar=entry.k_bar,
         source=entry.file,
-        sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
+        sha256=_sha256(path),
         rows=entry.rows,
         first_row=entry.rows[0] if entry.rows else 0,
     )
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _experiment(
@@ -171,6 +209,7 @@ def _experiment(
 ) -> Experiment:
     where = name if where is None else where
     pick = _Picker(columns, where, rows)
+    columns.fetch([pick.name(key) for key in card.columns])
     q = pick.stack([c.column for c in card.coordinates])
     u = pick.stack([i.column for i in card.inputs], like=q)
     q = (q - [c.offset for c in card.coordinates]) * [c.sign * c.factor() for c in card.coordinates]
@@ -190,10 +229,10 @@ def _experiment(
     q, notes = unwrap_angles(q, angles)
     t, dt = _times(pick, card, len(q), where)
     experiment = Experiment(
-        name=name, t=t, q=q, u=u, v=v, v_measured=measured, notes=notes,
+        name=name, t=t, q=q, u=u, v=v, v_measured=measured, notes=(*columns.notes, *notes),
         channels=card.channels(dt), **metadata,
     )  # fmt: skip
-    return experiment if card.time is None else _judge_times(experiment, card, where)
+    return experiment if card.time is None else _judge_times(experiment, card, where, pick)
 
 
 class _Picker:
@@ -217,7 +256,8 @@ class _Picker:
             )
         return np.stack(picked, axis=1) if picked else np.zeros((lengths.pop(), 0))
 
-    def one(self, key: ColumnKey) -> Column:
+    def name(self, key: ColumnKey) -> str:
+        """What a column of the card is called in the file."""
         names = self.columns.names
         if isinstance(key, int):
             if not 1 <= key <= len(names):
@@ -227,28 +267,32 @@ class _Picker:
                     f"a column {key} as in the card",
                     "columns count from 1",
                 )
-            name = names[key - 1]
-        elif key in names:
-            name = key
-        else:
+            return names[key - 1]
+        if key not in names:
             shown = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
             raise InputError(
                 self.where, f"no column '{key}'", f"one of: {shown}", _header_hint(names)
             )
+        return key
+
+    def one(self, key: ColumnKey) -> Column:
+        name = self.name(key)
         column = self.columns[name]
         if self.rows is not None:
             first, stop = self.rows
-            if not 0 <= first < stop <= len(column):
+            if stop > len(column):
                 raise InputError(
-                    self.where, f"rows {first}..{stop}", f"a range within 0..{len(column)}"
+                    self.where,
+                    f"rows {first}..{stop}",
+                    f"a range within 0..{len(column)} (0 is {self.columns.place(0)} of the file)",
                 )
             column = column[first:stop]
-        bad = np.flatnonzero(~np.isfinite(column))
+        bad = np.flatnonzero(~(np.abs(column) <= LARGEST))
         if len(bad):
             raise InputError(
                 f"{self.place(int(bad[0]))}, {name}",
                 f"{column[bad[0]]} ({len(bad)} such)",
-                "a finite number",
+                f"a finite number of at most {LARGEST:g}",
                 "repair or leave out these rows",
             )
         return column
@@ -256,12 +300,10 @@ class _Picker:
 
 def _header_hint(names: Sequence[str]) -> str:
     """What may be wrong with the layout of a text file, judged by its column names."""
-    if names[0].startswith(NUMBERED):
-        return "without a header (`header = false`) columns go by number"
+    if all(name.startswith(NUMBERED) for name in names):
+        return "the file has no header: columns go by number"
     if len(names) == 1 and any(mark in names[0] for mark in ";\t"):
         return "set `delimiter` under [format]"
-    if all(re.fullmatch(r"[-+]?[\d.]+([eE][-+]?\d+)?", name) for name in names):
-        return "if the file has no header, set `header = false` under [format]"
     return ""
 
 
@@ -298,10 +340,18 @@ def _times(
             "strictly increasing timestamps",
             "remove duplicate or misplaced rows",
         )
-    return t, card.dt or float(np.median(np.diff(t)))
+    median = float(np.median(np.diff(t)))
+    if card.dt is None and not SHORTEST_DT <= median <= LONGEST_DT:
+        raise InputError(
+            where,
+            f"median interval {median:.4g} s",
+            f"{SHORTEST_DT:g} to {LONGEST_DT:g} s",
+            "check `unit` under [time]",
+        )
+    return t, card.dt or median
 
 
-def _judge_times(e: Experiment, card: Card, where: object) -> Experiment:
+def _judge_times(e: Experiment, card: Card, where: object, pick: _Picker) -> Experiment:
     """Accepts the record's time base, or resamples, keeps or refuses it as the card says."""
     assert card.time is not None
     found = resampling.regularity(e.t, e.dt)
@@ -313,7 +363,7 @@ def _judge_times(e: Experiment, card: Card, where: object) -> Experiment:
         f"interval of {interval:.4g} s before sample {found.worst_row} "
         f"(median {found.median_dt:.4g} s)"
     )
-    ratio = found.median_dt / e.dt
+    ratio = max(found.median_dt / e.dt, _LEAST_RATIO)
     if card.time.irregular != "resample" and abs(ratio - 1) > card.time.tolerance:
         power = round(np.log10(ratio) / 3)
         another_unit = power != 0 and abs(ratio / 1000.0**power - 1) < _SAME_UNIT
@@ -327,10 +377,14 @@ def _judge_times(e: Experiment, card: Card, where: object) -> Experiment:
         )
     if card.time.irregular == "refuse":
         raise InputError(
-            where, told, f"{e.dt:g} s within {card.time.tolerance:.0%}", _WHAT_IRREGULAR_OFFERS
+            pick.place(found.worst_row),
+            told,
+            f"{e.dt:g} s within {card.time.tolerance:.0%}",
+            _WHAT_IRREGULAR_OFFERS,
         )
     if card.time.irregular == "keep":
         return replace(e, notes=(*e.notes, f"irregular times kept as recorded: {told}"))
+    resampling.require_short_grid(e.t, e.dt, pick.place)
     gridded = e.resample(e.dt)
     gaps = len(gridded.recording.gaps) if gridded.recording else 0
     note = f"resampled onto a grid of {e.dt:g} s" + (f", {gaps} gaps interpolated" if gaps else "")

@@ -3,6 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
+from tustinnet.signals.transients import moves
+
 Trajectory = Float[np.ndarray, "n n_q"]
 PerCoordinate = Float[np.ndarray, " n_q"]
 
@@ -30,7 +32,7 @@ def nrmse(simulated: Trajectory, measured: Trajectory) -> PerCoordinate:
     """
     spread = measured.std(axis=0)
     error = coordinate_rmse(simulated, measured)
-    return np.divide(error, spread, out=np.full_like(error, np.nan), where=spread > 0)
+    return np.divide(error, spread, out=np.full_like(error, np.nan), where=moves(measured))
 
 
 def fit_percent(simulated: Trajectory, measured: Trajectory) -> PerCoordinate:

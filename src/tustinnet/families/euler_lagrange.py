@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from tustinnet.errors import InputError
 from tustinnet.families.family import Arrays, Family, Header, Hyper
@@ -33,7 +33,8 @@ class EulerLagrangeHyper(Hyper):
     """A system whose parameters are identified.
 
     Attributes:
-        system: a packaged system by name, or a Python file; what `--system` gives comes first.
+        system: a packaged system by name, where none is given beside the recipe. Not a file: a
+            recipe runs no code.
         fixed: parameters to hold, at a value or at their `nominal` one.
         begin: where the search for a parameter starts.
     """
@@ -41,6 +42,14 @@ class EulerLagrangeHyper(Hyper):
     system: str | None = None
     fixed: dict[str, float | Literal["nominal"]] = Field(default_factory=dict)
     begin: dict[str, float] = Field(default_factory=dict)
+
+    @field_validator("system")
+    @classmethod
+    def _known(cls, system: str | None) -> str | None:
+        if system is not None and system not in SYSTEMS:
+            known = ", ".join(SYSTEMS.names())
+            raise ValueError(f"no system of that name; one of {known}, a file goes with --system")
+        return system
 
 
 class EulerLagrangeFamily(Family):
@@ -108,7 +117,7 @@ FAMILY = EulerLagrangeFamily()
 def _file_of(system: LagrangianSystem) -> str:
     """The name of the file that a system is written in, empty where it is in none."""
     try:
-        return Path(inspect.getsourcefile(system.kinetic) or "").name
+        return Path(inspect.getsourcefile(inspect.unwrap(system.kinetic)) or "").name
     except TypeError:
         return ""
 

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
+from pydantic import Field
 
 from tustinnet.data.declaration import Declaration
 from tustinnet.data.experiment import Experiment, VelocitySource
@@ -25,6 +26,9 @@ Vector = Float[np.ndarray, " _"]
 NumpyStep = Callable[[Vector, Vector], Vector]
 Regulariser = Callable[[Model, Float[Array, " n_x"], Array], Float[Array, ""]]
 Given = Literal["system", "physics"]
+
+# far beyond what anybody needs; beyond them memory ends before any message
+MOST_LAYERS, MOST_UNITS, MOST_STATES = 100, 10_000, 1000
 
 
 class Hyper(Declaration):
@@ -146,7 +150,7 @@ class LayeredStage(StageKeys):
             with the first). The output layer always trains.
     """
 
-    frozen_layers: int = 0
+    frozen_layers: int = Field(default=0, ge=0, le=MOST_LAYERS)
 
 
 def layers_in(tree: PyTree) -> list[Affine]:
@@ -175,7 +179,7 @@ def filled(make: Callable[[], PyTree], arrays: Arrays, prefix: str = "") -> Any:
 
     Raises:
         KeyError: an array is missing.
-        ValueError: an array of another shape.
+        ValueError: an array of another shape or type, or with numbers that are not finite.
     """
     blank = eqx.filter_eval_shape(make)
 
@@ -188,6 +192,8 @@ def filled(make: Callable[[], PyTree], arrays: Arrays, prefix: str = "") -> Any:
         array = jnp.asarray(arrays[name])
         if array.shape != leaf.shape:
             raise ValueError(f"{name} of shape {array.shape}, expected {leaf.shape}")
+        if array.dtype.kind != np.dtype(leaf.dtype).kind or not np.isfinite(arrays[name]).all():
+            raise ValueError(f"{name} of type {array.dtype}, or not finite")
         return array
 
     return jax.tree_util.tree_map_with_path(fill, blank)

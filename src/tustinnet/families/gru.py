@@ -12,7 +12,15 @@ from pydantic import Field
 
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment, VelocitySource
-from tustinnet.families.family import Arrays, Family, Header, Hyper, filled, named_arrays
+from tustinnet.families.family import (
+    MOST_UNITS,
+    Arrays,
+    Family,
+    Header,
+    Hyper,
+    filled,
+    named_arrays,
+)
 from tustinnet.families.networks import blank_scaling, units_shown
 from tustinnet.models.blocks import Affine, Scaling, feature_count, learn_scaling, random_affine
 from tustinnet.models.contract import (
@@ -108,8 +116,8 @@ class GRUHyper(Hyper):
         warm_up: samples of a record that its hidden state follows before a free run.
     """
 
-    hidden: int = Field(default=32, gt=0)
-    warm_up: int = Field(default=20, ge=6)
+    hidden: int = Field(default=32, gt=0, le=MOST_UNITS)
+    warm_up: int = Field(default=20, ge=6, le=100_000)
 
 
 class GRUFamily(Family):

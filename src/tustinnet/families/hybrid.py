@@ -15,6 +15,7 @@ from pydantic import Field, SerializeAsAny, field_validator
 from tustinnet.channels import Channels
 from tustinnet.data.declaration import declare
 from tustinnet.data.experiment import Experiment, VelocitySource
+from tustinnet.data.inspection import moves_in
 from tustinnet.errors import InputError
 from tustinnet.families.family import (
     Arrays,
@@ -26,6 +27,7 @@ from tustinnet.families.family import (
     below,
     family_of,
 )
+from tustinnet.models.blocks import root_mean_square
 from tustinnet.models.contract import (
     AccelerationModel,
     Drive,
@@ -171,7 +173,7 @@ class HybridStage(LayeredStage):
             explains what it can.
     """
 
-    penalty: float = Field(default=0.0, ge=0)
+    penalty: float = Field(default=0.0, ge=0, le=1e6)
 
 
 @dataclass(frozen=True)
@@ -291,12 +293,15 @@ def _as_now(header: Header, arrays: Arrays) -> tuple[Header, Arrays]:
 def _left_by(
     physics: Model, experiments: Sequence[Experiment], velocity: VelocitySource
 ) -> Float[Array, " n_q"]:
-    """Root mean square of what physics leaves of the accelerations, the unit of a correction."""
+    """Root mean square of what physics leaves of the accelerations, the unit of a correction.
+
+    1 for a coordinate that never moves.
+    """
     measured = [e.measured_states(velocity) for e in experiments]
     said = np.asarray(followed(physics, jnp.asarray(stacked(measured)), drives_of(experiments)))
     at = physics.channels.velocity
     left = [
         x[1:, at] - run[1 : len(x), at] for x, run in zip(measured, said, strict=True)
     ]  # fmt: skip
-    left = np.concatenate(left) / physics.dt
-    return jnp.asarray(np.sqrt(np.mean(left**2, axis=0)), jnp.float32)
+    left = root_mean_square(np.concatenate(left) / physics.dt)
+    return jnp.asarray(np.where(moves_in(experiments), left, 1.0), jnp.float32)

@@ -13,7 +13,16 @@ from pydantic import Field
 
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment, VelocitySource
-from tustinnet.families.family import Arrays, Family, Header, Hyper, filled, named_arrays
+from tustinnet.data.inspection import moves_in
+from tustinnet.families.family import (
+    MOST_STATES,
+    Arrays,
+    Family,
+    Header,
+    Hyper,
+    filled,
+    named_arrays,
+)
 from tustinnet.models.blocks import Affine, root_mean_square
 from tustinnet.models.contract import InputVector, Model, State
 
@@ -64,7 +73,7 @@ class LinearHyper(Hyper):
         internal: states beside positions and velocities.
     """
 
-    internal: int = Field(default=0, ge=0)
+    internal: int = Field(default=0, ge=0, le=MOST_STATES)
 
 
 class LinearFamily(Family):
@@ -90,7 +99,9 @@ class LinearFamily(Family):
         )  # fmt: skip
         u = np.concatenate([e.held_inputs for e in experiments])
         offset = np.where(np.arange(2 * channels.n_q) < channels.n_q, before.mean(axis=0), 0.0)
-        unit, moved = root_mean_square(before - offset), root_mean_square(change)
+        moving = np.tile(moves_in(experiments), 2)
+        unit = np.where(moving, root_mean_square(before - offset), 1.0)
+        moved = root_mean_square(change)
         seen = np.hstack([(before - offset) / unit, u / (size := root_mean_square(u))])
         affine = np.hstack([seen, np.ones((len(seen), 1))])
         found = np.linalg.lstsq(affine, change / moved, rcond=None)[0].T

@@ -7,7 +7,14 @@ import jax.numpy as jnp
 from pydantic import Field, field_validator
 
 from tustinnet.channels import Channels
-from tustinnet.families.family import Arrays, Hyper, LayeredStage, filled
+from tustinnet.families.family import (
+    MOST_LAYERS,
+    MOST_UNITS,
+    Arrays,
+    Hyper,
+    LayeredStage,
+    filled,
+)
 from tustinnet.models.blocks import Layers, Network, Scaling, feature_count, random_network
 from tustinnet.registry import SCALINGS
 
@@ -23,8 +30,10 @@ class NetworkHyper(Hyper):
         scaling: a name of the registry; `records` learns all units from the training records.
     """
 
-    hidden: tuple[Annotated[int, Field(gt=0)], ...] = Field(default=(100, 100), min_length=1)
-    stem: int | None = Field(default=None, gt=0)
+    hidden: tuple[Annotated[int, Field(gt=0, le=MOST_UNITS)], ...] = Field(
+        default=(100, 100), min_length=1, max_length=MOST_LAYERS
+    )
+    stem: int | None = Field(default=None, gt=0, le=MOST_UNITS)
     activation: Literal["leaky_relu", "relu", "tanh", "silu", "softplus"] = "leaky_relu"
     output_bias: bool = False
     scaling: str = "records"

@@ -68,7 +68,7 @@ class NeuralODEHyper(NetworkHyper):
     The others are those of the network.
     """
 
-    substeps: int = Field(default=1, gt=0)
+    substeps: int = Field(default=1, gt=0, le=100)
 
 
 class NeuralODEFamily(Family):

@@ -146,7 +146,7 @@ class TustinNetHyper(NetworkHyper):
     The others are those of the network.
     """
 
-    memory: tuple[Annotated[float, Field(gt=0)], ...] = ()
+    memory: tuple[Annotated[float, Field(gt=0, le=1e6)], ...] = Field(default=(), max_length=100)
 
     @model_validator(mode="after")
     def _scaled(self) -> "TustinNetHyper":

@@ -6,9 +6,10 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.fitting.gradient.plan import plan
 from tustinnet.fitting.gradient.train import train_plan
 from tustinnet.fitting.listener import SILENT, Listener
+from tustinnet.fitting.recipe import TrainingRecipe, read_recipe
 from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.shooting.identify import identify_task
-from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task
+from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task, usual_recipe
 from tustinnet.models.contract import Model
 from tustinnet.systems.files import AnySystem
 
@@ -49,7 +50,7 @@ def fit_many(
     data: DataSet,
     recipe: AnyRecipe | None = None,
     seeds: Sequence[int] = (0,),
-    rates: Sequence[float] = (1.0,),
+    rates: Sequence[float] | None = None,
     *,
     physics: Model | None = None,
     listener: Listener = SILENT,
@@ -63,7 +64,8 @@ def fit_many(
         data: as for `fit`.
         recipe: as for `fit`.
         seeds: one training each.
-        rates: factors of the recipe's rates; every seed is trained with each.
+        rates: factors of the recipe's rates, by default those that it names; every seed is
+            trained with each.
         physics: as for `fit`.
         listener: who is told while training goes on.
 
@@ -73,8 +75,11 @@ def fit_many(
     Raises:
         InputError: no seed, a rate that is not positive; see `fit`.
     """
+    chosen = read_recipe(recipe or usual_recipe(system=False, physics=physics is not None))
+    if rates is None:
+        rates = chosen.rates if isinstance(chosen, TrainingRecipe) else (1.0,)
     members = [Member(seed, rate) for seed in seeds for rate in rates]
-    return fit_task(make_task(data, recipe, members, physics=physics), listener)
+    return fit_task(make_task(data, chosen, members, physics=physics), listener)
 
 
 def fit_task(task: Task, listener: Listener = SILENT) -> list[FitResult]:

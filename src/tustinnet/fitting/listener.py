@@ -56,11 +56,13 @@ class Listener:
         state: of a training's state and the members' progress, after every compiled call, which
             does several epochs, and at the ends of stages: all that a resumed run needs.
         iteration: of every iteration of an identification.
+        remark: of what is unusual, as a sentence.
     """
 
     epoch: Callable[[EpochReport], None] = field(default=lambda report: None)
     state: Callable[[Any, Any], None] = field(default=lambda state, progress: None)
     iteration: Callable[[Iteration], None] = field(default=lambda iteration: None)
+    remark: Callable[[str], None] = field(default=lambda sentence: None)
 
 
 SILENT = Listener()  # nobody is told

@@ -9,13 +9,22 @@ from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, SerializeAsAny, create_model, field_validator, model_validator
 
-from tustinnet.data.declaration import Declaration, declare, packaged_names, read_packaged
+from tustinnet.data.declaration import (
+    Declaration,
+    Name,
+    Sentence,
+    declare,
+    packaged_names,
+    parse_toml,
+    read_packaged,
+    require_plain,
+)
 from tustinnet.data.experiment import VelocitySource
-from tustinnet.errors import InputError
+from tustinnet.errors import InputError, refusing
 from tustinnet.families.family import Family, Hyper
 from tustinnet.registry import FAMILIES, RECIPE_HOMES, USUAL
 from tustinnet.simulate.starts import start_named
@@ -24,7 +33,11 @@ Compared = Literal["position", "state"]
 Criterion = Literal["validation", "validation-loss", "training"]
 Initial = Literal["choose", "anchored", "unanchored"]
 
-Positive = Field(gt=0)
+# far beyond what anybody needs; beyond them memory or patience ends before any message
+_MANY = 10**6  # epochs, samples, windows in a step
+_WINDOWS = 10**7
+_STAGES = 100
+Count = Annotated[int, Field(gt=0, le=_MANY)]
 
 
 class WindowRecipe(Declaration):
@@ -43,10 +56,10 @@ class WindowRecipe(Declaration):
     """
 
     draw: Literal["strided", "random"]
-    length: int = Positive
+    length: Count
     adapt: bool = False
-    step: int | None = Field(default=None, gt=0)
-    count: int | None = Field(default=None, gt=0)
+    step: Count | None = None
+    count: int | None = Field(default=None, gt=0, le=_WINDOWS)
     part: float = Field(default=1.0, gt=0, le=1)
     until: Literal["k_bar", "end"] = "end"
 
@@ -72,7 +85,7 @@ class PlateauRecipe(Declaration):
     """
 
     factor: float = Field(gt=0, lt=1)
-    patience: int = Field(ge=0)
+    patience: int = Field(ge=0, le=_MANY)
     watch: Criterion = "validation"
 
 
@@ -99,19 +112,19 @@ class StageRecipe(Declaration):
             leaves; the average is what is validated and kept. None keeps the weights themselves.
     """
 
-    name: str
+    name: Name
     windows: WindowRecipe
     loss: Compared = "state"
     periodic: bool = True
     scaled: bool = False
-    rate: float = Positive
-    epochs: int = Positive
-    patience: int | None = Field(default=None, gt=0)
-    batch: int = Positive
+    rate: float = Field(gt=0, le=1e3)
+    epochs: Count
+    patience: Count | None = None
+    batch: Count
     plateau: PlateauRecipe | None = None
     keep: Criterion = "validation"
     mirror: bool = False
-    clip: float | None = Field(default=None, gt=0)
+    clip: float | None = Field(default=None, gt=0, le=1e6)
     averaging: float | None = Field(default=None, gt=0, lt=1)
 
 
@@ -145,9 +158,9 @@ class SearchRecipe(Declaration):
     times: Literal["recorded", "nominal"] = "recorded"
     part: Literal["whole", "transients"] = "whole"
     method: Literal["levenberg-marquardt", "l-bfgs"] = "levenberg-marquardt"
-    tolerance: float = Field(default=1e-5, gt=0)
-    iterations: int = Field(default=50, gt=0)
-    substeps: int | None = Field(default=None, gt=0)
+    tolerance: float = Field(default=1e-5, gt=0, le=1)
+    iterations: Count = 50
+    substeps: int | None = Field(default=None, gt=0, le=10_000)
 
     @field_validator("initial")
     @classmethod
@@ -166,8 +179,8 @@ class Recipe(Declaration):
         model: the kind of model and what there is to say of it.
     """
 
-    name: str
-    description: str = ""
+    name: Name
+    description: Sentence = ""
     model: SerializeAsAny[Hyper]
 
     @property
@@ -186,12 +199,17 @@ class TrainingRecipe(Recipe):
         velocity: where the training velocities come from (`Experiment.velocities`).
         start: where the validation free runs start; when left out, the model's warm-up if it
             needs one, else `file` where velocities are stored, else `derived-6`.
+        rates: factors of the stages' rates; the command `fit` and `fit_many` train every seed
+            with each.
         stages: at least one.
     """
 
     velocity: VelocitySource = "auto"
     start: str | None = None
-    stages: list[SerializeAsAny[StageRecipe]] = Field(min_length=1)
+    rates: tuple[Annotated[float, Field(ge=1e-6, le=1e6)], ...] = Field(
+        default=(1.0,), min_length=1, max_length=_STAGES
+    )
+    stages: list[SerializeAsAny[StageRecipe]] = Field(min_length=1, max_length=_STAGES)
 
     @field_validator("start")
     @classmethod
@@ -203,6 +221,8 @@ class TrainingRecipe(Recipe):
         names = [stage.name for stage in self.stages]
         if len(set(names)) < len(names):
             raise ValueError("two stages have the same name")
+        if len(set(self.rates)) < len(self.rates):
+            raise ValueError("two of the rates are the same")
         for stage in self.stages:
             try:
                 self.family.check(self.model, stage)
@@ -241,7 +261,7 @@ def recipe_type(family: Family) -> type[Recipe]:
         "TrainingRecipe",
         __base__=TrainingRecipe,
         model=(family.hyper, ...),
-        stages=(list[stage], Field(min_length=1)),  # pyright: ignore[reportInvalidTypeForm]
+        stages=(list[stage], Field(min_length=1, max_length=_STAGES)),  # pyright: ignore[reportInvalidTypeForm]
     )
 
 
@@ -271,6 +291,7 @@ def read_recipe(
         content = which.model_dump(mode="json", exclude_unset=True)
         where = f"recipe '{which.name}'"
     elif isinstance(which, Mapping):
+        require_plain(which, "recipe")
         content, where = deepcopy(dict(which)), "recipe"
     else:
         content, where = read_packaged(which, RECIPE_HOMES)
@@ -331,7 +352,9 @@ def _indices(place: Sequence[Any], part: str, change: str) -> Sequence[int]:
 
 
 def _value(text: str) -> Any:
-    try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        return text.strip()
+    with refusing("--set", f"'{text.strip()[:30]}'", "a value as TOML has it"):
+        try:
+            content = parse_toml(f"value = {text}")
+        except tomllib.TOMLDecodeError:
+            return text.strip()
+        return content["value"] if len(content) == 1 else text.strip()

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.data.experiment import Experiment
+from tustinnet.data.inspection import moves_in
 from tustinnet.fitting.recipe import SearchRecipe, StageRecipe
 
 _NOTHING = 1.0  # the unit of a signal that never changes
@@ -83,7 +84,7 @@ def residual_of(recipe: StageRecipe | SearchRecipe, experiments: Sequence[Experi
     periodic = (*angular, *([False] * channels.n_q if state else []))
     if not recipe.scaled:
         return Residual(periodic, (1.0,) * len(periodic))
-    span = _spread([e.q.var(axis=0) for e in experiments])
+    span = np.where(moves_in(experiments), _spread([e.q.var(axis=0) for e in experiments]), 0.0)
     mixed = len({c.kind for c in channels.coordinates}) > 1
     position = np.where(span > 0, span, _NOTHING) if mixed else np.ones(channels.n_q)
     if not state:

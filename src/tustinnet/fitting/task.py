@@ -8,7 +8,7 @@ from typing import Any
 from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
 from tustinnet.families.family import family_of
-from tustinnet.fitting.recipe import Recipe, read_recipe
+from tustinnet.fitting.recipe import Recipe, TrainingRecipe, read_recipe
 from tustinnet.fitting.roles import Roles, roles
 from tustinnet.models.contract import Model
 from tustinnet.models.lagrangian import LagrangianSystem
@@ -116,7 +116,7 @@ def make_task(
             "--physics", f"a model of kind '{family_of(physics).kind}', which is trained already",
             "a model that a network can correct", "identify one with --system first",
         )  # fmt: skip
-    _require_members(members, family.trains)
+    _require_members(members, chosen)
     found = None if system is None else load_system(system)
     return Task(chosen, (Fold(roles(data), physics),), tuple(members), found)
 
@@ -128,15 +128,20 @@ def usual_recipe(*, system: bool, physics: bool) -> str:
     return _DEFAULT_FOR["system"] if system else DEFAULT_RECIPE
 
 
-def _require_members(members: Sequence[Member], trains: bool) -> None:
-    if not trains and list(members) != [Member()]:
+def _require_members(members: Sequence[Member], recipe: Recipe) -> None:
+    if not recipe.family.trains and list(members) != [Member()]:
         raise InputError(
-            "--seeds, --rates", "options of a training", "a recipe of a kind with weights",
-            "an identification has no seeds",
+            "seeds", "an identification has no seeds", "a recipe of a kind with weights"
         )  # fmt: skip
     rates = [m.rate for m in members]
     if not members or not all(r > 0 for r in rates) or len(set(members)) < len(members):
         raise InputError(
             "fit", f"seeds {[m.seed for m in members]}, rates {rates}",
             "different seeds and different factors above 0",
+        )  # fmt: skip
+    asked = recipe.rates if isinstance(recipe, TrainingRecipe) else (1.0,)
+    if asked != (1.0,) and set(rates) != set(asked):
+        raise InputError(
+            f"recipe '{recipe.name}'", f"rates {list(asked)}, of which {rates} would be trained",
+            "no `rates`", "they are for the command fit and for fit_many",
         )  # fmt: skip

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment, VelocitySource
+from tustinnet.data.inspection import moves_in
 from tustinnet.errors import InputError
 
 ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
@@ -255,7 +256,7 @@ def learn_scaling(
     Linear positions are centred and divided by their standard deviation, velocities and inputs
     divided by their root mean square, and accelerations are measured in root mean squares
     of the velocity's change per period. States that follow the velocity and relax are divided by
-    their root mean square.
+    their root mean square. What never moves or acts has units of 1.
 
     Args:
         experiments: the training records.
@@ -269,7 +270,7 @@ def learn_scaling(
     followed = [relaxing(v, channels.dt, relaxation_times) for v in velocities]
     return scaling_of(
         position_offset=q.mean(axis=0),
-        position_scale=q.std(axis=0),
+        position_scale=np.where(moves_in(experiments)[~channels.angular], q.std(axis=0), 1.0),
         velocity=root_mean_square(np.concatenate(velocities)),
         input=root_mean_square(np.concatenate([e.u for e in experiments])),
         acceleration=root_mean_square(change),

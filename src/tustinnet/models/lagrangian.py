@@ -13,7 +13,7 @@ import jax.scipy.linalg
 from jaxtyping import Array, Float
 
 from tustinnet.channels import Channels, Coordinate, Input
-from tustinnet.errors import InputError
+from tustinnet.errors import InputError, brief
 from tustinnet.models.contract import (
     ContinuousModel,
     Coordinates,
@@ -192,7 +192,7 @@ class LagrangianSystem:
             except Exception as error:
                 raise InputError(
                     where,
-                    f"fails with {type(error).__name__}: {str(error).splitlines()[0]}",
+                    f"fails with {brief(error)}",
                     "a function of jax arrays",
                     "write it with jax.numpy",
                 ) from error

@@ -17,7 +17,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.data.inspection import ExperimentReport
 from tustinnet.errors import InputError
 from tustinnet.evaluate.scores import Score
-from tustinnet.store.files import write_atomically
+from tustinnet.store.files import write_into
 
 MEASURED = "#111111"
 INPUT = "#5b7fa6"
@@ -46,19 +46,20 @@ def house_style() -> Iterator[None]:
         yield
 
 
-def write_figure(figure: Figure, path: Path) -> None:
-    """Writes a figure in the format of the path's ending, whole or not at all.
+def write_figure(figure: Figure, folder: Path, name: str) -> None:
+    """Writes a figure into a folder, in the format of its ending, whole or not at all.
 
     Raises:
         InputError: another ending than .png, .svg or .pdf, or the file cannot be written.
     """
     buffer = BytesIO()
+    path = folder / name
     ending = path.suffix.lstrip(".").lower()
     if ending not in _FORMATS:
         raise InputError(path, f"ending '{path.suffix}'", f"one of .{', .'.join(_FORMATS)}")
     metadata = {"Date": None} if ending == "svg" else None
     figure.savefig(buffer, format=ending, dpi=150, metadata=metadata)
-    write_atomically(path, buffer.getvalue())
+    write_into(folder, name, buffer.getvalue())
 
 
 def free_run_figure(

@@ -58,7 +58,8 @@ class FitProgress(AbstractContextManager["FitProgress"]):
         """Who is to be told of fits that run together."""
         if isinstance(prepared, Plan):
             return Listener(
-                epoch=_Trainings(self._console, self._bars, prepared, label, self._quiet)
+                epoch=_Trainings(self._console, self._bars, prepared, label, self._quiet),
+                remark=self._console.print,
             )
         name = label or prepared.recipe.name
         return Listener(iteration=_Identification(self._console, self._bars, name, self._quiet))

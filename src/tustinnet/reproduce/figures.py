@@ -98,5 +98,5 @@ def _write(name: str, runs: dict[str, Score], data: DataSet, stem: Path) -> list
 def _both(figure: Figure, stem: Path) -> list[Path]:
     paths = [stem.with_name(f"{stem.name}{ending}") for ending in (".png", ".svg")]
     for path in paths:
-        write_figure(figure, path)
+        write_figure(figure, path.parent, path.name)
     return paths

@@ -71,7 +71,7 @@ def published_scaling(
 
     One scale per coordinate, the mean over records of mean |v| / mean |q|, divides the velocity
     and multiplies the network's output, which is the velocity's increment per step. Inputs are
-    not scaled.
+    not scaled. In a record in which a coordinate does not move its scale is 1.
 
     Args:
         experiments: the training records.
@@ -89,9 +89,9 @@ def published_scaling(
             "no linear coordinate",
             "use the recipe 'standard' or 'transfer'",
         )
-    ratios = [
-        np.abs(e.velocities("file")).mean(axis=0) / np.abs(e.q).mean(axis=0) for e in experiments
-    ]
+    sizes = [(np.abs(e.velocities("file")).mean(axis=0), np.abs(e.q).mean(axis=0))
+             for e in experiments]  # fmt: skip
+    ratios = [np.divide(v, q, out=np.ones_like(v), where=(v > 0) & (q > 0)) for v, q in sizes]
     return scaling_of_increments(np.mean(ratios, axis=0), channels)
 
 

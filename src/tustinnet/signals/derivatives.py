@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from tustinnet.errors import InputError
 from tustinnet.signals.smoother import kalman_smoother
+from tustinnet.signals.transients import moves
 
 VelocityMethod = Literal["stencil", "savgol", "kalman"]
 Positions = Float[np.ndarray, "n n_q"]
@@ -34,7 +35,7 @@ def differentiate(
         resolution: encoder count per coordinate, (n_q,) [rad or m]; `kalman` needs it.
 
     Returns:
-        Velocities, (n, n_q) [rad/s or m/s].
+        Velocities, (n, n_q) [rad/s or m/s]; exactly 0 for a coordinate that never moves.
 
     Raises:
         InputError: an unknown method, fewer than 5 samples, or no resolution for `kalman`.
@@ -51,12 +52,14 @@ def differentiate(
                 "a positive count per coordinate",
                 "give `resolution` or `counts_per_revolution` for every coordinate in the card",
             )
-        return kalman_smoother(q, dt, resolution)
-    simple: dict[str, Callable[[Positions, float], Positions]] = {
-        "stencil": five_point_stencil,
-        "savgol": savitzky_golay,
-    }
-    return simple[method](q, dt)
+        found = kalman_smoother(q, dt, resolution)
+    else:
+        simple: dict[str, Callable[[Positions, float], Positions]] = {
+            "stencil": five_point_stencil,
+            "savgol": savitzky_golay,
+        }
+        found = simple[method](q, dt)
+    return np.where(moves(q), found, 0.0)  # the rounding of a constant is no motion
 
 
 def five_point_stencil(q: Positions, dt: float) -> Positions:

@@ -1,14 +1,18 @@
 """The time base of a record: its regularity, a regular grid, unwrapped angles."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.interpolate
 from jaxtyping import Float, Int
 
+from tustinnet.errors import InputError
+
 Times = Float[np.ndarray, " n"]
 
 _GAP = 2.5  # an interval longer than this many periods is a gap: two or more samples are missing
+_LONGEST_GRID = 10  # times the samples of a record; a wild timestamp asks for any number
 
 
 @dataclass(frozen=True)
@@ -42,6 +46,30 @@ def regularity(t: Times, dt: float) -> Regularity:
         worst_row=int(deviation.argmax()) + 1,
         gaps=tuple(int(k) for k in np.flatnonzero(~inside)),
     )
+
+
+def require_short_grid(t: Times, dt: float, place: Callable[[int], object]) -> None:
+    """Raises unless the grid of period `dt` [s] is at most 10 times as long as the record.
+
+    Args:
+        t: timestamps [s].
+        dt: period of the grid [s].
+        place: how a sample, by its index, is called in the message.
+
+    Raises:
+        InputError: a longer grid; the message names the longest interval.
+    """
+    samples = (t[-1] - t[0]) / dt
+    if samples > _LONGEST_GRID * len(t):
+        intervals = np.diff(t)
+        row = int(intervals.argmax()) + 1
+        raise InputError(
+            place(row),
+            f"a grid of {dt:g} s makes {samples:.3g} samples of {len(t)}, "
+            f"most of them before this one (interval of {intervals[row - 1]:.4g} s)",
+            f"at most {_LONGEST_GRID} times as many",
+            "correct the timestamp, split the record there, or take a longer period",
+        )
 
 
 def regular_grid(t: Times, dt: float) -> Float[np.ndarray, " m"]:

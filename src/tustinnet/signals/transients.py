@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 _ROUNDING = 1e-9  # rad/s or m/s
+_SAME = 1e-12  # of the largest position; what resampling makes of a constant is this near
 
 
 @dataclass(frozen=True)
@@ -58,8 +59,13 @@ def at_rest(
 ) -> Bool[np.ndarray, " n"]:
     """Samples at which all speeds and all excursions are below the thresholds."""
     near = np.abs(q - thresholds.resting) < thresholds.excursion
-    still = np.ptp(q, axis=0) == 0  # a coordinate that never moves has thresholds of 0
-    return np.all((slow(v, thresholds) & near) | still, axis=1)
+    # a coordinate that never moves has thresholds of 0
+    return np.all((slow(v, thresholds) & near) | ~moves(q), axis=1)
+
+
+def moves(q: Float[np.ndarray, "n n_q"]) -> Bool[np.ndarray, " n_q"]:
+    """Which coordinates move at all, by more than rounding."""
+    return np.ptp(q, axis=0) > _SAME * np.abs(q).max(axis=0)
 
 
 def slow(v: Float[np.ndarray, "n n_q"], thresholds: RestThresholds) -> Bool[np.ndarray, "n n_q"]:

@@ -1,30 +1,32 @@
 """Checkpoints: all that a training needs to go on as if it had never stopped.
 
-Each member of those that train together has a file of its own.
+Members that train together are in one file: what they compute depends, in the last bits, on who
+trains beside them, so that a resumed run must have the same ones at the same moment.
 """
 
 import dataclasses
 import hashlib
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import safetensors.numpy
+from pydantic import TypeAdapter
 
-from tustinnet.errors import InputError
+from tustinnet.errors import InputError, refusing
 from tustinnet.families.family import family_of
+from tustinnet.fitting.gradient.loop import Resumed
 from tustinnet.fitting.gradient.plan import plan
 from tustinnet.fitting.gradient.state import Progress, TrainingState
 from tustinnet.fitting.task import Member, Task
-from tustinnet.store.files import write_atomically
-from tustinnet.store.model_file import FORMAT, KEY, read_file
+from tustinnet.store.sealed import read_sealed, write_sealed
 
 _KIND = "checkpoint"
+_PROGRESS = TypeAdapter(Progress)
 _INTERVAL = 5.0  # seconds between two checkpoints within a stage
 
 
@@ -32,34 +34,40 @@ class Checkpointer:
     """Writes checkpoints while training goes on: at most every 5 s, and when a stage changes.
 
     Args:
-        paths: a file for each member.
-        fingerprints: what they belong to.
+        path: the file.
+        task: of which members train together.
     """
 
-    def __init__(self, paths: Sequence[Path], fingerprints: Sequence[str]) -> None:
-        self._files = list(zip(paths, fingerprints, strict=True))
+    def __init__(self, path: Path, task: Task) -> None:
+        self._path = path
+        self._belongs = {member.name: fingerprint(task, member) for member in task.members}
         self._written = time.monotonic()
-        self._told: tuple[Progress, ...] | None = None
+        self._told: tuple[Progress, ...] = ()
+        self._unwritten: TrainingState | None = None
 
     def __call__(self, state: TrainingState, progress: tuple[Progress, ...]) -> None:
         """Told after every compiled call."""
-        before = self._told or progress
-        due = time.monotonic() - self._written >= _INTERVAL
-        for m, (path, belongs_to) in enumerate(self._files):
-            if self._told and before[m].outcome:
-                continue  # its last state is kept as it was
-            changed = progress[m].outcome or progress[m].stage != before[m].stage
-            if due or changed:
-                write_checkpoint(path, member_of(state, m), progress[m], belongs_to)
-        if due:
-            self._written = time.monotonic()
-        self._told = progress
+        before = {(p.stage, p.outcome) for p in self._told or progress}
+        changed = before != {(p.stage, p.outcome) for p in progress}
+        self._told, self._unwritten = progress, state
+        if (
+            changed
+            or all(p.outcome for p in progress)
+            or time.monotonic() - self._written >= _INTERVAL
+        ):
+            self.flush()
+
+    def flush(self) -> None:
+        """Writes the last state that was told, where that was not done yet."""
+        if self._unwritten is not None:
+            write_checkpoint(self._path, self._unwritten, self._told, self._belongs)
+            self._written, self._unwritten = time.monotonic(), None
 
 
 def fingerprint(task: Task, member: Member) -> str:
     """What a checkpoint belongs to: the recipe, the member, its records and physics."""
     fold = task.folds[member.fold]
-    digest = hashlib.sha256(task.recipe.model_dump_json().encode())
+    digest = hashlib.sha256(task.recipe.model_dump_json(exclude={"rates"}).encode())
     digest.update(member.name.encode())
     if fold.physics is not None:
         described, arrays = family_of(fold.physics).describe(fold.physics)
@@ -74,50 +82,64 @@ def fingerprint(task: Task, member: Member) -> str:
     return digest.hexdigest()
 
 
-def write_checkpoint(path: Path, state: TrainingState, progress: Progress, belongs_to: str) -> None:
-    """Writes the checkpoint of one member, whole or not at all."""
+def write_checkpoint(
+    path: Path,
+    state: TrainingState,
+    progress: Sequence[Progress],
+    belongs: Mapping[str, str],
+) -> None:
+    """Writes the checkpoint of members that train together, whole or not at all.
+
+    Args:
+        path: the file.
+        state: of all of them.
+        progress: of each.
+        belongs: names and fingerprints of each.
+    """
     header = {
-        "format": FORMAT,
         "kind": _KIND,
-        "fingerprint": belongs_to,
-        "progress": dataclasses.asdict(progress),
+        "stage": max(p.stage for p in progress),
+        "members": dict(belongs),
+        "progress": [dataclasses.asdict(p) for p in progress],
     }
     arrays = {f"{i:04d}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(_plain(state)))}
-    # Python's JSON writes and reads infinities and every bit of a float
-    write_atomically(path, safetensors.numpy.save(arrays, {KEY: json.dumps(header)}))
+    write_sealed(path.parent, path.name, header, arrays)
 
 
-def read_checkpoint(path: Path, task: Task, member: Member) -> tuple[TrainingState, Progress]:
-    """Reads the state of one member to resume from.
+def read_checkpoint(path: Path, task: Task) -> tuple[tuple[Member, ...], Resumed | None]:
+    """Those members of a task that a checkpoint has, their state and progress; None of nobody.
 
     Raises:
         InputError: damaged, or of another recipe, seed, rate or data set.
     """
-    header, arrays = read_file(path, [_KIND])
-    if header["fingerprint"] != fingerprint(task, member):
-        raise InputError(
-            path,
-            "the checkpoint belongs to another recipe, seed, rate, data set or version",
-            "the same as when it was written",
-            "start anew with --overwrite, or in another folder",
-        )
-    content = header["progress"]
-    progress = Progress(**{**content, "epochs": tuple(content["epochs"])})
-    template = member_of(plan(task.of([member])).begin(progress.stage), 0)
-    leaves = [jnp.asarray(arrays[name]) for name in sorted(arrays)]
-    plain = jax.tree.unflatten(jax.tree.structure(_plain(template)), leaves)
+    header, arrays = read_sealed(path, [_KIND])
+    with refusing(path, "not a whole checkpoint", "a checkpoint written by tustinnet",
+                  "start anew with --overwrite"):  # fmt: skip
+        kept = list(header["members"].items())
+        named = {member.name: member for member in task.members}
+        rows = [row for row, (name, _) in enumerate(kept) if name in named]
+        members = tuple(named[kept[row][0]] for row in rows)
+        for member, row in zip(members, rows, strict=True):
+            if kept[row][1] != fingerprint(task, member):
+                raise InputError(
+                    path,
+                    "the checkpoint belongs to another recipe, seed, rate, data set or version",
+                    "the same as when it was written",
+                    "start anew with --overwrite, or in another folder",
+                )
+        if not members:
+            return (), None
+        progress = tuple(_PROGRESS.validate_python(header["progress"][row]) for row in rows)
+        template = _plain(plan(task.of(members)).begin(header["stage"]))
+        leaves, structure = jax.tree.flatten(template)
+        stored = [arrays[name] for name in sorted(arrays)]
+        if [(a.shape, a.dtype) for a in leaves] != [
+            ((len(rows), *a.shape[1:]), a.dtype) for a in stored
+        ]:
+            raise ValueError("arrays of other shapes than the training has")
+        plain = jax.tree.unflatten(structure, [jnp.asarray(array[rows]) for array in stored])
     key = jax.random.wrap_key_data(plain.weights.key)
-    return plain._replace(weights=plain.weights._replace(key=key)), progress
-
-
-def member_of(state: TrainingState, m: int) -> TrainingState:
-    """The state of one member, arrays without the axis of members."""
-    return jax.tree.map(lambda array: array[m], state)
-
-
-def together(states: Sequence[TrainingState]) -> TrainingState:
-    """States of members as one."""
-    return jax.tree.map(lambda *arrays: jnp.stack(arrays), *states)
+    return members, (plain._replace(weights=plain.weights._replace(key=key)), progress)
 
 
 def _plain(state: TrainingState) -> Any:

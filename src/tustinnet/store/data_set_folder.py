@@ -8,7 +8,7 @@ import tomli_w
 from tustinnet.data.catalog import CARD_NAME
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
-from tustinnet.store.files import require_new, require_writable_folder, write_atomically
+from tustinnet.store.files import require_new, require_writable_folder, write_into
 
 
 def write_data_set(
@@ -32,8 +32,8 @@ def write_data_set(
     require_new([card, *paths.values()], overwrite=overwrite)
     require_writable_folder(folder)
     for e in data:
-        write_atomically(paths[e.name], _rows(e))
-    write_atomically(card, _card(data, folder, paths, description))
+        write_into(folder, paths[e.name].relative_to(folder).as_posix(), _rows(e))
+    write_into(folder, CARD_NAME, _card(data, folder, paths, description))
     return card
 
 

@@ -1,24 +1,40 @@
-"""Writing files so that nothing is ever half-written."""
+"""Writing files so that nothing is ever half-written, nor outside of the output folder."""
 
 import json
 import math
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from tustinnet.errors import InputError
 
+try:
+    import fcntl
+except ImportError:  # Windows: two runs in one folder are not kept apart there
+    fcntl = None
 
-def write_atomically(path: Path, content: bytes | str) -> None:
-    """Writes a file that is either whole or not there.
+_PART = ".part"  # how the name of a file ends while it is written
+
+
+def write_into(folder: Path, name: str, content: bytes | str) -> None:
+    """Writes a file below a folder that is either whole or as it was before.
+
+    Args:
+        folder: the output folder that the user named.
+        name: the file, relative to the folder.
+        content: text or bytes.
 
     Raises:
-        InputError: the file cannot be written.
+        InputError: the file would be outside of the folder, or it cannot be written.
     """
+    path = folder / name
     payload = content.encode() if isinstance(content, str) else content
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    temporary = path.with_name(f".{path.name}.{os.getpid()}{_PART}")
     try:
+        if not path.parent.resolve().is_relative_to(folder.resolve()):
+            raise InputError(path, "outside of the output folder", f"a file below {folder}")
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
             with temporary.open("wb") as file:
@@ -29,18 +45,52 @@ def write_atomically(path: Path, content: bytes | str) -> None:
         finally:
             temporary.unlink(missing_ok=True)
     except OSError as error:
-        raise _unwritable(path, error) from error
+        raise unwritable(path, error) from error
 
 
 def require_writable_folder(folder: Path) -> None:
     """Makes a folder and raises `InputError` unless files can be written into it."""
-    probe = folder / f".writable.{os.getpid()}"
+    probe = folder / f".writable.{os.getpid()}{_PART}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         probe.touch()
         probe.unlink()
     except OSError as error:
-        raise _unwritable(folder, error) from error
+        raise unwritable(folder, error) from error
+
+
+@contextmanager
+def owned(folder: Path) -> Iterator[None]:
+    """A folder that one run writes into, made where it is not there.
+
+    What killed runs left half-written is removed. The lock is on the folder itself: it leaves no
+    file, and ends with the process however that ends.
+
+    Raises:
+        InputError: another run has the folder, or files cannot be written into it.
+    """
+    require_writable_folder(folder)
+    descriptor = None
+    try:
+        if fcntl is not None:
+            descriptor = os.open(folder, os.O_RDONLY)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor or 0)
+        raise InputError(
+            folder, "another run is writing there", "a folder of its own for every run",
+            "wait until it ends, or choose another --out",
+        ) from None  # fmt: skip
+    except OSError:
+        pass  # a file system without locks
+    try:
+        for pattern in (f".*{_PART}", f"*/.*{_PART}"):
+            for left in folder.glob(pattern):
+                left.unlink(missing_ok=True)
+        yield
+    finally:
+        if descriptor is not None:
+            os.close(descriptor)
 
 
 def require_new(paths: Iterable[Path], *, overwrite: bool) -> None:
@@ -72,9 +122,11 @@ def finite(content: Any) -> Any:
     return content
 
 
-def _unwritable(path: Path, error: OSError) -> InputError:
+def unwritable(path: Path, error: OSError) -> InputError:
+    """What is said of a file that cannot be written."""
     blocked = isinstance(error, FileExistsError | NotADirectoryError)
     reason = "a file stands where a folder is needed" if blocked else error.strerror or str(error)
     return InputError(
-        path, f"cannot be written ({reason})", "a folder you may write to", "choose another place"
-    )
+        path, f"cannot be written ({reason})", "a folder you may write to, with room in it",
+        "make room or choose another place",
+    )  # fmt: skip

@@ -1,25 +1,37 @@
 """The model file: one safetensors file, arrays plus a JSON header; it knows no family."""
 
-import json
-from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import safetensors
-import safetensors.numpy
+from pydantic import ConfigDict, Field
 
-from tustinnet.errors import InputError
+from tustinnet.channels import Coordinate, Input
+from tustinnet.data.card import LONGEST_DT
+from tustinnet.data.declaration import Declaration, declare
+from tustinnet.errors import InputError, refusing
 from tustinnet.families.family import family_of
 from tustinnet.models.contract import Model
 from tustinnet.registry import FAMILIES
-from tustinnet.store.files import finite, write_atomically
+from tustinnet.store.files import finite
+from tustinnet.store.sealed import read_sealed, write_sealed
 from tustinnet.systems.files import AnySystem
 
-FORMAT = 2  # 1 had other names in the headers of hybrids and a digest of a system's code
-KEY = "tustinnet"  # where the header stands in the safetensors metadata
 _PACKAGES = ("tustinnet", "jax", "jaxlib", "equinox", "optax", "numpy")
+
+
+class _Header(Declaration):
+    """What the header of every model file says; the rest is its family's, and the fit's."""
+
+    model_config = ConfigDict(extra="allow", allow_inf_nan=False)
+
+    format: int
+    kind: str
+    coordinates: list[Coordinate] = Field(min_length=1)
+    inputs: list[Input]
+    dt: float = Field(ge=0, le=LONGEST_DT)
+    versions: dict[str, str] = Field(default_factory=dict)
 
 
 def save(model: Model, path: str | Path, **header: Any) -> None:
@@ -36,15 +48,13 @@ def save(model: Model, path: str | Path, **header: Any) -> None:
     family = family_of(model)
     described, arrays = family.describe(model)
     content = {
-        "format": FORMAT,
         "kind": family.kind,
         **described,
         **model.channels.as_header(),
         **header,
         "versions": {name: metadata.version(name) for name in _PACKAGES},
     }
-    text = json.dumps(finite(content), ensure_ascii=False)
-    write_atomically(Path(path), safetensors.numpy.save(arrays, {KEY: text}))
+    write_sealed(Path(path).parent, Path(path).name, finite(content), arrays)
 
 
 def load_model(path: str | Path, system: AnySystem | None = None) -> Model:
@@ -56,23 +66,17 @@ def load_model(path: str | Path, system: AnySystem | None = None) -> Model:
             defines it, which is run; a model file itself never holds code.
 
     Raises:
-        InputError: no such file, cut short, of another kind, or of a newer version; a system that
-            is not known or has changed.
+        InputError: no such file, cut short, changed since it was written, of another kind, or of
+            a newer version; a system that is not known or has changed.
     """
-    header, arrays = read_file(Path(path), FAMILIES.names())
+    header, arrays = _read(Path(path))
     if system is not None and not _system_in(header):
         raise InputError(
             f"system for {path}", f"means nothing to a model of kind '{header['kind']}'",
             "a model of a system", "leave --system out",
         )  # fmt: skip
-    try:
+    with refusing(path, "header and arrays do not fit", "a file written by tustinnet"):
         return FAMILIES[header["kind"]].restore(header, arrays, system, Path(path))
-    except InputError:
-        raise  # of the system, not of the file
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            path, f"header and arrays do not fit ({error})", "a file written by tustinnet"
-        ) from error
 
 
 def shown(path: str | Path) -> tuple[dict[str, Any], list[tuple[str, str]]]:
@@ -81,8 +85,9 @@ def shown(path: str | Path) -> tuple[dict[str, Any], list[tuple[str, str]]]:
     Raises:
         InputError: as `load_model`.
     """
-    header, arrays = read_file(Path(path), FAMILIES.names())
-    return header, FAMILIES[header["kind"]].shown(header, arrays)
+    header, arrays = _read(Path(path))
+    with refusing(path, "header and arrays do not fit", "a file written by tustinnet"):
+        return header, FAMILIES[header["kind"]].shown(header, arrays)
 
 
 def read_header(path: str | Path) -> dict[str, Any]:
@@ -94,47 +99,7 @@ def read_header(path: str | Path) -> dict[str, Any]:
     Raises:
         InputError: as `load_model`.
     """
-    return read_file(Path(path), FAMILIES.names())[0]
-
-
-def read_file(path: Path, kinds: Sequence[str]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Header and arrays of a file of this package and of one of the given kinds."""
-    kind = " or ".join(kinds)
-    if path.is_dir():
-        raise InputError(
-            path, "a folder", "a model file", f"did you mean {path / 'model.safetensors'}?"
-        )
-    if not path.is_file():
-        raise InputError(path, "no such file", "a model file (.safetensors)")
-    try:
-        with safetensors.safe_open(path, framework="numpy") as file:
-            described = file.metadata() or {}
-            # copied: a tensor may be a view into a mapping that is gone once the file is replaced
-            arrays = {name: np.array(file.get_tensor(name)) for name in file.keys()}  # noqa: SIM118 (not a dict)
-    except (safetensors.SafetensorError, OSError) as error:
-        raise InputError(
-            path,
-            f"not a safetensors file, or cut short ({error})",
-            f"a {kind} file",
-            "copy or train it again",
-        ) from error
-    try:
-        header = json.loads(described[KEY])
-        found, version = header["kind"], int(header["format"])
-    except (KeyError, ValueError, TypeError):
-        raise InputError(
-            path,
-            "a safetensors file without a tustinnet header",
-            f"a {kind} file",
-            "give a file that tustinnet has written",
-        ) from None
-    if version > FORMAT:
-        raise InputError(
-            path, f"format version {version}", f"at most {FORMAT}", "upgrade tustinnet to read it"
-        )
-    if found not in kinds:
-        raise InputError(path, f"a file of kind '{found}'", f"kind '{kind}'")
-    return header, arrays
+    return _read(Path(path))[0]
 
 
 def system_of(path: str | Path) -> str:
@@ -143,6 +108,14 @@ def system_of(path: str | Path) -> str:
 
 
 def _system_in(header: dict[str, Any]) -> str:
-    while "physics" in header:
+    while isinstance(header.get("physics"), dict):
         header = header["physics"]
-    return str(header.get("system", {}).get("name", ""))
+    system = header.get("system")
+    return str(system.get("name", "")) if isinstance(system, dict) else ""
+
+
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Header and arrays of a model file, the header as `_Header` has it."""
+    header, arrays = read_sealed(path, FAMILIES.names())
+    declare(header, _Header, path)
+    return header, arrays

@@ -4,7 +4,7 @@ folder/model.safetensors              the model, of several members the best one
 folder/summary.json                   the account: every member and the spread
 folder/seed-0/model.safetensors       of trainings: the best weights of that seed
 folder/seed-0/log.jsonl               one line an epoch
-folder/seed-0/checkpoint.safetensors  what `resume` goes on from
+folder/seed-0/checkpoint.safetensors  what `resume` goes on from, of all that train together
 
 Seeds that are trained at several rates have folders like seed-0-rate-0.5.
 """
@@ -12,7 +12,8 @@ Seeds that are trained at several rates have folders like seed-0-rate-0.5.
 import dataclasses
 import json
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -22,19 +23,21 @@ from tustinnet.evaluate.scores import Score, evaluate, mean_rmse, rmse_by_record
 from tustinnet.fitting.fit import fit_task
 from tustinnet.fitting.gradient.loop import Resumed
 from tustinnet.fitting.gradient.plan import Plan, plan
-from tustinnet.fitting.gradient.state import Progress, TrainingState
+from tustinnet.fitting.gradient.state import Progress
 from tustinnet.fitting.gradient.train import train_plan
 from tustinnet.fitting.listener import EpochReport, Listener
 from tustinnet.fitting.report import FitResult, data_header
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Member, Task
-from tustinnet.store.checkpoint import Checkpointer, fingerprint, read_checkpoint, together
+from tustinnet.store.checkpoint import Checkpointer, read_checkpoint
 from tustinnet.store.files import (
     finite,
+    owned,
     require_new,
     require_writable_folder,
     to_json,
-    write_atomically,
+    unwritable,
+    write_into,
 )
 from tustinnet.store.model_file import save
 
@@ -42,6 +45,7 @@ MODEL = "model.safetensors"
 SUMMARY = "summary.json"
 _CHECKPOINT = "checkpoint.safetensors"
 _LOG = "log.jsonl"
+_DAMAGED = "log.damaged.jsonl"
 
 Earlier = Literal["refuse", "resume", "discard"]  # what is done with a run that is there
 
@@ -163,11 +167,15 @@ def run_task(
             returns who is told while it goes on.
 
     Raises:
-        InputError: the folder cannot be written, holds an earlier run that is neither resumed nor
-            discarded, or its checkpoints belong to another run; an identification is to be
-            resumed; see also `fit`.
+        InputError: the folder cannot be written, another run is writing there, it holds an earlier
+            run that is neither resumed nor discarded, or its checkpoints belong to another run; an
+            identification is to be resumed; see also `fit`.
     """
-    require_writable_folder(folder)
+    with owned(folder):
+        return _run(task, data, folder, earlier, tell)
+
+
+def _run(task: Task, data: str, folder: Path, earlier: Earlier, tell: Tell) -> Run:
     trains, roles = task.recipe.family.trains, task.folds[0].roles
     _make_room(folder, earlier, trains=trains)
     results = _trained(task, folder, earlier, tell) if trains else fit_task(task, tell(task))
@@ -179,7 +187,7 @@ def run_task(
     for run in runs:
         save(run.result.model, run.folder / MODEL, **done.header(run))
     save(done.best.result.model, folder / MODEL, **done.header(done.best))
-    write_atomically(folder / SUMMARY, to_json(done.summary()))
+    write_into(folder, SUMMARY, to_json(done.summary()))
     return done
 
 
@@ -207,7 +215,7 @@ def _make_room(folder: Path, earlier: Earlier, *, trains: bool) -> None:
 def _discard(folder: Path, seed_folders: Sequence[Path]) -> None:
     """Removes the files that a run has written, and no others."""
     for place in seed_folders:
-        for name in (MODEL, _LOG, _CHECKPOINT):
+        for name in (MODEL, _LOG, _DAMAGED, _CHECKPOINT):
             (place / name).unlink(missing_ok=True)
         if not any(place.iterdir()):
             place.rmdir()
@@ -216,11 +224,45 @@ def _discard(folder: Path, seed_folders: Sequence[Path]) -> None:
 
 
 def read_log(folder: Path) -> list[dict[str, Any]]:
-    """The training log of a member's folder, a mapping an epoch; empty where there is none."""
-    path = folder / _LOG
-    if not path.is_file():
+    """The training log of a member's folder, a mapping an epoch, up to where it is damaged."""
+    try:
+        content = (folder / _LOG).read_bytes()
+    except OSError:
         return []
-    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    return _sound(content)
+
+
+_TYPES = {
+    "stage": str, "epoch": int, "loss": float | None, "validation": float | None,
+    "rate": float | None, "best": float | None, "event": str,
+}  # fmt: skip
+
+
+def _sound(content: bytes) -> list[dict[str, Any]]:
+    """The epochs of a log up to the first line that is none."""
+    found = []
+    for line in content.decode("utf-8", "replace").split("\n"):
+        try:
+            entry = json.loads(line)
+        except (ValueError, RecursionError):
+            break
+        if not isinstance(entry, dict) or entry.keys() != _TYPES.keys():
+            break
+        if not all(isinstance(entry[key], kind) for key, kind in _TYPES.items()):
+            break
+        if not _follows(entry, found):
+            break
+        found.append(entry)
+    return found
+
+
+def _follows(entry: Mapping[str, Any], before: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether an epoch comes after others: the next one, one that was taken back, a new stage."""
+    if not before or entry["stage"] != before[-1]["stage"]:
+        return entry["epoch"] == 1
+    last = before[-1]
+    again = entry["epoch"] == last["epoch"] and bool(last["event"])
+    return again or entry["epoch"] == last["epoch"] + 1
 
 
 def _trained(task: Task, folder: Path, earlier: Earlier, tell: Tell) -> list[FitResult]:
@@ -234,21 +276,17 @@ def _trained(task: Task, folder: Path, earlier: Earlier, tell: Tell) -> list[Fit
 
 
 def _groups(task: Task, folder: Path, *, resume: bool) -> list[tuple[list[Member], Resumed | None]]:
-    """Members that can train together: those that begin, and those that are in the same stage."""
-    fresh: list[Member] = []
-    found: dict[int, list[tuple[Member, TrainingState, Progress]]] = {}
-    for member in task.members:
-        path = folder / member.name / _CHECKPOINT
-        if resume and path.is_file():
-            state, progress = read_checkpoint(path, task, member)
-            found.setdefault(progress.stage, []).append((member, state, progress))
-        else:
-            fresh.append(member)
-    groups: list[tuple[list[Member], Resumed | None]] = [(fresh, None)] if fresh else []
-    for resumed in found.values():
-        names, states, progress = zip(*resumed, strict=True)
-        groups.append((list(names), (together(states), progress)))
-    return groups
+    """Members that train together: those that begin, and those that did when they stopped."""
+    groups: list[tuple[list[Member], Resumed | None]] = []
+    fresh = list(task.members)
+    paths = folder.glob(f"*/{_CHECKPOINT}") if resume else ()
+    # the newest first: a member may since have gone on without some of the others
+    for path in sorted(paths, key=lambda path: path.stat().st_mtime_ns, reverse=True):
+        members, resumed = read_checkpoint(path, task.of(fresh))
+        if resumed:
+            groups.append((list(members), resumed))
+            fresh = [member for member in fresh if member not in members]
+    return [(fresh, None), *groups] if fresh else groups
 
 
 def _train_together(
@@ -257,14 +295,10 @@ def _train_together(
     folders = [folder / member.name for member in prepared.members]
     for place in folders:
         require_writable_folder(place)
-    keeps = Checkpointer(
-        [place / _CHECKPOINT for place in folders],
-        [fingerprint(prepared.task, member) for member in prepared.members],
-    )
+    keeps = Checkpointer(folders[0] / _CHECKPOINT, prepared.task)
     begun = resumed[1] if resumed else (None,) * len(folders)
     logs = [
-        _Log(place / _LOG, prepared, progress)
-        for place, progress in zip(folders, begun, strict=True)
+        _Log(place, progress, told.remark) for place, progress in zip(folders, begun, strict=True)
     ]
 
     def epoch(report: EpochReport) -> None:
@@ -273,39 +307,50 @@ def _train_together(
 
     try:
         return train_plan(prepared, Listener(epoch, keeps), resumed)
+    except KeyboardInterrupt:  # also how SIGTERM and SIGHUP arrive
+        keeps.flush()
+        raise
     finally:
         for log in logs:
             log.close()
 
 
 class _Log:
-    """A line of JSON an epoch; a resumed run drops the lines it is about to repeat."""
+    """A line of JSON an epoch; a resumed run drops the lines it is about to repeat.
 
-    def __init__(self, path: Path, prepared: Plan, resumed: Progress | None) -> None:
-        self._stages = [stage.recipe.name for stage in prepared.stages]
-        kept = self._lines_before(path, resumed) if resumed and path.is_file() else []
-        write_atomically(path, "".join(line + "\n" for line in kept))
-        self._file = path.open("a", encoding="utf-8")
+    A log that is damaged, or shorter than the checkpoint says, is set aside and said so.
+    """
 
-    def _lines_before(self, path: Path, resumed: Progress) -> list[str]:
-        kept = []
-        for line in path.read_text(encoding="utf-8").splitlines():
-            try:
-                entry = json.loads(line)
-            except json.JSONDecodeError:
-                break  # the line that was being written when the run was killed
-            if (self._stages.index(entry["stage"]), entry["epoch"]) <= (
-                resumed.stage,
-                resumed.epoch,
-            ):
-                kept.append(line)
-        return kept
+    def __init__(
+        self, folder: Path, resumed: Progress | None, remark: Callable[[str], None]
+    ) -> None:
+        self._path = folder / _LOG
+        kept: list[dict[str, Any]] = []
+        if resumed:
+            before = self._path.read_bytes() if self._path.is_file() else b""
+            kept = _sound(before)[: resumed.reported]
+            if len(kept) < resumed.reported:
+                write_into(folder, _DAMAGED, before)
+                remark(
+                    f"{self._path}: {len(kept)} sound lines, expected {resumed.reported}; what "
+                    f"was there is kept as {_DAMAGED}, the log goes on behind the sound lines"
+                )
+        write_into(folder, _LOG, "".join(json.dumps(line) + "\n" for line in kept))
+        try:
+            self._file = self._path.open("ab")
+        except OSError as error:
+            raise unwritable(self._path, error) from error
 
     def write(self, report: EpochReport) -> None:
         line = dataclasses.asdict(report)
         del line["member"]  # each has a log of its own
-        self._file.write(json.dumps(finite(line)) + "\n")
-        self._file.flush()
+        try:
+            self._path.stat()  # raises where the folder was removed, which writing would not
+            self._file.write(json.dumps(finite(line)).encode() + b"\n")
+            self._file.flush()
+        except OSError as error:
+            raise unwritable(self._path, error) from error
 
     def close(self) -> None:
-        self._file.close()
+        with suppress(OSError):  # what could not be written was said already
+            self._file.close()

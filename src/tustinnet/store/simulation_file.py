@@ -6,11 +6,11 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
-from tustinnet.store.files import write_atomically
+from tustinnet.store.files import write_into
 
 
 def write_simulation(
-    path: Path, experiment: Experiment, states: Float[np.ndarray, "n n_x"]
+    folder: Path, experiment: Experiment, states: Float[np.ndarray, "n n_x"]
 ) -> None:
     """Writes time, inputs, simulated positions and velocities, measured positions of a record.
 
@@ -27,4 +27,4 @@ def write_simulation(
     columns |= {
         f"{c.name}_measured": experiment.q[:, j] for j, c in enumerate(experiment.coordinates)
     }
-    write_atomically(path, pl.DataFrame(columns).write_csv())
+    write_into(folder, f"{experiment.name}.csv", pl.DataFrame(columns).write_csv())

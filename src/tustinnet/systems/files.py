@@ -1,14 +1,27 @@
 """Systems by name, or from the file of a user."""
 
-import importlib.util
+import functools
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
-from tustinnet.errors import InputError
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from tustinnet.data.declaration import read_source
+from tustinnet.errors import InputError, brief, require_text
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.registry import SYSTEMS
 
 AnySystem = LagrangianSystem | str | Path
 ATTRIBUTE = "SYSTEM"  # what a system file calls its system
+_FUNCTIONS = ("kinetic", "potential", "dissipation", "input_map")
+_LONGEST_CHAIN = 20  # of errors; they may be causes of one another
+_REMEDY = "docs/systems.md shows a whole file"
 
 
 def load_system(which: AnySystem) -> LagrangianSystem:
@@ -19,7 +32,8 @@ def load_system(which: AnySystem) -> LagrangianSystem:
             `arm.py`; a system is returned as it is.
 
     Raises:
-        InputError: no such name or file, a file that fails or has no `SYSTEM`.
+        InputError: no such name or file, a file that fails or has no `SYSTEM`. The functions of
+            a system from a file raise it, too, whatever happens in them.
     """
     if isinstance(which, LagrangianSystem):
         return which
@@ -32,36 +46,86 @@ def load_system(which: AnySystem) -> LagrangianSystem:
             "no such system",
             f"one of {', '.join(SYSTEMS.names())}, or a file FILE.py",
         )
-    if not path.is_file():
-        raise InputError(path, "no such file", "a Python file that defines SYSTEM")
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    if spec is None or spec.loader is None:
-        raise InputError(path, "cannot be read as Python", "a Python file that defines SYSTEM")
-    module = importlib.util.module_from_spec(spec)
-    try:
-        spec.loader.exec_module(module)
-    except InputError:
-        raise
-    except (Exception, SystemExit) as error:
-        line = _line_of(error, path)
-        raise InputError(
-            path, f"fails{line} with {type(error).__name__}: {error}", "a file that runs",
-            "docs/systems.md shows one",
-        ) from error  # fmt: skip
-    system = getattr(module, ATTRIBUTE, None)
+    text = read_source(path, "a Python file that defines SYSTEM")
+    module = ModuleType(path.stem)
+    module.__file__ = str(path)
+    with _naming(path):
+        # not imported: that would write a compiled copy beside the file, and may read an old one
+        exec(compile(text, str(path), "exec", dont_inherit=True), vars(module))
+        system = vars(module).get(ATTRIBUTE)
     if not isinstance(system, LagrangianSystem):
         found = "no SYSTEM" if system is None else f"SYSTEM is a {type(system).__name__}"
-        raise InputError(
-            path, found, "SYSTEM = LagrangianSystem(...)", "docs/systems.md shows a whole file"
-        )
+        raise InputError(path, found, "SYSTEM = LagrangianSystem(...)", _REMEDY)
+    with _naming(path):
+        system = _guarded(system, path)
+        _try_out(system)
     return system
 
 
-def _line_of(error: BaseException, path: Path) -> str:
-    trace, line = error.__traceback__, 0
-    while trace is not None:
-        if Path(trace.tb_frame.f_code.co_filename) == path:
-            line = trace.tb_lineno
-        trace = trace.tb_next
-    line = getattr(error, "lineno", None) or line
+def _guarded(system: LagrangianSystem, path: Path) -> LagrangianSystem:
+    """The same with functions that name the file and themselves when they fail."""
+
+    def guard(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(function)
+        def guarded(*arguments: Any) -> Any:
+            with _naming(path, f"{name} "):
+                return function(*arguments)
+
+        return guarded
+
+    functions = {n: f for n in _FUNCTIONS if (f := getattr(system, n)) is not None}
+    memory = system.memory and replace(
+        system.memory,
+        rate=guard("memory rate", system.memory.rate),
+        force=guard("memory force", system.memory.force),
+    )
+    return replace(system, memory=memory, **{n: guard(n, f) for n, f in functions.items()})
+
+
+def _try_out(system: LagrangianSystem) -> None:
+    """Names that can be printed, and equations of motion that can be derived, by their shapes."""
+    for name in (system.name, *system.nominal(), *system.internal):
+        require_text(name, f"system '{system.name}'")
+    hash(system)  # compiled programs are kept by it; lists in the place of tuples have none
+
+    def derive(values: dict[str, Any]) -> Any:
+        model = system.model(values)
+        return model.derivative(jnp.zeros(model.state_size), jnp.zeros(model.channels.n_u))
+
+    jax.eval_shape(derive, {name: np.float64(value) for name, value in system.nominal().items()})
+
+
+@contextmanager
+def _naming(path: Path, function: str = "") -> Iterator[None]:
+    """Whatever happens in a system file becomes an `InputError` that names file and line.
+
+    So does a `KeyboardInterrupt` that the file raises; signals of a kind of their own pass.
+    """
+    try:
+        yield
+    except InputError as error:
+        if str(error).startswith(str(path)):
+            raise
+        raise InputError(f"{path}{_line_of(error, path)}", str(error)) from error
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt) and type(error) is not KeyboardInterrupt:
+            raise
+        told = f"{function}fails{_line_of(error, path)} with {brief(error)}"
+        raise InputError(path, told, "a file that runs", _REMEDY) from error
+
+
+def _line_of(error: BaseException | None, path: Path) -> str:
+    """The line of a system file at which an error began, also one that others were made of."""
+    line = 0
+    for _ in range(_LONGEST_CHAIN):
+        if error is None:
+            break
+        trace = error.__traceback__
+        while trace is not None:
+            if trace.tb_frame.f_code.co_filename == str(path):
+                line = trace.tb_lineno
+            trace = trace.tb_next
+        if isinstance(error, SyntaxError):
+            line = error.lineno or line
+        error = error.__cause__ or error.__context__
     return f" at line {line}" if line else ""

@@ -57,7 +57,9 @@ def train(
             progress = tuple(
                 p
                 if p.outcome
-                else Progress(stage=index + 1, epochs=(*p.epochs, 0), seconds=p.seconds)
+                else Progress(
+                    stage=index + 1, epochs=(*p.epochs, 0), seconds=p.seconds, reported=p.reported
+                )
                 for p in progress
             )
         listener.state(state, progress)
@@ -106,6 +108,7 @@ def _went_on(
             best_epoch=int(course.best_epoch[m]),
             rollbacks=int(course.rollbacks[m]),
             seconds=p.seconds + spent,
+            reported=p.reported + sum(r.member == m for r in reports),
             outcome=_gave_up(reports, m) if course.stopped[m] else "",
         )
         for m, p in enumerate(progress)

@@ -106,6 +106,7 @@ class Progress:
         best_epoch: the epoch that gave them.
         rollbacks: how often this stage went back to the last good state.
         seconds: its share of the time spent.
+        reported: epochs reported so far, with those that were taken back.
         outcome: empty while training goes on; then a sentence.
     """
 
@@ -115,6 +116,7 @@ class Progress:
     best_epoch: int = 0
     rollbacks: int = 0
     seconds: float = 0.0
+    reported: int = 0
     outcome: str = ""
 
     @property

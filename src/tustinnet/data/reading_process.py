@@ -1,0 +1,145 @@
+"""The process in which binary files are read: what crashes there, crashes nothing else."""
+
+import atexit
+import json
+import os
+import subprocess
+import sys
+import threading
+from io import BufferedReader
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from tustinnet.data.columns import Column
+from tustinnet.errors import InputError, refusing
+
+_START_S = 60.0  # to start Python and import a library, also on a busy machine
+_NAMES_S = 10.0  # to say what a file holds
+_NUMBERS_S = 60.0  # to read columns
+_MUCH = 2**26  # bytes that were read at once
+_SLOWEST = 10e6  # bytes of the file a second, on top of that
+
+# the child finds the package where this process found it
+_PROGRAM = """
+import sys
+sys.path[:] = sys.argv[1:]
+from tustinnet.data.binary_files import serve
+serve()
+"""
+_ONE_THREAD = ("POLARS_MAX_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
+Reply = tuple[dict[str, Any], list[Column]]
+
+
+class _Process:
+    """A child process; `owner` is the process that started it."""
+
+    def __init__(self) -> None:
+        self.owner = os.getpid()
+        self.libraries: set[str] = set()
+        environment = {k: v for k, v in os.environ.items() if k != "PYTHONFAULTHANDLER"}
+        self._child = subprocess.Popen(
+            [sys.executable, "-W", "ignore", "-c", _PROGRAM, *sys.path],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=environment | dict.fromkeys(_ONE_THREAD, "1"),
+        )
+
+    @property
+    def usable(self) -> bool:
+        """Whether it runs, and for this process: after a fork there are two that would ask."""
+        return self.owner == os.getpid() and self._child.poll() is None
+
+    def ask(self, request: dict[str, Any], seconds: float) -> Reply | None:
+        """The reply to a request; None where the child died or took too long."""
+        assert self._child.stdin is not None
+        to, of = self._child.stdin, cast(BufferedReader, self._child.stdout)
+        timer = threading.Timer(seconds, self._child.kill)
+        timer.start()
+        try:
+            to.write(json.dumps({**request, "seconds": seconds + 1}).encode() + b"\n")
+            to.flush()
+            reply = json.loads(of.readline())
+            return reply, [_column(of, length) for length in reply.get("lengths", ())]
+        except (OSError, ValueError, EOFError):
+            self.stop()
+            return None
+        except BaseException:  # Ctrl-C: a late reply would be taken for that to the next request
+            self.stop()
+            raise
+        finally:
+            timer.cancel()
+
+    def stop(self) -> None:
+        """Ends the child."""
+        if self.owner == os.getpid():
+            self._child.kill()
+            self._child.communicate()
+
+
+def _column(of: BufferedReader, length: int) -> Column:
+    column = np.empty(length)
+    if of.readinto(column.data.cast("B")) < column.nbytes:
+        raise EOFError
+    return column
+
+
+_process: _Process | None = None
+_one_at_a_time = threading.Lock()
+
+
+def column_names(path: Path) -> list[str]:
+    """What the columns of a .mat, .npz or .parquet file are called.
+
+    Raises:
+        InputError: a damaged file, one that crashes its reader, or takes it too long.
+    """
+    return _ask(path, None, _NAMES_S)[0]["names"]
+
+
+def read(path: Path, names: list[str]) -> list[Column]:
+    """Some columns of a .mat, .npz or .parquet file.
+
+    Raises:
+        InputError: as `column_names`; numbers that take too much memory; text.
+    """
+    return _ask(path, names, _NUMBERS_S)[1] if names else []
+
+
+def _ask(path: Path, names: list[str] | None, seconds: float) -> Reply:
+    with refusing(path, "cannot be looked at", "a file"):
+        seconds += path.stat().st_size / _SLOWEST
+        folder = None if path.is_absolute() else str(Path.cwd())
+    with _one_at_a_time:
+        process = _ready(path)
+        found = process.ask({"path": str(path), "folder": folder, "names": names}, seconds)
+        if found is not None and sum(column.nbytes for column in found[1]) > _MUCH:
+            process.stop()  # its libraries would keep the memory
+    if found is None:
+        raise InputError(
+            path,
+            f"the file crashes its reader, or keeps it busy for more than {seconds:.0f} s",
+            f"a whole {path.suffix.lower()} file",
+            "write it anew",
+        )
+    if "refused" in found[0]:
+        raise InputError(*found[0]["refused"].split(": ", 1))
+    return found
+
+
+def _ready(path: Path) -> _Process:
+    """The process, with the library that a file needs."""
+    global _process
+    suffix = path.suffix.lower()
+    if _process is None or not _process.usable:
+        with refusing(path, "the process that reads such files does not start", "Python"):
+            _process = _Process()
+        atexit.register(_process.stop)
+    if suffix not in _process.libraries:
+        if _process.ask({"path": None, "suffix": suffix}, _START_S) is None:
+            raise InputError(path, f"the process that reads {suffix} files does not start")
+        _process.libraries.add(suffix)
+    return _process

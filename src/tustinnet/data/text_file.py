@@ -1,0 +1,135 @@
+"""Text files of columns."""
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tustinnet.data.columns import NUMBERED, Column, Columns, require_different
+from tustinnet.errors import InputError, brief
+
+if TYPE_CHECKING:
+    import polars as pl
+
+_NUMBER = re.compile(r"[-+]?((\d+\.?\d*|\.\d+)(e[-+]?\d+)?|nan|inf|infinity)", re.IGNORECASE)
+
+Lines = list[tuple[int, str]]  # rows of the file, counted from 1, and what they say
+
+
+def read_text(path: Path, header: bool | None, delimiter: str) -> Columns:
+    """Reads the columns of a text file; see `read_columns`.
+
+    Blank lines and lines that begin with `#` are no rows. Every other line is one: a quote that
+    would make one row of several lines is refused. Errors name the rows of the file as it is.
+    """
+    lines = _lines(path, delimiter)
+    table = _cells(path, lines, delimiter)
+    first = [(cell or "").strip() for cell in table.row(0)]
+    told = [cell for cell in first if cell]
+    sample = bool(told) and all(_NUMBER.fullmatch(cell) for cell in told)
+    if header and sample:
+        raise InputError(
+            f"{path} row {lines[0][0]}",
+            "only numbers where the names of the columns should be",
+            "a header, as `header = true` says",
+            "if the file has none, set `header = false` under [format], or leave it out",
+        )
+    named = not sample if header is None else header
+    if len(lines) <= named:
+        raise InputError(path, "the file holds no samples", "rows of numbers")
+    unnamed = [f"{NUMBERED}{number}" for number in range(1, table.width + 1)]
+    names = [a or b for a, b in zip(first, unnamed, strict=True)] if named else unnamed
+    require_different(names, path)
+    place = {name: column for column, name in enumerate(names)}
+    rows, table = [row for row, _ in lines[named:]], table.slice(int(named))
+
+    def read(wanted: list[str]) -> list[Column]:
+        doubtful = next((name for name in wanted if _NUMBER.fullmatch(name)), None)
+        if header is None and doubtful is not None:  # names beside numbers, some of them used
+            raise InputError(
+                f"{path} row {lines[0][0]}",
+                f"names of columns and the number {doubtful}",
+                "names or numbers only",
+                "set `header = true` (names) or `header = false` (a sample) under [format]",
+            )
+        return [
+            _numbers(table.to_series(place[name]), f"{path} row {{}}, {name}", rows, named)
+            for name in wanted
+        ]
+
+    notes = ("no header: the first row is a sample",) if header is None and sample else ()
+    return Columns(names, read, rows, notes)
+
+
+def _lines(path: Path, delimiter: str) -> Lines:
+    content = path.read_bytes()
+    if b"\0" in content or content.startswith((b"\xff\xfe", b"\xfe\xff")):  # zeros or UTF-16
+        raise InputError(
+            path, "not a text file in UTF-8", "rows of numbers as text", "save it as UTF-8"
+        )
+    text = content.decode("utf-8-sig", "replace").replace("\r\n", "\n").replace("\r", "\n")
+    lines = [
+        (row, line)
+        for row, line in enumerate(text.split("\n"), start=1)
+        # empty cells between tabs are a row
+        if (line.strip() or (delimiter == "\t" and "\t" in line)) and not line.startswith("#")
+    ]
+    if not lines:
+        raise InputError(path, "the file holds no samples", "rows of numbers")
+    return lines
+
+
+def _cells(path: Path, lines: Lines, delimiter: str) -> "pl.DataFrame":
+    """The cells as text, a row for every line."""
+    import polars as pl
+
+    text = "\n".join(line for _, line in lines).encode()
+    try:
+        table = pl.read_csv(text, has_header=False, separator=delimiter, infer_schema=False)
+        found = None if len(table) == len(lines) else f"{len(lines)} lines make {len(table)} rows"
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
+        table, found = pl.DataFrame(), f"cannot be read as text ({brief(error)})"
+    if found is not None:
+        raise InputError(
+            path,
+            _unclosed(lines) or _ragged(lines, delimiter) or found,
+            f"rows of equal length separated by '{delimiter}'",
+        )
+    return table
+
+
+def _unclosed(lines: Lines) -> str | None:
+    """Says which row has an odd number of quotes."""
+    row = next((row for row, line in lines if line.count('"') % 2), None)
+    return None if row is None else f'row {row} has a quote (") that is not closed'
+
+
+def _ragged(lines: Lines, delimiter: str) -> str | None:
+    """Says which row has another number of cells than the first."""
+    wanted = lines[0][1].count(delimiter)
+    for row, line in lines:
+        if line.count(delimiter) != wanted:
+            cells = line.count(delimiter) + 1
+            return f"row {row} has {cells} cells, row {lines[0][0]} has {wanted + 1}"
+    return None
+
+
+def _numbers(cells: "pl.Series", where: str, rows: list[int], named: bool) -> Column:
+    import polars as pl
+
+    numbers = cells.cast(pl.Float64, strict=False)
+    if numbers.null_count():
+        numbers = cells.str.strip_chars().cast(pl.Float64, strict=False)
+    if numbers.null_count():
+        sample = int(np.flatnonzero(numbers.is_null().to_numpy())[0])
+        text = (cells[sample] or "").strip()
+        raise InputError(
+            where.format(rows[sample]),
+            f"the text '{text[:40]}'" if text else "an empty cell",
+            "a number",
+            "correct or remove the row"
+            if named or sample
+            else "if the first row names the columns, set `header = true`",
+        )
+    return numbers.to_numpy()

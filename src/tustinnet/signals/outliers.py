@@ -1,0 +1,66 @@
+"""Samples that do not belong to a signal: jumps of positions, spikes of inputs."""
+
+import numpy as np
+import scipy.ndimage
+from jaxtyping import Float, Int
+
+# a jump is a change from one sample to the next that sticks out of its neighbours, see `jumps`
+_NEAR, _AROUND = 11, 31  # samples
+_USUAL = 80  # percentile of what sticks out nearby: six of 31 may be jumps themselves
+_LARGE = 8.0  # times that
+_FAST = 2.0  # times the largest change nearby that does not stick out
+_COUNTS = 5.0
+_ROUNDING = 1e-9  # of the largest position
+_MANY, _HELD = 10, 0.05  # so many jumps, and this share of all changes
+
+# a spike is a sample or two, this many times as far from the median as all that are none
+_HUGE = 30.0
+_FEW = 0.05  # share of the samples that may be spikes
+_SHORT = 2  # samples
+
+
+def jumps(
+    t: Float[np.ndarray, " n"], q: Float[np.ndarray, " n"], count: float
+) -> Int[np.ndarray, " jumps"]:
+    """Samples that a position reaches by a jump: bad rows (there and back), lost counts.
+
+    Changes from sample to sample are compared with the median of five of them, which follows
+    smooth motion, turning points, quantised rest and the changes of speed of impacts alike. What
+    sticks out is a jump where it is large compared with what else sticks out nearby, with how
+    fast the position moves there, and with the encoder's count.
+
+    Args:
+        t: timestamps [s].
+        q: positions, angles not wrapped [rad or m].
+        count: encoder count, 0 where unknown [rad or m].
+    """
+    interval = np.diff(t)
+    change = np.diff(q) * (np.median(interval) / interval)  # a gap is no jump
+    if len(change) < 5:
+        return np.zeros(0, int)
+    usual = scipy.ndimage.median_filter(change, 5, mode="mirror")
+    out = np.abs(change - usual)
+    fast = scipy.ndimage.maximum_filter1d(np.abs(usual), _NEAR, mode="mirror")
+    others = scipy.ndimage.percentile_filter(out, _USUAL, _AROUND, mode="mirror")
+    least = max(_COUNTS * count, _ROUNDING * float(np.abs(q).max()))
+    found = np.flatnonzero(out > np.maximum(np.maximum(_LARGE * others, _FAST * fast), least)) + 1
+    # a log that is faster than its sensor moves by jumps alone
+    held = len(found) > _MANY and len(found) > _HELD * np.count_nonzero(change)
+    return found[:0] if held else found
+
+
+def spikes(u: Float[np.ndarray, " n"]) -> Int[np.ndarray, " spikes"]:
+    """Samples of an input that are huge compared with all others, one or two in a row.
+
+    Steps, pulses from rest and noise have none.
+    """
+    size = np.abs(u - np.median(u))
+    ordered = np.sort(size)
+    first = len(u) - int(_FEW * len(u))
+    below = ordered[first - 1 : -1]
+    wide = np.flatnonzero((ordered[first:] > _HUGE * below) & (below > 0))
+    if not len(wide):
+        return np.zeros(0, int)
+    found = np.flatnonzero(size >= ordered[first + wide[0]])
+    runs = np.split(found, np.flatnonzero(np.diff(found) > 1) + 1)
+    return found if max(map(len, runs)) <= _SHORT else np.zeros(0, int)

@@ -1,0 +1,90 @@
+"""Sealed files: arrays and a JSON header in one safetensors file, with a SHA-256 of both."""
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import safetensors
+import safetensors.numpy
+
+from tustinnet.errors import InputError, refusing
+from tustinnet.store.files import write_into
+
+# 1 had other names in the headers of hybrids and a digest of a system's code, 2 no SHA-256
+FORMAT = 3
+KEY = "tustinnet"  # where the header stands in the safetensors metadata
+SEAL = "sha256"  # of header and arrays, within the header
+_UNSEALED = 2  # the last format without
+
+Arrays = Mapping[str, np.ndarray]
+
+
+def write_sealed(folder: Path, name: str, header: Mapping[str, Any], arrays: Arrays) -> None:
+    """Writes a file of this format, whole or not at all.
+
+    Args:
+        folder: the output folder.
+        name: the file in it.
+        header: what is said of the arrays, JSON with `kind`.
+        arrays: by name.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    content = {"format": FORMAT, **header}
+    sealed = {SEAL: _digest(content, arrays), **content}
+    text = json.dumps(sealed, ensure_ascii=False)
+    write_into(folder, name, safetensors.numpy.save(dict(arrays), {KEY: text}))
+
+
+def read_sealed(path: Path, kinds: Sequence[str]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Header and arrays of a file of one of the given kinds, as they were written.
+
+    Raises:
+        InputError: no such file, cut short, not of this package, of another kind, of a newer
+            version, or changed since it was written.
+    """
+    kind = " or ".join(kinds)
+    if path.is_dir():
+        raise InputError(
+            path, "a folder", "a model file", f"did you mean {path / 'model.safetensors'}?"
+        )
+    if not path.is_file():
+        raise InputError(path, "no such file", "a model file (.safetensors)")
+    with (
+        refusing(path, "not a safetensors file, or cut short", f"a {kind} file",
+                 "copy or train it again"),
+        safetensors.safe_open(path, framework="numpy") as file,
+    ):  # fmt: skip
+        described = file.metadata() or {}
+        # copied: a tensor may be a view into a mapping that is gone once the file is replaced
+        arrays = {name: np.array(file.get_tensor(name)) for name in file.keys()}  # noqa: SIM118 (not a dict)
+    with refusing(path, "a safetensors file without a tustinnet header", f"a {kind} file",
+                  "give a file that tustinnet has written"):  # fmt: skip
+        header = json.loads(described[KEY])
+        found, version = str(header["kind"]), int(header["format"])
+    if version > FORMAT:
+        raise InputError(
+            path, f"format version {version}", f"at most {FORMAT}", "upgrade tustinnet to read it"
+        )
+    if found not in kinds:
+        raise InputError(path, f"a file of kind '{found}'", f"kind '{kind}'")
+    seal = header.pop(SEAL, None)
+    if not (seal is None and version <= _UNSEALED) and seal != _digest(header, arrays):
+        raise InputError(
+            path, "changed since it was written (its SHA-256 is another one)", "the file as it was",
+            "copy or train it again",
+        )  # fmt: skip
+    return header, arrays
+
+
+def _digest(header: Mapping[str, Any], arrays: Arrays) -> str:
+    digest = hashlib.sha256(json.dumps(header, ensure_ascii=False).encode(errors="replace"))
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name} {array.dtype} {arrays[name].shape}".encode(errors="replace"))
+        digest.update(array.tobytes())
+    return digest.hexdigest()

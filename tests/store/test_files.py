@@ -1,0 +1,68 @@
+"""Files are written whole and inside, folders have one owner."""
+
+import subprocess
+import sys
+
+import pytest
+
+import tustinnet as tn
+from tustinnet.store.files import owned, write_into
+
+
+def test_a_file_is_written_below_its_folder(tmp_path):
+    write_into(tmp_path, "deep/er/file.txt", "text")
+    assert (tmp_path / "deep/er/file.txt").read_text() == "text"
+    assert [p.name for p in tmp_path.rglob("*") if p.is_file()] == ["file.txt"]
+
+
+@pytest.mark.parametrize("name", ["../outside.txt", "/tmp/outside.txt", "a/../../outside.txt"])
+def test_nothing_is_written_outside(tmp_path, name):
+    inside = tmp_path / "in"
+    inside.mkdir()
+    with pytest.raises(tn.InputError, match="outside of the output folder"):
+        write_into(inside, name, "text")
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["in"]
+
+
+def test_a_link_that_leads_outside_is_not_followed(tmp_path):
+    inside, outside = tmp_path / "in", tmp_path / "out"
+    inside.mkdir()
+    outside.mkdir()
+    (inside / "figures").symlink_to(outside)
+    with pytest.raises(tn.InputError, match="outside of the output folder"):
+        write_into(inside, "figures/a.png", b"")
+    assert not list(outside.iterdir())
+
+
+def test_a_file_that_does_not_fit_leaves_the_one_before(tmp_path):
+    resource = pytest.importorskip("resource")
+    program = (
+        f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
+        f"from pathlib import Path; from tustinnet.store.files import write_into\n"
+        f"write_into(Path({str(tmp_path)!r}), 'f', b'x' * 100)\n"
+        f"write_into(Path({str(tmp_path)!r}), 'f', b'y' * 5000)\n"
+    )
+    assert resource
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert "InputError" in ended.stderr.splitlines()[-1]
+    assert "File too large" in ended.stderr
+    assert [p.name for p in tmp_path.iterdir()] == ["f"]
+    assert (tmp_path / "f").read_bytes() == b"x" * 100
+
+
+def test_a_folder_has_one_owner_at_a_time(tmp_path):
+    pytest.importorskip("fcntl")
+    taken = pytest.raises(tn.InputError, match="another run is writing there")
+    with owned(tmp_path / "run"), taken, owned(tmp_path / "run"):
+        pass
+    with owned(tmp_path / "run"):
+        assert not list((tmp_path / "run").iterdir())
+
+
+def test_what_a_killed_run_left_half_written_goes(tmp_path):
+    for name in (".model.safetensors.77.part", "seed-0/.checkpoint.safetensors.77.part"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(b"half")
+    (tmp_path / ".mine").write_text("stays")
+    with owned(tmp_path):
+        assert sorted(p.name for p in tmp_path.rglob("*")) == [".mine", "seed-0"]

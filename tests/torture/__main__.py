@@ -1,0 +1,68 @@
+"""`python -m tests.torture`: the campaign, or one case of it again."""
+
+import argparse
+import os
+import sys
+import time
+from pathlib import Path
+
+from . import faults, fuzz, kills, load, report
+
+_SHARE = {"fuzz": 0.5, "kills": 0.35, "faults": 0.15}  # of the time
+_WHOLE = 20.0  # minutes from which on the load is whole
+_PART = 20  # else it is this much smaller
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m tests.torture", description=__doc__)
+    add = parser.add_argument
+    add("--minutes", type=float, default=5.0)
+    add("--seed", type=int, default=0, help="what is damaged and when is killed follows from it")
+    add("--parts", default="corpus,fuzz,kills,faults,load")
+    add("--cases", type=int, default=10**9, help="at most so many of fuzz and kills each")
+    add("--case", type=int, help="only this case of fuzz")
+    add("--kill", type=int, help="only this case of kills")
+    add("--jobs", type=int, default=os.cpu_count() or 1, help="cases at once")
+    add("--out", type=Path, default=Path("results"), help="folder of torture.json")
+    return parser.parse_args()
+
+
+def _parts(asked: argparse.Namespace, place: Path) -> list[report.Part]:
+    seconds = {name: 60 * asked.minutes * share for name, share in _SHARE.items()}
+    scale = 1 if asked.minutes >= _WHOLE else _PART
+    doing = {
+        "corpus": lambda: fuzz.replay(place),
+        "fuzz": lambda: fuzz.Campaign(place, asked.seed, asked.jobs).run(
+            seconds["fuzz"], asked.cases
+        ),
+        "kills": lambda: kills.Kills(place, asked.seed).run(
+            seconds["kills"], asked.cases, asked.jobs
+        ),
+        "faults": lambda: faults.Faults(place, asked.seed).run(seconds["faults"]),
+        "load": lambda: load.Load(place).run(scale),
+    }
+    return [doing[name]() for name in asked.parts.split(",")]
+
+
+def main() -> int:
+    """Runs what is asked for; 1 when there is a finding."""
+    asked = _arguments()
+    out, begun = asked.out.resolve(), time.monotonic()
+    place = out / "torture" / "material"
+    fuzz.prepare(place)
+    if asked.case is not None:
+        outcome, told = fuzz.one(place, asked.case, asked.seed)
+        print(f"{outcome}: {told}")
+        return int(outcome == "finding")
+    if asked.kill is not None:
+        again = kills.Kills(place, asked.seed)
+        again.one(asked.kill)
+        parts = [again.part]
+    else:
+        parts = _parts(asked, place)
+    print(report.write(parts, asked.seed, time.monotonic() - begun, out))
+    return int(any(part.causes for part in parts))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,172 @@
+"""Faults around a run: no room, no permission, folders that vanish, damaged caches, clocks."""
+
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from random import Random
+
+from . import oracle
+from .command import Ended, done, finish, jobs, run, start
+from .report import Part
+
+_SLOW = 0.01
+
+
+class Skipped(Exception):
+    """This machine does not allow what a fault needs."""
+
+
+class Faults:
+    """Every fault once, on a training.
+
+    Args:
+        place: the undamaged files; runs are made beside them.
+        seed: of the campaign.
+    """
+
+    def __init__(self, place: Path, seed: int) -> None:
+        self.job, self.place, self.random = jobs(place)["tustin-net"], place, Random(seed)
+        self.box, self.part = place / "faults", Part("faults")
+        self.clean = self.box / "undisturbed"
+        shutil.rmtree(self.box, ignore_errors=True)
+        self.box.mkdir()
+
+    def run(self, seconds: float) -> Part:
+        """All faults for which there is time."""
+        end = time.monotonic() + seconds
+        done(self.job.command(self.clean))
+        faults: list[tuple[str, Callable[[Path], None]]] = [
+            *((f"files of at most {size} bytes", partial(self._small_files, size))
+              for size in (100, 2000, 6000)),
+            ("a full file system", self._full),
+            ("a folder that may not be written", self._read_only),
+            ("a file where the folder should be", self._blocked),
+            ("a folder that is removed while it runs", self._removed),
+            ("a folder that is removed and made again", partial(self._removed, again=True)),
+            ("a compile cache with flipped bytes", partial(self._cache, "flip")),
+            ("a compile cache that is cut", partial(self._cache, "cut")),
+            ("a compile cache that is a file", partial(self._cache, "file")),
+            *((f"clocks that jump by {size:g} s", partial(self._clocks, size))
+              for size in (10.0, 1e7)),
+        ]  # fmt: skip
+        for name, fault in faults:
+            out = self.box / name.replace(" ", "-")
+            if time.monotonic() > end:
+                self.part.count("skipped", f"{name}: no time left", "")
+                continue
+            try:
+                outcome, told = oracle.judged(partial(fault, out))
+            except Skipped as skipped:
+                self.part.count("skipped", f"{name}: {skipped}", "")
+                continue
+            self.part.count(outcome, f"{name}: {told}", "--parts faults")
+        return self.part
+
+    # --- what must hold afterwards ---
+
+    def _goes_on(self, out: Path) -> None:
+        """Once the fault is gone, a resumed run reaches the same bytes.
+
+        A log that the fault has cost lines is set aside, and said so; the rest of it may differ.
+        """
+        oracle.require_readable(out)
+        ended = done(self.job.command(out, "--resume"))
+        aside = list(out.glob("seed-*/log.damaged.jsonl"))
+        for path in aside:
+            oracle.require(path.name in ended.err, "a log is set aside without a word")
+            path.unlink()
+            shutil.copy(self.clean / path.parent.name / "log.jsonl", path.parent)
+        oracle.require_same_run(out, self.clean)
+
+    def _told_or_done(self, ended: Ended, out: Path) -> None:
+        ended.require_told()
+        if ended.code == 0:
+            oracle.require_same_run(out, self.clean)
+
+    # --- the faults ---
+
+    def _small_files(self, size: int, out: Path) -> None:
+        ended = run(self.job.command(out), {"largest": size})
+        self._told_or_done(ended, out)
+        self._goes_on(out)
+
+    def _full(self, out: Path) -> None:
+        with _small_disk(out, "24k"):
+            ended = run(self.job.command(out / "run"), {})
+            ended.require_told()
+            oracle.require(ended.code != 0, "a run in 24 KiB that succeeds")
+            oracle.require_readable(out)
+            kept = shutil.copytree(out / "run", self.box / "kept")
+        self._goes_on(kept)
+
+    def _read_only(self, out: Path) -> None:
+        """Mode bits do not bind the superuser; the flag `immutable` does."""
+        out.mkdir()
+        root = os.geteuid() == 0
+        forbid, allow = (
+            (["chattr", "+i"], ["chattr", "-i"]) if root else (["chmod", "a-w"], ["chmod", "u+w"])
+        )
+        if shutil.which(forbid[0]) is None or subprocess.run([*forbid, out]).returncode != 0:
+            raise Skipped("a folder cannot be closed to the superuser here")
+        try:
+            ended = run(self.job.command(out), {})
+        finally:
+            subprocess.run([*allow, out], check=True)
+        self._told_or_done(ended, out)
+        oracle.require(ended.code == 1 and not list(out.iterdir()), "wrote where it may not")
+        self._goes_on(out)
+
+    def _blocked(self, out: Path) -> None:
+        out.write_text("a file")
+        ended = run(self.job.command(out / "run"), {})
+        self._told_or_done(ended, out)
+        oracle.require(ended.code == 1, "a folder inside a file")
+        oracle.require(out.read_text() == "a file", "a file was changed")
+
+    def _removed(self, out: Path, *, again: bool = False) -> None:
+        process = start(self.job.command(out), {"slow": 5 * _SLOW})
+        while process.poll() is None and not list(out.glob("seed-*/checkpoint.safetensors")):
+            time.sleep(0.01)
+        out.rename(out.with_name(f"{out.name}-before"))
+        if again:
+            out.mkdir()
+        self._told_or_done(finish(process), out)
+        self._goes_on(out)
+        shutil.rmtree(out.with_name(f"{out.name}-before"), ignore_errors=True)
+
+    def _cache(self, how: str, out: Path) -> None:
+        cache = self.box / f"cache-{how}"
+        env = {"JAX_COMPILATION_CACHE_DIR": str(cache)}
+        if how == "file":
+            cache.write_text("no folder")
+        else:
+            done(self.job.command(self.box / f"fills-{how}"), env=env)
+            for path in cache.rglob("*"):
+                if path.is_file() and (content := bytearray(path.read_bytes())):
+                    for _ in range(20):
+                        content[self.random.randrange(len(content))] ^= 0x55
+                    path.write_bytes(content if how == "flip" else content[: len(content) // 2])
+        self._told_or_done(run(self.job.command(out), {}, env=env), out)
+
+    def _clocks(self, seconds: float, out: Path) -> None:
+        ended = run(self.job.command(out), {"jump": seconds})
+        ended.require_told()
+        oracle.require(ended.code == 0, f"failed: {ended.last_line}")
+        oracle.require_same_run(out, self.clean)
+
+
+@contextmanager
+def _small_disk(place: Path, size: str) -> Iterator[None]:
+    place.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(place)]
+    if subprocess.run(command, capture_output=True).returncode != 0:
+        raise Skipped("no file system may be mounted")
+    try:
+        yield
+    finally:
+        subprocess.run(["umount", str(place)], check=True)
