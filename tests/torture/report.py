@@ -2,6 +2,8 @@
 
 import hashlib
 import json
+import sys
+import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -10,6 +12,7 @@ from typing import Any
 
 _OUTCOMES = ("accepted", "refused", "skipped", "finding")
 _KEPT = 3  # files of each cause
+_LINE_EVERY = 15.0  # seconds between two lines of progress
 
 
 @dataclass
@@ -30,6 +33,7 @@ class Part:
     files: dict[str, tuple[str, bytes]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     _last: str = ""
+    _told: float = field(default_factory=time.monotonic)
 
     def count(self, outcome: str, told: str, repeat: str) -> None:
         """Takes note of a case; `repeat` says how to do it again."""
@@ -38,8 +42,14 @@ class Part:
             self._last = told
             cause = self.causes.setdefault(told, {"times": 0, "repeat": repeat})
             cause["times"] += 1
+            if cause["times"] == 1:
+                print(f"finding: {self.name}: {told}  [{repeat}]", file=sys.stderr)
         elif outcome == "skipped":
             self.notes.append(f"skipped {told}")
+        if time.monotonic() - self._told > _LINE_EVERY:
+            self._told = time.monotonic()
+            told = f"{self.name}: {self.cases} cases, {self.outcomes['finding']} findings"
+            print(told, file=sys.stderr)
 
     def keep(self, content: bytes, name: str) -> None:
         """Keeps the file of the finding that was counted last, of each cause a few."""

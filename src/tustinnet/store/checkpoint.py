@@ -47,14 +47,10 @@ class Checkpointer:
 
     def __call__(self, state: TrainingState, progress: tuple[Progress, ...]) -> None:
         """Told after every compiled call."""
-        before = {(p.stage, p.outcome) for p in self._told or progress}
-        changed = before != {(p.stage, p.outcome) for p in progress}
+        before, now = ([(p.stage, p.outcome) for p in of] for of in (self._told, progress))
+        changed = self._told and before != now
         self._told, self._unwritten = progress, state
-        if (
-            changed
-            or all(p.outcome for p in progress)
-            or time.monotonic() - self._written >= _INTERVAL
-        ):
+        if changed or time.monotonic() - self._written >= _INTERVAL:
             self.flush()
 
     def flush(self) -> None:
@@ -129,7 +125,7 @@ def read_checkpoint(path: Path, task: Task) -> tuple[tuple[Member, ...], Resumed
                 )
         if not members:
             return (), None
-        progress = tuple(_PROGRESS.validate_python(header["progress"][row]) for row in rows)
+        progress = tuple(_progress_in(header["progress"][row]) for row in rows)
         template = _plain(plan(task.of(members)).begin(header["stage"]))
         leaves, structure = jax.tree.flatten(template)
         stored = [arrays[name] for name in sorted(arrays)]
@@ -140,6 +136,12 @@ def read_checkpoint(path: Path, task: Task) -> tuple[tuple[Member, ...], Resumed
         plain = jax.tree.unflatten(structure, [jnp.asarray(array[rows]) for array in stored])
     key = jax.random.wrap_key_data(plain.weights.key)
     return members, (plain._replace(weights=plain.weights._replace(key=key)), progress)
+
+
+def _progress_in(content: dict[str, Any]) -> Progress:
+    if content.keys() != {field.name for field in dataclasses.fields(Progress)}:
+        raise ValueError("a progress with other fields")
+    return _PROGRESS.validate_python(content)
 
 
 def _plain(state: TrainingState) -> Any:
