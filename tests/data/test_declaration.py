@@ -51,7 +51,7 @@ def test_a_folder_in_place_of_a_file_is_refused(tmp_path: Path) -> None:
         (b'name = "\xff"', "cannot be read .*utf-8"),
         (b"dt = " + b"9" * 5000, "not valid TOML .*digits"),
         (b"dt = " + b"9" * 100, "an integer of more than 64 bits"),
-        (b"a = " + b"[" * 3000, "not valid TOML .*recursion"),
+        (b"a = " + b"[" * 3000, "not valid TOML .*nested deeper than 20"),
         (b"a" + b".a" * 100_000 + b" = 1", ".*nested deeper than 20"),
         (b"[a" + b' . "a"' * 30 + b"]", ".*nested deeper than 20"),
         (b"a = " + b"[" * 25 + b"]" * 25, "nested deeper than 20"),

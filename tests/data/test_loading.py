@@ -292,7 +292,7 @@ def test_columns_that_are_not_used_may_hold_anything_finite_or_not(tmp_path: Pat
 
 def test_a_record_in_which_nothing_moves_is_refused(tmp_path: Path) -> None:
     path = write(tmp_path / "log.csv", angle=np.full(40, 0.3))
-    with pytest.raises(tn.InputError, match=r"nothing moves: angle (is|are) constant"):
+    with pytest.raises(tn.InputError, match=r"nothing moves \(angle\)"):
         one(path)
 
 

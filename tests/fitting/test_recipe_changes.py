@@ -103,7 +103,7 @@ def test_values_are_read_as_toml_has_them():
         ("model.stem=100000", r"model\.stem: .*less than or equal"),
         ("model.memory=[inf]", r"model\.memory\.0: .*finite"),
         ("stages.0.frozen_layers=-1", r"frozen_layers: .*greater than or equal"),
-        ("model.hidden=" + "[" * 3000, "--set: .*recursion"),
+        ("model.hidden=" + "[" * 3000, "--set: .*nested deeper than 20"),
         ("model.hidden=" + "[" * 25 + "]" * 25, "nested deeper than 20"),
         (".".join("a" * 1000) + "=1", "nested deeper than 20"),
         ("stages.0.rate=1\nx=2", r"stages\.0\.rate: .*valid number"),

@@ -99,7 +99,7 @@ def test_a_checkpoint_is_not_a_model(file):
     rewrite(file, kind="checkpoint")
     with pytest.raises(
         tn.InputError,
-        match=r"a file of kind 'checkpoint'; expected kind 'tustin-net or .* or hybrid or gru or",
+        match=r"a file of kind 'checkpoint'; expected kind tustin-net or .* or hybrid or gru or",
     ):
         tn.load_model(file)
 

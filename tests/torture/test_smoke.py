@@ -10,13 +10,13 @@ ROOT = Path(__file__).parents[2]
 
 def test_a_few_cases_and_the_corpus_have_no_finding(tmp_path):
     # in a process of its own: people run the package without the type checks of the test set-up
-    command = [sys.executable, "-m", "tests.torture", "--parts", "corpus,fuzz", "--cases", "300"]
+    command = [sys.executable, "-m", "tests.torture", "--parts", "corpus,fuzz", "--cases", "120"]
     done = subprocess.run(
         [*command, "--jobs", "1", "--minutes", "2", "--out", str(tmp_path)],
         cwd=ROOT, capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     parts = {p["part"]: p for p in json.loads((tmp_path / "torture.json").read_text())["parts"]}
-    assert parts["fuzz"]["cases"] == 300
+    assert parts["fuzz"]["cases"] == 120
     assert parts["fuzz"]["accepted"] > 0
-    assert parts["fuzz"]["refused"] > 200
+    assert parts["fuzz"]["refused"] > 80

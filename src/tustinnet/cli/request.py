@@ -59,7 +59,8 @@ def seeds_of(seeds: str | None) -> tuple[int, ...]:
         or len(set(found)) < len(found)
     ):
         raise InputError(
-            "--seeds", f"'{seeds}'", "a number above 0, or different seeds, separated by commas",
+            "--seeds", f"'{seeds}'",
+            f"a number from 1 to {_MOST_SEEDS}, or different seeds, separated by commas",
             "for instance --seeds 3, or --seeds 4,5, (a comma behind a single one)",
         )  # fmt: skip
     return found

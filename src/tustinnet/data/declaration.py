@@ -19,6 +19,7 @@ _INTEGERS = 2**63  # TOML has integers of 64 bits
 _LONG_KEY = re.compile(
     rf"""(?<![\w"'-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{_DEEPEST}}}"""
 )
+_LONG_NUMBER = re.compile(r"\d{1001}")
 _NESTED = f"nested deeper than {_DEEPEST}"
 
 
@@ -95,11 +96,15 @@ def parse_toml(text: str) -> dict[str, Any]:
 
     Raises:
         ValueError: no TOML, or nested too deep.
-        RecursionError: nested so deep that it cannot even be read.
     """
     if _LONG_KEY.search(text):
         raise ValueError(_NESTED)
-    return tomllib.loads(text)
+    if _LONG_NUMBER.search(text):
+        raise ValueError("a number of more than 1,000 digits")
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ValueError(_NESTED) from None
 
 
 def packaged_names(package: str) -> list[str]:

@@ -221,7 +221,7 @@ def _experiment(
         names = ", ".join(c.name for c in card.coordinates)
         raise InputError(
             where,
-            f"nothing moves: {names} are constant",
+            f"nothing moves ({names})",
             "positions that change",
             "check the columns in the card or leave the record out",
         )

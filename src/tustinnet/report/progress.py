@@ -135,8 +135,9 @@ class _Trainings:
         if self._quiet or (now - self._last < _LINE_EVERY and done < self._total):
             return
         self._last, since = now, done - self._first
-        left = (now - self._begun) * (self._total - done) / since if since else 0.0
+        left = (now - self._begun) * (self._total - done) / since if since else None
+        told = "" if left is None else f", {left:.0f} s left"
         self._console.print(
-            f"{self._name}: {100 * done / self._total:.0f} %, {figures}, {left:.0f} s left",
+            f"{self._name}: {100 * done / self._total:.0f} %, {figures}{told}",
             highlight=False, soft_wrap=True,
         )  # fmt: skip

@@ -47,16 +47,19 @@ def read_sealed(path: Path, kinds: Sequence[str]) -> tuple[dict[str, Any], dict[
         InputError: no such file, cut short, not of this package, of another kind, of a newer
             version, or changed since it was written.
     """
-    kind = " or ".join(kinds)
+    kind, remedy = "model", "copy or train it again"
+    if len(kinds) == 1:
+        (kind,), remedy = kinds, "start anew with --overwrite"
     if path.is_dir():
         raise InputError(
             path, "a folder", "a model file", f"did you mean {path / 'model.safetensors'}?"
         )
     if not path.is_file():
-        raise InputError(path, "no such file", "a model file (.safetensors)")
+        found = "a pipe or device" if path.exists() else "no such file"
+        raise InputError(path, found, f"a {kind} file (.safetensors)")
     with (
         refusing(path, "not a safetensors file, or cut short", f"a {kind} file",
-                 "copy or train it again"),
+                 remedy),
         safetensors.safe_open(path, framework="numpy") as file,
     ):  # fmt: skip
         described = file.metadata() or {}
@@ -71,12 +74,12 @@ def read_sealed(path: Path, kinds: Sequence[str]) -> tuple[dict[str, Any], dict[
             path, f"format version {version}", f"at most {FORMAT}", "upgrade tustinnet to read it"
         )
     if found not in kinds:
-        raise InputError(path, f"a file of kind '{found}'", f"kind '{kind}'")
+        raise InputError(path, f"a file of kind '{found}'", f"kind {' or '.join(kinds)}")
     seal = header.pop(SEAL, None)
     if not (seal is None and version <= _UNSEALED) and seal != _digest(header, arrays):
         raise InputError(
             path, "changed since it was written (its SHA-256 is another one)", "the file as it was",
-            "copy or train it again",
+            remedy,
         )  # fmt: skip
     return header, arrays
 
