@@ -49,6 +49,22 @@ def test_a_signal_is_one_line_and_the_usual_exit_code(capsys, name, code):
         signal.signal(number, before)
 
 
+class Callback:
+    """What is collected while a signal arrives: Python drops what `__del__` raises."""
+
+    def __del__(self) -> None:
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0.01)
+
+
+def test_a_signal_that_arrives_where_exceptions_are_dropped_is_not_lost(capsys):
+    with pytest.raises(SystemExit) as ended, terminal.stoppable(), terminal.interruptible():
+        Callback()
+        time.sleep(5)
+    assert ended.value.code == 143
+    assert capsys.readouterr().err == "interrupted\n"
+
+
 def test_a_signal_that_is_ignored_stays_ignored():
     before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
     try:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from tustinnet.report.tables import Table
 
+_LATER = 0.05  # seconds until a signal is sent again
 _PIPED_WIDTH = 200  # columns of a table that goes into a file or a pipe
 
 
@@ -72,6 +73,25 @@ def _stop(number: int, frame: FrameType | None) -> None:
 
 
 @contextmanager
+def _redelivering() -> Iterator[None]:
+    """Sends a signal again that was raised where Python drops exceptions, as in a `__del__`."""
+    before = sys.unraisablehook
+
+    def again(dropped: Any) -> None:
+        if isinstance(dropped.exc_value, Stopped):
+            number = dropped.exc_value.code - 128
+            threading.Timer(_LATER, os.kill, (os.getpid(), number)).start()
+        else:
+            before(dropped)
+
+    sys.unraisablehook = again
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
+
+
+@contextmanager
 def stoppable() -> Iterator[None]:
     """Ctrl-C, SIGTERM and SIGHUP end what is inside with one line.
 
@@ -84,7 +104,8 @@ def stoppable() -> Iterator[None]:
             if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
                 before[number] = signal.signal(number, _stop)
     try:
-        yield
+        with _redelivering():
+            yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
