@@ -13,6 +13,7 @@ from tustinnet.errors import InputError, require_name, require_text
 Kind = Literal["angular", "linear"]
 Hold = Literal["zero-order", "first-order"]
 
+SHORTEST_DT, LONGEST_DT = 1e-9, 1e4  # sampling periods [s] that cards and files may have
 _SAME_PERIOD = 1e-6  # relative; two periods this near are one
 
 

@@ -6,6 +6,8 @@ from contextlib import contextmanager
 
 _LONGEST_PART = 400  # characters of where, found, expected, remedy; what lists keys needs some
 _LONGEST_FOREIGN = 150  # characters of what a foreign library says
+_LONGEST_NAME = 100  # bytes in UTF-8; with an ending it is a file name everywhere
+_UNPRINTED = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}  # categories of Unicode
 
 
 class InputError(ValueError):
@@ -65,9 +67,6 @@ def refusing(where: object, found: str, expected: str, remedy: str = "") -> Iter
         raise InputError(where, f"{found} ({brief(error)})", expected, remedy) from error
 
 
-_LONGEST_NAME = 100  # bytes in UTF-8; with an ending it is a file name everywhere
-
-
 def require_name(name: str, where: object) -> None:
     """Raises unless a name can be a file's name and be printed.
 
@@ -96,6 +95,3 @@ def require_text(text: str, where: object) -> None:
         raise InputError(
             where, f"'{text[:30]}...' of {len(text.encode())} bytes", f"at most {_LONGEST_NAME}"
         )
-
-
-_UNPRINTED = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}  # categories of Unicode

@@ -4,6 +4,7 @@ import json
 import shutil
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,28 +16,7 @@ from tustinnet.cli import demo
 from tustinnet.cli.main import run
 from tustinnet.systems import qube_servo2_twin
 
-SYSTEM = '''"""A pendulum with friction, driven by a torque."""
-
-import jax.numpy as jnp
-
-import tustinnet as tn
-
-SYSTEM = tn.LagrangianSystem(
-    name="small-pendulum",
-    coordinates=(tn.Coordinate("angle", "angular"),),
-    inputs=(tn.Input("torque", "N m"),),
-    parameters=(
-        tn.Parameter("inertia", "kg m^2", 1.0, 0.1, 10.0, fixed=True),
-        tn.Parameter("gravity", "N m", 10.0, 1.0, 100.0),
-        tn.Parameter("damping", "N m s/rad", 0.3, 0.01, 10.0),
-        tn.Parameter("gain", "1", 2.0, 0.1, 40.0),
-    ),
-    kinetic=lambda q, v, p: p["inertia"] * v[0] ** 2 / 2,
-    potential=lambda q, p: -p["gravity"] * jnp.cos(q[0]),
-    dissipation=lambda q, v, p: p["damping"] * v,
-    input_map=lambda q, v, u, p: p["gain"] * u,
-)
-'''
+SYSTEM = (Path(__file__).parents[1] / "torture/pendulum.py").read_text()
 TRUTH = {"gravity": 20.0, "damping": 0.8, "gain": 4.0}
 
 
@@ -118,7 +98,7 @@ def test_without_its_system_the_model_names_the_option(identified, folder, capsy
 
 def test_a_changed_system_is_refused_but_comments_may_change(identified, folder, system, capsys):
     arguments = ["evaluate", identified / "model.safetensors", folder, "--system", system]
-    system.write_text("# a remark\n" + SYSTEM.replace("A pendulum with friction", "Much said"))
+    system.write_text("# a remark\n" + SYSTEM.replace("a pendulum with friction", "much said"))
     assert tustinnet(capsys, *arguments)[0] == 0
     system.write_text(SYSTEM.replace("jnp.cos(q[0])", "jnp.cos(2 * q[0])"))
     code, out, err = tustinnet(capsys, *arguments)

@@ -16,7 +16,8 @@ import safetensors.numpy
 import tustinnet as tn
 from tustinnet.fitting.listener import Listener
 from tustinnet.fitting.task import Member, make_task
-from tustinnet.store.run import MODEL, Earlier, Run, read_log, run_task
+from tustinnet.store.log import read_log
+from tustinnet.store.run import MODEL, Earlier, Run, run_task
 
 
 def arrays(path: Path) -> dict[str, bytes]:

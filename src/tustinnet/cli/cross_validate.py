@@ -38,7 +38,7 @@ def cross_validate(
     """Score a recipe on every record by models that never saw it: mean and standard error."""
     terminal.prepare_jax(device)
     from tustinnet.cli.request import loaded, recipe_of, seeds_of, tell_still
-    from tustinnet.evaluate.folds import cross_validate, make_question
+    from tustinnet.evaluate.folds import cross_validate, make_question, taking_part
     from tustinnet.report.fits import folds_table
     from tustinnet.report.progress import FitProgress
     from tustinnet.store.files import owned, require_new, to_json, write_into
@@ -51,12 +51,12 @@ def cross_validate(
     told, file = terminal.messages(), out / "folds.json"
     require_new([file], overwrite=overwrite)
     records = loaded(data, card, out, told, strict=strict)
-    tell_still([e for e in records if e.split != "test"], told)
+    tell_still(taking_part(records), told)
     with owned(out), FitProgress(told, quiet=quiet) as progress:
         found = cross_validate(records, asked, progress.follow)
-    write_into(out, file.name, to_json(found.as_plain()))
-    table = folds_table(found)
-    write_into(out, "folds.md", table.markdown())
+        table = folds_table(found)
+        write_into(out, file.name, to_json(found.as_plain()))
+        write_into(out, "folds.md", table.markdown())
     if json:
         terminal.print_json(found.as_plain())
     else:

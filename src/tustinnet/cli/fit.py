@@ -104,7 +104,7 @@ def _print(run: "Run", out: Path) -> None:
 def _draw(run: "Run", data: "DataSet") -> None:
     from tustinnet.report.figures import free_run_figure, training_figure, write_figure
     from tustinnet.report.identification import correlation_figure
-    from tustinnet.store.run import read_log
+    from tustinnet.store.log import read_log
 
     best = run.best
     histories = {of.result.member.name: read_log(of.folder) for of in run.members}

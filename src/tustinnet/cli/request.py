@@ -30,17 +30,15 @@ def recipe_of(
 def members_of(seeds: str | None, recipe: "Recipe") -> "list[Member]":
     """The members that `--seeds` and the recipe's `rates` ask for."""
     from tustinnet.errors import InputError
-    from tustinnet.fitting.recipe import TrainingRecipe
+    from tustinnet.fitting.recipe import rates_of
     from tustinnet.fitting.task import Member
 
-    if isinstance(recipe, TrainingRecipe):
-        return [Member(seed, rate) for seed in seeds_of(seeds) for rate in recipe.rates]
-    if seeds is not None:
+    if seeds is not None and not recipe.family.trains:
         raise InputError(
             "--seeds", f"an option of a training; '{recipe.name}' identifies",
             "a recipe of a kind with weights", "an identification has no seeds",
         )  # fmt: skip
-    return [Member()]
+    return [Member(seed, rate) for seed in seeds_of(seeds) for rate in rates_of(recipe)]
 
 
 def seeds_of(seeds: str | None) -> tuple[int, ...]:

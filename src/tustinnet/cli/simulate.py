@@ -32,7 +32,7 @@ def simulate(
     from tustinnet.simulate.starts import default_start
     from tustinnet.store.files import require_new, require_writable_folder
     from tustinnet.store.model_file import load_model
-    from tustinnet.store.simulation_file import write_simulation
+    from tustinnet.store.simulation_file import simulation_name, write_simulation
 
     simulator = load_model(model, system)
     folder, declared = locate(data, card)
@@ -41,7 +41,7 @@ def simulate(
     records = [chosen[name] for name in experiment] if experiment else list(chosen)
     begin = default_start(records, simulator) if start is None else start
     scores = evaluate(simulator, records, begin)
-    paths = [out / f"{e.name}.csv" for e in records]
+    paths = [out / simulation_name(e) for e in records]
     sources = {(folder / e.source).resolve() for e in loaded if e.source}
     for path in paths:
         if path.resolve() in sources:

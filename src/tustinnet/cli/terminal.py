@@ -48,12 +48,12 @@ class Stopped(KeyboardInterrupt):
     """Ctrl-C, SIGTERM or SIGHUP.
 
     Attributes:
-        code: the usual exit code: 130, 143 or 129.
+        number: of the signal; the usual exit code is 128 more: 130, 143 or 129.
     """
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
-        self.code = 128 + number
+        self.number = number
 
 
 _verbs = 0  # how deep in `interruptible`
@@ -77,14 +77,14 @@ def _redelivering() -> Iterator[None]:
     """Sends a signal again that was raised where Python drops exceptions, as in a `__del__`."""
     before = sys.unraisablehook
 
-    def again(dropped: Any) -> None:
+    def catch(dropped: Any) -> None:
         if isinstance(dropped.exc_value, Stopped):
-            number = dropped.exc_value.code - 128
-            threading.Timer(_LATER, os.kill, (os.getpid(), number)).start()
+            again = (os.getpid(), dropped.exc_value.number)
+            threading.Timer(_LATER, os.kill, again).start()
         else:
             before(dropped)
 
-    sys.unraisablehook = again
+    sys.unraisablehook = catch
     try:
         yield
     finally:
@@ -120,7 +120,7 @@ def interruptible(remedy: str = "") -> Iterator[None]:
         yield
     except KeyboardInterrupt as stop:
         sys.stderr.write(f"interrupted; {remedy}\n" if remedy else "interrupted\n")
-        raise SystemExit(getattr(stop, "code", 128 + signal.SIGINT)) from None
+        raise SystemExit(128 + getattr(stop, "number", signal.SIGINT)) from None
     finally:
         _verbs -= 1
 

@@ -6,10 +6,17 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import AfterValidator, Field, StrictInt, StrictStr, field_validator, model_validator
 
-from tustinnet.channels import Channels, Coordinate, Hold, Input, Kind
+from tustinnet.channels import (
+    LONGEST_DT,
+    SHORTEST_DT,
+    Channels,
+    Coordinate,
+    Hold,
+    Input,
+    Kind,
+)
 from tustinnet.data.declaration import Declaration, Name, Sentence, Text
 
-SHORTEST_DT, LONGEST_DT = 1e-9, 1e4  # sampling periods [s]
 _MOST_COLUMNS = 10**6
 _LONGEST_PART = 255  # bytes of a file's name, as file systems have it
 

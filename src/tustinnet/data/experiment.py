@@ -1,16 +1,16 @@
 """One recorded run of a mechanical system."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from tustinnet.channels import Channels, HasChannels
 from tustinnet.data.recording import Recording, describe_recording
 from tustinnet.errors import InputError, require_name
-from tustinnet.signals import resampling
+from tustinnet.signals import resampling, transients
 from tustinnet.signals.derivatives import VelocityMethod, differentiate
 
 VelocitySource = Literal["auto", "file", "stencil", "savgol", "kalman"]
@@ -300,3 +300,8 @@ class Experiment(HasChannels):
         lead = lead if moving[: max(lead - 1, 0)].any() else 0
         trail = trail if moving[len(moving) - max(trail - 1, 0) :].any() else 0
         return lead, trail
+
+
+def moves_in(experiments: Sequence[Experiment]) -> Bool[np.ndarray, " n_q"]:
+    """Which coordinates move in at least one of some records."""
+    return np.any([transients.moves(e.q) for e in experiments], axis=0)

@@ -8,7 +8,7 @@ import scipy.ndimage
 import scipy.signal
 from jaxtyping import Bool, Float
 
-from tustinnet.data.experiment import Experiment
+from tustinnet.data.experiment import Experiment, moves_in
 from tustinnet.data.recording import Recording, describe_recording
 from tustinnet.signals import outliers, transients
 from tustinnet.signals.transients import RestThresholds
@@ -139,11 +139,6 @@ def still(experiments: Sequence[Experiment]) -> list[str]:
     """The names of the coordinates that move in none of some records of a system."""
     moving = moves_in(experiments)
     return [c.name for c, m in zip(experiments[0].coordinates, moving, strict=True) if not m]
-
-
-def moves_in(experiments: Sequence[Experiment]) -> Bool[np.ndarray, " n_q"]:
-    """Which coordinates move in at least one of some records."""
-    return np.any([transients.moves(e.q) for e in experiments], axis=0)
 
 
 def transient_end(experiment: Experiment) -> int:

@@ -1,8 +1,6 @@
 """From columns to records, as a data card says."""
 
 import hashlib
-import re
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,13 +9,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.data.card import LONGEST_DT, SHORTEST_DT, Card, ColumnKey, FileCard
+from tustinnet.channels import LONGEST_DT, SHORTEST_DT
+from tustinnet.data.card import Card, ColumnKey, FileCard
+from tustinnet.data.card_files import files_of, require_inside
 from tustinnet.data.columns import NUMBERED, Column, Columns, frame_columns
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import declare, read_declaration
 from tustinnet.data.experiment import LARGEST, Experiment, unwrap_angles
 from tustinnet.data.readers import read_columns
-from tustinnet.errors import InputError, refusing, require_name
+from tustinnet.errors import InputError
 from tustinnet.signals import resampling
 
 _SAME_UNIT = 0.2  # a period this near to dt times a power of 1000 is in another unit
@@ -38,13 +38,7 @@ def load_folder(folder: Path, card: Card) -> DataSet:
             a number is not finite, the time base is not as declared, nothing moves; the message
             names file and row.
     """
-    entries = _named(
-        [
-            (split, entry)
-            for split, listed in card.splits.items()
-            for entry in _expand(folder, split, listed, card)
-        ]
-    )
+    entries = files_of(folder, card)
     experiments = [_load_file(folder, split, entry, card) for split, entry in entries]
     if not experiments:
         raise InputError(
@@ -91,89 +85,9 @@ def from_frame(
     return _experiment(frame_columns(frame, name), declared, name, split=split)
 
 
-def _expand(folder: Path, split: str, entries: list[FileCard], card: Card) -> list[FileCard]:
-    """Patterns become files, in natural order; checks that each entry names a file."""
-    found: list[FileCard] = []
-    missing: list[str] = []
-    for entry in entries:
-        if any(c in entry.file for c in "*?["):
-            with refusing(folder / entry.file, "no usable pattern", "e.g. train/*.csv"):
-                paths = [p for p in folder.glob(entry.file) if not p.is_dir()]
-            files = [p.relative_to(folder).as_posix() for p in paths]
-            found += [
-                entry.model_copy(update={"file": file}) for file in sorted(files, key=_natural)
-            ]
-            missing += [] if paths else [entry.file]
-        elif _exists(folder / entry.file):
-            found.append(entry)
-        else:
-            missing.append(entry.file)
-    if missing and not (split in card.optional_splits and not found):
-        raise InputError(
-            folder / missing[0],
-            f"no such file ({len(missing)} of the card's {split} files missing)",
-            f"the files of the card '{card.name}' below {folder}",
-            "check the folder and the names under [splits]",
-        )
-    return found
-
-
-def _exists(path: Path) -> bool:
-    with refusing(path, "cannot be looked for", "a file below the card's folder"):
-        return path.exists()
-
-
-def _require_inside(folder: Path, path: Path) -> None:
-    """Raises unless a file, links followed, lies in the folder: a card names no other files."""
-    with refusing(path, "cannot be followed", "a file below the card's folder"):
-        inside = path.resolve().is_relative_to(folder.resolve())
-    if not inside:
-        raise InputError(
-            path, "a link that leaves the folder", f"a file below {folder}", "copy the file there"
-        )
-
-
-def _named(entries: list[tuple[str, FileCard]]) -> list[tuple[str, FileCard]]:
-    """Names records after their files; by folder too, and by rows, where that would be doubled."""
-    seen: dict[tuple[str, object], str] = {}
-    for split, entry in entries:
-        before = seen.setdefault((entry.file, entry.rows), split)
-        if before is not split:
-            raise InputError(
-                entry.file, f"listed in the splits {before} and {split}", "one split a file"
-            )
-    stems = Counter(Path(entry.file).stem for _, entry in entries)
-    files = Counter(entry.file for _, entry in entries)
-    named = []
-    for split, entry in entries:
-        name = entry.name
-        if name is None:
-            path, stem = Path(entry.file).with_suffix(""), Path(entry.file).stem
-            same = stems[stem] == files[entry.file]
-            name = stem if same else path.as_posix().replace("/", "_")
-            if entry.rows is not None and files[entry.file] > 1:
-                name += f"_{entry.rows[0]}-{entry.rows[1]}"
-            _require_default_name(name, entry.file)
-        named.append((split, entry.model_copy(update={"name": name})))
-    return named
-
-
-def _require_default_name(name: str, file: str) -> None:
-    try:
-        require_name(name, file)
-    except InputError as error:
-        where, found = str(error).split(": ", 1)
-        hint = 'give the record another: `{ file = "...", name = "..." }` under [splits]'
-        raise InputError(where, found, "", hint) from None
-
-
-def _natural(text: str) -> list[tuple[int, str]]:
-    return [(int(p), "") if p.isdecimal() else (-1, p) for p in re.split(r"(\d+)", text)]
-
-
 def _load_file(folder: Path, split: str, entry: FileCard, card: Card) -> Experiment:
     path = folder / entry.file
-    _require_inside(folder, path)
+    require_inside(folder, path)
     columns = read_columns(path, header=card.format.header, delimiter=card.format.delimiter)
     if card.format.columns is not None and len(columns.names) != card.format.columns:
         raise InputError(

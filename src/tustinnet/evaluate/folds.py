@@ -15,7 +15,7 @@ from tustinnet.fitting.fit import fit_task
 from tustinnet.fitting.gradient.plan import groups_alike, plan
 from tustinnet.fitting.gradient.train import train_plan
 from tustinnet.fitting.listener import SILENT, Listener
-from tustinnet.fitting.recipe import IdentificationRecipe, Recipe, TrainingRecipe, read_recipe
+from tustinnet.fitting.recipe import IdentificationRecipe, Recipe, rates_of, read_recipe
 from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import AnyRecipe, Fold, Member, Task
@@ -113,6 +113,11 @@ class Deal:
     roles: Roles
 
 
+def taking_part(data: DataSet) -> list[Experiment]:
+    """The records that folds are made of: all but the test split."""
+    return [e for e in data if e.split != "test"]
+
+
 def dealt(data: DataSet, folds: int = FOLDS) -> list[Deal]:
     """Deals records into folds like cards, those of a kind one after the other.
 
@@ -127,7 +132,7 @@ def dealt(data: DataSet, folds: int = FOLDS) -> list[Deal]:
     Raises:
         InputError: fewer than 3 folds, or fewer records than folds.
     """
-    known = [e for e in data if e.split != "test"]
+    known = taking_part(data)
     if not 3 <= folds <= len(known):
         raise InputError(
             "--folds", f"{folds} folds of {len(known)} records",
@@ -205,8 +210,8 @@ def make_question(
         raise InputError("--seeds", "an identification has no seeds", "a recipe with weights")
     if seeds is not None and (not seeds or len(set(seeds)) < len(seeds)):
         raise InputError("--seeds", f"{list(seeds)}", "at least one, all different")
-    if isinstance(chosen, TrainingRecipe) and chosen.rates != (1.0,):
-        raise InputError(f"recipe '{chosen.name}', rates", f"{list(chosen.rates)}", "no `rates`",
+    if (rates := rates_of(chosen)) != (1.0,):
+        raise InputError(f"recipe '{chosen.name}', rates", f"{list(rates)}", "no `rates`",
                          "every fold is trained at the rates of the stages")  # fmt: skip
     identifying = read_recipe(physics or PHYSICS) if corrects else chosen
     if corrects and not identifying.family.correctable:

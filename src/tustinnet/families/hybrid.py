@@ -14,8 +14,7 @@ from pydantic import Field, SerializeAsAny, field_validator
 
 from tustinnet.channels import Channels
 from tustinnet.data.declaration import declare
-from tustinnet.data.experiment import Experiment, VelocitySource
-from tustinnet.data.inspection import moves_in
+from tustinnet.data.experiment import Experiment, VelocitySource, moves_in
 from tustinnet.errors import InputError
 from tustinnet.families.family import (
     Arrays,

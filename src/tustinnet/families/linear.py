@@ -12,8 +12,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from pydantic import Field
 
 from tustinnet.channels import Channels
-from tustinnet.data.experiment import Experiment, VelocitySource
-from tustinnet.data.inspection import moves_in
+from tustinnet.data.experiment import Experiment, VelocitySource, moves_in
 from tustinnet.families.family import (
     MOST_STATES,
     Arrays,

@@ -28,7 +28,7 @@ from tustinnet.families.networks import (
 )
 from tustinnet.models.blocks import Layers, Network, feature_count, random_network
 from tustinnet.models.contract import ContinuousModel, InputVector, Model, State
-from tustinnet.models.integrate import Discretised, discretise
+from tustinnet.models.integrate import MOST_UNROLLED, Discretised, discretise
 from tustinnet.registry import SCALINGS
 
 
@@ -68,7 +68,7 @@ class NeuralODEHyper(NetworkHyper):
     The others are those of the network.
     """
 
-    substeps: int = Field(default=1, gt=0, le=100)
+    substeps: int = Field(default=1, gt=0, le=MOST_UNROLLED)
 
 
 class NeuralODEFamily(Family):

@@ -6,7 +6,7 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.fitting.gradient.plan import plan
 from tustinnet.fitting.gradient.train import train_plan
 from tustinnet.fitting.listener import SILENT, Listener
-from tustinnet.fitting.recipe import TrainingRecipe, read_recipe
+from tustinnet.fitting.recipe import rates_of, read_recipe
 from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.shooting.identify import identify_task
 from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task, usual_recipe
@@ -76,9 +76,8 @@ def fit_many(
         InputError: no seed, a rate that is not positive; see `fit`.
     """
     chosen = read_recipe(recipe or usual_recipe(system=False, physics=physics is not None))
-    if rates is None:
-        rates = chosen.rates if isinstance(chosen, TrainingRecipe) else (1.0,)
-    members = [Member(seed, rate) for seed in seeds for rate in rates]
+    factors = rates_of(chosen) if rates is None else rates
+    members = [Member(seed, rate) for seed in seeds for rate in factors]
     return fit_task(make_task(data, chosen, members, physics=physics), listener)
 
 

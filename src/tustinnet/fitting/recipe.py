@@ -26,6 +26,7 @@ from tustinnet.data.declaration import (
 from tustinnet.data.experiment import VelocitySource
 from tustinnet.errors import InputError, refusing
 from tustinnet.families.family import Family, Hyper
+from tustinnet.models.integrate import MOST_SUBSTEPS
 from tustinnet.registry import FAMILIES, RECIPE_HOMES, USUAL
 from tustinnet.simulate.starts import start_named
 
@@ -160,7 +161,7 @@ class SearchRecipe(Declaration):
     method: Literal["levenberg-marquardt", "l-bfgs"] = "levenberg-marquardt"
     tolerance: float = Field(default=1e-5, gt=0, le=1)
     iterations: Count = 50
-    substeps: int | None = Field(default=None, gt=0, le=10_000)
+    substeps: int | None = Field(default=None, gt=0, le=MOST_SUBSTEPS)
 
     @field_validator("initial")
     @classmethod
@@ -234,6 +235,11 @@ class TrainingRecipe(Recipe):
         """The same recipe with other values in every stage."""
         stages = [stage.model_copy(update=changes) for stage in self.stages]
         return self.model_copy(update={"stages": stages})
+
+
+def rates_of(recipe: Recipe) -> tuple[float, ...]:
+    """The factors with which every seed is trained; an identification is like one training."""
+    return recipe.rates if isinstance(recipe, TrainingRecipe) else (1.0,)
 
 
 class IdentificationRecipe(Recipe):

@@ -7,8 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tustinnet.data.experiment import Experiment
-from tustinnet.data.inspection import moves_in
+from tustinnet.data.experiment import Experiment, moves_in
 from tustinnet.fitting.recipe import SearchRecipe, StageRecipe
 
 _NOTHING = 1.0  # the unit of a signal that never changes

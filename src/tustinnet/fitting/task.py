@@ -8,7 +8,7 @@ from typing import Any
 from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
 from tustinnet.families.family import family_of
-from tustinnet.fitting.recipe import Recipe, TrainingRecipe, read_recipe
+from tustinnet.fitting.recipe import Recipe, rates_of, read_recipe
 from tustinnet.fitting.roles import Roles, roles
 from tustinnet.models.contract import Model
 from tustinnet.models.lagrangian import LagrangianSystem
@@ -139,7 +139,7 @@ def _require_members(members: Sequence[Member], recipe: Recipe) -> None:
             "fit", f"seeds {[m.seed for m in members]}, rates {rates}",
             "different seeds and different factors above 0",
         )  # fmt: skip
-    asked = recipe.rates if isinstance(recipe, TrainingRecipe) else (1.0,)
+    asked = rates_of(recipe)
     if asked != (1.0,) and set(rates) != set(asked):
         raise InputError(
             f"recipe '{recipe.name}'", f"rates {list(asked)}, of which {rates} would be trained",

@@ -12,8 +12,7 @@ import scipy.signal
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from tustinnet.channels import Channels
-from tustinnet.data.experiment import Experiment, VelocitySource
-from tustinnet.data.inspection import moves_in
+from tustinnet.data.experiment import Experiment, VelocitySource, moves_in
 from tustinnet.errors import InputError
 
 ACTIVATIONS: dict[str, Callable[[Array], Array]] = {

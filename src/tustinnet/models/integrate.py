@@ -21,8 +21,8 @@ from tustinnet.models.contract import (
 )
 
 # the classical method: where along the step each stage looks, and what it counts
-_MOST_SUBSTEPS = 10_000  # more would be a period far too long for the system
-_MOST_UNROLLED = 100  # each is compiled
+MOST_SUBSTEPS = 10_000  # more would be a period far too long for the system
+MOST_UNROLLED = 100  # each is compiled
 _REACH = (0.0, 0.5, 0.5, 1.0)
 _SHARE = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
 
@@ -95,7 +95,7 @@ def discretise(
         substeps: Runge-Kutta steps in a period; `choose_substeps` says how many are needed.
         unrolled: whether the steps are written out in the compiled program, see `Discretised`.
     """
-    most = _MOST_UNROLLED if unrolled else _MOST_SUBSTEPS
+    most = MOST_UNROLLED if unrolled else MOST_SUBSTEPS
     if not dt > 0 or not 1 <= substeps <= most:
         raise InputError(
             "discretise", f"period {dt} s, {substeps} substeps",

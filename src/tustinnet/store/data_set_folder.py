@@ -27,13 +27,13 @@ def write_data_set(
     Returns:
         The data card.
     """
-    paths = {e.name: folder / (e.split or "") / f"{e.name}.csv" for e in data}
+    files = {e.name: f"{e.split}/{e.name}.csv" if e.split else f"{e.name}.csv" for e in data}
     card = folder / CARD_NAME
-    require_new([card, *paths.values()], overwrite=overwrite)
+    require_new([card, *(folder / file for file in files.values())], overwrite=overwrite)
     require_writable_folder(folder)
     for e in data:
-        write_into(folder, paths[e.name].relative_to(folder).as_posix(), _rows(e))
-    write_into(folder, CARD_NAME, _card(data, folder, paths, description))
+        write_into(folder, files[e.name], _rows(e))
+    write_into(folder, CARD_NAME, _card(data, files, description))
     return card
 
 
@@ -43,7 +43,7 @@ def _rows(e: Experiment) -> str:
     return "".join(",".join(f"{x:.9g}" for x in row) + "\n" for row in table)
 
 
-def _card(data: DataSet, folder: Path, paths: dict[str, Path], description: str) -> str:
+def _card(data: DataSet, files: dict[str, str], description: str) -> str:
     first, of = data[0], data.channels
     time = of.n_u + of.n_q + 1
     inputs = [
@@ -60,10 +60,7 @@ def _card(data: DataSet, folder: Path, paths: dict[str, Path], description: str)
         for k, c in enumerate(of.coordinates, of.n_u + 1)
     ]  # fmt: skip
     splits = {
-        split: [
-            {"file": paths[e.name].relative_to(folder).as_posix(), "name": e.name}
-            for e in data.split(split)
-        ]
+        split: [{"file": files[e.name], "name": e.name} for e in data.split(split)]
         for split in data.splits
     }
     card = {

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from pydantic import ConfigDict, Field
 
-from tustinnet.channels import Coordinate, Input
-from tustinnet.data.card import LONGEST_DT
+from tustinnet.channels import LONGEST_DT, Coordinate, Input
 from tustinnet.data.declaration import Declaration, declare
 from tustinnet.errors import InputError, refusing
 from tustinnet.families.family import family_of

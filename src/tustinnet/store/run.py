@@ -9,11 +9,8 @@ folder/seed-0/checkpoint.safetensors  what `resume` goes on from, of all that tr
 Seeds that are trained at several rates have folders like seed-0-rate-0.5.
 """
 
-import dataclasses
-import json
 import statistics
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -23,7 +20,6 @@ from tustinnet.evaluate.scores import Score, evaluate, mean_rmse, rmse_by_record
 from tustinnet.fitting.fit import fit_task
 from tustinnet.fitting.gradient.loop import Resumed
 from tustinnet.fitting.gradient.plan import Plan, plan
-from tustinnet.fitting.gradient.state import Progress
 from tustinnet.fitting.gradient.train import train_plan
 from tustinnet.fitting.listener import EpochReport, Listener
 from tustinnet.fitting.report import FitResult, data_header
@@ -31,21 +27,18 @@ from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Member, Task
 from tustinnet.store.checkpoint import Checkpointer, read_checkpoint
 from tustinnet.store.files import (
-    finite,
     owned,
     require_new,
     require_writable_folder,
     to_json,
-    unwritable,
     write_into,
 )
+from tustinnet.store.log import DAMAGED, LOG, Log
 from tustinnet.store.model_file import save
 
 MODEL = "model.safetensors"
 SUMMARY = "summary.json"
 _CHECKPOINT = "checkpoint.safetensors"
-_LOG = "log.jsonl"
-_DAMAGED = "log.damaged.jsonl"
 
 Earlier = Literal["refuse", "resume", "discard"]  # what is done with a run that is there
 
@@ -199,7 +192,7 @@ def _make_room(folder: Path, earlier: Earlier, *, trains: bool) -> None:
         )
     if earlier == "resume":
         return
-    places = sorted(place for place in folder.glob("seed-*") if (place / _LOG).exists())
+    places = sorted(place for place in folder.glob("seed-*") if (place / LOG).exists())
     if earlier == "discard":
         _discard(folder, places)
     elif places:
@@ -215,54 +208,12 @@ def _make_room(folder: Path, earlier: Earlier, *, trains: bool) -> None:
 def _discard(folder: Path, seed_folders: Sequence[Path]) -> None:
     """Removes the files that a run has written, and no others."""
     for place in seed_folders:
-        for name in (MODEL, _LOG, _DAMAGED, _CHECKPOINT):
+        for name in (MODEL, LOG, DAMAGED, _CHECKPOINT):
             (place / name).unlink(missing_ok=True)
         if not any(place.iterdir()):
             place.rmdir()
     for name in (MODEL, SUMMARY):
         (folder / name).unlink(missing_ok=True)
-
-
-def read_log(folder: Path) -> list[dict[str, Any]]:
-    """The training log of a member's folder, a mapping an epoch, up to where it is damaged."""
-    try:
-        content = (folder / _LOG).read_bytes()
-    except OSError:
-        return []
-    return _sound(content)
-
-
-_TYPES = {
-    "stage": str, "epoch": int, "loss": float | None, "validation": float | None,
-    "rate": float | None, "best": float | None, "event": str,
-}  # fmt: skip
-
-
-def _sound(content: bytes) -> list[dict[str, Any]]:
-    """The epochs of a log up to the first line that is none."""
-    found = []
-    for line in content.decode("utf-8", "replace").split("\n"):
-        try:
-            entry = json.loads(line)
-        except (ValueError, RecursionError):
-            break
-        if not isinstance(entry, dict) or entry.keys() != _TYPES.keys():
-            break
-        if not all(isinstance(entry[key], kind) for key, kind in _TYPES.items()):
-            break
-        if not _follows(entry, found):
-            break
-        found.append(entry)
-    return found
-
-
-def _follows(entry: Mapping[str, Any], before: Sequence[Mapping[str, Any]]) -> bool:
-    """Whether an epoch comes after others: the next one, one that was taken back, a new stage."""
-    if not before or entry["stage"] != before[-1]["stage"]:
-        return entry["epoch"] == 1
-    last = before[-1]
-    again = entry["epoch"] == last["epoch"] and bool(last["event"])
-    return again or entry["epoch"] == last["epoch"] + 1
 
 
 def _trained(task: Task, folder: Path, earlier: Earlier, tell: Tell) -> list[FitResult]:
@@ -298,7 +249,7 @@ def _train_together(
     keeps = Checkpointer(folders[0] / _CHECKPOINT, prepared.task)
     begun = resumed[1] if resumed else (None,) * len(folders)
     logs = [
-        _Log(place, progress, told.remark) for place, progress in zip(folders, begun, strict=True)
+        Log(place, progress, told.remark) for place, progress in zip(folders, begun, strict=True)
     ]
 
     def epoch(report: EpochReport) -> None:
@@ -313,44 +264,3 @@ def _train_together(
     finally:
         for log in logs:
             log.close()
-
-
-class _Log:
-    """A line of JSON an epoch; a resumed run drops the lines it is about to repeat.
-
-    A log that is damaged, or shorter than the checkpoint says, is set aside and said so.
-    """
-
-    def __init__(
-        self, folder: Path, resumed: Progress | None, remark: Callable[[str], None]
-    ) -> None:
-        self._path = folder / _LOG
-        kept: list[dict[str, Any]] = []
-        if resumed:
-            before = self._path.read_bytes() if self._path.is_file() else b""
-            kept = _sound(before)[: resumed.reported]
-            if len(kept) < resumed.reported:
-                write_into(folder, _DAMAGED, before)
-                remark(
-                    f"{self._path}: {len(kept)} sound lines, expected {resumed.reported}; what "
-                    f"was there is kept as {_DAMAGED}, the log goes on behind the sound lines"
-                )
-        write_into(folder, _LOG, "".join(json.dumps(line) + "\n" for line in kept))
-        try:
-            self._file = self._path.open("ab")
-        except OSError as error:
-            raise unwritable(self._path, error) from error
-
-    def write(self, report: EpochReport) -> None:
-        line = dataclasses.asdict(report)
-        del line["member"]  # each has a log of its own
-        try:
-            self._path.stat()  # raises where the folder was removed, which writing would not
-            self._file.write(json.dumps(finite(line)).encode() + b"\n")
-            self._file.flush()
-        except OSError as error:
-            raise unwritable(self._path, error) from error
-
-    def close(self) -> None:
-        with suppress(OSError):  # what could not be written was said already
-            self._file.close()

@@ -58,10 +58,9 @@ def read_sealed(path: Path, kinds: Sequence[str]) -> tuple[dict[str, Any], dict[
         found = "a pipe or device" if path.exists() else "no such file"
         raise InputError(path, found, f"a {kind} file (.safetensors)")
     with (
-        refusing(path, "not a safetensors file, or cut short", f"a {kind} file",
-                 remedy),
+        refusing(path, "not a safetensors file, or cut short", f"a {kind} file", remedy),
         safetensors.safe_open(path, framework="numpy") as file,
-    ):  # fmt: skip
+    ):
         described = file.metadata() or {}
         # copied: a tensor may be a view into a mapping that is gone once the file is replaced
         arrays = {name: np.array(file.get_tensor(name)) for name in file.keys()}  # noqa: SIM118 (not a dict)

@@ -9,6 +9,11 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.store.files import write_into
 
 
+def simulation_name(experiment: Experiment) -> str:
+    """What the file of a simulated record is called."""
+    return f"{experiment.name}.csv"
+
+
 def write_simulation(
     folder: Path, experiment: Experiment, states: Float[np.ndarray, "n n_x"]
 ) -> None:
@@ -27,4 +32,4 @@ def write_simulation(
     columns |= {
         f"{c.name}_measured": experiment.q[:, j] for j, c in enumerate(experiment.coordinates)
     }
-    write_into(folder, f"{experiment.name}.csv", pl.DataFrame(columns).write_csv())
+    write_into(folder, simulation_name(experiment), pl.DataFrame(columns).write_csv())

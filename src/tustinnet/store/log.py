@@ -1,0 +1,101 @@
+"""The log of a training: a line of JSON an epoch."""
+
+import dataclasses
+import json
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from tustinnet.fitting.gradient.state import Progress
+from tustinnet.fitting.listener import EpochReport
+from tustinnet.store.files import finite, unwritable, write_into
+
+LOG = "log.jsonl"
+DAMAGED = "log.damaged.jsonl"
+
+
+def read_log(folder: Path) -> list[dict[str, Any]]:
+    """The training log of a member's folder, a mapping an epoch, up to where it is damaged."""
+    try:
+        content = (folder / LOG).read_bytes()
+    except OSError:
+        return []
+    return _sound(content)
+
+
+# a line has what is reported of an epoch; numbers that are not finite are null
+_TYPES: dict[str, Any] = {
+    field.name: float | None if field.type is float else field.type
+    for field in dataclasses.fields(EpochReport)
+    if field.name != "member"  # each has a log of its own
+}
+
+
+def _sound(content: bytes) -> list[dict[str, Any]]:
+    """The epochs of a log up to the first line that is none."""
+    found = []
+    for line in content.decode("utf-8", "replace").split("\n"):
+        try:
+            entry = json.loads(line)
+        except (ValueError, RecursionError):
+            break
+        if not isinstance(entry, dict) or entry.keys() != _TYPES.keys():
+            break
+        if not all(isinstance(entry[key], kind) for key, kind in _TYPES.items()):
+            break
+        if not _follows(entry, found):
+            break
+        found.append(entry)
+    return found
+
+
+def _follows(entry: Mapping[str, Any], before: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether an epoch comes after others: the next one, one that was taken back, a new stage."""
+    if not before or entry["stage"] != before[-1]["stage"]:
+        return entry["epoch"] == 1
+    last = before[-1]
+    again = entry["epoch"] == last["epoch"] and bool(last["event"])
+    return again or entry["epoch"] == last["epoch"] + 1
+
+
+class Log:
+    """A line of JSON an epoch; a resumed run drops the lines it is about to repeat.
+
+    A log that is damaged, or shorter than the checkpoint says, is set aside and said so.
+    """
+
+    def __init__(
+        self, folder: Path, resumed: Progress | None, remark: Callable[[str], None]
+    ) -> None:
+        self._path = folder / LOG
+        kept: list[dict[str, Any]] = []
+        if resumed:
+            before = self._path.read_bytes() if self._path.is_file() else b""
+            kept = _sound(before)[: resumed.reported]
+            if len(kept) < resumed.reported:
+                write_into(folder, DAMAGED, before)
+                remark(
+                    f"{self._path}: {len(kept)} sound lines, expected {resumed.reported}; what "
+                    f"was there is kept as {DAMAGED}, the log goes on behind the sound lines"
+                )
+        write_into(folder, LOG, "".join(json.dumps(line) + "\n" for line in kept))
+        try:
+            self._file = self._path.open("ab")
+        except OSError as error:
+            raise unwritable(self._path, error) from error
+
+    def write(self, report: EpochReport) -> None:
+        """Adds an epoch."""
+        line = {name: getattr(report, name) for name in _TYPES}
+        try:
+            self._path.stat()  # raises where the folder was removed, which writing would not
+            self._file.write(json.dumps(finite(line)).encode() + b"\n")
+            self._file.flush()
+        except OSError as error:
+            raise unwritable(self._path, error) from error
+
+    def close(self) -> None:
+        """Ends it."""
+        with suppress(OSError):  # what could not be written was said already
+            self._file.close()
