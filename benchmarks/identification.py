@@ -203,7 +203,7 @@ def against_rollout(folder: str) -> None:
     def theirs(s: Segments) -> np.ndarray:
         groups = -(-len(s.x0) // shape.lanes)
         rows = [np.arange(len(s.x0))[i::groups] for i in range(groups)]
-        drives = [tn.Drive(np.stack([s.drive[i]] * 2, axis=-2), s.periods[i]) for i in rows]
+        drives = [tn.Drive(s.drive[i], s.periods[i]) for i in rows]
         calls = [(s.x0[i], d, s.target[i], s.weight[i]) for i, d in zip(rows, drives, strict=True)]
         with ThreadPoolExecutor() as pool:
             found = list(pool.map(lambda call: np.asarray(products(*call)), calls))

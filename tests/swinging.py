@@ -74,7 +74,7 @@ def simulated(
     model = tn.discretise(swing_model(values, system), DT, 8)
     drive = u[:-1, None]
     if system.inputs[0].hold == "first-order":
-        drive = np.stack([u[:-1, None], u[1:, None]], axis=1)
+        drive = np.stack([u[:-1, None], np.diff(u)[:, None]], axis=1)
     x = np.asarray(tn.rollout(model, np.array(x0), drive))
     return tn.from_arrays(
         x[:, 0], u, v=x[:, 1], dt=DT, name=name,

@@ -36,6 +36,7 @@ from .models.lagrangian import Memory as Memory
 from .models.lagrangian import Parameter as Parameter
 from .simulate.adaptive import discretise_adaptively as discretise_adaptively
 from .simulate.drive import Drive as Drive
+from .simulate.drive import drive_of as drive_of
 from .simulate.linearise import Linearisation as Linearisation
 from .simulate.linearise import linearize as linearize
 from .simulate.rollout import rollout as rollout

@@ -1,7 +1,7 @@
 """Coordinates, inputs and sampling period as one object, and the layout of a state."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, get_args
 
@@ -11,9 +11,10 @@ from jaxtyping import Bool, Float
 from tustinnet.errors import InputError, require_name, require_text
 
 Kind = Literal["angular", "linear"]
-Hold = Literal["zero-order", "first-order"]
+Hold = Literal["zero-order", "first-order", "band-limited", "unknown"]
 
 SHORTEST_DT, LONGEST_DT = 1e-9, 1e4  # sampling periods [s] that cards and files may have
+_USUAL = "zero-order"
 _SAME_PERIOD = 1e-6  # relative; two periods this near are one
 
 
@@ -51,22 +52,34 @@ class Input:
     Attributes:
         name: what it is called.
         unit: its unit, as it stands in the data.
-        hold: what happens between samples: held (`zero-order`) or a straight line (`first-order`).
+        hold: what happens between samples: held (`zero-order`), a straight line (`first-order`),
+            what a signal without power above half of the sampling rate does (`band-limited`), or
+            `unknown`. None where nothing is said: the data card or the records decide, and what
+            nobody says is `zero-order`.
         limits: smallest and largest value the actuator takes, if known.
+        delay: how much later it acts than it is written down [s].
     """
 
     name: str
     unit: str
-    hold: Hold = "zero-order"
+    hold: Hold | None = None
     limits: tuple[float, float] | None = None
+    delay: float = 0.0
 
     def __post_init__(self) -> None:
         require_name(self.name, "input")
         require_text(self.unit, f"unit of input '{self.name}'")
-        if self.hold not in get_args(Hold):
+        if self.hold is not None and self.hold not in get_args(Hold):
             raise InputError(
-                f"input '{self.name}'", f"hold '{self.hold}'", "'zero-order' or 'first-order'"
+                f"input '{self.name}'", f"hold '{self.hold}'", f"one of {', '.join(get_args(Hold))}"
             )
+        if not abs(self.delay) < np.inf:
+            raise InputError(f"input '{self.name}'", f"delay {self.delay} s", "a number of seconds")
+
+    def as_said_by(self, other: "Input") -> "Input":
+        """The same input; where it does not say what happens between samples, another one does."""
+        open_ = self.hold in (None, "unknown")
+        return replace(self, hold=other.hold or self.hold) if open_ else self
 
 
 @dataclass(frozen=True)
@@ -127,9 +140,9 @@ class Channels:
         return np.array([c.kind == "angular" for c in self.coordinates], dtype=bool)
 
     @cached_property
-    def ramped(self) -> Bool[np.ndarray, " n_u"]:
-        """Which inputs follow straight lines from sample to sample (first-order hold)."""
-        return np.array([i.hold == "first-order" for i in self.inputs], dtype=bool)
+    def held(self) -> Bool[np.ndarray, " n_u"]:
+        """Which inputs are held from sample to sample (zero-order hold)."""
+        return np.array([i.hold in (None, "zero-order") for i in self.inputs], dtype=bool)
 
     @cached_property
     def resolution(self) -> Float[np.ndarray, " n_q"]:
@@ -141,20 +154,24 @@ class Channels:
         """`rad`, `m`, or `rad and m`, of a figure over all coordinates."""
         return " and ".join(dict.fromkeys(c.unit for c in self.coordinates))
 
-    def require_same(self, other: "Channels", whose: object, where: str) -> None:
+    def require_same(
+        self, other: "Channels", whose: object, where: str, *, open_holds: bool = True
+    ) -> None:
         """Raises unless another object speaks of the same system at the same period.
 
-        Names, kinds, units, holds and order count, resolutions and limits do not; a period only
-        where both have one.
+        Names, kinds, units and order count, resolutions, limits and delays do not; holds and
+        periods only where both have them.
 
         Args:
             other: the channels to check.
             whose: what they are of, for the message.
             where: what these are of, for the message.
+            open_holds: whether an input that does not say what happens between samples is the same
+                as one that does.
         """
         for what, have, want in (
             ("coordinates", _kinds(other), _kinds(self)),
-            ("inputs", _holds(other), _holds(self)),
+            ("inputs", *_holds(other, self, open_holds=open_holds)),
         ):
             if have != want:
                 raise InputError(
@@ -218,8 +235,17 @@ def _kinds(of: Channels) -> Sequence[tuple[str, str]]:
     return [(c.name, c.kind) for c in of.coordinates]
 
 
-def _holds(of: Channels) -> Sequence[tuple[str, str]]:
-    return [(i.name, f"{i.unit}, {i.hold}") for i in of.inputs]
+def _holds(*of: Channels, open_holds: bool) -> list[list[tuple[str, str]]]:
+    """Names, units and holds of each; where holds may be open, those that all of them say."""
+    said = [{i.hold for i in inputs} for inputs in zip(*(c.inputs for c in of), strict=False)]
+    unsaid = [open_holds and bool(holds & {None, "unknown"}) for holds in said]
+    return [
+        [
+            (i.name, i.unit if k < len(said) and unsaid[k] else f"{i.unit}, {i.hold or _USUAL}")
+            for k, i in enumerate(c.inputs)
+        ]
+        for c in of
+    ]
 
 
 def _listed(pairs: Sequence[tuple[str, str]]) -> str:

@@ -285,19 +285,19 @@ def test_a_zero_order_hold_applies_the_sample_and_a_first_order_hold_the_mean() 
     np.testing.assert_array_equal(e.held_inputs, [[1.0, 2.0], [3.0, 1.5]])
 
 
-def test_the_ends_of_a_period_differ_only_for_an_input_on_a_straight_line() -> None:
+def test_a_period_has_a_slope_where_an_input_follows_a_straight_line() -> None:
     u = np.array([[1.0, 1.0], [3.0, 3.0], [0.0, 0.0]])
     e = tn.from_arrays(
         [1.0, 2, 3], u, dt=DT, coordinates={"angle": "angular"},
         inputs=[tn.Input("held", "V"), tn.Input("ramp", "V", "first-order")],
     )  # fmt: skip
-    np.testing.assert_array_equal(e.input_ends, [[[1, 1], [1, 3]], [[3, 3], [3, 0]]])
-    np.testing.assert_array_equal(e.input_ends.mean(axis=1), e.held_inputs)
+    pieces = e.excitation().pieces
+    np.testing.assert_array_equal(pieces, [[[1, 1], [0, 2]], [[3, 3], [0, -3]]])
 
 
-def test_a_record_without_inputs_has_no_ends_of_them() -> None:
+def test_a_record_without_inputs_has_no_excitation() -> None:
     e = tn.from_arrays([1.0, 2, 3], dt=DT, coordinates={"angle": "angular"})
-    assert e.input_ends.shape == (2, 2, 0)
+    assert e.excitation().pieces.shape == (2, 1, 0)
 
 
 def test_a_record_is_forced_where_an_input_changes() -> None:

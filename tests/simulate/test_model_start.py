@@ -95,7 +95,7 @@ def test_its_derivative_by_a_parameter_is_that_of_the_solution():
     name, nominal = "gravity", TRUTH["gravity"]
     guess = jnp.asarray(initial_state(e, "derived-6"))[None]
 
-    drive = jax.tree.map(lambda a: a[None], drive_of(e))
+    drive = jax.tree.map(lambda a: a[None], drive_of(tn.discretise(grey_box(), DT), e))
 
     @jax.jit
     def start(value):

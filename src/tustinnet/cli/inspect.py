@@ -9,7 +9,7 @@ import typer
 from tustinnet.cli import options, terminal
 
 if TYPE_CHECKING:
-    from tustinnet.data.inspection import ExperimentReport
+    from tustinnet.data.inspection import ExperimentReport, InputReport
     from tustinnet.report.tables import Table
 
 
@@ -47,8 +47,17 @@ def inspect(
     terminal.print_tables(time_table(reports), _channel_table(reports))
     # the table has the jitter
     notes = ((r.name, text) for r in reports for text in r.notes if "jitter" not in text)
-    for line in (*suspicions(reports), *_lines("note", notes)):
+    holds = ((r.name, _hold_told(i)) for r in reports for i in r.inputs if i.hold_matters)
+    for line in (*suspicions(reports), *_lines("hold", holds), *_lines("note", notes)):
         typer.echo(line)
+
+
+def _hold_told(report: "InputReport") -> str:
+    return (
+        f"{report.name} has power above a tenth of the sampling rate: what it does between samples "
+        f'decides the simulation (hold = "{report.hold or "zero-order"}"; others: first-order, '
+        'band-limited; or "unknown", and fit of a grey box tries them)'
+    )
 
 
 def suspicions(reports: Iterable["ExperimentReport"]) -> list[str]:

@@ -138,8 +138,10 @@ class InputCard(Declaration):
         scale: units of `value` in one unit of the column.
         sign: 1 or -1.
         offset: what the column reads where the input is 0.
-        hold: `zero-order` or `first-order`.
+        hold: what happens between samples: `zero-order`, `first-order`, `band-limited`, or
+            `unknown`: `fit` of a grey box tries all of them.
         limits: smallest and largest `value` of the actuator.
+        delay: how much later it acts than it is written down [s].
     """
 
     name: Name
@@ -150,6 +152,7 @@ class InputCard(Declaration):
     offset: Amount = 0.0
     hold: Hold = "zero-order"
     limits: tuple[Amount, Amount] | None = None
+    delay: float = Field(default=0.0, ge=-1e4, le=1e4)
 
     @field_validator("limits")
     @classmethod
@@ -160,7 +163,7 @@ class InputCard(Declaration):
 
     def input(self) -> Input:
         """What the records will say of this input."""
-        return Input(self.name, self.unit, self.hold, self.limits)
+        return Input(self.name, self.unit, self.hold, self.limits, self.delay)
 
 
 class TimeCard(Declaration):

@@ -37,7 +37,9 @@ class DataSet(HasChannels):
             if experiment.name in seen:
                 raise InputError(self.name, f"two experiments named '{experiment.name}'", "one")
             seen.add(experiment.name)
-            first.channels.require_same(experiment.channels, experiment.name, first.name)
+            first.channels.require_same(
+                experiment.channels, experiment.name, first.name, open_holds=False
+            )
 
     def __len__(self) -> int:
         return len(self.experiments)

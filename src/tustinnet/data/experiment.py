@@ -7,11 +7,12 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from tustinnet.channels import Channels, HasChannels
+from tustinnet.channels import Channels, HasChannels, Input
 from tustinnet.data.recording import Recording, describe_recording
 from tustinnet.errors import InputError, require_name
 from tustinnet.signals import resampling, transients
 from tustinnet.signals.derivatives import VelocityMethod, differentiate
+from tustinnet.signals.excitation import HALF, Excitation, Held, excitation
 
 VelocitySource = Literal["auto", "file", "stencil", "savgol", "kalman"]
 
@@ -152,7 +153,7 @@ class Experiment(HasChannels):
         changes = np.arange(1, len(changed) + 1)
         # a held input may change at a kept sample; a ramp that ends there began before it
         between = changes % stride != 0
-        lost = changes[(changed & (between[:, None] | self.channels.ramped)).any(axis=1)]
+        lost = changes[(changed & (between[:, None] | ~self.channels.held)).any(axis=1)]
         if len(lost):
             raise InputError(
                 self.name,
@@ -164,13 +165,15 @@ class Experiment(HasChannels):
     def resample(self, dt: float) -> "Experiment":
         """The record on a regular grid of period `dt` [s] from its first timestamp on.
 
-        Positions by cubic spline, velocities and first-order-held inputs linearly; a held input
-        becomes its mean over each period of the grid, so that its impulse is kept.
+        Positions and band-limited inputs by cubic spline, velocities and first-order-held inputs
+        linearly; a held input becomes its mean over each period of the grid, so that its impulse
+        is kept.
 
         Raises:
             InputError: a period longer than the record, or a grid of more than 10 times its
-                samples; the message names the longest interval.
+                samples; the message names the longest interval. An input whose hold is `unknown`.
         """
+        self._require_holds("resampling")
         if not 0 < dt < self.t[-1] - self.t[0]:
             span = self.t[-1] - self.t[0]
             raise InputError(self.name, f"period {dt} s", f"more than 0 and less than {span:g} s")
@@ -186,15 +189,22 @@ class Experiment(HasChannels):
             t=grid,
             channels=replace(self.channels, dt=dt),
             q=resampling.resample_positions(self.t, self.q, grid),
-            u=np.where(
-                self.channels.ramped,
-                resampling.resample_linear(self.t, self.u, grid),
-                resampling.resample_held(self.t, self.u, grid),
-            ),
+            u=self._resampled_inputs(grid),
             v=None if self.v is None else resampling.resample_linear(self.t, self.v, grid),
             k_bar=k_bar,
             recording=self.recording or describe_recording(self.t, self.q, self.dt),
         )
+
+    def _resampled_inputs(self, grid: Float[np.ndarray, " m"]) -> Float[np.ndarray, "m n_u"]:
+        by_hold = {
+            "zero-order": resampling.resample_held,
+            "first-order": resampling.resample_linear,
+            "band-limited": resampling.resample_positions,
+        }
+        u = np.zeros((len(grid), self.channels.n_u))
+        for k, i in enumerate(self.inputs):
+            u[:, k : k + 1] = by_hold[i.hold or "zero-order"](self.t, self.u[:, k : k + 1], grid)
+        return u
 
     def trim(self, start: float = 0.0, stop: float | None = None) -> "Experiment":
         """The part between two times [s], counted from the record's first sample."""
@@ -231,17 +241,52 @@ class Experiment(HasChannels):
 
     @property
     def held_inputs(self) -> Float[np.ndarray, "steps n_u"]:
-        """What acts on the system from each sample to the next, (n - 1, n_u).
+        """What acts on the system from each sample to the next, on the mean, (n - 1, n_u)."""
+        return self.excitation().mean
 
-        The sample itself under a zero-order hold, the mean of both ends under a first-order one.
+    def excitation(self, inputs: Sequence[Input] | None = None) -> Excitation:
+        """The inputs at the samples and between them.
+
+        Args:
+            inputs: those of the model that they drive. Its delays count, and its holds where the
+                record says none; by default the record's own.
+
+        Raises:
+            InputError: an input whose hold nobody says; a record too short to interpolate a
+                band-limited input, or shorter than a delay.
         """
-        return self.input_ends.mean(axis=1)
+        of = self if inputs is None else self.driving(inputs)
+        of._require_holds("simulating")
+        holds: list[Held] = [i.hold or "zero-order" for i in of.inputs]  # pyright: ignore[reportAssignmentType]
+        delays = [i.delay / self.dt for i in of.inputs]
+        for i, hold, delay in zip(of.inputs, holds, delays, strict=True):
+            where = f"{self.name}, input '{i.name}'"
+            if abs(delay) >= len(self) - 1:
+                span = self.t[-1] - self.t[0]
+                raise InputError(where, f"a delay of {i.delay:g} s", f"less than its {span:g} s")
+            if hold == "band-limited" and len(self) <= HALF:
+                raise InputError(
+                    where, f"hold 'band-limited' and {len(self)} samples", f"more than {HALF}",
+                    "leave the record out, or declare another hold",
+                )  # fmt: skip
+        return excitation(self.u, holds, delays)
 
-    @property
-    def input_ends(self) -> Float[np.ndarray, "steps 2 n_u"]:
-        """The inputs at both ends of every period, (n - 1, 2, n_u); alike where they are held."""
-        last = np.where(self.channels.ramped, self.u[1:], self.u[:-1])
-        return np.stack([self.u[:-1], last], axis=1)
+    def driving(self, inputs: Sequence[Input]) -> "Experiment":
+        """The record with the holds and delays of the inputs that a model has."""
+        said = tuple(
+            replace(own.as_said_by(theirs), delay=theirs.delay)
+            for own, theirs in zip(self.inputs, inputs, strict=True)
+        )
+        return replace(self, channels=replace(self.channels, inputs=said))
+
+    def _require_holds(self, doing: str) -> None:
+        for i in self.inputs:
+            if i.hold == "unknown":
+                raise InputError(
+                    f"{self.name}, input '{i.name}'", f"hold 'unknown', and {doing} needs one",
+                    "zero-order, first-order or band-limited",
+                    "declare it in the data card; `fit` of a grey box tries all of them",
+                )  # fmt: skip
 
     def measured_states(
         self, velocity: VelocitySource = "auto"

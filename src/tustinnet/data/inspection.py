@@ -8,6 +8,7 @@ import scipy.ndimage
 import scipy.signal
 from jaxtyping import Bool, Float
 
+from tustinnet.channels import Hold
 from tustinnet.data.experiment import Experiment, moves_in
 from tustinnet.data.recording import Recording, describe_recording
 from tustinnet.signals import outliers, transients
@@ -20,6 +21,7 @@ _FEW_LEVELS = 10
 _STUCK_SHARE = 0.02
 _OTHER_COUNT = 0.01  # relative; an encoder count this far from the declared one is another
 _QUARTER, _OFTEN = np.pi / 2, 0.05  # an angle that moves so far a sample, so often, is none
+_FAST, _FAST_SHARE = 0.1, 0.02  # of the sampling rate; of the power above it
 _FARTHEST, _STRONGEST = 1e6, 1e9  # rad or m, and of inputs: no mechanism has them
 
 
@@ -57,6 +59,9 @@ class InputReport:
         range: smallest and largest value.
         rms: root mean square.
         bandwidth: frequency below which 90 % of its power lies [Hz], None for a constant.
+        fast_share: share of its power above a tenth of the sampling rate. Where there is more than
+            a little, a simulation depends on what the input does between the samples.
+        hold: what the data card says of that, None where it says nothing.
         saturated: share of samples at a declared limit, or stuck at an extreme value.
     """
 
@@ -64,7 +69,14 @@ class InputReport:
     range: tuple[float, float]
     rms: float
     bandwidth: float | None
+    fast_share: float
+    hold: Hold | None
     saturated: float
+
+    @property
+    def hold_matters(self) -> bool:
+        """Whether what it does between the samples shows in a simulation."""
+        return self.fast_share > _FAST_SHARE
 
 
 @dataclass(frozen=True)
@@ -182,16 +194,19 @@ def _coordinate(
 def _input(e: Experiment, j: int) -> InputReport:
     u = e.u[:, j]
     low, high = float(u.min()), float(u.max())
-    bandwidth = None
+    bandwidth, fast = None, 0.0
     if high > low:
         frequency, power = scipy.signal.periodogram(u, fs=1 / e.dt, detrend="constant")
         share = np.cumsum(power) / np.sum(power)
         bandwidth = float(frequency[np.searchsorted(share, 0.9)])
+        fast = float(np.sum(power[frequency > _FAST / e.dt]) / np.sum(power))
     return InputReport(
         name=e.inputs[j].name,
         range=(low, high),
         rms=float(np.sqrt(np.mean(u**2))),
         bandwidth=bandwidth,
+        fast_share=fast,
+        hold=e.inputs[j].hold,
         saturated=_saturated_share(u, e.inputs[j].limits),
     )
 

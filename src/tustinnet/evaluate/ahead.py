@@ -10,7 +10,7 @@ from tustinnet.errors import InputError
 from tustinnet.evaluate.scores import simulated
 from tustinnet.models.contract import Model, require_fit, require_float64, with_dtype
 from tustinnet.simulate.along import states_along
-from tustinnet.simulate.drive import Drive
+from tustinnet.simulate.drive import Drive, drive_of
 
 _STEPS_AT_ONCE = 2_000_000  # bounds the RAM of k-step-ahead predictions
 
@@ -51,12 +51,13 @@ def rmse_ahead(
     # as many at once everywhere, so that one compiled program serves records of all lengths
     size = max(1, min(_STEPS_AT_ONCE // horizon, max(map(len, begins))))
     for e, states, mine in zip(experiments, along, begins, strict=True):
+        driven = np.asarray(drive_of(evaluated, e).u)
         for first in range(0, len(mine), size):
             begin = mine[first : first + size]
             index = np.resize(begin, size)[:, None] + np.arange(horizon)
             inside = (index < len(e) - 1) & (np.arange(size) < len(begin))[:, None]
             index = np.minimum(index, len(e) - 2)  # beyond the end any input will do
-            drive = Drive(e.input_ends[index])
+            drive = Drive(driven[index])
             runs = np.asarray(simulated(evaluated, states[index[:, 0]], drive))
             error = np.sum((runs[:, 1:, e.channels.position] - e.q[index + 1]) ** 2, axis=2)
             squares += np.sum(np.where(inside, error, 0.0), axis=0)

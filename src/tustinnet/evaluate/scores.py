@@ -67,12 +67,10 @@ def free_run(
         require_fit(model, experiment)
     simulator = with_dtype(model, np.float64).folded()
     x0 = start_states(simulator, experiments, rule)
-    tails = [e[rule.first :] for e in experiments]
+    drive = drives_of(simulator, experiments, slice(rule.first, None))
     runs = [
-        run[: len(e)]
-        for run, e in zip(
-            np.asarray(simulated(simulator, x0, drives_of(tails))), tails, strict=True
-        )
+        run[: len(e) - rule.first]
+        for run, e in zip(np.asarray(simulated(simulator, x0, drive)), experiments, strict=True)
     ]
     if not rule.first:
         return runs

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from pydantic import Field, field_validator
 
+from tustinnet.channels import Channels
 from tustinnet.errors import InputError
 from tustinnet.families.family import Arrays, Family, Header, Hyper
 from tustinnet.models.integrate import Discretised, discretise
@@ -98,7 +99,9 @@ class EulerLagrangeFamily(Family):
         values = dict(zip(header["parameters"], jnp.asarray(arrays[_VALUES]), strict=True))
         model = found.model(values)
         _require_same(model, arrays.get(_PROBED), where)
-        return discretise(model, header["dt"], header["substeps"])
+        return discretise(
+            model, header["dt"], header["substeps"], inputs=Channels.from_header(header).inputs
+        )
 
     def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
         """The system and the values."""

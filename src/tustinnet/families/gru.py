@@ -21,12 +21,12 @@ from tustinnet.families.family import (
     filled,
     named_arrays,
 )
-from tustinnet.families.networks import blank_scaling, units_shown
+from tustinnet.families.networks import InputTaps, blank_scaling, units_shown
 from tustinnet.models.blocks import Affine, Scaling, feature_count, learn_scaling, random_affine
 from tustinnet.models.contract import (
     AccelerationModel,
     Coordinates,
-    InputVector,
+    Drive,
     Internal,
     Model,
     State,
@@ -52,6 +52,7 @@ class GRU(AccelerationModel):
         scaling: units of what it sees and says.
         channels: its coordinates, inputs and period.
         needed: samples of a record that the hidden state needs.
+        taps: the samples of the inputs that it sees, see `AccelerationModel`.
 
     References:
         Cho et al. (2014), Learning phrase representations using RNN encoder-decoder for
@@ -66,6 +67,7 @@ class GRU(AccelerationModel):
     scaling: Scaling
     channels: Channels = eqx.field(static=True)
     needed: int = eqx.field(static=True)
+    taps: tuple[int, ...] = eqx.field(static=True, default=())  # pyright: ignore[reportIncompatibleMethodOverride]
 
     @property
     def warm_up(self) -> int:
@@ -81,10 +83,10 @@ class GRU(AccelerationModel):
         """The same with an output layer of zeros."""
         return eqx.tree_at(lambda m: m.output, self, self.output.zeros())
 
-    def _said(self, x: State, u: InputVector) -> tuple[Array, Array]:
+    def _said(self, x: State, u: Drive) -> tuple[Array, Array]:
         """The rates of positions and velocities, in SI units, and the new hidden state."""
         h = x[self.channels.internal]
-        phi = self.by_features(self.scaling.features(self.channels, x, u))
+        phi = self.by_features(self.scaling.features(self.channels, x, self.tapped(u)))
         n = len(h)
         told = self.by_hidden(h)
         reset, gate = jax.nn.sigmoid(phi[: 2 * n] + told[: 2 * n]).reshape(2, n)
@@ -94,13 +96,13 @@ class GRU(AccelerationModel):
         return unit * self.output(h), h
 
     def accelerate(
-        self, x: State, u: InputVector
+        self, x: State, u: Drive
     ) -> tuple[Coordinates, Callable[[Coordinates], Internal]]:
         """Its accelerations; the hidden state does not depend on the mean velocity."""
         said, h = self._said(x, u)
         return said[self.channels.velocity], lambda mean: h
 
-    def step(self, x: State, u: InputVector) -> State:
+    def step(self, x: State, u: Drive) -> State:
         """One period, by what it says of positions and velocities."""
         of = self.channels
         said, h = self._said(x, u)
@@ -114,10 +116,13 @@ class GRUHyper(Hyper):
     Attributes:
         hidden: its hidden units.
         warm_up: samples of a record that its hidden state follows before a free run.
+        input_taps: samples of the inputs that it sees in every period, as `[-1, 0, 1]`, counted
+            from the period's beginning; those above 0 look ahead. None: the period's mean.
     """
 
     hidden: int = Field(default=32, gt=0, le=MOST_UNITS)
     warm_up: int = Field(default=20, ge=6, le=100_000)
+    input_taps: InputTaps = ()
 
 
 class GRUFamily(Family):
@@ -136,11 +141,14 @@ class GRUFamily(Family):
     ) -> Callable[[PRNGKeyArray], GRU]:
         """Random weights, units from the records."""
         channels, scaling = experiments[0].channels, learn_scaling(experiments, velocity)
-        return lambda key: random_gru(channels, scaling, key, hyper.hidden, hyper.warm_up)
+        sizes = hyper.hidden, hyper.warm_up, hyper.input_taps
+        return lambda key: random_gru(channels, scaling, key, *sizes)
 
     def describe(self, model: GRU) -> tuple[Header, Arrays]:
         """Hidden units and warm-up; all arrays."""
-        structure = {"hidden": len(model.internal), "warm_up": model.warm_up}
+        structure = {
+            "hidden": len(model.internal), "warm_up": model.warm_up, "input_taps": list(model.taps),
+        }  # fmt: skip
         return {"structure": structure}, named_arrays(model)
 
     def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> GRU:
@@ -148,7 +156,8 @@ class GRUFamily(Family):
         channels, s = Channels.from_header(header), header["structure"]
         blank = blank_scaling(channels)
         key = jax.random.key(0)
-        return filled(lambda: random_gru(channels, blank, key, s["hidden"], s["warm_up"]), arrays)
+        sizes = s["hidden"], s["warm_up"], tuple(s.get("input_taps", ()))
+        return filled(lambda: random_gru(channels, blank, key, *sizes), arrays)
 
     def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
         """Size, warm-up and units."""
@@ -161,15 +170,21 @@ FAMILY = GRUFamily()
 
 
 def random_gru(
-    channels: Channels, scaling: Scaling, key: PRNGKeyArray, hidden: int, warm_up: int
+    channels: Channels,
+    scaling: Scaling,
+    key: PRNGKeyArray,
+    hidden: int,
+    warm_up: int,
+    taps: tuple[int, ...] = (),
 ) -> GRU:
     """A unit with random float32 weights, uniform within 1/sqrt(n_in) of 0."""
     first, second, third = jax.random.split(key, 3)
     return GRU(
-        by_features=random_affine(feature_count(channels), 3 * hidden, first),
+        by_features=random_affine(feature_count(channels, 0, len(taps) or 1), 3 * hidden, first),
         by_hidden=random_affine(hidden, 3 * hidden, second),
         output=random_affine(hidden, 2 * channels.n_q, third),
         scaling=scaling,
         channels=channels,
         needed=warm_up,
+        taps=taps,
     )

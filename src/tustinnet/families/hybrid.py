@@ -30,13 +30,13 @@ from tustinnet.models.blocks import root_mean_square
 from tustinnet.models.contract import (
     AccelerationModel,
     Drive,
-    Ends,
     Model,
     Seen,
     State,
     require_fit,
 )
 from tustinnet.registry import FAMILIES, USUAL
+from tustinnet.signals.excitation import Excitation
 from tustinnet.signals.stacking import stacked
 from tustinnet.simulate.along import followed
 from tustinnet.simulate.drive import drives_of
@@ -92,16 +92,31 @@ class HybridModel(Model):
         """The longer of both."""
         return max(self.physics.warm_up, self.correction.warm_up)
 
-    def seen(self, ends: Ends) -> Seen:
-        """What the physics is driven by."""
-        return self.physics.seen(ends)
+    def seen(self, inputs: Excitation) -> Seen:
+        """What the physics is driven by, and behind it the samples that the correction sees."""
+        of_physics = self.physics.seen(inputs)
+        if not self.correction.taps:
+            return of_physics
+        rows = of_physics[:, None] if of_physics.ndim == 2 else of_physics
+        return np.concatenate([rows, self.correction.seen(inputs)], axis=1)
+
+    def _parted(self, u: Drive) -> tuple[Array, Array]:
+        """What the physics is driven by, and what the correction sees; without taps the sample."""
+        taps = len(self.correction.taps)
+        if u.ndim == 1:
+            return u, u
+        if not taps:
+            return u, u[0]
+        of_physics = u[:-taps]
+        return of_physics[0] if len(of_physics) == 1 else of_physics, u[-taps:]
 
     def step(self, x: State, u: Drive) -> State:
         """One period: the physics, then the correction."""
         of, n_p = self.channels, self.physics.state_size
+        acting, _ = self._parted(u)
         f, remember = self._corrected(x, u)
         change = self.dt * f
-        following = self.physics.step(x[:n_p], u)
+        following = self.physics.step(x[:n_p], acting)
         v_next = following[of.velocity] + change
         return jnp.concatenate(
             [
@@ -117,10 +132,11 @@ class HybridModel(Model):
         return self._corrected(x, u)[0]
 
     def _corrected(self, x: State, u: Drive) -> tuple[Array, Callable[[Array], Array]]:
-        begin = u if u.ndim == 1 else u[0]
+        acting, told = self._parted(u)
+        begin = acting if acting.ndim == 1 else acting[0]
         of, unit = self.channels, self.correction.scaling
         seen = jnp.concatenate([x[of.measured], x[self.physics.state_size :]])
-        f, remember = self.correction.accelerate(seen, begin)
+        f, remember = self.correction.accelerate(seen, told)
         if not self.fades_at_rest:
             return f, remember
         motion = jnp.concatenate([x[of.velocity] / unit.velocity, begin / unit.input])
@@ -297,7 +313,8 @@ def _left_by(
     1 for a coordinate that never moves.
     """
     measured = [e.measured_states(velocity) for e in experiments]
-    said = np.asarray(followed(physics, jnp.asarray(stacked(measured)), drives_of(experiments)))
+    drive = drives_of(physics, experiments)
+    said = np.asarray(followed(physics, jnp.asarray(stacked(measured)), drive))
     at = physics.channels.velocity
     left = [
         x[1:, at] - run[1 : len(x), at] for x, run in zip(measured, said, strict=True)

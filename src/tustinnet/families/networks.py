@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 import jax
 import jax.numpy as jnp
-from pydantic import Field, field_validator
+from pydantic import AfterValidator, Field, field_validator
 
 from tustinnet.channels import Channels
 from tustinnet.families.family import (
@@ -51,6 +51,16 @@ class NetworkHyper(Hyper):
         return self.model_dump(include={"hidden", "stem", "activation", "output_bias"})
 
 
+def _distinct(taps: tuple[int, ...]) -> tuple[int, ...]:
+    if len(set(taps)) < len(taps):
+        raise ValueError(f"a tap twice: {list(taps)}")
+    return taps
+
+
+Tap = Annotated[int, Field(ge=-1000, le=1000)]
+InputTaps = Annotated[tuple[Tap, ...], Field(max_length=100), AfterValidator(_distinct)]
+
+
 def structure_of(network: Network) -> dict[str, Any]:
     """What a model file says of a network."""
     return {
@@ -62,10 +72,11 @@ def structure_of(network: Network) -> dict[str, Any]:
 
 
 def network_from(
-    structure: dict[str, Any], arrays: Arrays, channels: Channels, seen: int, said: int
+    structure: dict[str, Any], arrays: Arrays, channels: Channels, said: int, memory: int = 0
 ) -> Network:
     """The network of a model file."""
-    memory = seen - feature_count(channels)
+    taps = len(structure.get("input_taps", ())) or 1
+    seen = feature_count(channels, memory, taps)
     layers = Layers(**{k: structure[k] for k in ("hidden", "stem", "activation", "output_bias")})
 
     def make() -> Network:

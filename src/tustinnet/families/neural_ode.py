@@ -115,8 +115,7 @@ class NeuralODEFamily(Family):
     def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> Discretised:
         """From structure and arrays."""
         channels = Channels.from_header(header)
-        seen, said = feature_count(channels), 2 * channels.n_q
-        network = network_from(header["structure"], arrays, channels, seen, said)
+        network = network_from(header["structure"], arrays, channels, 2 * channels.n_q)
         return _discrete(network, channels, header["substeps"])
 
     def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:

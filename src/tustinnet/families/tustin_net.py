@@ -24,6 +24,7 @@ from tustinnet.families.family import (
     named_arrays,
 )
 from tustinnet.families.networks import (
+    InputTaps,
     NetworkHyper,
     check_frozen,
     network_from,
@@ -34,7 +35,7 @@ from tustinnet.models.blocks import Layers, Network, Scaling, feature_count, ran
 from tustinnet.models.contract import (
     AccelerationModel,
     Coordinates,
-    InputVector,
+    Drive,
     Internal,
     Model,
     State,
@@ -63,6 +64,7 @@ class TustinNet(AccelerationModel):
         network: the network.
         channels: the coordinates, in the order of q, the inputs, in the order of u, the period.
         relaxation_times: t of the internal states [s]; each gives one a coordinate.
+        taps: the samples of the inputs that it sees, see `AccelerationModel`.
 
     References:
         Pozzoli, Gallieri, Scattolini (2020), Tustin neural networks: a class of recurrent nets
@@ -73,13 +75,14 @@ class TustinNet(AccelerationModel):
     network: Network
     channels: Channels = eqx.field(static=True)
     relaxation_times: tuple[float, ...] = eqx.field(static=True, default=())
+    taps: tuple[int, ...] = eqx.field(static=True, default=())  # pyright: ignore[reportIncompatibleMethodOverride]
 
     def __check_init__(self) -> None:
         if not all(time > 0 for time in self.relaxation_times):
             raise InputError(
                 "memory", f"relaxation times {self.relaxation_times} s", "times above 0 s"
             )
-        seen = feature_count(self.channels, len(self.internal))
+        seen = feature_count(self.channels, len(self.internal), len(self.taps) or 1)
         self.network.require_shape(seen, self.channels.n_q)
 
     @property
@@ -100,12 +103,13 @@ class TustinNet(AccelerationModel):
         """The same with an output layer of zeros."""
         return eqx.tree_at(lambda m: m.network.output, self, self.network.output.zeros())
 
-    def acceleration(self, x: State, u: InputVector) -> Coordinates:
+    def acceleration(self, x: State, u: Drive) -> Coordinates:
         """`f`, the mean acceleration over the coming period, (n_q,) [rad/s^2 or m/s^2]."""
-        return self.network.scaling.acceleration * self.network(self.channels, x, u)
+        said = self.network(self.channels, x, self.tapped(u))
+        return self.network.scaling.acceleration * said
 
     def accelerate(
-        self, x: State, u: InputVector
+        self, x: State, u: Drive
     ) -> tuple[Coordinates, Callable[[Coordinates], Internal]]:
         """The acceleration, and how the internal states follow the mean velocity."""
         z = x[self.channels.internal]
@@ -121,7 +125,8 @@ class TustinNet(AccelerationModel):
         """The same function with the stem merged into the first hidden layer."""
         if self.network.stem is None:
             return self
-        return TustinNet(self.network.folded(), self.channels, self.relaxation_times)
+        network = self.network.folded()
+        return TustinNet(network, self.channels, self.relaxation_times, self.taps)
 
 
 def relax(
@@ -142,11 +147,15 @@ class TustinNetHyper(NetworkHyper):
 
     Attributes:
         memory: relaxation times of internal states [s], none by default (see `TustinNet`).
+        input_taps: samples of the inputs that it sees in every period, as `[-1, 0, 1]`, counted
+            from the period's beginning; those above 0 look ahead. None: the period's mean.
 
     The others are those of the network.
     """
 
     memory: tuple[Annotated[float, Field(gt=0, le=1e6)], ...] = Field(default=(), max_length=100)
+
+    input_taps: InputTaps = ()
 
     @model_validator(mode="after")
     def _scaled(self) -> "TustinNetHyper":
@@ -175,7 +184,12 @@ class TustinNetFamily(Family):
         learn = SCALINGS[hyper.scaling]
         scaling = learn(experiments, velocity, hyper.memory)
         return lambda key: random_tustin_net(
-            channels, scaling, key, relaxation_times=hyper.memory, **hyper.layers
+            channels,
+            scaling,
+            key,
+            relaxation_times=hyper.memory,
+            taps=hyper.input_taps,
+            **hyper.layers,
         )
 
     def check(self, hyper: TustinNetHyper, stage: LayeredStage) -> None:
@@ -190,15 +204,17 @@ class TustinNetFamily(Family):
         """The structure of the network; arrays by their places in it."""
         structure = structure_of(model.network)
         structure["relaxation_times"] = list(model.relaxation_times)
+        structure["input_taps"] = list(model.taps)
         return {"structure": structure}, named_arrays(model.network)
 
     def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> TustinNet:
         """From structure and arrays."""
         channels = Channels.from_header(header)
-        times = tuple(header["structure"].get("relaxation_times", ()))
-        seen = feature_count(channels, len(times) * channels.n_q)
-        network = network_from(header["structure"], arrays, channels, seen, channels.n_q)
-        return TustinNet(network, channels, times)
+        structure = header["structure"]
+        times, taps = (tuple(structure.get(key, ())) for key in ("relaxation_times", "input_taps"))
+        memory = len(times) * channels.n_q
+        network = network_from(structure, arrays, channels, channels.n_q, memory)
+        return TustinNet(network, channels, times, taps)
 
     def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
         """Layers and units."""
@@ -218,6 +234,7 @@ def random_tustin_net(
     key: PRNGKeyArray,
     *,
     relaxation_times: Sequence[float] = (),
+    taps: Sequence[int] = (),
     **layers: Any,
 ) -> TustinNet:
     """A Tustin-Net with random float32 weights, uniform within 1/sqrt(n_in) of 0.
@@ -227,11 +244,12 @@ def random_tustin_net(
         scaling: units of the network's inputs and outputs.
         key: the source of randomness.
         relaxation_times: those of the internal states [s].
+        taps: the samples of the inputs that it sees.
         layers: hidden, stem, activation and output_bias, see `Layers`.
     """
-    seen = feature_count(channels, len(relaxation_times) * channels.n_q)
+    seen = feature_count(channels, len(relaxation_times) * channels.n_q, len(taps) or 1)
     network = random_network(scaling, key, seen, channels.n_q, Layers(**layers))
-    return TustinNet(network, channels, tuple(relaxation_times))
+    return TustinNet(network, channels, tuple(relaxation_times), tuple(taps))
 
 
 # the activations of a network, each in the place of its argument
@@ -265,13 +283,14 @@ _IN_PLACE = {
 
 
 def _numpy_layers(
-    network: Network, channels: Channels, n_z: int, dtype: type[np.floating]
+    network: Network, channels: Channels, n_z: int, taps: int, dtype: type[np.floating]
 ) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray, np.ndarray]:
     """Hidden layers that take features without units; output layer that says velocity changes."""
     s = {name: np.asarray(value, np.float64) for name, value in vars(network.scaling).items()}
     angles = np.ones(2 * int(channels.angular.sum()))
-    unit = np.concatenate([angles, s["position_scale"], s["velocity"], s["memory"], s["input"]])
-    rest = np.zeros(channels.n_q + n_z + channels.n_u)
+    inputs = np.tile(s["input"], taps)
+    unit = np.concatenate([angles, s["position_scale"], s["velocity"], s["memory"], inputs])
+    rest = np.zeros(channels.n_q + n_z + len(inputs))
     shift = np.concatenate([0 * angles, s["position_offset"], rest])
     layers = []
     for i, layer in enumerate(network.hidden):
@@ -289,11 +308,11 @@ def _numpy_layers(
 
 def _numpy_step(model: TustinNet, dtype: type[np.floating]) -> NumpyStep:
     of, times = model.channels, model.relaxation_times
-    n_q, n_u, n_z = of.n_q, of.n_u, len(model.internal)
+    n_q, n_u, n_z, taps = of.n_q, of.n_u, len(model.internal), len(model.taps) or 1
     angles, lengths = np.flatnonzero(of.angular), np.flatnonzero(~of.angular)
     n_a, n_l = len(angles), len(lengths)
     network = model.network.folded()
-    layers, last, offset = _numpy_layers(network, of, n_z, dtype)
+    layers, last, offset = _numpy_layers(network, of, n_z, taps, dtype)
     half, activate = dtype(of.dt / 2), _IN_PLACE[network.activation]
     velocity, internal = of.velocity, of.internal
     positions = 2 * n_a + n_l
@@ -305,7 +324,7 @@ def _numpy_step(model: TustinNet, dtype: type[np.floating]) -> NumpyStep:
     )
 
     def step(x: Vector, u: Vector) -> Vector:
-        features = np.empty(width + n_u, dtype)
+        features = np.empty(width + taps * n_u, dtype)
         angle = x[:n_q] if not n_l else x[angles]
         np.sin(angle, out=features[:n_a])
         np.cos(angle, out=features[n_a : 2 * n_a])
@@ -313,7 +332,7 @@ def _numpy_step(model: TustinNet, dtype: type[np.floating]) -> NumpyStep:
             features[2 * n_a : positions] = x[lengths]
         v = x[velocity]
         features[positions:width] = x[n_q:]
-        features[width:] = u
+        features[width:] = u if taps == 1 else np.tile(u, taps)
         z = features
         for weight, bias in layers:
             z = weight @ z

@@ -84,11 +84,12 @@ class Scaling(eqx.Module):
     memory: Float[Array, " n_z"] = eqx.field(default_factory=lambda: jnp.zeros(0, jnp.float32))
 
     def features(
-        self, channels: Channels, x: Float[Array, " n_x"], u: Float[Array, " n_u"]
+        self, channels: Channels, x: Float[Array, " n_x"], u: Float[Array, "*taps n_u"]
     ) -> Float[Array, " n_0"]:
         """What a network sees: sines, cosines, linear positions, velocities, inputs, scaled.
 
-        As many of the internal states as `memory` has units for stand before the inputs.
+        As many of the internal states as `memory` has units for stand before the inputs. Of
+        several samples of the inputs one stands after the other.
         """
         angle, length = _parted(x[channels.position], channels.angular)
         features = [
@@ -99,12 +100,15 @@ class Scaling(eqx.Module):
         ]
         if len(self.memory):
             features.append(x[channels.internal] / self.memory)
-        return jnp.concatenate([*features, u / self.input])
+        return jnp.concatenate([*features, jnp.ravel(u / self.input)])
 
 
-def feature_count(channels: Channels, memory: int = 0) -> int:
-    """Three features per angular coordinate, two per linear one, one per internal state, input."""
-    return 2 * channels.n_q + int(channels.angular.sum()) + memory + channels.n_u
+def feature_count(channels: Channels, memory: int = 0, taps: int = 1) -> int:
+    """Three features per angular coordinate, two per linear one, one per internal state.
+
+    And one per input and sample of it that is seen.
+    """
+    return 2 * channels.n_q + int(channels.angular.sum()) + memory + taps * channels.n_u
 
 
 def _parted(q: Float[Array, " n_q"], angular: np.ndarray) -> tuple[Array, Array]:
@@ -160,7 +164,7 @@ class Network(eqx.Module):
         return first.weight.shape[1], self.output.weight.shape[0]
 
     def __call__(
-        self, channels: Channels, x: Float[Array, " n_x"], u: Float[Array, " n_u"]
+        self, channels: Channels, x: Float[Array, " n_x"], u: Float[Array, "*taps n_u"]
     ) -> Float[Array, " n_out"]:
         """What it says of a state and an input, in its own units."""
         sigma = ACTIVATIONS[self.activation]

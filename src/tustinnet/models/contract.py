@@ -15,12 +15,12 @@ from tustinnet.channels import HasChannels
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.blocks import Scaling
+from tustinnet.signals.excitation import Excitation
 
 State = Float[Array, " n_x"]
 InputVector = Float[Array, " n_u"]
-Drive = Float[Array, "*ends n_u"]
-Ends = Float[Array | np.ndarray, "*batch 2 n_u"]
-Seen = Float[Array | np.ndarray, "*any n_u"]
+Drive = Float[Array, "*between n_u"]
+Seen = Float[np.ndarray, "steps *between n_u"]
 Internal = Float[Array, " n_z"]
 Coordinates = Float[Array, " n_q"]
 
@@ -53,8 +53,8 @@ class Model(_Stateful):
 
         Args:
             x: the state, (n_x,).
-            u: what `seen` makes of the inputs at both ends of the period; a vector of inputs,
-                (n_u,), acts unchanged over the period.
+            u: a row of what `seen` makes of the inputs; a vector of inputs, (n_u,), acts unchanged
+                over the period.
         """
 
     def advance(self, x: State, u: Drive, period: Array | float) -> State:
@@ -64,9 +64,9 @@ class Model(_Stateful):
             f"steps of its sampling period, {self.dt:g} s", "resample the record",
         )  # fmt: skip
 
-    def seen(self, ends: Ends) -> Seen:
-        """What steps are driven by, of the inputs at both ends of each period: here the mean."""
-        return ends.mean(axis=-2)
+    def seen(self, inputs: Excitation) -> Seen:
+        """What each step of a record is driven by, of its inputs: here the mean of the period."""
+        return inputs.mean
 
     @property
     def warm_up(self) -> int:
@@ -92,7 +92,29 @@ class AccelerationModel(_HasScaling, Model):
     """A model that says accelerations; positions follow the velocities by the trapezoidal rule.
 
     Such a model can also correct another one (see `HybridModel`).
+
+    Attributes:
+        taps: the samples of the inputs that it sees in every period, counted from the sample at
+            which the period begins: -1 is the one before, 1 the one after. None to see the mean
+            over the period.
     """
+
+    @property
+    def taps(self) -> tuple[int, ...]:
+        """The samples of the inputs that it sees; most models see the mean over the period."""
+        return ()
+
+    def seen(self, inputs: Excitation) -> Seen:
+        """The samples at its taps, (steps, taps, n_u); beyond a record's ends its last samples."""
+        if not self.taps:
+            return super().seen(inputs)
+        last = len(inputs.samples) - 1
+        rows = np.arange(last)[:, None] + np.array(self.taps)
+        return inputs.samples[np.clip(rows, 0, last)]
+
+    def tapped(self, u: Drive) -> Float[Array, "*seen n_u"]:
+        """Inputs as its network sees them: a vector acts unchanged, at all of its taps."""
+        return jnp.tile(u, (len(self.taps), 1)) if self.taps and u.ndim == 1 else u
 
     @abstractmethod
     def silent(self) -> "AccelerationModel":
@@ -100,7 +122,7 @@ class AccelerationModel(_HasScaling, Model):
 
     @abstractmethod
     def accelerate(
-        self, x: State, u: InputVector
+        self, x: State, u: Drive
     ) -> tuple[Coordinates, Callable[[Coordinates], Internal]]:
         """The mean acceleration over the coming period, and what becomes of the internal states.
 
@@ -109,7 +131,7 @@ class AccelerationModel(_HasScaling, Model):
             over the period to the internal states at its end.
         """
 
-    def step(self, x: State, u: InputVector) -> State:
+    def step(self, x: State, u: Drive) -> State:
         """`v[k+1] = v[k] + dt a`, `q[k+1] = q[k] + dt (v[k] + v[k+1]) / 2`."""
         q, v = x[self.channels.position], x[self.channels.velocity]
         acceleration, remember = self.accelerate(x, u)

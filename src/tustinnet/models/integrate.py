@@ -1,5 +1,6 @@
 """Continuous models made discrete by fixed steps."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -8,17 +9,17 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from tustinnet.channels import Channels
+from tustinnet.channels import Channels, Input
 from tustinnet.errors import InputError
 from tustinnet.models.contract import (
     ContinuousModel,
     Drive,
-    Ends,
     InputVector,
     Model,
     Seen,
     State,
 )
+from tustinnet.signals.excitation import Excitation
 
 # the classical method: where along the step each stage looks, and what it counts
 MOST_SUBSTEPS = 10_000  # more would be a period far too long for the system
@@ -31,7 +32,7 @@ class FromContinuous(Model):
     """A continuous model stepped from sample to sample.
 
     Inputs are held over the period (zero-order hold), so no stage of a method looks at the next
-    sample; or they follow a straight line (first-order hold), when a step is given both ends.
+    sample; or they follow the polynomial whose coefficients a step is given (other holds).
 
     Attributes:
         continuous: the model.
@@ -46,9 +47,10 @@ class FromContinuous(Model):
         """What the internal states of the continuous model are called."""
         return self.continuous.internal
 
-    def seen(self, ends: Ends) -> Seen:
-        """Both ends of every period where an input follows a line, else the held inputs."""
-        return ends if self.channels.ramped.any() else ends[..., 0, :]
+    def seen(self, inputs: Excitation) -> Seen:
+        """The polynomials of every period where an input is not held, else the held inputs."""
+        pieces = inputs.pieces
+        return pieces[:, 0] if pieces.shape[1] == 1 else pieces
 
     def step(self, x: State, u: Drive) -> State:
         """One sampling period."""
@@ -85,7 +87,12 @@ class Discretised(FromContinuous):
 
 
 def discretise(
-    model: ContinuousModel, dt: float, substeps: int = 1, *, unrolled: bool = False
+    model: ContinuousModel,
+    dt: float,
+    substeps: int = 1,
+    *,
+    inputs: Sequence[Input] | None = None,
+    unrolled: bool = False,
 ) -> Discretised:
     """A continuous model as a discrete one, by fixed Runge-Kutta steps.
 
@@ -93,6 +100,8 @@ def discretise(
         model: the model.
         dt: sampling period [s].
         substeps: Runge-Kutta steps in a period; `choose_substeps` says how many are needed.
+        inputs: the records' inputs, which say what happens between samples where the model's do
+            not; by default the model's own.
         unrolled: whether the steps are written out in the compiled program, see `Discretised`.
     """
     most = MOST_UNROLLED if unrolled else MOST_SUBSTEPS
@@ -101,7 +110,14 @@ def discretise(
             "discretise", f"period {dt} s, {substeps} substeps",
             f"a positive period and 1 to {most} substeps",
         )  # fmt: skip
-    return Discretised(model, replace(model.channels, dt=dt), substeps, unrolled)
+    own = model.channels.inputs
+    theirs = own if inputs is None else inputs
+    said = tuple(
+        replace(i.as_said_by(other), delay=other.delay)
+        for i, other in zip(own, theirs, strict=True)
+    )
+    channels = replace(model.channels, dt=dt, inputs=said)
+    return Discretised(model, channels, substeps, unrolled)
 
 
 def between(
@@ -112,8 +128,13 @@ def between(
 
 
 def at(u: Drive, part: Array | float) -> InputVector:
-    """Inputs at a part of the period, 0..1: held, or on the line between both ends."""
-    return u if u.ndim == 1 else u[0] + part * (u[1] - u[0])
+    """Inputs at a part of the period, 0..1: held, or on the polynomials of the period."""
+    if u.ndim == 1:
+        return u
+    value = u[-1]
+    for coefficient in u[-2::-1]:
+        value = coefficient + part * value
+    return value
 
 
 def runge_kutta_4(

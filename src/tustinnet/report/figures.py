@@ -216,7 +216,7 @@ def _input_panel(axes: Axes, e: Experiment, *, title: bool) -> None:
         axes.plot(
             e.t - e.t[0], e.u[:, i], linewidth=0.6, color=(INPUT, *COLOURS)[i % 6],
             label=channel.name,
-            drawstyle="steps-post" if channel.hold == "zero-order" else "default",
+            drawstyle="steps-post" if channel.hold in (None, "zero-order") else "default",
         )  # fmt: skip
     if title:
         axes.set_title(f"inputs [{', '.join(dict.fromkeys(c.unit for c in e.inputs))}]")

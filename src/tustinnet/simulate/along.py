@@ -32,7 +32,7 @@ def states_along(
     if not model.internal:
         return known
     # all of one length, so that one program serves them; nobody reads what follows a record's end
-    runs = followed(model, jnp.asarray(stacked(known)), drives_of(experiments))
+    runs = followed(model, jnp.asarray(stacked(known)), drives_of(model, experiments))
     internal = np.asarray(runs)[..., model.channels.internal]
     return [np.concatenate([x, z[: len(x)]], axis=1) for x, z in zip(known, internal, strict=True)]
 

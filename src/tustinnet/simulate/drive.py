@@ -3,54 +3,63 @@
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.data.experiment import Experiment
+from tustinnet.models.contract import Model
 from tustinnet.signals.stacking import stacked
 
 
 class Drive(eqx.Module):
-    """The inputs from sample to sample, and how long each period is.
+    """What acts from sample to sample, and how long each period is.
 
     Attributes:
-        ends: inputs at both ends of every period, (steps, 2, n_u); alike where they are held.
+        u: what the model is given in every period, as its `seen` makes it of a record's inputs,
+            (steps, ...); for models that are driven by held inputs (steps, n_u).
         periods: time from each sample to the next [s], (steps,), for models that can step by any;
             None for the model's sampling period.
     """
 
-    ends: Float[Array | np.ndarray, "*batch steps 2 n_u"]
-    periods: Float[Array | np.ndarray, "*batch steps"] | None = None
+    u: Float[Array | np.ndarray, "..."]
+    periods: Float[Array | np.ndarray, "..."] | None = None
 
     def __getitem__(self, part: slice) -> "Drive":
         """A part of it in time, of a single one."""
-        return Drive(self.ends[part], None if self.periods is None else self.periods[part])
+        return Drive(self.u[part], None if self.periods is None else self.periods[part])
 
 
-def drive_of(experiment: Experiment, *, timestamps: bool = False) -> Drive:
+def drive_of(model: Model, experiment: Experiment, *, timestamps: bool = False) -> Drive:
     """What drives the free run of a record.
 
     Args:
+        model: who is to simulate it; what happens between samples and its delays are the model's
+            where the record does not say.
         experiment: the record.
         timestamps: whether to step from timestamp to timestamp instead of by the sampling period.
+
+    Raises:
+        InputError: see `Experiment.excitation`.
     """
-    return Drive(experiment.input_ends, np.diff(experiment.t) if timestamps else None)
+    seen = model.seen(experiment.excitation(model.channels.inputs))
+    return Drive(seen, np.diff(experiment.t) if timestamps else None)
 
 
-def drives_of(experiments: Sequence[Experiment], *, timestamps: bool = False) -> Drive:
-    """The same of several records side by side, zeros after the end of shorter ones."""
-    each = [drive_of(e, timestamps=timestamps) for e in experiments]
-    periods = [d.periods for d in each if d.periods is not None]
-    return Drive(
-        stacked([np.asarray(d.ends) for d in each]),
-        stacked([np.asarray(p) for p in periods]) if periods else None,
-    )
+def drives_of(
+    model: Model, experiments: Sequence[Experiment], samples: slice = slice(None)
+) -> Drive:
+    """The same of several records side by side, zeros after the end of shorter ones.
 
-
-def as_drive(u: "Drive | Float[Array | np.ndarray, '...']") -> Drive:
-    """Inputs that are held, (..., steps, n_u), as a drive; ends and drives stay as they are."""
-    if isinstance(u, Drive):
-        return u
-    array = jnp.asarray(u)
-    return Drive(jnp.stack([array, array], axis=-2))
+    Args:
+        model: who is to simulate them.
+        experiments: the records.
+        samples: from which sample to which; what neighbours a period stays as in the record.
+    """
+    each = [np.asarray(drive_of(model, e).u) for e in experiments]
+    parts = [
+        u[first : max(last - 1, first)]
+        for u, (first, last, _) in zip(
+            each, (samples.indices(len(e)) for e in experiments), strict=True
+        )
+    ]
+    return Drive(stacked(parts))

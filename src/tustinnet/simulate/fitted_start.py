@@ -60,7 +60,7 @@ def model_starts(
     """
     begin, measured = jnp.asarray(guess), jnp.asarray(q)
     drive = jax.tree.map(jnp.asarray, drive)
-    kind = precision(model, begin, jnp.asarray(drive.ends), measured)
+    kind = precision(model, begin, jnp.asarray(drive.u), measured)
     weight = jnp.asarray(position_weights(model), kind)
     return jax.vmap(partial(_one, model, weight))(begin.astype(kind), drive, measured)
 

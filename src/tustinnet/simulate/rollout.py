@@ -36,8 +36,8 @@ def rollout(
     Args:
         model: the model.
         x0: initial state [q, v, z], (n_x,).
-        u: a `Drive`; or inputs of which `u[k]` acts from sample k to sample k+1, (steps, n_u), or
-            both ends of every period, (steps, 2, n_u).
+        u: a `Drive`, as `drive_of` makes it of a record; or inputs of which `u[k]` acts from
+            sample k to sample k+1, (steps, n_u); or what else the model's steps take.
         measured: positions and velocities [q, v] of the first samples, (known, 2 n_q), which take
             the place of the model's own before it steps on; so internal states follow a record.
 
@@ -46,14 +46,14 @@ def rollout(
         model said of it.
     """
     start, n_x, n_u = jnp.asarray(x0), model.state_size, model.channels.n_u
-    shape = np.shape(u.ends if isinstance(u, Drive) else u)
-    if start.shape != (n_x,) or len(shape) < 2 or shape[1:] not in ((n_u,), (2, n_u)):
+    shape = np.shape(u.u if isinstance(u, Drive) else u)
+    fits = start.shape == (n_x,) and len(shape) in (2, 3) and shape[-1] == n_u
+    if not fits or (len(shape) == 3 and not _steps_with(model, shape[1:])):
         raise InputError(
-            "rollout",
-            f"x0 of shape {start.shape} and u of shape {shape}",
-            f"({n_x},) and (steps, {n_u}), or (steps, 2, {n_u}) for inputs on straight lines",
-        )
-    course = _course(model, u, measured)
+            "rollout", f"x0 of shape {start.shape} and u of shape {shape}",
+            f"({n_x},) and (steps, {n_u}), or what `drive_of` makes of a record",
+        )  # fmt: skip
+    course = _course(u, measured)
     start = start.astype(precision(model, start, course.u))
 
     def advance(x: State, now: _Course) -> tuple[State, State]:
@@ -63,11 +63,20 @@ def rollout(
     return jnp.concatenate([start[None], _loop(advance, start, course)])
 
 
+def _steps_with(model: Model, shape: tuple[int, ...]) -> bool:
+    """Whether a model's step takes what is no vector of inputs."""
+    x, u = (jax.ShapeDtypeStruct(s, precision(model)) for s in ((model.state_size,), shape))
+    try:
+        return jax.eval_shape(model.step, x, u).shape == x.shape
+    except (TypeError, ValueError):
+        return False
+
+
 class _Course(NamedTuple):
     """What every step of a simulation is given, time first.
 
     Attributes:
-        u: what `Model.seen` makes of the inputs.
+        u: what the model's step is given.
         period: how long the step is [s], None for the model's sampling period.
         known: measured positions and velocities, None where nothing is put back.
         put_back: the steps before which they are.
@@ -79,14 +88,10 @@ class _Course(NamedTuple):
     put_back: Bool[Array, "..."] | None
 
 
-def _course(model: Model, u: Driven, measured: Any) -> _Course:
-    period = None
-    if isinstance(u, Drive):
-        seen = jnp.asarray(model.seen(jnp.asarray(u.ends)))
-        period = None if u.periods is None else jnp.asarray(u.periods)
-    else:
-        seen = jnp.asarray(u)
-        seen = jnp.asarray(model.seen(seen)) if seen.ndim == 3 else seen
+def _course(u: Driven, measured: Any) -> _Course:
+    drive = u if isinstance(u, Drive) else Drive(u)
+    seen = jnp.asarray(drive.u)
+    period = None if drive.periods is None else jnp.asarray(drive.periods)
     if measured is None:
         return _Course(seen, period, None, None)
     steps, count = len(seen), len(measured)
@@ -142,12 +147,12 @@ def rollouts(
         (batch, steps + 1, n_x).
     """
     start, parts = jnp.asarray(x0), _taken_apart(model)
-    steps = np.shape(u.ends if isinstance(u, Drive) else u)[1]
+    steps = np.shape(u.u if isinstance(u, Drive) else u)[1]
     if not parts.layers or steps > LONG:
         return jax.vmap(partial(rollout, model))(start, u, measured)
     u, measured = jax.tree.map(jnp.asarray, (u, measured))
     # time first, as the loop takes it
-    course = jax.vmap(partial(_course, model), out_axes=1)(u, measured)
+    course = jax.vmap(_course, out_axes=1)(u, measured)
     start = start.astype(precision(model, start, course.u))
     calls = _calls(parts, start, course)
 
@@ -296,4 +301,4 @@ def _is_layer(node: Any) -> bool:
 def precision(model: Model, *signals: Array) -> np.dtype:
     """A state keeps its precision from step to step: the widest of all that goes into it."""
     arrays = [leaf for leaf in jax.tree.leaves(model) if eqx.is_inexact_array(leaf)]
-    return jnp.result_type(*signals, *arrays)
+    return jnp.result_type(*signals, *arrays, jnp.float32)

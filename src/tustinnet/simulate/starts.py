@@ -119,7 +119,7 @@ class Fitted(Start):
             _require_samples(e, self.name, self.samples, FEWEST, "the fit")
         reach = min(self.samples, DERIVED)
         guess = np.stack([padded(model, parabola(e, 0, reach)) for e in experiments])
-        drive = drives_of([e[: self.samples] for e in experiments])
+        drive = drives_of(model, experiments, slice(self.samples))
         return guess, drive, np.stack([e.q[: self.samples] for e in experiments])
 
     def states(self, model: Model, material: Any) -> Float[Array, "records n_x"]:
@@ -159,7 +159,7 @@ class WarmUp(Start):
         known = [e.measured_states("stencil") for e in heads]
         for x, e in zip(known, heads, strict=True):
             x[-1] = parabola(e, self.first, DERIVED)
-        return np.stack(known), drives_of(heads)
+        return np.stack(known), drives_of(model, experiments, slice(self.samples))
 
     def states(self, model: Model, material: Any) -> Float[Array, "records n_x"]:
         """The measured state with the internal states that the samples led to."""

@@ -41,8 +41,9 @@ def choose_substeps(
     dt = experiments[0].dt
     steps = max(1, round(PROBED_SECONDS / dt))
     probed = [e[: steps + 1] for e in experiments]
-    x0 = start_states(discretise(model, dt), probed, default_start(probed))
-    drive = drives_of(probed)
+    stepped = discretise(model, dt, inputs=experiments[0].inputs)
+    x0 = start_states(stepped, probed, default_start(probed))
+    drive = drives_of(stepped, probed)
 
     def positions(substeps: int) -> np.ndarray:
         return np.asarray(_positions(model, x0, drive, dt, substeps))

@@ -47,7 +47,8 @@ def _card(data: DataSet, files: dict[str, str], description: str) -> str:
     first, of = data[0], data.channels
     time = of.n_u + of.n_q + 1
     inputs = [
-        {"name": i.name, "column": k, "unit": i.unit, "hold": i.hold}
+        {"name": i.name, "column": k, "unit": i.unit, "hold": i.hold or "zero-order"}
+        | ({"delay": i.delay} if i.delay else {})
         | ({"limits": list(i.limits)} if i.limits else {})
         for k, i in enumerate(of.inputs, 1)
     ]

@@ -82,7 +82,7 @@ def log_runs(
     t = np.arange(longest) * logger.dt + logger.jitter * generator.normal(size=(len(runs), longest))
     t -= t[:, :1]
     u = stacked([run.u for run in runs])[:, :-1]
-    drive = Drive(np.stack([u, u], axis=2), np.diff(t, axis=1))
+    drive = Drive(u, np.diff(t, axis=1))
     x0 = jnp.asarray(np.stack([run.x0 for run in runs]))
     x = np.asarray(_simulate(discretise(model, logger.dt, logger.substeps), x0, drive))
     channels = replace(channels, dt=logger.dt)

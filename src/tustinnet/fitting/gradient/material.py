@@ -18,7 +18,7 @@ from tustinnet.models.contract import Model
 from tustinnet.signals.stacking import stacked
 from tustinnet.signals.windows import random_windows, strided_windows
 from tustinnet.simulate.along import states_along
-from tustinnet.simulate.drive import drives_of
+from tustinnet.simulate.drive import drive_of, drives_of
 from tustinnet.simulate.starts import Start
 
 _LONGEST = 4  # an adapted window is at most this many times the recipe's length
@@ -90,7 +90,7 @@ class Pool:
     def records(self, model: Model, velocity: VelocitySource) -> Records:
         """The records laid end to end."""
         x = [e.measured_states(velocity) for e in self.experiments]
-        seen = [np.asarray(model.seen(e.input_ends)) for e in self.experiments]
+        seen = [np.asarray(drive_of(model, e).u) for e in self.experiments]
         u = [np.append(u, np.zeros((1, *u.shape[1:])), axis=0) for u in seen]
         return Records(*(jnp.asarray(np.concatenate(a), jnp.float32) for a in (x, u)))
 
@@ -115,7 +115,7 @@ def validation_runs(
 ) -> ValidationRuns:
     """Prepares the free runs of records from a start."""
     tails = [e[start.first :] for e in experiments]
-    u = model.seen(jnp.asarray(drives_of(tails).ends))
+    u = drives_of(model, experiments, slice(start.first, None)).u
     q = stacked([e.q for e in tails])
     weight = stacked([np.full(len(e), 1.0 / len(e)) for e in tails])
     arrays = (start.material(model, experiments), u, q, weight)

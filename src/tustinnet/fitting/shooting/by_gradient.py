@@ -20,7 +20,7 @@ from tustinnet.fitting.shooting.normal import Normal, Shape
 from tustinnet.fitting.shooting.segments import Segments
 from tustinnet.fitting.shooting.space import Space
 from tustinnet.models.integrate import discretise
-from tustinnet.simulate.drive import Drive, as_drive
+from tustinnet.simulate.drive import Drive
 from tustinnet.simulate.rollout import rollout
 
 
@@ -118,9 +118,7 @@ class _Scaled:
 
 def _material(segments: Segments) -> tuple[Drive, np.ndarray, np.ndarray]:
     """What drives the segments, what they are compared with, and the weights."""
-    held = segments.drive.ndim == 3  # inputs that are held are alike at both ends
-    drive = as_drive(segments.drive) if held else Drive(segments.drive)
-    return Drive(drive.ends, segments.periods), segments.target, segments.weight
+    return Drive(segments.drive, segments.periods), segments.target, segments.weight
 
 
 @partial(jax.jit, static_argnums=(0, 1))

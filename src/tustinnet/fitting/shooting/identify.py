@@ -18,9 +18,10 @@ from tustinnet.fitting.recipe import IdentificationRecipe, read_recipe
 from tustinnet.fitting.report import FitResult, Identification
 from tustinnet.fitting.shooting import inverse_dynamics
 from tustinnet.fitting.shooting.findings import Found, described
+from tustinnet.fitting.shooting.holds import search_with_holds
 from tustinnet.fitting.shooting.least_squares import prior_deviation
 from tustinnet.fitting.shooting.space import make_space
-from tustinnet.fitting.shooting.stages import Problem, State, model_of, prior, search
+from tustinnet.fitting.shooting.stages import Problem, State, model_of, prior
 from tustinnet.fitting.shooting.uncertainty import Uncertainty, uncertainty
 from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task
 from tustinnet.models.contract import require_float64
@@ -110,7 +111,7 @@ def _identify(task: Task, member: Member, told: Callable[[Iteration], None]) -> 
     _require_mass(system.model(values), records)
     _require_finite(system.model(values), records)
     problem = Problem(system, tuple(records), roles.validation, recipe.search, told)
-    ended, initial, validation = search(problem, State(space, first))
+    problem, ended, initial, validation = search_with_holds(problem, State(space, first))
     reversed_signs: tuple[tuple[str, ...], ...] = ()
     if ended.unexplained > _POORLY_EXPLAINED:
         reversed_signs = inverse_dynamics.likely_reversals(
@@ -121,7 +122,7 @@ def _identify(task: Task, member: Member, told: Callable[[Iteration], None]) -> 
         fitted=ended.fitted,
         space=ended.space,
         model=model_of(problem, ended),
-        records=records,
+        records=problem.records,
         certain=_certain(problem, ended, initial),
         reversed_signs=reversed_signs,
         remarks=ended.remarks,

@@ -11,6 +11,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.fitting.residual import Residual
 from tustinnet.models.contract import Model
 from tustinnet.signals.derivatives import polynomial_fit
+from tustinnet.simulate.drive import drive_of
 from tustinnet.simulate.starts import initial_state, padded
 
 _LEAST_ERROR = 1e-9  # rad or m
@@ -88,7 +89,7 @@ def cut(experiments: Sequence[Experiment], model: Model, how: Cut) -> Segments:
         (i, a, b) for i, e in enumerate(experiments) for a, b in _bounds(len(e) - 1, how.length)
     ]
     longest = max(b - a for _, a, b in pieces)
-    drives = [np.asarray(model.seen(e.input_ends)) for e in experiments]
+    drives = [np.asarray(drive_of(model, e).u) for e in experiments]
     x0 = np.zeros((len(pieces), model.state_size))
     searched, precision = np.ones_like(x0), np.zeros_like(x0)
     drive = np.zeros((len(pieces), longest, *drives[0].shape[1:]))

@@ -3,7 +3,7 @@
 A stage is data, and takes the state of the search to the next one; nothing is changed in place.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 
@@ -93,8 +93,13 @@ class Problem:
     @cached_property
     def nominal(self) -> Discretised:
         """The system with its nominal values, for the layout of its states."""
-        values = {name: jnp.asarray(x) for name, x in self.system.nominal().items()}
-        return discretise(self.system.model(values), self.records[0].dt)
+        return self.model(self.system.nominal())
+
+    def model(self, values: Mapping[str, float], substeps: int = 1) -> Discretised:
+        """The system with some values; between the samples its inputs are as the records say."""
+        arrays = {name: jnp.asarray(x) for name, x in values.items()}
+        first = self.records[0]
+        return discretise(self.system.model(arrays), first.dt, substeps, inputs=first.inputs)
 
     def shape(self, space: Space) -> Shape:
         """What the compiled program is made for."""
@@ -112,6 +117,10 @@ class Problem:
             timestamps=self.search.times == "recorded",
         )
         return cut(self.records, self.nominal, how)
+
+    def score(self, state: "State") -> float | None:
+        """Mean free-run RMSE of the validation records [rad or m]; None without any."""
+        return score(self, state) if self.validation else None
 
     def free_runs(self, records: Sequence[Experiment]) -> Segments:
         """Free runs from the start by which models are judged; nothing is searched for."""
@@ -163,14 +172,18 @@ def search(problem: Problem, state: State) -> tuple[State, str, float | None]:
         lambda now, step: step(problem, now), (_without_confounded, _first_values), state
     )
     rough = _chosen_substeps(problem, _run_all(problem, begun, _first_stages(problem)))
-    wanted, last = (
-        problem.search.initial,
-        Limits(problem.search.tolerance, problem.search.iterations),
-    )
+    wanted = problem.search.initial
     if wanted == "choose":
         rough, wanted = _better(problem, rough)
+    last = Limits(problem.search.tolerance, problem.search.iterations)
     ended = _run(problem, rough, SearchStage(wanted, last))
-    return ended, wanted, score(problem, ended) if problem.validation else None
+    return ended, wanted, problem.score(ended)
+
+
+def refined(problem: Problem, state: State, initial: str) -> State:
+    """The last stage once more, for a problem that is a little different."""
+    limits = Limits(problem.search.tolerance, problem.search.iterations)
+    return _run(problem, _chosen_substeps(problem, state), SearchStage(initial, limits))
 
 
 def _first_stages(problem: Problem) -> list[SearchStage]:
@@ -295,5 +308,4 @@ def score(problem: Problem, state: State) -> float:
 
 def model_of(problem: Problem, state: State) -> Discretised:
     """The model with the values of a state."""
-    values = {name: jnp.asarray(x) for name, x in state.space.numbers(state.vector).items()}
-    return discretise(problem.system.model(values), problem.records[0].dt, state.substeps)
+    return problem.model(state.space.numbers(state.vector), state.substeps)

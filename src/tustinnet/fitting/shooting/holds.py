@@ -1,0 +1,79 @@
+"""What inputs do between samples, found out by trying."""
+
+from dataclasses import replace
+from typing import get_args
+
+import numpy as np
+
+from tustinnet.fitting.shooting.stages import Problem, State, refined, search
+from tustinnet.signals.excitation import HALF, Held
+
+_FIRST = "first-order"  # between the others, so that both are near enough to go on from it
+_ALIKE = 1.01  # root mean squares of errors that differ by less say nothing
+
+
+def search_with_holds(problem: Problem, begin: State) -> tuple[Problem, State, str, float | None]:
+    """A search that also finds out the holds that the data card calls `unknown`.
+
+    The whole search is done for straight lines; from what it found, the last stage is done again
+    for every other hold, and the lowest cost over the training records decides. The holds of
+    several unknown inputs are taken to be alike.
+
+    Returns:
+        The problem with the holds found, and what `search` returns; the state's remarks tell the
+        simulation error of every hold.
+    """
+    unknown = [i.name for i in problem.records[0].inputs if i.hold == "unknown"]
+    if not unknown:
+        return problem, *search(problem, begin)
+    first = _with_hold(problem, _FIRST)
+    found, initial, _ = search(first, begin)
+    tried = {_FIRST: (first, found)}
+    holds: tuple[Held, ...] = get_args(Held)
+    short = min(map(len, (*problem.records, *problem.validation))) <= HALF
+    for hold in holds:
+        if hold != _FIRST and not (short and hold == "band-limited"):
+            other = _with_hold(problem, hold)
+            tried[hold] = other, refined(other, found, initial)
+    best = min(tried, key=lambda hold: _cost(tried[hold][1]))
+    chosen, ended = tried[best]
+    told = _told(unknown, best, {hold: _error(*of) for hold, of in tried.items()}, problem)
+    ended = replace(ended, remarks=(*ended.remarks, told))
+    return chosen, ended, initial, chosen.score(ended)
+
+
+def _with_hold(problem: Problem, hold: Held) -> Problem:
+    inputs = [
+        replace(i, hold=hold) if i.hold == "unknown" else i for i in problem.records[0].inputs
+    ]
+    return replace(
+        problem,
+        records=tuple(e.driving(inputs) for e in problem.records),
+        validation=tuple(e.driving(inputs) for e in problem.validation),
+    )
+
+
+def _cost(state: State) -> float:
+    return state.fitted.cost if state.fitted and state.fitted.why != "diverged" else np.inf
+
+
+def _error(problem: Problem, state: State) -> float:
+    """Root mean square of the simulation error over all training samples [rad or m]."""
+    assert state.fitted is not None
+    error = state.fitted.normal.error[..., problem.system.channels.position]
+    return float(np.sqrt(np.sum(error**2) / sum(len(e) for e in problem.records)))
+
+
+def _told(unknown: list[str], best: str, errors: dict[str, float], problem: Problem) -> str:
+    unit = problem.system.channels.unit
+    ranked = sorted(errors, key=lambda hold: errors[hold])
+    each = ", ".join(f"{hold} {errors[hold]:.3g} {unit}" for hold in ranked)
+    names = " and ".join(f"'{name}'" for name in unknown)
+    if max(errors.values()) < _ALIKE * min(errors.values()):
+        return (
+            f"hold of {names}: makes no difference to the simulation error ({each}); {best} taken"
+        )
+    return (
+        f"hold of {names}: {best}, by the simulation error of the training records ({each}); "
+        f'declare hold = "{best}" in the data card'
+    )
