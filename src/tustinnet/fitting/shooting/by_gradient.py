@@ -118,9 +118,13 @@ class _Scaled:
 
 def _material(segments: Segments) -> tuple[Drive, np.ndarray, np.ndarray]:
     """What drives the segments, what they are compared with, and the weights."""
-    held = segments.drive.ndim == 3  # inputs that are held are alike at both ends
-    drive = as_drive(segments.drive) if held else Drive(segments.drive)
-    return Drive(drive.ends, segments.periods), segments.target, segments.weight
+    drive, periods, target, weight = (
+        segments.side_by_side(array)
+        for array in (segments.drive, segments.periods, segments.target, segments.weight)
+    )
+    drive, periods = drive[:, :-1], periods[:, :-1]
+    held = segments.drive.ndim == 2  # inputs that are held are alike at both ends
+    return Drive((as_drive(drive) if held else Drive(drive)).ends, periods), target, weight
 
 
 @partial(jax.jit, static_argnums=(0, 1))

@@ -132,10 +132,7 @@ def _residuals(
     fitted: Fitted, records: Sequence[Experiment]
 ) -> tuple[Float[np.ndarray, " n_y"], float | None]:
     """Correlation from sample to sample, and the size in encoder noise where counts are known."""
-    errors = [
-        np.nan_to_num(x[: len(e)], posinf=0.0, neginf=0.0)
-        for x, e in zip(fitted.normal.error, records, strict=True)
-    ]
+    errors = [np.nan_to_num(x, posinf=0.0, neginf=0.0) for x in fitted.normal.error]
     before, after = (
         np.concatenate([x[part] for x in errors]) for part in (slice(-1), slice(1, None))
     )

@@ -75,11 +75,6 @@ class Problem:
         return residual_of(self.search, self.records)
 
     @cached_property
-    def longest(self) -> int:
-        """Steps of the longest record."""
-        return max(len(e) for e in (*self.records, *self.validation)) - 1
-
-    @cached_property
     def judging(self) -> Segments:
         """The validation records' free runs, laid out once for all scores."""
         return self.free_runs(self.validation)
@@ -99,7 +94,7 @@ class Problem:
     def shape(self, space: Space) -> Shape:
         """What the compiled program is made for."""
         lanes = lanes_for(len(self.records))
-        return Shape(self.system, space.searched, self.residual, lanes, self.longest)
+        return Shape(self.system, space.searched, self.residual, lanes)
 
     def segments(self, length: int | None, initial: str) -> Segments:
         """The records cut for a stage."""
@@ -274,22 +269,21 @@ def _chosen_substeps(problem: Problem, state: State) -> State:
     target = _TARGET * min(counts) if counts else _TARGET_SPAN * reach
     probed = max(2, round(PROBED_SECONDS / problem.records[0].dt))
     parts = problem.free_runs([e[:probed] for e in problem.records])
-    chosen = enough_substeps(lambda n: _errors(problem, state, parts, n), target)
+    chosen = enough_substeps(lambda n: np.concatenate(_errors(problem, state, parts, n)), target)
     return replace(state, substeps=chosen)
 
 
-def _errors(problem: Problem, state: State, runs: Segments, substeps: int) -> np.ndarray:
-    """Simulated minus measured positions of free runs, 0 after their ends."""
+def _errors(problem: Problem, state: State, runs: Segments, substeps: int) -> list[np.ndarray]:
+    """Simulated minus measured positions of free runs, record by record."""
     space = state.space
     found = normal_products(problem.shape(space), space, state.vector, runs.x0, runs, substeps)
-    return found.error[..., problem.system.channels.position]
+    return [error[:, problem.system.channels.position] for error in found.error]
 
 
 def score(problem: Problem, state: State) -> float:
     """Mean free-run RMSE of the validation records [rad or m]."""
-    error = _errors(problem, state, problem.judging, state.substeps)
-    squares = np.sum(error**2, axis=(1, 2)) / [len(e) for e in problem.validation]
-    found = float(np.mean(np.sqrt(squares)))
+    errors = _errors(problem, state, problem.judging, state.substeps)
+    found = float(np.mean([np.sqrt(np.sum(error**2) / len(error)) for error in errors]))
     return found if np.isfinite(found) else np.inf
 
 
