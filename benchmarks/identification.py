@@ -152,7 +152,7 @@ def against_scipy(folder: str) -> None:
     space = make_space(system, {}, {})
     vector = space.vector(system.nominal())
     search = SearchRecipe(initial="file")
-    problem = Problem(system, tuple(records), (), search, lambda _: None)
+    problem = Problem(system, tuple(records), (), search)
     segments, shape = problem.segments(None, "file"), problem.shape(space)
 
     def ours() -> np.ndarray:
@@ -187,7 +187,7 @@ def against_rollout(folder: str) -> None:
     records = tuple(tn.load(folder).split("train"))
     space = make_space(SYSTEM, {}, {})
     vector = space.vector(SYSTEM.nominal())
-    problem = Problem(SYSTEM, records, (), SearchRecipe(initial="anchored"), lambda _: None)
+    problem = Problem(SYSTEM, records, (), SearchRecipe(initial="anchored"))
     shape, substeps, dt = problem.shape(space), 2, records[0].dt
     n_q, n_p = SYSTEM.channels.n_q, len(vector)
 

@@ -3,7 +3,7 @@
 A stage is data, and takes the state of the search to the next one; nothing is changed in place.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
-from tustinnet.fitting.listener import Iteration
+from tustinnet.fitting.listener import SILENT, Iteration, Listener, SearchedStage
 from tustinnet.fitting.recipe import SearchRecipe
 from tustinnet.fitting.residual import Residual, residual_of
 from tustinnet.fitting.shooting import inverse_dynamics
@@ -50,14 +50,14 @@ class Problem:
         records: the records to identify from.
         validation: the records whose free runs choose.
         search: how to identify.
-        told: who is told of every iteration.
+        listener: who is told of every iteration and stage.
     """
 
     system: LagrangianSystem
     records: tuple[Experiment, ...]
     validation: tuple[Experiment, ...]
     search: SearchRecipe
-    told: Callable[[Iteration], None]
+    listener: Listener = SILENT
 
     @cached_property
     def motion(self) -> Motion:
@@ -202,10 +202,16 @@ def _run(problem: Problem, state: State, stage: SearchStage) -> State:
         state.substeps if length is None else max(1, state.substeps // 2),
     )  # fmt: skip
 
+    name = f"{name}, {stage.initial} start"
+
     def told(iterations: int, value: float, damping: float) -> None:
-        problem.told(Iteration(f"{name}, {stage.initial} start", iterations, value, damping))
+        problem.listener.iteration(Iteration(name, iterations, value, damping, stage.initial))
 
     fitted = _METHODS[problem.search.method](cost, state.vector, stage.limits, told)
+    values = state.space.numbers(fitted.vector)
+    problem.listener.searched(
+        SearchedStage(name, stage.initial, fitted.iterations, fitted.cost, fitted.why, values)
+    )
     known = fitted.cost / len(problem.records) if fitted.why != "diverged" else state.variance
     return replace(state, vector=fitted.vector, fitted=fitted, variance=known)
 
@@ -256,7 +262,9 @@ def _first_values(problem: Problem, state: State) -> State:
         problem.system, state.space, state.vector, problem.motion
     )
     left = float(shares.max())
-    problem.told(Iteration("first values", 1, left, 0.0))
+    name, values = "first values", state.space.numbers(found)
+    problem.listener.iteration(Iteration(name, 1, left, 0.0))
+    problem.listener.searched(SearchedStage(name, "", 1, left, "converged", values))
     return _chosen_substeps(problem, replace(state, vector=found, unexplained=left))
 
 
