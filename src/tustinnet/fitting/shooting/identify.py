@@ -130,6 +130,7 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
         remarks=ended.remarks,
         initial=initial,
         validation_rmse=validation,
+        weights=ended.weights,
     )
     return described(system, found, time.perf_counter() - begun)
 

@@ -14,7 +14,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.fitting.listener import SILENT, Iteration, Listener, SearchedStage
 from tustinnet.fitting.recipe import SearchRecipe
-from tustinnet.fitting.residual import Residual, residual_of
+from tustinnet.fitting.residual import Residual, residual_of, robust_weights
 from tustinnet.fitting.shooting import inverse_dynamics
 from tustinnet.fitting.shooting.by_gradient import minimise_by_gradient
 from tustinnet.fitting.shooting.identifiability import confounded
@@ -38,6 +38,8 @@ _TARGET = 0.25  # integration error allowed, in encoder counts: less than roundi
 _TARGET_SPAN = 1e-5  # or of the largest travel, where no count is known
 _SWINGS = (4, 16)  # lengths of the first stages' segments, in quarters of a swing
 _FIRST_VARIANCE = 1e-4  # of residuals, before any are known
+_REWEIGHTED = 20  # times at most, with weights from the residuals before
+_SETTLED = 1e-5  # change of a logarithm, or of a range
 _METHODS = {"levenberg-marquardt": minimise, "l-bfgs": minimise_by_gradient}
 
 
@@ -126,6 +128,7 @@ class State:
         fitted: where the last stage ended, None before the first.
         unexplained: what the equations of motion leave of the worst record.
         remarks: what there is to say.
+        weights: what every squared residual weighs, (n, n_y); None while all weigh the same.
     """
 
     space: Space
@@ -135,6 +138,7 @@ class State:
     fitted: Fitted | None = None
     unexplained: float = 0.0
     remarks: tuple[str, ...] = ()
+    weights: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -164,7 +168,7 @@ def search(problem: Problem, state: State) -> tuple[State, str, float | None]:
     )
     if wanted == "choose":
         rough, wanted = _better(problem, rough)
-    ended = _run(problem, rough, SearchStage(wanted, last))
+    ended = _settled(problem, rough, SearchStage(wanted, last))
     return ended, wanted, score(problem, ended) if problem.validation else None
 
 
@@ -195,8 +199,11 @@ def _run(problem: Problem, state: State, stage: SearchStage) -> State:
     name = "whole records"
     if length is not None:
         name = f"segments of {length * problem.motion.dt:.2g} s"
+    segments = problem.segments(length, stage.initial)
+    if state.weights is not None:
+        segments = replace(segments, weight=segments.weight * np.sqrt(state.weights))
     cost = Cost(
-        problem.shape(state.space), state.space, problem.segments(length, stage.initial),
+        problem.shape(state.space), state.space, segments,
         prior(problem, state),
         # over a few swings the integration error stays far below what the first stages leave
         state.substeps if length is None else max(1, state.substeps // 2),
@@ -213,7 +220,30 @@ def _run(problem: Problem, state: State, stage: SearchStage) -> State:
         SearchedStage(name, stage.initial, fitted.iterations, fitted.cost, fitted.why, values)
     )
     known = fitted.cost / len(problem.records) if fitted.why != "diverged" else state.variance
-    return replace(state, vector=fitted.vector, fitted=fitted, variance=known)
+    weights = _weights(problem, segments, fitted) if fitted.why != "diverged" else state.weights
+    return replace(state, vector=fitted.vector, fitted=fitted, variance=known, weights=weights)
+
+
+def _settled(problem: Problem, state: State, stage: SearchStage) -> State:
+    """The state after the last stage, again with new weights until these change nothing."""
+    ended = _run(problem, state, stage)
+    for _ in range(_REWEIGHTED if problem.search.robust != "none" else 0):
+        before = ended.vector
+        ended = _run(problem, ended, stage)
+        moved = np.abs(ended.vector - before).max()
+        if ended.fitted is None or ended.fitted.why == "diverged" or moved < _SETTLED:
+            break
+    return ended
+
+
+def _weights(problem: Problem, segments: Segments, fitted: Fitted) -> np.ndarray | None:
+    """What the residuals of a stage weigh in the next one, None where all weigh the same."""
+    if problem.search.robust == "none":
+        return None
+    errors = np.zeros_like(segments.target)
+    for row, error in enumerate(fitted.normal.error):
+        errors[segments.samples(row)] = error
+    return robust_weights(problem.search.robust, errors, problem.records[0].channels.resolution)
 
 
 def prior(problem: Problem, state: State) -> Prior:
