@@ -16,7 +16,10 @@ import tustinnet as tn
 from tustinnet.cli import demo
 from tustinnet.cli.main import run
 from tustinnet.fitting.fit import fit_task
+from tustinnet.fitting.recipe import read_recipe
 from tustinnet.fitting.task import make_task
+from tustinnet.store.model_file import read_header
+from tustinnet.store.run import run_task
 from tustinnet.systems import qube_servo2_twin
 
 SYSTEM = (Path(__file__).parents[1] / "torture/pendulum.py").read_text()
@@ -76,6 +79,21 @@ def test_the_log_has_every_iteration_and_the_parameters_after_every_stage(identi
     for e in summary["estimates"]:
         assert ends[-1]["parameters"][e["name"]] == e["value"]
     assert ends[-1]["parameters"]["inertia"] == 1.0
+
+
+def test_residuals_show_the_stretches_that_weighed_little(
+    pendulum, folder, system, tmp_path, capsys
+):
+    task = make_task(pendulum, read_recipe("grey", ["search.robust=huber"]), system=system)
+    model = run_task(task, "logs", tmp_path / "run").folder / "model.safetensors"
+    told = read_header(model)["identification"]["downweighted"]
+    name = told[0]["record"]
+    arguments = ["residuals", model, folder, "--system", system, "--split", "train"]
+    code, out, _ = tustinnet(capsys, *arguments)
+    assert code == 0
+    assert "Down-weighted in identification" in out
+    code, out, _ = tustinnet(capsys, *arguments, "--json")
+    assert name in {s["record"] for s in json.loads(out)["downweighted"]}
 
 
 def test_the_parameters_of_a_search_that_was_stopped_are_in_its_log(
