@@ -1,6 +1,6 @@
 """Sensors and actuators that are off: zero and gain of a channel as parameters of a system."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache, wraps
 from typing import Any
@@ -61,17 +61,6 @@ def calibrated(system: LagrangianSystem, sensors: tuple[Parameter, ...]) -> Lagr
             u = part(system.inputs, "gain", p) * u + part(system.inputs, "bias", p)
         return jnp.asarray(system.input_map(at, speed, u, p)) / gain
 
-    def remembered(memory: Memory) -> Memory:
-        def rate(q: Any, v: Any, z: Any, p: Values) -> Any:
-            at, speed, _ = motion(q, v, p)
-            return memory.rate(at, speed, z, p)
-
-        def force(q: Any, v: Any, z: Any, p: Values) -> Any:
-            at, speed, gain = motion(q, v, p)
-            return jnp.asarray(memory.force(at, speed, z, p)) / gain
-
-        return Memory(memory.names, rate, force)
-
     return replace(
         system,
         parameters=(*system.parameters, *sensors),
@@ -79,6 +68,20 @@ def calibrated(system: LagrangianSystem, sensors: tuple[Parameter, ...]) -> Lagr
         potential=system.potential and wraps(system.potential)(potential),
         dissipation=system.dissipation and wraps(system.dissipation)(dissipation),
         input_map=system.input_map and wraps(system.input_map)(input_map),
-        memory=system.memory and remembered(system.memory),
+        memory=system.memory and _remembering(system.memory, motion),
         sensors=tuple(s.name for s in sensors),
     )
+
+
+def _remembering(memory: Memory, motion: Callable[..., tuple[Any, Any, Any]]) -> Memory:
+    """Forces with memory, given the physical motion that belongs to the measured one."""
+
+    def rate(q: Any, v: Any, z: Any, p: Values) -> Any:
+        at, speed, _ = motion(q, v, p)
+        return memory.rate(at, speed, z, p)
+
+    def force(q: Any, v: Any, z: Any, p: Values) -> Any:
+        at, speed, gain = motion(q, v, p)
+        return jnp.asarray(memory.force(at, speed, z, p)) / gain
+
+    return Memory(memory.names, rate, force)
