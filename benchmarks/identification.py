@@ -6,8 +6,10 @@ python benchmarks/identification.py rollout FOLDER  the same, against derivative
 python benchmarks/identification.py starts        20 starts on the twin, within a factor of 3
 python benchmarks/identification.py recovery      noise-free twin: relative errors
 python benchmarks/identification.py coverage      20 noisy twins: truth inside the 95 % interval
+python benchmarks/identification.py memory N R    R records of N samples: memory of the process
 """
 
+import resource
 import statistics
 import sys
 import time
@@ -150,7 +152,7 @@ def against_scipy(folder: str) -> None:
     space = make_space(system, {}, {})
     vector = space.vector(system.nominal())
     search = SearchRecipe(initial="file")
-    problem = Problem(system, tuple(records), (), search, lambda _: None)
+    problem = Problem(system, tuple(records), (), search)
     segments, shape = problem.segments(None, "file"), problem.shape(space)
 
     def ours() -> np.ndarray:
@@ -185,7 +187,7 @@ def against_rollout(folder: str) -> None:
     records = tuple(tn.load(folder).split("train"))
     space = make_space(SYSTEM, {}, {})
     vector = space.vector(SYSTEM.nominal())
-    problem = Problem(SYSTEM, records, (), SearchRecipe(initial="anchored"), lambda _: None)
+    problem = Problem(SYSTEM, records, (), SearchRecipe(initial="anchored"))
     shape, substeps, dt = problem.shape(space), 2, records[0].dt
     n_q, n_p = SYSTEM.channels.n_q, len(vector)
 
@@ -227,6 +229,48 @@ def against_rollout(folder: str) -> None:
             print(f"  {name}: first {times[0]:.2f} s, later {statistics.median(times[1:]):.3f} s")
 
 
+def memory(samples: int, count: int) -> None:
+    """A driven pendulum through an encoder, a time of its own for each of two identifications."""
+    pendulum = tn.LagrangianSystem(
+        name="pendulum",
+        coordinates=(tn.Coordinate("angle", "angular", resolution=2 * np.pi / 4096),),
+        inputs=(tn.Input("torque", "N m"),),
+        parameters=(
+            tn.Parameter("inertia", "kg m^2", 0.05, 0.01, 0.2, fixed=True),
+            tn.Parameter("damping", "N m s", 0.04, 1e-3, 1.0),
+            tn.Parameter("gravity", "N m", 1.0, 0.1, 10.0),
+            tn.Parameter("gain", "1", 0.7, 0.01, 10.0),
+        ),
+        kinetic=lambda q, v, p: p["inertia"] * v[0] ** 2 / 2,
+        potential=lambda q, p: -p["gravity"] * jnp.cos(q[0] - 0.4),
+        dissipation=lambda q, v, p: p["damping"] * v,
+        input_map=lambda q, v, u, p: p["gain"] * u,
+    )
+    truth = {"inertia": 0.05, "damping": 0.05, "gravity": 1.5, "gain": 1.0}
+    model = tn.discretise(pendulum.model({k: jnp.asarray(v) for k, v in truth.items()}), 0.01, 2)
+    encoder, experiments = pendulum.coordinates[0].resolution, []
+    for i in range(count):
+        u = np.random.default_rng(i).uniform(-1, 1, -(-samples // 10)).repeat(10)[:samples, None]
+        q = np.asarray(tn.rollout(model, np.array([1.0, 0.0]), u[:-1]))[:, :1]
+        read = np.round(q / encoder) * encoder
+        experiments.append(
+            tn.from_arrays(
+                read, u, dt=0.01, name=f"r{i}",
+                coordinates=pendulum.coordinates, inputs=pendulum.inputs,
+            )
+        )  # fmt: skip
+    seconds = []
+    for _ in range(2):
+        begun = time.perf_counter()
+        result = tn.identify(tn.DataSet("long", tuple(experiments)), pendulum)
+        seconds.append(time.perf_counter() - begun)
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(
+        f"{count} x {samples} samples: at most {most:.0f} MiB; first {seconds[0]:.1f} s, "
+        f"later {seconds[1]:.2f} s; {result.outcome}"
+    )
+
+
 def scipy_run(
     derivative: Callable[..., list[float]], e: tn.Experiment, x0: np.ndarray
 ) -> np.ndarray:
@@ -248,7 +292,9 @@ def scipy_run(
 if __name__ == "__main__":
     verbs = {"starts": starts, "recovery": recovery, "coverage": coverage}
     on_records = {"time": measure_time, "scipy": against_scipy, "rollout": against_rollout}
-    if len(sys.argv) == 3 and sys.argv[1] in on_records:
+    if len(sys.argv) == 4 and sys.argv[1] == "memory":
+        memory(int(sys.argv[2]), int(sys.argv[3]))
+    elif len(sys.argv) == 3 and sys.argv[1] in on_records:
         on_records[sys.argv[1]](sys.argv[2])
     elif len(sys.argv) == 2 and sys.argv[1] in verbs:
         verbs[sys.argv[1]]()

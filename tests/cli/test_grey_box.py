@@ -4,6 +4,7 @@ import json
 import shutil
 import sys
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,11 @@ from test_verbs import tustinnet
 import tustinnet as tn
 from tustinnet.cli import demo
 from tustinnet.cli.main import run
+from tustinnet.fitting.fit import fit_task
+from tustinnet.fitting.recipe import read_recipe
+from tustinnet.fitting.task import make_task
+from tustinnet.store.model_file import read_header
+from tustinnet.store.run import run_task
 from tustinnet.systems import qube_servo2_twin
 
 SYSTEM = (Path(__file__).parents[1] / "torture/pendulum.py").read_text()
@@ -57,6 +63,69 @@ def test_fit_finds_the_parameters_and_keeps_model_summary_and_figures(identified
     assert summary["scores"]["mean"] < 0.02
     names = {p.name for p in (identified / "figures").iterdir()}
     assert names == {"correlation.png", "fall3.png", "noise2.png"}
+
+
+def test_the_log_has_every_iteration_and_the_parameters_after_every_stage(identified):
+    lines = [json.loads(line) for line in (identified / "log.jsonl").read_text().splitlines()]
+    ends = [line for line in lines if "parameters" in line]
+    assert ends[0]["stage"] == "first values"
+    at = [lines.index(end) for end in ends]
+    for before, here in pairwise(at):
+        end, costs = lines[here], [line["cost"] for line in lines[before + 1 : here]]
+        assert len(costs) == end["iterations"]
+        assert costs == sorted(costs, reverse=True)
+        assert end["initial"] in ("anchored", "unanchored")
+    summary = json.loads((identified / "summary.json").read_text())["identification"]
+    for e in summary["estimates"]:
+        assert ends[-1]["parameters"][e["name"]] == e["value"]
+    assert ends[-1]["parameters"]["inertia"] == 1.0
+
+
+def test_residuals_show_the_stretches_that_weighed_little(
+    pendulum, folder, system, tmp_path, capsys
+):
+    spike = 0.5 * (np.arange(1000) == 30)[:, None]
+    spoilt = [
+        replace(e, q=e.q + spike[: len(e)], v=None, v_measured=False) if e.split == "train" else e
+        for e in pendulum
+    ]
+    recipe = read_recipe("grey", ["search.robust=student"])
+    task = make_task(tn.DataSet("spoilt", tuple(spoilt)), recipe, system=system)
+    model = run_task(task, "logs", tmp_path / "run").folder / "model.safetensors"
+    told = read_header(model)["identification"]["downweighted"]
+    name = told[0]["record"]
+    arguments = ["residuals", model, folder, "--system", system, "--split", "train"]
+    code, out, _ = tustinnet(capsys, *arguments)
+    assert code == 0
+    assert "Down-weighted in identification" in out
+    code, out, _ = tustinnet(capsys, *arguments, "--json")
+    assert name in {s["record"] for s in json.loads(out)["downweighted"]}
+
+
+def test_the_parameters_of_a_search_that_was_stopped_are_in_its_log(
+    pendulum, system, tmp_path, monkeypatch
+):
+    from tustinnet.store import run as run_module
+
+    def stopped(task, listener):
+        told = []
+        after = replace(listener, searched=lambda of: (listener.searched(of), told.append(of)))
+
+        def iteration(of):
+            if len(told) == 2:
+                raise KeyboardInterrupt
+            listener.iteration(of)
+
+        return fit_task(task, replace(after, iteration=iteration))
+
+    monkeypatch.setattr(run_module, "fit_task", stopped)
+    task = make_task(pendulum, "grey", system=system)
+    with pytest.raises(KeyboardInterrupt):
+        run_module.run_task(task, "logs", tmp_path / "run")
+    lines = (tmp_path / "run" / "log.jsonl").read_text().splitlines()
+    assert set(json.loads(lines[-1])["parameters"]) == {*TRUTH, "inertia"}
+    with pytest.raises(tn.InputError, match=r"log\.jsonl"):
+        run_module.run_task(task, "logs", tmp_path / "run")
 
 
 def test_a_second_fit_does_not_overwrite_the_first(identified, folder, system, capsys):

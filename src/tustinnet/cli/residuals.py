@@ -27,13 +27,15 @@ def residuals(
     from tustinnet.cli.request import judged_records
     from tustinnet.evaluate.residuals import residual_reports
     from tustinnet.report.figures import write_figure
-    from tustinnet.report.residuals import residual_figure
+    from tustinnet.report.residuals import downweighted_table, residual_figure
     from tustinnet.report.tables import Table, number
-    from tustinnet.store.model_file import load_model
+    from tustinnet.store.model_file import downweighted_in, load_model
 
     judged = load_model(model, system)
     records, begin = judged_records(data, card, split, start, [judged])
     reports = residual_reports(judged, records, begin, lags)
+    names = {e.name for e in records}
+    spoilt = [s for s in downweighted_in(model) if s.record in names]
     title = f"Residuals of {len(records)} free runs, start '{begin}'"
     if figure is not None:
         write_figure(residual_figure(reports, judged.channels, title), figure.parent, figure.name)
@@ -46,7 +48,10 @@ def residuals(
             }
             for r in reports
         ]
-        terminal.print_json({"start": begin, "lags": lags, "coordinates": plain})
+        weights = [dataclasses.asdict(s) for s in spoilt]
+        terminal.print_json(
+            {"start": begin, "lags": lags, "coordinates": plain, "downweighted": weights}
+        )
         return
     rows = [
         [
@@ -59,5 +64,7 @@ def residuals(
     crossed = [f"outside, {i.name}" for i in judged.inputs[: len(reports[0].cross)]]
     columns = ["coordinate", "RMS", "mean", "lag 1", "99 % bound", "outside, own", *crossed]
     terminal.print_tables(Table(columns, rows, title=title))
+    if spoilt:
+        terminal.print_tables(downweighted_table(spoilt))
     for r in reports:
         typer.echo(f"{r.coordinate}: {r.sentence}")

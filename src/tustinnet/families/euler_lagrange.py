@@ -20,7 +20,8 @@ from tustinnet.channels import Channels
 from tustinnet.errors import InputError
 from tustinnet.families.family import Arrays, Family, Header, Hyper
 from tustinnet.models.integrate import Discretised, discretise
-from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
+from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Parameter
+from tustinnet.models.sensors import calibrated
 from tustinnet.registry import SYSTEMS
 from tustinnet.systems.files import load_system
 
@@ -38,11 +39,24 @@ class EulerLagrangeHyper(Hyper):
             recipe runs no code.
         fixed: parameters to hold, at a value or at their `nominal` one.
         begin: where the search for a parameter starts.
+        free: what sensors and actuators may be off by, as parameters that are searched for:
+            `CHANNEL.bias` and `CHANNEL.gain`.
     """
 
     system: str | None = None
     fixed: dict[str, float | Literal["nominal"]] = Field(default_factory=dict)
     begin: dict[str, float] = Field(default_factory=dict)
+    free: tuple[str, ...] = ()
+
+    @field_validator("fixed", "begin", mode="before")
+    @classmethod
+    def _named(cls, given: Any) -> Any:
+        """`alpha.bias = 0.1` is a table in a table for TOML, and a parameter here."""
+        if not isinstance(given, dict):
+            return given
+        tables = {name: of for name, of in given.items() if isinstance(of, dict)}
+        flat = {f"{name}.{part}": x for name, of in tables.items() for part, x in of.items()}
+        return {name: x for name, x in given.items() if name not in tables} | flat
 
     @field_validator("system")
     @classmethod
@@ -73,6 +87,9 @@ class EulerLagrangeFamily(Family):
             "parameters": names,
             "substeps": model.substeps,
         }
+        if system.sensors:
+            of = [system.parameter(name) for name in system.sensors]
+            header["sensors"] = [[p.name, p.unit, p.nominal, p.lower, p.upper] for p in of]
         values = np.array([float(continuous.values[name]) for name in names])
         return header, {_VALUES: values, _PROBED: _probed(continuous)}
 
@@ -92,6 +109,8 @@ class EulerLagrangeFamily(Family):
             raise InputError(
                 where, f"the system '{found.name}'", f"'{belongs['name']}', which the model is of"
             )
+        sensors = tuple(Parameter(*of) for of in header.get("sensors", ()))
+        found = calibrated(found, sensors)
         if sorted(found.nominal()) != header["parameters"]:
             raise InputError(
                 where, "parameters that the system does not have", "those of the system"

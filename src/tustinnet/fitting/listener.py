@@ -1,6 +1,6 @@
 """Who is told while a fit goes on, and what."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -39,12 +39,35 @@ class Iteration:
         number: iterations so far in the stage.
         cost: sum over records of the mean squared residual.
         damping: Levenberg-Marquardt's.
+        initial: how initial states are treated, empty where nothing is simulated.
     """
 
     stage: str
     number: int
     cost: float
     damping: float
+    initial: str = ""
+
+
+@dataclass(frozen=True)
+class SearchedStage:
+    """What a stage of an identification came to.
+
+    Attributes:
+        stage: what it was doing.
+        initial: how initial states were treated, empty where nothing was simulated.
+        iterations: how many it took.
+        cost: at its end; infinite where it diverged.
+        why: `converged`, `stalled`, `limit` or `diverged`.
+        parameters: the values at its end by name, those fixed included.
+    """
+
+    stage: str
+    initial: str
+    iterations: int
+    cost: float
+    why: str
+    parameters: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -57,12 +80,14 @@ class Listener:
             does several epochs, and at the ends of stages: all that a resumed run needs.
         iteration: of every iteration of an identification.
         remark: of what is unusual, as a sentence.
+        searched: of every stage of an identification, at its end.
     """
 
     epoch: Callable[[EpochReport], None] = field(default=lambda report: None)
     state: Callable[[Any, Any], None] = field(default=lambda state, progress: None)
     iteration: Callable[[Iteration], None] = field(default=lambda iteration: None)
     remark: Callable[[str], None] = field(default=lambda sentence: None)
+    searched: Callable[[SearchedStage], None] = field(default=lambda stage: None)
 
 
 SILENT = Listener()  # nobody is told

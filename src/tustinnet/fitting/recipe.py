@@ -32,6 +32,7 @@ from tustinnet.simulate.starts import start_named
 
 Compared = Literal["position", "state"]
 Criterion = Literal["validation", "validation-loss", "training"]
+Robust = Literal["none", "huber", "student"]
 Initial = Literal["choose", "anchored", "unanchored"]
 
 # far beyond what anybody needs; beyond them memory or patience ends before any message
@@ -144,6 +145,8 @@ class SearchRecipe(Declaration):
             `Residual`.
         times: `recorded`: step from timestamp to timestamp; `nominal`: by the sampling period, for
             logs whose timestamps jitter more than their sampling does.
+        robust: how residuals that are much larger than most are weighed: `none` as all others,
+            `huber` less, `student` far less (t with 4 degrees of freedom), see `robust_weights`.
         part: `whole` records, or `transients`: up to `k_bar`, without the standstill after it.
         method: `levenberg-marquardt`, or `l-bfgs` for systems with many parameters.
         tolerance: converged when the next step promises less than this part of the cost.
@@ -157,6 +160,7 @@ class SearchRecipe(Declaration):
     periodic: bool = False
     scaled: bool = True
     times: Literal["recorded", "nominal"] = "recorded"
+    robust: Robust = "none"
     part: Literal["whole", "transients"] = "whole"
     method: Literal["levenberg-marquardt", "l-bfgs"] = "levenberg-marquardt"
     tolerance: float = Field(default=1e-5, gt=0, le=1)

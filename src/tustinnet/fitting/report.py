@@ -46,6 +46,23 @@ class Estimate:
 
 
 @dataclass(frozen=True)
+class Stretch:
+    """Samples of a record whose residuals weigh little, each less than half.
+
+    Attributes:
+        record: the record's name.
+        begin: time of its first sample [s].
+        end: time of its last sample [s].
+        weight: mean weight, 1 for residuals that count in full.
+    """
+
+    record: str
+    begin: float
+    end: float
+    weight: float
+
+
+@dataclass(frozen=True)
 class Identification:
     """What an identification found.
 
@@ -70,6 +87,7 @@ class Identification:
         substeps: integration steps in a sampling period.
         iterations: of the last stage.
         seconds: time it took.
+        downweighted: stretches that weigh less than half, where the search was robust.
     """
 
     system: LagrangianSystem
@@ -91,6 +109,7 @@ class Identification:
     substeps: int
     iterations: int
     seconds: float
+    downweighted: tuple[Stretch, ...] = ()
 
     @property
     def sound(self) -> bool:
@@ -118,6 +137,7 @@ class Identification:
             "correlation": self.correlation.tolist(),
             "residual_rmse": dict(self.rmse),
             "residual_autocorrelation": list(self.autocorrelation),
+            "downweighted": [dataclasses.asdict(s) for s in self.downweighted],
             "initial_states": {name: list(x) for name, x in self.initial_states.items()},
         }
 

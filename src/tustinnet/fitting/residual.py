@@ -8,9 +8,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.data.experiment import Experiment, moves_in
-from tustinnet.fitting.recipe import SearchRecipe, StageRecipe
+from tustinnet.fitting.recipe import Robust, SearchRecipe, StageRecipe
 
 _NOTHING = 1.0  # the unit of a signal that never changes
+_TO_DEVIATION = 1.4826  # the standard deviation of normal residuals over their median size
+_HUBER = 1.345  # standard deviations from which on a residual weighs less
+_FREEDOM = 4.0  # degrees of Student's t
+_LEAST_SCALE = 1e-12  # where most residuals are 0
 
 
 @dataclass(frozen=True)
@@ -93,6 +97,39 @@ def residual_of(recipe: StageRecipe | SearchRecipe, experiments: Sequence[Experi
     # a coordinate that never moves has no say
     velocity = np.where(span > 0, position * speed / np.where(span > 0, span, 1.0), np.inf)
     return Residual(periodic, (*position.tolist(), *velocity.tolist()))
+
+
+def robust_weights(
+    kind: Robust, errors: Float[np.ndarray, "n n_y"], counts: Float[np.ndarray, " n_q"]
+) -> Float[np.ndarray, "n n_y"]:
+    """What every squared residual weighs in the next of iteratively reweighted least squares.
+
+    With `z` the residual over its channel's scale: `min(1, 1.345 / |z|)` (Huber), or
+    `1 / (1 + z^2 / 4)` (Student's t). The scale is 1.4826 times the median absolute deviation,
+    never below the error that rounding to an encoder's counts makes.
+
+    Args:
+        kind: which weights.
+        errors: simulated minus measured, (n, n_y) [rad, m, or over s].
+        counts: the encoders' counts, 0 where none is known, (n_q,) [rad or m].
+
+    Returns:
+        Weights of 0 to 1.
+
+    References:
+        Huber (1981), Robust Statistics. Lange, Little, Taylor (1989), Robust statistical
+        modeling using the t distribution. Holland, Welsch (1977), Robust regression using
+        iteratively reweighted least-squares.
+    """
+    if kind == "none":
+        return np.ones_like(errors)
+    least = np.full(errors.shape[1], _LEAST_SCALE)
+    least[: len(counts)] = np.maximum(np.nan_to_num(counts) / np.sqrt(12), _LEAST_SCALE)
+    deviation = np.median(np.abs(errors - np.median(errors, axis=0)), axis=0)
+    z = np.abs(errors) / np.maximum(_TO_DEVIATION * deviation, least)
+    if kind == "huber":
+        return _HUBER / np.maximum(z, _HUBER)
+    return 1 / (1 + z**2 / _FREEDOM)
 
 
 def _spread(squares: Sequence[np.ndarray]) -> np.ndarray:

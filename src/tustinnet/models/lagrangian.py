@@ -109,6 +109,7 @@ class LagrangianSystem:
         dissipation: `D(q, v, p)`, generalised force against the motion, (n_q,) [N m or N].
         input_map: `Q(q, v, u, p)`, generalised force of the actuators, (n_q,) [N m or N].
         memory: forces with internal states, if any.
+        sensors: which parameters are what sensors are off by, see `models.sensors.calibrated`.
     """
 
     name: str
@@ -120,6 +121,7 @@ class LagrangianSystem:
     dissipation: Callable[[Coordinates, Coordinates, Values], Any] | None = None
     input_map: Callable[[Coordinates, Coordinates, InputVector, Values], Any] | None = None
     memory: Memory | None = None
+    sensors: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         names = [p.name for p in self.parameters]

@@ -8,7 +8,9 @@ from matplotlib.figure import Figure
 
 from tustinnet.channels import Channels
 from tustinnet.evaluate.residuals import CONFIDENCE, ResidualReport
+from tustinnet.fitting.report import Stretch
 from tustinnet.report.figures import COLOURS, INPUT, house_style
+from tustinnet.report.tables import Table
 
 _BAND = "#2e8b57"
 
@@ -42,6 +44,14 @@ def residual_figure(reports: Sequence[ResidualReport], channels: Channels, title
         shaded = f"shaded: {100 * CONFIDENCE:.0f} % of the lags of residuals with nothing left"
         figure.suptitle(f"{title}; {shaded}", fontsize=8)
         return figure
+
+
+def downweighted_table(stretches: Sequence[Stretch]) -> Table:
+    """Stretches that weighed less than half in a robust identification."""
+    rows = [[s.record, f"{s.begin:.5g}", f"{s.end:.5g}", f"{s.weight:.2g}"] for s in stretches]
+    return Table(
+        ["record", "from [s]", "to [s]", "weight"], rows, title="Down-weighted in identification"
+    )
 
 
 def _stems(axes: Axes, times: np.ndarray, values: np.ndarray, bound: float) -> None:

@@ -1,4 +1,4 @@
-"""The log of a training: a line of JSON an epoch."""
+"""Logs: a line of JSON an epoch of a training, or an iteration of an identification."""
 
 import dataclasses
 import json
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tustinnet.fitting.gradient.state import Progress
-from tustinnet.fitting.listener import EpochReport
+from tustinnet.fitting.listener import EpochReport, Iteration, SearchedStage
 from tustinnet.store.files import finite, unwritable, write_into
 
 LOG = "log.jsonl"
@@ -80,14 +80,50 @@ class Log:
                     f"was there is kept as {DAMAGED}, the log goes on behind the sound lines"
                 )
         write_into(folder, LOG, "".join(json.dumps(line) + "\n" for line in kept))
-        try:
-            self._file = self._path.open("ab")
-        except OSError as error:
-            raise unwritable(self._path, error) from error
+        self._lines = _Lines(self._path)
 
     def write(self, report: EpochReport) -> None:
         """Adds an epoch."""
-        line = {name: getattr(report, name) for name in _TYPES}
+        self._lines.write({name: getattr(report, name) for name in _TYPES})
+
+    def close(self) -> None:
+        """Ends it."""
+        self._lines.close()
+
+
+class SearchLog:
+    """A line of JSON an iteration, and one with the parameters at the end of every stage."""
+
+    def __init__(self, folder: Path) -> None:
+        write_into(folder, LOG, "")
+        self._lines = _Lines(folder / LOG)
+
+    def iteration(self, of: Iteration) -> None:
+        """Adds an iteration."""
+        told = dataclasses.asdict(of)
+        self._lines.write({"stage": told.pop("stage"), "iteration": told.pop("number"), **told})
+
+    def stage(self, of: SearchedStage) -> None:
+        """Adds the end of a stage."""
+        self._lines.write(dataclasses.asdict(of))
+
+    def close(self) -> None:
+        """Ends it."""
+        self._lines.close()
+
+
+class _Lines:
+    """A file that is written line by line, each at once."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            self._file = path.open("ab")
+        except OSError as error:
+            raise unwritable(path, error) from error
+
+    def write(self, line: dict[str, Any]) -> None:
+        """Adds a line."""
         try:
             self._path.stat()  # raises where the folder was removed, which writing would not
             self._file.write(json.dumps(finite(line)).encode() + b"\n")

@@ -11,6 +11,7 @@ from tustinnet.channels import LONGEST_DT, Coordinate, Input
 from tustinnet.data.declaration import Declaration, declare
 from tustinnet.errors import InputError, refusing
 from tustinnet.families.family import family_of
+from tustinnet.fitting.report import Stretch
 from tustinnet.models.contract import Model
 from tustinnet.registry import FAMILIES
 from tustinnet.store.files import finite
@@ -104,6 +105,21 @@ def read_header(path: str | Path) -> dict[str, Any]:
 def system_of(path: str | Path) -> str:
     """The name of the system that a model file belongs to, also that a network corrects; or ""."""
     return _system_in(read_header(path))
+
+
+def downweighted_in(path: str | Path) -> list[Stretch]:
+    """The stretches that weighed less than half in the identification of a file's model, if any.
+
+    Raises:
+        InputError: the file has something else there.
+    """
+    told = read_header(path).get("identification")
+    try:
+        return [Stretch(**s) for s in (told or {}).get("downweighted", ())]
+    except (TypeError, AttributeError) as error:
+        raise InputError(
+            path, "an account of its identification that is damaged", "stretches of records"
+        ) from error
 
 
 def _system_in(header: dict[str, Any]) -> str:

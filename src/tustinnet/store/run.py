@@ -2,6 +2,7 @@
 
 folder/model.safetensors              the model, of several members the best one's
 folder/summary.json                   the account: every member and the spread
+folder/log.jsonl                      of identifications: one line an iteration and a stage
 folder/seed-0/model.safetensors       of trainings: the best weights of that seed
 folder/seed-0/log.jsonl               one line an epoch
 folder/seed-0/checkpoint.safetensors  what `resume` goes on from, of all that train together
@@ -11,7 +12,7 @@ Seeds that are trained at several rates have folders like seed-0-rate-0.5.
 
 import statistics
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,7 +22,7 @@ from tustinnet.fitting.fit import fit_task
 from tustinnet.fitting.gradient.loop import Resumed
 from tustinnet.fitting.gradient.plan import Plan, plan
 from tustinnet.fitting.gradient.train import train_plan
-from tustinnet.fitting.listener import EpochReport, Listener
+from tustinnet.fitting.listener import EpochReport, Iteration, Listener, SearchedStage
 from tustinnet.fitting.report import FitResult, data_header
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Member, Task
@@ -33,7 +34,7 @@ from tustinnet.store.files import (
     to_json,
     write_into,
 )
-from tustinnet.store.log import DAMAGED, LOG, Log
+from tustinnet.store.log import DAMAGED, LOG, Log, SearchLog
 from tustinnet.store.model_file import save
 
 MODEL = "model.safetensors"
@@ -171,12 +172,12 @@ def run_task(
 def _run(task: Task, data: str, folder: Path, earlier: Earlier, tell: Tell) -> Run:
     trains, roles = task.recipe.family.trains, task.folds[0].roles
     _make_room(folder, earlier, trains=trains)
-    results = _trained(task, folder, earlier, tell) if trains else fit_task(task, tell(task))
+    fitted = _trained(task, folder, earlier, tell) if trains else _searched(task, folder, tell)
     runs = []
-    for member, result in zip(task.members, results, strict=True):
+    for member, result in zip(task.members, fitted, strict=True):
         scores = tuple(evaluate(result.model, roles.judging, result.start))
         runs.append(MemberRun(result, scores, folder / member.name if trains else folder))
-    done = Run(tuple(runs), data, roles, results[0].start, folder)
+    done = Run(tuple(runs), data, roles, fitted[0].start, folder)
     for run in runs:
         save(run.result.model, run.folder / MODEL, **done.header(run))
     save(done.best.result.model, folder / MODEL, **done.header(done.best))
@@ -202,7 +203,7 @@ def _make_room(folder: Path, earlier: Earlier, *, trains: bool) -> None:
             "a new folder",
             "add --resume to go on with it, --overwrite to discard it, or choose another --out",
         )
-    require_new([folder / MODEL, folder / SUMMARY], overwrite=earlier == "discard")
+    require_new([folder / MODEL, folder / SUMMARY, folder / LOG], overwrite=earlier == "discard")
 
 
 def _discard(folder: Path, seed_folders: Sequence[Path]) -> None:
@@ -212,8 +213,27 @@ def _discard(folder: Path, seed_folders: Sequence[Path]) -> None:
             (place / name).unlink(missing_ok=True)
         if not any(place.iterdir()):
             place.rmdir()
-    for name in (MODEL, SUMMARY):
+    for name in (MODEL, SUMMARY, LOG):
         (folder / name).unlink(missing_ok=True)
+
+
+def _searched(task: Task, folder: Path, tell: Tell) -> list[FitResult]:
+    """The result of an identification, every iteration in its log."""
+    require_writable_folder(folder)
+    told, log = tell(task), SearchLog(folder)
+
+    def iteration(of: Iteration) -> None:
+        log.iteration(of)
+        told.iteration(of)
+
+    def stage(of: SearchedStage) -> None:
+        log.stage(of)
+        told.searched(of)
+
+    try:
+        return fit_task(task, replace(told, iteration=iteration, searched=stage))
+    finally:
+        log.close()
 
 
 def _trained(task: Task, folder: Path, earlier: Earlier, tell: Tell) -> list[FitResult]:

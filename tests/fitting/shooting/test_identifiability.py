@@ -90,8 +90,7 @@ def products(
     n_q = len(system.coordinates)
     residual = Residual((False,) * n_q, (1.0,) * n_q)
     pieces = cut(experiments, model, Cut(residual, length, timestamps=False))
-    longest = max(len(e) for e in experiments) - 1
-    shape = Shape(system, space.searched, residual, 2, longest)
+    shape = Shape(system, space.searched, residual, 2)
     return normal_products(shape, space, vector, pieces.x0, pieces, 1).pp.sum(axis=0)
 
 

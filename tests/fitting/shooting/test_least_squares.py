@@ -29,7 +29,7 @@ SEARCHED_TRUTH = {name: TRUTH[name] for name in SPACE.names}
 
 
 def shape(system: LagrangianSystem = SWING, space: Space = SPACE) -> Shape:
-    return Shape(system, space.searched, POSITION, 2, 199)
+    return Shape(system, space.searched, POSITION, 2)
 
 
 def segments(length: int | None = 25, noise: float = 0.0) -> Segments:

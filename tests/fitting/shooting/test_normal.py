@@ -8,6 +8,7 @@ from swinging import CREEPING, DT, TILT, TRUTH, simulated, swing_model, voltage
 
 import tustinnet as tn
 from tustinnet.fitting.residual import Residual
+from tustinnet.fitting.shooting import normal as normal_module
 from tustinnet.fitting.shooting.normal import Normal, Shape, lanes_for, normal_products
 from tustinnet.fitting.shooting.segments import Cut, Segments, cut
 from tustinnet.fitting.shooting.space import make_space
@@ -30,7 +31,7 @@ def segments() -> Segments:
 
 
 def shape(lanes: int = 2, *, periodic: bool = False) -> Shape:
-    return Shape(CREEPING, SPACE.searched, Residual((periodic,), (1 / 1.5,)), lanes, 69)
+    return Shape(CREEPING, SPACE.searched, Residual((periodic,), (1 / 1.5,)), lanes)
 
 
 @pytest.fixture(scope="module")
@@ -74,10 +75,10 @@ def by_hand(p: dict[str, float], x0: np.ndarray, u: np.ndarray, periods: np.ndar
 def residuals(
     s: Segments, row: int, vector: np.ndarray, x0: np.ndarray, *, periodic: bool = False
 ) -> np.ndarray:
-    steps = s.steps[row]
-    angles = by_hand(SPACE.numbers(vector), x0, s.drive[row, :steps, 0], s.periods[row, :steps])
-    error = angles - s.target[row, : steps + 1, 0]
-    return (2 * np.sin(error / 2) if periodic else error) * s.weight[row, : steps + 1, 0]
+    at = s.samples(row)
+    angles = by_hand(SPACE.numbers(vector), x0, s.drive[at][:-1, 0], s.periods[at][:-1])
+    error = angles - s.target[at, 0]
+    return (2 * np.sin(error / 2) if periodic else error) * s.weight[at, 0]
 
 
 def differences(function, at: np.ndarray) -> np.ndarray:
@@ -107,12 +108,10 @@ def test_products_are_those_of_finite_differences(pieces, states, normal, period
             np.testing.assert_allclose(found, value, rtol=1e-6, atol=1e-9, err_msg=name)
 
 
-def test_errors_are_simulated_minus_measured_and_zero_in_the_padding(pieces, states, normal):
+def test_errors_are_simulated_minus_measured(pieces, states, normal):
     for row, x0 in enumerate(states):
-        end = pieces.steps[row] + 1
-        expected = residuals(pieces, row, VECTOR, x0) / pieces.weight[row, :end, 0]
-        np.testing.assert_allclose(normal.error[row, :end, 0], expected, atol=1e-10)
-        assert not normal.error[row, end:].any()
+        expected = residuals(pieces, row, VECTOR, x0) / pieces.weight[pieces.samples(row), 0]
+        np.testing.assert_allclose(normal.error[row][:, 0], expected, atol=1e-10)
 
 
 def test_states_that_are_not_searched_for_have_no_derivative(pieces, normal):
@@ -122,25 +121,31 @@ def test_states_that_are_not_searched_for_have_no_derivative(pieces, normal):
     assert not normal.gx[given].any()
 
 
+def require_alike(found: Normal, expected: Normal, order: np.ndarray) -> None:
+    for part in fields(Normal):
+        values = getattr(expected, part.name)
+        for now, before in zip(getattr(found, part.name), (values[i] for i in order), strict=True):
+            np.testing.assert_allclose(now, before, rtol=1e-9, atol=1e-12, err_msg=part.name)
+
+
 @pytest.mark.parametrize("lanes", [1, 5])
 def test_products_do_not_depend_on_how_many_stand_side_by_side(pieces, states, normal, lanes):
     other = normal_products(shape(lanes), SPACE, VECTOR, states, pieces, SUBSTEPS)
-    for part in fields(Normal):
-        np.testing.assert_allclose(
-            getattr(other, part.name), getattr(normal, part.name), rtol=1e-9, atol=1e-12
-        )
+    require_alike(other, normal, np.arange(len(states)))
+
+
+def test_products_do_not_depend_on_how_many_steps_a_call_takes(pieces, states, normal, monkeypatch):
+    monkeypatch.setattr(normal_module, "_STRETCH", 9)
+    other = normal_products(shape(), SPACE, VECTOR, states, pieces, SUBSTEPS)
+    require_alike(other, normal, np.arange(len(states)))
 
 
 def test_products_come_in_the_order_of_the_segments(pieces, states, normal):
     order = np.random.default_rng(3).permutation(len(states))
-    shuffled = replace(
-        pieces, **{part.name: getattr(pieces, part.name)[order] for part in fields(Segments)}
-    )
+    of_segments = ("x0", "searched", "precision", "steps", "first", "record", "share")
+    shuffled = replace(pieces, **{name: getattr(pieces, name)[order] for name in of_segments})
     other = normal_products(shape(), SPACE, VECTOR, states[order], shuffled, SUBSTEPS)
-    for part in fields(Normal):
-        np.testing.assert_allclose(
-            getattr(other, part.name), getattr(normal, part.name)[order], rtol=1e-9, atol=1e-12
-        )
+    require_alike(other, normal, order)
 
 
 def test_the_truth_leaves_no_error(pieces):

@@ -36,9 +36,9 @@ def test_segments_cover_every_step_of_every_record_once(length):
     for i, e in enumerate(records()):
         rows = np.flatnonzero(s.record == i)
         assert s.steps[rows].sum() == len(e) - 1
-        steps = [s.target[row, : s.steps[row], 0] for row in rows]
+        steps = [s.target[s.samples(row)][:-1, 0] for row in rows.tolist()]
         np.testing.assert_array_equal(np.concatenate(steps), e.q[:-1, 0])
-        driven = [s.drive[row, : s.steps[row], 0] for row in rows]
+        driven = [s.drive[s.samples(row)][:-1, 0] for row in rows.tolist()]
         np.testing.assert_array_equal(np.concatenate(driven), e.u[:-1, 0])
 
 
@@ -49,20 +49,24 @@ def test_segments_are_about_as_long_as_asked_for():
 
 def test_every_record_weighs_the_same_whatever_its_length():
     s = cut_into(None, units=(1 / 3,))
-    np.testing.assert_allclose(np.sum(s.weight**2, axis=(1, 2)), 9.0)
+    weights = [np.sum(s.weight[s.samples(row)] ** 2) for row in range(4)]
+    np.testing.assert_allclose(weights, 9.0)
     np.testing.assert_allclose(s.share, [1 / 200, 1 / 200, 1 / 200, 1 / 160])
     pieces = cut_into(40)
     for i, e in enumerate(records()):
         rows = pieces.record == i
         joints = rows.sum() - 1  # a joint ends one segment and begins the next
-        assert np.sum(pieces.weight[rows] ** 2) == pytest.approx((len(e) + joints) / len(e))
+        of = [pieces.samples(row) for row in np.flatnonzero(rows).tolist()]
+        weights = [np.sum(pieces.weight[at] ** 2) for at in of]
+        assert sum(weights) == pytest.approx((len(e) + joints) / len(e))
 
 
-def test_nothing_weighs_or_moves_in_the_padding():
+def test_nothing_weighs_after_the_end_of_what_stands_side_by_side():
     s = cut_into(None)
-    assert not s.weight[3, 160:].any()
-    assert not s.periods[3, 159:].any()
-    assert not s.drive[3, 159:].any()
+    laid = s.side_by_side(s.weight)
+    assert laid.shape == (4, 200, 1)
+    assert laid[3, :160].all()
+    assert not laid[3, 160:].any()
 
 
 def test_states_inside_a_record_are_read_from_its_neighbourhood():
@@ -115,13 +119,13 @@ def test_internal_states_start_at_zero_and_are_searched_for_further_on():
 def test_velocities_are_targets_where_the_loss_is_of_the_state():
     e = noises()[1]
     s = cut_into(None, [e], units=(1.0, 2.0))
-    np.testing.assert_array_equal(s.target[0], np.column_stack([e.q, e.velocities()]))
-    np.testing.assert_allclose(s.weight[0] * np.sqrt(160), [[1.0, 0.5]] * 160)
+    np.testing.assert_array_equal(s.target, np.column_stack([e.q, e.velocities()]))
+    np.testing.assert_allclose(s.weight * np.sqrt(160), [[1.0, 0.5]] * 160)
 
 
 def test_periods_are_the_timestamps_or_the_nominal_ones():
     e = falls()[0]
     late = replace(e, t=e.t + 1e-3 * np.sin(np.arange(200)))
     recorded = cut_into(None, [late], timestamps=True)
-    np.testing.assert_allclose(recorded.periods[0], np.diff(late.t))
-    np.testing.assert_array_equal(cut_into(None, [late]).periods[0], DT)
+    np.testing.assert_allclose(recorded.periods[:-1], np.diff(late.t))
+    np.testing.assert_array_equal(cut_into(None, [late]).periods[:-1], DT)

@@ -24,7 +24,7 @@ def fitted_to(experiments: list[tn.Experiment]) -> tuple[Segments, Fitted]:
     model = tn.discretise(swing_model(), DT)
     pieces = cut(experiments, model, Cut(POSITION, timestamps=False))
     nothing = Prior(np.zeros(3), np.zeros(3), 0.0, 0.0)
-    shape = Shape(SWING, SPACE.searched, POSITION, 2, 199)
+    shape = Shape(SWING, SPACE.searched, POSITION, 2)
     cost = Cost(shape, SPACE, pieces, nothing, substeps=1)
     return pieces, minimise(cost, SPACE.vector(TRUTH), Limits(1e-6, 20))
 

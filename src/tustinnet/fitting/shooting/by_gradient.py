@@ -118,7 +118,11 @@ class _Scaled:
 
 def _material(segments: Segments) -> tuple[Drive, np.ndarray, np.ndarray]:
     """What drives the segments, what they are compared with, and the weights."""
-    return Drive(segments.drive, segments.periods), segments.target, segments.weight
+    drive, periods, target, weight = (
+        segments.side_by_side(array)
+        for array in (segments.drive, segments.periods, segments.target, segments.weight)
+    )
+    return Drive(drive[:, :-1], periods[:, :-1]), target, weight
 
 
 @partial(jax.jit, static_argnums=(0, 1))

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
-from tustinnet.fitting.report import Estimate, Identification
+from tustinnet.fitting.report import Estimate, Identification, Stretch
 from tustinnet.fitting.shooting.least_squares import Fitted
 from tustinnet.fitting.shooting.space import Space
 from tustinnet.fitting.shooting.uncertainty import Uncertainty
@@ -16,6 +16,8 @@ from tustinnet.models.lagrangian import LagrangianSystem
 
 _POOR_CONDITION = 1e3
 _AT_THE_COUNT = 1.5  # times the rms error of rounding to counts
+_LITTLE = 0.5  # of the weight of residuals that count in full
+_TOLD = 5  # stretches that are told in a sentence
 _CORRELATED = 0.2  # residuals' correlation from one sample to the next that is more than chance
 
 
@@ -33,6 +35,7 @@ class Found:
         remarks: what was said on the way.
         initial: how initial states were treated.
         validation_rmse: mean free-run RMSE of the validation records, or None.
+        weights: what every squared residual weighs, record after record, None where all alike.
     """
 
     fitted: Fitted
@@ -44,6 +47,7 @@ class Found:
     remarks: tuple[str, ...]
     initial: str
     validation_rmse: float | None
+    weights: Float[np.ndarray, "n n_y"] | None = None
 
 
 def described(system: LagrangianSystem, found: Found, seconds: float) -> Identification:
@@ -55,10 +59,12 @@ def described(system: LagrangianSystem, found: Found, seconds: float) -> Identif
         errors = np.sqrt(np.diag(certain.trusted))
         correlation = certain.trusted / np.outer(errors, errors)
     diverged = fitted.why == "diverged"
+    spoilt = () if found.weights is None else _stretches(found.weights, records)
     findings = [
         *_about_signs(found.reversed_signs),
         *found.remarks,
         *_about_bounds(estimates),
+        *_about_stretches(spoilt),
         *([] if diverged else _about_condition(space, certain)),
         _about_errors(certain, lag, multiple, len(records)) if fitted.why == "converged" else "",
     ]
@@ -83,7 +89,35 @@ def described(system: LagrangianSystem, found: Found, seconds: float) -> Identif
         substeps=found.model.substeps,
         iterations=fitted.iterations,
         seconds=seconds,
+        downweighted=spoilt,
     )
+
+
+def _stretches(
+    weights: Float[np.ndarray, "n n_y"], records: Sequence[Experiment]
+) -> tuple[Stretch, ...]:
+    """Samples one after the other whose mean weight over the channels is below a half."""
+    found, row = [], 0
+    for e in records:
+        mean = weights[row : row + len(e)].mean(axis=1)
+        row += len(e)
+        edges = np.flatnonzero(np.diff(mean < _LITTLE, prepend=False, append=False))
+        for a, b in edges.reshape(-1, 2).tolist():
+            weight = float(mean[a:b].mean())
+            found.append(Stretch(e.name, float(e.t[a]), float(e.t[b - 1]), weight))
+    return tuple(found)
+
+
+def _about_stretches(spoilt: Sequence[Stretch]) -> list[str]:
+    if not spoilt:
+        return []
+    worst = sorted(spoilt, key=lambda s: s.begin - s.end)  # the longest first
+    told = ", ".join(f"'{s.record}' {s.begin:.4g}..{s.end:.4g} s" for s in worst[:_TOLD])
+    more = f" and {len(spoilt) - _TOLD} more" if len(spoilt) > _TOLD else ""
+    return [
+        f"residuals of {len(spoilt)} stretches weigh less than half of the others: {told}{more}; "
+        "look at the records there"
+    ]
 
 
 def _outcome(fitted: Fitted) -> str:
@@ -132,10 +166,7 @@ def _residuals(
     fitted: Fitted, records: Sequence[Experiment]
 ) -> tuple[Float[np.ndarray, " n_y"], float | None]:
     """Correlation from sample to sample, and the size in encoder noise where counts are known."""
-    errors = [
-        np.nan_to_num(x[: len(e)], posinf=0.0, neginf=0.0)
-        for x, e in zip(fitted.normal.error, records, strict=True)
-    ]
+    errors = [np.nan_to_num(x, posinf=0.0, neginf=0.0) for x in fitted.normal.error]
     before, after = (
         np.concatenate([x[part] for x in errors]) for part in (slice(-1), slice(1, None))
     )

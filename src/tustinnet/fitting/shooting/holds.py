@@ -60,8 +60,9 @@ def _cost(state: State) -> float:
 def _error(problem: Problem, state: State) -> float:
     """Root mean square of the simulation error over all training samples [rad or m]."""
     assert state.fitted is not None
-    error = state.fitted.normal.error[..., problem.system.channels.position]
-    return float(np.sqrt(np.sum(error**2) / sum(len(e) for e in problem.records)))
+    at = problem.system.channels.position
+    squares = sum(float(np.sum(error[:, at] ** 2)) for error in state.fitted.normal.error)
+    return float(np.sqrt(squares / sum(len(e) for e in problem.records)))
 
 
 def _told(unknown: list[str], best: str, errors: dict[str, float], problem: Problem) -> str:

@@ -20,12 +20,14 @@ from tustinnet.fitting.shooting import inverse_dynamics
 from tustinnet.fitting.shooting.findings import Found, described
 from tustinnet.fitting.shooting.holds import search_with_holds
 from tustinnet.fitting.shooting.least_squares import prior_deviation
+from tustinnet.fitting.shooting.sensors import freed
 from tustinnet.fitting.shooting.space import make_space
 from tustinnet.fitting.shooting.stages import Problem, State, model_of, prior
 from tustinnet.fitting.shooting.uncertainty import Uncertainty, uncertainty
 from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task
 from tustinnet.models.contract import require_float64
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
+from tustinnet.models.sensors import calibrated
 from tustinnet.simulate.starts import default_start
 from tustinnet.systems.files import AnySystem
 
@@ -69,12 +71,12 @@ def identify(
     given = {"begin": dict(begin or {}), "fixed": dict(fixed or {})}
     more = {key: {**getattr(chosen.model, key, {}), **values} for key, values in given.items()}
     changed = chosen.model_copy(update={"model": chosen.model.model_copy(update=more)})
-    return _identify(make_task(data, changed, system=system), Member(), told)
+    return _identify(make_task(data, changed, system=system), Member(), Listener(iteration=told))
 
 
 def identify_task(task: Task, member: Member, listener: Listener) -> FitResult:
     """Identifies the system of a task from the records of a member's fold."""
-    found = _identify(task, member, listener.iteration)
+    found = _identify(task, member, listener)
     roles = task.folds[member.fold].roles
     return FitResult(
         model=found.model,
@@ -91,7 +93,7 @@ def identify_task(task: Task, member: Member, listener: Listener) -> FitResult:
     )
 
 
-def _identify(task: Task, member: Member, told: Callable[[Iteration], None]) -> Identification:
+def _identify(task: Task, member: Member, listener: Listener) -> Identification:
     require_float64("identify")
     begun = time.perf_counter()
     system, recipe, roles = task.system, task.recipe, task.folds[member.fold].roles
@@ -103,6 +105,7 @@ def _identify(task: Task, member: Member, told: Callable[[Iteration], None]) -> 
     )
     if recipe.search.part == "transients":
         records = _transients(records)
+    system = calibrated(system, freed(system, getattr(recipe.model, "free", ()), records))
     begin = dict(getattr(recipe.model, "begin", {}))
     nominal, fixed = system.nominal(), _numbers(system, getattr(recipe.model, "fixed", {}))
     space = make_space(system, begin, fixed)
@@ -110,7 +113,7 @@ def _identify(task: Task, member: Member, told: Callable[[Iteration], None]) -> 
     values = {k: jnp.asarray(v, jnp.float64) for k, v in space.values(first).items()}
     _require_mass(system.model(values), records)
     _require_finite(system.model(values), records)
-    problem = Problem(system, tuple(records), roles.validation, recipe.search, told)
+    problem = Problem(system, tuple(records), roles.validation, recipe.search, listener)
     problem, ended, initial, validation = search_with_holds(problem, State(space, first))
     reversed_signs: tuple[tuple[str, ...], ...] = ()
     if ended.unexplained > _POORLY_EXPLAINED:
@@ -128,6 +131,7 @@ def _identify(task: Task, member: Member, told: Callable[[Iteration], None]) -> 
         remarks=ended.remarks,
         initial=initial,
         validation_rmse=validation,
+        weights=ended.weights,
     )
     return described(system, found, time.perf_counter() - begun)
 

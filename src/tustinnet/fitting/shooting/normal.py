@@ -1,13 +1,13 @@
 """Simulation errors of segments and their exact derivatives, compiled once.
 
-This is the package's second loop over time. It carries the derivatives by all parameters along
-and takes as many steps as it is told, which `simulate.rollout` does not; docs/identification.md
-has what that is worth.
+This is the package's second loop over time. It carries the derivatives by all parameters along,
+adds up their products sample by sample, so that no derivative is kept, and takes as many steps as
+it is told, which `simulate.rollout` does not; docs/identification.md has what that is worth.
 """
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -24,6 +24,7 @@ from tustinnet.models.integrate import between, runge_kutta_4
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 
 _LANES = 8  # segments side by side in one call: one vector of the processor
+_STRETCH = 512  # steps in one call; longer segments take several, one after the other
 
 
 @dataclass(frozen=True)
@@ -35,14 +36,12 @@ class Shape:
         searched: the parameters that are searched for.
         residual: what is compared.
         lanes: segments side by side.
-        longest: steps of the longest record.
     """
 
     system: LagrangianSystem
     searched: tuple[Parameter, ...]
     residual: Residual
     lanes: int
-    longest: int
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,7 @@ class Normal:
         gp: `J'r`, (n_s, n_p).
         gx: `X'r`, (n_s, n_x).
         cost: `r'r`, (n_s,).
-        error: simulated minus measured, not weighted, (n_s, samples, n_y).
+        error: simulated minus measured, not weighted, of each (its samples, n_y).
     """
 
     pp: Float[np.ndarray, "n_s n_p n_p"]
@@ -67,7 +66,7 @@ class Normal:
     gp: Float[np.ndarray, "n_s n_p"]
     gx: Float[np.ndarray, "n_s n_x"]
     cost: Float[np.ndarray, " n_s"]
-    error: Float[np.ndarray, "n_s samples n_y"]
+    error: tuple[Float[np.ndarray, "_ n_y"], ...]
 
 
 def lanes_for(records: int) -> int:
@@ -76,14 +75,28 @@ def lanes_for(records: int) -> int:
 
 
 class _Lane(NamedTuple):
-    """A segment as the compiled program takes it; see `Segments`."""
+    """A stretch of a segment as the compiled program takes it; see `Segments`."""
 
-    x0: Any
-    searched: Any
     drive: Any
     periods: Any
     target: Any
     weight: Any
+
+
+class _Sums(NamedTuple):
+    """The products so far; the directions are every parameter, then the initial state."""
+
+    products: Any
+    gradient: Any
+    cost: Any
+
+
+class _At(NamedTuple):
+    """Where a segment's simulation stands: the state, its derivatives, what was added up."""
+
+    x: Any
+    dx: Any
+    sums: _Sums
 
 
 def normal_products(
@@ -109,95 +122,132 @@ def normal_products(
     """
     # side by side stand segments of like length: a lane idles from its end to the longest's
     order = np.argsort(-segments.steps, kind="stable")
-    fixed = space.fixed_arrays
     groups = [order[i : i + shape.lanes] for i in range(0, len(order), shape.lanes)]
+    fixed = space.fixed_arrays
 
-    def run(rows: Int[np.ndarray, " lanes"]) -> list[np.ndarray]:
-        s, longest = segments, shape.longest
-        full = np.repeat(x0[rows[:1]], shape.lanes, axis=0)  # idle lanes repeat a sound state
-        full[: len(rows)] = x0[rows]
-        laid = partial(_laid, rows=rows, lanes=shape.lanes)
-        lanes = _Lane(
-            full, laid(s.searched, None), laid(s.drive, longest), laid(s.periods, longest),
-            laid(s.target, longest + 1), laid(s.weight, longest + 1),
-        )  # fmt: skip
-        steps = int(s.steps[rows].max()), substeps
-        return [np.asarray(p)[: len(rows)] for p in _products(shape, fixed, vector, lanes, steps)]
+    def run(rows: Int[np.ndarray, " lanes"]) -> tuple[_Sums, list[np.ndarray]]:
+        at, errors = _begun(shape, len(vector), x0, segments, rows), []
+        steps = segments.steps[rows]
+        for begin in range(0, int(steps.max()), _STRETCH):
+            lanes, ahead = _laid(segments, rows, begin, shape.lanes), int(steps.max()) - begin
+            count = min(ahead, _STRETCH), substeps
+            at, error = _advanced(shape, fixed, vector, at, lanes, count)
+            errors.append(np.asarray(error)[:, min(begin, 1) : count[0] + 1])
+        whole = np.concatenate(errors, axis=1)
+        return at.sums, [e[: n + 1] for e, n in zip(whole, steps, strict=False)]
 
     with ThreadPoolExecutor(cores()) as pool:
         found = list(pool.map(run, groups))
-    back = np.argsort(order, kind="stable")
+    back, n_p = np.argsort(order, kind="stable"), len(vector)
+    products, gradient, cost = (
+        np.concatenate([np.asarray(part) for part in parts])[back]  # only the last has idle lanes
+        for parts in zip(*(sums for sums, _ in found), strict=True)
+    )
+    errors = [error for _, each in found for error in each]
     return Normal(
-        *(np.concatenate([group[i] for group in found])[back] for i in range(len(fields(Normal))))
+        pp=products[:, :n_p, :n_p],
+        px=products[:, :n_p, n_p:],
+        xx=products[:, n_p:, n_p:],
+        gp=gradient[:, :n_p],
+        gx=gradient[:, n_p:],
+        cost=cost,
+        error=tuple(errors[i] for i in back),
     )
 
 
-def _laid(array: np.ndarray, length: int | None, *, rows: np.ndarray, lanes: int) -> np.ndarray:
-    """Rows in an array of zeros: as many as there are lanes, as long as the longest record."""
-    part = array[rows]
-    inner = part.shape[1:] if length is None else (length, *part.shape[2:])
-    padded = np.zeros((lanes, *inner))
-    padded[: len(part), : part.shape[1]] = part
-    return padded
+def _begun(
+    shape: Shape, n_p: int, x0: np.ndarray, segments: Segments, rows: Int[np.ndarray, " lanes"]
+) -> _At:
+    """Segments side by side before their first step; idle lanes repeat a sound state."""
+    rows = np.concatenate([rows, np.repeat(rows[:1], shape.lanes - len(rows))])
+    n_x = x0.shape[1]
+    dx = np.zeros((shape.lanes, n_p + n_x, n_x))
+    dx[:, n_p:] = segments.searched[rows][:, :, None] * np.eye(n_x)
+    n_d = n_p + n_x
+    sums = _Sums(
+        np.zeros((shape.lanes, n_d, n_d)), np.zeros((shape.lanes, n_d)), np.zeros(shape.lanes)
+    )
+    return _At(x0[rows], dx, sums)
+
+
+def _laid(s: Segments, rows: Int[np.ndarray, " lanes"], begin: int, lanes: int) -> _Lane:
+    """A stretch of some segments in arrays of zeros, as many lanes and steps as there may be."""
+    laid = _Lane(
+        np.zeros((lanes, _STRETCH, *s.drive.shape[1:])),
+        np.zeros((lanes, _STRETCH)),
+        np.zeros((lanes, _STRETCH + 1, s.target.shape[1])),
+        np.zeros((lanes, _STRETCH + 1, s.target.shape[1])),
+    )
+    for lane, row in enumerate(rows):
+        steps = min(int(s.steps[row]) - begin, _STRETCH)
+        if steps > 0:
+            a = int(s.first[row]) + begin
+            laid.drive[lane, :steps] = s.drive[a : a + steps]
+            laid.periods[lane, :steps] = s.periods[a : a + steps]
+            laid.target[lane, : steps + 1] = s.target[a : a + steps + 1]
+            laid.weight[lane, : steps + 1] = s.weight[a : a + steps + 1]
+    if begin:
+        laid.weight[:, 0] = 0.0  # counted at the end of the stretch before
+    return laid
 
 
 @partial(jax.jit, static_argnums=0)
-def _products(
-    shape: Shape, fixed: dict[str, Array], vector: Array, lanes: _Lane, steps: tuple[Any, Any]
-) -> tuple[Array, ...]:
+def _advanced(
+    shape: Shape,
+    fixed: dict[str, Array],
+    vector: Array,
+    at: _At,
+    lanes: _Lane,
+    count: tuple[Any, Any],
+) -> tuple[_At, Array]:
     def model_of(p: Array) -> Any:
         return shape.system.model(Space(shape.searched, fixed).values(p))
 
-    return jax.vmap(lambda lane: _segment(shape.residual, model_of, vector, lane, steps))(lanes)
+    def advanced(at: _At, lane: _Lane) -> tuple[_At, Array]:
+        return _stretch(shape.residual, model_of, vector, (at, lane), count)
+
+    return jax.vmap(advanced)(at, lanes)
 
 
-def _segment(
+def _stretch(
     residual: Residual,
     model_of: Callable[[Array], Any],
     vector: Array,
-    lane: _Lane,
+    begun: tuple[_At, _Lane],
     count: tuple[Any, Any],
-) -> tuple[Array, ...]:
-    n_p, n_x, (samples, n_y) = len(vector), len(lane.x0), lane.target.shape
-    steps, substeps = count
-    # directions: every parameter, then every entry of the initial state
+) -> tuple[_At, Array]:
+    """Where a segment stands after a stretch of it, and the errors there, (samples, n_y)."""
+    (at, lane), (steps, substeps) = begun, count
+    n_p, n_x, n_y = len(vector), len(at.x), lane.target.shape[1]
     by_parameter = jnp.concatenate([jnp.eye(n_p), jnp.zeros((n_x, n_p))])
-    by_state = jnp.concatenate([jnp.zeros((n_p, n_x)), jnp.diag(lane.searched)])
     put = jax.lax.dynamic_update_index_in_dim
 
-    def advance(j: Array, carried: tuple[Array, ...]) -> tuple[Array, ...]:
-        x, dx, ys, dys = carried
+    def compared(at: _At, k: Array | int, counts: Array | float) -> tuple[_Sums, Array]:
+        error, weight = at.x[:n_y] - lane.target[k], lane.weight[k] * counts
+        bent, jacobian = (
+            residual.bent(error) * weight,
+            at.dx[:, :n_y] * residual.slope(error) * weight,
+        )
+        return _Sums(
+            at.sums.products + jnp.sum(jacobian[:, None] * jacobian, axis=-1),
+            at.sums.gradient + jnp.sum(jacobian * bent, axis=-1),
+            at.sums.cost + jnp.sum(bent**2),
+        ), jnp.where(lane.weight[k] > 0, error, 0.0)
+
+    def advance(j: Array, carried: tuple[_At, Array]) -> tuple[_At, Array]:
+        at, errors = carried
         k, i = j // substeps, j % substeps
 
-        def ahead(at: Array, p: Array) -> Array:
+        def ahead(x: Array, p: Array) -> Array:
             inputs = between(lane.drive[k], i, substeps)
-            return runge_kutta_4(model_of(p), at, inputs, lane.periods[k] / substeps)
+            return runge_kutta_4(model_of(p), x, inputs, lane.periods[k] / substeps)
 
-        following, tangent = jax.linearize(ahead, x, vector)
-        moved = jax.vmap(tangent)(dx, by_parameter)
-        # every substep writes to the row of the sample ahead; the last one stays
-        return (
-            following,
-            moved,
-            put(ys, following[:n_y], k + 1, 0),
-            put(dys, moved[:, :n_y], k + 1, 0),
-        )
+        following, tangent = jax.linearize(ahead, at.x, vector)
+        at = _At(following, jax.vmap(tangent)(at.dx, by_parameter), at.sums)
+        # every substep writes to the row of the sample ahead; the last one stays, and counts
+        sums, error = compared(at, k + 1, 1.0 * (i == substeps - 1))
+        return at._replace(sums=sums), put(errors, error, k + 1, 0)
 
-    ys = jnp.zeros((samples, n_y)).at[0].set(lane.x0[:n_y])
-    dys = jnp.zeros((samples, n_p + n_x, n_y)).at[0].set(by_state[:, :n_y])
-    carried = (lane.x0, by_state, ys, dys)
-    _, _, ys, dys = jax.lax.fori_loop(0, steps * substeps, advance, carried)
-    error = ys - lane.target
-    bent, slope = residual.bent(error) * lane.weight, residual.slope(error) * lane.weight
-    jacobian = dys * slope[:, None, :]
-    products = jnp.einsum("kdj,kej->de", jacobian, jacobian)
-    gradient = jnp.einsum("kdj,kj->d", jacobian, bent)
-    return (
-        products[:n_p, :n_p],
-        products[:n_p, n_p:],
-        products[n_p:, n_p:],
-        gradient[:n_p],
-        gradient[n_p:],
-        jnp.sum(bent**2),
-        jnp.where(lane.weight > 0, error, 0.0),
-    )
+    sums, error = compared(at, 0, 1.0)
+    errors = jnp.zeros_like(lane.target).at[0].set(error)
+    return jax.lax.fori_loop(0, steps * substeps, advance, (at._replace(sums=sums), errors))

@@ -11,6 +11,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.fitting.residual import Residual
 from tustinnet.models.contract import Model
 from tustinnet.signals.derivatives import polynomial_fit
+from tustinnet.signals.stacking import stacked
 from tustinnet.simulate.drive import drive_of
 from tustinnet.simulate.starts import initial_state, padded
 
@@ -20,32 +21,46 @@ _LOCAL = 3  # samples on either side of a segment's beginning that its state is 
 
 @dataclass(frozen=True)
 class Segments:
-    """Pieces of records, padded to one length; a whole record is one segment.
+    """Pieces of records; a whole record is one segment.
+
+    What belongs to samples stands record after record, as often as there are samples: where one
+    segment ends and the next begins both use the same row.
 
     Attributes:
         x0: states at their beginnings, (n_s, n_x).
         searched: which of them are searched for, (n_s, n_x), 1 or 0.
         precision: 1 over the error of each as measured, 0 where nothing was, (n_s, n_x).
-        drive: what the inputs do, (n_s, steps, ...).
-        periods: time from each sample to the next [s], (n_s, steps).
-        target: measured positions, and velocities where the loss is of the state,
-            (n_s, steps + 1, n_y).
-        weight: weight of every residual, (n_s, steps + 1, n_y); 0 in the padding.
         steps: steps of each, (n_s,).
+        first: row of the first sample of each, (n_s,).
         record: index of the record each is a piece of, (n_s,).
         share: weight of a squared error of each, 1 over its record's samples, (n_s,).
+        drive: what the inputs do from each sample to the next, (n, ...).
+        periods: time from each sample to the next [s], (n,); 0 at the end of a record.
+        target: measured positions, and velocities where the loss is of the state, (n, n_y).
+        weight: weight of every residual, (n, n_y).
     """
 
     x0: Float[np.ndarray, "n_s n_x"]
     searched: Float[np.ndarray, "n_s n_x"]
     precision: Float[np.ndarray, "n_s n_x"]
-    drive: Float[np.ndarray, "n_s steps *drive"]
-    periods: Float[np.ndarray, "n_s steps"]
-    target: Float[np.ndarray, "n_s samples n_y"]
-    weight: Float[np.ndarray, "n_s samples n_y"]
     steps: Int[np.ndarray, " n_s"]
+    first: Int[np.ndarray, " n_s"]
     record: Int[np.ndarray, " n_s"]
     share: Float[np.ndarray, " n_s"]
+    drive: Float[np.ndarray, "n *drive"]
+    periods: Float[np.ndarray, " n"]
+    target: Float[np.ndarray, "n n_y"]
+    weight: Float[np.ndarray, "n n_y"]
+
+    def samples(self, row: int) -> slice:
+        """The samples of a segment, both ends included."""
+        return slice(int(self.first[row]), int(self.first[row] + self.steps[row] + 1))
+
+    def side_by_side(
+        self, array: Float[np.ndarray, "n *any"]
+    ) -> Float[np.ndarray, "n_s longest *any"]:
+        """What belongs to samples, segment by segment, zeros after the end of shorter ones."""
+        return stacked([array[self.samples(row)] for row in range(len(self.steps))])
 
 
 @dataclass(frozen=True)
@@ -88,15 +103,9 @@ def cut(experiments: Sequence[Experiment], model: Model, how: Cut) -> Segments:
     pieces = [
         (i, a, b) for i, e in enumerate(experiments) for a, b in _bounds(len(e) - 1, how.length)
     ]
-    longest = max(b - a for _, a, b in pieces)
-    drives = [np.asarray(drive_of(model, e).u) for e in experiments]
     x0 = np.zeros((len(pieces), model.state_size))
     searched, precision = np.ones_like(x0), np.zeros_like(x0)
-    drive = np.zeros((len(pieces), longest, *drives[0].shape[1:]))
-    periods = np.zeros((len(pieces), longest))
-    target = np.zeros((len(pieces), longest + 1, n_y))
-    weight = np.zeros_like(target)
-    for s, (i, a, b) in enumerate(pieces):
+    for s, (i, a, _) in enumerate(pieces):
         e = experiments[i]
         if a == 0:
             begin = "derived-6" if how.start == "estimated" else how.start
@@ -107,16 +116,34 @@ def cut(experiments: Sequence[Experiment], model: Model, how: Cut) -> Segments:
             x0[s] = padded(model, _local_state(e, a))
         if how.anchored:
             precision[s, of.position] = searched[s, of.position] / _position_error(e, a)
-        drive[s, : b - a] = drives[i][a:b]
-        periods[s, : b - a] = np.diff(e.t[a : b + 1]) if how.timestamps else e.dt
-        target[s, : b - a + 1, of.position] = e.q[a : b + 1]
-        if n_y > of.n_q:
-            target[s, : b - a + 1, of.velocity] = e.velocities()[a : b + 1]
-        weight[s, : b - a + 1] = how.residual.weight / np.sqrt(len(e))
-    steps = np.array([b - a for _, a, b in pieces])
+    begins = np.cumsum([0, *(len(e) for e in experiments)])
     record = np.array([i for i, _, _ in pieces])
-    share = 1 / np.array([len(experiments[i]) for i in record])
-    return Segments(x0, searched, precision, drive, periods, target, weight, steps, record, share)
+    drives = [np.asarray(drive_of(model, e).u) for e in experiments]
+    periods = [np.diff(e.t) if how.timestamps else np.full(len(e) - 1, e.dt) for e in experiments]
+    return Segments(
+        x0=x0,
+        searched=searched,
+        precision=precision,
+        steps=np.array([b - a for _, a, b in pieces]),
+        first=np.array([begins[i] + a for i, a, _ in pieces]),
+        record=record,
+        share=1 / np.array([len(experiments[i]) for i in record]),
+        drive=np.concatenate([_with_end(d) for d in drives]),
+        periods=np.concatenate([_with_end(p) for p in periods]),
+        target=np.concatenate([_target(e, n_y) for e in experiments]),
+        weight=np.concatenate(
+            [np.tile(how.residual.weight / np.sqrt(len(e)), (len(e), 1)) for e in experiments]
+        ),
+    )
+
+
+def _with_end(array: np.ndarray) -> np.ndarray:
+    """What belongs to steps with a row of zeros for the last sample, which has none."""
+    return np.concatenate([array, np.zeros_like(array[:1])])
+
+
+def _target(e: Experiment, n_y: int) -> Float[np.ndarray, "samples n_y"]:
+    return e.q if n_y == e.channels.n_q else np.concatenate([e.q, e.velocities()], axis=1)
 
 
 def _bounds(steps: int, length: int | None) -> list[tuple[int, int]]:

@@ -3,7 +3,7 @@
 A stage is data, and takes the state of the search to the next one; nothing is changed in place.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 
@@ -12,9 +12,9 @@ import numpy as np
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
-from tustinnet.fitting.listener import Iteration
+from tustinnet.fitting.listener import SILENT, Iteration, Listener, SearchedStage
 from tustinnet.fitting.recipe import SearchRecipe
-from tustinnet.fitting.residual import Residual, residual_of
+from tustinnet.fitting.residual import Residual, residual_of, robust_weights
 from tustinnet.fitting.shooting import inverse_dynamics
 from tustinnet.fitting.shooting.by_gradient import minimise_by_gradient
 from tustinnet.fitting.shooting.identifiability import confounded
@@ -38,6 +38,8 @@ _TARGET = 0.25  # integration error allowed, in encoder counts: less than roundi
 _TARGET_SPAN = 1e-5  # or of the largest travel, where no count is known
 _SWINGS = (4, 16)  # lengths of the first stages' segments, in quarters of a swing
 _FIRST_VARIANCE = 1e-4  # of residuals, before any are known
+_REWEIGHTED = 20  # times at most, with weights from the residuals before
+_SETTLED = 1e-5  # change of a logarithm, or of a range
 _METHODS = {"levenberg-marquardt": minimise, "l-bfgs": minimise_by_gradient}
 
 
@@ -50,14 +52,14 @@ class Problem:
         records: the records to identify from.
         validation: the records whose free runs choose.
         search: how to identify.
-        told: who is told of every iteration.
+        listener: who is told of every iteration and stage.
     """
 
     system: LagrangianSystem
     records: tuple[Experiment, ...]
     validation: tuple[Experiment, ...]
     search: SearchRecipe
-    told: Callable[[Iteration], None]
+    listener: Listener = SILENT
 
     @cached_property
     def motion(self) -> Motion:
@@ -73,11 +75,6 @@ class Problem:
     def residual(self) -> Residual:
         """What is compared."""
         return residual_of(self.search, self.records)
-
-    @cached_property
-    def longest(self) -> int:
-        """Steps of the longest record."""
-        return max(len(e) for e in (*self.records, *self.validation)) - 1
 
     @cached_property
     def judging(self) -> Segments:
@@ -104,7 +101,7 @@ class Problem:
     def shape(self, space: Space) -> Shape:
         """What the compiled program is made for."""
         lanes = lanes_for(len(self.records))
-        return Shape(self.system, space.searched, self.residual, lanes, self.longest)
+        return Shape(self.system, space.searched, self.residual, lanes)
 
     def segments(self, length: int | None, initial: str) -> Segments:
         """The records cut for a stage."""
@@ -140,6 +137,7 @@ class State:
         fitted: where the last stage ended, None before the first.
         unexplained: what the equations of motion leave of the worst record.
         remarks: what there is to say.
+        weights: what every squared residual weighs, (n, n_y); None while all weigh the same.
     """
 
     space: Space
@@ -149,6 +147,7 @@ class State:
     fitted: Fitted | None = None
     unexplained: float = 0.0
     remarks: tuple[str, ...] = ()
+    weights: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -176,14 +175,14 @@ def search(problem: Problem, state: State) -> tuple[State, str, float | None]:
     if wanted == "choose":
         rough, wanted = _better(problem, rough)
     last = Limits(problem.search.tolerance, problem.search.iterations)
-    ended = _run(problem, rough, SearchStage(wanted, last))
+    ended = _settled(problem, rough, SearchStage(wanted, last))
     return ended, wanted, problem.score(ended)
 
 
 def refined(problem: Problem, state: State, initial: str) -> State:
     """The last stage once more, for a problem that is a little different."""
-    limits = Limits(problem.search.tolerance, problem.search.iterations)
-    return _run(problem, _chosen_substeps(problem, state), SearchStage(initial, limits))
+    last = Limits(problem.search.tolerance, problem.search.iterations)
+    return _settled(problem, _chosen_substeps(problem, state), SearchStage(initial, last))
 
 
 def _first_stages(problem: Problem) -> list[SearchStage]:
@@ -213,19 +212,51 @@ def _run(problem: Problem, state: State, stage: SearchStage) -> State:
     name = "whole records"
     if length is not None:
         name = f"segments of {length * problem.motion.dt:.2g} s"
+    segments = problem.segments(length, stage.initial)
+    if state.weights is not None:
+        segments = replace(segments, weight=segments.weight * np.sqrt(state.weights))
     cost = Cost(
-        problem.shape(state.space), state.space, problem.segments(length, stage.initial),
+        problem.shape(state.space), state.space, segments,
         prior(problem, state),
         # over a few swings the integration error stays far below what the first stages leave
         state.substeps if length is None else max(1, state.substeps // 2),
     )  # fmt: skip
 
+    name = f"{name}, {stage.initial} start"
+
     def told(iterations: int, value: float, damping: float) -> None:
-        problem.told(Iteration(f"{name}, {stage.initial} start", iterations, value, damping))
+        problem.listener.iteration(Iteration(name, iterations, value, damping, stage.initial))
 
     fitted = _METHODS[problem.search.method](cost, state.vector, stage.limits, told)
+    values = state.space.numbers(fitted.vector)
+    problem.listener.searched(
+        SearchedStage(name, stage.initial, fitted.iterations, fitted.cost, fitted.why, values)
+    )
     known = fitted.cost / len(problem.records) if fitted.why != "diverged" else state.variance
-    return replace(state, vector=fitted.vector, fitted=fitted, variance=known)
+    weights = _weights(problem, segments, fitted) if fitted.why != "diverged" else state.weights
+    return replace(state, vector=fitted.vector, fitted=fitted, variance=known, weights=weights)
+
+
+def _settled(problem: Problem, state: State, stage: SearchStage) -> State:
+    """The state after the last stage, again with new weights until these change nothing."""
+    ended = _run(problem, state, stage)
+    for _ in range(_REWEIGHTED if problem.search.robust != "none" else 0):
+        before = ended.vector
+        ended = _run(problem, ended, stage)
+        moved = np.abs(ended.vector - before).max()
+        if ended.fitted is None or ended.fitted.why == "diverged" or moved < _SETTLED:
+            break
+    return ended
+
+
+def _weights(problem: Problem, segments: Segments, fitted: Fitted) -> np.ndarray | None:
+    """What the residuals of a stage weigh in the next one, None where all weigh the same."""
+    if problem.search.robust == "none":
+        return None
+    errors = np.zeros_like(segments.target)
+    for row, error in enumerate(fitted.normal.error):
+        errors[segments.samples(row)] = error
+    return robust_weights(problem.search.robust, errors, problem.records[0].channels.resolution)
 
 
 def prior(problem: Problem, state: State) -> Prior:
@@ -274,7 +305,9 @@ def _first_values(problem: Problem, state: State) -> State:
         problem.system, state.space, state.vector, problem.motion
     )
     left = float(shares.max())
-    problem.told(Iteration("first values", 1, left, 0.0))
+    name, values = "first values", state.space.numbers(found)
+    problem.listener.iteration(Iteration(name, 1, left, 0.0))
+    problem.listener.searched(SearchedStage(name, "", 1, left, "converged", values))
     return _chosen_substeps(problem, replace(state, vector=found, unexplained=left))
 
 
@@ -287,22 +320,21 @@ def _chosen_substeps(problem: Problem, state: State) -> State:
     target = _TARGET * min(counts) if counts else _TARGET_SPAN * reach
     probed = max(2, round(PROBED_SECONDS / problem.records[0].dt))
     parts = problem.free_runs([e[:probed] for e in problem.records])
-    chosen = enough_substeps(lambda n: _errors(problem, state, parts, n), target)
+    chosen = enough_substeps(lambda n: np.concatenate(_errors(problem, state, parts, n)), target)
     return replace(state, substeps=chosen)
 
 
-def _errors(problem: Problem, state: State, runs: Segments, substeps: int) -> np.ndarray:
-    """Simulated minus measured positions of free runs, 0 after their ends."""
+def _errors(problem: Problem, state: State, runs: Segments, substeps: int) -> list[np.ndarray]:
+    """Simulated minus measured positions of free runs, record by record."""
     space = state.space
     found = normal_products(problem.shape(space), space, state.vector, runs.x0, runs, substeps)
-    return found.error[..., problem.system.channels.position]
+    return [error[:, problem.system.channels.position] for error in found.error]
 
 
 def score(problem: Problem, state: State) -> float:
     """Mean free-run RMSE of the validation records [rad or m]."""
-    error = _errors(problem, state, problem.judging, state.substeps)
-    squares = np.sum(error**2, axis=(1, 2)) / [len(e) for e in problem.validation]
-    found = float(np.mean(np.sqrt(squares)))
+    errors = _errors(problem, state, problem.judging, state.substeps)
+    found = float(np.mean([np.sqrt(np.sum(error**2) / len(error)) for error in errors]))
     return found if np.isfinite(found) else np.inf
 
 

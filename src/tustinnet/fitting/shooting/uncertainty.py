@@ -76,7 +76,7 @@ def uncertainty(
     inverse = _inverse(whole)
     # every residual weighs 1/T: the records' gradients have variance sigma^2 / T times their matrix
     samples = 1 / segments.share
-    channels = np.count_nonzero(segments.weight[:, 0].any(axis=0))
+    channels = np.count_nonzero(segments.weight.any(axis=0))
     used = np.count_nonzero(segments.searched) + int(moving.sum())
     freedom = max(float(samples.sum() * channels - used), 1.0)
     variance = float(normal.cost @ samples) / freedom

@@ -1,0 +1,80 @@
+"""What sensors and actuators may be off by, as parameters that are searched for."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tustinnet.channels import Coordinate
+from tustinnet.data.experiment import Experiment
+from tustinnet.errors import InputError
+from tustinnet.models.lagrangian import LagrangianSystem, Parameter
+
+_WHERE = "model.free"
+_ANGLE = 0.5  # rad that the zero of an angle may be off by
+_GAINS = (0.5, 2.0)
+
+
+def freed(
+    system: LagrangianSystem, names: Sequence[str], experiments: Sequence[Experiment]
+) -> tuple[Parameter, ...]:
+    """The parameters that the names stand for, with their ranges.
+
+    A gain is within 0.5..2, the zero of an angle within 0.5 rad, that of a length within half of
+    its travel in the records, the bias of an input within its peak.
+
+    Args:
+        system: the system.
+        names: `CHANNEL.bias` or `CHANNEL.gain`.
+        experiments: the training records.
+
+    Raises:
+        InputError: a name twice, no such channel, something else than bias and gain, a channel
+            that the records do not move.
+    """
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise InputError(_WHERE, f"'{name}' twice", "once")
+    return tuple(_parameter(system, name, experiments) for name in names)
+
+
+def _parameter(system: LagrangianSystem, name: str, experiments: Sequence[Experiment]) -> Parameter:
+    channels = [*system.coordinates, *system.inputs]
+    channel, _, part = name.rpartition(".")
+    of = next((c for c in channels if c.name == channel), None)
+    if of is None:
+        known = ", ".join(c.name for c in channels)
+        raise InputError(
+            _WHERE, f"'{name}': no channel '{channel}'", f"CHANNEL.bias or CHANNEL.gain of {known}"
+        )
+    if part == "delay":
+        raise InputError(_WHERE, f"'{name}'", "a bias or a gain", _about_delay(of))
+    if part not in ("bias", "gain"):
+        raise InputError(_WHERE, f"'{name}'", f"{channel}.bias or {channel}.gain")
+    if part == "gain":
+        return Parameter(name, "1", 1.0, *_GAINS)
+    reach = _reach(system, of, experiments)
+    if not reach > 0:
+        raise InputError(
+            _WHERE, f"'{name}': '{channel}' never moves in the training records",
+            "a channel that moves", "leave it out",
+        )  # fmt: skip
+    return Parameter(name, of.unit, 0.0, -reach, reach)
+
+
+def _about_delay(channel: object) -> str:
+    if isinstance(channel, Coordinate):
+        return "a delay common to all sensors is the same as one of the inputs"
+    return "delays of inputs are not identified"
+
+
+def _reach(system: LagrangianSystem, of: object, experiments: Sequence[Experiment]) -> float:
+    """How far a channel's zero may be off."""
+    if not isinstance(of, Coordinate):
+        k = [c is of for c in system.inputs].index(True)
+        return max(float(np.abs(e.u[:, k]).max()) for e in experiments)
+    if of.kind == "angular":
+        return _ANGLE
+    k = [c is of for c in system.coordinates].index(True)
+    return (
+        max(e.q[:, k].max() for e in experiments) - min(e.q[:, k].min() for e in experiments)
+    ) / 2

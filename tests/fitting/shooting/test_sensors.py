@@ -1,0 +1,113 @@
+"""Sensors and actuators that are off, freed as parameters."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from swinging import SWING, TRUTH, changed, data_set, falls, records
+
+import tustinnet as tn
+from tustinnet.fitting.shooting.sensors import freed
+from tustinnet.models.lagrangian import LagrangianSystem, Parameter
+from tustinnet.models.sensors import calibrated
+
+BIAS, INPUT_GAIN = 0.035, 1.1
+KNOWN = changed("gain", nominal=TRUTH["gain"], fixed=True)
+
+
+def skewed() -> list[tn.Experiment]:
+    """The records as an encoder with another zero reads them, the voltage read too small."""
+    return [replace(e, q=e.q + BIAS, u=e.u / INPUT_GAIN) for e in records()]
+
+
+@pytest.fixture(scope="module")
+def found() -> tn.Identification:
+    recipe = tn.read_recipe("grey", ['model.free=["angle.bias", "voltage.gain"]'])
+    return tn.identify(data_set(skewed()), KNOWN, recipe)
+
+
+def test_bias_and_gain_are_found_with_the_parameters(found):
+    values = {e.name: e.value for e in found.estimates}
+    assert values["angle.bias"] == pytest.approx(BIAS, abs=1e-4)
+    assert values["voltage.gain"] == pytest.approx(INPUT_GAIN, rel=1e-3)
+    assert values["gravity"] == pytest.approx(TRUTH["gravity"], rel=1e-3)
+    units = {e.name: (e.unit, e.lower, e.upper) for e in found.estimates}
+    assert units["angle.bias"] == ("rad", -0.5, 0.5)
+    assert units["voltage.gain"] == ("1", 0.5, 2.0)
+    assert tn.mean_rmse(tn.evaluate(found.model, skewed(), "file")) < 1e-3
+
+
+def test_a_file_keeps_them(found, tmp_path):
+    tn.save(found.model, tmp_path / "m.safetensors")
+    again = tn.load_model(tmp_path / "m.safetensors", KNOWN)
+    x, u = jnp.array([0.3, -1.0]), jnp.array([2.0])
+    np.testing.assert_allclose(again.step(x, u), found.model.step(x, u), rtol=1e-12)
+
+
+def test_what_stands_for_the_same_is_said():
+    loose = tn.read_recipe("grey", ['model.free=["voltage.gain"]'])
+    told = " ".join(tn.identify(data_set(records()), SWING, loose).findings)
+    assert "gain and voltage.gain cannot be told apart" in told
+    assert "here it was fixed at its first value" in told
+
+
+def test_measured_motion_is_the_physical_one_through_the_sensors():
+    """A cart with a pendulum: accelerations, mass matrix and energy of both descriptions."""
+    cart = LagrangianSystem(
+        name="cart",
+        coordinates=(tn.Coordinate("x", "linear"), tn.Coordinate("angle", "angular")),
+        inputs=(tn.Input("force", "N"),),
+        parameters=(Parameter("mass", "kg", 1.0, 0.1, 5.0),),
+        kinetic=lambda q, v, p: p["mass"] * v[0] ** 2 + v[0] * v[1] * jnp.cos(q[1]) + v[1] ** 2,
+        potential=lambda q, p: jnp.cos(q[1]) + q[0] ** 2,
+        dissipation=lambda q, v, p: 0.1 * v,
+        input_map=lambda q, v, u, p: jnp.stack([u[0], 0.0 * u[0]]),
+    )
+    off = {"x.gain": 1.2, "x.bias": 0.1, "angle.bias": 0.3, "force.gain": 0.8, "force.bias": 0.5}
+    sensors = tuple(Parameter(name, "", value, 0.0, 2.0) for name, value in off.items())
+    seen = calibrated(cart, sensors).model({"mass": jnp.asarray(1.0), **off})
+    plain = cart.model({"mass": jnp.asarray(1.0)})
+    q, v, u = jnp.array([0.4, 0.9]), jnp.array([0.7, -1.1]), jnp.array([2.0])
+    gain, bias = jnp.array([1.2, 1.0]), jnp.array([0.1, 0.3])
+    measured = jnp.concatenate([gain * q + bias, gain * v])
+    physical = plain.acceleration(jnp.concatenate([q, v]), 0.8 * u + 0.5)
+    np.testing.assert_allclose(seen.acceleration(measured, u), gain * physical, rtol=1e-10)
+    np.testing.assert_allclose(seen.energy(measured), plain.energy(jnp.concatenate([q, v])))
+    assert calibrated(cart, ()) is cart
+
+
+@pytest.mark.parametrize(
+    ("free", "told"),
+    [
+        (["tilt.bias"], "no channel 'tilt'"),
+        (["bias"], "no channel ''"),
+        (["angle.bias", "angle.bias"], "'angle.bias' twice"),
+        (["angle.delay"], "a delay common to all sensors is the same as one of the inputs"),
+        (["voltage.delay"], "delays of inputs are not identified"),
+        (["angle.scale"], "expected angle.bias or angle.gain"),
+    ],
+)
+def test_what_cannot_be_freed_is_refused_by_name(free, told):
+    with pytest.raises(tn.InputError, match=told) as refused:
+        freed(SWING, free, falls())
+    assert "\n" not in str(refused.value)
+
+
+def test_an_input_that_is_never_used_has_no_bias():
+    with pytest.raises(tn.InputError, match="'voltage' never moves"):
+        freed(SWING, ["voltage.bias"], falls())
+
+
+def test_they_are_fixed_and_begun_like_any_other():
+    recipe = tn.read_recipe(
+        "grey", ['model.free=["angle.bias", "voltage.gain"]', "model.fixed.angle.bias=0.035"]
+    )
+    result = tn.identify(data_set(skewed()), KNOWN, recipe, begin={"voltage.gain": 1.3})
+    assert result.fixed["angle.bias"] == 0.035
+    assert "voltage.gain" in {e.name for e in result.estimates}
+
+
+def test_kinds_with_weights_do_not_know_the_key():
+    with pytest.raises(tn.InputError, match="free"):
+        tn.read_recipe("standard", ['model.free=["angle.bias"]'])
