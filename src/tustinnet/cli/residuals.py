@@ -14,6 +14,7 @@ def residuals(
     data: options.Data,
     split: options.Split = None,
     start: options.Start = None,
+    horizon: options.Horizon = None,
     lags: Annotated[int, typer.Option(min=1, metavar="L", help="Largest lag in samples.")] = 50,
     card: options.Card = None,
     system: options.System = None,
@@ -29,12 +30,13 @@ def residuals(
     from tustinnet.report.figures import write_figure
     from tustinnet.report.residuals import residual_figure
     from tustinnet.report.tables import Table, number
+    from tustinnet.simulate.horizon import over
     from tustinnet.store.model_file import load_model
 
     judged = load_model(model, system)
     records, begin = judged_records(data, card, split, start, [judged])
-    reports = residual_reports(judged, records, begin, lags)
-    title = f"Residuals of {len(records)} free runs, start '{begin}'"
+    reports = residual_reports(judged, records, begin, lags, horizon=horizon)
+    title = f"Residuals of {len(records)} free runs, start '{begin}'{over(horizon)}"
     if figure is not None:
         write_figure(residual_figure(reports, judged.channels, title), figure.parent, figure.name)
         terminal.messages().print(f"figure: {figure}")
@@ -46,7 +48,9 @@ def residuals(
             }
             for r in reports
         ]
-        terminal.print_json({"start": begin, "lags": lags, "coordinates": plain})
+        terminal.print_json(
+            {"start": begin, "horizon": horizon, "lags": lags, "coordinates": plain}
+        )
         return
     rows = [
         [

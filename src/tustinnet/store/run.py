@@ -25,6 +25,7 @@ from tustinnet.fitting.listener import EpochReport, Listener
 from tustinnet.fitting.report import FitResult, data_header
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Member, Task
+from tustinnet.simulate.horizon import within
 from tustinnet.store.checkpoint import Checkpointer, read_checkpoint
 from tustinnet.store.files import (
     owned,
@@ -120,6 +121,7 @@ class Run:
             "kind": best.result.recipe.model.kind,
             "split": self.judged,
             "start": self.start,
+            "horizon": best.scores[0].horizon,
             "best_seed": best.result.seed,
             "spread": self.spread(),
             "seeds": [
@@ -174,7 +176,8 @@ def _run(task: Task, data: str, folder: Path, earlier: Earlier, tell: Tell) -> R
     results = _trained(task, folder, earlier, tell) if trains else fit_task(task, tell(task))
     runs = []
     for member, result in zip(task.members, results, strict=True):
-        scores = tuple(evaluate(result.model, roles.judging, result.start))
+        horizon = within(result.horizon, roles.judging)
+        scores = tuple(evaluate(result.model, roles.judging, result.start, horizon=horizon))
         runs.append(MemberRun(result, scores, folder / member.name if trains else folder))
     done = Run(tuple(runs), data, roles, results[0].start, folder)
     for run in runs:

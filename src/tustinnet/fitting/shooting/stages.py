@@ -1,10 +1,12 @@
 """The stages of a search: from first values over longer and longer segments to whole records.
 
+Records along which errors grow without end stay in segments; see `growth`.
+
 A stage is data, and takes the state of the search to the next one; nothing is changed in place.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property, reduce
 
 import jax.numpy as jnp
@@ -15,7 +17,7 @@ from tustinnet.errors import InputError
 from tustinnet.fitting.listener import Iteration
 from tustinnet.fitting.recipe import SearchRecipe
 from tustinnet.fitting.residual import Residual, residual_of
-from tustinnet.fitting.shooting import inverse_dynamics
+from tustinnet.fitting.shooting import growth, inverse_dynamics
 from tustinnet.fitting.shooting.by_gradient import minimise_by_gradient
 from tustinnet.fitting.shooting.identifiability import confounded
 from tustinnet.fitting.shooting.inverse_dynamics import Motion
@@ -31,7 +33,8 @@ from tustinnet.fitting.shooting.segments import Cut, Segments, cut
 from tustinnet.fitting.shooting.space import Searched, Space
 from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.simulate.starts import default_start
+from tustinnet.simulate.horizon import horizon_samples, pieces
+from tustinnet.simulate.starts import Start, default_start, start_named
 from tustinnet.simulate.substeps import PROBED_SECONDS, enough_substeps
 
 _TARGET = 0.25  # integration error allowed, in encoder counts: less than rounding to them makes
@@ -65,9 +68,9 @@ class Problem:
         return inverse_dynamics.measured_motion(self.records)
 
     @cached_property
-    def start(self) -> str:
+    def start(self) -> Start:
         """Where the free runs start that judge."""
-        return default_start([*self.records, *self.validation])
+        return start_named(default_start([*self.records, *self.validation]))
 
     @cached_property
     def residual(self) -> Residual:
@@ -80,9 +83,11 @@ class Problem:
         return max(len(e) for e in (*self.records, *self.validation)) - 1
 
     @cached_property
-    def judging(self) -> Segments:
-        """The validation records' free runs, laid out once for all scores."""
-        return self.free_runs(self.validation)
+    def asked(self) -> dict[str, int] | None:
+        """Steps over which every record is to be fitted, by name, where the recipe says it."""
+        every = (*self.records, *self.validation)
+        samples = horizon_samples(self.search.horizon, every, self.start, "search.horizon")
+        return None if samples is None else {e.name: samples for e in every if len(e) > samples}
 
     @property
     def first(self) -> str:
@@ -101,8 +106,8 @@ class Problem:
         lanes = lanes_for(len(self.records))
         return Shape(self.system, space.searched, self.residual, lanes, self.longest)
 
-    def segments(self, length: int | None, initial: str) -> Segments:
-        """The records cut for a stage."""
+    def segments(self, length: int | None, initial: str, horizons: Mapping[str, int]) -> Segments:
+        """The records cut for a stage: to a length, or those that have one to their horizon."""
         searched = initial in ("anchored", "unanchored")
         how = Cut(
             residual=self.residual,
@@ -110,12 +115,13 @@ class Problem:
             start="estimated" if searched else initial,
             anchored=initial != "unanchored",
             timestamps=self.search.times == "recorded",
+            horizons=horizons,
         )
         return cut(self.records, self.nominal, how)
 
     def free_runs(self, records: Sequence[Experiment]) -> Segments:
         """Free runs from the start by which models are judged; nothing is searched for."""
-        how = Cut(residual=self.residual, start=self.start, timestamps=False)
+        how = Cut(residual=self.residual, start=self.start.name, timestamps=False)
         return cut(records, self.nominal, how)
 
 
@@ -129,7 +135,10 @@ class State:
         substeps: integration steps in a period.
         variance: mean squared residual of a record so far.
         fitted: where the last stage ended, None before the first.
+        segments: what that stage compared, None before the first.
         unexplained: what the equations of motion leave of the worst record.
+        horizons: steps over which records are compared that cannot be simulated as a whole, by
+            name; validation records too.
         remarks: what there is to say.
     """
 
@@ -138,8 +147,15 @@ class State:
     substeps: int = 1
     variance: float = _FIRST_VARIANCE
     fitted: Fitted | None = None
+    segments: Segments | None = None
     unexplained: float = 0.0
+    horizons: Mapping[str, int] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
+
+    @property
+    def horizon(self) -> int | None:
+        """Steps over which validation records are scored: what all of them can be; or None."""
+        return min(self.horizons.values(), default=None)
 
 
 @dataclass(frozen=True)
@@ -162,7 +178,7 @@ def search(problem: Problem, state: State) -> tuple[State, str, float | None]:
     begun = reduce(
         lambda now, step: step(problem, now), (_without_confounded, _first_values), state
     )
-    rough = _chosen_substeps(problem, _run_all(problem, begun, _first_stages(problem)))
+    rough = _chosen_substeps(problem, _run_all(problem, begun, _first_stages(problem, begun)))
     wanted, last = (
         problem.search.initial,
         Limits(problem.search.tolerance, problem.search.iterations),
@@ -173,8 +189,9 @@ def search(problem: Problem, state: State) -> tuple[State, str, float | None]:
     return ended, wanted, score(problem, ended) if problem.validation else None
 
 
-def _first_stages(problem: Problem) -> list[SearchStage]:
-    short = [s for s in _SWINGS if s * problem.motion.length < max(map(len, problem.records)) - 1]
+def _first_stages(problem: Problem, begun: State) -> list[SearchStage]:
+    longest = max(begun.horizons.get(e.name, len(e) - 1) for e in problem.records)
+    short = [s for s in _SWINGS if s * problem.motion.length < longest]
     return [
         *(SearchStage(problem.first, Limits(0.1, 20), swings) for swings in short),
         SearchStage(problem.first, Limits(1e-2, 30)),
@@ -191,18 +208,28 @@ def _better(problem: Problem, rough: State) -> tuple[State, str]:
 
 
 def _run_all(problem: Problem, state: State, stages: Sequence[SearchStage]) -> State:
-    return reduce(lambda now, stage: _run(problem, now, stage), stages, state)
+    """The state after several stages; the better the values, the better the horizons."""
+    return reduce(lambda now, stage: _with_horizons(problem, _run(problem, now, stage)), stages,
+                  state)  # fmt: skip
+
+
+def _with_horizons(problem: Problem, state: State) -> State:
+    """The state with how long each record can be simulated by the values so far."""
+    every = (*problem.records, *problem.validation)
+    found = problem.asked
+    if found is None:
+        length = problem.motion.length
+        found = growth.horizons(problem.system, state.space, state.vector, every, length)
+    return replace(state, horizons=found)
 
 
 def _run(problem: Problem, state: State, stage: SearchStage) -> State:
     """The state after a stage."""
     length = stage.swings and stage.swings * problem.motion.length
-    name = "whole records"
-    if length is not None:
-        name = f"segments of {length * problem.motion.dt:.2g} s"
+    segments = problem.segments(length, stage.initial, state.horizons)
+    name = _told(problem, state, length)
     cost = Cost(
-        problem.shape(state.space), state.space, problem.segments(length, stage.initial),
-        prior(problem, state),
+        problem.shape(state.space), state.space, segments, prior(problem, state),
         # over a few swings the integration error stays far below what the first stages leave
         state.substeps if length is None else max(1, state.substeps // 2),
     )  # fmt: skip
@@ -212,7 +239,21 @@ def _run(problem: Problem, state: State, stage: SearchStage) -> State:
 
     fitted = _METHODS[problem.search.method](cost, state.vector, stage.limits, told)
     known = fitted.cost / len(problem.records) if fitted.why != "diverged" else state.variance
-    return replace(state, vector=fitted.vector, fitted=fitted, variance=known)
+    return replace(state, vector=fitted.vector, fitted=fitted, segments=segments, variance=known)
+
+
+def _told(problem: Problem, state: State, length: int | None) -> str:
+    """What a stage is called."""
+    dt = problem.motion.dt
+    if length is not None:
+        return f"segments of {length * dt:.2g} s"
+    limits = [state.horizons[e.name] for e in problem.records if e.name in state.horizons]
+    if not limits:
+        return "whole records"
+    some = (
+        "" if len(limits) == len(problem.records) else f"whole records, {len(limits)} of them in "
+    )
+    return f"{some}segments of {min(limits) * dt:.2g} s"
 
 
 def prior(problem: Problem, state: State) -> Prior:
@@ -230,7 +271,7 @@ def prior(problem: Problem, state: State) -> Prior:
 def _without_confounded(problem: Problem, state: State) -> State:
     """One parameter of every set that the records cannot tell apart is fixed."""
     space, vector = state.space, state.vector
-    s = problem.segments(_SWINGS[0] * problem.motion.length, problem.first)
+    s = problem.segments(_SWINGS[0] * problem.motion.length, problem.first, state.horizons)
     found = normal_products(problem.shape(space), space, vector, s.x0, s, 1)
     products = found.pp.sum(axis=0)
     if not np.isfinite(products).all():
@@ -262,7 +303,8 @@ def _first_values(problem: Problem, state: State) -> State:
     )
     left = float(shares.max())
     problem.told(Iteration("first values", 1, left, 0.0))
-    return _chosen_substeps(problem, replace(state, vector=found, unexplained=left))
+    known = _with_horizons(problem, replace(state, vector=found, unexplained=left))
+    return _chosen_substeps(problem, known)
 
 
 def _chosen_substeps(problem: Problem, state: State) -> State:
@@ -273,7 +315,9 @@ def _chosen_substeps(problem: Problem, state: State) -> State:
     reach = max(float(np.abs(e.q - e.q[-1]).max()) for e in problem.records)
     target = _TARGET * min(counts) if counts else _TARGET_SPAN * reach
     probed = max(2, round(PROBED_SECONDS / problem.records[0].dt))
-    parts = problem.free_runs([e[:probed] for e in problem.records])
+    parts = problem.free_runs(
+        [pieces(e, state.horizons.get(e.name), problem.start)[0][:probed] for e in problem.records]
+    )
     chosen = enough_substeps(lambda n: _errors(problem, state, parts, n), target)
     return replace(state, substeps=chosen)
 
@@ -287,9 +331,12 @@ def _errors(problem: Problem, state: State, runs: Segments, substeps: int) -> np
 
 def score(problem: Problem, state: State) -> float:
     """Mean free-run RMSE of the validation records [rad or m]."""
-    error = _errors(problem, state, problem.judging, state.substeps)
-    squares = np.sum(error**2, axis=(1, 2)) / [len(e) for e in problem.validation]
-    found = float(np.mean(np.sqrt(squares)))
+    cut = [pieces(e, state.horizon, problem.start) for e in problem.validation]
+    runs = problem.free_runs([piece for of in cut for piece in of])
+    error = _errors(problem, state, runs, state.substeps)
+    owner = np.repeat(np.arange(len(cut)), list(map(len, cut)))
+    squares = np.bincount(owner, np.sum(error**2, axis=(1, 2)))
+    found = float(np.mean(np.sqrt(squares / [len(e) for e in problem.validation])))
     return found if np.isfinite(found) else np.inf
 
 
