@@ -47,7 +47,12 @@ def inspect(
     terminal.print_tables(time_table(reports), _channel_table(reports))
     # the table has the jitter
     notes = ((r.name, text) for r in reports for text in r.notes if "jitter" not in text)
-    for line in (*suspicions(reports), *_lines("note", notes)):
+    held = (
+        (r.name, f"holds an unstable position from {r.held.sample * r.dt:.1f} s on (errors grow "
+         f"e-fold in {r.held.e_fold:.2g} s): score it over a horizon")
+        for r in reports if r.held
+    )  # fmt: skip
+    for line in (*suspicions(reports), *_lines("held", held), *_lines("note", notes)):
         typer.echo(line)
 
 
