@@ -26,7 +26,7 @@ def measure(seconds: float, records: int, seed: int) -> dict[str, float]:
     print(f"seed {seed}: {found.outcome}; {time.perf_counter() - begun:.0f} s")
     print(*(f"  {finding}" for finding in found.findings), sep="\n", flush=True)
     held_out = balanced(2, seconds, seed + 1000)
-    scores = tn.evaluate(found.model, held_out, "model-20", horizon=found.horizon)
+    scores = tn.evaluate(found.model, held_out, found.start, horizon=found.horizon)
     print(f"  two new records, {found.horizon:.2g} s at once: {tn.mean_rmse(scores):.2g} rad")
     inside = [e.interval is not None and e.interval[0] <= TRUTH[e.name] <= e.interval[1]
               for e in found.estimates]  # fmt: skip

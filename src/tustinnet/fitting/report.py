@@ -66,6 +66,8 @@ class Identification:
         autocorrelation: of the residuals from one sample to the next, per channel, (n_y,).
         initial: how initial states were treated, see `SearchRecipe`.
         initial_states: those found at the records' beginnings, by name, (n_x,) each.
+        start: where the free runs start that judge: the usual start; over a horizon of 20 samples
+            or more `model-20`.
         horizons: length of the segments [s] that records were compared over, by name; validation
             records too. Records that are not named were compared as a whole.
         validation_rmse: mean free-run RMSE of the validation records, if there are any.
@@ -89,6 +91,7 @@ class Identification:
     autocorrelation: tuple[float, ...]
     initial: str
     initial_states: Mapping[str, tuple[float, ...]]
+    start: str
     horizons: Mapping[str, float]
     validation_rmse: float | None
     substeps: int

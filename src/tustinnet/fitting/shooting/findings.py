@@ -37,6 +37,7 @@ class Found:
         reversed_signs: see `Identification`.
         remarks: what was said on the way.
         initial: how initial states were treated.
+        start: see `Identification`.
         validation_rmse: mean free-run RMSE of the validation records, or None.
     """
 
@@ -51,6 +52,7 @@ class Found:
     reversed_signs: tuple[tuple[str, ...], ...]
     remarks: tuple[str, ...]
     initial: str
+    start: str
     validation_rmse: float | None
 
 
@@ -91,6 +93,7 @@ def described(system: LagrangianSystem, found: Found, seconds: float) -> Identif
             e.name: tuple(x.tolist()) for e, x in zip(records, fitted.x0[begins], strict=True)
         },
         horizons=found.horizons,
+        start=found.start,
         validation_rmse=found.validation_rmse,
         substeps=found.model.substeps,
         iterations=fitted.iterations,
@@ -150,7 +153,10 @@ def _about_horizons(found: Found) -> list[str]:
         told.append(f"{_listed(whole)}: fitted as a whole")
     if found.validation_rmse is not None:
         shortest = min(found.horizons.values())
-        told.append(f"validation records are scored over segments of {shortest:.2g} s")
+        told.append(
+            f"validation records are scored over segments of {shortest:.2g} s, each from "
+            f"the start '{found.start}'"
+        )
     return told
 
 

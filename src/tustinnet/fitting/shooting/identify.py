@@ -25,7 +25,6 @@ from tustinnet.fitting.shooting.uncertainty import Uncertainty, uncertainty
 from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task
 from tustinnet.models.contract import require_float64
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
-from tustinnet.simulate.starts import default_start
 from tustinnet.systems.files import AnySystem
 
 # what right signs leave of the momentum is a few hundredths, what wrong ones leave over a half
@@ -76,14 +75,13 @@ def identify(
 def identify_task(task: Task, member: Member, listener: Listener) -> FitResult:
     """Identifies the system of a task from the records of a member's fold."""
     found = _identify(task, member, listener.iteration)
-    roles = task.folds[member.fold].roles
     return FitResult(
         model=found.model,
         recipe=task.recipe,
         member=member,
         outcome=found.outcome,
         sound=found.sound,
-        start=default_start(roles.all),
+        start=found.start,
         validation_rmse=found.validation_rmse,
         seconds=found.seconds,
         details={"identification": found.as_plain()},
@@ -133,6 +131,7 @@ def _identify(task: Task, member: Member, told: Callable[[Iteration], None]) -> 
         reversed_signs=reversed_signs,
         remarks=ended.remarks,
         initial=initial,
+        start=problem.judging_start(ended.horizon).name,
         validation_rmse=validation,
     )
     return described(system, found, time.perf_counter() - begun)
