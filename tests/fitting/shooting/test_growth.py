@@ -1,5 +1,7 @@
 """How long a record can be simulated before errors have grown."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from swinging import SWING, TRUTH, noises, simulated
@@ -24,7 +26,9 @@ def test_a_record_that_stays_upright_has_a_horizon_and_one_that_swings_has_none(
     vector = space.vector(SWING.nominal() | TRUTH)
     top = 0.4 + np.pi  # where the swing's potential is highest
     still = simulated("upright", [top, 0.0], np.zeros(200))
-    found = horizons(SWING, space, vector, [still, *noises()], 8)
+    assert horizons(SWING, space, vector, [still], 8) == {}  # nothing holds it
+    held = replace(still, u=1e-3 * np.arange(200.0)[:, None])
+    found = horizons(SWING, space, vector, [held, *noises()], 8)
     rate = np.sqrt(TRUTH["gravity"] / TRUTH["inertia"]) - TRUTH["damping"] / TRUTH["inertia"] / 2
     assert set(found) == {"upright"}
     assert found["upright"] * still.dt == pytest.approx(np.log(1000) / rate, rel=0.25)

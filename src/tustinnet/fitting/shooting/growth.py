@@ -19,6 +19,7 @@ from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 
 _GROWTH = 1000.0  # falls from upright stay below 50; about a held upright position it has no end
 _SHORTEST = 4  # blocks: a swing can always be compared
+_LARGEST = 1e15  # of a matrix that is looked at in earnest
 _SMALL = 0.5  # of a matrix whose exponential four terms of the series give to 1e-3
 
 
@@ -43,11 +44,15 @@ def horizons(
 
     Returns:
         Steps by the record's name, at least a swing's; records are left out in which no error
-        grows so much anywhere.
+        grows so much anywhere, and those whose input never changes.
     """
     of, longest = system.channels, max(map(len, experiments))
     found = {}
     for e in experiments:
+        if (
+            not e.forced
+        ):  # nothing holds it: what grows in the model grows in the record, or is wrong
+            continue
         known = e.measured_states()
         # all as long as the longest, so that one program serves them; internal states at 0
         x = np.zeros((longest, known.shape[1] + len(system.internal)))
@@ -63,6 +68,7 @@ def horizons(
     return found
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what overflows has grown
 def bounded(a: Float[np.ndarray, "n n_x n_x"], dt: float, block: int) -> int | None:
     """Steps in which `dx/dt = A(t) dx` lets no error grow a thousandfold, wherever it begins.
 
@@ -83,7 +89,7 @@ def bounded(a: Float[np.ndarray, "n n_x n_x"], dt: float, block: int) -> int | N
         over = each[:, j] @ over
     error = over  # from every block's beginning, over 1, 2, ... blocks
     for k in range(1, blocks + 1):
-        if np.linalg.norm(error, axis=(1, 2)).max() > _GROWTH:
+        if not np.linalg.norm(error, axis=(1, 2)).max() <= _GROWTH:
             return max(k - 1, _SHORTEST) * block
         error = over[k:] @ error[:-1]
     return None
@@ -91,7 +97,7 @@ def bounded(a: Float[np.ndarray, "n n_x n_x"], dt: float, block: int) -> int | N
 
 def _transitions(a: np.ndarray, dt: float) -> np.ndarray:
     """The exponentials of `A dt`, (n, n_x, n_x), by squaring those of a small part of it."""
-    size = float(np.abs(a).sum(axis=2).max()) * dt
+    size = min(float(np.abs(a).sum(axis=2).max()) * dt, _LARGEST)
     halvings = max(0, ceil(log2(max(size, _SMALL) / _SMALL)))
     small, one = a * (dt / 2**halvings), np.eye(a.shape[1])
     found = one + small @ (one + small / 2 @ (one + small / 3 @ (one + small / 4)))

@@ -350,7 +350,8 @@ def score(problem: Problem, state: State) -> float:
         runs = replace(runs, x0=start_states(model, every, start))
     error = _errors(problem, state, runs, state.substeps)
     owner = np.repeat(np.arange(len(cut)), list(map(len, cut)))
-    squares = np.bincount(owner, np.sum(error**2, axis=(1, 2)))
+    with np.errstate(over="ignore"):
+        squares = np.bincount(owner, np.sum(error**2, axis=(1, 2)))
     found = float(np.mean(np.sqrt(squares / [len(e) for e in problem.validation])))
     return found if np.isfinite(found) else np.inf
 
