@@ -153,7 +153,7 @@ def against_scipy(folder: str) -> None:
     vector = space.vector(system.nominal())
     search = SearchRecipe(initial="file")
     problem = Problem(system, tuple(records), (), search)
-    segments, shape = problem.segments(None, "file"), problem.shape(space)
+    segments, shape = problem.segments(None, "file", {}), problem.shape(space)
 
     def ours() -> np.ndarray:
         return normal_products(shape, space, vector, segments.x0, segments, 2).error
@@ -215,7 +215,7 @@ def against_rollout(folder: str) -> None:
         return normal_products(shape, space, vector, s.x0, s, substeps).pp
 
     for length in (round(0.4 / dt), round(1.6 / dt), None):
-        segments = problem.segments(length, "anchored")
+        segments = problem.segments(length, "anchored", {})
         runs, seconds, found = {"own loop": ours, "rollout": theirs}, {}, {}
         for name in [*runs] * 6:
             begun = time.perf_counter()

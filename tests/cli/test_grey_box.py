@@ -226,6 +226,21 @@ def test_compare_puts_families_side_by_side(
     assert means["grey/model"] < means["run/model"]
 
 
+@pytest.mark.parametrize("verb", ["evaluate", "compare", "residuals"])
+def test_a_horizon_is_told_with_scores_and_residuals(verb, run_folder, folder, capsys):
+    asked = (verb, run_folder / "model.safetensors", folder, "--split", "validation")
+    code, out, _ = tustinnet(capsys, *asked, "--horizon", 1.2)
+    assert code == 0
+    assert "start 'derived-6', over segments of 1.2 s" in out
+    told = json.loads(tustinnet(capsys, *asked, "--horizon", 1.2, "--json")[1])
+    assert told["horizon"] == 1.2
+    assert json.loads(tustinnet(capsys, *asked, "--json")[1])["horizon"] is None
+    for wrong in (0.05, 100):
+        code, out, err = tustinnet(capsys, *asked, "--horizon", wrong)
+        assert (code, out) == (1, "")
+        assert err.startswith("error: horizon: ")
+
+
 def test_residuals_tell_a_good_model_from_a_poor_one(
     identified, run_folder, folder, system, tmp_path, capsys
 ):

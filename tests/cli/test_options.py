@@ -34,6 +34,7 @@ _SYSTEMS = f"{GREY}::test_every_verb_takes_the_model_with_its_system"
 _RESIDUALS = f"{GREY}::test_residuals_tell_a_good_model_from_a_poor_one"
 _COMPARED = f"{GREY}::test_compare_puts_families_side_by_side"
 _AHEAD = f"{VERBS}::test_evaluate_as_json_with_steps_ahead_and_figures"
+_HORIZON = f"{GREY}::test_a_horizon_is_told_with_scores_and_residuals"
 _REPRODUCED = f"{TABLE}::test_reproduce_writes_tables_and_figures_and_trains_on_no_test_record"
 _QUIET = f"{HERE}::test_quiet_silences_the_progress"
 _PRINTED = f"{HERE}::test_the_demo_is_quiet_and_prints_json"
@@ -75,15 +76,16 @@ SHOWN = {
     },
     "evaluate": {
         "--split": _NAMES, "--start": _NAMES, "--card": _CARD, "--system": _SYSTEMS,
-        "--ahead": _AHEAD, "--figures": _AHEAD, "--json": _AHEAD,
+        "--ahead": _AHEAD, "--figures": _AHEAD, "--json": _AHEAD, "--horizon": _HORIZON,
     },
     "compare": {
         "--split": _NAMES, "--start": _NAMES, "--card": _CARD, "--system": _COMPARED,
-        "--figures": _COMPARED, "--json": _COMPARED,
+        "--figures": _COMPARED, "--json": _COMPARED, "--horizon": _HORIZON,
     },
     "residuals": {
         "--split": _NAMES, "--start": _NAMES, "--card": _CARD, "--system": _RESIDUALS,
         "--lags": _RESIDUALS, "--figure": _RESIDUALS, "--json": _RESIDUALS,
+        "--horizon": _HORIZON,
     },
     "show": {"--json": f"{VERBS}::test_show_prints_the_header"},
     "reproduce": {

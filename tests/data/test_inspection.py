@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from balancing import balanced
 
 import tustinnet as tn
 from tustinnet.data.inspection import inspect_experiment, still, transient_end
@@ -267,3 +268,30 @@ def test_the_rounding_of_a_constant_is_no_motion() -> None:
     assert still([e]) == ["b"]
     for source in ("stencil", "savgol"):
         assert not e.velocities(source)[:, 1].any()
+
+
+# --- what a controller holds ---
+
+
+def test_an_unstable_equilibrium_that_is_held_is_told_and_ends_no_transient() -> None:
+    (e,) = balanced(1, 4.0)
+    report = inspect_experiment(e)
+    assert report.held is not None
+    assert report.held.sample == 0
+    assert report.held.e_fold == pytest.approx(1 / 11.2, rel=0.25)
+    assert report.k_bar == len(e)
+
+
+def test_the_hold_begins_where_the_swing_up_ends() -> None:
+    (e,) = balanced(1, 4.0)
+    swung = 2.0 + np.cos(np.arange(100) * 0.2)
+    q = np.concatenate([np.stack([np.zeros(100), swung], axis=1), e.q])
+    u = np.concatenate([np.sin(np.arange(100.0))[:, None], e.u])
+    whole = tn.from_arrays(q, u, dt=e.dt, coordinates=e.coordinates, inputs=e.inputs)
+    report = inspect_experiment(whole)
+    assert report.held is not None
+    assert report.held.sample == 100
+
+
+def test_nothing_is_held_where_motion_is_stable(pendulum: tn.DataSet) -> None:
+    assert all(inspect_experiment(e).held is None for e in [*pendulum, *twin(0)])

@@ -208,7 +208,7 @@ def test_no_member_sees_the_records_that_it_is_scored_on(done, pendulum):
         counted = np.asarray(prepared.chosen[m])[np.asarray(prepared.counted[m]) > 0]
         assert len(counted) == len(deal.roles.validation)
         for i, e in zip(counted, deal.roles.validation, strict=True):
-            judged = np.asarray(prepared.validation.q[i, : len(e)])
+            judged = np.asarray(prepared.validation.q[i, 0, : len(e)])
             np.testing.assert_allclose(judged, e.q, rtol=1e-6)
 
 

@@ -12,6 +12,7 @@ from tustinnet.evaluate import metrics
 from tustinnet.families.tustin_net import TustinNet, random_tustin_net
 from tustinnet.models.blocks import learn_scaling
 from tustinnet.models.contract import require_float64, with_dtype
+from tustinnet.simulate.starts import start_named
 
 
 @pytest.fixture(scope="module")
@@ -56,6 +57,23 @@ def test_evaluate_names_the_start_with_every_score(model, pendulum):
     assert {s.start for s in scores} == {"derived-6"}
     assert [s.experiment for s in scores] == [e.name for e in pendulum]
     assert tn.mean_rmse(scores) == pytest.approx(np.mean([s.rmse for s in scores]))
+
+
+@pytest.mark.parametrize("start", ["derived-6", "warm-up-12"])
+def test_a_score_over_a_horizon_is_over_all_segments_each_from_a_state_of_its_own(
+    model, pendulum, start
+):
+    e, first = pendulum[0], start_named(start).first
+    (score,) = tn.evaluate(model, e, start, horizon=1.0)
+    assert (score.horizon, score.simulated.shape) == (1.0, (len(e), 2))
+    edges = range(first, len(e), 50)
+    alone = [tn.free_run(model, e[a - first : a + 50], start)[0][first:] for a in edges]
+    np.testing.assert_allclose(score.simulated[first:], np.concatenate(alone), rtol=1e-9)
+    error = np.concatenate(alone)[:, 0] - e.q[first:, 0]
+    assert score.rmse == pytest.approx(np.sqrt(np.mean(error**2)))
+    place = np.arange(len(error)) % 50 >= start_named(start).fitted - first
+    assert score.rmse_after == pytest.approx(np.sqrt(np.mean(error[place] ** 2)))
+    assert tn.evaluate(model, e, start, horizon=5.9)[0].horizon == 5.9
 
 
 def test_a_diverging_free_run_scores_infinity(model, pendulum):

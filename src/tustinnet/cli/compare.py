@@ -20,6 +20,7 @@ def compare(
     data: options.Data,
     split: options.Split = None,
     start: options.Start = None,
+    horizon: options.Horizon = None,
     card: options.Card = None,
     system: Annotated[
         list[str] | None,
@@ -48,7 +49,7 @@ def compare(
     loaded = [load_model(path, own.get(of)) for path, of in zip(models, belongs, strict=True)]
     records, begin = judged_records(data, card, split, start, loaded)
     scores = {
-        label: evaluate(model, records, begin)
+        label: evaluate(model, records, begin, horizon=horizon)
         for label, model in zip(_labels(models), loaded, strict=True)
     }
     if figures is not None:
@@ -56,14 +57,14 @@ def compare(
             runs = {label: found[i] for label, found in scores.items()}
             write_figure(free_run_figure(e, runs), figures, f"{e.name}.png")
         terminal.messages().print(f"figures: {figures}")
-    means = {label: mean_rmse(found) for label, found in scores.items()}
     if json:
         content = {
             "start": begin,
+            "horizon": horizon,
             "models": {
                 label: {
                     "file": str(path),
-                    "mean": means[label],
+                    "mean": mean_rmse(scores[label]),
                     "rmse": rmse_by_record(scores[label]),
                 }
                 for label, path in zip(scores, models, strict=True)
@@ -77,6 +78,7 @@ def compare(
 def _table(records: "list[Experiment]", scores: "dict[str, list[Score]]", begin: str) -> "Table":
     from tustinnet.evaluate.scores import mean_rmse
     from tustinnet.report.tables import Table, number
+    from tustinnet.simulate.horizon import over
 
     rows = [
         [e.name, e.split or "all", *[number(found[i].rmse) for found in scores.values()]]
@@ -86,7 +88,8 @@ def _table(records: "list[Experiment]", scores: "dict[str, list[Score]]", begin:
         inside = [i for i, e in enumerate(records) if (e.split or "all") == name]
         groups = [mean_rmse([found[i] for i in inside]) for found in scores.values()]
         rows.append(["mean", name, *map(number, groups)])
-    title = f"Free-run RMSE [{records[0].channels.unit}], start '{begin}'"
+    horizon = over(next(iter(scores.values()))[0].horizon)
+    title = f"Free-run RMSE [{records[0].channels.unit}], start '{begin}'{horizon}"
     return Table(["record", "split", *scores], rows, title=title)
 
 

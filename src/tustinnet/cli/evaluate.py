@@ -19,6 +19,7 @@ def evaluate(
     data: options.Data,
     split: options.Split = None,
     start: options.Start = None,
+    horizon: options.Horizon = None,
     card: options.Card = None,
     system: options.System = None,
     ahead: Annotated[
@@ -40,7 +41,7 @@ def evaluate(
 
     judged = load_model(model, system)
     records, begin = judged_records(data, card, split, start, [judged])
-    scores = score_records(judged, records, begin)
+    scores = score_records(judged, records, begin, horizon=horizon)
     by_split: dict[str, list[Score]] = {}
     for e, score in zip(records, scores, strict=True):
         by_split.setdefault(e.split or "all", []).append(score)
@@ -56,6 +57,7 @@ def evaluate(
     if json:
         content: dict[str, Any] = {
             "start": begin,
+            "horizon": horizon,
             "coordinates": [c.name for c in judged.coordinates],
             "experiments": [
                 {**_plain(score), "split": e.split}
@@ -97,6 +99,7 @@ def _plain(score: "Score") -> dict[str, Any]:
 def _score_table(by_split: dict[str, list["Score"]], channels: "Channels", start: str) -> "Table":
     from tustinnet.evaluate.scores import mean_rmse
     from tustinnet.report.tables import Table, number
+    from tustinnet.simulate.horizon import over
     from tustinnet.simulate.starts import start_named
 
     fitted = start_named(start).fitted
@@ -118,4 +121,5 @@ def _score_table(by_split: dict[str, list["Score"]], channels: "Channels", start
     for split, scores in by_split.items():
         means = [mean_rmse(scores), *[fmean(s.rmse_after for s in scores) for _ in after]]
         rows.append(["mean", split, *map(number, means), *[""] * (3 * channels.n_q)])
-    return Table(columns, rows, title=f"Free runs, start '{start}'")
+    horizon = over(next(iter(by_split.values()))[0].horizon)
+    return Table(columns, rows, title=f"Free runs, start '{start}'{horizon}")

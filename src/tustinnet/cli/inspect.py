@@ -25,6 +25,7 @@ def inspect(
 ) -> None:
     """Look at the records: time base, encoders, inputs, rest, suspicious rows."""
     import dataclasses
+    import itertools
 
     from tustinnet.data.catalog import load
     from tustinnet.data.inspection import inspect_experiment
@@ -47,8 +48,14 @@ def inspect(
     terminal.print_tables(time_table(reports), _channel_table(reports))
     # the table has the jitter
     notes = ((r.name, text) for r in reports for text in r.notes if "jitter" not in text)
+    held = (
+        (r.name, f"holds an unstable position from {r.held.sample * r.dt:.1f} s on (errors grow "
+         f"e-fold in {r.held.e_fold:.2g} s): score it over a horizon")
+        for r in reports if r.held
+    )  # fmt: skip
     holds = ((r.name, _hold_told(i)) for r in reports for i in r.inputs if i.hold_matters)
-    for line in (*suspicions(reports), *_lines("hold", holds), *_lines("note", notes)):
+    told = (_lines("held", held), _lines("hold", holds), _lines("note", notes))
+    for line in (*suspicions(reports), *itertools.chain(*told)):
         typer.echo(line)
 
 

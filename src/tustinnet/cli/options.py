@@ -68,6 +68,14 @@ Start = Annotated[
         "file where velocities are stored, else derived-6.",
     ),
 ]
+Horizon = Annotated[
+    float | None,
+    typer.Option(
+        metavar="SECONDS",
+        help="Cut records end to end into segments of this length, each with a start of its own; "
+        "for unstable systems under control. Default: whole records.",
+    ),
+]
 Strict = Annotated[
     bool, typer.Option("--strict", help="Refuse records in which something looks wrong.")
 ]

@@ -14,6 +14,7 @@ def residuals(
     data: options.Data,
     split: options.Split = None,
     start: options.Start = None,
+    horizon: options.Horizon = None,
     lags: Annotated[int, typer.Option(min=1, metavar="L", help="Largest lag in samples.")] = 50,
     card: options.Card = None,
     system: options.System = None,
@@ -29,14 +30,15 @@ def residuals(
     from tustinnet.report.figures import write_figure
     from tustinnet.report.residuals import downweighted_table, residual_figure
     from tustinnet.report.tables import Table, number
+    from tustinnet.simulate.horizon import over
     from tustinnet.store.model_file import downweighted_in, load_model
 
     judged = load_model(model, system)
     records, begin = judged_records(data, card, split, start, [judged])
-    reports = residual_reports(judged, records, begin, lags)
+    reports = residual_reports(judged, records, begin, lags, horizon=horizon)
     names = {e.name for e in records}
     spoilt = [s for s in downweighted_in(model) if s.record in names]
-    title = f"Residuals of {len(records)} free runs, start '{begin}'"
+    title = f"Residuals of {len(records)} free runs, start '{begin}'{over(horizon)}"
     if figure is not None:
         write_figure(residual_figure(reports, judged.channels, title), figure.parent, figure.name)
         terminal.messages().print(f"figure: {figure}")
@@ -50,7 +52,13 @@ def residuals(
         ]
         weights = [dataclasses.asdict(s) for s in spoilt]
         terminal.print_json(
-            {"start": begin, "lags": lags, "coordinates": plain, "downweighted": weights}
+            {
+                "start": begin,
+                "horizon": horizon,
+                "lags": lags,
+                "coordinates": plain,
+                "downweighted": weights,
+            }
         )
         return
     rows = [

@@ -11,7 +11,8 @@ from jaxtyping import Bool, Float
 from tustinnet.channels import Hold
 from tustinnet.data.experiment import Experiment, moves_in
 from tustinnet.data.recording import Recording, describe_recording
-from tustinnet.signals import outliers, transients
+from tustinnet.signals import equilibria, outliers, transients
+from tustinnet.signals.equilibria import Held
 from tustinnet.signals.transients import RestThresholds
 
 _REST_SECONDS = 0.25  # slow for this long around a sample: near an equilibrium, not a turning point
@@ -93,6 +94,8 @@ class ExperimentReport:
         forced: whether an input changes.
         k_bar: end of the transient, as a sample index.
         k_bar_declared: whether the data card says so.
+        held: the unstable equilibrium that an input holds to the record's end, if any; it is no
+            rest: `k_bar` does not know of it.
         rest_share: share of samples near an equilibrium.
         coordinates: per coordinate.
         inputs: per input.
@@ -109,6 +112,7 @@ class ExperimentReport:
     forced: bool
     k_bar: int
     k_bar_declared: bool
+    held: Held | None
     rest_share: float
     coordinates: tuple[CoordinateReport, ...]
     inputs: tuple[InputReport, ...]
@@ -139,6 +143,9 @@ def inspect_experiment(experiment: Experiment) -> ExperimentReport:
         forced=e.forced,
         k_bar=transient_end(e),
         k_bar_declared=e.k_bar is not None,
+        held=equilibria.held(e.q, v, e.u, tuple(c.kind == "angular" for c in e.coordinates), e.dt)
+        if e.forced
+        else None,
         rest_share=float(np.mean(_near_equilibrium(v, thresholds, e.dt))),
         coordinates=tuple(_coordinate(e, j, v, thresholds, recording) for j in range(e.q.shape[1])),
         inputs=tuple(_input(e, j) for j in range(e.u.shape[1])),

@@ -15,12 +15,13 @@ from tustinnet.fitting.fit import fit_task
 from tustinnet.fitting.gradient.plan import groups_alike, plan
 from tustinnet.fitting.gradient.train import train_plan
 from tustinnet.fitting.listener import SILENT, Listener
-from tustinnet.fitting.recipe import IdentificationRecipe, Recipe, rates_of, read_recipe
+from tustinnet.fitting.recipe import IdentificationRecipe, Recipe, horizon_of, rates_of, read_recipe
 from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import AnyRecipe, Fold, Member, Task
 from tustinnet.models.contract import Model
 from tustinnet.models.lagrangian import LagrangianSystem
+from tustinnet.simulate.horizon import horizon_samples, within
 from tustinnet.simulate.starts import default_start, start_named
 from tustinnet.systems.files import AnySystem, load_system
 
@@ -253,6 +254,9 @@ def cross_validate(data: DataSet, asked: Question, tell: Tell = lambda task: SIL
         InputError: too few records; see also `fit`.
     """
     deals, recipe = dealt(data, asked.folds), asked.recipe
+    known = taking_part(data)
+    for start in asked.starts or (default_start(known), "model-20"):  # before anything is fitted
+        horizon_samples(horizon_of(recipe), known, start_named(start))
     physics = [None] * len(deals) if asked.physics is None else _physics(deals, asked, tell)
     folds = tuple(Fold(_used(d.roles, recipe), p) for d, p in zip(deals, physics, strict=True))
     own = None if asked.physics else asked.system
@@ -304,8 +308,9 @@ def _scores(
 ) -> list[FoldScore]:
     usual = default_start(list(data), result.model)
     starts = dict.fromkeys(asked.starts or (usual, "model-20"))
+    horizon = within(result.horizon, scored)
     by_start = {
-        start: rmse_by_record(evaluate(result.model, scored, start_named(start)))
+        start: rmse_by_record(evaluate(result.model, scored, start_named(start), horizon=horizon))
         for start in starts
     }
     return [

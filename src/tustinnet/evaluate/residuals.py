@@ -70,7 +70,12 @@ class ResidualReport:
 
 
 def residual_reports(
-    model: Model, experiments: Sequence[Experiment], start: str, lags: int = 50
+    model: Model,
+    experiments: Sequence[Experiment],
+    start: str,
+    lags: int = 50,
+    *,
+    horizon: float | None = None,
 ) -> list[ResidualReport]:
     """Examines the free-run residuals (measured minus simulated) of records.
 
@@ -81,6 +86,8 @@ def residual_reports(
         experiments: records.
         start: where the free runs start, the name of a start.
         lags: largest lag in samples.
+        horizon: how long a free run lasts at most [s], see `free_run`; correlations reach across
+            the segments of a record.
 
     Raises:
         InputError: lags that the shortest record does not have, a free run that diverges; see also
@@ -93,7 +100,7 @@ def residual_reports(
     shortest = min(len(e) for e in experiments)
     if not 1 <= lags < shortest:
         raise InputError("lags", f"{lags} samples", f"1 to {shortest - 1}")
-    runs = free_run(model, experiments, start)
+    runs = free_run(model, experiments, start, horizon=horizon)
     begin, at = start_named(start).first, model.channels.position
     residuals = [e.q[begin:] - x[begin:, at] for e, x in zip(experiments, runs, strict=True)]
     for e, r in zip(experiments, residuals, strict=True):

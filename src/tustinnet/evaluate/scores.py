@@ -14,6 +14,7 @@ from tustinnet.evaluate import metrics
 from tustinnet.models.contract import Model, require_fit, require_float64, with_dtype
 from tustinnet.simulate.along import states_along
 from tustinnet.simulate.drive import Drive, drives_of
+from tustinnet.simulate.horizon import horizon_samples, pieces
 from tustinnet.simulate.rollout import rollouts
 from tustinnet.simulate.starts import Start, start_named, start_states
 
@@ -32,6 +33,7 @@ class Score:
         nrmse: per coordinate, over the standard deviation of the measurement.
         fit_percent: per coordinate, 100 (1 - NRMSE).
         simulated: the free run's states, (n, n_x); before it begins, those along the record.
+        horizon: how long a free run lasted at most [s]; None for the whole record at once.
     """
 
     experiment: str
@@ -42,10 +44,15 @@ class Score:
     nrmse: tuple[float, ...]
     fit_percent: tuple[float, ...]
     simulated: Float[np.ndarray, "n n_x"]
+    horizon: float | None = None
 
 
 def free_run(
-    model: Model, experiments: Sequence[Experiment] | Experiment, start: str | Start
+    model: Model,
+    experiments: Sequence[Experiment] | Experiment,
+    start: str | Start,
+    *,
+    horizon: float | None = None,
 ) -> list[Float[np.ndarray, "n n_x"]]:
     """Simulates records in double precision, each from its start with only its input.
 
@@ -53,24 +60,30 @@ def free_run(
         model: the model.
         experiments: records of any lengths, or one.
         start: where the free runs start, as `start_states` takes it.
+        horizon: how long a free run lasts at most [s]; the state is estimated anew at the
+            beginning of every such segment. None for whole records.
 
     Returns:
         Per record the states [q, v, z], (n, n_x). Of a start in the middle of a record, the rows
         before it are the measured states.
 
     Raises:
-        InputError: other coordinates, inputs or period than the model's; float64 is off.
+        InputError: other coordinates, inputs or period than the model's; a horizon that no record
+            has or that is too short for the start; float64 is off.
     """
     require_float64("free_run")
     experiments, rule = _listed(experiments), _rule(start)
     for experiment in experiments:
         require_fit(model, experiment)
     simulator = with_dtype(model, np.float64).folded()
-    x0 = start_states(simulator, experiments, rule)
-    drive = drives_of(simulator, experiments, slice(rule.first, None))
+    samples = horizon_samples(horizon, experiments, rule)
+    segments = [pieces(e, samples, rule) for e in experiments]
+    every = [piece for of in segments for piece in of]
+    x0 = start_states(simulator, every, rule)
+    drive = drives_of(simulator, every, slice(rule.first, None))
+    found = iter(np.asarray(simulated(simulator, x0, drive)))
     runs = [
-        run[: len(e) - rule.first]
-        for run, e in zip(np.asarray(simulated(simulator, x0, drive)), experiments, strict=True)
+        np.concatenate([next(found)[: len(piece) - rule.first] for piece in of]) for of in segments
     ]
     if not rule.first:
         return runs
@@ -95,7 +108,11 @@ def simulated(
 
 
 def evaluate(
-    model: Model, experiments: Sequence[Experiment] | Experiment, start: str | Start
+    model: Model,
+    experiments: Sequence[Experiment] | Experiment,
+    start: str | Start,
+    *,
+    horizon: float | None = None,
 ) -> list[Score]:
     """Scores the free runs of records.
 
@@ -103,18 +120,24 @@ def evaluate(
         model: the model.
         experiments: records of any lengths, or one.
         start: where the free runs start, as `start_states` takes it.
+        horizon: how long a free run lasts at most [s], see `free_run`; a record's score is over
+            all its segments. None for whole records.
 
     Returns:
         Per record RMSE, per-coordinate figures and the simulation. A free run that leaves the
         range of floating-point numbers scores infinity.
 
     Raises:
-        InputError: other coordinates, inputs or period than the model's; float64 is off.
+        InputError: see `free_run`.
     """
     experiments, rule, scores = _listed(experiments), _rule(start), []
-    for e, x in zip(experiments, free_run(model, experiments, rule), strict=True):
+    samples = horizon_samples(horizon, experiments, rule)
+    runs = free_run(model, experiments, rule, horizon=horizon)
+    for e, x in zip(experiments, runs, strict=True):
         q, measured = x[rule.first :, e.channels.position], e.q[rule.first :]
-        after = rule.fitted - rule.first
+        lengths = [len(piece) - rule.first for piece in pieces(e, samples, rule)]
+        place = np.concatenate([np.arange(n) for n in lengths])  # in the segment
+        after = place >= rule.fitted - rule.first
         with np.errstate(over="ignore", invalid="ignore"):
             q = np.where(np.isfinite(q), q, np.inf)
             scores.append(
@@ -122,11 +145,12 @@ def evaluate(
                     experiment=e.name,
                     start=rule.name,
                     rmse=metrics.rmse(q, measured),
-                    rmse_after=metrics.rmse(q[after:], measured[after:]),
+                    rmse_after=metrics.rmse(q[after], measured[after]),
                     coordinate_rmse=tuple(metrics.coordinate_rmse(q, measured).tolist()),
                     nrmse=tuple(metrics.nrmse(q, measured).tolist()),
                     fit_percent=tuple(metrics.fit_percent(q, measured).tolist()),
                     simulated=x,
+                    horizon=horizon,
                 )
             )
     return scores
@@ -156,6 +180,7 @@ def scores_header(
     return {
         "split": judged,
         "start": start,
+        "horizon": scores[0].horizon,
         "unit": channels.unit,
         "rmse": rmse_by_record(scores),
         "mean": mean_rmse(scores),

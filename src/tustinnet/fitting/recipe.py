@@ -40,6 +40,7 @@ _MANY = 10**6  # epochs, samples, windows in a step
 _WINDOWS = 10**7
 _STAGES = 100
 Count = Annotated[int, Field(gt=0, le=_MANY)]
+Horizon = Annotated[float, Field(gt=0, le=_MANY)]  # s
 
 
 class WindowRecipe(Declaration):
@@ -151,6 +152,8 @@ class SearchRecipe(Declaration):
         method: `levenberg-marquardt`, or `l-bfgs` for systems with many parameters.
         tolerance: converged when the next step promises less than this part of the cost.
         iterations: allowed in the last stage.
+        horizon: longest segment that is simulated at once [s], also of validation records; none
+            for whole records, but for those along which errors grow without end.
         substeps: integration steps in a period; none to choose them from the error target, a
             quarter of an encoder count within 2 s.
     """
@@ -165,6 +168,7 @@ class SearchRecipe(Declaration):
     method: Literal["levenberg-marquardt", "l-bfgs"] = "levenberg-marquardt"
     tolerance: float = Field(default=1e-5, gt=0, le=1)
     iterations: Count = 50
+    horizon: Horizon | None = None
     substeps: int | None = Field(default=None, gt=0, le=MOST_SUBSTEPS)
 
     @field_validator("initial")
@@ -204,6 +208,8 @@ class TrainingRecipe(Recipe):
         velocity: where the training velocities come from (`Experiment.velocities`).
         start: where the validation free runs start; when left out, the model's warm-up if it
             needs one, else `file` where velocities are stored, else `derived-6`.
+        horizon: how long a validation free run lasts at most [s]: longer records are cut end to
+            end into segments with a start each; none for whole records.
         rates: factors of the stages' rates; the command `fit` and `fit_many` train every seed
             with each.
         stages: at least one.
@@ -211,6 +217,7 @@ class TrainingRecipe(Recipe):
 
     velocity: VelocitySource = "auto"
     start: str | None = None
+    horizon: Horizon | None = None
     rates: tuple[Annotated[float, Field(ge=1e-6, le=1e6)], ...] = Field(
         default=(1.0,), min_length=1, max_length=_STAGES
     )
@@ -257,6 +264,13 @@ class IdentificationRecipe(Recipe):
     """
 
     search: SearchRecipe = SearchRecipe()
+
+
+def horizon_of(recipe: Recipe) -> float | None:
+    """The horizon that a recipe asks for [s], None for none."""
+    if isinstance(recipe, IdentificationRecipe):
+        return recipe.search.horizon
+    return recipe.horizon if isinstance(recipe, TrainingRecipe) else None
 
 
 @cache

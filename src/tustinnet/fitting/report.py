@@ -82,7 +82,11 @@ class Identification:
         rmse: per record, root mean square of the residuals' 2-norm, from the initial states below.
         autocorrelation: of the residuals from one sample to the next, per channel, (n_y,).
         initial: how initial states were treated, see `SearchRecipe`.
-        initial_states: those found, by record, (n_x,) each.
+        initial_states: those found at the records' beginnings, by name, (n_x,) each.
+        start: where the free runs start that judge: the usual start; over a horizon of 20 samples
+            or more `model-20`.
+        horizons: length of the segments [s] that records were compared over, by name; validation
+            records too. Records that are not named were compared as a whole.
         validation_rmse: mean free-run RMSE of the validation records, if there are any.
         substeps: integration steps in a sampling period.
         iterations: of the last stage.
@@ -105,6 +109,8 @@ class Identification:
     autocorrelation: tuple[float, ...]
     initial: str
     initial_states: Mapping[str, tuple[float, ...]]
+    start: str
+    horizons: Mapping[str, float]
     validation_rmse: float | None
     substeps: int
     iterations: int
@@ -115,6 +121,11 @@ class Identification:
     def sound(self) -> bool:
         """Whether it ended at a minimum and no sign is suspected to be reversed."""
         return self.converged and not self.reversed_signs
+
+    @property
+    def horizon(self) -> float | None:
+        """How long the validation free runs last at most [s], None where they are whole records."""
+        return min(self.horizons.values(), default=None)
 
     @property
     def values(self) -> dict[str, float]:
@@ -130,6 +141,7 @@ class Identification:
             "trust": self.trust,
             "condition": self.condition,
             "initial": self.initial,
+            "horizons": dict(self.horizons),
             "iterations": self.iterations,
             "substeps": self.substeps,
             "estimates": [dataclasses.asdict(e) for e in self.estimates],
@@ -153,6 +165,7 @@ class FitResult:
         outcome: a sentence on why the fit ended.
         sound: whether it ended as it should.
         start: where the validation free runs started.
+        horizon: how long they lasted at most [s], None where they were whole records.
         validation_rmse: mean free-run RMSE over the validation records [rad or m], or None.
         seconds: time spent, compilation included; of fits that ran together an equal share.
         details: what this way of fitting tells, plain values, under one word: `training` has
@@ -173,6 +186,7 @@ class FitResult:
     details: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     findings: tuple[str, ...] = ()
     identification: Identification | None = None
+    horizon: float | None = None
 
     @property
     def seed(self) -> int:

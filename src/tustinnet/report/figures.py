@@ -17,6 +17,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.data.inspection import ExperimentReport
 from tustinnet.errors import InputError
 from tustinnet.evaluate.scores import Score
+from tustinnet.simulate.horizon import over
 from tustinnet.store.files import write_into
 
 MEASURED = "#111111"
@@ -93,7 +94,9 @@ def free_run_figure(
             axes.set_ylabel(f"{coordinate.name} [{coordinate.unit}]")
         panels[-1].set_xlabel("time [s]")
         starts = sorted({score.start for score in runs.values()})
-        panels[0].set_title(f"{experiment.name}: free run, start '{', '.join(starts)}'", loc="left")
+        horizon = over(next((score.horizon for score in runs.values()), None))
+        title = f"{experiment.name}: free run, start '{', '.join(starts)}'{horizon}"
+        panels[0].set_title(title, loc="left")
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(
             handles, labels, loc="outside lower center", ncols=_columns(labels), fontsize=8

@@ -5,6 +5,7 @@ import math
 from tustinnet.evaluate.folds import Validated
 from tustinnet.fitting.report import Identification
 from tustinnet.report.tables import Table, number
+from tustinnet.simulate.horizon import over
 from tustinnet.store.run import Run
 
 
@@ -31,7 +32,8 @@ def members_table(run: Run) -> Table:
     return Table(
         ["seed", f"mean RMSE [{unit}]", "windows", "epochs", "kept", "seconds", "outcome"],
         rows,
-        title=f"{run.best.result.recipe.name}, {run.judged} free runs, start '{run.start}'",
+        title=f"{run.best.result.recipe.name}, {run.judged} free runs, start '{run.start}'"
+        + over(run.best.scores[0].horizon),
     )
 
 
@@ -73,7 +75,8 @@ def judged_table(run: Run) -> Table:
     best = run.best
     rows = [[s.experiment, number(s.rmse)] for s in best.scores]
     rows.append(["mean", number(best.mean)])
-    return Table(["record", "RMSE"], rows, title=f"{run.judged} free runs, start '{run.start}'")
+    title = f"{run.judged} free runs, start '{run.start}'{over(best.scores[0].horizon)}"
+    return Table(["record", "RMSE"], rows, title=title)
 
 
 def folds_table(found: Validated) -> Table:

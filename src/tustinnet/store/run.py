@@ -26,6 +26,7 @@ from tustinnet.fitting.listener import EpochReport, Iteration, Listener, Searche
 from tustinnet.fitting.report import FitResult, data_header
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Member, Task
+from tustinnet.simulate.horizon import within
 from tustinnet.store.checkpoint import Checkpointer, read_checkpoint
 from tustinnet.store.files import (
     owned,
@@ -121,6 +122,7 @@ class Run:
             "kind": best.result.recipe.model.kind,
             "split": self.judged,
             "start": self.start,
+            "horizon": best.scores[0].horizon,
             "best_seed": best.result.seed,
             "spread": self.spread(),
             "seeds": [
@@ -175,7 +177,8 @@ def _run(task: Task, data: str, folder: Path, earlier: Earlier, tell: Tell) -> R
     fitted = _trained(task, folder, earlier, tell) if trains else _searched(task, folder, tell)
     runs = []
     for member, result in zip(task.members, fitted, strict=True):
-        scores = tuple(evaluate(result.model, roles.judging, result.start))
+        horizon = within(result.horizon, roles.judging)
+        scores = tuple(evaluate(result.model, roles.judging, result.start, horizon=horizon))
         runs.append(MemberRun(result, scores, folder / member.name if trains else folder))
     done = Run(tuple(runs), data, roles, fitted[0].start, folder)
     for run in runs:

@@ -1,10 +1,12 @@
 """Windows and records as training sees them."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import tustinnet as tn
+from tustinnet.fitting.gradient.epoch import validation_rmse
 from tustinnet.fitting.gradient.material import (
     Pool,
     adapted_length,
@@ -140,4 +142,21 @@ def test_windows_begin_with_internal_states_that_followed_their_record(pendulum)
 
 def test_validation_weights_sum_to_one_within_each_record(pendulum):
     runs = validation_runs(model_of(pendulum), list(pendulum), start_named("derived-6"))
-    np.testing.assert_allclose(runs.weight.sum(axis=1), 1.0, rtol=1e-5)
+    np.testing.assert_allclose(runs.weight.sum(axis=(1, 2)), 1.0, rtol=1e-5)
+
+
+def test_validation_runs_over_a_horizon_score_as_evaluation_does(pendulum):
+    model, start = model_of(pendulum), start_named("derived-6")
+    runs = validation_runs(model, list(pendulum), start, 1.0)
+    np.testing.assert_allclose(runs.weight.sum(axis=(1, 2)), 1.0, rtol=1e-5)
+    every = jnp.arange(len(pendulum))
+    single = jax.tree.map(lambda a: a.astype(jnp.float32), model)
+    score = validation_rmse(single, runs, every, jnp.ones(len(pendulum), jnp.float32))
+    scores = tn.evaluate(model, list(pendulum), "derived-6", horizon=1.0)
+    assert float(score) == pytest.approx(tn.mean_rmse(scores), rel=1e-4)
+
+
+def test_a_horizon_of_validation_longer_than_every_record_is_refused(pendulum):
+    recipe = tn.read_recipe("standard", ["horizon=60"])
+    with pytest.raises(tn.InputError, match="recipe 'standard', horizon: 60 s"):
+        plan(make_task(pendulum, recipe))

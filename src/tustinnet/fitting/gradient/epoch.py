@@ -401,14 +401,16 @@ def validation_rmse(
         counted: 1 for those that count.
     """
     simulator = model.folded()
+    # the segments of all records side by side
     material, u, q, weight = jax.tree.map(
-        lambda a: a[chosen], (runs.material, runs.u, runs.q, runs.weight)
+        lambda a: a[chosen].reshape(-1, *a.shape[2:]), (runs.material, runs.u, runs.q, runs.weight)
     )
     x0 = runs.start.states(simulator, material)
     simulated = rollouts(simulator, x0, u)[..., model.channels.position]
     # beyond a record's end the model may do anything, also overflow
     error = jnp.where(weight[..., None] > 0, simulated - q, 0.0)
-    each = jnp.sqrt(jnp.sum(weight * jnp.sum(error**2, axis=-1), axis=-1))
+    squares = (weight * jnp.sum(error**2, axis=-1)).reshape(len(chosen), -1)
+    each = jnp.sqrt(jnp.sum(squares, axis=-1))
     mean = jnp.sum(counted * each) / jnp.sum(counted)
     return jnp.where(jnp.isfinite(mean), mean, jnp.inf)
 

@@ -19,6 +19,7 @@ from tustinnet.signals.stacking import stacked
 from tustinnet.signals.windows import random_windows, strided_windows
 from tustinnet.simulate.along import states_along
 from tustinnet.simulate.drive import drive_of, drives_of
+from tustinnet.simulate.horizon import horizon_samples, pieces
 from tustinnet.simulate.starts import Start
 
 _LONGEST = 4  # an adapted window is at most this many times the recipe's length
@@ -41,19 +42,22 @@ class Records(eqx.Module):
 class ValidationRuns(eqx.Module):
     """Free runs to compare with, in float32.
 
+    A record is one segment, or several end to end over a horizon; records with fewer than others
+    repeat their first, which then weighs nothing.
+
     Attributes:
         start: where they start.
-        material: what the start needs of the records.
-        u: what drives them from the start on, (records, steps, ...), 0 after a record's end.
-        q: measured positions from the start on, (records, steps + 1, n_q).
-        weight: 1 / length within a record, 0 after its end, (records, steps + 1).
+        material: what the start needs of the segments, arrays (records, segments, ...).
+        u: what drives them from the start on, (records, segments, steps, ...), 0 after the end.
+        q: measured positions from the start on, (records, segments, steps + 1, n_q).
+        weight: 1 / length of the record within a segment, else 0, (records, segments, steps + 1).
     """
 
     start: Start = eqx.field(static=True)
     material: Any
-    u: Float[Array, "records steps *drive"]
-    q: Float[Array, "records samples n_q"]
-    weight: Float[Array, "records samples"]
+    u: Float[Array, "records segments steps *drive"]
+    q: Float[Array, "records segments samples n_q"]
+    weight: Float[Array, "records segments samples"]
 
 
 @dataclass(frozen=True)
@@ -111,15 +115,29 @@ class Pool:
 
 
 def validation_runs(
-    model: Model, experiments: Sequence[Experiment], start: Start
+    model: Model, experiments: Sequence[Experiment], start: Start, horizon: float | None = None
 ) -> ValidationRuns:
-    """Prepares the free runs of records from a start."""
-    tails = [e[start.first :] for e in experiments]
-    u = drives_of(model, experiments, slice(start.first, None)).u
+    """Prepares the free runs of records from a start, over a horizon [s] or as a whole.
+
+    Raises:
+        InputError: a horizon that is too short or too long, see `horizon_samples`.
+    """
+    samples = horizon_samples(horizon, experiments, start)
+    cut = [pieces(e, samples, start) for e in experiments]
+    most = max(map(len, cut))
+    filled = [piece for of in cut for piece in [*of, *of[:1] * (most - len(of))]]
+    counted = [1.0 / (len(e) - start.first) * (i < len(of))
+               for e, of in zip(experiments, cut, strict=True) for i in range(most)]  # fmt: skip
+    tails = [piece[start.first :] for piece in filled]
+    u = drives_of(model, filled, slice(start.first, None)).u
     q = stacked([e.q for e in tails])
-    weight = stacked([np.full(len(e), 1.0 / len(e)) for e in tails])
-    arrays = (start.material(model, experiments), u, q, weight)
-    return ValidationRuns(start, *jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), arrays))
+    weight = stacked([np.full(len(e), w) for e, w in zip(tails, counted, strict=True)])
+    arrays = (start.material(model, filled), u, q, weight)
+
+    def by_record(a: Array | np.ndarray) -> Array:
+        return jnp.asarray(a, jnp.float32).reshape(len(cut), most, *np.shape(a)[1:])
+
+    return ValidationRuns(start, *jax.tree.map(by_record, arrays))
 
 
 def stage_windows(

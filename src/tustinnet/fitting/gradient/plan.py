@@ -29,7 +29,8 @@ from tustinnet.fitting.recipe import StageRecipe, TrainingRecipe
 from tustinnet.fitting.residual import residual_of
 from tustinnet.fitting.task import Fold, Member, Task
 from tustinnet.models.contract import Model, with_dtype
-from tustinnet.simulate.starts import default_start, start_named
+from tustinnet.simulate.horizon import horizon_samples, within
+from tustinnet.simulate.starts import Start, default_start, start_named
 
 
 @dataclass(frozen=True)
@@ -118,9 +119,11 @@ def plan(task: Task, devices: Sequence[Any] | None = None) -> Plan:
         for index, stage in enumerate(recipe.stages)
     )
     named = recipe.start or default_start(pool.experiments, single[0])
+    rule = start_named(named)
+    horizon_samples(recipe.horizon, pool.experiments, rule, f"recipe '{recipe.name}', horizon")
     along = {m.fold: pool.internal_states(given[i], recipe.velocity)
              for i, m in reversed(list(enumerate(members)))}  # fmt: skip
-    validation, chosen, counted = _validation(task, single[0], named)
+    validation, chosen, counted = _validation(task, single[0], rule)
     return Plan(
         task=task,
         given=given,
@@ -214,7 +217,7 @@ def _side_by_side(rows: Sequence[np.ndarray]) -> Int[np.ndarray, "members count"
 
 
 def _validation(
-    task: Task, model: Model, start: str
+    task: Task, model: Model, start: Start
 ) -> tuple[ValidationRuns | None, Int[Array, "members runs"], Float[Array, "members runs"]]:
     """The free runs that judge, which of them each member has, and what counts of these."""
     mine = [task.folds[m.fold].roles.validation for m in task.members]
@@ -229,7 +232,9 @@ def _validation(
     for m, of in enumerate(mine):
         chosen[m, : len(of)] = [place[e.name] for e in of]
         counted[m, : len(of)] = 1.0
-    runs = validation_runs(model, every, start_named(start))
+    assert isinstance(task.recipe, TrainingRecipe)
+    horizon = within(task.recipe.horizon, every)
+    runs = validation_runs(model, every, start, horizon)
     return runs, jnp.asarray(chosen), jnp.asarray(counted)
 
 

@@ -49,4 +49,5 @@ def _result(prepared: Plan, best: Model, m: int, progress: Progress) -> FitResul
         validation_rmse=score,
         seconds=progress.seconds,
         details={"training": details},
+        horizon=prepared.recipe.horizon,
     )

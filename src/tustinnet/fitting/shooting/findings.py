@@ -1,6 +1,6 @@
 """What an identification found, in words and numbers."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +9,7 @@ from jaxtyping import Float
 from tustinnet.data.experiment import Experiment
 from tustinnet.fitting.report import Estimate, Identification, Stretch
 from tustinnet.fitting.shooting.least_squares import Fitted
+from tustinnet.fitting.shooting.segments import Segments
 from tustinnet.fitting.shooting.space import Space
 from tustinnet.fitting.shooting.uncertainty import Uncertainty
 from tustinnet.models.integrate import Discretised
@@ -18,6 +19,7 @@ _POOR_CONDITION = 1e3
 _AT_THE_COUNT = 1.5  # times the rms error of rounding to counts
 _LITTLE = 0.5  # of the weight of residuals that count in full
 _TOLD = 5  # stretches that are told in a sentence
+_MOST_NAMED = 12
 _CORRELATED = 0.2  # residuals' correlation from one sample to the next that is more than chance
 
 
@@ -27,25 +29,33 @@ class Found:
 
     Attributes:
         fitted: where it ended.
+        segments: what it compared.
         space: the parameters' coordinates.
         model: the model with the values found.
         records: the records.
         certain: how far the values can be trusted.
+        horizons: see `Identification`.
+        asked: whether the recipe says them.
         reversed_signs: see `Identification`.
         remarks: what was said on the way.
         initial: how initial states were treated.
+        start: see `Identification`.
         validation_rmse: mean free-run RMSE of the validation records, or None.
         weights: what every squared residual weighs, record after record, None where all alike.
     """
 
     fitted: Fitted
+    segments: Segments
     space: Space
     model: Discretised
     records: Sequence[Experiment]
     certain: Uncertainty
+    horizons: Mapping[str, float]
+    asked: bool
     reversed_signs: tuple[tuple[str, ...], ...]
     remarks: tuple[str, ...]
     initial: str
+    start: str
     validation_rmse: float | None
     weights: Float[np.ndarray, "n n_y"] | None = None
 
@@ -54,7 +64,7 @@ def described(system: LagrangianSystem, found: Found, seconds: float) -> Identif
     """Puts the parts of an identification together and says what they mean."""
     fitted, space, certain, records = found.fitted, found.space, found.certain, found.records
     estimates = _estimates(space, fitted, certain)
-    lag, multiple = _residuals(fitted, records)
+    lag, multiple = _residuals(found)
     with np.errstate(invalid="ignore", divide="ignore"):
         errors = np.sqrt(np.diag(certain.trusted))
         correlation = certain.trusted / np.outer(errors, errors)
@@ -63,12 +73,13 @@ def described(system: LagrangianSystem, found: Found, seconds: float) -> Identif
     findings = [
         *_about_signs(found.reversed_signs),
         *found.remarks,
+        *_about_horizons(found),
         *_about_bounds(estimates),
         *_about_stretches(spoilt),
         *([] if diverged else _about_condition(space, certain)),
         _about_errors(certain, lag, multiple, len(records)) if fitted.why == "converged" else "",
     ]
-    rms = np.sqrt(fitted.normal.cost)
+    begins = np.flatnonzero(np.diff(found.segments.record, prepend=-1))
     return Identification(
         system=system,
         model=found.model,
@@ -77,14 +88,18 @@ def described(system: LagrangianSystem, found: Found, seconds: float) -> Identif
         correlation=correlation,
         condition=certain.condition,
         converged=fitted.why == "converged",
-        outcome=_outcome(fitted),
+        outcome=_outcome(found),
         reversed_signs=found.reversed_signs,
         findings=tuple(f for f in findings if f),
         trust="residuals" if certain.clustered is None else "records",
-        rmse={e.name: float(r) for e, r in zip(records, rms, strict=True)},
+        rmse=_rmse(found),
         autocorrelation=tuple(lag.tolist()),
         initial=found.initial,
-        initial_states={e.name: tuple(x.tolist()) for e, x in zip(records, fitted.x0, strict=True)},
+        initial_states={
+            e.name: tuple(x.tolist()) for e, x in zip(records, fitted.x0[begins], strict=True)
+        },
+        horizons=found.horizons,
+        start=found.start,
         validation_rmse=found.validation_rmse,
         substeps=found.model.substeps,
         iterations=fitted.iterations,
@@ -120,7 +135,8 @@ def _about_stretches(spoilt: Sequence[Stretch]) -> list[str]:
     ]
 
 
-def _outcome(fitted: Fitted) -> str:
+def _outcome(found: Found) -> str:
+    fitted = found.fitted
     return {
         "diverged": "diverged: from the values found the records simulate to infinity; look at the "
         "signs in the data card and in the system file, and at the ranges",
@@ -128,8 +144,60 @@ def _outcome(fitted: Fitted) -> str:
         "stalled": "stalled: no step lowers the cost though the gradient is not zero; start from "
         "other values, or look for a jump in the energies or forces",
         "limit": f"stopped at the limit of {fitted.iterations} iterations while still falling; "
-        "allow more, or start from other values",
+        + _more_or_shorter(found),
     }[fitted.why]
+
+
+def _more_or_shorter(found: Found) -> str:
+    """What to do at the limit of iterations: where records are not followed at all, cut them."""
+    rmse = _rmse(found)
+    lost = [e for e in found.records if rmse[e.name] > np.sqrt(np.sum(e.q.var(axis=0)))]
+    if not lost:
+        return "allow more (search.iterations), or start from other values"
+    names = _listed([e.name for e in lost])
+    spans = [found.horizons.get(e.name, (len(e) - 1) * e.dt) for e in lost]
+    return (
+        f"the simulations of {names} miss by more than the records vary; compare them over less "
+        f"than {min(spans):.2g} s at once (search.horizon={min(spans) / 2:.2g}), or leave them out"
+    )
+
+
+def _rmse(found: Found) -> dict[str, float]:
+    """Root mean square of every record's residuals, all its segments together."""
+    of, cost = found.segments, found.fitted.normal.cost
+    # every residual weighs 1 / T, and a joint of two segments counts in both
+    total, weight = np.bincount(of.record, cost), np.bincount(of.record, of.share * (of.steps + 1))
+    names = (e.name for e in found.records)
+    return dict(zip(names, np.sqrt(total / weight).tolist(), strict=True))
+
+
+def _about_horizons(found: Found) -> list[str]:
+    """Which records were compared over which horizon, and why."""
+    if not found.horizons:
+        return []
+    trained = {e.name for e in found.records}
+    by_length: dict[float, list[str]] = {}
+    for name in sorted(trained & set(found.horizons), key=list(found.horizons).index):
+        by_length.setdefault(found.horizons[name], []).append(name)
+    told = []
+    for seconds, names in sorted(by_length.items()):
+        why = "" if found.asked else f"errors grow a thousandfold in about {seconds:.2g} s, "
+        told.append(f"{_listed(names)}: {why}fitted over segments of {seconds:.2g} s")
+    if whole := [e.name for e in found.records if e.name not in found.horizons]:
+        told.append(f"{_listed(whole)}: fitted as a whole")
+    if found.validation_rmse is not None:
+        shortest = min(found.horizons.values())
+        told.append(
+            f"validation records are scored over segments of {shortest:.2g} s, each from "
+            f"the start '{found.start}'"
+        )
+    return told
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Names for a sentence, no more than a line has room for."""
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    return ", ".join(names[:_MOST_NAMED]) + more
 
 
 def _estimates(space: Space, fitted: Fitted, certain: Uncertainty) -> tuple[Estimate, ...]:
@@ -162,11 +230,9 @@ def _estimates(space: Space, fitted: Fitted, certain: Uncertainty) -> tuple[Esti
     return tuple(found)
 
 
-def _residuals(
-    fitted: Fitted, records: Sequence[Experiment]
-) -> tuple[Float[np.ndarray, " n_y"], float | None]:
+def _residuals(found: Found) -> tuple[Float[np.ndarray, " n_y"], float | None]:
     """Correlation from sample to sample, and the size in encoder noise where counts are known."""
-    errors = [np.nan_to_num(x, posinf=0.0, neginf=0.0) for x in fitted.normal.error]
+    errors = [np.nan_to_num(x, posinf=0.0, neginf=0.0) for x in found.fitted.normal.error]
     before, after = (
         np.concatenate([x[part] for x in errors]) for part in (slice(-1), slice(1, None))
     )
@@ -174,7 +240,7 @@ def _residuals(
     lag = np.divide(
         np.sum(before * after, axis=0), power, out=np.zeros_like(power), where=power > 0
     )
-    counts = records[0].channels.resolution
+    counts = found.records[0].channels.resolution
     if not np.all(counts > 0):
         return lag, None
     sizes = np.sqrt(np.mean(np.concatenate(errors)[:, : len(counts)] ** 2, axis=0))

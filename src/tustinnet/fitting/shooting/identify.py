@@ -28,7 +28,6 @@ from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task
 from tustinnet.models.contract import require_float64
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
 from tustinnet.models.sensors import calibrated
-from tustinnet.simulate.starts import default_start
 from tustinnet.systems.files import AnySystem
 
 # what right signs leave of the momentum is a few hundredths, what wrong ones leave over a half
@@ -49,7 +48,9 @@ def identify(
     """Identifies a system's parameters by the simulation error over all training records at once.
 
     First values come from the equations of motion on the measured motion; then the simulation
-    error over segments of one swing, of four swings and over whole records is minimised.
+    error over segments of one swing, of four swings and over whole records is minimised. Records
+    along which errors grow without end, as about an unstable equilibrium that a controller
+    holds, stay in segments; `findings` says which.
 
     Args:
         data: records; those of the split `train` are used, or all where there are no splits.
@@ -77,19 +78,19 @@ def identify(
 def identify_task(task: Task, member: Member, listener: Listener) -> FitResult:
     """Identifies the system of a task from the records of a member's fold."""
     found = _identify(task, member, listener)
-    roles = task.folds[member.fold].roles
     return FitResult(
         model=found.model,
         recipe=task.recipe,
         member=member,
         outcome=found.outcome,
         sound=found.sound,
-        start=default_start(roles.all),
+        start=found.start,
         validation_rmse=found.validation_rmse,
         seconds=found.seconds,
         details={"identification": found.as_plain()},
         findings=found.findings,
         identification=found,
+        horizon=found.horizon,
     )
 
 
@@ -114,22 +115,28 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
     _require_mass(system.model(values), records)
     _require_finite(system.model(values), records)
     problem = Problem(system, tuple(records), roles.validation, recipe.search, listener)
-    problem, ended, initial, validation = search_with_holds(problem, State(space, first))
+    begin_at = State(space, first, horizons=problem.asked or {})
+    problem, ended, initial, validation = search_with_holds(problem, begin_at)
     reversed_signs: tuple[tuple[str, ...], ...] = ()
     if ended.unexplained > _POORLY_EXPLAINED:
         reversed_signs = inverse_dynamics.likely_reversals(
             system, ended.space, ended.space.vector(nominal | begin), problem.motion
         )
     assert ended.fitted is not None
+    assert ended.segments is not None
     found = Found(
         fitted=ended.fitted,
+        segments=ended.segments,
         space=ended.space,
         model=model_of(problem, ended),
         records=problem.records,
-        certain=_certain(problem, ended, initial),
+        certain=_certain(problem, ended),
+        horizons={name: steps * records[0].dt for name, steps in ended.horizons.items()},
+        asked=problem.asked is not None,
         reversed_signs=reversed_signs,
         remarks=ended.remarks,
         initial=initial,
+        start=problem.judging_start(ended.horizon).name,
         validation_rmse=validation,
         weights=ended.weights,
     )
@@ -144,15 +151,16 @@ def _numbers(system: LagrangianSystem, fixed: Mapping[str, float | str]) -> dict
     }
 
 
-def _certain(problem: Problem, ended: State, initial: str) -> Uncertainty:
+def _certain(problem: Problem, ended: State) -> Uncertainty:
     """How far the values found can be trusted; those at an end of their range have no errors."""
-    fitted, space = ended.fitted, ended.space
+    fitted, segments, space = ended.fitted, ended.segments, ended.space
     assert fitted is not None
+    assert segments is not None
     known = prior(problem, ended)
     curvature = known.weight * prior_deviation(known, space, fitted.vector)[1] ** 2
     bounds = space.at_bounds(fitted.vector)
     moving = np.array([name not in bounds for name in space.names])
-    return uncertainty(fitted.normal, problem.segments(None, initial), curvature, moving)
+    return uncertainty(fitted.normal, segments, curvature, moving)
 
 
 def _transients(records: Sequence[Experiment]) -> list[Experiment]:

@@ -1,7 +1,7 @@
 """Records cut into segments that are simulated side by side."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -74,6 +74,7 @@ class Cut:
             that `initial_state` knows, then it is not.
         anchored: whether states that are searched for are kept near what the encoder read.
         timestamps: whether to step from timestamp to timestamp, or by the sampling period.
+        horizons: longest segment of single records in steps, by name, where they are shorter.
     """
 
     residual: Residual
@@ -81,6 +82,11 @@ class Cut:
     start: str = "estimated"
     anchored: bool = True
     timestamps: bool = True
+    horizons: Mapping[str, int] = field(default_factory=dict)
+
+    def longest(self, record: str) -> int | None:
+        """Steps of the longest segment of a record; None for the whole."""
+        return min((n for n in (self.length, self.horizons.get(record)) if n), default=None)
 
 
 def cut(experiments: Sequence[Experiment], model: Model, how: Cut) -> Segments:
@@ -101,7 +107,9 @@ def cut(experiments: Sequence[Experiment], model: Model, how: Cut) -> Segments:
     """
     of, n_y = model.channels, how.residual.channels
     pieces = [
-        (i, a, b) for i, e in enumerate(experiments) for a, b in _bounds(len(e) - 1, how.length)
+        (i, a, b)
+        for i, e in enumerate(experiments)
+        for a, b in _bounds(len(e) - 1, how.longest(e.name))
     ]
     x0 = np.zeros((len(pieces), model.state_size))
     searched, precision = np.ones_like(x0), np.zeros_like(x0)
@@ -147,7 +155,7 @@ def _target(e: Experiment, n_y: int) -> Float[np.ndarray, "samples n_y"]:
 
 
 def _bounds(steps: int, length: int | None) -> list[tuple[int, int]]:
-    count = 1 if length is None else max(1, round(steps / length))
+    count = 1 if length is None else -(-steps // length)
     edges = np.linspace(0, steps, count + 1).round().astype(int)
     return list(pairwise(edges.tolist()))
 

@@ -1,10 +1,12 @@
 """The stages of a search: from first values over longer and longer segments to whole records.
 
+Records along which errors grow without end stay in segments; see `growth`.
+
 A stage is data, and takes the state of the search to the next one; nothing is changed in place.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, reduce
 
 import jax.numpy as jnp
@@ -15,7 +17,7 @@ from tustinnet.errors import InputError
 from tustinnet.fitting.listener import SILENT, Iteration, Listener, SearchedStage
 from tustinnet.fitting.recipe import SearchRecipe
 from tustinnet.fitting.residual import Residual, residual_of, robust_weights
-from tustinnet.fitting.shooting import inverse_dynamics
+from tustinnet.fitting.shooting import growth, inverse_dynamics
 from tustinnet.fitting.shooting.by_gradient import minimise_by_gradient
 from tustinnet.fitting.shooting.identifiability import confounded
 from tustinnet.fitting.shooting.inverse_dynamics import Motion
@@ -31,12 +33,14 @@ from tustinnet.fitting.shooting.segments import Cut, Segments, cut
 from tustinnet.fitting.shooting.space import Searched, Space
 from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.simulate.starts import default_start
+from tustinnet.simulate.horizon import horizon_samples, pieces
+from tustinnet.simulate.starts import Start, default_start, start_named, start_states
 from tustinnet.simulate.substeps import PROBED_SECONDS, enough_substeps
 
 _TARGET = 0.25  # integration error allowed, in encoder counts: less than rounding to them makes
 _TARGET_SPAN = 1e-5  # or of the largest travel, where no count is known
 _SWINGS = (4, 16)  # lengths of the first stages' segments, in quarters of a swing
+_FITTED_START = "model-20"
 _FIRST_VARIANCE = 1e-4  # of residuals, before any are known
 _REWEIGHTED = 20  # times at most, with weights from the residuals before
 _SETTLED = 1e-5  # change of a logarithm, or of a range
@@ -67,9 +71,18 @@ class Problem:
         return inverse_dynamics.measured_motion(self.records)
 
     @cached_property
-    def start(self) -> str:
-        """Where the free runs start that judge."""
-        return default_start([*self.records, *self.validation])
+    def start(self) -> Start:
+        """Where the free runs start that judge whole records."""
+        return start_named(default_start([*self.records, *self.validation]))
+
+    def judging_start(self, horizon: int | None) -> Start:
+        """Where the free runs start that judge over a horizon.
+
+        What errs in a velocity that was read from a few samples grows over a horizon to more
+        than any model misses; a state fitted through the model has no such error.
+        """
+        fitted = start_named(_FITTED_START)
+        return self.start if horizon is None or horizon < fitted.samples else fitted
 
     @cached_property
     def residual(self) -> Residual:
@@ -77,9 +90,11 @@ class Problem:
         return residual_of(self.search, self.records)
 
     @cached_property
-    def judging(self) -> Segments:
-        """The validation records' free runs, laid out once for all scores."""
-        return self.free_runs(self.validation)
+    def asked(self) -> dict[str, int] | None:
+        """Steps over which every record is to be fitted, by name, where the recipe says it."""
+        every = (*self.records, *self.validation)
+        samples = horizon_samples(self.search.horizon, every, self.start, "search.horizon")
+        return None if samples is None else {e.name: samples for e in every if len(e) > samples}
 
     @property
     def first(self) -> str:
@@ -103,8 +118,8 @@ class Problem:
         lanes = lanes_for(len(self.records))
         return Shape(self.system, space.searched, self.residual, lanes)
 
-    def segments(self, length: int | None, initial: str) -> Segments:
-        """The records cut for a stage."""
+    def segments(self, length: int | None, initial: str, horizons: Mapping[str, int]) -> Segments:
+        """The records cut for a stage: to a length, or those that have one to their horizon."""
         searched = initial in ("anchored", "unanchored")
         how = Cut(
             residual=self.residual,
@@ -112,6 +127,7 @@ class Problem:
             start="estimated" if searched else initial,
             anchored=initial != "unanchored",
             timestamps=self.search.times == "recorded",
+            horizons=horizons,
         )
         return cut(self.records, self.nominal, how)
 
@@ -121,7 +137,7 @@ class Problem:
 
     def free_runs(self, records: Sequence[Experiment]) -> Segments:
         """Free runs from the start by which models are judged; nothing is searched for."""
-        how = Cut(residual=self.residual, start=self.start, timestamps=False)
+        how = Cut(residual=self.residual, start=self.start.name, timestamps=False)
         return cut(records, self.nominal, how)
 
 
@@ -135,7 +151,10 @@ class State:
         substeps: integration steps in a period.
         variance: mean squared residual of a record so far.
         fitted: where the last stage ended, None before the first.
+        segments: what that stage compared, None before the first.
         unexplained: what the equations of motion leave of the worst record.
+        horizons: steps over which records are compared that cannot be simulated as a whole, by
+            name; validation records too.
         remarks: what there is to say.
         weights: what every squared residual weighs, (n, n_y); None while all weigh the same.
     """
@@ -145,9 +164,16 @@ class State:
     substeps: int = 1
     variance: float = _FIRST_VARIANCE
     fitted: Fitted | None = None
+    segments: Segments | None = None
     unexplained: float = 0.0
+    horizons: Mapping[str, int] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     weights: np.ndarray | None = None
+
+    @property
+    def horizon(self) -> int | None:
+        """Steps over which validation records are scored: what all of them can be; or None."""
+        return min(self.horizons.values(), default=None)
 
 
 @dataclass(frozen=True)
@@ -170,7 +196,7 @@ def search(problem: Problem, state: State) -> tuple[State, str, float | None]:
     begun = reduce(
         lambda now, step: step(problem, now), (_without_confounded, _first_values), state
     )
-    rough = _chosen_substeps(problem, _run_all(problem, begun, _first_stages(problem)))
+    rough = _chosen_substeps(problem, _run_all(problem, begun, _first_stages(problem, begun)))
     wanted = problem.search.initial
     if wanted == "choose":
         rough, wanted = _better(problem, rough)
@@ -185,8 +211,9 @@ def refined(problem: Problem, state: State, initial: str) -> State:
     return _settled(problem, _chosen_substeps(problem, state), SearchStage(initial, last))
 
 
-def _first_stages(problem: Problem) -> list[SearchStage]:
-    short = [s for s in _SWINGS if s * problem.motion.length < max(map(len, problem.records)) - 1]
+def _first_stages(problem: Problem, begun: State) -> list[SearchStage]:
+    longest = max(begun.horizons.get(e.name, len(e) - 1) for e in problem.records)
+    short = [s for s in _SWINGS if s * problem.motion.length < longest]
     return [
         *(SearchStage(problem.first, Limits(0.1, 20), swings) for swings in short),
         SearchStage(problem.first, Limits(1e-2, 30)),
@@ -203,26 +230,34 @@ def _better(problem: Problem, rough: State) -> tuple[State, str]:
 
 
 def _run_all(problem: Problem, state: State, stages: Sequence[SearchStage]) -> State:
-    return reduce(lambda now, stage: _run(problem, now, stage), stages, state)
+    """The state after several stages; the better the values, the better the horizons."""
+    return reduce(lambda now, stage: _with_horizons(problem, _run(problem, now, stage)), stages,
+                  state)  # fmt: skip
+
+
+def _with_horizons(problem: Problem, state: State) -> State:
+    """The state with how long each record can be simulated by the values so far."""
+    every = (*problem.records, *problem.validation)
+    found = problem.asked
+    if found is None:
+        length = problem.motion.length
+        found = growth.horizons(problem.system, state.space, state.vector, every, length)
+    return replace(state, horizons=found)
 
 
 def _run(problem: Problem, state: State, stage: SearchStage) -> State:
     """The state after a stage."""
     length = stage.swings and stage.swings * problem.motion.length
-    name = "whole records"
-    if length is not None:
-        name = f"segments of {length * problem.motion.dt:.2g} s"
-    segments = problem.segments(length, stage.initial)
+    segments = problem.segments(length, stage.initial, state.horizons)
     if state.weights is not None:
         segments = replace(segments, weight=segments.weight * np.sqrt(state.weights))
     cost = Cost(
-        problem.shape(state.space), state.space, segments,
-        prior(problem, state),
+        problem.shape(state.space), state.space, segments, prior(problem, state),
         # over a few swings the integration error stays far below what the first stages leave
         state.substeps if length is None else max(1, state.substeps // 2),
     )  # fmt: skip
 
-    name = f"{name}, {stage.initial} start"
+    name = f"{_told(problem, state, length)}, {stage.initial} start"
 
     def told(iterations: int, value: float, damping: float) -> None:
         problem.listener.iteration(Iteration(name, iterations, value, damping, stage.initial))
@@ -234,7 +269,10 @@ def _run(problem: Problem, state: State, stage: SearchStage) -> State:
     )
     known = fitted.cost / len(problem.records) if fitted.why != "diverged" else state.variance
     weights = _weights(problem, segments, fitted) if fitted.why != "diverged" else state.weights
-    return replace(state, vector=fitted.vector, fitted=fitted, variance=known, weights=weights)
+    return replace(
+        state, vector=fitted.vector, fitted=fitted, segments=segments, variance=known,
+        weights=weights,
+    )  # fmt: skip
 
 
 def _settled(problem: Problem, state: State, stage: SearchStage) -> State:
@@ -259,6 +297,20 @@ def _weights(problem: Problem, segments: Segments, fitted: Fitted) -> np.ndarray
     return robust_weights(problem.search.robust, errors, problem.records[0].channels.resolution)
 
 
+def _told(problem: Problem, state: State, length: int | None) -> str:
+    """What a stage is called."""
+    dt = problem.motion.dt
+    if length is not None:
+        return f"segments of {length * dt:.2g} s"
+    limits = [state.horizons[e.name] for e in problem.records if e.name in state.horizons]
+    if not limits:
+        return "whole records"
+    some = (
+        "" if len(limits) == len(problem.records) else f"whole records, {len(limits)} of them in "
+    )
+    return f"{some}segments of {min(limits) * dt:.2g} s"
+
+
 def prior(problem: Problem, state: State) -> Prior:
     """What is known beforehand, made comparable with residuals of the size so far."""
     searched = state.space.searched
@@ -274,7 +326,7 @@ def prior(problem: Problem, state: State) -> Prior:
 def _without_confounded(problem: Problem, state: State) -> State:
     """One parameter of every set that the records cannot tell apart is fixed."""
     space, vector = state.space, state.vector
-    s = problem.segments(_SWINGS[0] * problem.motion.length, problem.first)
+    s = problem.segments(_SWINGS[0] * problem.motion.length, problem.first, state.horizons)
     found = normal_products(problem.shape(space), space, vector, s.x0, s, 1)
     products = found.pp.sum(axis=0)
     if not np.isfinite(products).all():
@@ -308,7 +360,8 @@ def _first_values(problem: Problem, state: State) -> State:
     name, values = "first values", state.space.numbers(found)
     problem.listener.iteration(Iteration(name, 1, left, 0.0))
     problem.listener.searched(SearchedStage(name, "", 1, left, "converged", values))
-    return _chosen_substeps(problem, replace(state, vector=found, unexplained=left))
+    known = _with_horizons(problem, replace(state, vector=found, unexplained=left))
+    return _chosen_substeps(problem, known)
 
 
 def _chosen_substeps(problem: Problem, state: State) -> State:
@@ -319,7 +372,9 @@ def _chosen_substeps(problem: Problem, state: State) -> State:
     reach = max(float(np.abs(e.q - e.q[-1]).max()) for e in problem.records)
     target = _TARGET * min(counts) if counts else _TARGET_SPAN * reach
     probed = max(2, round(PROBED_SECONDS / problem.records[0].dt))
-    parts = problem.free_runs([e[:probed] for e in problem.records])
+    parts = problem.free_runs(
+        [pieces(e, state.horizons.get(e.name), problem.start)[0][:probed] for e in problem.records]
+    )
     chosen = enough_substeps(lambda n: np.concatenate(_errors(problem, state, parts, n)), target)
     return replace(state, substeps=chosen)
 
@@ -333,8 +388,18 @@ def _errors(problem: Problem, state: State, runs: Segments, substeps: int) -> li
 
 def score(problem: Problem, state: State) -> float:
     """Mean free-run RMSE of the validation records [rad or m]."""
-    errors = _errors(problem, state, problem.judging, state.substeps)
-    found = float(np.mean([np.sqrt(np.sum(error**2) / len(error)) for error in errors]))
+    start = problem.judging_start(state.horizon)
+    cut = [pieces(e, state.horizon, start) for e in problem.validation]
+    every = [piece for of in cut for piece in of]
+    runs = problem.free_runs(every)
+    if start.fitted:
+        model = model_of(problem, state)
+        runs = replace(runs, x0=start_states(model, every, start))
+    errors = _errors(problem, state, runs, state.substeps)
+    owner = np.repeat(np.arange(len(cut)), list(map(len, cut)))
+    with np.errstate(over="ignore"):
+        squares = np.bincount(owner, [float(np.sum(error**2)) for error in errors])
+    found = float(np.mean(np.sqrt(squares / [len(e) for e in problem.validation])))
     return found if np.isfinite(found) else np.inf
 
 

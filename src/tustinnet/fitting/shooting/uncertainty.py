@@ -49,15 +49,15 @@ def uncertainty(
     curvature: Float[np.ndarray, " n_p"],
     moving: Bool[np.ndarray, " n_p"],
 ) -> Uncertainty:
-    """Covariances of an estimate from whole records.
+    """Covariances of an estimate, the segments of a record taken together.
 
     The clustered covariance leaves out one record at a time, to first order:
     `(n - 1) / n sum d_i d_i'` with `d_i = (H - H_i)^-1 g_i`, `H_i` and `g_i` being a record's
     share of the reduced normal equations. It holds whatever correlation a record has in itself.
 
     Args:
-        normal: the products at the estimate, a segment a record.
-        segments: the records.
+        normal: the products at the estimate.
+        segments: the records' segments.
         curvature: what priors add to the diagonal of `H`, (n_p,).
         moving: parameters that are not at the end of their range, (n_p,).
 
@@ -70,16 +70,17 @@ def uncertainty(
     if not np.isfinite(normal.cost).all():
         unknown = np.full((len(moving), len(moving)), np.nan)
         return Uncertainty(unknown, None, (np.nan, np.nan), np.inf, np.zeros(len(moving)))
-    matrices, gradients, _, _ = eliminated(normal)
+    begins = np.flatnonzero(np.diff(segments.record, prepend=-1))
+    matrices, gradients = (np.add.reduceat(of, begins) for of in eliminated(normal)[:2])
     matrices, gradients = matrices[:, moving][:, :, moving], gradients[:, moving]
     whole = matrices.sum(axis=0) + np.diag(curvature[moving])
     inverse = _inverse(whole)
     # every residual weighs 1/T: the records' gradients have variance sigma^2 / T times their matrix
-    samples = 1 / segments.share
+    samples = 1 / segments.share[begins]
     channels = np.count_nonzero(segments.weight.any(axis=0))
     used = np.count_nonzero(segments.searched) + int(moving.sum())
     freedom = max(float(samples.sum() * channels - used), 1.0)
-    variance = float(normal.cost @ samples) / freedom
+    variance = float(normal.cost @ (1 / segments.share)) / freedom
     known = variance * len(samples) / samples.sum() * np.diag(curvature[moving])
     spread = np.tensordot(variance / samples, matrices, 1) + known
     naive = inverse @ spread @ inverse

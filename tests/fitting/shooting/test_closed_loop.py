@@ -1,0 +1,104 @@
+"""Identification of records in which a controller holds an unstable equilibrium."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from balancing import SYSTEM, TRUTH, balanced
+from swinging import DT, SWING, data_set, falls, records, simulated, swing_model
+from test_identify import grey, worst
+
+import tustinnet as tn
+
+
+@pytest.fixture(scope="module")
+def held() -> tn.DataSet:
+    """Four records that train, one that validates."""
+    *train, last = balanced(5, 4.0)
+    return tn.DataSet(
+        "held", (*(replace(e, split="train") for e in train), replace(last, split="validation"))
+    )
+
+
+@pytest.fixture(scope="module")
+def found(held) -> tn.Identification:
+    return tn.identify(held, SYSTEM, grey("initial=anchored"))
+
+
+def test_held_records_are_identified_over_the_segments_that_they_allow(held, found):
+    assert found.converged
+    assert worst(found, TRUTH) < 0.05
+    assert set(found.horizons) == {e.name for e in held}
+    # an error doubles every 62 ms: a thousandfold is ten times
+    assert all(0.3 < seconds < 0.8 for seconds in found.horizons.values())
+    assert max(found.rmse.values()) < 1e-3
+    assert found.trust == "records"
+    assert len(found.initial_states["hold1"]) == 4
+    assert found.as_plain()["horizons"] == dict(found.horizons)
+
+
+def test_which_records_were_fitted_over_which_horizon_is_told(found):
+    told = [f for f in found.findings if "errors grow a thousandfold in about" in f]
+    assert {name for f in told for name in f.split(":")[0].split(", ")} == {
+        "hold1", "hold2", "hold3", "hold4"
+    }  # fmt: skip
+    assert any("validation records are scored over segments of" in f for f in found.findings)
+
+
+def test_validation_is_over_the_horizon_found(held, found):
+    judged = list(held.split("validation"))
+    assert found.start == "model-20"
+    scores = tn.evaluate(found.model, judged, found.start, horizon=found.horizon)
+    assert found.validation_rmse == pytest.approx(tn.mean_rmse(scores), rel=1e-3)
+    # as a whole, nothing simulates them
+    assert scores[0].rmse < 0.02
+    assert tn.evaluate(found.model, judged, found.start)[0].rmse > 1.0
+
+
+def test_records_that_swing_stay_whole_beside_one_that_is_held():
+    """A held record of the swing: noise on its input answers to where it is."""
+    top = 0.4 + np.pi
+    generator = np.random.default_rng(0)
+    x, u = np.array([top + 0.01, 0.0]), np.zeros(400)
+    step = eqx.filter_jit(tn.discretise(swing_model(), DT, 8).step)
+    for k in range(len(u)):
+        u[k] = -30 * (x[0] - top) - 4 * x[1] + generator.normal()
+        x = np.asarray(step(jnp.asarray(x), jnp.asarray(u[k : k + 1])))
+    upright = simulated("upright", [top + 0.01, 0.0], u)
+    found = tn.identify(data_set([*records(), upright]), SWING)
+    assert worst(found) < 1e-3
+    assert set(found.horizons) == {"upright"}
+    assert any(
+        f.startswith("fall1, fall2, noise1, noise2: fitted as a whole") for f in found.findings
+    )
+
+
+def test_a_horizon_can_be_asked_for():
+    told = []
+    found = tn.identify(data_set(records()), SWING, grey("horizon=1.2"), told=told.append)
+    assert worst(found) < 1e-4
+    assert set(found.horizons.values()) == {1.2}
+    assert told[-1].stage == "segments of 1.2 s, anchored start"
+    assert any("fitted over segments of 1.2 s" in f for f in found.findings)
+    fitted = tn.fit(data_set(records()), grey("horizon=1.2"), system=SWING)
+    assert fitted.horizon == 1.2
+
+
+@pytest.mark.parametrize(("horizon", "words"), [(0.01, "at least two samples"), (9, "3.98 s")])
+def test_a_horizon_that_makes_no_sense_is_refused(horizon, words):
+    with pytest.raises(tn.InputError, match=f"search.horizon: .*{words}"):
+        tn.identify(data_set(records()), SWING, grey(f"horizon={horizon}"))
+
+
+def test_the_limit_of_iterations_names_the_records_that_are_not_followed():
+    first, second = falls()
+    lost = replace(second, q=np.random.default_rng(0).normal(size=(200, 1)), v=None,
+                   v_measured=False)  # fmt: skip
+    stopped = tn.identify(data_set([first, lost]), SWING, grey("iterations=1", "tolerance=1e-12"))
+    assert "stopped at the limit of 1 iterations" in stopped.outcome
+    assert "the simulations of fall2 miss by more than the records vary" in stopped.outcome
+    assert "search.horizon=2" in stopped.outcome
+    mild = tn.identify(data_set(records()), SWING, grey("iterations=1", "tolerance=1e-300"))
+    assert "allow more (search.iterations)" in mild.outcome
