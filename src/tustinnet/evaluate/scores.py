@@ -13,6 +13,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.evaluate import metrics
 from tustinnet.models.contract import Model, require_fit, require_float64, with_dtype
 from tustinnet.simulate.along import states_along
+from tustinnet.simulate.batches import in_batches
 from tustinnet.simulate.drive import Drive, drives_of
 from tustinnet.simulate.rollout import rollouts
 from tustinnet.simulate.starts import Start, start_named, start_states
@@ -59,13 +60,21 @@ def free_run(
         before it are the measured states.
 
     Raises:
-        InputError: other coordinates, inputs or period than the model's; float64 is off.
+        InputError: other coordinates, inputs or period than the model's, a group of records that
+            it does not know; float64 is off.
     """
     require_float64("free_run")
     experiments, rule = _listed(experiments), _rule(start)
     for experiment in experiments:
         require_fit(model, experiment)
     simulator = with_dtype(model, np.float64).folded()
+    return in_batches(simulator, experiments, lambda own, some: _free_runs(own, some, rule))
+
+
+def _free_runs(
+    simulator: Model, experiments: Sequence[Experiment], rule: Start
+) -> list[Float[np.ndarray, "n n_x"]]:
+    """Of records that share a model."""
     x0 = start_states(simulator, experiments, rule)
     tails = [e[rule.first :] for e in experiments]
     runs = [

@@ -194,6 +194,7 @@ def data_header(name: str, records: Sequence[Experiment]) -> dict[str, Any]:
         "name": name,
         "records": [
             {"name": e.name, "split": e.split, "source": e.source, "sha256": e.sha256}
+            | ({"groups": dict(e.groups)} if e.groups else {})
             for e in records
         ],
     }

@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Self, TypeVar
 
 import equinox as eqx
 import jax
@@ -42,6 +42,16 @@ class _Stateful(HasChannels, eqx.Module):
     def state_size(self) -> int:
         """`n_x`: positions, velocities, internal states."""
         return 2 * self.channels.n_q + len(self.internal)
+
+    def of(self, experiment: Experiment) -> Self:
+        """The model that simulates a record: of values by group it takes the record's.
+
+        Most models are the same for every record and return themselves.
+
+        Raises:
+            InputError: a record without the group, or of a value that the model does not know.
+        """
+        return self
 
 
 class Model(_Stateful):

@@ -1,7 +1,7 @@
 """Continuous models made discrete by fixed steps."""
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, Self
 
 import equinox as eqx
 import jax
@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from tustinnet.channels import Channels
+from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.contract import (
     ContinuousModel,
@@ -45,6 +46,11 @@ class FromContinuous(Model):
     def internal(self) -> tuple[str, ...]:
         """What the internal states of the continuous model are called."""
         return self.continuous.internal
+
+    def of(self, experiment: Experiment) -> Self:
+        """The same with the values of the continuous model that the record has."""
+        chosen = self.continuous.of(experiment)
+        return self if chosen is self.continuous else replace(self, continuous=chosen)
 
     def seen(self, ends: Ends) -> Seen:
         """Both ends of every period where an input follows a line, else the held inputs."""

@@ -13,18 +13,21 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.inspection import transient_end
 from tustinnet.errors import InputError
+from tustinnet.families.family import Hyper
 from tustinnet.fitting.listener import Iteration, Listener
 from tustinnet.fitting.recipe import IdentificationRecipe, read_recipe
 from tustinnet.fitting.report import FitResult, Identification
 from tustinnet.fitting.shooting import inverse_dynamics
 from tustinnet.fitting.shooting.findings import Found, described
+from tustinnet.fitting.shooting.groups import spread
 from tustinnet.fitting.shooting.least_squares import prior_deviation
-from tustinnet.fitting.shooting.space import make_space
+from tustinnet.fitting.shooting.space import Searched, Space, make_space
 from tustinnet.fitting.shooting.stages import Problem, State, model_of, prior, search
 from tustinnet.fitting.shooting.uncertainty import Uncertainty, uncertainty
 from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task
 from tustinnet.models.contract import require_float64
-from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
+from tustinnet.models.lagrangian import LagrangianModel
+from tustinnet.simulate.batches import batches
 from tustinnet.simulate.starts import default_start
 from tustinnet.systems.files import AnySystem
 
@@ -102,19 +105,18 @@ def _identify(task: Task, member: Member, told: Callable[[Iteration], None]) -> 
     )
     if recipe.search.part == "transients":
         records = _transients(records)
-    begin = dict(getattr(recipe.model, "begin", {}))
-    nominal, fixed = system.nominal(), _numbers(system, getattr(recipe.model, "fixed", {}))
-    space = make_space(system, begin, fixed)
-    first = space.clipped(space.vector(nominal | begin))
-    values = {k: jnp.asarray(v, jnp.float64) for k, v in space.values(first).items()}
-    _require_mass(system.model(values), records)
-    _require_finite(system.model(values), records)
     problem = Problem(system, tuple(records), roles.validation, recipe.search, told)
+    space, first = _beginning(problem, recipe.model)
+    values = {k: jnp.asarray(v, jnp.float64) for k, v in space.values(first).items()}
+    for model, rows in batches(system.model(values), records):
+        sharing = [records[i] for i in rows]
+        _require_mass(model, sharing)
+        _require_finite(model, sharing)
     ended, initial, validation = search(problem, State(space, first))
     reversed_signs: tuple[tuple[str, ...], ...] = ()
     if ended.unexplained > _POORLY_EXPLAINED:
         reversed_signs = inverse_dynamics.likely_reversals(
-            system, ended.space, ended.space.vector(nominal | begin), problem.motion
+            system, ended.space, ended.space.vector(space.numbers(first)), problem.motion
         )
     assert ended.fitted is not None
     found = Found(
@@ -131,12 +133,17 @@ def _identify(task: Task, member: Member, told: Callable[[Iteration], None]) -> 
     return described(system, found, time.perf_counter() - begun)
 
 
-def _numbers(system: LagrangianSystem, fixed: Mapping[str, float | str]) -> dict[str, float]:
-    """The values of fixed parameters, `nominal` ones looked up."""
-    return {
-        name: system.parameter(name).nominal if isinstance(value, str) else value
-        for name, value in fixed.items()
-    }
+def _beginning(problem: Problem, model: Hyper) -> tuple[Space, Searched]:
+    """What is searched for, and where the search begins, by a recipe's table `[model]`."""
+    known = {p.name: p for p in problem.parameters}
+    begin, fixed = (
+        spread(problem.system, problem.parameters, getattr(model, key, {}))
+        for key in ("begin", "fixed")
+    )
+    fixed = {n: known[n].nominal if isinstance(x, str) else x for n, x in fixed.items()}
+    space = make_space(problem.system, begin, fixed, problem.parameters)
+    nominal = {name: p.nominal for name, p in known.items()}
+    return space, space.clipped(space.vector(nominal | begin))
 
 
 def _certain(problem: Problem, ended: State, initial: str) -> Uncertainty:

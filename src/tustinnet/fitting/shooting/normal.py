@@ -84,6 +84,7 @@ class _Lane(NamedTuple):
     periods: Any
     target: Any
     weight: Any
+    pick: Any
 
 
 def normal_products(
@@ -120,6 +121,7 @@ def normal_products(
         lanes = _Lane(
             full, laid(s.searched, None), laid(s.drive, longest), laid(s.periods, longest),
             laid(s.target, longest + 1), laid(s.weight, longest + 1),
+            laid(s.pick, None),
         )  # fmt: skip
         steps = int(s.steps[rows].max()), substeps
         return [np.asarray(p)[: len(rows)] for p in _products(shape, fixed, vector, lanes, steps)]
@@ -145,10 +147,13 @@ def _laid(array: np.ndarray, length: int | None, *, rows: np.ndarray, lanes: int
 def _products(
     shape: Shape, fixed: dict[str, Array], vector: Array, lanes: _Lane, steps: tuple[Any, Any]
 ) -> tuple[Array, ...]:
-    def model_of(p: Array) -> Any:
-        return shape.system.model(Space(shape.searched, fixed).values(p))
+    def model_of(lane: _Lane, p: Array) -> Any:
+        values = Space(shape.searched, fixed).values(p)
+        return shape.system.model(shape.system.picked(values, lane.pick))
 
-    return jax.vmap(lambda lane: _segment(shape.residual, model_of, vector, lane, steps))(lanes)
+    return jax.vmap(
+        lambda lane: _segment(shape.residual, partial(model_of, lane), vector, lane, steps)
+    )(lanes)
 
 
 def _segment(

@@ -1,7 +1,7 @@
 """Records cut into segments that are simulated side by side."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, fields
 from itertools import pairwise
 
 import numpy as np
@@ -33,6 +33,8 @@ class Segments:
         steps: steps of each, (n_s,).
         record: index of the record each is a piece of, (n_s,).
         share: weight of a squared error of each, 1 over its record's samples, (n_s,).
+        pick: which of their values parameters per group have in each, see `groups.picks`,
+            (n_s, n_g).
     """
 
     x0: Float[np.ndarray, "n_s n_x"]
@@ -45,6 +47,12 @@ class Segments:
     steps: Int[np.ndarray, " n_s"]
     record: Int[np.ndarray, " n_s"]
     share: Float[np.ndarray, " n_s"]
+    pick: Int[np.ndarray, "n_s n_g"]
+
+    def of(self, records: Collection[int]) -> "Segments":
+        """The segments of some of the records, by index."""
+        rows = np.flatnonzero(np.isin(self.record, list(records)))
+        return Segments(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
 @dataclass(frozen=True)
@@ -67,7 +75,12 @@ class Cut:
     timestamps: bool = True
 
 
-def cut(experiments: Sequence[Experiment], model: Model, how: Cut) -> Segments:
+def cut(
+    experiments: Sequence[Experiment],
+    model: Model,
+    how: Cut,
+    picks: Int[np.ndarray, "n_r n_g"] | None = None,
+) -> Segments:
     """Cuts records into segments of about equal length.
 
     Every residual of a record weighs `1 / T_i`, so that records count alike whatever their length
@@ -77,6 +90,7 @@ def cut(experiments: Sequence[Experiment], model: Model, how: Cut) -> Segments:
         experiments: the records.
         model: who is to simulate them.
         how: how.
+        picks: what each record has of parameters per group, see `groups.picks`; none by default.
 
     References:
         Bock (1981), Numerical treatment of inverse problems in chemical reaction kinetics
@@ -115,7 +129,10 @@ def cut(experiments: Sequence[Experiment], model: Model, how: Cut) -> Segments:
     steps = np.array([b - a for _, a, b in pieces])
     record = np.array([i for i, _, _ in pieces])
     share = 1 / np.array([len(experiments[i]) for i in record])
-    return Segments(x0, searched, precision, drive, periods, target, weight, steps, record, share)
+    pick = np.zeros((len(pieces), 0), int) if picks is None else picks[record]
+    return Segments(
+        x0, searched, precision, drive, periods, target, weight, steps, record, share, pick
+    )
 
 
 def _bounds(steps: int, length: int | None) -> list[tuple[int, int]]:

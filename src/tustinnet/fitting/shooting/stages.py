@@ -9,6 +9,7 @@ from functools import cached_property, reduce
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Int
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
@@ -17,6 +18,7 @@ from tustinnet.fitting.recipe import SearchRecipe
 from tustinnet.fitting.residual import Residual, residual_of
 from tustinnet.fitting.shooting import inverse_dynamics
 from tustinnet.fitting.shooting.by_gradient import minimise_by_gradient
+from tustinnet.fitting.shooting.groups import expanded, picks
 from tustinnet.fitting.shooting.identifiability import confounded
 from tustinnet.fitting.shooting.inverse_dynamics import Motion
 from tustinnet.fitting.shooting.least_squares import (
@@ -30,7 +32,7 @@ from tustinnet.fitting.shooting.normal import Shape, lanes_for, normal_products
 from tustinnet.fitting.shooting.segments import Cut, Segments, cut
 from tustinnet.fitting.shooting.space import Searched, Space
 from tustinnet.models.integrate import Discretised, discretise
-from tustinnet.models.lagrangian import LagrangianSystem
+from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 from tustinnet.simulate.starts import default_start
 from tustinnet.simulate.substeps import PROBED_SECONDS, enough_substeps
 
@@ -60,9 +62,18 @@ class Problem:
     told: Callable[[Iteration], None]
 
     @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The system's parameters, of those per group one for each value among the records."""
+        return expanded(self.system, self.records)
+
+    def picks(self, records: Sequence[Experiment]) -> Int[np.ndarray, "n_r n_g"]:
+        """Which of their values parameters per group have in records, see `groups.picks`."""
+        return picks(self.system, self.parameters, records)
+
+    @cached_property
     def motion(self) -> Motion:
         """The measured motion."""
-        return inverse_dynamics.measured_motion(self.records)
+        return inverse_dynamics.measured_motion(self.records, self.picks(self.records))
 
     @cached_property
     def start(self) -> str:
@@ -111,12 +122,12 @@ class Problem:
             anchored=initial != "unanchored",
             timestamps=self.search.times == "recorded",
         )
-        return cut(self.records, self.nominal, how)
+        return cut(self.records, self.nominal, how, self.picks(self.records))
 
     def free_runs(self, records: Sequence[Experiment]) -> Segments:
         """Free runs from the start by which models are judged; nothing is searched for."""
         how = Cut(residual=self.residual, start=self.start, timestamps=False)
-        return cut(records, self.nominal, how)
+        return cut(records, self.nominal, how, self.picks(records))
 
 
 @dataclass(frozen=True)
