@@ -16,8 +16,9 @@ from tustinnet.errors import InputError
 from tustinnet.families.family import Hyper
 from tustinnet.fitting.listener import Iteration, Listener
 from tustinnet.fitting.recipe import IdentificationRecipe, read_recipe
-from tustinnet.fitting.report import FitResult, Identification
+from tustinnet.fitting.report import Disagreement, FitResult, Identification
 from tustinnet.fitting.shooting import inverse_dynamics
+from tustinnet.fitting.shooting.agreement import Agreement
 from tustinnet.fitting.shooting.findings import Found, described
 from tustinnet.fitting.shooting.groups import spread
 from tustinnet.fitting.shooting.least_squares import prior_deviation
@@ -125,6 +126,7 @@ def _identify(task: Task, member: Member, told: Callable[[Iteration], None]) -> 
         model=model_of(problem, ended),
         records=records,
         certain=_certain(problem, ended, initial),
+        disagreements=_disagreements(problem, ended, initial),
         reversed_signs=reversed_signs,
         remarks=ended.remarks,
         initial=initial,
@@ -155,6 +157,13 @@ def _certain(problem: Problem, ended: State, initial: str) -> Uncertainty:
     bounds = space.at_bounds(fitted.vector)
     moving = np.array([name not in bounds for name in space.names])
     return uncertainty(fitted.normal, problem.segments(None, initial), curvature, moving)
+
+
+def _disagreements(problem: Problem, ended: State, initial: str) -> tuple[Disagreement, ...]:
+    assert ended.fitted is not None
+    if ended.fitted.why == "diverged":
+        return ()
+    return Agreement(problem, ended, problem.segments(None, initial)).disagreements()
 
 
 def _transients(records: Sequence[Experiment]) -> list[Experiment]:

@@ -39,6 +39,7 @@ from tustinnet.simulate.substeps import PROBED_SECONDS, enough_substeps
 _TARGET = 0.25  # integration error allowed, in encoder counts: less than rounding to them makes
 _TARGET_SPAN = 1e-5  # or of the largest travel, where no count is known
 _SWINGS = (4, 16)  # lengths of the first stages' segments, in quarters of a swing
+_REFIT = Limits(1e-3, 20)
 _FIRST_VARIANCE = 1e-4  # of residuals, before any are known
 _METHODS = {"levenberg-marquardt": minimise, "l-bfgs": minimise_by_gradient}
 
@@ -224,6 +225,14 @@ def _run(problem: Problem, state: State, stage: SearchStage) -> State:
     fitted = _METHODS[problem.search.method](cost, state.vector, stage.limits, told)
     known = fitted.cost / len(problem.records) if fitted.why != "diverged" else state.variance
     return replace(state, vector=fitted.vector, fitted=fitted, variance=known)
+
+
+def refitted(problem: Problem, state: State, segments: Segments) -> Fitted:
+    """The parameters that fit other segments best, sought from where a search is."""
+    cost = Cost(
+        problem.shape(state.space), state.space, segments, prior(problem, state), state.substeps
+    )
+    return _METHODS[problem.search.method](cost, state.vector, _REFIT)
 
 
 def prior(problem: Problem, state: State) -> Prior:
