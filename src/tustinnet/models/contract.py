@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Self, TypeVar
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -25,6 +25,9 @@ Internal = Float[Array, " n_z"]
 Coordinates = Float[Array, " n_q"]
 
 
+Own = TypeVar("Own")
+
+
 class _Stateful(HasChannels, eqx.Module):
     """What discrete and continuous models have in common.
 
@@ -43,7 +46,7 @@ class _Stateful(HasChannels, eqx.Module):
         """`n_x`: positions, velocities, internal states."""
         return 2 * self.channels.n_q + len(self.internal)
 
-    def of(self, experiment: Experiment) -> Self:
+    def of(self: Own, experiment: Experiment) -> Own:
         """The model that simulates a record: of values by group it takes the record's.
 
         Most models are the same for every record and return themselves.

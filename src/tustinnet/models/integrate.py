@@ -1,7 +1,7 @@
 """Continuous models made discrete by fixed steps."""
 
 from dataclasses import replace
-from typing import Any, Self
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -47,7 +47,7 @@ class FromContinuous(Model):
         """What the internal states of the continuous model are called."""
         return self.continuous.internal
 
-    def of(self, experiment: Experiment) -> Self:
+    def of(self, experiment: Experiment) -> "FromContinuous":
         """The same with the values of the continuous model that the record has."""
         chosen = self.continuous.of(experiment)
         return self if chosen is self.continuous else replace(self, continuous=chosen)

@@ -97,10 +97,12 @@ class LagrangianSystem:
         return {p.name: p.nominal for p in self.parameters}
 
     def parameter(self, name: str) -> Parameter:
-        """A parameter by name."""
+        """A parameter by name; `mass[1kg]` is the one of a group's value."""
         for p in self.parameters:
             if p.name == name:
                 return p
+            if p.per is not None and (of := p.by_group({name: None})):
+                return p.at(*of)
         known = ", ".join(p.name for p in self.parameters)
         raise InputError(f"system '{self.name}'", f"no parameter '{name}'", f"one of {known}")
 
