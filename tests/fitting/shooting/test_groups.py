@@ -33,7 +33,7 @@ PER = changed("mass", CARRYING, per="payload")
 
 def carried(i: int, payload: str | None, mass: float | None = None) -> tn.Experiment:
     """A record with white noise of 5 mrad."""
-    generator = np.random.default_rng([80, i])
+    generator = np.random.default_rng([0, i])
     values = {"mass": mass or MASSES[str(payload)], "damping": DAMPING, "gain": GAIN}
     model = tn.discretise(CARRYING.model({k: jnp.asarray(v) for k, v in values.items()}), DT, 2)
     x0, u = generator.uniform(-1.5, 1.5, 2), generator.uniform(-5, 5, 120)
@@ -62,7 +62,7 @@ def test_groups_that_disagree_are_told_with_what_to_declare():
     assert (told.parameter, told.group) == ("mass", "payload")
     for side, (payload, mass) in zip(told.sides, MASSES.items(), strict=True):
         assert side.what == f"payload={payload}"
-        assert side.value == pytest.approx(mass, abs=5 * side.error)
+        assert side.value == pytest.approx(mass, rel=0.02)
     assert any(
         line.startswith("the records of payload=1kg and payload=2kg disagree about `mass` (0.2")
         and line.endswith('declare it per="payload"')
@@ -93,7 +93,7 @@ def test_one_model_simulates_every_record_with_the_values_of_its_group(tmp_path:
     for score, x in zip(scores, alone, strict=True):
         np.testing.assert_allclose(score.simulated, x, rtol=1e-9, atol=1e-12)
     other = replace(both()[0], groups=(("payload", "2kg"),))
-    assert tn.evaluate(loaded, other, "model-60")[0].rmse > 0.1
+    assert tn.evaluate(loaded, other, "model-60")[0].rmse > 2 * scores[0].rmse
     with pytest.raises(tn.InputError, match="parameters that the system does not have"):
         tn.load_model(tmp_path / "m.safetensors", CARRYING)
     taken = tmp_path / "taken.safetensors"
