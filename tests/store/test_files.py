@@ -2,10 +2,13 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 import tustinnet as tn
+from tustinnet.store.data_set_folder import write_data_set
 from tustinnet.store.files import owned, write_into
 
 
