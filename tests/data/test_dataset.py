@@ -206,3 +206,18 @@ def test_given_times_and_velocities_are_taken() -> None:
 def test_too_few_names_for_the_columns_are_refused() -> None:
     with pytest.raises(tn.InputError, match=r"q has shape \(5, 2\); expected \(5, 1\)"):
         tn.from_arrays(np.zeros((5, 2)), dt=0.1, coordinates={"a": "angular"})
+
+
+def test_groups_stay_with_a_record_and_are_checked():
+    made = {"payload": "1kg", "day": "monday"}
+    e = tn.from_arrays(
+        np.sin(np.arange(50.0)), dt=0.01, coordinates={"a": "linear"}, groups=made
+    )  # fmt: skip
+    assert e.groups == (("day", "monday"), ("payload", "1kg"))
+    for part in (e[5:20], e.resample(0.02), e.trim(0.1), *e.exclude(10, 20)):
+        assert part.groups == e.groups
+    assert (e.group("payload"), e.group("tool")) == ("1kg", None)
+    with pytest.raises(tn.InputError, match="the name 'a/b'"):
+        tn.from_arrays(
+            np.sin(np.arange(50.0)), dt=0.01, coordinates={"a": "linear"}, groups={"x": "a/b"}
+        )

@@ -2,10 +2,13 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 import tustinnet as tn
+from tustinnet.store.data_set_folder import write_data_set
 from tustinnet.store.files import owned, write_into
 
 
@@ -66,3 +69,12 @@ def test_what_a_killed_run_left_half_written_goes(tmp_path):
     (tmp_path / ".mine").write_text("stays")
     with owned(tmp_path):
         assert sorted(p.name for p in tmp_path.rglob("*")) == [".mine", "seed-0"]
+
+
+def test_a_written_data_set_keeps_the_groups_of_its_records(tmp_path: Path):
+    e = tn.from_arrays(
+        np.sin(np.arange(50.0)), dt=0.01, coordinates={"a": "linear"}, name="heavy", split="train",
+        groups={"payload": "2kg"},
+    )  # fmt: skip
+    write_data_set(tn.DataSet("d", (e,)), tmp_path / "d", "")
+    assert tn.load(tmp_path / "d")["heavy"].groups == (("payload", "2kg"),)

@@ -84,13 +84,13 @@ def _earlier(*, resume: bool, overwrite: bool) -> "Earlier":
 
 def _print(run: "Run", out: Path) -> None:
     """Tables and sentences: members of a training, parameters of an identification."""
-    from tustinnet.report.fits import judged_table, members_table, parameter_table
+    from tustinnet.report.fits import fitted_table, judged_table, members_table, parameter_table
 
     found = run.best.result.identification
     if found is None:
-        terminal.print_tables(members_table(run))
+        terminal.print_tables(members_table(run), fitted_table(run))
     else:
-        terminal.print_tables(parameter_table(found), judged_table(run))
+        terminal.print_tables(parameter_table(found), fitted_table(run), judged_table(run))
         for finding in found.findings:
             typer.echo(f"* {finding}")
         typer.echo(

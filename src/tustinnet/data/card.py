@@ -195,12 +195,14 @@ class FileCard(Declaration):
         name: what the record is called; the file's name without ending by default.
         rows: first row and the row after the last, counted from 0 after any header.
         k_bar: end of the transient as a row of the record, instead of the detected one.
+        groups: what the record was made with: `{ payload = "1kg" }`.
     """
 
     file: str
     name: Name | None = None
     rows: tuple[Row, Row] | None = None
     k_bar: Row | None = None
+    groups: dict[Name, Name] = Field(default_factory=dict)
 
     @field_validator("file")
     @classmethod

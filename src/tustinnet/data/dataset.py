@@ -110,6 +110,7 @@ class RecordFields(TypedDict, total=False):
         v_measured: whether a sensor measured them; by default yes.
         name: what the record is called; by default `experiment`.
         split: `train`, `validation`, `test` or None.
+        groups: what the record was made with, as `{"payload": "1kg"}`.
     """
 
     t: ArrayLike | None
@@ -117,6 +118,7 @@ class RecordFields(TypedDict, total=False):
     v_measured: bool
     name: str
     split: str | None
+    groups: Mapping[str, str]
 
 
 def from_arrays(
@@ -137,7 +139,7 @@ def from_arrays(
         dt: sampling period [s].
         coordinates: the columns of `q`, as `Coordinate`s or as `{name: "angular" or "linear"}`.
         inputs: the columns of `u`, as `Input`s or, under a zero-order hold, as `{name: unit}`.
-        record: `t`, `v`, `v_measured`, `name` and `split`, see `RecordFields`.
+        record: `t`, `v`, `v_measured`, `name`, `split` and `groups`, see `RecordFields`.
 
     Raises:
         InputError: shapes that do not fit, numbers that are not finite, timestamps whose median
@@ -169,6 +171,7 @@ def from_arrays(
         v_measured=v is not None and record.get("v_measured", True),
         channels=channels,
         split=record.get("split"),
+        groups=tuple(record.get("groups", {}).items()),
         notes=notes,
     )
 

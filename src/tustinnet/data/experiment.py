@@ -51,6 +51,8 @@ class Experiment(HasChannels):
         v_measured: whether `v` was measured by a sensor of its own.
         split: `train`, `validation`, `test` or None.
         k_bar: end of the transient as a sample index, where somebody declared it.
+        groups: what the record was made with, as pairs of a name and its value
+            (`payload`, `1kg`), in the order of the names.
         source: where the record came from.
         sha256: checksum of that file.
         first_row: the row of the source that sample 0 was.
@@ -72,9 +74,14 @@ class Experiment(HasChannels):
     first_row: int = 0
     recording: Recording | None = None
     notes: tuple[str, ...] = field(default=())
+    groups: tuple[tuple[str, str], ...] = field(default=())
 
     def __post_init__(self) -> None:
         require_name(self.name, "record")
+        object.__setattr__(self, "groups", tuple(sorted(dict(self.groups).items())))
+        for pair in self.groups:
+            for text in pair:
+                require_name(text, f"{self.name}, groups")
         if not self.dt > 0 or not np.isfinite(self.dt):
             raise InputError(
                 self.name, f"sampling period {self.dt}", "a positive number of seconds"
@@ -123,6 +130,10 @@ class Experiment(HasChannels):
 
     def __len__(self) -> int:
         return len(self.t)
+
+    def group(self, name: str) -> str | None:
+        """The record's value of a group, None where it has none."""
+        return dict(self.groups).get(name)
 
     def __repr__(self) -> str:
         names = ", ".join(c.name for c in self.coordinates)

@@ -69,6 +69,7 @@ def from_frame(
     *,
     name: str = "frame",
     split: str | None = None,
+    groups: Mapping[str, str] | None = None,
 ) -> Experiment:
     """One record from a pandas or polars data frame.
 
@@ -77,12 +78,19 @@ def from_frame(
         card: a data card, its file, or the same as a mapping (`splits` is not needed).
         name: what the record is called.
         split: `train`, `validation`, `test` or None.
+        groups: what the record was made with, as `{"payload": "1kg"}`.
     """
     if isinstance(card, str | Path):
         declared = read_declaration(Path(card), Card)
     else:
         declared = card if isinstance(card, Card) else declare({"name": name, **card}, Card, name)
-    return _experiment(frame_columns(frame, name), declared, name, split=split)
+    return _experiment(
+        frame_columns(frame, name),
+        declared,
+        name,
+        split=split,
+        groups=tuple((groups or {}).items()),
+    )
 
 
 def _load_file(folder: Path, split: str, entry: FileCard, card: Card) -> Experiment:
@@ -100,6 +108,7 @@ def _load_file(folder: Path, split: str, entry: FileCard, card: Card) -> Experim
         where=path,
         split=split,
         k_bar=entry.k_bar,
+        groups=tuple(entry.groups.items()),
         source=entry.file,
         sha256=_sha256(path),
         rows=entry.rows,

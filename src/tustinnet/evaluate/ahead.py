@@ -51,14 +51,15 @@ def rmse_ahead(
     # as many at once everywhere, so that one compiled program serves records of all lengths
     size = max(1, min(_STEPS_AT_ONCE // horizon, max(map(len, begins))))
     for e, states, mine in zip(experiments, along, begins, strict=True):
-        driven = np.asarray(drive_of(evaluated, e).u)
+        own = evaluated.of(e)
+        driven = np.asarray(drive_of(own, e).u)
         for first in range(0, len(mine), size):
             begin = mine[first : first + size]
             index = np.resize(begin, size)[:, None] + np.arange(horizon)
             inside = (index < len(e) - 1) & (np.arange(size) < len(begin))[:, None]
             index = np.minimum(index, len(e) - 2)  # beyond the end any input will do
             drive = Drive(driven[index])
-            runs = np.asarray(simulated(evaluated, states[index[:, 0]], drive))
+            runs = np.asarray(simulated(own, states[index[:, 0]], drive))
             error = np.sum((runs[:, 1:, e.channels.position] - e.q[index + 1]) ** 2, axis=2)
             squares += np.sum(np.where(inside, error, 0.0), axis=0)
             count += np.sum(inside, axis=0)

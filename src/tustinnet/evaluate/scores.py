@@ -13,6 +13,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.evaluate import metrics
 from tustinnet.models.contract import Model, require_fit, require_float64, with_dtype
 from tustinnet.simulate.along import states_along
+from tustinnet.simulate.batches import in_batches
 from tustinnet.simulate.drive import Drive, drives_of
 from tustinnet.simulate.horizon import horizon_samples, pieces
 from tustinnet.simulate.rollout import rollouts
@@ -68,8 +69,9 @@ def free_run(
         before it are the measured states.
 
     Raises:
-        InputError: other coordinates, inputs or period than the model's; a horizon that no record
-            has or that is too short for the start; float64 is off.
+        InputError: other coordinates, inputs or period than the model's; a group of records that
+            it does not know; a horizon that no record has or that is too short for the start;
+            float64 is off.
     """
     require_float64("free_run")
     experiments, rule = _listed(experiments), _rule(start)
@@ -77,6 +79,17 @@ def free_run(
         require_fit(model, experiment)
     simulator = with_dtype(model, np.float64).folded()
     samples = horizon_samples(horizon, experiments, rule)
+
+    def run(own: Model, some: Sequence[Experiment]) -> list[np.ndarray]:
+        return _free_runs(own, some, rule, samples)
+
+    return in_batches(simulator, experiments, run)
+
+
+def _free_runs(
+    simulator: Model, experiments: Sequence[Experiment], rule: Start, samples: int | None
+) -> list[Float[np.ndarray, "n n_x"]]:
+    """Of records that share a model."""
     segments = [pieces(e, samples, rule) for e in experiments]
     every = [piece for of in segments for piece in of]
     x0 = start_states(simulator, every, rule)

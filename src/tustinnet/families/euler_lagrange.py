@@ -81,8 +81,8 @@ class EulerLagrangeFamily(Family):
         """The system's name, its parameters, and what its equations give at fixed states."""
         continuous = model.continuous
         assert isinstance(continuous, LagrangianModel)
-        system, names = continuous.system, sorted(continuous.values)
-        header = {
+        system, names = continuous.system, _names(continuous)
+        header: Header = {
             "system": {"name": system.name, "file": _file_of(system)},
             "parameters": names,
             "substeps": model.substeps,
@@ -90,6 +90,9 @@ class EulerLagrangeFamily(Family):
         if system.sensors:
             of = [system.parameter(name) for name in system.sensors]
             header["sensors"] = [[p.name, p.unit, p.nominal, p.lower, p.upper] for p in of]
+        if known := continuous.groups:
+            header["per"] = {p.name: p.per for p in system.grouped}
+            header["groups"] = {name: list(of) for name, of in known.items()}
         values = np.array([float(continuous.values[name]) for name in names])
         return header, {_VALUES: values, _PROBED: _probed(continuous)}
 
@@ -109,14 +112,19 @@ class EulerLagrangeFamily(Family):
             raise InputError(
                 where, f"the system '{found.name}'", f"'{belongs['name']}', which the model is of"
             )
-        sensors = tuple(Parameter(*of) for of in header.get("sensors", ()))
-        found = calibrated(found, sensors)
-        if sorted(found.nominal()) != header["parameters"]:
+        found = calibrated(found, tuple(Parameter(*of) for of in header.get("sensors", ())))
+        values = dict(zip(header["parameters"], jnp.asarray(arrays[_VALUES]), strict=True))
+        model = found.model(values)
+        expected = [
+            name
+            for p in found.parameters
+            for name in ([p.at(of).name for of in p.by_group(values)] or [p.name])
+        ]
+        per = {p.name: p.per for p in found.grouped} if model.groups else {}
+        if sorted(expected) != header["parameters"] or per != header.get("per", {}):
             raise InputError(
                 where, "parameters that the system does not have", "those of the system"
             )
-        values = dict(zip(header["parameters"], jnp.asarray(arrays[_VALUES]), strict=True))
-        model = found.model(values)
         _require_same(model, arrays.get(_PROBED), where)
         return discretise(
             model, header["dt"], header["substeps"], inputs=Channels.from_header(header).inputs
@@ -151,8 +159,18 @@ def _derivatives(
     return jax.vmap(model.derivative)(x, u)
 
 
+def _names(model: LagrangianModel) -> list[str]:
+    """The names of its values, without that of a group that a record took."""
+    taken = {p.name for p in model.system.grouped if p.by_group(model.values)}
+    return sorted(set(model.values) - taken)
+
+
 def _probed(model: LagrangianModel) -> Float[np.ndarray, "probes n_x"]:
-    """The derivatives at states that are the same for every model of the same size."""
+    """The derivatives at states that are the same for every model of the same size.
+
+    Of values by group those of each group's first value.
+    """
+    model = model.of_groups({name: known[0] for name, known in model.groups.items()}, "probes")
     of, generator = model.channels, np.random.default_rng(0)
     sizes = {"q": of.n_q, "v": of.n_q, "z": len(model.internal), "u": of.n_u}
     drawn = {k: _REACH[k] * generator.uniform(-1, 1, (_PROBES, n)) for k, n in sizes.items()}

@@ -1,7 +1,7 @@
 """Known physics plus a network for what it leaves."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -91,6 +91,11 @@ class HybridModel(Model):
     def warm_up(self) -> int:
         """The longer of both."""
         return max(self.physics.warm_up, self.correction.warm_up)
+
+    def of(self, experiment: Experiment) -> "HybridModel":
+        """The same with the physics of the record."""
+        physics = self.physics.of(experiment)
+        return self if physics is self.physics else replace(self, physics=physics)
 
     def seen(self, inputs: Excitation) -> Seen:
         """What the physics is driven by, and behind it the samples that the correction sees."""

@@ -63,6 +63,40 @@ class Stretch:
 
 
 @dataclass(frozen=True)
+class Side:
+    """What some of the records say of a parameter by themselves.
+
+    Attributes:
+        what: the records: a record's name, a group's value as `payload=1kg`, `the 5 others`.
+        value: the value.
+        error: its standard error.
+    """
+
+    what: str
+    value: float
+    error: float
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """A parameter on which records disagree beyond their errors.
+
+    Attributes:
+        parameter: its name.
+        unit: its SI unit.
+        group: the group that divides the records, empty where one record contradicts the others.
+        sides: what the records of either side say; a contradicting record comes first.
+        chance: probability of one such difference among all that were looked at, if they agreed.
+    """
+
+    parameter: str
+    unit: str
+    group: str
+    sides: tuple[Side, Side]
+    chance: float
+
+
+@dataclass(frozen=True)
 class Identification:
     """What an identification found.
 
@@ -81,6 +115,7 @@ class Identification:
         trust: which errors to believe: `records` (how they disagree) or `residuals` (J'J).
         rmse: per record, root mean square of the residuals' 2-norm, from the initial states below.
         autocorrelation: of the residuals from one sample to the next, per channel, (n_y,).
+        disagreements: what records disagree about, by group and one by one.
         initial: how initial states were treated, see `SearchRecipe`.
         initial_states: those found at the records' beginnings, by name, (n_x,) each.
         start: where the free runs start that judge: the usual start; over a horizon of 20 samples
@@ -107,6 +142,7 @@ class Identification:
     trust: str
     rmse: Mapping[str, float]
     autocorrelation: tuple[float, ...]
+    disagreements: tuple[Disagreement, ...]
     initial: str
     initial_states: Mapping[str, tuple[float, ...]]
     start: str
@@ -150,6 +186,7 @@ class Identification:
             "residual_rmse": dict(self.rmse),
             "residual_autocorrelation": list(self.autocorrelation),
             "downweighted": [dataclasses.asdict(s) for s in self.downweighted],
+            "disagreements": [dataclasses.asdict(d) for d in self.disagreements],
             "initial_states": {name: list(x) for name, x in self.initial_states.items()},
         }
 
@@ -228,6 +265,7 @@ def data_header(name: str, records: Sequence[Experiment]) -> dict[str, Any]:
         "name": name,
         "records": [
             {"name": e.name, "split": e.split, "source": e.source, "sha256": e.sha256}
+            | ({"groups": dict(e.groups)} if e.groups else {})
             for e in records
         ],
     }

@@ -25,6 +25,9 @@ Internal = Float[Array, " n_z"]
 Coordinates = Float[Array, " n_q"]
 
 
+Own = TypeVar("Own")
+
+
 class _Stateful(HasChannels, eqx.Module):
     """What discrete and continuous models have in common.
 
@@ -42,6 +45,16 @@ class _Stateful(HasChannels, eqx.Module):
     def state_size(self) -> int:
         """`n_x`: positions, velocities, internal states."""
         return 2 * self.channels.n_q + len(self.internal)
+
+    def of(self: Own, experiment: Experiment) -> Own:
+        """The model that simulates a record: of values by group it takes the record's.
+
+        Most models are the same for every record and return themselves.
+
+        Raises:
+            InputError: a record without the group, or of a value that the model does not know.
+        """
+        return self
 
 
 class Model(_Stateful):

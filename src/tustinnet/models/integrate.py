@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from tustinnet.channels import Channels, Input
+from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.contract import (
     ContinuousModel,
@@ -46,6 +47,11 @@ class FromContinuous(Model):
     def internal(self) -> tuple[str, ...]:
         """What the internal states of the continuous model are called."""
         return self.continuous.internal
+
+    def of(self, experiment: Experiment) -> "FromContinuous":
+        """The same with the values of the continuous model that the record has."""
+        chosen = self.continuous.of(experiment)
+        return self if chosen is self.continuous else replace(self, continuous=chosen)
 
     def seen(self, inputs: Excitation) -> Seen:
         """The polynomials of every period where an input is not held, else the held inputs."""

@@ -1,6 +1,5 @@
 """Euler-Lagrange models: equations of motion from energies, by automatic differentiation."""
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,6 +12,7 @@ import jax.scipy.linalg
 from jaxtyping import Array, Float
 
 from tustinnet.channels import Channels, Coordinate, Input
+from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError, brief
 from tustinnet.models.contract import (
     ContinuousModel,
@@ -21,61 +21,12 @@ from tustinnet.models.contract import (
     Internal,
     State,
 )
+from tustinnet.models.parameters import Parameter, known_group
 
 Scalar = Float[Array, ""]
 Values = Mapping[str, Any]
 
 _UNROLLED = 4  # coordinates up to which the factorisation is written out instead of called
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """A physical parameter of a system.
-
-    Attributes:
-        name: what it is called.
-        unit: its SI unit.
-        nominal: its nominal value.
-        lower: smallest value that makes sense (the paper's set Xi).
-        upper: largest.
-        fixed: whether identification leaves it alone.
-        prior: standard deviation of what is known of it, about the nominal value, or None.
-    """
-
-    name: str
-    unit: str
-    nominal: float
-    lower: float
-    upper: float
-    fixed: bool = False
-    prior: float | None = None
-
-    def __post_init__(self) -> None:
-        if not self.lower <= self.upper:
-            raise InputError(
-                f"parameter '{self.name}'", f"range {self.lower:g}..{self.upper:g}", "lower first"
-            )
-        if not self.lower <= self.nominal <= self.upper:
-            raise InputError(
-                f"parameter '{self.name}'",
-                f"nominal value {self.nominal:g} {self.unit}",
-                f"a value within {self.lower:g}..{self.upper:g}",
-            )
-        if not (self.fixed or self.lower < self.upper):
-            raise InputError(
-                f"parameter '{self.name}'", "an empty range", "lower < upper, or fixed"
-            )
-        if not (self.fixed or math.isfinite(self.upper - self.lower)):
-            raise InputError(f"parameter '{self.name}'", "a range without an end", "finite ends")
-        if self.prior is not None and not self.prior > 0:
-            raise InputError(
-                f"parameter '{self.name}'", f"prior {self.prior:g}", "a positive standard deviation"
-            )
-
-    @property
-    def positive(self) -> bool:
-        """Whether all of its range is positive; it is then searched for by its logarithm."""
-        return self.lower > 0
 
 
 @dataclass(frozen=True)
@@ -133,6 +84,12 @@ class LagrangianSystem:
             twice = sorted({name for name in listed if listed.count(name) > 1})
             if twice:
                 raise InputError(f"system '{self.name}'", f"two {what} '{twice[0]}'", "one")
+        for p in self.grouped:
+            if of := p.by_group(dict.fromkeys(names)):
+                raise InputError(
+                    f"system '{self.name}'", f"a parameter '{p.at(next(iter(of))).name}'",
+                    "another name", f"'{p.name}' has values of such names, one per {p.per}",
+                )  # fmt: skip
         if not self.coordinates:
             raise InputError(f"system '{self.name}'", "no coordinates", "at least one")
         self._require_shapes()
@@ -142,12 +99,19 @@ class LagrangianSystem:
         return {p.name: p.nominal for p in self.parameters}
 
     def parameter(self, name: str) -> Parameter:
-        """A parameter by name."""
+        """A parameter by name; `mass[1kg]` is the one of a group's value."""
         for p in self.parameters:
             if p.name == name:
                 return p
+            if p.per is not None and (of := p.by_group({name: None})):
+                return p.at(*of)
         known = ", ".join(p.name for p in self.parameters)
         raise InputError(f"system '{self.name}'", f"no parameter '{name}'", f"one of {known}")
+
+    @property
+    def grouped(self) -> tuple[Parameter, ...]:
+        """The parameters that have a value for each value of a group."""
+        return tuple(p for p in self.parameters if p.per is not None)
 
     @cached_property
     def channels(self) -> Channels:
@@ -160,8 +124,26 @@ class LagrangianSystem:
         return self.memory.names if self.memory else ()
 
     def model(self, values: Values) -> "LagrangianModel":
-        """Its equations of motion with the values of all parameters, by name."""
+        """Its equations of motion with the values of all parameters, by name.
+
+        Of a parameter `per` a group either one value, or one for each of the group's values
+        (`mass[1kg]`, `mass[2kg]`), of which `LagrangianModel.of` takes a record's.
+        """
         return LagrangianModel(self, dict(values))
+
+    def picked(self, values: Values, pick: Array) -> dict[str, Any]:
+        """The values with which a record is simulated; can be compiled, and differentiated.
+
+        Args:
+            values: of parameters per group one for each value of the group, or one for all.
+            pick: of each parameter per group the index of its value, in the order of
+                `Parameter.by_group`.
+        """
+        found = dict(values)
+        for i, p in enumerate(self.grouped):
+            if options := p.by_group(values):
+                found[p.name] = jnp.stack(list(options.values()))[pick[i].astype(int)]
+        return found
 
     def _require_shapes(self) -> None:
         """Every function must answer, with the shape that the equations of motion need."""
@@ -218,7 +200,8 @@ class LagrangianModel(ContinuousModel):
 
     Attributes:
         system: the energies and forces.
-        values: the parameters by name, SI units.
+        values: the parameters by name, SI units. Where some are by group (`mass[1kg]`), the
+            model steps only with those of a record or group, see `of` and `of_groups`.
 
     References:
         van Esch, Bonassi, Schön, section 2.2, Euler-Lagrange equations.
@@ -236,6 +219,35 @@ class LagrangianModel(ContinuousModel):
     def internal(self) -> tuple[str, ...]:
         """What its internal states are called."""
         return self.system.internal
+
+    @property
+    def groups(self) -> dict[str, tuple[str, ...]]:
+        """The groups whose records have values of their own, and the values of each it knows."""
+        known: dict[str, tuple[str, ...]] = {}
+        for p in self.system.grouped:
+            if found := tuple(p.by_group(self.values)):
+                known[str(p.per)] = found
+        return known
+
+    def of(self, experiment: Experiment) -> "LagrangianModel":
+        """The equations of motion with the values of a record's groups."""
+        return self.of_groups(dict(experiment.groups), f"record '{experiment.name}'")
+
+    def of_groups(self, groups: Mapping[str, str], where: object) -> "LagrangianModel":
+        """The equations of motion with the values of some groups, as `{"payload": "1kg"}`.
+
+        Args:
+            groups: the values of the groups.
+            where: what has them, for messages.
+
+        Raises:
+            InputError: a group is missing, or its value is none that the model knows.
+        """
+        chosen: dict[str, Array] = {}
+        for p in self.system.grouped:
+            if known := p.by_group(self.values):
+                chosen[p.name] = known[known_group(p, groups, tuple(known), where)]
+        return LagrangianModel(self.system, self.values | chosen) if chosen else self
 
     def mass_matrix(self, q: Coordinates) -> Float[Array, "n_q n_q"]:
         """`M(q)`, (n_q, n_q) [kg m^2, kg m or kg]."""
@@ -277,6 +289,14 @@ class LagrangianModel(ContinuousModel):
 
     def derivative(self, x: State, u: InputVector) -> State:
         """`d/dt [q, v, z] = [v, a, rate]`."""
+        for p in self.system.grouped:
+            if p.name not in self.values:
+                raise InputError(
+                    f"a model of the system '{self.system.name}'",
+                    f"no one value of '{p.name}': it has one per {p.per}",
+                    "the model of a record or of a group",
+                    f"model.of(record) takes those of the record's {p.per}",
+                )
         return _derivative(self, x, u)
 
     def internal_rate(self, x: State) -> Internal:

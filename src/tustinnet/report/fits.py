@@ -79,6 +79,14 @@ def judged_table(run: Run) -> Table:
     return Table(["record", "RMSE"], rows, title=title)
 
 
+def fitted_table(run: Run) -> Table:
+    """What the best model of a run leaves of each training record."""
+    found = run.best.result.identification
+    begin = f"free runs, start '{run.start}'" if found is None else "from the initial states found"
+    rows = [[name, number(rmse)] for name, rmse in run.fitted.items()]
+    return Table(["record", "RMSE"], rows, title=f"train, {begin}")
+
+
 def folds_table(found: Validated) -> Table:
     """Every record's mean over the seeds, by start, and the means with their standard errors."""
     summary = found.summary()

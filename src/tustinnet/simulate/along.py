@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.models.contract import Model
 from tustinnet.signals.stacking import stacked
+from tustinnet.simulate.batches import in_batches
 from tustinnet.simulate.drive import Drive, drives_of
 from tustinnet.simulate.rollout import rollout
 
@@ -31,10 +32,17 @@ def states_along(
     known = [e.measured_states(velocity) for e in experiments]
     if not model.internal:
         return known
-    # all of one length, so that one program serves them; nobody reads what follows a record's end
-    runs = followed(model, jnp.asarray(stacked(known)), drives_of(model, experiments))
-    internal = np.asarray(runs)[..., model.channels.internal]
+    internal = in_batches(model, experiments, lambda own, some: _internal(own, some, velocity))
     return [np.concatenate([x, z[: len(x)]], axis=1) for x, z in zip(known, internal, strict=True)]
+
+
+def _internal(
+    model: Model, experiments: Sequence[Experiment], velocity: VelocitySource
+) -> Float[np.ndarray, "records n n_z"]:
+    # all of one length, so that one program serves them; nobody reads what follows a record's end
+    known = stacked([e.measured_states(velocity) for e in experiments])
+    runs = followed(model, jnp.asarray(known), drives_of(model, experiments))
+    return np.asarray(runs)[..., model.channels.internal]
 
 
 @eqx.filter_jit

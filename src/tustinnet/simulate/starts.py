@@ -19,6 +19,7 @@ from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
 from tustinnet.signals.derivatives import polynomial_fit
 from tustinnet.simulate.along import followed
+from tustinnet.simulate.batches import in_batches
 from tustinnet.simulate.drive import drives_of
 from tustinnet.simulate.fitted_start import FEWEST, model_starts
 
@@ -214,7 +215,11 @@ def start_states(
         InputError: an unknown start, or records too short for it.
     """
     rule = start_named(start) if isinstance(start, str) else start
-    return np.asarray(_states(rule, model, rule.material(model, experiments)))
+
+    def of_batch(own: Model, some: Sequence[Experiment]) -> Float[np.ndarray, "records n_x"]:
+        return np.asarray(_states(rule, own, rule.material(own, some)))
+
+    return np.stack(in_batches(model, experiments, of_batch))
 
 
 @eqx.filter_jit

@@ -12,6 +12,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.contract import ContinuousModel
 from tustinnet.models.integrate import discretise
+from tustinnet.simulate.batches import batches
 from tustinnet.simulate.drive import Drive, drives_of
 from tustinnet.simulate.rollout import rollout
 from tustinnet.simulate.starts import default_start, start_states
@@ -38,10 +39,17 @@ def choose_substeps(
     """
     if not tolerance > 0:
         raise InputError("choose_substeps", f"tolerance {tolerance:g}", "a positive number")
-    dt = experiments[0].dt
-    steps = max(1, round(PROBED_SECONDS / dt))
+    steps = max(1, round(PROBED_SECONDS / experiments[0].dt))
     probed = [e[: steps + 1] for e in experiments]
-    stepped = discretise(model, dt, inputs=experiments[0].inputs)
+    return max(
+        _enough(own, [probed[i] for i in rows], tolerance) for own, rows in batches(model, probed)
+    )
+
+
+def _enough(model: ContinuousModel, probed: Sequence[Experiment], tolerance: float) -> int:
+    """Of records that share a model."""
+    dt = probed[0].dt
+    stepped = discretise(model, dt, inputs=probed[0].inputs)
     x0 = start_states(stepped, probed, default_start(probed))
     drive = drives_of(stepped, probed)
 

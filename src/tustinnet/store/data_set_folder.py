@@ -61,7 +61,11 @@ def _card(data: DataSet, files: dict[str, str], description: str) -> str:
         for k, c in enumerate(of.coordinates, of.n_u + 1)
     ]  # fmt: skip
     splits = {
-        split: [{"file": files[e.name], "name": e.name} for e in data.split(split)]
+        split: [
+            {"file": files[e.name], "name": e.name}
+            | ({"groups": dict(e.groups)} if e.groups else {})
+            for e in data.split(split)
+        ]
         for split in data.splits
     }
     card = {

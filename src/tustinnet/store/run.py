@@ -11,8 +11,9 @@ Seeds that are trained at several rates have folders like seed-0-rate-0.5.
 """
 
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -88,6 +89,19 @@ class Run:
         """The member with the lowest mean RMSE."""
         return min(self.members, key=lambda run: run.mean)
 
+    @cached_property
+    def fitted(self) -> Mapping[str, float]:
+        """RMSE of each training record that the best model leaves [rad or m].
+
+        Of a training that of its free run; of an identification from the initial states found.
+        """
+        result = self.best.result
+        if result.identification is not None:
+            return result.identification.rmse
+        if self.roles.judging is self.roles.train:
+            return rmse_by_record(self.best.scores)
+        return rmse_by_record(evaluate(result.model, self.roles.train, result.start))
+
     @property
     def judged(self) -> str:
         """The split whose free runs rank them."""
@@ -125,6 +139,7 @@ class Run:
             "horizon": best.scores[0].horizon,
             "best_seed": best.result.seed,
             "spread": self.spread(),
+            "training_rmse": dict(self.fitted),
             "seeds": [
                 {
                     "seed": run.result.seed,

@@ -29,6 +29,7 @@ from tustinnet.fitting.recipe import StageRecipe, TrainingRecipe
 from tustinnet.fitting.residual import residual_of
 from tustinnet.fitting.task import Fold, Member, Task
 from tustinnet.models.contract import Model, with_dtype
+from tustinnet.simulate.batches import batches
 from tustinnet.simulate.horizon import horizon_samples, within
 from tustinnet.simulate.starts import Start, default_start, start_named
 
@@ -106,7 +107,7 @@ def plan(task: Task, devices: Sequence[Any] | None = None) -> Plan:
     used = sorted({m.fold for m in members})
     make = {
         f: recipe.family.builder(
-            recipe.model, folds[f].roles.train, recipe.velocity, folds[f].physics
+            recipe.model, folds[f].roles.train, recipe.velocity, _shared_physics(folds[f])
         )
         for f in used
     }
@@ -138,6 +139,25 @@ def plan(task: Task, devices: Sequence[Any] | None = None) -> Plan:
         keys=jnp.stack([shuffling for _, shuffling in keys]),
         mesh=lay_out_devices(len(members), min(s.batch for s in recipe.stages), devices),
     )
+
+
+def _shared_physics(fold: Fold) -> Model | None:
+    """The physics of the records of a fold, which they must share."""
+    if fold.physics is None:
+        return None
+    (physics, rows), *others = batches(fold.physics, fold.roles.all)
+    if others:
+        one, other = fold.roles.all[rows[0]], fold.roles.all[others[0][1][0]]
+        differ = " and ".join(
+            f"{name} '{value}' of '{e.name}'"
+            for e, than in ((one, other), (other, one))
+            for name, value in sorted(set(e.groups) - set(than.groups))
+        )
+        raise InputError(
+            "--physics", f"has other values for {differ}", "records that share their values",
+            "train on the records of one group",
+        )  # fmt: skip
+    return physics
 
 
 def require_alike(models: Sequence[Model]) -> None:

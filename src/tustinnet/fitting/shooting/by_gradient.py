@@ -116,13 +116,13 @@ class _Scaled:
         return float(total) / self.size, np.concatenate([gradient, shift]) * self.unit / self.size
 
 
-def _material(segments: Segments) -> tuple[Drive, np.ndarray, np.ndarray]:
-    """What drives the segments, what they are compared with, and the weights."""
+def _material(segments: Segments) -> tuple[Drive, np.ndarray, np.ndarray, np.ndarray]:
+    """What drives the segments, what they are compared with, the weights, the groups' values."""
     drive, periods, target, weight = (
         segments.side_by_side(array)
         for array in (segments.drive, segments.periods, segments.target, segments.weight)
     )
-    return Drive(drive[:, :-1], periods[:, :-1]), target, weight
+    return Drive(drive[:, :-1], periods[:, :-1]), target, weight, segments.pick
 
 
 @partial(jax.jit, static_argnums=(0, 1))
@@ -131,16 +131,21 @@ def _squares(
     substeps: int,
     fixed: dict[str, Array],
     point: tuple[Array, Array],
-    material: tuple[Drive, Array, Array],
+    material: tuple[Drive, Array, Array, Array],
 ) -> tuple[Array, tuple[Array, Array]]:
     """The sum of squared residuals, and its gradient by parameters and initial states."""
-    drive, target, weight = material
+    drive, target, weight, picks = material
 
     def total(point: tuple[Array, Array]) -> Array:
         vector, x0 = point
-        system = shape.system.model(Space(shape.searched, fixed).values(vector))
-        model = discretise(system, 1.0, substeps)  # the drive says how long each period is
-        x = jax.vmap(lambda x, u: rollout(model, x, u))(x0, drive)
+        values = Space(shape.searched, fixed).values(vector)
+
+        def one(x: Array, u: Drive, pick: Array) -> Array:
+            system = shape.system.model(shape.system.picked(values, pick))
+            # the drive says how long each period is
+            return rollout(discretise(system, 1.0, substeps), x, u)
+
+        x = jax.vmap(one)(x0, drive, picks)
         error = x[..., : target.shape[2]] - target
         return jnp.sum((shape.residual.bent(error) * weight) ** 2)
 

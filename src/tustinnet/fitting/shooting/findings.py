@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
-from tustinnet.fitting.report import Estimate, Identification, Stretch
+from tustinnet.fitting.report import Disagreement, Estimate, Identification, Stretch
 from tustinnet.fitting.shooting.least_squares import Fitted
 from tustinnet.fitting.shooting.segments import Segments
 from tustinnet.fitting.shooting.space import Space
-from tustinnet.fitting.shooting.uncertainty import Uncertainty
+from tustinnet.fitting.shooting.uncertainty import Uncertainty, lag_correlation
 from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import LagrangianSystem
 
@@ -36,6 +36,7 @@ class Found:
         certain: how far the values can be trusted.
         horizons: see `Identification`.
         asked: whether the recipe says them.
+        disagreements: what the records disagree about.
         reversed_signs: see `Identification`.
         remarks: what was said on the way.
         initial: how initial states were treated.
@@ -52,6 +53,7 @@ class Found:
     certain: Uncertainty
     horizons: Mapping[str, float]
     asked: bool
+    disagreements: tuple[Disagreement, ...]
     reversed_signs: tuple[tuple[str, ...], ...]
     remarks: tuple[str, ...]
     initial: str
@@ -74,12 +76,13 @@ def described(system: LagrangianSystem, found: Found, seconds: float) -> Identif
         *_about_signs(found.reversed_signs),
         *found.remarks,
         *_about_horizons(found),
+        *_about_disagreements(found.disagreements),
         *_about_bounds(estimates),
         *_about_stretches(spoilt),
         *([] if diverged else _about_condition(space, certain)),
         _about_errors(certain, lag, multiple, len(records)) if fitted.why == "converged" else "",
     ]
-    begins = np.flatnonzero(np.diff(found.segments.record, prepend=-1))
+    begins = found.segments.begins
     return Identification(
         system=system,
         model=found.model,
@@ -94,6 +97,7 @@ def described(system: LagrangianSystem, found: Found, seconds: float) -> Identif
         trust="residuals" if certain.clustered is None else "records",
         rmse=_rmse(found),
         autocorrelation=tuple(lag.tolist()),
+        disagreements=found.disagreements,
         initial=found.initial,
         initial_states={
             e.name: tuple(x.tolist()) for e, x in zip(records, fitted.x0[begins], strict=True)
@@ -233,13 +237,7 @@ def _estimates(space: Space, fitted: Fitted, certain: Uncertainty) -> tuple[Esti
 def _residuals(found: Found) -> tuple[Float[np.ndarray, " n_y"], float | None]:
     """Correlation from sample to sample, and the size in encoder noise where counts are known."""
     errors = [np.nan_to_num(x, posinf=0.0, neginf=0.0) for x in found.fitted.normal.error]
-    before, after = (
-        np.concatenate([x[part] for x in errors]) for part in (slice(-1), slice(1, None))
-    )
-    power = np.sum(before**2, axis=0)
-    lag = np.divide(
-        np.sum(before * after, axis=0), power, out=np.zeros_like(power), where=power > 0
-    )
+    lag = lag_correlation(errors)
     counts = found.records[0].channels.resolution
     if not np.all(counts > 0):
         return lag, None
@@ -255,6 +253,25 @@ def _about_signs(reversed_signs: Sequence[tuple[str, ...]]) -> list[str]:
         f"the sign of {' or of '.join(each)} is probably reversed: turned around, the equations of "
         "motion explain the records clearly better; check the data card or the system's signs"
     ]
+
+
+def _about_disagreements(disagreements: Sequence[Disagreement]) -> list[str]:
+    told = []
+    for d in disagreements:
+        one, other = d.sides
+        values = " against ".join(f"{s.value:.4g} +- {s.error:.2g}" for s in d.sides)
+        about = f"about `{d.parameter}` ({values} {d.unit}".rstrip() + ")"
+        if d.group:
+            told.append(
+                f"the records of {one.what} and {other.what} disagree {about}: declare it "
+                f'per="{d.group}"'
+            )
+        else:
+            told.append(
+                f"record '{one.what}' contradicts {other.what} {about}: look at its log and at "
+                "what was changed, give it a group, or leave it out"
+            )
+    return told
 
 
 def _about_bounds(estimates: Sequence[Estimate]) -> list[str]:

@@ -13,21 +13,25 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.inspection import transient_end
 from tustinnet.errors import InputError
+from tustinnet.families.family import Hyper
 from tustinnet.fitting.listener import Iteration, Listener
 from tustinnet.fitting.recipe import IdentificationRecipe, read_recipe
-from tustinnet.fitting.report import FitResult, Identification
+from tustinnet.fitting.report import Disagreement, FitResult, Identification
 from tustinnet.fitting.shooting import inverse_dynamics
+from tustinnet.fitting.shooting.agreement import Agreement
 from tustinnet.fitting.shooting.findings import Found, described
+from tustinnet.fitting.shooting.groups import spread
 from tustinnet.fitting.shooting.holds import search_with_holds
 from tustinnet.fitting.shooting.least_squares import prior_deviation
 from tustinnet.fitting.shooting.sensors import freed
-from tustinnet.fitting.shooting.space import make_space
+from tustinnet.fitting.shooting.space import Searched, Space, make_space
 from tustinnet.fitting.shooting.stages import Problem, State, model_of, prior
 from tustinnet.fitting.shooting.uncertainty import Uncertainty, uncertainty
 from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task
 from tustinnet.models.contract import require_float64
-from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
+from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.models.sensors import calibrated
+from tustinnet.simulate.batches import batches
 from tustinnet.systems.files import AnySystem
 
 # what right signs leave of the momentum is a few hundredths, what wrong ones leave over a half
@@ -107,20 +111,19 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
     if recipe.search.part == "transients":
         records = _transients(records)
     system = calibrated(system, freed(system, getattr(recipe.model, "free", ()), records))
-    begin = dict(getattr(recipe.model, "begin", {}))
-    nominal, fixed = system.nominal(), _numbers(system, getattr(recipe.model, "fixed", {}))
-    space = make_space(system, begin, fixed)
-    first = space.clipped(space.vector(nominal | begin))
-    values = {k: jnp.asarray(v, jnp.float64) for k, v in space.values(first).items()}
-    _require_mass(system.model(values), records)
-    _require_finite(system.model(values), records)
     problem = Problem(system, tuple(records), roles.validation, recipe.search, listener)
+    space, first = _beginning(problem, recipe.model)
+    values = {k: jnp.asarray(v, jnp.float64) for k, v in space.values(first).items()}
+    for model, rows in batches(system.model(values), records):
+        sharing = [records[i] for i in rows]
+        _require_mass(model, sharing)
+        _require_finite(model, sharing)
     begin_at = State(space, first, horizons=problem.asked or {})
     problem, ended, initial, validation = search_with_holds(problem, begin_at)
     reversed_signs: tuple[tuple[str, ...], ...] = ()
     if ended.unexplained > _POORLY_EXPLAINED:
         reversed_signs = inverse_dynamics.likely_reversals(
-            system, ended.space, ended.space.vector(nominal | begin), problem.motion
+            system, ended.space, ended.space.vector(space.numbers(first)), problem.motion
         )
     assert ended.fitted is not None
     assert ended.segments is not None
@@ -131,6 +134,7 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
         model=model_of(problem, ended),
         records=problem.records,
         certain=_certain(problem, ended),
+        disagreements=_disagreements(problem, ended),
         horizons={name: steps * records[0].dt for name, steps in ended.horizons.items()},
         asked=problem.asked is not None,
         reversed_signs=reversed_signs,
@@ -143,12 +147,17 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
     return described(system, found, time.perf_counter() - begun)
 
 
-def _numbers(system: LagrangianSystem, fixed: Mapping[str, float | str]) -> dict[str, float]:
-    """The values of fixed parameters, `nominal` ones looked up."""
-    return {
-        name: system.parameter(name).nominal if isinstance(value, str) else value
-        for name, value in fixed.items()
-    }
+def _beginning(problem: Problem, model: Hyper) -> tuple[Space, Searched]:
+    """What is searched for, and where the search begins, by a recipe's table `[model]`."""
+    known = {p.name: p for p in problem.parameters}
+    begin, fixed = (
+        spread(problem.system, problem.parameters, getattr(model, key, {}))
+        for key in ("begin", "fixed")
+    )
+    fixed = {n: known[n].nominal if isinstance(x, str) else x for n, x in fixed.items()}
+    space = make_space(problem.system, begin, fixed, problem.parameters)
+    nominal = {name: p.nominal for name, p in known.items()}
+    return space, space.clipped(space.vector(nominal | begin))
 
 
 def _certain(problem: Problem, ended: State) -> Uncertainty:
@@ -161,6 +170,14 @@ def _certain(problem: Problem, ended: State) -> Uncertainty:
     bounds = space.at_bounds(fitted.vector)
     moving = np.array([name not in bounds for name in space.names])
     return uncertainty(fitted.normal, segments, curvature, moving)
+
+
+def _disagreements(problem: Problem, ended: State) -> tuple[Disagreement, ...]:
+    assert ended.fitted is not None
+    assert ended.segments is not None
+    if ended.fitted.why == "diverged":
+        return ()
+    return Agreement(problem, ended, ended.segments).disagreements()
 
 
 def _transients(records: Sequence[Experiment]) -> list[Experiment]:

@@ -30,6 +30,7 @@ class Motion:
         q: positions, (n, n_q).
         v: velocities, (n, n_q).
         u: inputs, (n, n_u).
+        pick: which of their values parameters per group have, see `groups.picks`, (n, n_g).
         begins: first sample of every window, (n_w,).
         record: index of the record each window is of, (n_w,).
         length: samples of a window.
@@ -39,14 +40,22 @@ class Motion:
     q: Float[np.ndarray, "n n_q"]
     v: Float[np.ndarray, "n n_q"]
     u: Float[np.ndarray, "n n_u"]
+    pick: Int[np.ndarray, "n n_g"]
     begins: Int[np.ndarray, " n_w"]
     record: Int[np.ndarray, " n_w"]
     length: int
     dt: float
 
 
-def measured_motion(experiments: Sequence[Experiment]) -> Motion:
-    """Positions, velocities and inputs of records, and windows of a quarter of a swing."""
+def measured_motion(
+    experiments: Sequence[Experiment], picks: Int[np.ndarray, "n_r n_g"] | None = None
+) -> Motion:
+    """Positions, velocities and inputs of records, and windows of a quarter of a swing.
+
+    Args:
+        experiments: the records.
+        picks: what each has of parameters per group, see `groups.picks`; none by default.
+    """
     velocities = [e.velocities() for e in experiments]
     length = min(_quarter_swing(velocities), *(len(e) for e in experiments))
     begins, record, offset = [], [], 0
@@ -62,6 +71,11 @@ def measured_motion(experiments: Sequence[Experiment]) -> Motion:
         np.concatenate([e.q for e in experiments]),
         np.concatenate(velocities),
         np.concatenate(delayed),
+        np.repeat(
+            np.zeros((len(experiments), 0), int) if picks is None else picks,
+            [len(e) for e in experiments],
+            axis=0,
+        ),
         np.array(begins),
         np.array(record),
         length,
@@ -96,7 +110,7 @@ def first_values(
     s = np.linspace(-1, 1, motion.length)
     bump = (1 - s**2) ** 3
     slope = -6 * s * (1 - s**2) ** 2 * 2 / ((motion.length - 1) * motion.dt)
-    fixed, measured = space.fixed_arrays, (motion.q, motion.v, motion.u)
+    fixed, measured = space.fixed_arrays, (motion.q, motion.v, motion.u, motion.pick)
 
     def at(point: Searched) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         answers = _momenta(system, space.searched, fixed, point, measured)
@@ -201,12 +215,12 @@ def _momenta(
     searched: tuple[Parameter, ...],
     fixed: dict[str, Array],
     vector: Array,
-    measured: tuple[Array, Array, Array],
+    measured: tuple[Array, Array, Array, Array],
 ) -> tuple[Array, ...]:
     """Momentum and generalised force at every sample, and both by the parameters."""
 
-    def at(point: Array, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
-        values = Space(searched, fixed).values(point)
+    def at(point: Array, q: Array, v: Array, u: Array, pick: Array) -> tuple[Array, Array]:
+        values = system.picked(Space(searched, fixed).values(point), pick)
         model = system.model(values)
         momentum = jax.grad(system.kinetic, argnums=1)(q, v, values)
         force = jax.grad(system.kinetic)(q, v, values)
@@ -215,7 +229,7 @@ def _momenta(
         still = jnp.zeros(len(system.internal), q.dtype)
         return momentum, force + model.applied(q, v, still, u)
 
-    def both(q: Array, v: Array, u: Array) -> tuple[Array, ...]:
-        return *at(vector, q, v, u), *jax.jacfwd(at)(vector, q, v, u)
+    def both(*sample: Array) -> tuple[Array, ...]:
+        return *at(vector, *sample), *jax.jacfwd(at)(vector, *sample)
 
     return jax.vmap(both)(*measured)

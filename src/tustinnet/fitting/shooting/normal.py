@@ -81,6 +81,7 @@ class _Lane(NamedTuple):
     periods: Any
     target: Any
     weight: Any
+    pick: Any
 
 
 class _Sums(NamedTuple):
@@ -159,7 +160,7 @@ def _begun(
     shape: Shape, n_p: int, x0: np.ndarray, segments: Segments, rows: Int[np.ndarray, " lanes"]
 ) -> _At:
     """Segments side by side before their first step; idle lanes repeat a sound state."""
-    rows = np.concatenate([rows, np.repeat(rows[:1], shape.lanes - len(rows))])
+    rows = np.resize(rows, shape.lanes)
     n_x = x0.shape[1]
     dx = np.zeros((shape.lanes, n_p + n_x, n_x))
     dx[:, n_p:] = segments.searched[rows][:, :, None] * np.eye(n_x)
@@ -177,6 +178,7 @@ def _laid(s: Segments, rows: Int[np.ndarray, " lanes"], begin: int, lanes: int) 
         np.zeros((lanes, _STRETCH)),
         np.zeros((lanes, _STRETCH + 1, s.target.shape[1])),
         np.zeros((lanes, _STRETCH + 1, s.target.shape[1])),
+        s.pick[np.resize(rows, lanes)],
     )
     for lane, row in enumerate(rows):
         steps = min(int(s.steps[row]) - begin, _STRETCH)
@@ -200,10 +202,11 @@ def _advanced(
     lanes: _Lane,
     count: tuple[Any, Any],
 ) -> tuple[_At, Array]:
-    def model_of(p: Array) -> Any:
-        return shape.system.model(Space(shape.searched, fixed).values(p))
-
     def advanced(at: _At, lane: _Lane) -> tuple[_At, Array]:
+        def model_of(p: Array) -> Any:
+            values = Space(shape.searched, fixed).values(p)
+            return shape.system.model(shape.system.picked(values, lane.pick))
+
         return _stretch(shape.residual, model_of, vector, (at, lane), count)
 
     return jax.vmap(advanced)(at, lanes)

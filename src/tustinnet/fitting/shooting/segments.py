@@ -1,7 +1,7 @@
 """Records cut into segments that are simulated side by side."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -34,6 +34,8 @@ class Segments:
         first: row of the first sample of each, (n_s,).
         record: index of the record each is a piece of, (n_s,).
         share: weight of a squared error of each, 1 over its record's samples, (n_s,).
+        pick: which of their values parameters per group have in each, see `groups.picks`,
+            (n_s, n_g).
         drive: what the inputs do from each sample to the next, (n, ...).
         periods: time from each sample to the next [s], (n,); 0 at the end of a record.
         target: measured positions, and velocities where the loss is of the state, (n, n_y).
@@ -47,6 +49,7 @@ class Segments:
     first: Int[np.ndarray, " n_s"]
     record: Int[np.ndarray, " n_s"]
     share: Float[np.ndarray, " n_s"]
+    pick: Int[np.ndarray, "n_s n_g"]
     drive: Float[np.ndarray, "n *drive"]
     periods: Float[np.ndarray, " n"]
     target: Float[np.ndarray, "n n_y"]
@@ -61,6 +64,17 @@ class Segments:
     ) -> Float[np.ndarray, "n_s longest *any"]:
         """What belongs to samples, segment by segment, zeros after the end of shorter ones."""
         return stacked([array[self.samples(row)] for row in range(len(self.steps))])
+
+    @property
+    def begins(self) -> Int[np.ndarray, " n_r"]:
+        """The first segment of each record, by index."""
+        return np.flatnonzero(np.diff(self.record, prepend=-1))
+
+    def of(self, records: Collection[int]) -> "Segments":
+        """The segments of some of the records, by index."""
+        rows = np.flatnonzero(np.isin(self.record, list(records)))
+        own = ("x0", "searched", "precision", "steps", "first", "record", "share", "pick")
+        return replace(self, **{name: getattr(self, name)[rows] for name in own})
 
 
 @dataclass(frozen=True)
@@ -89,7 +103,12 @@ class Cut:
         return min((n for n in (self.length, self.horizons.get(record)) if n), default=None)
 
 
-def cut(experiments: Sequence[Experiment], model: Model, how: Cut) -> Segments:
+def cut(
+    experiments: Sequence[Experiment],
+    model: Model,
+    how: Cut,
+    picks: Int[np.ndarray, "n_r n_g"] | None = None,
+) -> Segments:
     """Cuts records into segments of about equal length.
 
     Every residual of a record weighs `1 / T_i`, so that records count alike whatever their length
@@ -99,6 +118,7 @@ def cut(experiments: Sequence[Experiment], model: Model, how: Cut) -> Segments:
         experiments: the records.
         model: who is to simulate them.
         how: how.
+        picks: what each record has of parameters per group, see `groups.picks`; none by default.
 
     References:
         Bock (1981), Numerical treatment of inverse problems in chemical reaction kinetics
@@ -136,6 +156,7 @@ def cut(experiments: Sequence[Experiment], model: Model, how: Cut) -> Segments:
         first=np.array([begins[i] + a for i, a, _ in pieces]),
         record=record,
         share=1 / np.array([len(experiments[i]) for i in record]),
+        pick=np.zeros((len(pieces), 0), int) if picks is None else picks[record],
         drive=np.concatenate([_with_end(d) for d in drives]),
         periods=np.concatenate([_with_end(p) for p in periods]),
         target=np.concatenate([_target(e, n_y) for e in experiments]),

@@ -1,6 +1,6 @@
 """The parameters that are searched for, in the coordinates in which they are searched."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.errors import InputError
+from tustinnet.fitting.shooting.groups import spread
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 
 Searched = Float[np.ndarray, " n_p"]
@@ -96,7 +97,10 @@ class Space:
 
 
 def make_space(
-    system: LagrangianSystem, values: Mapping[str, float], fixed: Mapping[str, float]
+    system: LagrangianSystem,
+    values: Mapping[str, float],
+    fixed: Mapping[str, float],
+    parameters: Sequence[Parameter] = (),
 ) -> Space:
     """The space of the parameters of a system that are searched for.
 
@@ -104,13 +108,17 @@ def make_space(
         system: the system.
         values: where to start, by name; the nominal values for those not given.
         fixed: parameters to fix besides those that the system declares fixed.
+        parameters: those of the system, of those per group one for each of its values, see
+            `groups.expanded`; by default the system's as they are.
 
     Raises:
         InputError: an unknown name, a value outside its range, or nothing left to search for.
     """
-    where = system.nominal() | dict(values) | dict(fixed)
+    known = {p.name: p for p in parameters or system.parameters}
+    values, fixed = (spread(system, tuple(known.values()), of) for of in (values, fixed))
+    where = {name: p.nominal for name, p in known.items()} | values | fixed
     for name in (*values, *fixed):
-        p = system.parameter(name)
+        p = known[name]
         if not p.lower <= where[name] <= p.upper:
             raise InputError(
                 f"parameter '{name}'",
@@ -118,7 +126,7 @@ def make_space(
                 f"a value within {p.lower:g}..{p.upper:g} {p.unit}",
                 "start inside the range, or widen it in the system file",
             )
-    searched = tuple(p for p in system.parameters if not p.fixed and p.name not in fixed)
+    searched = tuple(p for p in known.values() if not p.fixed and p.name not in fixed)
     if not searched:
         raise InputError(
             f"system '{system.name}'", "every parameter is fixed", "at least one that is not"

@@ -11,6 +11,7 @@ from functools import cached_property, reduce
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Int
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
@@ -19,6 +20,7 @@ from tustinnet.fitting.recipe import SearchRecipe
 from tustinnet.fitting.residual import Residual, residual_of, robust_weights
 from tustinnet.fitting.shooting import growth, inverse_dynamics
 from tustinnet.fitting.shooting.by_gradient import minimise_by_gradient
+from tustinnet.fitting.shooting.groups import expanded, picks
 from tustinnet.fitting.shooting.identifiability import confounded
 from tustinnet.fitting.shooting.inverse_dynamics import Motion
 from tustinnet.fitting.shooting.least_squares import (
@@ -32,7 +34,7 @@ from tustinnet.fitting.shooting.normal import Shape, lanes_for, normal_products
 from tustinnet.fitting.shooting.segments import Cut, Segments, cut
 from tustinnet.fitting.shooting.space import Searched, Space
 from tustinnet.models.integrate import Discretised, discretise
-from tustinnet.models.lagrangian import LagrangianSystem
+from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 from tustinnet.simulate.horizon import horizon_samples, pieces
 from tustinnet.simulate.starts import Start, default_start, start_named, start_states
 from tustinnet.simulate.substeps import PROBED_SECONDS, enough_substeps
@@ -41,6 +43,7 @@ _TARGET = 0.25  # integration error allowed, in encoder counts: less than roundi
 _TARGET_SPAN = 1e-5  # or of the largest travel, where no count is known
 _SWINGS = (4, 16)  # lengths of the first stages' segments, in quarters of a swing
 _FITTED_START = "model-20"
+_REFIT = Limits(1e-5, 20)
 _FIRST_VARIANCE = 1e-4  # of residuals, before any are known
 _REWEIGHTED = 20  # times at most, with weights from the residuals before
 _SETTLED = 1e-5  # change of a logarithm, or of a range
@@ -66,9 +69,18 @@ class Problem:
     listener: Listener = SILENT
 
     @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The system's parameters, of those per group one for each value among the records."""
+        return expanded(self.system, self.records)
+
+    def picks(self, records: Sequence[Experiment]) -> Int[np.ndarray, "n_r n_g"]:
+        """Which of their values parameters per group have in records, see `groups.picks`."""
+        return picks(self.system, self.parameters, records)
+
+    @cached_property
     def motion(self) -> Motion:
         """The measured motion."""
-        return inverse_dynamics.measured_motion(self.records)
+        return inverse_dynamics.measured_motion(self.records, self.picks(self.records))
 
     @cached_property
     def start(self) -> Start:
@@ -129,7 +141,7 @@ class Problem:
             timestamps=self.search.times == "recorded",
             horizons=horizons,
         )
-        return cut(self.records, self.nominal, how)
+        return cut(self.records, self.nominal, how, self.picks(self.records))
 
     def score(self, state: "State") -> float | None:
         """Mean free-run RMSE of the validation records [rad or m]; None without any."""
@@ -138,7 +150,7 @@ class Problem:
     def free_runs(self, records: Sequence[Experiment]) -> Segments:
         """Free runs from the start by which models are judged; nothing is searched for."""
         how = Cut(residual=self.residual, start=self.start.name, timestamps=False)
-        return cut(records, self.nominal, how)
+        return cut(records, self.nominal, how, self.picks(records))
 
 
 @dataclass(frozen=True)
@@ -309,6 +321,14 @@ def _told(problem: Problem, state: State, length: int | None) -> str:
         "" if len(limits) == len(problem.records) else f"whole records, {len(limits)} of them in "
     )
     return f"{some}segments of {min(limits) * dt:.2g} s"
+
+
+def refitted(problem: Problem, state: State, segments: Segments) -> Fitted:
+    """The parameters that fit other segments best, sought from where a search is."""
+    cost = Cost(
+        problem.shape(state.space), state.space, segments, prior(problem, state), state.substeps
+    )
+    return _METHODS[problem.search.method](cost, state.vector, _REFIT)
 
 
 def prior(problem: Problem, state: State) -> Prior:

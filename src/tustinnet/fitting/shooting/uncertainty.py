@@ -1,5 +1,6 @@
 """How far identified parameters can be trusted."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from tustinnet.fitting.shooting.least_squares import eliminated
 from tustinnet.fitting.shooting.normal import Normal
 from tustinnet.fitting.shooting.segments import Segments
 
-_FEWEST_RECORDS = 4  # fewer say too little about how records differ
+FEWEST_RECORDS = 4  # fewer say too little about how records differ
 CONFIDENCE = 0.95
 
 
@@ -70,7 +71,7 @@ def uncertainty(
     if not np.isfinite(normal.cost).all():
         unknown = np.full((len(moving), len(moving)), np.nan)
         return Uncertainty(unknown, None, (np.nan, np.nan), np.inf, np.zeros(len(moving)))
-    begins = np.flatnonzero(np.diff(segments.record, prepend=-1))
+    begins = segments.begins
     matrices, gradients = (np.add.reduceat(of, begins) for of in eliminated(normal)[:2])
     matrices, gradients = matrices[:, moving][:, :, moving], gradients[:, moving]
     whole = matrices.sum(axis=0) + np.diag(curvature[moving])
@@ -85,7 +86,7 @@ def uncertainty(
     spread = np.tensordot(variance / samples, matrices, 1) + known
     naive = inverse @ spread @ inverse
     clustered, n = None, len(matrices)
-    if n >= _FEWEST_RECORDS:
+    if n >= FEWEST_RECORDS:
         clustered = _clustered(whole, matrices, gradients) + inverse @ known @ inverse
     unit = np.sqrt(np.maximum(np.diag(whole), 1e-300))
     values, vectors = np.linalg.eigh(whole / np.outer(unit, unit))
@@ -100,6 +101,17 @@ def uncertainty(
         ),
         condition=float(np.sqrt(values[-1] / max(values[0], 1e-300))) if len(unit) else 1.0,
         worst=_filled(worst / np.abs(worst).max(initial=1e-300), moving),
+    )
+
+
+def lag_correlation(errors: Sequence[Float[np.ndarray, "_ n_y"]]) -> Float[np.ndarray, " n_y"]:
+    """Correlation of residuals from one sample to the next, pooled over records, not centred."""
+    before, after = (
+        np.concatenate([x[part] for x in errors]) for part in (slice(-1), slice(1, None))
+    )
+    power = np.sum(before**2, axis=0)
+    return np.divide(
+        np.sum(before * after, axis=0), power, out=np.zeros_like(power), where=power > 0
     )
 
 

@@ -1,0 +1,100 @@
+"""Physical parameters, and those that differ between groups of records."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from tustinnet.errors import InputError, require_name
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A physical parameter of a system.
+
+    Attributes:
+        name: what it is called.
+        unit: its SI unit.
+        nominal: its nominal value.
+        lower: smallest value that makes sense (the paper's set Xi).
+        upper: largest.
+        fixed: whether identification leaves it alone.
+        prior: standard deviation of what is known of it, about the nominal value, or None.
+        per: the group of the records, as `payload`, for each value of which it has a value of its
+            own; None where all records share one.
+    """
+
+    name: str
+    unit: str
+    nominal: float
+    lower: float
+    upper: float
+    fixed: bool = False
+    prior: float | None = None
+    per: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.per is not None:
+            require_name(self.per, f"parameter '{self.name}', per")
+            if self.fixed:
+                raise InputError(
+                    f"parameter '{self.name}'", f"fixed, and one per {self.per}", "one of both",
+                    "a recipe's `fixed` may hold the value of each",
+                )  # fmt: skip
+        if not self.lower <= self.upper:
+            raise InputError(
+                f"parameter '{self.name}'", f"range {self.lower:g}..{self.upper:g}", "lower first"
+            )
+        if not self.lower <= self.nominal <= self.upper:
+            raise InputError(
+                f"parameter '{self.name}'",
+                f"nominal value {self.nominal:g} {self.unit}",
+                f"a value within {self.lower:g}..{self.upper:g}",
+            )
+        if not (self.fixed or self.lower < self.upper):
+            raise InputError(
+                f"parameter '{self.name}'", "an empty range", "lower < upper, or fixed"
+            )
+        if not (self.fixed or math.isfinite(self.upper - self.lower)):
+            raise InputError(f"parameter '{self.name}'", "a range without an end", "finite ends")
+        if self.prior is not None and not self.prior > 0:
+            raise InputError(
+                f"parameter '{self.name}'", f"prior {self.prior:g}", "a positive standard deviation"
+            )
+
+    @property
+    def positive(self) -> bool:
+        """Whether all of its range is positive; it is then searched for by its logarithm."""
+        return self.lower > 0
+
+    def at(self, group: str) -> "Parameter":
+        """The parameter of the records of one value of its group: `mass[1kg]`."""
+        return replace(self, name=f"{self.name}[{group}]")
+
+    def by_group(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Its values by those of its group, in the order of the latter; of `mass[1kg]`: `1kg`."""
+        begin = f"{self.name}["
+        names = sorted(name for name in values if name.startswith(begin) and name.endswith("]"))
+        return {name[len(begin) : -1]: values[name] for name in names}
+
+
+def known_group(
+    p: Parameter, groups: Mapping[str, str], known: Sequence[str], where: object
+) -> str:
+    """Which of the known values of a parameter's group somebody has.
+
+    Raises:
+        InputError: the group is missing, or has another value.
+    """
+    told, value = f"one of {', '.join(known)}" if known else "", groups.get(str(p.per))
+    if value is None:
+        raise InputError(
+            where, f"no group '{p.per}', which '{p.name}' is per", told,
+            f'in the card, give the record `groups = {{ {p.per} = "..." }}`',
+        )  # fmt: skip
+    if value not in known:
+        raise InputError(
+            where, f"{p.per} '{value}', for which '{p.name}' has no value", told,
+            f"identify with training records of that {p.per}",
+        )  # fmt: skip
+    return value
