@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.signal
 
 import tustinnet as tn
 from tustinnet.fitting.gradient.material import (
@@ -11,6 +12,7 @@ from tustinnet.fitting.gradient.material import (
     draw,
     stage_windows,
     validation_runs,
+    window_account,
 )
 from tustinnet.fitting.gradient.plan import plan
 from tustinnet.fitting.recipe import WindowRecipe
@@ -141,3 +143,17 @@ def test_windows_begin_with_internal_states_that_followed_their_record(pendulum)
 def test_validation_weights_sum_to_one_within_each_record(pendulum):
     runs = validation_runs(model_of(pendulum), list(pendulum), start_named("derived-6"))
     np.testing.assert_allclose(runs.weight.sum(axis=1), 1.0, rtol=1e-5)
+
+
+def test_windows_of_a_fast_oscillation_last_until_their_start_is_forgotten():
+    generator = np.random.default_rng(0)
+    # 9 samples a period, 1/e in 30 samples, driven by noise
+    pole = np.exp(-1 / 30 + 2j * np.pi / 9)
+    poles = [1.0, -2 * pole.real, abs(pole) ** 2]
+    x = np.asarray(scipy.signal.lfilter([1.0], poles, generator.normal(size=8000)))
+    record = tn.from_arrays(x, dt=1 / 600, coordinates={"mass": "linear"})
+    assert 80 <= adapted_length([record], 50) <= 100
+    account = window_account([record], WindowRecipe(draw="strided", length=50, step=5))
+    assert "windows of 50 steps: 5." in account
+    assert "of mass, 6" in account
+    assert "samples a period are few" in account
