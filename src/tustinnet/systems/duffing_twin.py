@@ -2,16 +2,15 @@
 
 from dataclasses import replace
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from tustinnet.channels import Channels
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
-from tustinnet.models.contract import ContinuousModel
+from tustinnet.models.integrate import discretise
+from tustinnet.simulate.rollout import rollout
 from tustinnet.systems.duffing import SYSTEM
 
 TWIN_NAME = "duffing-twin"
@@ -29,7 +28,8 @@ _GROWN = 1.2  # the noise grows to this many times as much
 _PERIOD = 4096  # samples
 _RECORDS = {"train": 6, "validation": 2}
 _LEAD = 512  # samples before a record, in which what it began with decays
-_SUBSTEPS = 16
+_FINE = 32  # integration steps in a period; the input is a straight line within each
+_RAMPED = replace(SYSTEM, inputs=tuple(replace(i, hold="first-order") for i in SYSTEM.inputs))
 
 
 def duffing_twin(seed: int = 0, *, exact: bool = False) -> DataSet:
@@ -60,27 +60,26 @@ def duffing_twin(seed: int = 0, *, exact: bool = False) -> DataSet:
 
 
 def _multisine(generator: np.random.Generator) -> Float[np.ndarray, " fine"]:
-    """A period, behind the end of the one before, at half integration steps."""
+    """A period, behind the end of the one before, at all integration steps."""
     lines = int(BAND * _PERIOD)
     phases = generator.uniform(0, 2 * np.pi, lines)
     period = _periodic(np.exp(1j * phases) * _RMS / np.sqrt(2 * lines), _PERIOD)
-    # the last half step of the last interval needs the sample that follows
-    return np.concatenate([period[-_LEAD * 2 * _SUBSTEPS :], period])
+    return np.concatenate([period[-_LEAD * _FINE :], period])
 
 
 def _growing_noise(generator: np.random.Generator) -> Float[np.ndarray, " fine"]:
-    """Gaussian noise within the band times a ramp, at half integration steps."""
+    """Gaussian noise within the band times a ramp, at all integration steps."""
     samples = 2 * _PERIOD
     lines = int(BAND * samples)
     spectrum = generator.normal(size=lines) + 1j * generator.normal(size=lines)
     noise = _periodic(spectrum * _RMS / np.sqrt(4 * lines), samples)
     ramp = np.linspace(0, _GROWN, len(noise))
-    return np.concatenate([np.zeros(_LEAD * 2 * _SUBSTEPS), ramp * noise])
+    return np.concatenate([np.zeros(_LEAD * _FINE), ramp * noise])
 
 
 def _periodic(lines: np.ndarray, samples: int) -> Float[np.ndarray, " fine"]:
     """The sum of 2 Re(line_k exp(2 pi i k t)), k from 1 on, between the samples of a period too."""
-    fine = samples * 2 * _SUBSTEPS
+    fine = samples * _FINE
     spectrum = np.zeros(fine // 2 + 1, complex)
     spectrum[1 : len(lines) + 1] = lines * fine
     return np.fft.irfft(spectrum, fine)
@@ -91,30 +90,12 @@ def _driven(
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 1"]]:
     """States and inputs at the samples behind the lead."""
     values = {name: jnp.asarray(value, jnp.float64) for name, value in TWIN_VALUES.items()}
-    x = np.array(_simulated(SYSTEM.model(values), jnp.asarray(fine), 1 / SAMPLING))[_LEAD:]
+    step = discretise(_RAMPED.model(values), 1 / SAMPLING / _FINE, 1)
+    ends = np.stack([fine[:-1], fine[1:]], axis=1)[:, :, None]
+    x = np.array(rollout(step, np.zeros(2), ends))[_LEAD * _FINE :: _FINE]
     if not exact:
         x[:, 0] = np.round(x[:, 0] / COUNT) * COUNT
-    return x, fine[:: 2 * _SUBSTEPS][_LEAD:, None]
-
-
-@eqx.filter_jit
-def _simulated(
-    model: ContinuousModel, fine: Float[Array, " fine"], dt: float
-) -> Float[Array, "samples 2"]:
-    """Classical Runge-Kutta steps from rest, with the inputs at their ends and middles."""
-    h = dt / _SUBSTEPS
-    ends = jnp.concatenate([fine, fine[:1]])[::2]
-    inputs = jnp.stack([ends[:-1], fine[1::2], ends[1:]], axis=1)
-
-    def step(x: Array, u: Array) -> tuple[Array, Array]:
-        begin, middle, end = u[:, None]
-        k1 = model.derivative(x, begin)
-        k2 = model.derivative(x + h / 2 * k1, middle)
-        k3 = model.derivative(x + h / 2 * k2, middle)
-        k4 = model.derivative(x + h * k3, end)
-        return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), x
-
-    return jax.lax.scan(step, jnp.zeros(model.state_size, fine.dtype), inputs)[1][::_SUBSTEPS]
+    return x, fine[_LEAD * _FINE :: _FINE, None]
 
 
 def _logged(
