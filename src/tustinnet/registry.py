@@ -81,6 +81,7 @@ SYSTEMS: Registry[Any] = Registry(
         "qube-servo2": "tustinnet.systems.qube_servo2:SYSTEM",
         "qube-servo2-naive": "tustinnet.systems.qube_servo2:NAIVE",
         "qube-servo2-memory": "tustinnet.systems.qube_servo2:WITH_MEMORY",
+        "duffing": "tustinnet.systems.duffing:SYSTEM",
     },
 )
 RECIPE_HOMES: list[str] = ["tustinnet.fitting", "tustinnet.reproduce"]  # packages with `recipes/`

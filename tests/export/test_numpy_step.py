@@ -1,5 +1,6 @@
 """One step at a time, without JAX or compiled, is the model's step."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 import tustinnet as tn
 from tustinnet.families.tustin_net import random_tustin_net
-from tustinnet.models.blocks import ACTIVATIONS, Scaling
+from tustinnet.models.blocks import ACTIVATIONS, Scaling, random_affine
 from tustinnet.models.contract import with_dtype
 
 ARM = tn.Coordinate("arm", "angular")
@@ -60,6 +61,17 @@ def test_it_carries_internal_states_along():
     for _ in range(20):
         x = step(x, np.ones(1))
     np.testing.assert_allclose(x, expected[-1], rtol=1e-10)
+
+
+def test_a_linear_map_beside_the_network_counts():
+    model = network((SLIDE, ARM), relaxation_times=(0.1,), linear=True)
+    beside = random_affine(*model.network.shape, jax.random.key(2))
+    model = with_dtype(eqx.tree_at(lambda m: m.network.bypass, model, beside), np.float64)
+    x, u = np.linspace(0.1, 0.6, 6), np.ones(1)
+    expected = model.step(jnp.asarray(x), jnp.asarray(u))
+    np.testing.assert_allclose(tn.numpy_step(model)(x, u), expected, rtol=1e-12)
+    silent = model.silent().step(jnp.asarray(x), jnp.asarray(u))
+    np.testing.assert_array_equal(silent[2:4], x[2:4])
 
 
 def test_single_precision_stays_single_and_inputs_are_left_alone():

@@ -201,3 +201,21 @@ def test_the_network_sees_internal_states_in_their_unit(pendulum):
 def test_relaxation_times_are_positive(time):
     with pytest.raises(tn.InputError, match="relaxation times"):
         network(relaxation_times=(time,))
+
+
+def test_a_linear_map_beside_the_network_begins_as_least_squares_say(pendulum, tmp_path):
+    train = tuple(e[:60] for e in pendulum.split("train"))
+    recipe = tn.read_recipe("standard", ["model.linear=true", "model.hidden=[4]"])
+    model = recipe.family.builder(recipe.model, train, "stencil", None)(jax.random.key(0))
+    assert isinstance(model, TustinNet)
+    x = jnp.asarray(np.concatenate([e.measured_states("stencil")[:-1] for e in train]))
+    u = jnp.asarray(np.concatenate([e.held_inputs for e in train]))
+    change = np.concatenate([np.diff(e.velocities("stencil"), axis=0) for e in train])
+    left = change - model.dt * np.asarray(jax.vmap(model.acceleration)(x, u))
+    features = jax.vmap(lambda x, u: model.network.scaling.features(model.channels, x, u))(x, u)
+    assert np.abs(np.asarray(features).T @ left).max() < 1e-4 * np.abs(change).max() * len(x)
+    assert left.std() < 0.5 * change.std()
+    tn.save(model, tmp_path / "m.safetensors")
+    again = tn.load_model(tmp_path / "m.safetensors")
+    np.testing.assert_array_equal(again.step(x[0], u[0]), model.step(x[0], u[0]))
+    assert model.network.bypass in model.network.layers_from(1)

@@ -2,6 +2,7 @@
 
 import io
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,8 +21,8 @@ from tustinnet.report.figures import (
     training_figure,
     write_figure,
 )
-from tustinnet.report.progress import FitProgress
-from tustinnet.report.tables import Table, number
+from tustinnet.report.progress import FitProgress, TimeLeft
+from tustinnet.report.tables import Table, number, numbers
 
 
 @pytest.mark.parametrize(
@@ -74,7 +75,7 @@ def test_figures_are_written_whole_or_not_at_all(pendulum, tmp_path):
     assert not (tmp_path / "picture.xyz").exists()
 
 
-def test_progress_shows_loss_validation_rate_and_time_left(pendulum, small_recipe):
+def test_progress_shows_loss_validation_and_rate(pendulum, small_recipe):
     prepared = plan(make_task(pendulum, small_recipe))
     for terminal in (True, False):
         out = io.StringIO()
@@ -87,7 +88,30 @@ def test_progress_shows_loss_validation_rate_and_time_left(pendulum, small_recip
         for word in ("9/9", "loss 0.4", "rmse 0.200", "rate 5.0e-04", "back to the last good"):
             assert word in text, text
         assert ("\x1b[" in text) is terminal
-        assert terminal or "s left" in text
+        assert "left" not in text  # one call tells nothing of how long the others take
+
+
+def test_time_left_is_told_when_two_calls_have_ended():
+    left = TimeLeft(100)
+    for call, now in enumerate((10.0, 12.0)):
+        assert [left(5 * call + k, now + 1e-4 * k) for k in range(1, 6)] == [""] * 5
+    assert left(11, 14.0) == ", 36 s left"
+    assert left(100, 20.0) == ""
+
+
+def test_progress_shows_three_digits_of_small_motion(pendulum, small_recipe):
+    small = tn.DataSet("small", tuple(replace(e, q=1e-4 * e.q, v=None) for e in pendulum))
+    out = io.StringIO()
+    with FitProgress(Console(file=out, width=160)) as progress:
+        told = progress.follow(plan(make_task(small, small_recipe))).epoch
+        told(EpochReport("second", 4, 0.4, 1.234e-6, 5e-4, 1.2e-6))
+    assert "rmse 0.0000012" in out.getvalue()
+
+
+def test_a_column_shows_three_digits_of_its_largest_number():
+    assert numbers([2.5e-4, 1.2e-6, math.inf, None]) == ["0.000250", "0.000001", "diverged", "–"]
+    assert numbers([0.25, 12.0]) == ["0.250", "12.000"]
+    assert numbers([0.0, 0.0]) == ["0.000", "0.000"]
 
 
 def test_progress_of_trainings_that_run_together_tells_the_slowest_and_the_best(

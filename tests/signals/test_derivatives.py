@@ -83,7 +83,7 @@ def test_kalman_treats_coordinates_apart() -> None:
 
 @pytest.mark.usefixtures("unchecked")
 def test_an_unknown_method_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(InputError, match=r"'spline'.*stencil, savgol or kalman"):
+    with pytest.raises(InputError, match=r"'spline'.*stencil, savgol, kalman, wiener, trapezoidal"):
         differentiate(np.zeros((9, 1)), DT, "spline")  # pyright: ignore[reportArgumentType]
 
 

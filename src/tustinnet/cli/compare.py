@@ -77,17 +77,22 @@ def compare(
 
 def _table(records: "list[Experiment]", scores: "dict[str, list[Score]]", begin: str) -> "Table":
     from tustinnet.evaluate.scores import mean_rmse
-    from tustinnet.report.tables import Table, number
+    from tustinnet.report.tables import Table, number, scale_of
     from tustinnet.simulate.horizon import over
 
+    scale = scale_of(s.rmse for found in scores.values() for s in found)
+
+    def told(value: float) -> str:
+        return number(value, scale=scale)
+
     rows = [
-        [e.name, e.split or "all", *[number(found[i].rmse) for found in scores.values()]]
+        [e.name, e.split or "all", *[told(found[i].rmse) for found in scores.values()]]
         for i, e in enumerate(records)
     ]
     for name in dict.fromkeys(e.split or "all" for e in records):
         inside = [i for i, e in enumerate(records) if (e.split or "all") == name]
         groups = [mean_rmse([found[i] for i in inside]) for found in scores.values()]
-        rows.append(["mean", name, *map(number, groups)])
+        rows.append(["mean", name, *map(told, groups)])
     horizon = over(next(iter(scores.values()))[0].horizon)
     title = f"Free-run RMSE [{records[0].channels.unit}], start '{begin}'{horizon}"
     return Table(["record", "split", *scores], rows, title=title)

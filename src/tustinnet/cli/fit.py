@@ -8,8 +8,11 @@ import typer
 from tustinnet.cli import options, terminal
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from tustinnet.data.dataset import DataSet
     from tustinnet.fitting.recipe import Recipe
+    from tustinnet.fitting.task import Task
     from tustinnet.store.run import Earlier, Run
 
 
@@ -52,6 +55,8 @@ def fit(
     of = None if physics is not None else system
     task = make_task(records, chosen, members, physics=known, system=of)
     tell_still(task.folds[0].roles.train, told)
+    if not quiet:
+        _tell_windows(task, told)
     with FitProgress(told, quiet=quiet) as progress, terminal.interruptible(_remedy(chosen)):
         run = run_task(task, records.name, out, earlier, progress.follow)
     _draw(run, records)
@@ -65,6 +70,18 @@ def fit(
         told.print(f"error: {who}{result.failure}")
     if len(unfinished) == len(run.members):
         raise typer.Exit(1)
+
+
+def _tell_windows(task: "Task", told: "Console") -> None:
+    """What the windows of a training's stages were chosen by."""
+    from tustinnet.fitting.gradient.material import window_account
+    from tustinnet.fitting.recipe import TrainingRecipe
+
+    if isinstance(task.recipe, TrainingRecipe):
+        train = task.folds[0].roles.train
+        for stage in task.recipe.stages:
+            account = window_account(train, stage.windows)
+            told.print(f"{stage.name}: {account}", highlight=False, soft_wrap=True)
 
 
 def _remedy(recipe: "Recipe") -> str:
@@ -89,6 +106,9 @@ def _print(run: "Run", out: Path) -> None:
     found = run.best.result.identification
     if found is None:
         terminal.print_tables(members_table(run), fitted_table(run))
+        for of in run.members:
+            for finding in of.result.findings:
+                typer.echo(f"* {of.result.member.name}: {finding}")
     else:
         terminal.print_tables(parameter_table(found), fitted_table(run), judged_table(run))
         for finding in found.findings:

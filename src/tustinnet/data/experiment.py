@@ -14,7 +14,7 @@ from tustinnet.signals import resampling, transients
 from tustinnet.signals.derivatives import VelocityMethod, differentiate
 from tustinnet.signals.excitation import HALF, Excitation, Held, excitation
 
-VelocitySource = Literal["auto", "file", "stencil", "savgol", "kalman"]
+VelocitySource = Literal["auto", "file", "stencil", "savgol", "kalman", "wiener", "trapezoidal"]
 
 LARGEST = 1e100  # of a position, input or velocity; squares of larger ones overflow
 _STENCIL_SAMPLES = 5
@@ -313,9 +313,10 @@ class Experiment(HasChannels):
         """Velocities, (n, n_q) [rad/s or m/s].
 
         Args:
-            source: `file` for the stored columns; `stencil`, `savgol`, `kalman` to derive them
-                from the positions; `auto` for the stored ones where they were measured and are
-                not padded with zero rows, else the stencil.
+            source: `file` for the stored columns; `stencil`, `savgol`, `kalman`, `wiener`,
+                `trapezoidal` to derive them from the positions (`differentiate`); `auto` for
+                the stored ones where they were measured and are not padded with zero rows, else
+                the stencil.
         """
         if source == "auto":
             trusted = self.v is not None and self.v_measured and self.padded_rows == (0, 0)
@@ -326,7 +327,7 @@ class Experiment(HasChannels):
                     self.name,
                     "no velocity columns in the record",
                     "velocities in the file",
-                    "use stencil, savgol or kalman",
+                    "use stencil, savgol, kalman, wiener or trapezoidal",
                 )
             return self.v
         if len(self) < _STENCIL_SAMPLES:

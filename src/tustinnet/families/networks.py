@@ -68,6 +68,7 @@ def structure_of(network: Network) -> dict[str, Any]:
         "stem": None if network.stem is None else network.stem.weight.shape[0],
         "activation": network.activation,
         "output_bias": network.output.bias is not None,
+        "linear": network.bypass is not None,
     }
 
 
@@ -77,7 +78,8 @@ def network_from(
     """The network of a model file."""
     taps = len(structure.get("input_taps", ())) or 1
     seen = feature_count(channels, memory, taps)
-    layers = Layers(**{k: structure[k] for k in ("hidden", "stem", "activation", "output_bias")})
+    keys = ("hidden", "stem", "activation", "output_bias")
+    layers = Layers(**{k: structure[k] for k in keys}, linear=structure.get("linear", False))
 
     def make() -> Network:
         scaling = blank_scaling(channels, memory)
@@ -90,6 +92,8 @@ def network_shown(structure: dict[str, Any], arrays: Arrays) -> list[tuple[str, 
     """What `show` tells of a network."""
     bias = "with" if structure["output_bias"] else "without"
     told = f"hidden {structure['hidden']}, {structure['activation']}, output {bias} bias"
+    if structure.get("linear"):
+        told += ", beside a linear map"
     return [("network", told), units_shown(arrays)]
 
 

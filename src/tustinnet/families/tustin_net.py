@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
@@ -31,7 +32,7 @@ from tustinnet.families.networks import (
     network_shown,
     structure_of,
 )
-from tustinnet.models.blocks import Layers, Network, Scaling, feature_count, random_network
+from tustinnet.models.blocks import Affine, Layers, Network, Scaling, feature_count, random_network
 from tustinnet.models.contract import (
     AccelerationModel,
     Coordinates,
@@ -41,6 +42,8 @@ from tustinnet.models.contract import (
     State,
 )
 from tustinnet.registry import SCALINGS
+from tustinnet.simulate.along import states_along
+from tustinnet.simulate.drive import drive_of
 
 
 class TustinNet(AccelerationModel):
@@ -101,7 +104,7 @@ class TustinNet(AccelerationModel):
 
     def silent(self) -> "TustinNet":
         """The same with an output layer of zeros."""
-        return eqx.tree_at(lambda m: m.network.output, self, self.network.output.zeros())
+        return eqx.tree_at(lambda m: m.network, self, self.network.silent())
 
     def acceleration(self, x: State, u: Drive) -> Coordinates:
         """`f`, the mean acceleration over the coming period, (n_q,) [rad/s^2 or m/s^2]."""
@@ -149,13 +152,20 @@ class TustinNetHyper(NetworkHyper):
         memory: relaxation times of internal states [s], none by default (see `TustinNet`).
         input_taps: samples of the inputs that it sees in every period, as `[-1, 0, 1]`, counted
             from the period's beginning; those above 0 look ahead. None: the period's mean.
+        linear: whether a linear model stands beside the network: at first it says what least
+            squares over the training records find, and the network nothing.
 
     The others are those of the network.
     """
 
     memory: tuple[Annotated[float, Field(gt=0, le=1e6)], ...] = Field(default=(), max_length=100)
-
     input_taps: InputTaps = ()
+    linear: bool = False
+
+    @property
+    def layers(self) -> dict[str, Any]:
+        """The same as `Layers` takes it."""
+        return {**super().layers, "linear": self.linear}
 
     @model_validator(mode="after")
     def _scaled(self) -> "TustinNetHyper":
@@ -183,14 +193,17 @@ class TustinNetFamily(Family):
         channels = experiments[0].channels
         learn = SCALINGS[hyper.scaling]
         scaling = learn(experiments, velocity, hyper.memory)
-        return lambda key: random_tustin_net(
-            channels,
-            scaling,
-            key,
-            relaxation_times=hyper.memory,
-            taps=hyper.input_taps,
-            **hyper.layers,
-        )
+
+        def build(key: PRNGKeyArray) -> TustinNet:
+            return random_tustin_net(
+                channels, scaling, key,
+                relaxation_times=hyper.memory, taps=hyper.input_taps, **hyper.layers,
+            )  # fmt: skip
+
+        if not hyper.linear:
+            return build
+        linear = _least_squares(build(jax.random.key(0)), experiments, velocity)
+        return lambda key: eqx.tree_at(lambda m: m.network.bypass, build(key).silent(), linear)
 
     def check(self, hyper: TustinNetHyper, stage: LayeredStage) -> None:
         """No more layers can be frozen than there are."""
@@ -252,6 +265,24 @@ def random_tustin_net(
     return TustinNet(network, channels, tuple(relaxation_times), tuple(taps))
 
 
+def _least_squares(
+    model: TustinNet, experiments: Sequence[Experiment], velocity: VelocitySource
+) -> Affine:
+    """The affine map of the features that says the velocities' changes along records best."""
+    of, scaling = model.channels, model.network.scaling
+    states = states_along(model, experiments, velocity)
+    drives = [np.asarray(drive_of(model, e).u) for e in experiments]
+    features = jax.vmap(lambda x, u: scaling.features(of, x, model.tapped(u)))
+    seen = np.concatenate(
+        [np.asarray(features(x[:-1], u)) for x, u in zip(states, drives, strict=True)]
+    )
+    change = np.concatenate([np.diff(x[:, of.velocity], axis=0) for x in states])
+    said = change / of.dt / np.asarray(scaling.acceleration)
+    found = np.linalg.lstsq(np.column_stack([seen, np.ones(len(seen))]), said, rcond=None)[0]
+    weight, bias = (jnp.asarray(a, jnp.float32) for a in (found[:-1].T, found[-1]))
+    return Affine(weight, bias)
+
+
 # the activations of a network, each in the place of its argument
 def _leaky_relu(z: Vector) -> None:
     np.maximum(z, 0.01 * z, out=z)
@@ -284,26 +315,34 @@ _IN_PLACE = {
 
 def _numpy_layers(
     network: Network, channels: Channels, n_z: int, taps: int, dtype: type[np.floating]
-) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray, np.ndarray]:
-    """Hidden layers that take features without units; output layer that says velocity changes."""
+) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray, np.ndarray, np.ndarray]:
+    """Hidden layers that take features without units; output layer that says velocity changes.
+
+    Last the linear map of the features that is added, zeros where there is none.
+    """
     s = {name: np.asarray(value, np.float64) for name, value in vars(network.scaling).items()}
     angles = np.ones(2 * int(channels.angular.sum()))
     inputs = np.tile(s["input"], taps)
     unit = np.concatenate([angles, s["position_scale"], s["velocity"], s["memory"], inputs])
     rest = np.zeros(channels.n_q + n_z + len(inputs))
     shift = np.concatenate([0 * angles, s["position_offset"], rest])
-    layers = []
-    for i, layer in enumerate(network.hidden):
+
+    def plain(layer: Affine, *, first: bool) -> tuple[np.ndarray, np.ndarray]:
         weight = np.asarray(layer.weight, np.float64)
         bias = np.zeros(len(weight)) if layer.bias is None else np.asarray(layer.bias, np.float64)
-        if i == 0:
-            weight = weight / unit
-            bias = bias - weight @ shift
-        layers.append((weight.astype(dtype), bias.astype(dtype)))
+        weight = weight / unit if first else weight
+        return weight, bias - weight @ shift if first else bias
+
+    hidden = [plain(layer, first=i == 0) for i, layer in enumerate(network.hidden)]
+    layers = [(weight.astype(dtype), bias.astype(dtype)) for weight, bias in hidden]
     gain, output = channels.dt * s["acceleration"], network.output
     last = (gain[:, None] * np.asarray(output.weight, np.float64)).astype(dtype)
     offset = np.zeros(channels.n_q) if output.bias is None else gain * np.asarray(output.bias)
-    return layers, last, offset.astype(dtype)
+    beside = np.zeros((channels.n_q, len(unit)))
+    if network.bypass is not None:
+        weight, bias = plain(network.bypass, first=True)
+        beside, offset = gain[:, None] * weight, offset + gain * bias
+    return layers, last, offset.astype(dtype), beside.astype(dtype)
 
 
 def _numpy_step(model: TustinNet, dtype: type[np.floating]) -> NumpyStep:
@@ -312,7 +351,8 @@ def _numpy_step(model: TustinNet, dtype: type[np.floating]) -> NumpyStep:
     angles, lengths = np.flatnonzero(of.angular), np.flatnonzero(~of.angular)
     n_a, n_l = len(angles), len(lengths)
     network = model.network.folded()
-    layers, last, offset = _numpy_layers(network, of, n_z, taps, dtype)
+    layers, last, offset, beside = _numpy_layers(network, of, n_z, taps, dtype)
+    bypassed = network.bypass is not None
     half, activate = dtype(of.dt / 2), _IN_PLACE[network.activation]
     velocity, internal = of.velocity, of.internal
     positions = 2 * n_a + n_l
@@ -342,6 +382,8 @@ def _numpy_step(model: TustinNet, dtype: type[np.floating]) -> NumpyStep:
         v_next = following[velocity]
         np.add(last @ z, v, out=v_next)
         v_next += offset
+        if bypassed:
+            v_next += beside @ features
         np.add(v, v_next, out=following[:n_q])
         if n_z:
             mean = np.tile(following[:n_q] / 2, len(times))

@@ -1,7 +1,7 @@
 """What networks are made of: layers, units, features of a state."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import equinox as eqx
@@ -133,6 +133,7 @@ class Network(eqx.Module):
         output: the output layer, without bias unless asked for.
         scaling: units of what it sees and says.
         activation: name of sigma, a key of `ACTIVATIONS`.
+        bypass: an affine map of the features that is added to the output, or None.
     """
 
     stem: Affine | None
@@ -140,6 +141,7 @@ class Network(eqx.Module):
     output: Affine
     scaling: Scaling
     activation: str = eqx.field(static=True)
+    bypass: Affine | None = None
 
     def __check_init__(self) -> None:
         if self.activation not in ACTIVATIONS:
@@ -168,12 +170,18 @@ class Network(eqx.Module):
     ) -> Float[Array, " n_out"]:
         """What it says of a state and an input, in its own units."""
         sigma = ACTIVATIONS[self.activation]
-        z = self.scaling.features(channels, x, u)
+        z = features = self.scaling.features(channels, x, u)
         if self.stem is not None:
             z = self.stem(z)
         for layer in self.hidden:
             z = sigma(layer(z))
-        return self.output(z)
+        said = self.output(z)
+        return said if self.bypass is None else said + self.bypass(features)
+
+    def silent(self) -> "Network":
+        """The same with an output layer, and a bypass, of zeros."""
+        bypass = None if self.bypass is None else self.bypass.zeros()
+        return replace(self, output=self.output.zeros(), bypass=bypass)
 
     def require_shape(self, seen: int, said: int) -> None:
         """Raises unless it takes and says so many values."""
@@ -188,14 +196,14 @@ class Network(eqx.Module):
         if self.stem is None:
             return self
         first = fold(self.stem, self.hidden[0])
-        return Network(None, (first, *self.hidden[1:]), self.output, self.scaling, self.activation)
+        return replace(self, stem=None, hidden=(first, *self.hidden[1:]))
 
     def layers_from(self, frozen: int) -> list[Affine]:
         """The layers that train when the first so many hidden ones do not; a stem counts with it.
 
-        The output layer always trains.
+        The output layer and the bypass always train.
         """
-        layers = [*self.hidden[frozen:], self.output]
+        layers = [*self.hidden[frozen:], self.output, *([self.bypass] if self.bypass else [])]
         return layers if self.stem is None or frozen else [self.stem, *layers]
 
 
@@ -208,12 +216,14 @@ class Layers:
         stem: units of the affine layer before them, if any.
         activation: a key of `ACTIVATIONS`.
         output_bias: whether the output layer has a bias (the paper: no).
+        linear: whether an affine map of the features is added to the output, at first zero.
     """
 
     hidden: Sequence[int] = (100, 100)
     stem: int | None = None
     activation: str = "leaky_relu"
     output_bias: bool = False
+    linear: bool = False
 
     def __post_init__(self) -> None:
         hidden, stem = tuple(self.hidden), self.stem
@@ -246,6 +256,7 @@ def random_network(
         output=random_affine(widths[-1], said, keys[-1], bias=layers.output_bias),
         scaling=scaling,
         activation=layers.activation,
+        bypass=random_affine(seen, said, keys[-1]).zeros() if layers.linear else None,
     )
 
 

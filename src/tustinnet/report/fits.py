@@ -4,33 +4,34 @@ import math
 
 from tustinnet.evaluate.folds import Validated
 from tustinnet.fitting.report import Identification
-from tustinnet.report.tables import Table, number
+from tustinnet.report.tables import Table, number, numbers, scale_of
 from tustinnet.simulate.horizon import over
 from tustinnet.store.run import Run
 
 
 def members_table(run: Run) -> Table:
     """Every member of a training, and the spread where there are several."""
-    unit = run.roles.train[0].channels.unit
+    unit, several = run.roles.train[0].channels.unit, len(run.members) > 1
     rows = [
         [
             of.result.member.name.removeprefix("seed-"),
-            number(of.mean),
+            mean,
             " + ".join(map(str, of.result.told("windows"))),
             " + ".join(map(str, of.result.told("epochs"))),
             str(of.result.told("kept_epoch")),
             f"{of.result.seconds:.0f}",
             of.result.outcome.split(":")[0],
         ]
-        for of in run.members
+        for of, mean in zip(run.members, numbers([of.mean for of in run.members]), strict=True)
     ]
-    if len(rows) > 1:
+    if several:
         spread = run.spread()
-        low, high = number(spread["min"]), number(spread["max"])
-        told = f"{number(spread['median'])} ({low}..{high})"
-        rows.append(["median (range)", told, "", "", "", "", ""])
+        median, low, high = numbers([spread["median"], spread["min"], spread["max"]])
+        whole = f"{sum(of.result.seconds for of in run.members):.0f} in all"
+        rows.append(["median (range)", f"{median} ({low}..{high})", "", "", "", whole, ""])
+    seconds = "share of seconds" if several else "seconds"
     return Table(
-        ["seed", f"mean RMSE [{unit}]", "windows", "epochs", "kept", "seconds", "outcome"],
+        ["seed", f"mean RMSE [{unit}]", "windows", "epochs", "kept", seconds, "outcome"],
         rows,
         title=f"{run.best.result.recipe.name}, {run.judged} free runs, start '{run.start}'"
         + over(run.best.scores[0].horizon),
@@ -73,8 +74,9 @@ def _error(value: float | None) -> str:
 def judged_table(run: Run) -> Table:
     """The free runs that judge the best model of a run."""
     best = run.best
-    rows = [[s.experiment, number(s.rmse)] for s in best.scores]
-    rows.append(["mean", number(best.mean)])
+    names = [*(s.experiment for s in best.scores), "mean"]
+    told = numbers([*(s.rmse for s in best.scores), best.mean])
+    rows = [list(row) for row in zip(names, told, strict=True)]
     title = f"{run.judged} free runs, start '{run.start}'{over(best.scores[0].horizon)}"
     return Table(["record", "RMSE"], rows, title=title)
 
@@ -83,7 +85,8 @@ def fitted_table(run: Run) -> Table:
     """What the best model of a run leaves of each training record."""
     found = run.best.result.identification
     begin = f"free runs, start '{run.start}'" if found is None else "from the initial states found"
-    rows = [[name, number(rmse)] for name, rmse in run.fitted.items()]
+    told = numbers(list(run.fitted.values()))
+    rows = [list(row) for row in zip(run.fitted, told, strict=True)]
     return Table(["record", "RMSE"], rows, title=f"train, {begin}")
 
 
@@ -92,13 +95,18 @@ def folds_table(found: Validated) -> Table:
     summary = found.summary()
     by_start = {start: found.means(start) for start in summary}
     folds = {s.record: s.fold for s in found.scores}
+    scale = scale_of(value for means in by_start.values() for value in means.values())
+
+    def told(value: float) -> str:
+        return number(value, scale=scale)
+
     rows = [
-        [record, str(fold), *[number(means[record]) for means in by_start.values()]]
+        [record, str(fold), *[told(means[record]) for means in by_start.values()]]
         for record, fold in folds.items()
     ]
-    means = [f"{number(s['mean'])} ± {number(s['standard_error'])}" for s in summary.values()]
+    means = [f"{told(s['mean'])} ± {told(s['standard_error'])}" for s in summary.values()]
     rows.append(["mean ± standard error", "", *means])
-    seeds = [" ".join(number(x) for x in s["by_seed"].values()) for s in summary.values()]
+    seeds = [" ".join(told(x) for x in s["by_seed"].values()) for s in summary.values()]
     if len(next(iter(summary.values()))["by_seed"]) > 1:
         rows.append(["each seed", "", *seeds])
     columns = ["record", "fold", *[f"from {start}" for start in by_start]]

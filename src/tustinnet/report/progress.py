@@ -7,14 +7,16 @@ from types import TracebackType
 from typing import Self
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TextColumn
 
 from tustinnet.fitting.gradient.plan import Plan
 from tustinnet.fitting.listener import EpochReport, Iteration, Listener
 from tustinnet.fitting.task import Task
+from tustinnet.report.tables import number
 
 _WIDE = 110  # columns of a terminal that leave room for a longer bar
 _LINE_EVERY = 15.0  # seconds between two lines where there is no terminal
+_APART = 0.01  # seconds; epochs of one compiled call are reported closer together
 
 
 class FitProgress(AbstractContextManager["FitProgress"]):
@@ -36,7 +38,6 @@ class FitProgress(AbstractContextManager["FitProgress"]):
                 TextColumn("{task.description}"),
                 BarColumn(bar_width=20 if console.width >= _WIDE else 4),
                 TextColumn("{task.fields[figures]}"),
-                TimeRemainingColumn(compact=True),
                 console=console,
             )
 
@@ -109,8 +110,9 @@ class _Trainings:
         self._task = (
             bars.add_task(self._name, total=self._total, figures="compiling") if bars else None
         )
-        self._begun = self._last = time.monotonic()
-        self._first: int | None = None
+        self._last = time.monotonic()
+        self._left = TimeLeft(self._total)
+        self._scale = max(float(e.q.std(axis=0).max()) for e in plan.task.folds[0].roles.train)
         self._reached = [0] * len(self._names)
         self._lowest = [math.inf] * len(self._names)
 
@@ -121,23 +123,56 @@ class _Trainings:
         self._reached[m] = self._before[stage] + report.epoch * self._work[stage]
         self._lowest[m] = report.best
         done = min(self._reached)
-        self._first = done if self._first is None else self._first
+        now = time.monotonic()
+        left = self._left(done, now)
         epoch = self._epochs_before[stage] + report.epoch
-        best = f"best {min(self._lowest):.3f} " if self._more else ""
+        # three digits of what is a tenth of the motion
+        rmse, lowest = (
+            number(v, scale=self._scale / 10) for v in (report.validation, min(self._lowest))
+        )
+        best = f"best {lowest} " if self._more else ""
         figures = (
-            f"{epoch}/{self._epochs} loss {report.loss:.3g} rmse {report.validation:.3f} {best}"
-            f"rate {report.rate:.1e}"
+            f"{epoch}/{self._epochs} loss {report.loss:.3g} rmse {rmse} {best}"
+            f"rate {report.rate:.1e}{left}"
         )
         if self._bars and self._task is not None:
             self._bars.update(self._task, completed=done, figures=figures)
             return
-        now = time.monotonic()
         if self._quiet or (now - self._last < _LINE_EVERY and done < self._total):
             return
-        self._last, since = now, done - self._first
-        left = (now - self._begun) * (self._total - done) / since if since else None
-        told = "" if left is None else f", {left:.0f} s left"
+        self._last = now
         self._console.print(
-            f"{self._name}: {100 * done / self._total:.0f} %, {figures}{told}",
+            f"{self._name}: {100 * done / self._total:.0f} %, {figures}",
             highlight=False, soft_wrap=True,
         )  # fmt: skip
+
+
+class TimeLeft:
+    """How long it will take, as far as it is known.
+
+    A compiled call does several epochs and compiles when it is the first: what it took tells only
+    when two calls have ended, and nothing is said before.
+
+    Args:
+        total: work to do.
+    """
+
+    def __init__(self, total: int) -> None:
+        self._total = total
+        self._heard, self._done = -math.inf, 0
+        self._first: tuple[float, int] | None = None  # when the first call ended, and its work
+        self._ended = self._rate = 0.0
+
+    def __call__(self, done: int, now: float) -> str:
+        """What to say once so much is done."""
+        if now - self._heard > _APART:
+            if self._first is None and self._done:
+                self._first = self._ended, self._done
+            elif self._first is not None and self._ended > self._first[0]:
+                self._rate = (self._done - self._first[1]) / (self._ended - self._first[0])
+            self._ended = now
+        self._heard, self._done = now, done
+        if not self._rate > 0 or done >= self._total:
+            return ""
+        left = (self._total - done) / self._rate
+        return f", {left:.0f} s left" if left < 100 else f", {left / 60:.0f} min left"

@@ -1,7 +1,7 @@
 """Tables for the terminal, for Markdown and for LaTeX."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from rich.box import SIMPLE_HEAD
@@ -66,14 +66,33 @@ class Table:
         )
 
 
-def number(value: float | None, digits: int = 3) -> str:
+def number(value: float | None, digits: int = 3, scale: float | None = None) -> str:
     """A number for a table: fixed digits, or as many significant ones where it is smaller.
 
     A dash for None and NaN, a word for infinity.
+
+    Args:
+        value: the number.
+        digits: how many behind the point.
+        scale: the largest number that it stands beside; where that is below 1, so many digits of
+            it are shown, and of the others as far as they reach.
     """
     if value is None or math.isnan(value):
         return "–"
     if not math.isfinite(value):
         return "diverged"
+    if scale is not None and 0 < scale < 1:
+        return f"{value:.{digits - 1 - math.floor(math.log10(scale))}f}"
     small = 0 < abs(value) < 10.0 ** (1 - digits)
     return f"{value:.{digits}g}" if small else f"{value:.{digits}f}"
+
+
+def scale_of(values: Iterable[float | None]) -> float:
+    """The largest of some numbers, for `number`; 0 where none is finite."""
+    return max((abs(v) for v in values if v is not None and math.isfinite(v)), default=0.0)
+
+
+def numbers(values: Sequence[float | None]) -> list[str]:
+    """The numbers of a column, to three digits of the largest."""
+    scale = scale_of(values)
+    return [number(value, scale=scale) for value in values]

@@ -1,4 +1,4 @@
-"""Velocities from positions: five-point stencil, Savitzky-Golay, Kalman (RTS) smoother."""
+"""Velocities from positions: stencil, Savitzky-Golay, Kalman (RTS) smoother, Wiener filters."""
 
 from collections.abc import Callable
 from typing import Literal, get_args
@@ -10,8 +10,9 @@ from jaxtyping import Float
 from tustinnet.errors import InputError
 from tustinnet.signals.smoother import kalman_smoother
 from tustinnet.signals.transients import moves
+from tustinnet.signals.wiener import trapezoidal_response, wiener_velocities
 
-VelocityMethod = Literal["stencil", "savgol", "kalman"]
+VelocityMethod = Literal["stencil", "savgol", "kalman", "wiener", "trapezoidal"]
 Positions = Float[np.ndarray, "n n_q"]
 
 _STENCIL = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0
@@ -30,8 +31,10 @@ def differentiate(
     Args:
         q: positions, unwrapped, (n, n_q) [rad or m].
         dt: sampling period [s].
-        method: `stencil` (five-point stencil), `savgol` (cubic Savitzky-Golay over 7 samples)
-            or `kalman` (Rauch-Tung-Striebel smoother that knows the encoder's count).
+        method: `stencil` (five-point stencil), `savgol` (cubic Savitzky-Golay over 7 samples),
+            `kalman` (Rauch-Tung-Striebel smoother that knows the encoder's count), `wiener` (the
+            filter that errs least, from the record's spectrum) or `trapezoidal` (the same for
+            velocities whose trapezoidal sum is the positions, which are those of a Tustin-Net).
         resolution: encoder count per coordinate, (n_q,) [rad or m]; `kalman` needs it.
 
     Returns:
@@ -41,7 +44,9 @@ def differentiate(
         InputError: an unknown method, fewer than 5 samples, or no resolution for `kalman`.
     """
     if method not in get_args(VelocityMethod):
-        raise InputError("velocity", f"unknown method '{method}'", "stencil, savgol or kalman")
+        raise InputError(
+            "velocity", f"unknown method '{method}'", ", ".join(get_args(VelocityMethod))
+        )
     if len(q) < len(_STENCIL):
         raise InputError("velocity", f"{len(q)} samples", f"at least {len(_STENCIL)}")
     if method == "kalman":
@@ -57,6 +62,8 @@ def differentiate(
         simple: dict[str, Callable[[Positions, float], Positions]] = {
             "stencil": five_point_stencil,
             "savgol": savitzky_golay,
+            "wiener": lambda q, dt: wiener_velocities(q, dt, resolution),
+            "trapezoidal": lambda q, dt: wiener_velocities(q, dt, resolution, trapezoidal_response),
         }
         found = simple[method](q, dt)
     return np.where(moves(q), found, 0.0)  # the rounding of a constant is no motion

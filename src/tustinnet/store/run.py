@@ -149,6 +149,7 @@ class Run:
                     "rmse": rmse_by_record(run.scores),
                     "train_seconds": run.result.seconds,
                     **run.result.details.get("training", {}),
+                    "findings": list(run.result.findings),
                     "model": (run.folder / MODEL).relative_to(self.folder).as_posix(),
                 }
                 for run in self.members

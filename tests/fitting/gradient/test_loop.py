@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 
 import equinox as eqx
 import jax
@@ -17,7 +18,7 @@ from tustinnet.fitting.gradient.layout import lay_out_devices
 from tustinnet.fitting.gradient.loop import train
 from tustinnet.fitting.gradient.plan import Plan, plan
 from tustinnet.fitting.gradient.state import Progress, TrainingState
-from tustinnet.fitting.gradient.train import train_plan
+from tustinnet.fitting.gradient.train import ends, train_plan
 from tustinnet.fitting.listener import EpochReport, Listener
 from tustinnet.fitting.task import Member, make_task
 
@@ -388,3 +389,16 @@ def test_the_published_scaling_is_refused_for_linear_coordinates():
     )
     with pytest.raises(tn.InputError, match="published scaling"):
         tn.fit(data, "paper-code-standard")
+
+
+@pytest.mark.parametrize(
+    ("kept", "said"),
+    [(98, "one of the last.*--set stages.1.epochs=200"), (3, "one of the first"), (50, "")],
+)
+def test_a_kept_epoch_at_an_end_of_the_last_stage_is_told(prepared, kept, said):
+    progress = Progress(stage=1, epochs=(5, 100), best_epoch=kept, outcome="finished")
+    found = " ".join(ends(with_stages(prepared, epochs=100), progress))
+    assert bool(found) is bool(said)
+    assert re.search(said, found)
+    assert not said or "validation" in found
+    assert ends(with_stages(prepared, epochs=100), Progress(best_epoch=kept, outcome="")) == ()

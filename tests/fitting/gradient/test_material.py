@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.signal
 
 import tustinnet as tn
 from tustinnet.fitting.gradient.epoch import validation_rmse
@@ -13,6 +14,7 @@ from tustinnet.fitting.gradient.material import (
     draw,
     stage_windows,
     validation_runs,
+    window_account,
 )
 from tustinnet.fitting.gradient.plan import plan
 from tustinnet.fitting.recipe import WindowRecipe
@@ -160,3 +162,17 @@ def test_a_horizon_of_validation_longer_than_every_record_is_refused(pendulum):
     recipe = tn.read_recipe("standard", ["horizon=60"])
     with pytest.raises(tn.InputError, match="recipe 'standard', horizon: 60 s"):
         plan(make_task(pendulum, recipe))
+
+
+def test_windows_of_a_fast_oscillation_last_until_their_start_is_forgotten():
+    generator = np.random.default_rng(0)
+    # 9 samples a period, 1/e in 30 samples, driven by noise
+    pole = np.exp(-1 / 30 + 2j * np.pi / 9)
+    poles = [1.0, -2 * pole.real, abs(pole) ** 2]
+    x = np.asarray(scipy.signal.lfilter([1.0], poles, generator.normal(size=8000)))
+    record = tn.from_arrays(x, dt=1 / 600, coordinates={"mass": "linear"})
+    assert 80 <= adapted_length([record], 50) <= 100
+    account = window_account([record], WindowRecipe(draw="strided", length=50, step=5))
+    assert "windows of 50 steps: 5." in account
+    assert "of mass, 6" in account
+    assert "samples a period are few" in account

@@ -10,12 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from tustinnet.data.experiment import Experiment, VelocitySource
+from tustinnet.data.experiment import Experiment, VelocitySource, moves_in
 from tustinnet.data.inspection import transient_end
 from tustinnet.errors import InputError
 from tustinnet.fitting.recipe import WindowRecipe
 from tustinnet.models.contract import Model
 from tustinnet.signals.stacking import stacked
+from tustinnet.signals.timescales import Timescales, timescales
 from tustinnet.signals.windows import random_windows, strided_windows
 from tustinnet.simulate.along import states_along
 from tustinnet.simulate.drive import drive_of, drives_of
@@ -25,6 +26,8 @@ from tustinnet.simulate.starts import Start
 _LONGEST = 4  # an adapted window is at most this many times the recipe's length
 _USUAL_SHARE = 4  # and at most the median record over this
 _ROUND = 5  # adapted lengths are multiples of this
+_FEW_SAMPLES = 20  # in a period: below, velocities differ by a percent with how they are meant
+_DECAYS = 3  # times of decay to 1/e after which a wrong start is forgotten
 
 
 class Records(eqx.Module):
@@ -194,14 +197,52 @@ def adapted_length(experiments: Sequence[Experiment], length: int) -> int:
     The faster a log is sampled compared to the motion, the less happens in a window. The length
     grows, up to four times, towards the samples in which the slowest coordinate covers one
     standard deviation of its positions at its typical speed; and shrinks to a quarter of the
-    median record.
+    median record. Where a coordinate has few samples in a period, the velocity with which a window
+    starts is uncertain: the window then lasts until that is forgotten, too.
     """
     q = np.concatenate([e.q - e.q.mean(axis=0) for e in experiments])
     v = np.concatenate([e.velocities() for e in experiments])
     moving = v.std(axis=0) > 0
     covered = q.std(axis=0)[moving] / (v.std(axis=0)[moving] * experiments[0].dt)
     slowest = float(covered.max()) if moving.any() else float(length)
+    fast = [s.decay for s in scales_of(experiments).values() if is_fast(s)]
+    forgotten = _DECAYS * max(fast, default=0.0)
     usual = int(np.median([len(e) for e in experiments]))
     longest = min(_LONGEST * length, usual // _USUAL_SHARE)
-    wanted = min(max(length, slowest), longest)
+    wanted = min(max(length, slowest, forgotten), longest)
     return max(_ROUND, int(wanted) // _ROUND * _ROUND)
+
+
+def scales_of(experiments: Sequence[Experiment]) -> dict[str, Timescales]:
+    """The time scales of each coordinate that moves, by its name."""
+    moving = moves_in(experiments)
+    return {
+        c.name: timescales([e.q[:, j] for e in experiments])
+        for j, c in enumerate(experiments[0].coordinates)
+        if moving[j]
+    }
+
+
+def is_fast(scales: Timescales) -> bool:
+    """Whether a coordinate swings, and with few samples in a period."""
+    return scales.period < _FEW_SAMPLES and scales.decay > scales.period
+
+
+def window_account(experiments: Sequence[Experiment], recipe: WindowRecipe) -> str:
+    """What was measured for the windows of a stage, and what was chosen."""
+    found = scales_of(experiments)
+    length = adapted_length(experiments, recipe.length) if recipe.adapt else recipe.length
+    if not found:
+        return f"windows of {length} steps"
+    name, of = min(found.items(), key=lambda item: item[1].period)
+    hertz = 1 / (of.period * experiments[0].dt)
+    account = (
+        f"windows of {length} steps: {length / of.period:.1f} periods of the strongest line of "
+        f"{name}, {hertz:.3g} Hz; it decays to 1/e in {of.decay:.0f} samples"
+    )
+    if is_fast(of):
+        account += (
+            f"; {of.period:.0f} samples a period are few: see `velocity` and `linear` in "
+            "docs/training.md"
+        )
+    return account

@@ -12,6 +12,8 @@ from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.fitting.report import FINISHED, FitResult
 from tustinnet.models.contract import Model
 
+_FEW = 5  # epochs at the ends of a stage
+
 
 def train_plan(
     prepared: Plan, listener: Listener = SILENT, resume: Resumed | None = None
@@ -50,4 +52,30 @@ def _result(prepared: Plan, best: Model, m: int, progress: Progress) -> FitResul
         seconds=progress.seconds,
         details={"training": details},
         horizon=prepared.recipe.horizon,
+        findings=ends(prepared, progress),
     )
+
+
+def ends(prepared: Plan, progress: Progress) -> tuple[str, ...]:
+    """What to say where the kept epoch is among the first or last few of the last stage.
+
+    A few are a tenth of the epochs, at most 5. Of stages that are shorter nothing is said.
+    """
+    if progress.outcome != FINISHED:
+        return ()
+    index, kept, done = progress.stage, progress.best_epoch, progress.epoch
+    recipe = prepared.stages[index].recipe
+    few = min(_FEW, recipe.epochs // 10)
+    judge = "training loss" if prepared.validation is None else f"lowest `{recipe.keep}`"
+    at = f"epoch {kept} of {done} of stage '{recipe.name}' was kept ({judge})"
+    if kept > recipe.epochs - few:
+        return (
+            f"{at}, one of the last: it was still improving; train longer: --set "
+            f"stages.{index}.epochs={2 * recipe.epochs}",
+        )
+    if kept <= few:
+        return (
+            f"{at}, one of the first: what followed was worse; train more carefully: --set "
+            f"stages.*.rate={recipe.rate / 3:.1g}",
+        )
+    return ()

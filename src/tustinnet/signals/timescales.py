@@ -1,0 +1,46 @@
+"""How fast a motion is, in samples: the period of its strongest line, and how fast it forgets."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import scipy.signal
+from jaxtyping import Float
+
+_SEGMENT = 2048  # samples of a spectrum, at most
+
+
+class Timescales(NamedTuple):
+    """What some records say of one coordinate.
+
+    Attributes:
+        swing: the standard deviation of its positions [rad or m].
+        period: that of the strongest line of its spectrum, in samples.
+        decay: after how many samples the envelope of its autocorrelation is 1/e.
+    """
+
+    swing: float
+    period: float
+    decay: float
+
+
+def timescales(positions: Sequence[Float[np.ndarray, " _"]]) -> Timescales:
+    """The time scales of a coordinate that moves, over records of equal sampling periods.
+
+    Spectra are averaged over the records. The autocorrelation of a lightly damped oscillation that
+    noise drives decays as the oscillation does by itself.
+
+    Args:
+        positions: of each record.
+    """
+    segment = min(_SEGMENT, min(map(len, positions)))
+    spectra = [scipy.signal.welch(q - q.mean(), nperseg=segment)[1] for q in positions]
+    power = np.mean(spectra, axis=0)
+    strongest = 1 + int(np.argmax(power[1:]))
+    # of a one-sided spectrum: the analytic autocorrelation, whose size is the envelope
+    envelope = np.abs(np.fft.ifft(power, 8 * len(power)))[: 4 * len(power)]
+    below = np.flatnonzero(envelope < envelope[0] / np.e)
+    lag = 2 * (len(power) - 1) / (8 * len(power))  # samples between two values of the envelope
+    decay = lag * below[0] if len(below) else float(segment)
+    variance = np.mean([q.var() for q in positions])
+    return Timescales(float(np.sqrt(variance)), segment / strongest, float(decay))

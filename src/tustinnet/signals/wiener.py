@@ -1,0 +1,93 @@
+"""The linear estimate of velocities that errs least, from the spectrum of the positions."""
+
+from collections.abc import Callable
+
+import numpy as np
+import scipy.signal
+from jaxtyping import Float
+
+_REACH = 12  # samples to both sides that an estimate takes
+_SEGMENT = 1024  # samples of a spectrum, at most
+_ABOVE = 4.0  # a line counts where it is so many times as strong as what rounding leaves
+_FLOOR = 1e-10  # of the variance, the least noise: solves stay well-posed for exact positions
+
+Response = Callable[[Float[np.ndarray, " f"], float], Float[np.ndarray, " f"]]
+
+
+def derivative_response(omega: Float[np.ndarray, " f"], dt: float) -> Float[np.ndarray, " f"]:
+    """The imaginary part of `v / q` at angular frequencies [rad/s]: that of the derivative."""
+    return omega
+
+
+def trapezoidal_response(omega: Float[np.ndarray, " f"], dt: float) -> Float[np.ndarray, " f"]:
+    """The same of velocities whose trapezoidal sum is the positions, `(2/dt) tan(omega dt/2)`."""
+    return 2 / dt * np.tan(omega * dt / 2)
+
+
+def wiener_velocities(
+    q: Float[np.ndarray, "n n_q"],
+    dt: float,
+    resolution: Float[np.ndarray, " n_q"] | None = None,
+    response: Response = derivative_response,
+) -> Float[np.ndarray, "n n_q"]:
+    """Velocities by the linear filter over 25 samples whose expected error is smallest.
+
+    The record says how strong the motion is at each frequency, the encoder's count (or else the
+    weakest tenth of the frequencies) how strong the noise. Up to the frequencies where the
+    motion sinks into the noise the filter differentiates, beyond them it smooths. Finite
+    differences err by `(omega dt)^4 / 30`, which is much where a period has few samples. So do
+    velocities of a model whose positions follow by the trapezoidal rule, by `(omega dt)^2 / 12`:
+    `trapezoidal_response` gives those that such a model means.
+
+    Args:
+        q: positions, (n, n_q) [rad or m].
+        dt: sampling period [s].
+        resolution: encoder counts, (n_q,) [rad or m], 0 or None where there are none.
+        response: what is estimated, as a function of angular frequency [rad/s] and period.
+
+    Returns:
+        (n, n_q) [rad/s or m/s].
+
+    References:
+        Wiener (1949), Extrapolation, interpolation, and smoothing of stationary time series.
+    """
+    counts = np.zeros(q.shape[1]) if resolution is None else resolution
+    columns = [_estimated(*of, dt, response) for of in zip(q.T, counts, strict=True)]
+    return np.stack(columns, axis=1)
+
+
+def _estimated(
+    q: Float[np.ndarray, " n"], count: float, dt: float, response: Response
+) -> Float[np.ndarray, " n"]:
+    n, reach = len(q), min(_REACH, (len(q) - 1) // 2)
+    centred = q - q.mean()
+    if not centred.any():
+        return centred
+    omega, power, noise = _spectrum(centred, count, dt)
+    lags = np.arange(2 * reach + 1)
+    like = np.cos(np.outer(lags, omega * dt)) @ power
+    covariance = like[np.abs(lags[:, None] - lags)] + noise * np.eye(len(lags))
+    # of the velocity at a sample and the position `lag` samples later
+    both = np.arange(-2 * reach, 2 * reach + 1)
+    with_position = np.sin(np.outer(both, omega * dt)) @ (power * response(omega, dt))
+    # the row of a place: the filter for the velocity at that sample of the 2 reach + 1
+    wanted = with_position[2 * reach + lags[None] - lags[:, None]]
+    filters = np.linalg.solve(covariance, wanted.T).T
+    v = np.empty(n)
+    v[reach : n - reach] = np.convolve(centred, filters[reach, ::-1], "valid")
+    v[:reach] = filters[:reach] @ centred[: 2 * reach + 1]
+    v[n - reach :] = filters[reach + 1 :] @ centred[n - 2 * reach - 1 :]
+    return v
+
+
+def _spectrum(
+    q: Float[np.ndarray, " n"], count: float, dt: float
+) -> tuple[Float[np.ndarray, " f"], Float[np.ndarray, " f"], float]:
+    """Angular frequencies, the motion's power at each, and the noise's variance."""
+    frequency, density = scipy.signal.welch(q, fs=1 / dt, nperseg=min(len(q), _SEGMENT))
+    density = density[:-1]  # the trapezoidal rule says nothing of the last one, half the rate
+    share = frequency[1]
+    floor = count**2 / 12 * 2 * dt if count else float(np.quantile(density, 0.1))
+    power = np.where(density > _ABOVE * floor, density - floor, 0.0) * share
+    noise = max(floor / (2 * dt), _FLOOR * float(np.var(q)))
+    return 2 * np.pi * frequency[:-1], power, noise
