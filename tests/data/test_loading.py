@@ -87,6 +87,39 @@ def test_a_range_of_rows_is_a_record_of_its_own(tmp_path: Path) -> None:
     assert second.t[0] == pytest.approx(0.2)
 
 
+@pytest.mark.parametrize("time", [timed(), {}, timed(irregular="resample")])
+def test_a_range_of_seconds_is_a_record_of_its_own(tmp_path: Path, time: dict[str, Any]) -> None:
+    t = 7.3 + np.arange(40) * DT  # seconds count from the first timestamp
+    if "irregular" in time.get("time", {}):
+        t[30:] += 0.5 * DT
+    write(tmp_path / "log.csv", time=t, angle=np.arange(40.0) ** 2 / 100)
+    files = [{"file": "log.csv", "seconds": [a, b]} for a, b in [(0, 0.29), (0.29, 0.395)]]
+    first, second = load_folder(tmp_path, card(splits={"train": files}, **time))
+    assert [e.name for e in (first, second)] == ["log_0-0.29s", "log_0.29-0.395s"]
+    assert (first.first_row, len(first), first.q[-1, 0]) == (0, 29, 7.84)  # the end is excluded
+    assert (second.first_row, second.q[0, 0]) == (29, pytest.approx(8.41))
+    assert (second.recording is not None) == ("irregular" in time.get("time", {}))
+
+
+@pytest.mark.parametrize(
+    ("entry", "told"),
+    [
+        ({"seconds": [0.1, 0.5]}, r"log\.csv: seconds 0\.1\.\.0\.5; .* the 0\.39 s that the file"),
+        ({"seconds": [3, 4]}, r"log\.csv: seconds 3\.\.4; .*0\.39 s"),
+        ({"seconds": [0.2, 0.1]}, r"splits\.train\.0\.seconds: .*then a later one"),
+        ({"seconds": [-1, 0.1]}, r"splits\.train\.0\.seconds"),
+        ({"seconds": [0, 1], "rows": [0, 9]}, r"`rows` and `seconds` of 'log\.csv'; give one"),
+        ({"seconds": [0.101, 0.102]}, r"log\.csv: 0 samples; expected at least 2"),
+    ],
+)
+def test_seconds_that_are_no_range_of_the_file_are_refused(
+    tmp_path: Path, entry: dict[str, Any], told: str
+) -> None:
+    write(tmp_path / "log.csv")
+    with pytest.raises(tn.InputError, match=told):
+        load_folder(tmp_path, card(splits={"train": [{"file": "log.csv", **entry}]}, **timed()))
+
+
 def test_records_are_told_apart_where_files_have_one_name(tmp_path: Path) -> None:
     for place in ("a", "b"):
         (tmp_path / place).mkdir()

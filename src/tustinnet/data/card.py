@@ -32,6 +32,7 @@ ColumnKey = Annotated[StrictInt | StrictStr, AfterValidator(_column)]  # a numbe
 Amount = Annotated[float, Field(ge=-1e15, le=1e15)]
 Resolution = Annotated[float, Field(ge=1e-12, le=1e6)]
 Row = Annotated[StrictInt, Field(ge=0, le=10**12)]
+Second = Annotated[float, Field(ge=0, le=1e12)]
 
 _ANGLE = {"rad": 1.0, "deg": np.pi / 180, "rev": 2 * np.pi, "mrad": 1e-3}
 _LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
@@ -191,12 +192,15 @@ class FileCard(Declaration):
         file: path below the card's folder, or a pattern (`train/*.csv`); no `..` and no `**`.
         name: what the record is called; the file's name without ending by default.
         rows: first row and the row after the last, counted from 0 after any header.
+        seconds: instead of rows, the times at which the record begins and before which it ends,
+            from the file's first timestamp on [s], as logged: before it is put on a grid.
         k_bar: end of the transient as a row of the record, instead of the detected one.
     """
 
     file: str
     name: Name | None = None
     rows: tuple[Row, Row] | None = None
+    seconds: tuple[Second, Second] | None = None
     k_bar: Row | None = None
 
     @field_validator("file")
@@ -217,6 +221,26 @@ class FileCard(Declaration):
         if rows is not None and rows[0] >= rows[1]:
             raise ValueError("the first row, then the row after the last")
         return rows
+
+    @field_validator("seconds")
+    @classmethod
+    def _forward(cls, seconds: tuple[float, float] | None) -> tuple[float, float] | None:
+        if seconds is not None and seconds[0] >= seconds[1]:
+            raise ValueError("the time of the beginning, then a later one")
+        return seconds
+
+    @model_validator(mode="after")
+    def _one_range(self) -> "FileCard":
+        if self.rows is not None and self.seconds is not None:
+            raise ValueError(f"`rows` and `seconds` of '{self.file}'; give one of them")
+        return self
+
+    @property
+    def part(self) -> str:
+        """What distinguishes the record from others of its file: `0-900`, `0.5-3s`, or nothing."""
+        if self.rows is not None:
+            return f"{self.rows[0]}-{self.rows[1]}"
+        return "" if self.seconds is None else f"{self.seconds[0]:g}-{self.seconds[1]:g}s"
 
 
 class FormatCard(Declaration):

@@ -22,6 +22,7 @@ from tustinnet.signals import resampling
 
 _SAME_UNIT = 0.2  # a period this near to dt times a power of 1000 is in another unit
 _LEAST_RATIO = 1e-300  # of a median interval to dt; its logarithm is wanted
+_SAME_INSTANT = 1e-6  # periods; rounding must not move a range by a sample
 _SAME_CLOCK = 1e-3  # relative; median intervals this near come from one clock
 _WHAT_IRREGULAR_OFFERS = 'set `irregular = "resample"` (onto a grid) or "keep" under [time]'
 
@@ -103,7 +104,7 @@ def _load_file(folder: Path, split: str, entry: FileCard, card: Card) -> Experim
         source=entry.file,
         sha256=_sha256(path),
         rows=entry.rows,
-        first_row=entry.rows[0] if entry.rows else 0,
+        seconds=entry.seconds,
     )
 
 
@@ -119,11 +120,14 @@ def _experiment(
     *,
     where: object = None,
     rows: tuple[int, int] | None = None,
+    seconds: tuple[float, float] | None = None,
     **metadata: Any,
 ) -> Experiment:
     where = name if where is None else where
     pick = _Picker(columns, where, rows)
     columns.fetch([pick.name(key) for key in card.columns])
+    if seconds is not None:
+        pick.rows = _rows_within(seconds, pick, card)
     q = pick.stack([c.column for c in card.coordinates])
     u = pick.stack([i.column for i in card.inputs], like=q)
     q = (q - [c.offset for c in card.coordinates]) * [c.sign * c.factor() for c in card.coordinates]
@@ -144,7 +148,7 @@ def _experiment(
     t, dt = _times(pick, card, len(q), where)
     experiment = Experiment(
         name=name, t=t, q=q, u=u, v=v, v_measured=measured, notes=(*columns.notes, *notes),
-        channels=card.channels(dt), **metadata,
+        channels=card.channels(dt), first_row=pick.rows[0] if pick.rows else 0, **metadata,
     )  # fmt: skip
     return experiment if card.time is None else _judge_times(experiment, card, where, pick)
 
@@ -233,6 +237,21 @@ def _velocities(pick: _Picker, card: Card) -> tuple[Float[np.ndarray, "n n_q"] |
         )
     factors = [c.sign * c.velocity_factor() for c in card.coordinates]
     return pick.stack([v.column for v in given]) * factors, all(v.measured for v in given)
+
+
+def _rows_within(seconds: tuple[float, float], pick: _Picker, card: Card) -> tuple[int, int]:
+    """The rows of a whole file from one time on and before another one [s], from its first on."""
+    n = len(pick.columns[pick.name(card.coordinates[0].column)])
+    t, dt = _times(pick, card, n, pick.where) if n > 1 else (np.zeros(n), 0.0)
+    elapsed, near = t - t[:1], _SAME_INSTANT * dt
+    first, stop = np.searchsorted(elapsed, np.subtract(seconds, near))
+    end = elapsed[-1] if n else 0.0
+    if first == n or seconds[1] > end + dt + near:
+        raise InputError(
+            pick.where, f"seconds {seconds[0]:g}..{seconds[1]:g}",
+            f"a range within the {end:g} s that the file's record spans",
+        )  # fmt: skip
+    return int(first), int(stop)
 
 
 def _times(
