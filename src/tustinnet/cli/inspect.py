@@ -44,7 +44,7 @@ def inspect(
             {"data": loaded.name, "experiments": [dataclasses.asdict(r) for r in reports]}
         )
         return
-    terminal.print_tables(time_table(reports), _channel_table(reports))
+    terminal.print_tables(time_table(reports), _channel_table(reports, loaded.channels.unit))
     # the table has the jitter
     notes = ((r.name, text) for r in reports for text in r.notes if "jitter" not in text)
     for line in (*suspicions(reports), *_lines("note", notes)):
@@ -115,7 +115,7 @@ def time_table(reports: list["ExperimentReport"]) -> "Table":
     )
 
 
-def _channel_table(reports: list["ExperimentReport"]) -> "Table":
+def _channel_table(reports: list["ExperimentReport"], unit: str) -> "Table":
     from tustinnet.report.tables import Table
 
     rows = []
@@ -130,7 +130,7 @@ def _channel_table(reports: list["ExperimentReport"]) -> "Table":
     return Table(
         ["record", "channel", "range", "count", "rms", "90 % below [Hz]", "saturated"],
         rows,
-        title="Channels: rad or m, inputs in their unit",
+        title=f"Channels: positions in {unit}, inputs in their unit",
     )
 
 
