@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import polars as pl
 import pytest
+import scipy.io
 
 import tustinnet as tn
 from tustinnet.data.card import Card
@@ -516,3 +517,60 @@ def test_a_mistake_in_a_mapping_is_told_like_one_in_a_card() -> None:
     frame = pl.DataFrame({"angle": [0.0, 1, 2]})
     with pytest.raises(tn.InputError, match="bench, inptus: unknown key; did you mean 'inputs'"):
         tn.from_frame(frame, {"dt": DT, "coordinates": [ANGLE], "inptus": []}, name="bench")
+
+
+# --- records in the cells of a MAT file ---
+
+
+def cells(path: Path, count: int = 3) -> Path:
+    """A MAT file with a cell array of logs, of growing length."""
+    logs = np.empty(count, object)
+    for k in range(count):
+        t = np.arange(20 + k) * DT
+        logs[k] = {"time": t, "angle": np.sin(3 * t), "torque": np.cos(t), "label": "swing"}
+    scipy.io.savemat(path, {"logs": logs, "note": "on the bench"})
+    return path
+
+
+def cell_card(*entries: Any, column: str = "logs.angle") -> Card:
+    return card(
+        coordinates=[{**ANGLE, "column": column}], inputs=[{**TORQUE, "column": "logs.torque"}],
+        splits={"train": list(entries)}, time={"column": "logs.time"},
+    )  # fmt: skip
+
+
+def test_each_cell_of_a_mat_file_is_a_record(tmp_path: Path) -> None:
+    cells(tmp_path / "logs.mat")
+    data = load_folder(tmp_path, cell_card("logs.mat"))
+    assert [(e.name, len(e)) for e in data] == [("logs[1]", 20), ("logs[2]", 21), ("logs[3]", 22)]
+    third, part = load_folder(
+        tmp_path,
+        cell_card({"file": "logs.mat", "cell": 3}, {"file": "logs.mat", "cell": 1, "rows": [0, 9]}),
+    )
+    assert (third.name, len(third), part.name, len(part)) == ("logs[3]", 22, "logs[1]_0-9", 9)
+    assert third.sha256 == part.sha256 == data[0].sha256
+
+
+@pytest.mark.parametrize(
+    ("entry", "column", "told"),
+    [
+        ({"cell": 4}, "logs.angle", r"logs\.mat: 3 elements; expected a cell 4"),
+        ({"cell": 0}, "logs.angle", r"splits\.train\.0\.cell"),
+        ({"cell": 2}, "logs.label", r"logs\.mat, cell 2: 'logs\.label' is text"),
+        ({"cell": 2}, "logs.angel", r"logs\.mat, cell 2: no column 'logs\.angel'; .*logs\.angle"),
+        ({}, "note", r"logs\.mat, cell 1: 'note' is text"),
+        ({"cell": 2, "rows": [0, 30]}, "logs.angle", r"cell 2: rows 0\.\.30; .*0\.\.21"),
+    ],
+)
+def test_cells_that_are_not_there_are_refused(
+    tmp_path: Path, entry: dict[str, Any], column: str, told: str
+) -> None:
+    cells(tmp_path / "logs.mat")
+    with pytest.raises(tn.InputError, match=told):
+        load_folder(tmp_path, cell_card({"file": "logs.mat", **entry}, column=column))
+
+
+def test_a_file_without_cells_has_no_third_one(tmp_path: Path) -> None:
+    write(tmp_path / "log.csv")
+    with pytest.raises(tn.InputError, match=r"log\.csv: no cell or struct arrays; .*a cell 3"):
+        load_folder(tmp_path, card(splits={"train": [{"file": "log.csv", "cell": 3}]}))

@@ -194,6 +194,8 @@ class FileCard(Declaration):
     Attributes:
         file: path below the card's folder, or a pattern (`train/*.csv`); no `..` and no `**`.
         name: what the record is called; the file's name without ending by default.
+        cell: of a MAT file with cell or struct arrays, the element that is the record, from 1 on;
+            without it each element that has the columns is a record.
         rows: first row and the row after the last, counted from 0 after any header.
         seconds: instead of rows, the times at which the record begins and before which it ends,
             from the file's first timestamp on [s], as logged: before it is put on a grid.
@@ -202,6 +204,7 @@ class FileCard(Declaration):
 
     file: str
     name: Name | None = None
+    cell: StrictInt | None = Field(default=None, ge=1, le=10**9)
     rows: tuple[Row, Row] | None = None
     seconds: tuple[Second, Second] | None = None
     k_bar: Row | None = None
@@ -240,10 +243,11 @@ class FileCard(Declaration):
 
     @property
     def part(self) -> str:
-        """What distinguishes the record from others of its file: `0-900`, `0.5-3s`, or nothing."""
+        """What distinguishes the record from others of its file: `[3]`, `_0-900`, `_0.5-3s`."""
+        cell = "" if self.cell is None else f"[{self.cell}]"
         if self.rows is not None:
-            return f"{self.rows[0]}-{self.rows[1]}"
-        return "" if self.seconds is None else f"{self.seconds[0]:g}-{self.seconds[1]:g}s"
+            return f"{cell}_{self.rows[0]}-{self.rows[1]}"
+        return cell + ("" if self.seconds is None else "_{:g}-{:g}s".format(*self.seconds))
 
 
 class FormatCard(Declaration):

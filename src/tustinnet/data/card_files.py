@@ -83,8 +83,8 @@ def _named(entries: list[tuple[str, FileCard]]) -> list[tuple[str, FileCard]]:
             path, stem = Path(entry.file).with_suffix(""), Path(entry.file).stem
             same = stems[stem] == files[entry.file]
             name = stem if same else path.as_posix().replace("/", "_")
-            if entry.part and files[entry.file] > 1:
-                name += f"_{entry.part}"
+            if entry.cell is not None or files[entry.file] > 1:
+                name += entry.part
             _require_default_name(name, entry.file)
         named.append((split, entry.model_copy(update={"name": name})))
     return named

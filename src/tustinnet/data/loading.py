@@ -16,6 +16,7 @@ from tustinnet.data.columns import NUMBERED, Column, Columns, frame_columns
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import declare, read_declaration
 from tustinnet.data.experiment import LARGEST, Experiment, unwrap_angles
+from tustinnet.data.mat_file import OBJECT, OBJECT_REMEDY
 from tustinnet.data.readers import read_columns
 from tustinnet.errors import InputError
 from tustinnet.signals import resampling
@@ -40,7 +41,7 @@ def load_folder(folder: Path, card: Card) -> DataSet:
             names file and row.
     """
     entries = files_of(folder, card)
-    experiments = [_load_file(folder, split, entry, card) for split, entry in entries]
+    experiments = [e for split, entry in entries for e in _load_file(folder, split, entry, card)]
     if not experiments:
         raise InputError(
             folder,
@@ -86,26 +87,49 @@ def from_frame(
     return _experiment(frame_columns(frame, name), declared, name, split=split)
 
 
-def _load_file(folder: Path, split: str, entry: FileCard, card: Card) -> Experiment:
+def _load_file(folder: Path, split: str, entry: FileCard, card: Card) -> list[Experiment]:
+    """The record of a file, or those of the elements of its cell arrays."""
     path = folder / entry.file
     require_inside(folder, path)
     columns = read_columns(path, header=card.format.header, delimiter=card.format.delimiter)
-    if card.format.columns is not None and len(columns.names) != card.format.columns:
-        raise InputError(
-            path, f"{len(columns.names)} columns", f"{card.format.columns} as in the card"
-        )
-    return _experiment(
-        columns,
-        card,
-        entry.name or path.stem,
-        where=path,
-        split=split,
-        k_bar=entry.k_bar,
-        source=entry.file,
-        sha256=_sha256(path),
-        rows=entry.rows,
-        seconds=entry.seconds,
-    )
+    digest, name = _sha256(path), entry.name or path.stem
+    records = []
+    for number, found in _records_in(columns, entry.cell, card, path).items():
+        if card.format.columns is not None and len(found.names) != card.format.columns:
+            raise InputError(
+                path, f"{len(found.names)} columns", f"{card.format.columns} as in the card"
+            )
+        of_many = number is not None and entry.cell is None
+        records.append(
+            _experiment(
+                found, card, f"{name}[{number}]" if of_many else name,
+                where=path if number is None else f"{path}, cell {number}", split=split,
+                k_bar=entry.k_bar, source=entry.file, sha256=digest, rows=entry.rows,
+                seconds=entry.seconds,
+            )
+        )  # fmt: skip
+    return records
+
+
+def _records_in(
+    columns: Columns, cell: int | None, card: Card, path: Path
+) -> dict[int | None, Columns]:
+    """The columns of each record of a file, by the number of its cell, None for the file itself."""
+    names = {key for key in card.columns if isinstance(key, str)}
+    if cell is None and (not columns.elements or names <= set(columns.names)):
+        return {None: columns}
+    if cell is not None and cell > columns.elements:
+        there = f"{columns.elements} elements" if columns.elements else "no cell or struct arrays"
+        raise InputError(path, there, f"a cell {cell} as in the card", "cells count from 1")
+    numbers = range(1, columns.elements + 1) if cell is None else (cell,)
+    found: dict[int | None, Columns] = {number: columns.element(number) for number in numbers}
+    if cell is None and not any(
+        names & set(of.names) - set(columns.names) for of in found.values()
+    ):
+        return {None: columns}  # the columns are nowhere: it is said of the file
+    if cell is None:
+        columns.fetch_elements(names)
+    return found
 
 
 def _sha256(path: Path) -> str:
@@ -188,9 +212,11 @@ class _Picker:
             return names[key - 1]
         if key not in names:
             shown = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+            found, remedy = _other(key, self.columns.others)
             raise InputError(
-                self.where, f"no column '{key}'", f"one of: {shown}", _header_hint(names)
-            )
+                self.where, found or f"no column '{key}'", f"one of: {shown}",
+                remedy or _header_hint(names),
+            )  # fmt: skip
         return key
 
     def one(self, key: ColumnKey) -> Column:
@@ -214,6 +240,16 @@ class _Picker:
                 "repair or leave out these rows",
             )
         return column
+
+
+def _other(key: str, others: Mapping[str, str]) -> tuple[str, str]:
+    """What a name of the card is where it is no column, and what to do; empty where nothing is."""
+    for name, other in others.items():
+        if key == name or (name and key.startswith((f"{name}.", f"{name}["))):
+            return f"'{name}' is {other}", OBJECT_REMEDY if other == OBJECT else ""
+    if "" in others:  # an object whose name is not known
+        return f"no column '{key}', but {others['']}, which cannot be read", OBJECT_REMEDY
+    return "", ""
 
 
 def _header_hint(names: Sequence[str]) -> str:
