@@ -104,8 +104,7 @@ def _load_file(folder: Path, split: str, entry: FileCard, card: Card) -> list[Ex
             _experiment(
                 found, card, f"{name}[{number}]" if of_many else name,
                 where=path if number is None else f"{path}, cell {number}", split=split,
-                k_bar=entry.k_bar, source=entry.file, sha256=digest, rows=entry.rows,
-                seconds=entry.seconds,
+                part=entry, k_bar=entry.k_bar, source=entry.file, sha256=digest,
             )
         )  # fmt: skip
     return records
@@ -143,15 +142,14 @@ def _experiment(
     name: str,
     *,
     where: object = None,
-    rows: tuple[int, int] | None = None,
-    seconds: tuple[float, float] | None = None,
+    part: FileCard | None = None,
     **metadata: Any,
 ) -> Experiment:
     where = name if where is None else where
-    pick = _Picker(columns, where, rows)
+    pick = _Picker(columns, where, part and part.rows)
     columns.fetch([pick.name(key) for key in card.columns])
-    if seconds is not None:
-        pick.rows = _rows_within(seconds, pick, card)
+    if part is not None and part.seconds is not None:
+        pick.rows = _rows_within(part.seconds, pick, card)
     q = pick.stack([c.column for c in card.coordinates])
     u = pick.stack([i.column for i in card.inputs], like=q)
     q = (q - [c.offset for c in card.coordinates]) * [c.sign * c.factor() for c in card.coordinates]

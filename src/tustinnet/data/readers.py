@@ -40,7 +40,7 @@ def read_columns(
     if path.stat().st_size == 0:
         raise InputError(path, "the file is empty", "rows of samples")
     suffix = path.suffix.lower()
-    if suffix not in (*_TEXT, *_BINARY):
+    if not is_readable(path):
         raise InputError(path, f"ending '{suffix}'", f"one of {', '.join((*_TEXT, *_BINARY))}")
     with refusing(path, f"cannot be read as {suffix}", "a whole file of that format"):
         if suffix in _TEXT:
@@ -51,6 +51,11 @@ def read_columns(
         remedy = OBJECT_REMEDY if OBJECT in others.values() else ""
         raise InputError(path, f"the file holds no samples{told}", "columns of numbers", remedy)
     return Columns(names, partial(reading_process.read, path), others=others)
+
+
+def is_readable(path: Path) -> bool:
+    """Whether a path ends as the files do that `read_columns` reads."""
+    return path.suffix.lower() in (*_TEXT, *_BINARY)
 
 
 def _require_regular(path: Path) -> None:

@@ -84,10 +84,10 @@ def free_run_figure(
     """
     with house_style():
         e, unit, long = experiment, experiment.channels.unit, len(experiment) > _LONG
-        n_q = e.channels.n_q
+        n_q, each = e.channels.n_q, 2 if long else 1
         figure = Figure(figsize=(7.0, (3.1 if long else 1.9) * n_q + 0.5), layout="constrained")
         panels = figure.subplots(
-            2 * n_q if long else n_q, 1, sharex=True, squeeze=False,
+            each * n_q, 1, sharex=True, squeeze=False,
             height_ratios=(5, 3) * n_q if long else None,
         )[:, 0]  # fmt: skip
         drawn, errors = (panels[::2], panels[1::2]) if long else (panels, ())
