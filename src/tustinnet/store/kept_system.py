@@ -60,8 +60,9 @@ def kept_with(model: Path) -> SystemFile | None:
     if HEADER not in read_header(model):
         return None
     folder = model.parent
-    above = [folder / ".." / COPY] if folder.resolve().name.startswith("seed-") else []
-    for path in (folder / COPY, *above):
+    run = folder.parent if folder.name else Path("..")
+    of_seed = folder.resolve().name.startswith("seed-")
+    for path in (folder / COPY, *([run / COPY] if of_seed else [])):
         if path.exists():
             return SystemFile(path, _text_of(path))
     return None
