@@ -24,13 +24,16 @@ class Coordinate:
 
     Attributes:
         name: what it is called.
-        kind: `angular` (radians, not wrapped) or `linear` (metres).
+        kind: `angular` (radians, not wrapped) or `linear` (metres, or what `unit` says).
         resolution: encoder count [rad or m], if known.
+        unit: `rad` of an angle; `m` of a linear coordinate, where it is not another SI unit, as V
+            of a measured voltage. What is said of m elsewhere is in that unit then.
     """
 
     name: str
     kind: Kind
     resolution: float | None = None
+    unit: str = ""
 
     def __post_init__(self) -> None:
         require_name(self.name, "coordinate")
@@ -38,11 +41,15 @@ class Coordinate:
             raise InputError(
                 f"coordinate '{self.name}'", f"kind '{self.kind}'", "'angular' or 'linear'"
             )
+        usual = _usual_unit(self.kind)
+        require_text(self.unit, f"unit of coordinate '{self.name}'")
+        if (self.unit or usual) != usual and "rad" in (self.unit, usual):
+            raise InputError(f"coordinate '{self.name}'", f"unit '{self.unit}'", usual)
+        object.__setattr__(self, "unit", self.unit or usual)
 
-    @property
-    def unit(self) -> str:
-        """`rad` or `m`."""
-        return "rad" if self.kind == "angular" else "m"
+
+def _usual_unit(kind: str) -> str:
+    return "rad" if kind == "angular" else "m"
 
 
 @dataclass(frozen=True)
@@ -151,7 +158,7 @@ class Channels:
 
     @property
     def unit(self) -> str:
-        """`rad`, `m`, or `rad and m`, of a figure over all coordinates."""
+        """`rad`, `m`, `rad and m`, `rad and V`: of a figure over all coordinates."""
         return " and ".join(dict.fromkeys(c.unit for c in self.coordinates))
 
     def require_same(
@@ -191,7 +198,7 @@ class Channels:
     def as_header(self) -> dict[str, Any]:
         """The same as plain values, as model files have it."""
         return {
-            "coordinates": [asdict(c) for c in self.coordinates],
+            "coordinates": [_coordinate_header(c) for c in self.coordinates],
             "inputs": [asdict(i) for i in self.inputs],
             "dt": self.dt,
         }
@@ -231,8 +238,17 @@ class HasChannels:
         return self.channels.dt
 
 
+def _coordinate_header(of: Coordinate) -> dict[str, Any]:
+    """A coordinate as plain values, without the usual unit, as in files of earlier versions."""
+    usual = of.unit == _usual_unit(of.kind)
+    return {key: x for key, x in asdict(of).items() if key != "unit" or not usual}
+
+
 def _kinds(of: Channels) -> Sequence[tuple[str, str]]:
-    return [(c.name, c.kind) for c in of.coordinates]
+    return [
+        (c.name, c.kind if c.unit == _usual_unit(c.kind) else f"{c.kind}, {c.unit}")
+        for c in of.coordinates
+    ]
 
 
 def _holds(*of: Channels, open_holds: bool) -> list[list[tuple[str, str]]]:

@@ -1,9 +1,11 @@
 """Identification, comparison and residuals by the command, with a system from a file."""
 
+import io
 import json
 import shutil
 import sys
 from dataclasses import replace
+from hashlib import sha256
 from itertools import pairwise
 from pathlib import Path
 
@@ -160,9 +162,63 @@ def test_every_verb_takes_the_model_with_its_system(identified, folder, system, 
 
 
 def test_without_its_system_the_model_names_the_option(identified, folder, capsys):
+    (identified / "system.py").unlink()
     code, _, err = tustinnet(capsys, "evaluate", identified / "model.safetensors", folder)
     assert code == 1
     assert "--system small_pendulum.py" in err
+
+
+class Terminal(io.StringIO):
+    """A terminal at which somebody types."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_the_kept_copy_runs_only_where_it_is_trusted(
+    identified, folder, tmp_path, monkeypatch, capsys
+):
+    copy, marker = identified / "system.py", tmp_path / "it-ran"
+    kept = tn.read_header(identified / "model.safetensors")["system_copy"]
+    assert kept == {"file": "system.py", "sha256": sha256(copy.read_bytes()).hexdigest()}
+    evaluate = ["evaluate", identified / "model.safetensors", folder]
+    assert tustinnet(capsys, *evaluate)[0] == 0  # `fit` remembered it, and so for a copy of the run
+
+    copy.write_text(f"{SYSTEM}open({str(marker)!r}, 'w').close()\n")  # changed: nobody trusts it
+    code, _, err = tustinnet(capsys, *evaluate)
+    assert (code, err.count("\n")) == (1, 1)
+    assert "grey/system.py: Python code that was kept with the model" in err
+    assert f"--system {copy}" in err
+
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    for answer in ("", "\n", "n\n", "maybe\n"):
+        monkeypatch.setattr(sys, "stdin", Terminal(answer))
+        code, _, err = tustinnet(capsys, *evaluate)
+        assert code == 1
+        assert "run it? [y/N]" in err
+    assert not marker.exists()
+    monkeypatch.setattr(sys, "stdin", Terminal("y\n"))
+    assert tustinnet(capsys, *evaluate)[0] == 0
+    assert marker.exists()
+    code, _, err = tustinnet(capsys, "compare", identified / "model.safetensors", folder)
+    assert (code, err) == (0, "")  # asked once
+
+    monkeypatch.setenv("TUSTINNET_CONFIG", str(tmp_path / "another user"))
+    monkeypatch.setattr(sys, "stdin", io.StringIO("y\n"))  # a pipe
+    code, _, err = tustinnet(capsys, *evaluate)
+    assert code == 1
+    assert "[y/N]" not in err
+
+
+def test_a_fit_does_not_replace_another_system_file(folder, system, tmp_path, capsys):
+    own = tmp_path / "run" / "system.py"
+    own.parent.mkdir()
+    own.write_text("# my own\n")
+    arguments = ["fit", folder, "--recipe", "grey", "--system", system, "--out", own.parent]
+    code, _, err = tustinnet(capsys, *arguments)
+    assert code == 1
+    assert "run/system.py: another file than" in err
+    assert own.read_text() == "# my own\n"
 
 
 def test_a_changed_system_is_refused_but_comments_may_change(identified, folder, system, capsys):
@@ -436,19 +492,36 @@ def test_ranges_may_change_without_losing_the_model(identified, folder, system, 
     assert loaded.coordinates == tn.load_system(system).coordinates
 
 
-def test_two_variants_of_a_system_are_compared(identified, folder, system, tmp_path, capsys):
-    stiff = tmp_path / "stiff.py"
-    stiff.write_text(
-        SYSTEM.replace("small-pendulum", "stiff").replace("v[0] ** 2 / 2", "v[0] ** 2")
-    )
-    arguments = ["fit", folder, "--recipe", "grey", "--system", stiff, "--quiet"]
-    assert tustinnet(capsys, *arguments, "--out", tmp_path / "stiff")[0] == 0
-    models = [identified / "model.safetensors", tmp_path / "stiff" / "model.safetensors"]
-    code, out, _ = tustinnet(
-        capsys, "compare", *models, folder, "--system", system, "--system", stiff, "--json"
-    )
+def test_variants_of_a_system_are_compared(identified, folder, system, tmp_path, capsys):
+    """Each model finds its own file by the system's name, and by what the system computes."""
+    # of another name, and of the same one
+    texts = {
+        "stiff": SYSTEM.replace("small-pendulum", "stiff").replace("v[0] ** 2 / 2", "v[0] ** 2"),
+        "cubic": SYSTEM.replace('p["damping"] * v,', 'p["damping"] * v * (1 + v**2),'),
+    }
+    models, files = [identified / "model.safetensors"], [system]
+    for name, text in texts.items():
+        files.append(tmp_path / f"{name}.py")
+        files[-1].write_text(text)
+        models.append(tmp_path / name / "model.safetensors")
+        arguments = ["fit", folder, "--recipe", "grey", "--system", files[-1], "--quiet"]
+        assert tustinnet(capsys, *arguments, "--out", models[-1].parent)[0] == 0
+
+    def compare(models, files):
+        named = [part for file in files for part in ("--system", file)]
+        return tustinnet(capsys, "compare", *models, folder, *named, "--json")
+
+    code, out, _ = compare(models, files)
     assert code == 0
-    assert len(json.loads(out)["models"]) == 2
+    assert len(json.loads(out)["models"]) == 3
+    assert compare(models, files[::-1])[0] == 0
+    code, _, err = compare(models, files[:1])
+    assert (code, err.count("\n")) == (1, 1)
+    assert f"{models[2]}: the system 'small-pendulum' has changed since" in err
+    code, _, err = compare(models[:2], files)
+    assert code == 1
+    assert err.startswith(f"error: --system {files[2]}: 'small-pendulum', which no model is of")
+    assert compare(models, [])[0] == 0  # the copies that were kept
 
 
 def test_records_that_simulate_to_infinity_are_a_named_outcome(folder, system, tmp_path, capsys):

@@ -51,6 +51,22 @@ def test_version(capsys):
     assert tustinnet(capsys, "--version")[1].startswith("tustinnet ")
 
 
+def test_inspect_looks_at_a_single_file(folder, capsys):
+    file = folder / "fall1.csv"
+    code, out, _ = tustinnet(capsys, "inspect", file)
+    assert code == 0
+    for told in ("300 rows", "every 20 ms", "steps of", 'column = "angle"', "[splits]"):
+        assert told in out
+    code, out, _ = tustinnet(capsys, "inspect", file, "--json")
+    roles = {c["name"]: c["role"] for c in json.loads(out)["columns"]}
+    assert roles == {"time": "time", "angle": "position", "torque": "constant"}
+    for option in (["--split", "train"], ["--strict"], ["--card", folder / "dataset.toml"]):
+        code, out, err = tustinnet(capsys, "inspect", file, *option)
+        assert (code, out, err.count("\n")) == (1, "", 1)
+        assert f"{option[0]}: means nothing to the single file" in err
+    assert "no such file" in tustinnet(capsys, "inspect", folder / "nothing.csv")[2]
+
+
 def test_inspect_prints_tables(folder, capsys):
     code, out, _ = tustinnet(capsys, "inspect", folder)
     assert code == 0

@@ -1,5 +1,7 @@
 """Data cards."""
 
+import subprocess
+import sys
 from typing import Any
 
 import numpy as np
@@ -10,6 +12,7 @@ from tustinnet.data.card import Card, CoordinateCard, InputCard, TimeCard, Veloc
 from tustinnet.data.declaration import declare
 
 ANGLE = {"name": "angle", "kind": "angular", "column": "a"}
+CART = {"name": "cart", "kind": "linear", "column": "x"}
 CARD = {"name": "toy", "dt": 0.01, "coordinates": [ANGLE]}
 
 
@@ -80,6 +83,14 @@ def test_an_unknown_key_far_from_all_is_refused_with_the_known_ones() -> None:
     ("changes", "message"),
     [
         ({"coordinates": [{**ANGLE, "unit": "mm"}]}, "unit 'mm' of an? angular coordinate"),
+        ({"coordinates": [{**CART, "unit": "arcmin"}]}, "unit 'arcmin' of a linear coordinate"),
+        ({"coordinates": [{**CART, "unit": "mVolz"}]}, "'cart': unit 'mVolz' is not known"),
+        ({"coordinates": [{**CART, "unit": "degC"}]}, "unit 'degC' has a zero .*delta_degC"),
+        ({"coordinates": [{**CART, "unit": "9**9**9**9"}]}, r"unit '9\*\*9\*\*9\*\*9' is none"),
+        (
+            {"coordinates": [{**CART, "unit": "mV", "velocity": {"column": "v", "unit": "mm/s"}}]},
+            "velocity unit 'mm/s' of a position in V",
+        ),
         ({"coordinates": [{**ANGLE, "unit": "counts"}]}, "'counts' needs `resolution`"),
         (
             {"coordinates": [{**ANGLE, "kind": "linear", "counts_per_revolution": 4}]},
@@ -87,7 +98,7 @@ def test_an_unknown_key_far_from_all_is_refused_with_the_known_ones() -> None:
         ),
         (
             {"coordinates": [{**ANGLE, "velocity": {"column": "v", "unit": "mm/s"}}]},
-            "velocity unit 'mm/s' of an? angular",
+            "coordinates.0 'angle': velocity unit 'mm/s' of a position in rad",
         ),
         ({"coordinates": [{**ANGLE, "resolution": 0}]}, "resolution: .*greater than or equal"),
         ({"coordinates": [{**ANGLE, "sign": 2}]}, "sign: .*1 or -1"),
@@ -191,6 +202,57 @@ def test_positions_are_converted_to_si(coordinate: CoordinateCard, factor: float
 def test_velocities_are_converted_to_si(coordinate: Any, unit: str, factor: float) -> None:
     card = coordinate(velocity=VelocityCard(column="v", unit=unit))
     assert card.velocity_factor() == pytest.approx(factor, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor", "name"),
+    [
+        ("mV", 1e-3, "V"), ("V", 1.0, "V"), ("mA", 1e-3, "A"), ("K", 1.0, "K"), ("1", 1.0, "1"),
+        ("%", 1e-2, "1"), ("inch", 0.0254, "m"), ("km", 1e3, "m"), ("psi", 6894.757, "Pa"),
+        ("mN*m", 1e-3, "m*N"), ("mm/s", 1e-3, "m/s"), ("delta_degC", 1.0, "K"),
+    ],
+)  # fmt: skip
+def test_a_linear_coordinate_in_any_unit_is_in_si(unit: str, factor: float, name: str) -> None:
+    card = cart(unit=unit, velocity=VelocityCard(column="v"))
+    assert card.factor() == pytest.approx(factor)
+    assert card.velocity_factor() == card.factor()
+    assert card.coordinate().unit == name
+    assert cart(unit=name).factor() == 1  # as a card is written from records
+
+
+def test_any_angle_and_any_velocity_of_a_unit_are_converted() -> None:
+    of = angle(unit="arcmin", velocity=VelocityCard(column="v", unit="turn/min"))
+    assert (of.factor(), of.velocity_factor(), of.coordinate().unit) == (
+        pytest.approx(np.pi / 180 / 60), pytest.approx(2 * np.pi / 60), "rad",
+    )  # fmt: skip
+    km = cart(velocity=VelocityCard(column="v", unit="km/h"))
+    assert km.velocity_factor() == pytest.approx(1 / 3.6)
+    volts = cart(unit="mV", velocity=VelocityCard(column="v", unit="mV/ms"))
+    assert volts.velocity_factor() == pytest.approx(1.0)
+
+
+def test_the_usual_units_are_known_without_the_library_of_units() -> None:
+    program = (
+        "import sys\nfrom tustinnet.data.units import in_si\n"
+        "assert [in_si(u)[1] for u in ('deg', 'mm', 'V', '1')] == ['rad', 'm', 'V', '1']\n"
+        "assert 'pint' not in sys.modules and in_si('mV') and 'pint' in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
+
+
+def test_channels_tell_units_apart_and_leave_out_the_usual_ones() -> None:
+    volts = tn.Channels((tn.Coordinate("x", "linear", unit="V"), tn.Coordinate("a", "angular")))
+    assert volts.unit == "V and rad"
+    told = volts.as_header()
+    assert [c.get("unit") for c in told["coordinates"]] == ["V", None]
+    assert tn.Channels.from_header(told) == volts
+    metres = tn.Channels((tn.Coordinate("x", "linear"), tn.Coordinate("a", "angular")))
+    with pytest.raises(tn.InputError, match=r"x \(linear\), a .*x \(linear, V\), a .*units"):
+        volts.require_same(metres, "log", "the model")
+    with pytest.raises(tn.InputError, match="coordinate 'x': unit 'deg'; expected rad"):
+        tn.Coordinate("x", "angular", unit="deg")
+    with pytest.raises(tn.InputError, match="coordinate 'x': unit 'rad'; expected m"):
+        tn.Coordinate("x", "linear", unit="rad")
 
 
 def test_a_velocity_without_unit_is_in_the_positions_unit_per_second() -> None:

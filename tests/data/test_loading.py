@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import polars as pl
 import pytest
+import scipy.io
 
 import tustinnet as tn
 from tustinnet.data.card import Card
@@ -85,6 +86,39 @@ def test_a_range_of_rows_is_a_record_of_its_own(tmp_path: Path) -> None:
     assert (len(first), first.first_row, first.k_bar) == (15, 0, None)
     assert (len(second), second.first_row, second.k_bar) == (20, 20, 7)
     assert second.t[0] == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("time", [timed(), {}, timed(irregular="resample")])
+def test_a_range_of_seconds_is_a_record_of_its_own(tmp_path: Path, time: dict[str, Any]) -> None:
+    t = 7.3 + np.arange(40) * DT  # seconds count from the first timestamp
+    if "irregular" in time.get("time", {}):
+        t[30:] += 0.5 * DT
+    write(tmp_path / "log.csv", time=t, angle=np.arange(40.0) ** 2 / 100)
+    files = [{"file": "log.csv", "seconds": [a, b]} for a, b in [(0, 0.29), (0.29, 0.395)]]
+    first, second = load_folder(tmp_path, card(splits={"train": files}, **time))
+    assert [e.name for e in (first, second)] == ["log_0-0.29s", "log_0.29-0.395s"]
+    assert (first.first_row, len(first), first.q[-1, 0]) == (0, 29, 7.84)  # the end is excluded
+    assert (second.first_row, second.q[0, 0]) == (29, pytest.approx(8.41))
+    assert (second.recording is not None) == ("irregular" in time.get("time", {}))
+
+
+@pytest.mark.parametrize(
+    ("entry", "told"),
+    [
+        ({"seconds": [0.1, 0.5]}, r"log\.csv: seconds 0\.1\.\.0\.5; .* the 0\.39 s that the file"),
+        ({"seconds": [3, 4]}, r"log\.csv: seconds 3\.\.4; .*0\.39 s"),
+        ({"seconds": [0.2, 0.1]}, r"splits\.train\.0\.seconds: .*then a later one"),
+        ({"seconds": [-1, 0.1]}, r"splits\.train\.0\.seconds"),
+        ({"seconds": [0, 1], "rows": [0, 9]}, r"`rows` and `seconds` of 'log\.csv'; give one"),
+        ({"seconds": [0.101, 0.102]}, r"log\.csv: 0 samples; expected at least 2"),
+    ],
+)
+def test_seconds_that_are_no_range_of_the_file_are_refused(
+    tmp_path: Path, entry: dict[str, Any], told: str
+) -> None:
+    write(tmp_path / "log.csv")
+    with pytest.raises(tn.InputError, match=told):
+        load_folder(tmp_path, card(splits={"train": [{"file": "log.csv", **entry}]}, **timed()))
 
 
 def test_records_are_told_apart_where_files_have_one_name(tmp_path: Path) -> None:
@@ -483,3 +517,60 @@ def test_a_mistake_in_a_mapping_is_told_like_one_in_a_card() -> None:
     frame = pl.DataFrame({"angle": [0.0, 1, 2]})
     with pytest.raises(tn.InputError, match="bench, inptus: unknown key; did you mean 'inputs'"):
         tn.from_frame(frame, {"dt": DT, "coordinates": [ANGLE], "inptus": []}, name="bench")
+
+
+# --- records in the cells of a MAT file ---
+
+
+def cells(path: Path, count: int = 3) -> Path:
+    """A MAT file with a cell array of logs, of growing length."""
+    logs = np.empty(count, object)
+    for k in range(count):
+        t = np.arange(20 + k) * DT
+        logs[k] = {"time": t, "angle": np.sin(3 * t), "torque": np.cos(t), "label": "swing"}
+    scipy.io.savemat(path, {"logs": logs, "note": "on the bench"})
+    return path
+
+
+def cell_card(*entries: Any, column: str = "logs.angle") -> Card:
+    return card(
+        coordinates=[{**ANGLE, "column": column}], inputs=[{**TORQUE, "column": "logs.torque"}],
+        splits={"train": list(entries)}, time={"column": "logs.time"},
+    )  # fmt: skip
+
+
+def test_each_cell_of_a_mat_file_is_a_record(tmp_path: Path) -> None:
+    cells(tmp_path / "logs.mat")
+    data = load_folder(tmp_path, cell_card("logs.mat"))
+    assert [(e.name, len(e)) for e in data] == [("logs[1]", 20), ("logs[2]", 21), ("logs[3]", 22)]
+    third, part = load_folder(
+        tmp_path,
+        cell_card({"file": "logs.mat", "cell": 3}, {"file": "logs.mat", "cell": 1, "rows": [0, 9]}),
+    )
+    assert (third.name, len(third), part.name, len(part)) == ("logs[3]", 22, "logs[1]_0-9", 9)
+    assert third.sha256 == part.sha256 == data[0].sha256
+
+
+@pytest.mark.parametrize(
+    ("entry", "column", "told"),
+    [
+        ({"cell": 4}, "logs.angle", r"logs\.mat: 3 elements; expected a cell 4"),
+        ({"cell": 0}, "logs.angle", r"splits\.train\.0\.cell"),
+        ({"cell": 2}, "logs.label", r"logs\.mat, cell 2: 'logs\.label' is text"),
+        ({"cell": 2}, "logs.angel", r"logs\.mat, cell 2: no column 'logs\.angel'; .*logs\.angle"),
+        ({}, "note", r"logs\.mat, cell 1: 'note' is text"),
+        ({"cell": 2, "rows": [0, 30]}, "logs.angle", r"cell 2: rows 0\.\.30; .*0\.\.21"),
+    ],
+)
+def test_cells_that_are_not_there_are_refused(
+    tmp_path: Path, entry: dict[str, Any], column: str, told: str
+) -> None:
+    cells(tmp_path / "logs.mat")
+    with pytest.raises(tn.InputError, match=told):
+        load_folder(tmp_path, cell_card({"file": "logs.mat", **entry}, column=column))
+
+
+def test_a_file_without_cells_has_no_third_one(tmp_path: Path) -> None:
+    write(tmp_path / "log.csv")
+    with pytest.raises(tn.InputError, match=r"log\.csv: no cell or struct arrays; .*a cell 3"):
+        load_folder(tmp_path, card(splits={"train": [{"file": "log.csv", "cell": 3}]}))

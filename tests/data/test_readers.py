@@ -259,7 +259,9 @@ def test_a_damaged_file_is_refused(tmp_path: Path, ending: str, damage: str) -> 
 def test_pickled_objects_are_not_loaded(tmp_path: Path) -> None:
     path = tmp_path / "log.npz"
     np.savez(path, a=np.array([{"x": 1}, None], dtype=object))
-    with pytest.raises(InputError, match="holds no samples; expected columns of numbers"):
+    with pytest.raises(
+        InputError, match=r"holds no samples, only 'a': text or objects; expected columns"
+    ):
         read_columns(path)
 
 
@@ -282,3 +284,111 @@ def test_a_column_of_lists_is_not_numbers() -> None:
 def test_what_is_no_data_frame_is_refused() -> None:
     with pytest.raises(InputError, match="a dict; expected a pandas or polars data frame"):
         frame_columns({"a": [1.0]})
+
+
+# --- MATLAB: cells, struct arrays, timeseries ---
+
+
+def refer(file: h5py.File, name: str, parts: list[dict[str, np.ndarray]], *, cell: bool) -> None:
+    """Writes a cell array of structs, or a struct array, as MATLAB 7.3 does: by references."""
+    for k, part in enumerate(parts):
+        for field, column in part.items():
+            file[f"#refs#/{name}{k}/{field}"] = np.atleast_2d(column)  # a column in MATLAB
+        file[f"#refs#/{name}{k}"].attrs["MATLAB_class"] = np.bytes_("struct")
+    if cell:
+        groups = [[file[f"#refs#/{name}{k}"].ref] for k in range(len(parts))]
+        file.create_dataset(name, data=groups, dtype=h5py.ref_dtype)
+        file[name].attrs["MATLAB_class"] = np.bytes_("cell")
+        return
+    for field in parts[0]:
+        columns = [[file[f"#refs#/{name}{k}/{field}"].ref] for k in range(len(parts))]
+        file.create_dataset(f"{name}/{field}", data=columns, dtype=h5py.ref_dtype)
+
+
+def matlab_file(path: Path, parts: list[dict[str, np.ndarray]], *, v73: bool) -> Path:
+    """A cell array `logs` and a struct array `runs` of the same parts, text, a timeseries."""
+    series = np.arange(6.0).reshape(2, 1, 3)  # two channels by three samples
+    if v73:
+        with h5py.File(path, "w") as file:
+            refer(file, "logs", parts, cell=True)
+            refer(file, "runs", parts, cell=False)
+            file["label"] = np.array([[104], [105]], np.uint16)
+            file["label"].attrs["MATLAB_class"] = np.bytes_("char")
+            file["ts"] = np.zeros((1, 6), np.uint32)
+            file["ts"].attrs["MATLAB_class"] = np.bytes_("timeseries")
+            file["ts"].attrs["MATLAB_object_decode"] = 3
+            file["exported/Time"], file["exported/Data"] = np.zeros((1, 3)), series.T
+            file["one"] = np.ones((1, 1))
+        return path
+    cell, array = np.empty((1, len(parts)), object), np.empty((1, len(parts)), object)
+    cell[0], array[0] = parts, parts
+    runs = np.zeros((1, len(parts)), [(field, object) for field in parts[0]])
+    for k, part in enumerate(parts):
+        runs[0, k] = tuple(part.values())
+    exported = {"Time": np.zeros(3), "Data": series, "Name": "arm"}
+    scipy.io.savemat(
+        path, {"logs": cell, "runs": runs, "label": "hi", "exported": exported, "one": 1.0}
+    )
+    return path
+
+
+@pytest.mark.parametrize("v73", [False, True])
+def test_cells_struct_arrays_and_exported_timeseries_of_matlab_are_read(
+    tmp_path: Path, v73: bool
+) -> None:
+    parts = [{"angle": ANGLE + k, "volts": VOLTAGE} for k in range(3)]
+    found = read_columns(matlab_file(tmp_path / "log.mat", parts, v73=v73))
+    assert found.elements == 3
+    np.testing.assert_array_equal(found["logs{3}.angle"], ANGLE + 2)
+    np.testing.assert_array_equal(found["runs(2).angle"], ANGLE + 1)
+    second = found.element(2)
+    np.testing.assert_array_equal(second["logs.angle"], ANGLE + 1)
+    np.testing.assert_array_equal(second["runs.volts"], VOLTAGE)
+    np.testing.assert_array_equal(found["exported.Data[2]"], [3, 4, 5])  # samples come first
+    assert found.others["label"] == "text"
+    assert found.others["one"] == "a single number"
+    if v73:
+        assert found.others["ts"].startswith("a MATLAB object")
+
+
+def test_a_cell_of_one_struct_and_a_matrix_in_a_cell(tmp_path: Path) -> None:
+    one, matrices = np.empty((1, 1), object), np.empty((2, 1), object)
+    one[0, 0] = TABLE
+    matrices[:, 0] = [np.column_stack([ANGLE, VOLTAGE]), np.column_stack([VOLTAGE, ANGLE])]
+    scipy.io.savemat(tmp_path / "log.mat", {"one": one, "many": matrices})
+    found = read_columns(tmp_path / "log.mat")
+    np.testing.assert_array_equal(found.element(1)["one.angle"], ANGLE)
+    np.testing.assert_array_equal(found.element(2)["many[2]"], ANGLE)
+
+
+def opaque(name: str) -> bytes:
+    """An object of MATLAB as version 7 files have it: an element of class 17 without a size."""
+
+    def element(kind: int, content: bytes) -> bytes:
+        return np.array([kind, len(content)], "<u4").tobytes() + content + bytes(-len(content) % 8)
+
+    texts = [element(1, text) for text in (name.encode(), b"MCOS", b"timeseries")]
+    numbers = element(6, np.array([13, 0], "<u4").tobytes()) + element(5, bytes(8))
+    inner = element(14, numbers + element(1, b"") + element(6, bytes(0)))
+    flags = element(6, np.array([17, 0], "<u4").tobytes())
+    return element(14, flags + b"".join(texts) + inner)
+
+
+def test_an_object_of_matlab_is_told_as_such(tmp_path: Path) -> None:
+    path = tmp_path / "log.mat"
+    scipy.io.savemat(path, {"x": ANGLE})
+    with path.open("ab") as file:
+        file.write(opaque("ts"))
+    found = read_columns(path)
+    assert found.names == ("x",)
+    assert found.others["ts"].startswith("a MATLAB object")
+
+
+def test_a_variable_that_is_cut_short_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "log.mat"
+    scipy.io.savemat(path, {"x": np.arange(50.0), "y": np.arange(50.0)})
+    path.write_bytes(path.read_bytes()[:-100])
+    found = read_columns(path)
+    assert found["x"][-1] == 49
+    with pytest.raises(InputError, match=r"log\.mat, y: the variable is cut short or damaged"):
+        found["y"]

@@ -75,7 +75,30 @@ def test_figures_are_written_whole_or_not_at_all(pendulum, tmp_path):
     assert not (tmp_path / "picture.xyz").exists()
 
 
-def test_progress_shows_loss_validation_and_rate(pendulum, small_recipe):
+def test_a_long_free_run_is_drawn_by_its_extremes_with_its_error_below(tmp_path):
+    n = 40_000
+    t = np.arange(n) * 0.01
+    q = np.sin(3 * t) + 1e-3 * np.sin(1.7e3 * t)
+    q[12_345] = 2.0  # a single sample stays in the picture
+    e = tn.from_arrays(q, dt=0.01, coordinates={"angle": "angular"}, name="long")
+    run = np.column_stack([e.q[:, 0] + 0.05 * np.sin(t / 20), np.cos(t)])
+    run[30_000:] = np.inf
+    score = Score("long", "file", 0.1, 0.1, (0.1,), (1.0,), (0.0,), run)
+    figure = free_run_figure(e, {"model": score})
+    positions, errors = figure.axes
+    measured, simulated = positions.lines
+    for line in (measured, simulated, *errors.lines):
+        assert 1000 < len(np.asarray(line.get_xdata())) < 2500
+    assert np.max(measured.get_ydata()) == 2.0
+    assert np.isnan(np.asarray(simulated.get_ydata())[-1])
+    assert errors.get_ylabel() == "error [rad]"
+    assert np.nanmax(errors.lines[0].get_ydata()) == pytest.approx(0.05, rel=1e-3)
+    short = free_run_figure(e[:300], {"model": replace(score, simulated=run[:300])})
+    assert [len(axes.lines) for axes in short.axes] == [2]
+    write_figure(figure, tmp_path, "long.png")
+
+
+def test_progress_shows_loss_validation_rate_and_time_left(pendulum, small_recipe):
     prepared = plan(make_task(pendulum, small_recipe))
     for terminal in (True, False):
         out = io.StringIO()

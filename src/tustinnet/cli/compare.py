@@ -25,7 +25,9 @@ def compare(
     system: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="FILE.py", help="File of a system that models are of; may be repeated."
+            metavar="FILE.py",
+            help="File of a system that models are of, found by name and by what it computes; "
+            "may be repeated.",
         ),
     ] = None,
     figures: Annotated[
@@ -35,18 +37,14 @@ def compare(
 ) -> None:
     """Compare the free runs of several models: one table, one overlay a record."""
     terminal.prepare_jax()
-    from tustinnet.cli.request import judged_records
-    from tustinnet.errors import InputError
+    from tustinnet.cli.request import judged_records, kept_system
     from tustinnet.evaluate.scores import evaluate, mean_rmse, rmse_by_record
     from tustinnet.report.figures import free_run_figure, write_figure
-    from tustinnet.store.model_file import load_model, system_of
-    from tustinnet.systems.files import load_system
+    from tustinnet.store.model_file import load_models
+    from tustinnet.systems.files import find_system
 
-    own = {found.name: found for found in map(load_system, system or [])}
-    belongs = [system_of(path) for path in models]
-    if unused := [name for name in own if name not in belongs]:
-        raise InputError("--system", f"'{unused[0]}', which no model is of", "a model's system")
-    loaded = [load_model(path, own.get(of)) for path, of in zip(models, belongs, strict=True)]
+    given = [find_system(which) for which in system or []]
+    loaded = load_models(models, given, kept_system)
     records, begin = judged_records(data, card, split, start, loaded)
     scores = {
         label: evaluate(model, records, begin, horizon=horizon)

@@ -33,13 +33,12 @@ def evaluate(
 ) -> None:
     """Score free runs: RMSE, per coordinate, NRMSE, fit in percent, k steps ahead."""
     terminal.prepare_jax()
-    from tustinnet.cli.request import judged_records
+    from tustinnet.cli.request import judged_records, model_of
     from tustinnet.evaluate.ahead import rmse_ahead
     from tustinnet.evaluate.scores import Score, mean_rmse
     from tustinnet.evaluate.scores import evaluate as score_records
-    from tustinnet.store.model_file import load_model
 
-    judged = load_model(model, system)
+    judged = model_of(model, system)
     records, begin = judged_records(data, card, split, start, [judged])
     scores = score_records(judged, records, begin, horizon=horizon)
     by_split: dict[str, list[Score]] = {}

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from tustinnet.fitting.recipe import Recipe
     from tustinnet.fitting.task import Task
     from tustinnet.store.run import Earlier, Run
+    from tustinnet.systems.files import SystemFile
 
 
 def fit(
@@ -37,28 +38,35 @@ def fit(
 ) -> None:
     """Fit a model as a recipe says: train its weights or identify its parameters."""
     terminal.prepare_jax(device)
-    from tustinnet.cli.request import loaded, members_of, recipe_of, tell_still
+    from tustinnet.cli.request import kept_system, loaded, members_of, recipe_of, tell_still
     from tustinnet.fitting.task import make_task
     from tustinnet.report.progress import FitProgress
     from tustinnet.store.model_file import load_model
     from tustinnet.store.run import run_task
+    from tustinnet.systems.files import find_system
 
     chosen = recipe_of(recipe, changes, system=system, physics=physics)
     members = members_of(seeds, chosen)
-    known = None if physics is None else load_model(physics, system)
+    given = None if system is None else find_system(system)
+    if physics is not None and given is None:
+        given = kept_system(physics)
+    known = None if physics is None else load_model(physics, given)
     earlier = _earlier(resume=resume, overwrite=overwrite)
     told = terminal.messages()
     records = loaded(data, card, out, told, strict=strict)
     if "validation" not in records.splits:
         told.print("note: no validation split; the scores below are of the training records")
     # with physics, a system is that of the physics
-    of = None if physics is not None else system
+    of = None if physics is not None else given
+    file = None if isinstance(given, str) else given
     task = make_task(records, chosen, members, physics=known, system=of)
     tell_still(task.folds[0].roles.train, told)
     if not quiet:
         _tell_windows(task, told)
     with FitProgress(told, quiet=quiet) as progress, terminal.interruptible(_remedy(chosen)):
-        run = run_task(task, records.name, out, earlier, progress.follow)
+        run = run_task(task, records.name, out, earlier, progress.follow, file)
+    if file is not None:
+        _trust(file, told)
     _draw(run, records)
     if json:
         terminal.print_json(run.summary())
@@ -82,6 +90,17 @@ def _tell_windows(task: "Task", told: "Console") -> None:
         for stage in task.recipe.stages:
             account = window_account(train, stage.windows)
             told.print(f"{stage.name}: {account}", highlight=False, soft_wrap=True)
+
+
+def _trust(system: "SystemFile", told: "Console") -> None:
+    """Remembers that the user ran this file, so that the run's copy is run without a question."""
+    from tustinnet.errors import InputError
+    from tustinnet.store.kept_system import trust
+
+    try:
+        trust(system)
+    except InputError as error:  # costs a question later
+        told.print(f"note: {error}")
 
 
 def _remedy(recipe: "Recipe") -> str:

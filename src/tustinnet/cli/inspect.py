@@ -14,7 +14,14 @@ if TYPE_CHECKING:
 
 
 def inspect(
-    data: options.Data,
+    data: Annotated[
+        str,
+        typer.Argument(
+            metavar="DATA",
+            help="Folder with dataset.toml, a data card, a name of the catalog (qube-servo2), or "
+            "a single file of columns, for which a card is drafted.",
+        ),
+    ],
     card: options.Card = None,
     split: options.Split = None,
     strict: options.Strict = False,
@@ -29,7 +36,12 @@ def inspect(
 
     from tustinnet.data.catalog import load
     from tustinnet.data.inspection import inspect_experiment
+    from tustinnet.data.readers import is_readable
 
+    if is_readable(Path(data)) and not Path(data).is_dir():
+        given = {"--card": card, "--split": split, "--strict": strict or None, "--figure": figure}
+        _look_at_file(Path(data), [name for name, value in given.items() if value], json=json)
+        return
     loaded = load(data, card)
     records = loaded if split is None else loaded.split(split)
     reports = [inspect_experiment(e) for e in records]
@@ -45,7 +57,7 @@ def inspect(
             {"data": loaded.name, "experiments": [dataclasses.asdict(r) for r in reports]}
         )
         return
-    terminal.print_tables(time_table(reports), _channel_table(reports))
+    terminal.print_tables(time_table(reports), _channel_table(reports, loaded.channels.unit))
     # the table has the jitter
     notes = ((r.name, text) for r in reports for text in r.notes if "jitter" not in text)
     held = (
@@ -65,6 +77,37 @@ def _hold_told(report: "InputReport") -> str:
         f'decides the simulation (hold = "{report.hold or "zero-order"}"; others: first-order, '
         'band-limited; or "unknown", and fit of a grey box tries them)'
     )
+
+
+def _look_at_file(path: Path, options_given: list[str], *, json: bool) -> None:
+    """Prints what a file holds that no card describes, and the draft of a card."""
+    import dataclasses
+
+    from tustinnet.data.file_inspection import inspect_file
+    from tustinnet.errors import InputError
+    from tustinnet.report.tables import Table
+
+    if options_given:
+        raise InputError(
+            options_given[0], f"means nothing to the single file {path}", "a folder or a card",
+            "leave it out, or write a card first",
+        )  # fmt: skip
+    found = inspect_file(path)
+    if json:
+        terminal.print_json(dataclasses.asdict(found))
+        return
+    rows = [
+        [c.name, c.role, _range(c.range) if c.range else "–", str(c.distinct or "–"), c.remark]
+        for c in found.columns
+    ]
+    sampling = "no column of times found"
+    if found.dt is not None and found.jitter is not None:
+        sampling = f"every {1e3 * found.dt:.4g} ms, worst deviation {1e3 * found.jitter:.3g} ms"
+    title = f"{found.name}: {found.rows} rows; {sampling}; roles are guesses"
+    terminal.print_tables(Table(["column", "looks like", "range", "values", "why"], rows, title))
+    for note in found.notes:
+        typer.echo(f"note: {note}")
+    typer.echo(f"\n# draft of a card, to be kept as dataset.toml beside the file\n{found.draft}")
 
 
 def suspicions(reports: Iterable["ExperimentReport"]) -> list[str]:
@@ -131,7 +174,7 @@ def time_table(reports: list["ExperimentReport"]) -> "Table":
     )
 
 
-def _channel_table(reports: list["ExperimentReport"]) -> "Table":
+def _channel_table(reports: list["ExperimentReport"], unit: str) -> "Table":
     from tustinnet.report.tables import Table
 
     rows = []
@@ -146,7 +189,7 @@ def _channel_table(reports: list["ExperimentReport"]) -> "Table":
     return Table(
         ["record", "channel", "range", "count", "rms", "90 % below [Hz]", "saturated"],
         rows,
-        title="Channels: rad or m, inputs in their unit",
+        title=f"Channels: positions in {unit}, inputs in their unit",
     )
 
 

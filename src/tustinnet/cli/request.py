@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tustinnet.cli import terminal
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -12,6 +14,7 @@ if TYPE_CHECKING:
     from tustinnet.fitting.recipe import Recipe
     from tustinnet.fitting.task import Member
     from tustinnet.models.contract import Model
+    from tustinnet.systems.files import SystemFile
 
 _MOST_SEEDS, _LARGEST_SEED = 1000, 2**32 - 1
 
@@ -93,6 +96,35 @@ def tell_still(experiments: "Sequence[Experiment]", told: "Console") -> None:
 
     for name in still(experiments):
         told.print(f"{name} never moves in the training records: nothing can be learnt of it")
+
+
+def model_of(path: Path, system: str | None) -> "Model":
+    """The model of a file, with the system that was named, or that was kept with it."""
+    from tustinnet.store.model_file import load_model
+    from tustinnet.systems.files import find_system
+
+    return load_model(path, kept_system(path) if system is None else find_system(system))
+
+
+def kept_system(model: Path) -> "SystemFile | None":
+    """The system file that was kept with a model, where the user trusts it; asks on a terminal.
+
+    Raises:
+        InputError: it is not trusted.
+    """
+    from tustinnet.errors import InputError
+    from tustinnet.store.kept_system import is_trusted, kept_with, trust
+
+    copy = kept_with(model)
+    if copy is None or is_trusted(copy):
+        return copy
+    if terminal.confirmed(f"{copy.path} is Python code that was kept with this model; run it?"):
+        trust(copy)
+        return copy
+    raise InputError(
+        copy.path, "Python code that was kept with the model, and not trusted on this machine",
+        "your consent", f"if you would run it yourself, add --system {copy.path}",
+    )  # fmt: skip
 
 
 def judged_records(

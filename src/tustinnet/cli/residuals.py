@@ -25,15 +25,15 @@ def residuals(
 ) -> None:
     """Test the free-run residuals: whiteness, correlation with the inputs, 99 % bounds."""
     terminal.prepare_jax()
-    from tustinnet.cli.request import judged_records
+    from tustinnet.cli.request import judged_records, model_of
     from tustinnet.evaluate.residuals import residual_reports
     from tustinnet.report.figures import write_figure
     from tustinnet.report.residuals import downweighted_table, residual_figure
     from tustinnet.report.tables import Table, number
     from tustinnet.simulate.horizon import over
-    from tustinnet.store.model_file import downweighted_in, load_model
+    from tustinnet.store.model_file import downweighted_in
 
-    judged = load_model(model, system)
+    judged = model_of(model, system)
     records, begin = judged_records(data, card, split, start, [judged])
     reports = residual_reports(judged, records, begin, lags, horizon=horizon)
     names = {e.name for e in records}

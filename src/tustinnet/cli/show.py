@@ -28,10 +28,15 @@ def _channels(header: dict[str, Any]) -> list[tuple[str, str]]:
     inputs = ", ".join(f"{i['name']} [{i['unit']}, {i['hold']}]" for i in header["inputs"])
     return [
         ("kind", f"{header['kind']}, format {header['format']}"),
-        ("coordinates", ", ".join(f"{c['name']} ({c['kind']})" for c in header["coordinates"])),
+        ("coordinates", ", ".join(map(_coordinate, header["coordinates"]))),
         ("inputs", inputs or "none"),
         ("period", f"{header['dt']:g} s"),
     ]
+
+
+def _coordinate(of: dict[str, Any]) -> str:
+    unit = f" [{of['unit']}]" if of.get("unit") else ""  # where it is neither rad nor m
+    return f"{of['name']}{unit} ({of['kind']})"
 
 
 def _fit(header: dict[str, Any]) -> list[tuple[str, str]]:

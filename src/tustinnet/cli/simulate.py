@@ -24,6 +24,7 @@ def simulate(
 ) -> None:
     """Simulate records from their start with only the input; one CSV file each."""
     terminal.prepare_jax()
+    from tustinnet.cli.request import model_of
     from tustinnet.data.catalog import locate
     from tustinnet.data.loading import load_folder
     from tustinnet.errors import InputError
@@ -31,10 +32,9 @@ def simulate(
     from tustinnet.report.tables import Table, number
     from tustinnet.simulate.starts import default_start
     from tustinnet.store.files import require_new, require_writable_folder
-    from tustinnet.store.model_file import load_model
     from tustinnet.store.simulation_file import simulation_name, write_simulation
 
-    simulator = load_model(model, system)
+    simulator = model_of(model, system)
     folder, declared = locate(data, card)
     loaded = load_folder(folder, declared)
     chosen = loaded if split is None else loaded.split(split)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from tustinnet.report.tables import Table
 
 _LATER = 0.05  # seconds until a signal is sent again
+_LONGEST_QUESTION = 400  # characters
 _PIPED_WIDTH = 200  # columns of a table that goes into a file or a pipe
 
 
@@ -42,6 +43,17 @@ def print_tables(*tables: "Table") -> None:
         console = Console(highlight=False, width=_PIPED_WIDTH)
     for table in tables:
         table.print(console)
+
+
+def confirmed(question: str) -> bool:
+    """Whether the user says yes; no, where nobody can be asked."""
+    if not (sys.stdin and sys.stdin.isatty() and sys.stderr.isatty()):
+        return False
+    from tustinnet.errors import printable
+
+    sys.stderr.write(f"{printable(question, _LONGEST_QUESTION)} [y/N] ")
+    sys.stderr.flush()
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
 class Stopped(KeyboardInterrupt):

@@ -8,11 +8,10 @@ import importlib
 import json
 import math
 import os
-import re
 import signal
 import sys
 import zipfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from io import BufferedWriter
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tustinnet.data.columns import Column, frame_columns, require_different
+from tustinnet.data.mat_file import mat_arrays, mat_contents
 from tustinnet.errors import InputError, refusing
 
 LARGEST = 2**30  # bytes: the wanted columns of a file, as double precision
@@ -28,10 +28,9 @@ _MOST_COLUMNS = 100_000
 
 Array = np.ndarray
 Shape = tuple[int, ...]
+Contents = tuple[list[tuple[str, Shape]], dict[str, str]]
 
 _REAL = "fiub"  # kinds of numpy's types
-_MAT_REAL = re.compile("double|single|logical|u?int(8|16|32|64)")
-_HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 class Format(NamedTuple):
@@ -39,18 +38,20 @@ class Format(NamedTuple):
 
     Attributes:
         library: what has to be imported.
-        shapes: names and shapes of the arrays of numbers in a file, without reading them.
+        contents: names and shapes of the arrays of numbers in a file, and what else is there, by
+            name.
         arrays: some of them, by name.
     """
 
     library: str
-    shapes: Callable[[Path], list[tuple[str, Shape]]]
+    contents: Callable[[Path], Contents]
     arrays: Callable[[Path, set[str]], dict[str, Array]]
 
 
-def column_names(path: Path) -> list[str]:
-    """What the columns of a file are called, in its order."""
-    return list(_columns(path))
+def column_names(path: Path) -> tuple[list[str], dict[str, str]]:
+    """What the columns of a file are called, in its order, and what is there that is no column."""
+    columns, others = _columns(path)
+    return list(columns), others
 
 
 def read(path: Path, names: list[str]) -> list[Column]:
@@ -59,7 +60,7 @@ def read(path: Path, names: list[str]) -> list[Column]:
     Raises:
         InputError: more than `LARGEST` bytes; what is not real numbers.
     """
-    columns = _columns(path)
+    columns, _ = _columns(path)
     wanted = {columns[name].array: columns[name].shape for name in names}
     size = 8 * sum(math.prod(shape) for shape in wanted.values())
     if size > LARGEST:
@@ -89,8 +90,8 @@ class _Place(NamedTuple):
     number: int | None
 
 
-def _columns(path: Path) -> dict[str, _Place]:
-    shapes = FORMATS[path.suffix.lower()].shapes(path)
+def _columns(path: Path) -> tuple[dict[str, _Place], dict[str, str]]:
+    shapes, others = FORMATS[path.suffix.lower()].contents(path)
     vectors = [len(shape) == 1 or 1 in shape for _, shape in shapes]
     count = sum(1 if one else shape[1] for (_, shape), one in zip(shapes, vectors, strict=True))
     if count > _MOST_COLUMNS:
@@ -102,7 +103,7 @@ def _columns(path: Path) -> dict[str, _Place]:
             (name if j is None else f"{name}[{j + 1}]", _Place(name, shape, j)) for j in numbers
         ]
     require_different([name for name, _ in found], path)
-    return dict(found)
+    return dict(found), others
 
 
 def _is_table(shape: Shape) -> bool:
@@ -112,11 +113,17 @@ def _is_table(shape: Shape) -> bool:
 # --- NPZ ---
 
 
-def _npz_shapes(path: Path) -> list[tuple[str, Shape]]:
+def _npz_contents(path: Path) -> Contents:
     with zipfile.ZipFile(path) as archive:
         members = [name for name in archive.namelist() if name.endswith(".npy")]
         heads = [(name.removesuffix(".npy"), *_npy_head(archive, name)) for name in members]
-    return [(name, shape) for name, shape, kind in heads if kind in _REAL and _is_table(shape)]
+    tables = [(name, shape) for name, shape, kind in heads if kind in _REAL and _is_table(shape)]
+    others = {
+        name: f"of shape {shape}" if kind in _REAL else "text or objects"
+        for name, shape, kind in heads
+        if not (kind in _REAL and _is_table(shape))
+    }
+    return tables, others
 
 
 def _npy_head(archive: zipfile.ZipFile, member: str) -> tuple[Shape, str]:
@@ -132,93 +139,15 @@ def _npz_arrays(path: Path, names: set[str]) -> dict[str, Array]:
         return {name: archive[name] for name in names}
 
 
-# --- MAT, up to version 7 and 7.3 ---
-
-
-def _is_hdf5(path: Path) -> bool:
-    with path.open("rb") as file:
-        head = file.read(512 + len(_HDF5))
-    return head.startswith(_HDF5) or head[512:] == _HDF5
-
-
-def _mat_shapes(path: Path) -> list[tuple[str, Shape]]:
-    import scipy.io
-
-    if _is_hdf5(path):
-        return [(name, shape) for name, shape, _ in _hdf5(path, None)]
-    listed = scipy.io.whosmat(path)
-    structs = _mat_content(path, [name for name, _, kind in listed if kind == "struct"])
-    found: list[tuple[str, Shape]] = []
-    for name, shape, kind in listed:
-        if kind == "struct":
-            found += [(field, array.shape) for field, array in _fields(name, structs[name])]
-        elif _MAT_REAL.fullmatch(kind):
-            found.append((name, tuple(n for n in shape if n != 1)))
-    return [(name, shape) for name, shape in found if _is_table(shape)]
-
-
-def _mat_arrays(path: Path, names: set[str]) -> dict[str, Array]:
-    if _is_hdf5(path):
-        return {name: array for name, _, array in _hdf5(path, names)}
-    content = _mat_content(path, {name.partition(".")[0] for name in names})
-    return dict(field for name, value in content.items() for field in _fields(name, value))
-
-
-def _mat_content(path: Path, variables: Iterable[str]) -> dict[str, Any]:
-    import scipy.io
-
-    wanted = list(variables)
-    if not wanted:
-        return {}
-    found = scipy.io.loadmat(path, variable_names=wanted, squeeze_me=True, struct_as_record=False)
-    return {name: found[name] for name in wanted}
-
-
-def _fields(name: str, value: Any) -> Iterator[tuple[str, Array]]:
-    """An array, or the arrays in a struct by dotted name."""
-    if hasattr(value, "_fieldnames"):
-        for field in value._fieldnames:
-            yield from _fields(f"{name}.{field}", getattr(value, field))
-    else:
-        array = np.asarray(value)
-        if array.dtype.kind in "c" + _REAL:
-            yield name, array
-
-
-def _hdf5(path: Path, names: set[str] | None) -> list[tuple[str, Shape, Array]]:
-    """Names, shapes and content of some data sets; of all, without their content, for None."""
-    import h5py
-
-    found: list[tuple[str, Shape, Array]] = []
-
-    def visit(address: str, item: Any) -> None:
-        if not isinstance(item, h5py.Dataset) or item.dtype.kind not in _REAL:
-            return
-        # MATLAB stores matrices column-major: what h5py sees is the transpose
-        name, shape = address.replace("/", "."), (item.shape or ())[::-1]
-        if address.startswith("#refs#") or not _is_table(shape):
-            return
-        if item.external or item.is_virtual:
-            raise InputError(path, f"the numbers of '{name}' are in another file", "in this file")
-        if names is None:
-            found.append((name, shape, np.empty(0)))
-        elif name in names:
-            found.append((name, shape, item[()].T))
-
-    with h5py.File(path, "r") as file:
-        file.visititems(visit)
-    return found
-
-
 # --- Parquet ---
 
 
-def _parquet_shapes(path: Path) -> list[tuple[str, Shape]]:
+def _parquet_contents(path: Path) -> Contents:
     import polars as pl
 
     table = pl.scan_parquet(path, glob=False, hive_partitioning=False)
     rows = table.select(pl.len()).collect().item()
-    return [(name, (rows,)) for name in table.collect_schema().names() if rows]
+    return [(name, (rows,)) for name in table.collect_schema().names() if rows], {}
 
 
 def _parquet_arrays(path: Path, names: set[str]) -> dict[str, Array]:
@@ -230,9 +159,9 @@ def _parquet_arrays(path: Path, names: set[str]) -> dict[str, Array]:
 
 
 FORMATS = {
-    ".parquet": Format("polars", _parquet_shapes, _parquet_arrays),
-    ".mat": Format("scipy.io", _mat_shapes, _mat_arrays),
-    ".npz": Format("numpy", _npz_shapes, _npz_arrays),
+    ".parquet": Format("polars", _parquet_contents, _parquet_arrays),
+    ".mat": Format("scipy.io", mat_contents, mat_arrays),
+    ".npz": Format("numpy", _npz_contents, _npz_arrays),
 }
 
 
@@ -244,9 +173,9 @@ def serve() -> None:
 
     A request is a line of JSON: `path`, the `folder` where a relative one begins, `names` (wanted
     columns, or null for what there is) and `seconds` that it may take. With a null `path` it asks
-    to import the library for the ending `suffix`. A reply is a line of JSON, too: `names`, or
-    `lengths` with the numbers of the columns after it as bytes of float64, or why the request
-    is `refused`.
+    to import the library for the ending `suffix`. A reply is a line of JSON, too: `names` and
+    `others` (what is no column, by name), or `lengths` with the numbers of the columns after it as
+    bytes of float64, or why the request is `refused`.
     """
     replies = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what libraries print is no reply
@@ -276,7 +205,7 @@ def _answer(request: dict[str, Any]) -> tuple[dict[str, Any], list[Column]]:
             path, f"cannot be read as {path.suffix.lower()}", "a whole file of that format"
         ):
             if names is None:
-                return {"names": column_names(path)}, []
+                return dict(zip(("names", "others"), column_names(path), strict=True)), []
             columns = read(path, names)
             return {"lengths": [len(column) for column in columns]}, columns
     except InputError as error:

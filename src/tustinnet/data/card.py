@@ -16,6 +16,7 @@ from tustinnet.channels import (
     Kind,
 )
 from tustinnet.data.declaration import Declaration, Name, Sentence, Text
+from tustinnet.data.units import TIME, in_si, velocity_in_si
 
 _MOST_COLUMNS = 10**6
 _LONGEST_PART = 255  # bytes of a file's name, as file systems have it
@@ -32,10 +33,7 @@ ColumnKey = Annotated[StrictInt | StrictStr, AfterValidator(_column)]  # a numbe
 Amount = Annotated[float, Field(ge=-1e15, le=1e15)]
 Resolution = Annotated[float, Field(ge=1e-12, le=1e6)]
 Row = Annotated[StrictInt, Field(ge=0, le=10**12)]
-
-_ANGLE = {"rad": 1.0, "deg": np.pi / 180, "rev": 2 * np.pi, "mrad": 1e-3}
-_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
-_TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+Second = Annotated[float, Field(ge=0, le=1e12)]
 
 
 class VelocityCard(Declaration):
@@ -43,7 +41,8 @@ class VelocityCard(Declaration):
 
     Attributes:
         column: name or number.
-        unit: e.g. `rad/s`, `deg/s`, `rpm`, `mm/s`; the coordinate's unit per second by default.
+        unit: e.g. `rad/s`, `deg/s`, `rpm`, `mm/s`; the coordinate's unit per second by default,
+            counts per second of a position in counts.
         measured: whether a sensor measured it; a column that was computed is not `measured`,
             and training derives velocities from the positions instead.
     """
@@ -60,10 +59,12 @@ class CoordinateCard(Declaration):
         name: what it is called.
         kind: `angular` or `linear`.
         column: name or number of the position column.
-        unit: rad, deg, rev, mrad; m, cm, mm, um, in; or `counts` of the encoder.
+        unit: rad, deg, rev, ... of an angle; m, mm, in, ... of a linear coordinate, or a unit that
+            is no length (V, mA, K, 1), of which the records have the SI unit; or `counts` of the
+            encoder. Any unit that pint knows.
         sign: 1 or -1; also applies to the velocity column.
         offset: what the column reads where the coordinate is 0, in the column's unit.
-        resolution: encoder count in rad or m.
+        resolution: encoder count in rad or m, or in the SI unit of `unit`.
         counts_per_revolution: the same for an angle, as counts in a turn.
         unwrap: whether jumps of more than half a turn are taken for wraps and removed.
         velocity: the velocity column, if there is one.
@@ -82,9 +83,12 @@ class CoordinateCard(Declaration):
 
     @model_validator(mode="after")
     def _units_fit(self) -> "CoordinateCard":
-        known = [*self._units, "counts"]
-        if self.unit is not None and self.unit not in known:
-            raise ValueError(f"unit '{self.unit}' of a {self.kind} coordinate; known: {known}")
+        if (self.si_unit == "rad") != (self.kind == "angular"):
+            raise ValueError(
+                f"unit '{self.unit}' of an angular coordinate; an angle, e.g. rad, deg, rev, counts"
+                if self.kind == "angular"
+                else f"unit '{self.unit}' of a linear coordinate; an angle is `angular`"
+            )
         if self.unit == "counts" and self.count is None:
             raise ValueError("unit 'counts' needs `resolution` or `counts_per_revolution`")
         if self.counts_per_revolution and self.kind == "linear":
@@ -94,12 +98,15 @@ class CoordinateCard(Declaration):
         return self
 
     @property
-    def _units(self) -> dict[str, float]:
-        return _ANGLE if self.kind == "angular" else _LENGTH
+    def si_unit(self) -> str:
+        """The SI unit in which the records have the positions."""
+        if self.unit is None or self.unit == "counts":
+            return "rad" if self.kind == "angular" else "m"
+        return in_si(self.unit)[1]
 
     @property
     def count(self) -> float | None:
-        """Encoder count [rad or m]."""
+        """Encoder count in the SI unit."""
         if self.resolution is None and self.counts_per_revolution is not None:
             return 2 * np.pi / self.counts_per_revolution
         return self.resolution
@@ -108,24 +115,21 @@ class CoordinateCard(Declaration):
         """SI units in one unit of the position column."""
         if self.unit == "counts":
             return float(self.count or np.nan)
-        return 1.0 if self.unit is None else self._units[self.unit]
+        return 1.0 if self.unit is None else in_si(self.unit)[0]
 
     def velocity_factor(self) -> float:
         """SI units in one unit of the velocity column."""
         unit = self.velocity.unit if self.velocity else None
         if unit is None:
             return self.factor()
-        if unit == "rpm" and self.kind == "angular":
-            return 2 * np.pi / 60
-        length, _, per = unit.partition("/")
-        units = {**self._units, **({"counts": self.count} if self.count else {})}
-        if length not in units or per not in _TIME:
-            raise ValueError(f"velocity unit '{unit}' of a {self.kind} coordinate")
-        return float(units[length]) / _TIME[per]
+        counts, _, per = unit.partition("/")
+        if counts == "counts" and self.count and per in TIME:
+            return self.count / TIME[per]
+        return velocity_in_si(unit, self.si_unit)
 
     def coordinate(self) -> Coordinate:
         """What the records will say of this coordinate."""
-        return Coordinate(self.name, self.kind, self.count)
+        return Coordinate(self.name, self.kind, self.count, self.si_unit)
 
 
 class InputCard(Declaration):
@@ -184,7 +188,7 @@ class TimeCard(Declaration):
 
     def factor(self) -> float:
         """Seconds in one unit of the column."""
-        return _TIME[self.unit]
+        return TIME[self.unit]
 
 
 class FileCard(Declaration):
@@ -193,14 +197,20 @@ class FileCard(Declaration):
     Attributes:
         file: path below the card's folder, or a pattern (`train/*.csv`); no `..` and no `**`.
         name: what the record is called; the file's name without ending by default.
+        cell: of a MAT file with cell or struct arrays, the element that is the record, from 1 on;
+            without it each element that has the columns is a record.
         rows: first row and the row after the last, counted from 0 after any header.
+        seconds: instead of rows, the times at which the record begins and before which it ends,
+            from the file's first timestamp on [s], as logged: before it is put on a grid.
         k_bar: end of the transient as a row of the record, instead of the detected one.
         groups: what the record was made with: `{ payload = "1kg" }`.
     """
 
     file: str
     name: Name | None = None
+    cell: StrictInt | None = Field(default=None, ge=1, le=10**9)
     rows: tuple[Row, Row] | None = None
+    seconds: tuple[Second, Second] | None = None
     k_bar: Row | None = None
     groups: dict[Name, Name] = Field(default_factory=dict)
 
@@ -222,6 +232,27 @@ class FileCard(Declaration):
         if rows is not None and rows[0] >= rows[1]:
             raise ValueError("the first row, then the row after the last")
         return rows
+
+    @field_validator("seconds")
+    @classmethod
+    def _forward(cls, seconds: tuple[float, float] | None) -> tuple[float, float] | None:
+        if seconds is not None and seconds[0] >= seconds[1]:
+            raise ValueError("the time of the beginning, then a later one")
+        return seconds
+
+    @model_validator(mode="after")
+    def _one_range(self) -> "FileCard":
+        if self.rows is not None and self.seconds is not None:
+            raise ValueError(f"`rows` and `seconds` of '{self.file}'; give one of them")
+        return self
+
+    @property
+    def part(self) -> str:
+        """What distinguishes the record from others of its file: `[3]`, `_0-900`, `_0.5-3s`."""
+        cell = "" if self.cell is None else f"[{self.cell}]"
+        if self.rows is not None:
+            return f"{cell}_{self.rows[0]}-{self.rows[1]}"
+        return cell + ("" if self.seconds is None else "_{:g}-{:g}s".format(*self.seconds))
 
 
 class FormatCard(Declaration):

@@ -67,9 +67,9 @@ def require_inside(folder: Path, path: Path) -> None:
 
 def _named(entries: list[tuple[str, FileCard]]) -> list[tuple[str, FileCard]]:
     """Names records after their files; by folder too, and by rows, where that would be doubled."""
-    seen: dict[tuple[str, object], str] = {}
+    seen: dict[tuple[str, str], str] = {}
     for split, entry in entries:
-        before = seen.setdefault((entry.file, entry.rows), split)
+        before = seen.setdefault((entry.file, entry.part), split)
         if before is not split:
             raise InputError(
                 entry.file, f"listed in the splits {before} and {split}", "one split a file"
@@ -83,8 +83,8 @@ def _named(entries: list[tuple[str, FileCard]]) -> list[tuple[str, FileCard]]:
             path, stem = Path(entry.file).with_suffix(""), Path(entry.file).stem
             same = stems[stem] == files[entry.file]
             name = stem if same else path.as_posix().replace("/", "_")
-            if entry.rows is not None and files[entry.file] > 1:
-                name += f"_{entry.rows[0]}-{entry.rows[1]}"
+            if entry.cell is not None or files[entry.file] > 1:
+                name += entry.part
             _require_default_name(name, entry.file)
         named.append((split, entry.model_copy(update={"name": name})))
     return named

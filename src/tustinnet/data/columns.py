@@ -1,6 +1,7 @@
 """Columns of numbers by name, from a file or a data frame."""
 
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from tustinnet.errors import InputError, refusing
 
 Column = Float[np.ndarray, " n"]
 
+_ELEMENT = re.compile(r"(?P<variable>[^.({\[]+)[({](?P<number>\d{1,9})[)}](?P<rest>.*)", re.DOTALL)
 NUMBERED = "column "  # how columns without a name are called: "column 1", ...
 
 
@@ -21,6 +23,7 @@ class Columns:
     Attributes:
         names: what the columns are called.
         notes: what reading the file found out.
+        others: what is in the file and no column of numbers, by name.
     """
 
     def __init__(
@@ -29,8 +32,9 @@ class Columns:
         read: Callable[[list[str]], Sequence[Column]],
         rows: Sequence[int] | None = None,
         notes: tuple[str, ...] = (),
+        others: Mapping[str, str] | None = None,
     ) -> None:
-        self.names, self.notes = tuple(names), notes
+        self.names, self.notes, self.others = tuple(names), notes, others or {}
         self._read, self._rows = read, rows
         self._found: dict[str, Column] = {}
 
@@ -45,9 +49,44 @@ class Columns:
         missing = [name for name in dict.fromkeys(names) if name not in self._found]
         self._found.update(zip(missing, self._read(missing), strict=True))
 
+    def fetch_elements(self, names: Collection[str]) -> None:
+        """Reads some columns of all elements at once: one after the other would read all each."""
+        numbers = range(1, self.elements + 1)
+        taken = (of for number in numbers for of in _of_element(self.names, number).items())
+        self.fetch([source for name, source in taken if name in names])
+
+    @property
+    def elements(self) -> int:
+        """How many elements the longest cell or struct array of a MAT file has; 0 without any."""
+        found = (_ELEMENT.fullmatch(name) for name in (*self.names, *self.others))
+        return max((int(match["number"]) for match in found if match), default=0)
+
+    def element(self, number: int) -> "Columns":
+        """The columns as if each cell or struct array were its element of a number, from 1 on."""
+        taken = _of_element(self.names, number)
+
+        def read(names: list[str]) -> list[Column]:
+            self.fetch([taken[name] for name in names])
+            return [self[taken[name]] for name in names]
+
+        others = {name: self.others[of] for name, of in _of_element(self.others, number).items()}
+        return Columns(tuple(taken), read, self._rows, self.notes, others)
+
     def __getitem__(self, name: str) -> Column:
         self.fetch([name])
         return self._found[name]
+
+
+def _of_element(names: Iterable[str], number: int) -> dict[str, str]:
+    """Names in the file by what they are called in an element; whatever is in no array stays."""
+    found = {}
+    for name in names:
+        match = _ELEMENT.fullmatch(name)
+        if match is None:
+            found.setdefault(name, name)
+        elif int(match["number"]) == number:
+            found[match["variable"] + match["rest"]] = name
+    return found
 
 
 def require_different(names: Sequence[str], where: object) -> None:

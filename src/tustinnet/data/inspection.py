@@ -272,7 +272,7 @@ def _suspicious_positions(e: Experiment, j: int, count: float | None) -> list[st
     if not transients.moves(e.q)[j]:
         return [f"{of.name} never changes"]
     found = []
-    if np.abs(q).max() > _FARTHEST:
+    if of.unit in ("rad", "m") and np.abs(q).max() > _FARTHEST:
         found.append(f"{of.name} reaches {np.abs(q).max():.3g} {of.unit} (unit or a bad row?)")
     wild = np.mean(np.abs(np.diff(q)) > _QUARTER) if of.kind == "angular" else 0.0
     if wild > _OFTEN:

@@ -16,12 +16,14 @@ from tustinnet.data.columns import NUMBERED, Column, Columns, frame_columns
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import declare, read_declaration
 from tustinnet.data.experiment import LARGEST, Experiment, unwrap_angles
+from tustinnet.data.mat_file import OBJECT, OBJECT_REMEDY
 from tustinnet.data.readers import read_columns
 from tustinnet.errors import InputError
 from tustinnet.signals import resampling
 
 _SAME_UNIT = 0.2  # a period this near to dt times a power of 1000 is in another unit
 _LEAST_RATIO = 1e-300  # of a median interval to dt; its logarithm is wanted
+_SAME_INSTANT = 1e-6  # periods; rounding must not move a range by a sample
 _SAME_CLOCK = 1e-3  # relative; median intervals this near come from one clock
 _WHAT_IRREGULAR_OFFERS = 'set `irregular = "resample"` (onto a grid) or "keep" under [time]'
 
@@ -39,7 +41,7 @@ def load_folder(folder: Path, card: Card) -> DataSet:
             names file and row.
     """
     entries = files_of(folder, card)
-    experiments = [_load_file(folder, split, entry, card) for split, entry in entries]
+    experiments = [e for split, entry in entries for e in _load_file(folder, split, entry, card)]
     if not experiments:
         raise InputError(
             folder,
@@ -93,27 +95,49 @@ def from_frame(
     )
 
 
-def _load_file(folder: Path, split: str, entry: FileCard, card: Card) -> Experiment:
+def _load_file(folder: Path, split: str, entry: FileCard, card: Card) -> list[Experiment]:
+    """The record of a file, or those of the elements of its cell arrays."""
     path = folder / entry.file
     require_inside(folder, path)
     columns = read_columns(path, header=card.format.header, delimiter=card.format.delimiter)
-    if card.format.columns is not None and len(columns.names) != card.format.columns:
-        raise InputError(
-            path, f"{len(columns.names)} columns", f"{card.format.columns} as in the card"
-        )
-    return _experiment(
-        columns,
-        card,
-        entry.name or path.stem,
-        where=path,
-        split=split,
-        k_bar=entry.k_bar,
-        groups=tuple(entry.groups.items()),
-        source=entry.file,
-        sha256=_sha256(path),
-        rows=entry.rows,
-        first_row=entry.rows[0] if entry.rows else 0,
-    )
+    digest, name = _sha256(path), entry.name or path.stem
+    records = []
+    for number, found in _records_in(columns, entry.cell, card, path).items():
+        if card.format.columns is not None and len(found.names) != card.format.columns:
+            raise InputError(
+                path, f"{len(found.names)} columns", f"{card.format.columns} as in the card"
+            )
+        of_many = number is not None and entry.cell is None
+        records.append(
+            _experiment(
+                found, card, f"{name}[{number}]" if of_many else name,
+                where=path if number is None else f"{path}, cell {number}", split=split,
+                part=entry, k_bar=entry.k_bar, groups=tuple(entry.groups.items()),
+                source=entry.file, sha256=digest,
+            )
+        )  # fmt: skip
+    return records
+
+
+def _records_in(
+    columns: Columns, cell: int | None, card: Card, path: Path
+) -> dict[int | None, Columns]:
+    """The columns of each record of a file, by the number of its cell, None for the file itself."""
+    names = {key for key in card.columns if isinstance(key, str)}
+    if cell is None and (not columns.elements or names <= set(columns.names)):
+        return {None: columns}
+    if cell is not None and cell > columns.elements:
+        there = f"{columns.elements} elements" if columns.elements else "no cell or struct arrays"
+        raise InputError(path, there, f"a cell {cell} as in the card", "cells count from 1")
+    numbers = range(1, columns.elements + 1) if cell is None else (cell,)
+    found: dict[int | None, Columns] = {number: columns.element(number) for number in numbers}
+    if cell is None and not any(
+        names & set(of.names) - set(columns.names) for of in found.values()
+    ):
+        return {None: columns}  # the columns are nowhere: it is said of the file
+    if cell is None:
+        columns.fetch_elements(names)
+    return found
 
 
 def _sha256(path: Path) -> str:
@@ -127,12 +151,14 @@ def _experiment(
     name: str,
     *,
     where: object = None,
-    rows: tuple[int, int] | None = None,
+    part: FileCard | None = None,
     **metadata: Any,
 ) -> Experiment:
     where = name if where is None else where
-    pick = _Picker(columns, where, rows)
+    pick = _Picker(columns, where, part and part.rows)
     columns.fetch([pick.name(key) for key in card.columns])
+    if part is not None and part.seconds is not None:
+        pick.rows = _rows_within(part.seconds, pick, card)
     q = pick.stack([c.column for c in card.coordinates])
     u = pick.stack([i.column for i in card.inputs], like=q)
     q = (q - [c.offset for c in card.coordinates]) * [c.sign * c.factor() for c in card.coordinates]
@@ -153,7 +179,7 @@ def _experiment(
     t, dt = _times(pick, card, len(q), where)
     experiment = Experiment(
         name=name, t=t, q=q, u=u, v=v, v_measured=measured, notes=(*columns.notes, *notes),
-        channels=card.channels(dt), **metadata,
+        channels=card.channels(dt), first_row=pick.rows[0] if pick.rows else 0, **metadata,
     )  # fmt: skip
     return experiment if card.time is None else _judge_times(experiment, card, where, pick)
 
@@ -193,9 +219,11 @@ class _Picker:
             return names[key - 1]
         if key not in names:
             shown = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+            found, remedy = _other(key, self.columns.others)
             raise InputError(
-                self.where, f"no column '{key}'", f"one of: {shown}", _header_hint(names)
-            )
+                self.where, found or f"no column '{key}'", f"one of: {shown}",
+                remedy or _header_hint(names),
+            )  # fmt: skip
         return key
 
     def one(self, key: ColumnKey) -> Column:
@@ -221,6 +249,16 @@ class _Picker:
         return column
 
 
+def _other(key: str, others: Mapping[str, str]) -> tuple[str, str]:
+    """What a name of the card is where it is no column, and what to do; empty where nothing is."""
+    for name, other in others.items():
+        if key == name or (name and key.startswith((f"{name}.", f"{name}["))):
+            return f"'{name}' is {other}", OBJECT_REMEDY if other == OBJECT else ""
+    if "" in others:  # an object whose name is not known
+        return f"no column '{key}', but {others['']}, which cannot be read", OBJECT_REMEDY
+    return "", ""
+
+
 def _header_hint(names: Sequence[str]) -> str:
     """What may be wrong with the layout of a text file, judged by its column names."""
     if all(name.startswith(NUMBERED) for name in names):
@@ -242,6 +280,21 @@ def _velocities(pick: _Picker, card: Card) -> tuple[Float[np.ndarray, "n n_q"] |
         )
     factors = [c.sign * c.velocity_factor() for c in card.coordinates]
     return pick.stack([v.column for v in given]) * factors, all(v.measured for v in given)
+
+
+def _rows_within(seconds: tuple[float, float], pick: _Picker, card: Card) -> tuple[int, int]:
+    """The rows of a whole file from one time on and before another one [s], from its first on."""
+    n = len(pick.columns[pick.name(card.coordinates[0].column)])
+    t, dt = _times(pick, card, n, pick.where) if n > 1 else (np.zeros(n), 0.0)
+    elapsed, near = t - t[:1], _SAME_INSTANT * dt
+    first, stop = np.searchsorted(elapsed, np.subtract(seconds, near))
+    end = elapsed[-1] if n else 0.0
+    if first == n or seconds[1] > end + dt + near:
+        raise InputError(
+            pick.where, f"seconds {seconds[0]:g}..{seconds[1]:g}",
+            f"a range within the {end:g} s that the file's record spans",
+        )  # fmt: skip
+    return int(first), int(stop)
 
 
 def _times(

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from tustinnet.data import reading_process
 from tustinnet.data.columns import Columns
+from tustinnet.data.mat_file import OBJECT, OBJECT_REMEDY
 from tustinnet.data.text_file import read_text
 from tustinnet.errors import InputError, refusing
 
@@ -27,7 +28,8 @@ def read_columns(
 
     Returns:
         Columns by name. Without a header they are called `column 1`, ... The columns of a matrix
-        `x` in a MAT or NPZ file are called `x[1]`, `x[2]`, ... Of a binary file only those that
+        `x` in a MAT or NPZ file are called `x[1]`, `x[2]`, ..., those in a struct `s.x`, in a cell
+        or struct array `c{1}.x`, `s(1).x`. Of a binary file only those that
         are asked for are loaded.
 
     Raises:
@@ -38,15 +40,22 @@ def read_columns(
     if path.stat().st_size == 0:
         raise InputError(path, "the file is empty", "rows of samples")
     suffix = path.suffix.lower()
-    if suffix not in (*_TEXT, *_BINARY):
+    if not is_readable(path):
         raise InputError(path, f"ending '{suffix}'", f"one of {', '.join((*_TEXT, *_BINARY))}")
     with refusing(path, f"cannot be read as {suffix}", "a whole file of that format"):
         if suffix in _TEXT:
             return read_text(path, header, delimiter or ("\t" if suffix == ".tsv" else ","))
-        names = reading_process.column_names(path)
+        names, others = reading_process.column_names(path)
     if not names:
-        raise InputError(path, "the file holds no samples", "columns of numbers")
-    return Columns(names, partial(reading_process.read, path))
+        told = "".join(f", only {name or 'it'!r}: {of}" for name, of in [*others.items()][:1])
+        remedy = OBJECT_REMEDY if OBJECT in others.values() else ""
+        raise InputError(path, f"the file holds no samples{told}", "columns of numbers", remedy)
+    return Columns(names, partial(reading_process.read, path), others=others)
+
+
+def is_readable(path: Path) -> bool:
+    """Whether a path ends as the files do that `read_columns` reads."""
+    return path.suffix.lower() in (*_TEXT, *_BINARY)
 
 
 def _require_regular(path: Path) -> None:

@@ -91,13 +91,14 @@ _process: _Process | None = None
 _one_at_a_time = threading.Lock()
 
 
-def column_names(path: Path) -> list[str]:
-    """What the columns of a .mat, .npz or .parquet file are called.
+def column_names(path: Path) -> tuple[list[str], dict[str, str]]:
+    """What the columns of a .mat, .npz or .parquet file are called, and what else is there.
 
     Raises:
         InputError: a damaged file, one that crashes its reader, or takes it too long.
     """
-    return _ask(path, None, _NAMES_S)[0]["names"]
+    reply = _ask(path, None, _NAMES_S)[0]
+    return reply["names"], reply["others"]
 
 
 def read(path: Path, names: list[str]) -> list[Column]:

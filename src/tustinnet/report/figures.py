@@ -3,12 +3,13 @@
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, cast
 
 import matplotlib as mpl
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -25,6 +26,8 @@ INPUT = "#5b7fa6"
 COLOURS = ("#c0392b", "#e08e0b", "#2e8b57", "#7d3c98", "#5d6d7e")
 _DASHES = ("-.", "--", ":", (0, (6, 1, 1, 1, 1, 1)), "--")
 _LEGEND_WIDTH = 118  # characters of a legend that fit below a figure, 7 of a column for its line
+_BINS = 1200  # along a line of a figure, more than it has pixels
+_LONG = 4 * _BINS  # samples; of a longer line only the extremes are drawn
 _FORMATS = ("png", "svg", "pdf")
 _STYLE = {
     "font.size": 9,
@@ -71,6 +74,9 @@ def free_run_figure(
 ) -> Figure:
     """Measured and simulated positions of one record, a panel a coordinate.
 
+    Of a long record only the extremes are drawn, which look the same, and the error in a panel
+    below: lines that cover each other tell nothing.
+
     Args:
         experiment: the record.
         runs: free runs by label.
@@ -78,30 +84,63 @@ def free_run_figure(
         recorded: what to call the record's own line.
     """
     with house_style():
-        n_q, unit = experiment.channels.n_q, experiment.channels.unit
-        figure = Figure(figsize=(7.0, 1.9 * n_q + 0.5), layout="constrained")
-        panels = np.atleast_1d(figure.subplots(n_q, 1, sharex=True))
-        t = experiment.t - experiment.t[0]
-        for j, (axes, coordinate) in enumerate(zip(panels, experiment.coordinates, strict=True)):
-            axes.plot(t, experiment.q[:, j], color=MEASURED, label=recorded, linewidth=1.4)
+        e, unit, long = experiment, experiment.channels.unit, len(experiment) > _LONG
+        n_q, each = e.channels.n_q, 2 if long else 1
+        figure = Figure(figsize=(7.0, (3.1 if long else 1.9) * n_q + 0.5), layout="constrained")
+        panels = figure.subplots(
+            each * n_q, 1, sharex=True, squeeze=False,
+            height_ratios=(5, 3) * n_q if long else None,
+        )[:, 0]  # fmt: skip
+        drawn, errors = (panels[::2], panels[1::2]) if long else (panels, ())
+        t = e.t - e.t[0]
+        for j, (axes, coordinate) in enumerate(zip(drawn, e.coordinates, strict=True)):
+            _plot(axes, t, e.q[:, j], color=MEASURED, label=recorded, linewidth=1.4)
             for i, (label, score) in enumerate(runs.items()):
                 colour, dash = (styles or {}).get(
                     label, (COLOURS[i % len(COLOURS)], _DASHES[i % len(_DASHES)])
                 )
                 told = f"{label} (RMSE {score.rmse:.3g} {unit})"
-                line = _bounded(score.simulated[:, j], experiment.q[:, j])
-                axes.plot(t, line, color=colour, linestyle=dash, label=told)
+                line = _bounded(score.simulated[:, j], e.q[:, j])
+                if not long:
+                    axes.plot(t, line, color=colour, linestyle=dash, label=told)
+                    continue
+                _plot(axes, t, line, color=colour, label=told, linewidth=0.7, alpha=0.8)
+                _plot(errors[j], t, line - e.q[:, j], color=colour, linewidth=0.7, alpha=0.8)
             axes.set_ylabel(f"{coordinate.name} [{coordinate.unit}]")
+            if long:
+                errors[j].set_ylabel(f"error [{coordinate.unit}]")
+        figure.align_ylabels()
         panels[-1].set_xlabel("time [s]")
         starts = sorted({score.start for score in runs.values()})
         horizon = over(next((score.horizon for score in runs.values()), None))
-        title = f"{experiment.name}: free run, start '{', '.join(starts)}'{horizon}"
+        title = f"{e.name}: free run, start '{', '.join(starts)}'{horizon}"
         panels[0].set_title(title, loc="left")
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(
             handles, labels, loc="outside lower center", ncols=_columns(labels), fontsize=8
         )
         return figure
+
+
+def _plot(axes: Axes, t: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"], **style: Any) -> None:
+    """A line, of which no more points are drawn than can be seen."""
+    kept = extremes(y)
+    axes.plot(t[kept], y[kept], **style)
+
+
+def extremes(y: Float[np.ndarray, " n"]) -> Int[np.ndarray, " kept"]:
+    """The samples that a line needs in a picture: all, or of a long one the extremes of each bin.
+
+    A bin is narrower than a pixel of a PNG. A bin of nothing but NaN stays a gap.
+    """
+    if len(y) <= _LONG:
+        return np.arange(len(y))
+    edges = np.linspace(0, len(y), _BINS + 1).astype(int)
+    low, high = np.where(np.isnan(y), np.inf, y), np.where(np.isnan(y), -np.inf, y)
+    kept = {0, len(y) - 1}
+    for a, b in pairwise(edges):
+        kept |= {int(a + np.argmin(low[a:b])), int(a + np.argmax(high[a:b]))}
+    return np.array(sorted(kept))
 
 
 def _columns(labels: Sequence[str]) -> int:
@@ -189,7 +228,7 @@ def inspection_figure(
             t = e.t - e.t[0]
             for j, coordinate in enumerate(e.coordinates):
                 axes = panels[row, j]
-                axes.plot(t, e.q[:, j], color=MEASURED, linewidth=0.8)
+                _plot(axes, t, e.q[:, j], color=MEASURED, linewidth=0.8)
                 resting, reach = (
                     report.coordinates[j].resting,
                     report.coordinates[j].excursion_threshold,

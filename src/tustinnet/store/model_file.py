@@ -1,5 +1,6 @@
 """The model file: one safetensors file, arrays plus a JSON header; it knows no family."""
 
+from collections.abc import Callable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -13,10 +14,11 @@ from tustinnet.errors import InputError, refusing
 from tustinnet.families.family import family_of
 from tustinnet.fitting.report import Stretch
 from tustinnet.models.contract import Model
+from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.registry import FAMILIES
 from tustinnet.store.files import finite
 from tustinnet.store.sealed import read_sealed, write_sealed
-from tustinnet.systems.files import AnySystem
+from tustinnet.systems.files import AnySystem, SystemFile, load_system
 
 _PACKAGES = ("tustinnet", "jax", "jaxlib", "equinox", "optax", "numpy")
 
@@ -77,6 +79,50 @@ def load_model(path: str | Path, system: AnySystem | None = None) -> Model:
         )  # fmt: skip
     with refusing(path, "header and arrays do not fit", "a file written by tustinnet"):
         return FAMILIES[header["kind"]].restore(header, arrays, system, Path(path))
+
+
+def load_models(
+    paths: Sequence[Path],
+    systems: Sequence[SystemFile | str],
+    otherwise: Callable[[Path], AnySystem | None],
+) -> list[Model]:
+    """Reads several models; each finds its own of some systems by name and by what it computes.
+
+    Args:
+        paths: the model files.
+        systems: packaged systems by name, or system files; each file is run once.
+        otherwise: gives the system of a model that none of these is called like.
+
+    Raises:
+        InputError: as `load_model`; a model that none of its namesakes fits, a system that fits
+            none of the models.
+    """
+    given = [(which, load_system(which)) for which in systems]
+    fitted, models = set(), []
+    for path in paths:
+        name = system_of(path)
+        namesakes = {i: system for i, (_, system) in enumerate(given) if system.name == name}
+        fits = _fitting(path, namesakes)
+        fitted |= fits.keys()
+        models.append(next(iter(fits.values())) if fits else load_model(path, otherwise(path)))
+    for i, (which, system) in enumerate(given):
+        if i not in fitted:
+            where = f"--system {which if isinstance(which, str) else which.path}"
+            raise InputError(where, f"'{system.name}', which no model is of", "a model's system")
+    return models
+
+
+def _fitting(path: Path, systems: Mapping[int, LagrangianSystem]) -> dict[int, Model]:
+    """The model with each of some systems of its system's name that computes what it should."""
+    fits, refusals = {}, []
+    for i, system in systems.items():
+        try:
+            fits[i] = load_model(path, system)
+        except InputError as error:
+            refusals.append(error)
+    if refusals and not fits:
+        raise refusals[0]
+    return fits
 
 
 def shown(path: str | Path) -> tuple[dict[str, Any], list[tuple[str, str]]]:

@@ -2,6 +2,7 @@
 
 folder/model.safetensors              the model, of several members the best one's
 folder/summary.json                   the account: every member and the spread
+folder/system.py                      a copy of the system's file, where one was given
 folder/log.jsonl                      of identifications: one line an iteration and a stage
 folder/seed-0/model.safetensors       of trainings: the best weights of that seed
 folder/seed-0/log.jsonl               one line an epoch
@@ -36,8 +37,10 @@ from tustinnet.store.files import (
     to_json,
     write_into,
 )
+from tustinnet.store.kept_system import header_of, keep, require_room
 from tustinnet.store.log import DAMAGED, LOG, Log, SearchLog
 from tustinnet.store.model_file import save
+from tustinnet.systems.files import SystemFile
 
 MODEL = "model.safetensors"
 SUMMARY = "summary.json"
@@ -76,6 +79,7 @@ class Run:
         roles: the records.
         start: where the free runs start that rank the members.
         folder: where the files are.
+        system: the system's file, where one was given.
     """
 
     members: tuple[MemberRun, ...]
@@ -83,6 +87,7 @@ class Run:
     roles: Roles
     start: str
     folder: Path
+    system: SystemFile | None = None
 
     @property
     def best(self) -> MemberRun:
@@ -125,6 +130,7 @@ class Run:
             **of.result.as_header(),
             "data": data_header(self.data, self.roles.all),
             "scores": scores_header(self.judged, self.start, channels, of.scores),
+            **header_of(self.system),
         }
 
     def summary(self) -> dict[str, Any]:
@@ -166,6 +172,7 @@ def run_task(
     folder: Path,
     earlier: Earlier = "refuse",
     tell: Tell = lambda prepared: Listener(),
+    system: SystemFile | None = None,
 ) -> Run:
     """Fits all members of a task and keeps everything in a folder.
 
@@ -177,6 +184,7 @@ def run_task(
             on from the checkpoints that are there; members without one start.
         tell: given the plan of trainings that run together, or the task of an identification,
             returns who is told while it goes on.
+        system: the file of the system that the task is of; a copy is kept with the models.
 
     Raises:
         InputError: the folder cannot be written, another run is writing there, it holds an earlier
@@ -184,24 +192,37 @@ def run_task(
             identification is to be resumed; see also `fit`.
     """
     with owned(folder):
-        return _run(task, data, folder, earlier, tell)
+        if earlier != "discard":
+            require_room(system, folder)
+        _make_room(folder, earlier, trains=task.recipe.family.trains)
+        done = _fitted(task, data, folder, tell, resume=earlier == "resume")
+        done = replace(done, system=system)
+        _keep(done)
+    return done
 
 
-def _run(task: Task, data: str, folder: Path, earlier: Earlier, tell: Tell) -> Run:
+def _fitted(task: Task, data: str, folder: Path, tell: Tell, *, resume: bool) -> Run:
     trains, roles = task.recipe.family.trains, task.folds[0].roles
-    _make_room(folder, earlier, trains=trains)
-    fitted = _trained(task, folder, earlier, tell) if trains else _searched(task, folder, tell)
+    fitted = (
+        _trained(task, folder, tell, resume=resume) if trains else _searched(task, folder, tell)
+    )
     runs = []
     for member, result in zip(task.members, fitted, strict=True):
         horizon = within(result.horizon, roles.judging)
         scores = tuple(evaluate(result.model, roles.judging, result.start, horizon=horizon))
         runs.append(MemberRun(result, scores, folder / member.name if trains else folder))
-    done = Run(tuple(runs), data, roles, fitted[0].start, folder)
-    for run in runs:
+    return Run(tuple(runs), data, roles, fitted[0].start, folder)
+
+
+def _keep(done: Run) -> None:
+    """Writes models, the account of the run and the system's file."""
+    folder = done.folder
+    if done.system is not None:
+        keep(done.system, folder)
+    for run in done.members:
         save(run.result.model, run.folder / MODEL, **done.header(run))
     save(done.best.result.model, folder / MODEL, **done.header(done.best))
     write_into(folder, SUMMARY, to_json(done.summary()))
-    return done
 
 
 def _make_room(folder: Path, earlier: Earlier, *, trains: bool) -> None:
@@ -255,10 +276,10 @@ def _searched(task: Task, folder: Path, tell: Tell) -> list[FitResult]:
         log.close()
 
 
-def _trained(task: Task, folder: Path, earlier: Earlier, tell: Tell) -> list[FitResult]:
+def _trained(task: Task, folder: Path, tell: Tell, *, resume: bool) -> list[FitResult]:
     """The results of all members, in their order, those in the same stage trained together."""
     results: dict[Member, FitResult] = {}
-    for group, states in _groups(task, folder, resume=earlier == "resume"):
+    for group, states in _groups(task, folder, resume=resume):
         prepared = plan(task.of(group))
         trained = _train_together(prepared, folder, states, tell(prepared))
         results.update(zip(group, trained, strict=True))

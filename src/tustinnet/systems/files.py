@@ -1,9 +1,10 @@
 """Systems by name, or from the file of a user."""
 
 import functools
+import hashlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -17,11 +18,49 @@ from tustinnet.errors import InputError, brief, require_text
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.registry import SYSTEMS
 
-AnySystem = LagrangianSystem | str | Path
 ATTRIBUTE = "SYSTEM"  # what a system file calls its system
 _FUNCTIONS = ("kinetic", "potential", "dissipation", "input_map")
 _LONGEST_CHAIN = 20  # of errors; they may be causes of one another
 _REMEDY = "docs/systems.md shows a whole file"
+
+
+@dataclass(frozen=True)
+class SystemFile:
+    """A system file as it was read: the text that is judged, kept and run is the same.
+
+    Attributes:
+        path: where it was read.
+        text: what it says.
+    """
+
+    path: Path
+    text: str
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of the text in UTF-8."""
+        return hashlib.sha256(self.text.encode()).hexdigest()
+
+
+AnySystem = LagrangianSystem | SystemFile | str | Path
+
+
+def find_system(which: str | Path) -> SystemFile | str:
+    """A packaged system's name as it is, or a Python file, read but not run.
+
+    Raises:
+        InputError: no such name or file.
+    """
+    path = Path(which)
+    if str(which) in SYSTEMS:
+        return str(which)
+    if path.suffix != ".py":
+        raise InputError(
+            f"system '{which}'",
+            "no such system",
+            f"one of {', '.join(SYSTEMS.names())}, or a file FILE.py",
+        )
+    return SystemFile(path, read_source(path, "a Python file that defines SYSTEM"))
 
 
 def load_system(which: AnySystem) -> LagrangianSystem:
@@ -37,16 +76,10 @@ def load_system(which: AnySystem) -> LagrangianSystem:
     """
     if isinstance(which, LagrangianSystem):
         return which
-    if str(which) in SYSTEMS:
-        return SYSTEMS[str(which)]
-    path = Path(which)
-    if path.suffix != ".py":
-        raise InputError(
-            f"system '{which}'",
-            "no such system",
-            f"one of {', '.join(SYSTEMS.names())}, or a file FILE.py",
-        )
-    text = read_source(path, "a Python file that defines SYSTEM")
+    found = which if isinstance(which, SystemFile) else find_system(which)
+    if isinstance(found, str):
+        return SYSTEMS[found]
+    path, text = found.path, found.text
     module = ModuleType(path.stem)
     module.__file__ = str(path)
     with _naming(path):
