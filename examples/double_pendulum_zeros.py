@@ -29,6 +29,7 @@ def unmoved(q, v, z, p):
 
 def gravity_beside(q, v, z, p):
     """What gravity does at the true angles q + z rather than at the measured q [N m]."""
+    assert KNOWN.potential is not None
     slope = jax.grad(KNOWN.potential)
     return slope(q, p) - slope(q + z, p)
 
