@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import tustinnet as tn
@@ -69,6 +71,17 @@ def test_the_example_cards_are_valid(card):
     from tustinnet.data.declaration import read_declaration
 
     assert read_declaration(card, Card).coordinates
+
+
+@pytest.mark.parametrize("file", sorted((ROOT / "examples").glob("*.py")), ids=lambda p: p.stem)
+def test_the_example_systems_accelerate_by_numbers(file):
+    system = tn.load_system(file)
+    values = {name: jnp.asarray(value) for name, value in system.nominal().items()}
+    x = jnp.full(2 * len(system.coordinates) + len(system.internal), 0.1)
+    rate = np.asarray(system.model(values).derivative(x, jnp.full(len(system.inputs), 0.5)))
+    assert rate.shape == x.shape
+    assert np.isfinite(rate).all()
+    np.testing.assert_allclose(rate[: len(system.coordinates)], 0.1, rtol=1e-6)
 
 
 @pytest.mark.real
