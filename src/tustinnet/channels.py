@@ -64,14 +64,14 @@ class Input:
             `unknown`. None where nothing is said: the data card or the records decide, and what
             nobody says is `zero-order`.
         limits: smallest and largest value the actuator takes, if known.
-        delay: how much later it acts than it is written down [s].
+        delay: how much later it acts than it is written down [s], None where nobody knows.
     """
 
     name: str
     unit: str
     hold: Hold | None = None
     limits: tuple[float, float] | None = None
-    delay: float = 0.0
+    delay: float | None = 0.0
 
     def __post_init__(self) -> None:
         require_name(self.name, "input")
@@ -80,7 +80,7 @@ class Input:
             raise InputError(
                 f"input '{self.name}'", f"hold '{self.hold}'", f"one of {', '.join(get_args(Hold))}"
             )
-        if not abs(self.delay) < np.inf:
+        if self.delay is not None and not abs(self.delay) < np.inf:
             raise InputError(f"input '{self.name}'", f"delay {self.delay} s", "a number of seconds")
 
     def as_said_by(self, other: "Input") -> "Input":

@@ -37,6 +37,7 @@ def test_a_recipe_gives_the_values_it_names(tmp_path):
         "initial": "choose", "loss": "position", "periodic": False, "scaled": True,
         "times": "recorded", "part": "whole", "method": "levenberg-marquardt",
         "tolerance": 1e-5, "iterations": 50, "substeps": None, "horizon": None,
+        "robust": "none",
     }  # fmt: skip
     assert search_of("grey").model_dump() == usual
     assert search_of("best-grey") == SearchRecipe(loss="state", initial="anchored")

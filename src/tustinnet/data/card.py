@@ -31,6 +31,7 @@ def _column(key: int | str) -> int | str:
 SplitName = Literal["train", "validation", "test"]
 ColumnKey = Annotated[StrictInt | StrictStr, AfterValidator(_column)]  # a number counts from 1
 Amount = Annotated[float, Field(ge=-1e15, le=1e15)]
+Delay = Annotated[float, Field(ge=-1e4, le=1e4)]
 Resolution = Annotated[float, Field(ge=1e-12, le=1e6)]
 Row = Annotated[StrictInt, Field(ge=0, le=10**12)]
 Second = Annotated[float, Field(ge=0, le=1e12)]
@@ -145,7 +146,8 @@ class InputCard(Declaration):
         hold: what happens between samples: `zero-order`, `first-order`, `band-limited`, or
             `unknown`: `fit` of a grey box tries all of them.
         limits: smallest and largest `value` of the actuator.
-        delay: how much later it acts than it is written down [s].
+        delay: how much later it acts than it is written down [s], or `unknown`: `fit` of a grey box
+            searches for it.
     """
 
     name: Name
@@ -156,7 +158,7 @@ class InputCard(Declaration):
     offset: Amount = 0.0
     hold: Hold = "zero-order"
     limits: tuple[Amount, Amount] | None = None
-    delay: float = Field(default=0.0, ge=-1e4, le=1e4)
+    delay: Delay | Literal["unknown"] = 0.0
 
     @field_validator("limits")
     @classmethod
@@ -167,7 +169,8 @@ class InputCard(Declaration):
 
     def input(self) -> Input:
         """What the records will say of this input."""
-        return Input(self.name, self.unit, self.hold, self.limits, self.delay)
+        delay = None if self.delay == "unknown" else self.delay
+        return Input(self.name, self.unit, self.hold, self.limits, delay)
 
 
 class TimeCard(Declaration):

@@ -17,6 +17,7 @@ from tustinnet.signals.excitation import HALF, Excitation, Held, excitation
 VelocitySource = Literal["auto", "file", "stencil", "savgol", "kalman", "wiener", "trapezoidal"]
 
 LARGEST = 1e100  # of a position, input or velocity; squares of larger ones overflow
+_SIMULATING = "simulating"
 _STENCIL_SAMPLES = 5
 
 
@@ -267,9 +268,9 @@ class Experiment(HasChannels):
                 band-limited input, or shorter than a delay.
         """
         of = self if inputs is None else self.driving(inputs)
-        of._require_holds("simulating")
+        of._require_holds(_SIMULATING)
         holds: list[Held] = [i.hold or "zero-order" for i in of.inputs]  # pyright: ignore[reportAssignmentType]
-        delays = [i.delay / self.dt for i in of.inputs]
+        delays = [(i.delay or 0.0) / self.dt for i in of.inputs]
         for i, hold, delay in zip(of.inputs, holds, delays, strict=True):
             where = f"{self.name}, input '{i.name}'"
             if abs(delay) >= len(self) - 1:
@@ -297,6 +298,12 @@ class Experiment(HasChannels):
                     f"{self.name}, input '{i.name}'", f"hold 'unknown', and {doing} needs one",
                     "zero-order, first-order or band-limited",
                     "declare it in the data card; `fit` of a grey box tries all of them",
+                )  # fmt: skip
+            if i.delay is None and doing == _SIMULATING:
+                raise InputError(
+                    f"{self.name}, input '{i.name}'", f"delay 'unknown', and {doing} needs one",
+                    "a delay in seconds",
+                    "declare it in the data card; `fit` of a grey box searches for it",
                 )  # fmt: skip
 
     def measured_states(

@@ -1,6 +1,6 @@
 """Sensors and actuators that are off: zero and gain of a channel as parameters of a system."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, wraps
 from typing import Any
@@ -8,6 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from tustinnet.channels import Input
 from tustinnet.models.lagrangian import LagrangianSystem, Memory, Parameter, Values
 
 _NEUTRAL = {"bias": 0.0, "gain": 1.0}
@@ -22,9 +23,12 @@ def calibrated(system: LagrangianSystem, sensors: tuple[Parameter, ...]) -> Lagr
     of the physical motion, and a generalised force is divided by its coordinate's gain, so that
     its work stays the same. Simulation, starts and files know of nothing else.
 
+    A delay of an input changes no equation, only when the inputs act, see `delayed`.
+
     Args:
         system: the system in physical coordinates and inputs.
-        sensors: parameters named `CHANNEL.bias` and `CHANNEL.gain`; none leaves it as it is.
+        sensors: parameters named `CHANNEL.bias`, `CHANNEL.gain` and, of an input,
+            `CHANNEL.delay`; none leaves it as it is.
 
     Raises:
         InputError: a name that the system has already.
@@ -70,6 +74,13 @@ def calibrated(system: LagrangianSystem, sensors: tuple[Parameter, ...]) -> Lagr
         input_map=system.input_map and wraps(system.input_map)(input_map),
         memory=system.memory and _remembering(system.memory, motion),
         sensors=tuple(s.name for s in sensors),
+    )
+
+
+def delayed(inputs: Sequence[Input], values: Mapping[str, Any]) -> tuple[Input, ...]:
+    """Inputs with the delays [s] that are among the values of parameters."""
+    return tuple(
+        replace(i, delay=float(values.get(f"{i.name}.delay", i.delay or 0.0))) for i in inputs
     )
 
 

@@ -48,7 +48,7 @@ def _card(data: DataSet, files: dict[str, str], description: str) -> str:
     time = of.n_u + of.n_q + 1
     inputs = [
         {"name": i.name, "column": k, "unit": i.unit, "hold": i.hold or "zero-order"}
-        | ({"delay": i.delay} if i.delay else {})
+        | ({} if i.delay == 0 else {"delay": "unknown" if i.delay is None else i.delay})
         | ({"limits": list(i.limits)} if i.limits else {})
         for k, i in enumerate(of.inputs, 1)
     ]

@@ -95,8 +95,16 @@ class SearchLog:
     """A line of JSON an iteration, and one with the parameters at the end of every stage."""
 
     def __init__(self, folder: Path) -> None:
-        write_into(folder, LOG, "")
-        self._lines = _Lines(folder / LOG)
+        self._folder = folder
+        self._begun: _Lines | None = None
+
+    @property
+    def _lines(self) -> "_Lines":
+        """The file, made with the first line: what is refused before leaves none behind."""
+        if self._begun is None:
+            write_into(self._folder, LOG, "")
+            self._begun = _Lines(self._folder / LOG)
+        return self._begun
 
     def iteration(self, of: Iteration) -> None:
         """Adds an iteration."""
@@ -109,7 +117,8 @@ class SearchLog:
 
     def close(self) -> None:
         """Ends it."""
-        self._lines.close()
+        if self._begun is not None:
+            self._begun.close()
 
 
 class _Lines:

@@ -24,11 +24,12 @@ def test_errors_about_an_unstable_equilibrium_grow_by_their_eigenvalue():
 def test_a_record_that_stays_upright_has_a_horizon_and_one_that_swings_has_none():
     space = make_space(SWING, {}, {})
     vector = space.vector(SWING.nominal() | TRUTH)
+    picks = np.zeros((3, 0), int)  # no parameter per group
     top = 0.4 + np.pi  # where the swing's potential is highest
     still = simulated("upright", [top, 0.0], np.zeros(200))
-    assert horizons(SWING, space, vector, [still], 8) == {}  # nothing holds it
+    assert horizons(SWING, space, vector, ([still], picks[:1]), 8) == {}  # nothing holds it
     held = replace(still, u=1e-3 * np.arange(200.0)[:, None])
-    found = horizons(SWING, space, vector, [held, *noises()], 8)
+    found = horizons(SWING, space, vector, ([held, *noises()], picks), 8)
     rate = np.sqrt(TRUTH["gravity"] / TRUTH["inertia"]) - TRUTH["damping"] / TRUTH["inertia"] / 2
     assert set(found) == {"upright"}
     assert found["upright"] * still.dt == pytest.approx(np.log(1000) / rate, rel=0.25)

@@ -84,7 +84,6 @@ def test_measured_motion_is_the_physical_one_through_the_sensors():
         (["bias"], "no channel ''"),
         (["angle.bias", "angle.bias"], "'angle.bias' twice"),
         (["angle.delay"], "a delay common to all sensors is the same as one of the inputs"),
-        (["voltage.delay"], "delays of inputs are not identified"),
         (["angle.scale"], "expected angle.bias or angle.gain"),
     ],
 )

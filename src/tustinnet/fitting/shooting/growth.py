@@ -11,7 +11,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.fitting.shooting.space import Searched, Space
@@ -27,7 +27,7 @@ def horizons(
     system: LagrangianSystem,
     space: Space,
     vector: Searched,
-    experiments: Sequence[Experiment],
+    records: tuple[Sequence[Experiment], Int[np.ndarray, "n_r n_g"]],
     block: int,
 ) -> dict[str, int]:
     """Over how many steps records can be simulated before an error grows a thousandfold.
@@ -39,26 +39,25 @@ def horizons(
         system: the system.
         space: the parameters' coordinates.
         vector: the parameters.
-        experiments: the records.
+        records: the records, and which of their values parameters per group have in them.
         block: steps of a quarter of a swing; what is found is a multiple of it.
 
     Returns:
         Steps by the record's name, at least a swing's; records are left out in which no error
         grows so much anywhere, and those whose input never changes.
     """
+    experiments, picks = records
     of, longest = system.channels, max(map(len, experiments))
     found = {}
-    for e in experiments:
-        if (
-            not e.forced
-        ):  # nothing holds it: what grows in the model grows in the record, or is wrong
+    for e, pick in zip(experiments, picks, strict=True):
+        if not e.forced:  # nothing holds it: what grows in the model grows in the record too
             continue
         known = e.measured_states()
         # all as long as the longest, so that one program serves them; internal states at 0
         x = np.zeros((longest, known.shape[1] + len(system.internal)))
         u = np.zeros((longest, e.u.shape[1]))
         x[: len(e), of.measured], u[: len(e)] = known, e.u
-        slopes = _slopes(system, space.searched, space.fixed_arrays, vector, (x, u))
+        slopes = _slopes(system, space.searched, space.fixed_arrays, vector, (x, u, pick))
         a = np.asarray(slopes)[: len(e) - 1, of.measured, of.measured]
         moved, fast = (known[:, part].var(axis=0).sum() for part in (of.position, of.velocity))
         unit = np.ones(known.shape[1])
@@ -87,12 +86,23 @@ def bounded(a: Float[np.ndarray, "n n_x n_x"], dt: float, block: int) -> int | N
     over = each[:, 0]
     for j in range(1, block):
         over = each[:, j] @ over
-    error = over  # from every block's beginning, over 1, 2, ... blocks
-    for k in range(1, blocks + 1):
-        if not np.linalg.norm(error, axis=(1, 2)).max() <= _GROWTH:
-            return max(k - 1, _SHORTEST) * block
-        error = over[k:] @ error[:-1]
-    return None
+    doubled = [over]  # from every block's beginning over 1, 2, 4, ... blocks
+    while not _grown(doubled[-1]) and 2 ** len(doubled) <= blocks:
+        reach = 2 ** (len(doubled) - 1)
+        doubled.append(doubled[-1][reach:] @ doubled[-1][:-reach])
+    # as many blocks as no error grows in, by bisection
+    below = doubled[:-1] if _grown(doubled[-1]) else doubled
+    length, error = 0, np.broadcast_to(np.eye(a.shape[1]), over.shape)
+    for k in reversed(range(len(below))):
+        further = below[k][length:]
+        tried = further @ error[: len(further)]
+        if len(tried) and not _grown(tried):
+            length, error = length + 2**k, tried
+    return None if length == blocks else max(length, _SHORTEST) * block
+
+
+def _grown(errors: np.ndarray) -> bool:
+    return not np.linalg.norm(errors, axis=(1, 2)).max() <= _GROWTH
 
 
 def _transitions(a: np.ndarray, dt: float) -> np.ndarray:
@@ -112,8 +122,9 @@ def _slopes(
     searched: tuple[Parameter, ...],
     fixed: dict[str, Array],
     vector: Array,
-    along: tuple[Any, Any],
+    along: tuple[Any, Any, Any],
 ) -> Float[Array, "n n_x n_x"]:
     """The derivatives of `dx/dt` by the state at every sample."""
-    model = system.model(Space(searched, fixed).values(vector))
-    return jax.vmap(jax.jacfwd(model.derivative))(*along)
+    x, u, pick = along
+    model = system.model(system.picked(Space(searched, fixed).values(vector), pick))
+    return jax.vmap(jax.jacfwd(model.derivative))(x, u)

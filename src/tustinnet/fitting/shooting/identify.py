@@ -112,6 +112,9 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
         records = _transients(records)
     system = calibrated(system, freed(system, getattr(recipe.model, "free", ()), records))
     problem = Problem(system, tuple(records), roles.validation, recipe.search, listener)
+    if problem.delays and recipe.search.method == "l-bfgs":
+        late = ", ".join(f"'{name}'" for name in system.sensors if name.endswith(".delay"))
+        raise InputError("search.method", f"'l-bfgs', and {late} is free", "levenberg-marquardt")
     space, first = _beginning(problem, recipe.model)
     values = {k: jnp.asarray(v, jnp.float64) for k, v in space.values(first).items()}
     for model, rows in batches(system.model(values), records):

@@ -21,7 +21,7 @@ from tustinnet.fitting.residual import Residual
 from tustinnet.fitting.shooting.segments import Segments
 from tustinnet.fitting.shooting.space import Space
 from tustinnet.models.integrate import between, runge_kutta_4
-from tustinnet.models.lagrangian import LagrangianSystem, Parameter
+from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Parameter
 
 _LANES = 8  # segments side by side in one call: one vector of the processor
 _STRETCH = 512  # steps in one call; longer segments take several, one after the other
@@ -78,6 +78,7 @@ class _Lane(NamedTuple):
     """A stretch of a segment as the compiled program takes it; see `Segments`."""
 
     drive: Any
+    later: Any
     periods: Any
     target: Any
     weight: Any
@@ -121,6 +122,7 @@ def normal_products(
         segments: the segments.
         substeps: integration steps in a period.
     """
+    segments = segments.driven(space.numbers(vector))
     # side by side stand segments of like length: a lane idles from its end to the longest's
     order = np.argsort(-segments.steps, kind="stable")
     groups = [order[i : i + shape.lanes] for i in range(0, len(order), shape.lanes)]
@@ -175,6 +177,7 @@ def _laid(s: Segments, rows: Int[np.ndarray, " lanes"], begin: int, lanes: int) 
     """A stretch of some segments in arrays of zeros, as many lanes and steps as there may be."""
     laid = _Lane(
         np.zeros((lanes, _STRETCH, *s.drive.shape[1:])),
+        None if s.later is None else np.zeros((lanes, _STRETCH, *s.drive.shape[1:])),
         np.zeros((lanes, _STRETCH)),
         np.zeros((lanes, _STRETCH + 1, s.target.shape[1])),
         np.zeros((lanes, _STRETCH + 1, s.target.shape[1])),
@@ -185,6 +188,8 @@ def _laid(s: Segments, rows: Int[np.ndarray, " lanes"], begin: int, lanes: int) 
         if steps > 0:
             a = int(s.first[row]) + begin
             laid.drive[lane, :steps] = s.drive[a : a + steps]
+            if s.later is not None:
+                laid.later[lane, :steps] = s.later[a : a + steps]
             laid.periods[lane, :steps] = s.periods[a : a + steps]
             laid.target[lane, : steps + 1] = s.target[a : a + steps + 1]
             laid.weight[lane, : steps + 1] = s.weight[a : a + steps + 1]
@@ -242,8 +247,9 @@ def _stretch(
         k, i = j // substeps, j % substeps
 
         def ahead(x: Array, p: Array) -> Array:
-            inputs = between(lane.drive[k], i, substeps)
-            return runge_kutta_4(model_of(p), x, inputs, lane.periods[k] / substeps)
+            model = model_of(p)
+            inputs = between(_acting(lane, model, k), i, substeps)
+            return runge_kutta_4(model, x, inputs, lane.periods[k] / substeps)
 
         following, tangent = jax.linearize(ahead, at.x, vector)
         at = _At(following, jax.vmap(tangent)(at.dx, by_parameter), at.sums)
@@ -254,3 +260,13 @@ def _stretch(
     sums, error = compared(at, 0, 1.0)
     errors = jnp.zeros_like(lane.target).at[0].set(error)
     return jax.lax.fori_loop(0, steps * substeps, advance, (at._replace(sums=sums), errors))
+
+
+def _acting(lane: _Lane, model: LagrangianModel, k: Array) -> Array:
+    """What drives a step; where delays are searched for, with its derivatives by them."""
+    if lane.later is None:
+        return lane.drive[k]
+    delays = jnp.stack(
+        [jnp.asarray(model.values.get(f"{i.name}.delay", 0.0)) for i in model.inputs]
+    )
+    return lane.drive[k] + lane.later[k] * (delays - jax.lax.stop_gradient(delays))

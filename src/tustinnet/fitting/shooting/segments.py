@@ -1,6 +1,6 @@
 """Records cut into segments that are simulated side by side."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -10,12 +10,13 @@ from jaxtyping import Float, Int
 from tustinnet.data.experiment import Experiment
 from tustinnet.fitting.residual import Residual
 from tustinnet.models.contract import Model
+from tustinnet.models.sensors import delayed
 from tustinnet.signals.derivatives import polynomial_fit
 from tustinnet.signals.stacking import stacked
-from tustinnet.simulate.drive import drive_of
 from tustinnet.simulate.starts import initial_state, padded
 
 _LEAST_ERROR = 1e-9  # rad or m
+_DELAYED = 1e-3  # of a period: between two samples everything is smooth in a delay
 _LOCAL = 3  # samples on either side of a segment's beginning that its state is read from
 
 
@@ -40,6 +41,8 @@ class Segments:
         periods: time from each sample to the next [s], (n,); 0 at the end of a record.
         target: measured positions, and velocities where the loss is of the state, (n, n_y).
         weight: weight of every residual, (n, n_y).
+        later: how `drive` changes with the inputs' delays [1/s]; None where none is searched for.
+        drive_at: `drive` by the values of the delays; None where none is searched for.
     """
 
     x0: Float[np.ndarray, "n_s n_x"]
@@ -54,6 +57,20 @@ class Segments:
     periods: Float[np.ndarray, " n"]
     target: Float[np.ndarray, "n n_y"]
     weight: Float[np.ndarray, "n n_y"]
+    later: Float[np.ndarray, "n *drive"] | None = None
+    drive_at: "Callable[[Mapping[str, float]], np.ndarray] | None" = None
+
+    def driven(self, values: Mapping[str, float]) -> "Segments":
+        """The same with the inputs as late as the parameters' values say."""
+        if self.drive_at is None:
+            return self
+        step = _DELAYED * float(self.periods[0])
+        names = [name for name in values if name.endswith(".delay")]
+        after, before = (
+            self.drive_at({name: values[name] + change for name in names})
+            for change in (step, -step)
+        )
+        return replace(self, drive=self.drive_at(values), later=(after - before) / (2 * step))
 
     def samples(self, row: int) -> slice:
         """The samples of a segment, both ends included."""
@@ -89,6 +106,7 @@ class Cut:
         anchored: whether states that are searched for are kept near what the encoder read.
         timestamps: whether to step from timestamp to timestamp, or by the sampling period.
         horizons: longest segment of single records in steps, by name, where they are shorter.
+        delays: whether delays of inputs are searched for.
     """
 
     residual: Residual
@@ -97,6 +115,7 @@ class Cut:
     anchored: bool = True
     timestamps: bool = True
     horizons: Mapping[str, int] = field(default_factory=dict)
+    delays: bool = False
 
     def longest(self, record: str) -> int | None:
         """Steps of the longest segment of a record; None for the whole."""
@@ -146,8 +165,13 @@ def cut(
             precision[s, of.position] = searched[s, of.position] / _position_error(e, a)
     begins = np.cumsum([0, *(len(e) for e in experiments)])
     record = np.array([i for i, _, _ in pieces])
-    drives = [np.asarray(drive_of(model, e).u) for e in experiments]
     periods = [np.diff(e.t) if how.timestamps else np.full(len(e) - 1, e.dt) for e in experiments]
+
+    def drive_at(values: Mapping[str, float]) -> np.ndarray:
+        inputs = delayed(model.channels.inputs, values)
+        each = (np.asarray(model.seen(e.excitation(inputs))) for e in experiments)
+        return np.concatenate([_with_end(u) for u in each])
+
     return Segments(
         x0=x0,
         searched=searched,
@@ -157,7 +181,8 @@ def cut(
         record=record,
         share=1 / np.array([len(experiments[i]) for i in record]),
         pick=np.zeros((len(pieces), 0), int) if picks is None else picks[record],
-        drive=np.concatenate([_with_end(d) for d in drives]),
+        drive=drive_at({}),
+        drive_at=drive_at if how.delays else None,
         periods=np.concatenate([_with_end(p) for p in periods]),
         target=np.concatenate([_target(e, n_y) for e in experiments]),
         weight=np.concatenate(

@@ -12,28 +12,32 @@ from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 _WHERE = "model.free"
 _ANGLE = 0.5  # rad that the zero of an angle may be off by
 _GAINS = (0.5, 2.0)
+_LATEST = 10  # periods that an input may act later than the card says
 
 
 def freed(
     system: LagrangianSystem, names: Sequence[str], experiments: Sequence[Experiment]
 ) -> tuple[Parameter, ...]:
-    """The parameters that the names stand for, with their ranges.
+    """The parameters that the names stand for, with their ranges, and delays that nobody knows.
 
     A gain is within 0.5..2, the zero of an angle within 0.5 rad, that of a length within half of
-    its travel in the records, the bias of an input within its peak.
+    its travel in the records, the bias of an input within its peak. A delay of an input is
+    between a period less and 10 periods more than the data card says.
 
     Args:
         system: the system.
-        names: `CHANNEL.bias` or `CHANNEL.gain`.
+        names: `CHANNEL.bias`, `CHANNEL.gain` or, of an input, `CHANNEL.delay`.
         experiments: the training records.
 
     Raises:
-        InputError: a name twice, no such channel, something else than bias and gain, a channel
-            that the records do not move.
+        InputError: a name twice, no such channel, something else than bias, gain and delay, a
+            channel that the records do not move.
     """
     for i, name in enumerate(names):
         if name in names[:i]:
             raise InputError(_WHERE, f"'{name}' twice", "once")
+    unknown = [f"{i.name}.delay" for i in experiments[0].inputs if i.delay is None]
+    names = [*names, *(name for name in unknown if name not in names)]
     return tuple(_parameter(system, name, experiments) for name in names)
 
 
@@ -47,7 +51,7 @@ def _parameter(system: LagrangianSystem, name: str, experiments: Sequence[Experi
             _WHERE, f"'{name}': no channel '{channel}'", f"CHANNEL.bias or CHANNEL.gain of {known}"
         )
     if part == "delay":
-        raise InputError(_WHERE, f"'{name}'", "a bias or a gain", _about_delay(of))
+        return _delay(system, name, of, experiments)
     if part not in ("bias", "gain"):
         raise InputError(_WHERE, f"'{name}'", f"{channel}.bias or {channel}.gain")
     if part == "gain":
@@ -61,10 +65,17 @@ def _parameter(system: LagrangianSystem, name: str, experiments: Sequence[Experi
     return Parameter(name, of.unit, 0.0, -reach, reach)
 
 
-def _about_delay(channel: object) -> str:
-    if isinstance(channel, Coordinate):
-        return "a delay common to all sensors is the same as one of the inputs"
-    return "delays of inputs are not identified"
+def _delay(
+    system: LagrangianSystem, name: str, of: object, experiments: Sequence[Experiment]
+) -> Parameter:
+    if isinstance(of, Coordinate):
+        raise InputError(
+            _WHERE, f"'{name}'", "a bias or a gain",
+            "a delay common to all sensors is the same as one of the inputs",
+        )  # fmt: skip
+    k, dt = [c is of for c in system.inputs].index(True), experiments[0].dt
+    known, longest = experiments[0].inputs[k].delay or 0.0, min(map(len, experiments)) - 2
+    return Parameter(name, "s", known, known - dt, known + min(_LATEST, longest) * dt)
 
 
 def _reach(system: LagrangianSystem, of: object, experiments: Sequence[Experiment]) -> float:

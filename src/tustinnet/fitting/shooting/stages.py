@@ -35,6 +35,7 @@ from tustinnet.fitting.shooting.segments import Cut, Segments, cut
 from tustinnet.fitting.shooting.space import Searched, Space
 from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
+from tustinnet.models.sensors import delayed
 from tustinnet.simulate.horizon import horizon_samples, pieces
 from tustinnet.simulate.starts import Start, default_start, start_named, start_states
 from tustinnet.simulate.substeps import PROBED_SECONDS, enough_substeps
@@ -109,6 +110,11 @@ class Problem:
         return None if samples is None else {e.name: samples for e in every if len(e) > samples}
 
     @property
+    def delays(self) -> bool:
+        """Whether delays of inputs are searched for."""
+        return any(name.endswith(".delay") for name in self.system.sensors)
+
+    @property
     def first(self) -> str:
         """How initial states are treated until the last stage."""
         chosen = self.search.initial
@@ -123,7 +129,8 @@ class Problem:
         """The system with some values; between the samples its inputs are as the records say."""
         arrays = {name: jnp.asarray(x) for name, x in values.items()}
         first = self.records[0]
-        return discretise(self.system.model(arrays), first.dt, substeps, inputs=first.inputs)
+        inputs = delayed(first.inputs, values)
+        return discretise(self.system.model(arrays), first.dt, substeps, inputs=inputs)
 
     def shape(self, space: Space) -> Shape:
         """What the compiled program is made for."""
@@ -140,6 +147,7 @@ class Problem:
             anchored=initial != "unanchored",
             timestamps=self.search.times == "recorded",
             horizons=horizons,
+            delays=self.delays,
         )
         return cut(self.records, self.nominal, how, self.picks(self.records))
 
@@ -149,7 +157,9 @@ class Problem:
 
     def free_runs(self, records: Sequence[Experiment]) -> Segments:
         """Free runs from the start by which models are judged; nothing is searched for."""
-        how = Cut(residual=self.residual, start=self.start.name, timestamps=False)
+        how = Cut(
+            residual=self.residual, start=self.start.name, timestamps=False, delays=self.delays
+        )
         return cut(records, self.nominal, how, self.picks(records))
 
 
@@ -253,7 +263,8 @@ def _with_horizons(problem: Problem, state: State) -> State:
     found = problem.asked
     if found is None:
         length = problem.motion.length
-        found = growth.horizons(problem.system, state.space, state.vector, every, length)
+        known = (every, problem.picks(every))
+        found = growth.horizons(problem.system, state.space, state.vector, known, length)
     return replace(state, horizons=found)
 
 
