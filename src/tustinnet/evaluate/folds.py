@@ -22,7 +22,7 @@ from tustinnet.fitting.task import AnyRecipe, Fold, Member, Task
 from tustinnet.models.contract import Model
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.simulate.horizon import horizon_samples, within
-from tustinnet.simulate.starts import default_start, start_named
+from tustinnet.simulate.starts import FITTED, default_start, start_named
 from tustinnet.systems.files import AnySystem, load_system
 
 FOLDS = 5
@@ -255,7 +255,10 @@ def cross_validate(data: DataSet, asked: Question, tell: Tell = lambda task: SIL
     """
     deals, recipe = dealt(data, asked.folds), asked.recipe
     known = taking_part(data)
-    for start in asked.starts or (default_start(known), "model-20"):  # before anything is fitted
+    for start in asked.starts or (
+        default_start(known),
+        f"model-{FITTED}",
+    ):  # before anything is fitted
         horizon_samples(horizon_of(recipe), known, start_named(start))
     physics = [None] * len(deals) if asked.physics is None else _physics(deals, asked, tell)
     folds = tuple(Fold(_used(d.roles, recipe), p) for d, p in zip(deals, physics, strict=True))
@@ -307,7 +310,7 @@ def _scores(
     result: FitResult, scored: Sequence[Experiment], data: DataSet, asked: Question
 ) -> list[FoldScore]:
     usual = default_start(list(data), result.model)
-    starts = dict.fromkeys(asked.starts or (usual, "model-20"))
+    starts = dict.fromkeys(asked.starts or (usual, f"model-{FITTED}"))
     horizon = within(result.horizon, scored)
     by_start = {
         start: rmse_by_record(evaluate(result.model, scored, start_named(start), horizon=horizon))

@@ -79,9 +79,8 @@ def calibrated(system: LagrangianSystem, sensors: tuple[Parameter, ...]) -> Lagr
 
 def delayed(inputs: Sequence[Input], values: Mapping[str, Any]) -> tuple[Input, ...]:
     """Inputs with the delays [s] that are among the values of parameters."""
-    return tuple(
-        replace(i, delay=float(values.get(f"{i.name}.delay", i.delay or 0.0))) for i in inputs
-    )
+    known = [values.get(f"{i.name}.delay", i.delay or 0.0) for i in inputs]
+    return tuple(replace(i, delay=float(x)) for i, x in zip(inputs, known, strict=True))
 
 
 def _remembering(memory: Memory, motion: Callable[..., tuple[Any, Any, Any]]) -> Memory:

@@ -7,6 +7,7 @@ import numpy as np
 import scipy.signal
 from jaxtyping import Float
 
+_FEW_SAMPLES = 20  # in a period: below, velocities differ by a percent with how they are meant
 _SEGMENT = 2048  # samples of a spectrum, at most
 
 
@@ -22,6 +23,11 @@ class Timescales(NamedTuple):
     swing: float
     period: float
     decay: float
+
+    @property
+    def fast(self) -> bool:
+        """Whether the coordinate swings, and with few samples in a period."""
+        return self.period < _FEW_SAMPLES and self.decay > self.period
 
 
 def timescales(positions: Sequence[Float[np.ndarray, " _"]]) -> Timescales:

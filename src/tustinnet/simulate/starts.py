@@ -14,16 +14,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tustinnet.data.experiment import Experiment
+from tustinnet.data.experiment import Experiment, moves_in
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
 from tustinnet.signals.derivatives import polynomial_fit
+from tustinnet.signals.timescales import timescales
 from tustinnet.simulate.along import followed
 from tustinnet.simulate.batches import in_batches
 from tustinnet.simulate.drive import drives_of
 from tustinnet.simulate.fitted_start import FEWEST, model_starts
 
 DERIVED = 6  # samples of the usual parabola
+FITTED = 20  # samples that a state is usually fitted to
 _FEWEST_DERIVED = 3
 
 
@@ -193,12 +195,22 @@ def start_named(name: str) -> Start:
 def default_start(experiments: Sequence[Experiment], model: Model | None = None) -> str:
     """The start that is used where nobody names one.
 
-    A warm-up for models that need one; else `file` where every record stores velocities, else
-    `derived-6`.
+    A warm-up for models that need one; else `file` where every record stores velocities; else
+    `derived-6`, or `model-20` where a coordinate swings with few samples in a period: a parabola
+    through 6 samples is then far from the motion.
     """
     if model is not None and model.warm_up:
         return WarmUp(model.warm_up).name
-    return "file" if all(e.v is not None for e in experiments) else Derived(DERIVED).name
+    if all(e.v is not None for e in experiments):
+        return "file"
+    return (Fitted(FITTED) if _swing_fast(experiments) else Derived(DERIVED)).name
+
+
+def _swing_fast(experiments: Sequence[Experiment]) -> bool:
+    if min(map(len, experiments)) < 2 * FITTED:
+        return False
+    of = np.flatnonzero(moves_in(experiments))
+    return any(timescales([e.q[:, j] for e in experiments]).fast for j in of)
 
 
 def start_states(

@@ -1,6 +1,7 @@
 """Delays of inputs as parameters that are searched for."""
 
 from dataclasses import replace
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +16,11 @@ from tustinnet.simulate.drive import drive_of
 RECIPE = {"name": "late", "model": {"kind": "euler-lagrange", "free": ["force.delay"]}}
 
 
+def asking(name: str) -> dict[str, Any]:
+    """The recipe with another parameter free."""
+    return {**RECIPE, "model": {"kind": "euler-lagrange", "free": [name]}}
+
+
 def late(delay: float, hold: Hold = "first-order") -> tn.DataSet:
     """Records whose input acts later than it is written down."""
     records = []
@@ -26,6 +32,17 @@ def late(delay: float, hold: Hold = "first-order") -> tn.DataSet:
         q = np.asarray(tn.rollout(model, np.zeros(2), drive_of(model, e)))[:, :1]
         records.append(replace(e, q=np.round(q / 1e-4) * 1e-4))
     return tn.DataSet("late", tuple(records))
+
+
+def test_a_delay_that_the_card_calls_unknown_is_searched_for():
+    unknown = (tn.Input("force", "N", "first-order", delay=None),)
+    records = tuple(
+        replace(e, channels=replace(e.channels, inputs=unknown)) for e in late(0.5 * DT)
+    )
+    found = tn.identify(tn.DataSet("late", records), SYSTEM)
+    assert found.values["force.delay"] == pytest.approx(0.5 * DT, abs=0.01 * DT)
+    with pytest.raises(tn.InputError, match=r"record0, input 'force': delay 'unknown', and simul"):
+        records[0].excitation()
 
 
 @pytest.mark.parametrize("hold", ["zero-order", "band-limited"])
@@ -52,8 +69,6 @@ def test_a_model_with_a_delay_is_restored_with_it(tmp_path):
 
 def test_delays_that_cannot_be_found_are_refused():
     with pytest.raises(tn.InputError, match=r"'x.delay'.*common to all sensors"):
-        tn.identify(
-            late(0.0), SYSTEM, {**RECIPE, "model": {**RECIPE["model"], "free": ["x.delay"]}}
-        )
+        tn.identify(late(0.0), SYSTEM, asking("x.delay"))
     with pytest.raises(tn.InputError, match=r"search.method.*'force.delay'"):
         tn.identify(late(0.0), SYSTEM, {**RECIPE, "search": {"method": "l-bfgs"}})

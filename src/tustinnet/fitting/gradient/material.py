@@ -26,7 +26,6 @@ from tustinnet.simulate.starts import Start
 _LONGEST = 4  # an adapted window is at most this many times the recipe's length
 _USUAL_SHARE = 4  # and at most the median record over this
 _ROUND = 5  # adapted lengths are multiples of this
-_FEW_SAMPLES = 20  # in a period: below, velocities differ by a percent with how they are meant
 _DECAYS = 3  # times of decay to 1/e after which a wrong start is forgotten
 
 
@@ -205,7 +204,7 @@ def adapted_length(experiments: Sequence[Experiment], length: int) -> int:
     moving = v.std(axis=0) > 0
     covered = q.std(axis=0)[moving] / (v.std(axis=0)[moving] * experiments[0].dt)
     slowest = float(covered.max()) if moving.any() else float(length)
-    fast = [s.decay for s in scales_of(experiments).values() if is_fast(s)]
+    fast = [s.decay for s in scales_of(experiments).values() if s.fast]
     forgotten = _DECAYS * max(fast, default=0.0)
     usual = int(np.median([len(e) for e in experiments]))
     longest = min(_LONGEST * length, usual // _USUAL_SHARE)
@@ -223,11 +222,6 @@ def scales_of(experiments: Sequence[Experiment]) -> dict[str, Timescales]:
     }
 
 
-def is_fast(scales: Timescales) -> bool:
-    """Whether a coordinate swings, and with few samples in a period."""
-    return scales.period < _FEW_SAMPLES and scales.decay > scales.period
-
-
 def window_account(experiments: Sequence[Experiment], recipe: WindowRecipe) -> str:
     """What was measured for the windows of a stage, and what was chosen."""
     found = scales_of(experiments)
@@ -240,7 +234,7 @@ def window_account(experiments: Sequence[Experiment], recipe: WindowRecipe) -> s
         f"windows of {length} steps: {length / of.period:.1f} periods of the strongest line of "
         f"{name}, {hertz:.3g} Hz; it decays to 1/e in {of.decay:.0f} samples"
     )
-    if is_fast(of):
+    if of.fast:
         account += (
             f"; {of.period:.0f} samples a period are few: see `velocity` and `linear` in "
             "docs/training.md"

@@ -30,7 +30,7 @@ from tustinnet.fitting.shooting.uncertainty import Uncertainty, uncertainty
 from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task
 from tustinnet.models.contract import require_float64
 from tustinnet.models.lagrangian import LagrangianModel
-from tustinnet.models.sensors import calibrated
+from tustinnet.models.sensors import calibrated, delayed
 from tustinnet.simulate.batches import batches
 from tustinnet.systems.files import AnySystem
 
@@ -111,7 +111,12 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
     if recipe.search.part == "transients":
         records = _transients(records)
     system = calibrated(system, freed(system, getattr(recipe.model, "free", ()), records))
-    problem = Problem(system, tuple(records), roles.validation, recipe.search, listener)
+    # what nobody knows is searched for from 0 on
+    acting = delayed(records[0].inputs, {})
+    problem = Problem(
+        system, tuple(e.driving(acting) for e in records),
+        tuple(e.driving(acting) for e in roles.validation), recipe.search, listener,
+    )  # fmt: skip
     if problem.delays and recipe.search.method == "l-bfgs":
         late = ", ".join(f"'{name}'" for name in system.sensors if name.endswith(".delay"))
         raise InputError("search.method", f"'l-bfgs', and {late} is free", "levenberg-marquardt")

@@ -37,13 +37,19 @@ from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 from tustinnet.models.sensors import delayed
 from tustinnet.simulate.horizon import horizon_samples, pieces
-from tustinnet.simulate.starts import Start, default_start, start_named, start_states
+from tustinnet.simulate.starts import (
+    DERIVED,
+    FITTED,
+    Start,
+    default_start,
+    start_named,
+    start_states,
+)
 from tustinnet.simulate.substeps import PROBED_SECONDS, enough_substeps
 
 _TARGET = 0.25  # integration error allowed, in encoder counts: less than rounding to them makes
 _TARGET_SPAN = 1e-5  # or of the largest travel, where no count is known
 _SWINGS = (4, 16)  # lengths of the first stages' segments, in quarters of a swing
-_FITTED_START = "model-20"
 _REFIT = Limits(1e-5, 20)
 _FIRST_VARIANCE = 1e-4  # of residuals, before any are known
 _REWEIGHTED = 20  # times at most, with weights from the residuals before
@@ -85,17 +91,19 @@ class Problem:
 
     @cached_property
     def start(self) -> Start:
-        """Where the free runs start that judge whole records."""
-        return start_named(default_start([*self.records, *self.validation]))
+        """Where free runs start without a model."""
+        usual = start_named(default_start([*self.records, *self.validation]))
+        return start_named(f"derived-{DERIVED}") if usual.fitted else usual
 
     def judging_start(self, horizon: int | None) -> Start:
-        """Where the free runs start that judge over a horizon.
+        """Where the free runs start that judge, over a horizon or as a whole.
 
         What errs in a velocity that was read from a few samples grows over a horizon to more
         than any model misses; a state fitted through the model has no such error.
         """
-        fitted = start_named(_FITTED_START)
-        return self.start if horizon is None or horizon < fitted.samples else fitted
+        usual = start_named(default_start([*self.records, *self.validation]))
+        fitted = start_named(f"model-{FITTED}")
+        return usual if horizon is None or horizon < fitted.samples else fitted
 
     @cached_property
     def residual(self) -> Residual:
