@@ -11,7 +11,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.fitting.shooting.space import Searched, Space
@@ -29,6 +29,7 @@ def horizons(
     vector: Searched,
     experiments: Sequence[Experiment],
     block: int,
+    picks: Int[np.ndarray, "n_r n_g"] | None = None,
 ) -> dict[str, int]:
     """Over how many steps records can be simulated before an error grows a thousandfold.
 
@@ -41,14 +42,16 @@ def horizons(
         vector: the parameters.
         experiments: the records.
         block: steps of a quarter of a swing; what is found is a multiple of it.
+        picks: what each has of parameters per group, see `groups.picks`; none by default.
 
     Returns:
         Steps by the record's name, at least a swing's; records are left out in which no error
         grows so much anywhere, and those whose input never changes.
     """
     of, longest = system.channels, max(map(len, experiments))
+    picks = np.zeros((len(experiments), 0), int) if picks is None else picks
     found = {}
-    for e in experiments:
+    for e, pick in zip(experiments, picks, strict=True):
         if (
             not e.forced
         ):  # nothing holds it: what grows in the model grows in the record, or is wrong
@@ -58,7 +61,7 @@ def horizons(
         x = np.zeros((longest, known.shape[1] + len(system.internal)))
         u = np.zeros((longest, e.u.shape[1]))
         x[: len(e), of.measured], u[: len(e)] = known, e.u
-        slopes = _slopes(system, space.searched, space.fixed_arrays, vector, (x, u))
+        slopes = _slopes(system, space.searched, space.fixed_arrays, vector, (x, u, pick))
         a = np.asarray(slopes)[: len(e) - 1, of.measured, of.measured]
         moved, fast = (known[:, part].var(axis=0).sum() for part in (of.position, of.velocity))
         unit = np.ones(known.shape[1])
@@ -112,8 +115,9 @@ def _slopes(
     searched: tuple[Parameter, ...],
     fixed: dict[str, Array],
     vector: Array,
-    along: tuple[Any, Any],
+    along: tuple[Any, Any, Any],
 ) -> Float[Array, "n n_x n_x"]:
     """The derivatives of `dx/dt` by the state at every sample."""
-    model = system.model(Space(searched, fixed).values(vector))
-    return jax.vmap(jax.jacfwd(model.derivative))(*along)
+    x, u, pick = along
+    model = system.model(system.picked(Space(searched, fixed).values(vector), pick))
+    return jax.vmap(jax.jacfwd(model.derivative))(x, u)

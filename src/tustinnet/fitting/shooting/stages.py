@@ -253,7 +253,9 @@ def _with_horizons(problem: Problem, state: State) -> State:
     found = problem.asked
     if found is None:
         length = problem.motion.length
-        found = growth.horizons(problem.system, state.space, state.vector, every, length)
+        found = growth.horizons(
+            problem.system, state.space, state.vector, every, length, problem.picks(every)
+        )
     return replace(state, horizons=found)
 
 
