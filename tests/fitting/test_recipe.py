@@ -23,6 +23,7 @@ def test_the_packaged_recipes_are_there_and_valid():
         "gru",
         "neural-ode",
         "linear",
+        "oscillator",
     }
     for name in names:
         assert tn.read_recipe(name).name == name

@@ -72,9 +72,14 @@ def fit(
         terminal.print_json(run.summary())
     else:
         _print(run, out)
+    _tell_unfinished(run, told)
+
+
+def _tell_unfinished(run: "Run", told: "Console") -> None:
+    """What went wrong; ends with exit code 1 where nothing else came out."""
     unfinished = [of.result for of in run.members if not of.result.finished]
     for result in unfinished:
-        who = f"{result.member.name}: " if chosen.family.trains else ""
+        who = f"{result.member.name}: " if result.recipe.family.trains else ""
         told.print(f"error: {who}{result.failure}")
     if len(unfinished) == len(run.members):
         raise typer.Exit(1)

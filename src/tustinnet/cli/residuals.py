@@ -1,12 +1,18 @@
 """`tustinnet residuals`: what is left in the errors of the free runs."""
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tustinnet.cli import options, terminal
+
+if TYPE_CHECKING:
+    from tustinnet.channels import Channels
+    from tustinnet.evaluate.residuals import ResidualReport
+    from tustinnet.report.tables import Table
 
 
 def residuals(
@@ -29,7 +35,6 @@ def residuals(
     from tustinnet.evaluate.residuals import residual_reports
     from tustinnet.report.figures import write_figure
     from tustinnet.report.residuals import downweighted_table, residual_figure
-    from tustinnet.report.tables import Table, number
     from tustinnet.simulate.horizon import over
     from tustinnet.store.model_file import downweighted_in
 
@@ -43,24 +48,32 @@ def residuals(
         write_figure(residual_figure(reports, judged.channels, title), figure.parent, figure.name)
         terminal.messages().print(f"figure: {figure}")
     if json:
-        plain = [
-            {
-                key: value.tolist() if hasattr(value, "tolist") else value
-                for key, value in {**dataclasses.asdict(r), "white": r.white}.items()
-            }
-            for r in reports
-        ]
         weights = [dataclasses.asdict(s) for s in spoilt]
         terminal.print_json(
             {
                 "start": begin,
                 "horizon": horizon,
                 "lags": lags,
-                "coordinates": plain,
+                "coordinates": [_plain(r) for r in reports],
                 "downweighted": weights,
             }
         )
         return
+    terminal.print_tables(_table(reports, judged.channels, title))
+    if spoilt:
+        terminal.print_tables(downweighted_table(spoilt))
+    for r in reports:
+        typer.echo(f"{r.coordinate}: {r.sentence}")
+
+
+def _plain(report: "ResidualReport") -> dict[str, Any]:
+    content = {**dataclasses.asdict(report), "white": report.white}
+    return {k: v.tolist() if hasattr(v, "tolist") else v for k, v in content.items()}
+
+
+def _table(reports: "Sequence[ResidualReport]", channels: "Channels", title: str) -> "Table":
+    from tustinnet.report.tables import Table, number
+
     rows = [
         [
             r.coordinate, number(r.rms), number(r.mean), number(float(r.autocorrelation[1])),
@@ -69,10 +82,6 @@ def residuals(
         ]
         for r in reports
     ]  # fmt: skip
-    crossed = [f"outside, {i.name}" for i in judged.inputs[: len(reports[0].cross)]]
+    crossed = [f"outside, {i.name}" for i in channels.inputs[: len(reports[0].cross)]]
     columns = ["coordinate", "RMS", "mean", "lag 1", "99 % bound", "outside, own", *crossed]
-    terminal.print_tables(Table(columns, rows, title=title))
-    if spoilt:
-        terminal.print_tables(downweighted_table(spoilt))
-    for r in reports:
-        typer.echo(f"{r.coordinate}: {r.sentence}")
+    return Table(columns, rows, title=title)

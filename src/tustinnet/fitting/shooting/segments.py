@@ -144,25 +144,13 @@ def cut(
         (multiple shooting); here continuity is reached by growing the segments.
         van Esch, Bonassi, Schön, section 2.2, loss over records.
     """
-    of, n_y = model.channels, how.residual.channels
+    n_y = how.residual.channels
     pieces = [
         (i, a, b)
         for i, e in enumerate(experiments)
         for a, b in _bounds(len(e) - 1, how.longest(e.name))
     ]
-    x0 = np.zeros((len(pieces), model.state_size))
-    searched, precision = np.ones_like(x0), np.zeros_like(x0)
-    for s, (i, a, _) in enumerate(pieces):
-        e = experiments[i]
-        if a == 0:
-            begin = "derived-6" if how.start == "estimated" else how.start
-            x0[s] = padded(model, initial_state(e, begin))
-            searched[s, of.measured] = float(how.start == "estimated")
-            searched[s, of.internal] = 0.0  # a record's internal states start at 0
-        else:
-            x0[s] = padded(model, _local_state(e, a))
-        if how.anchored:
-            precision[s, of.position] = searched[s, of.position] / _position_error(e, a)
+    x0, searched, precision = _beginnings(experiments, model, how, pieces)
     begins = np.cumsum([0, *(len(e) for e in experiments)])
     record = np.array([i for i, _, _ in pieces])
     periods = [np.diff(e.t) if how.timestamps else np.full(len(e) - 1, e.dt) for e in experiments]
@@ -189,6 +177,30 @@ def cut(
             [np.tile(how.residual.weight / np.sqrt(len(e)), (len(e), 1)) for e in experiments]
         ),
     )
+
+
+def _beginnings(
+    experiments: Sequence[Experiment],
+    model: Model,
+    how: Cut,
+    pieces: Sequence[tuple[int, int, int]],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """States at the beginnings of pieces: values, which are searched for, and precision."""
+    of = model.channels
+    x0 = np.zeros((len(pieces), model.state_size))
+    searched, precision = np.ones_like(x0), np.zeros_like(x0)
+    for s, (i, a, _) in enumerate(pieces):
+        e = experiments[i]
+        if a == 0:
+            begin = "derived-6" if how.start == "estimated" else how.start
+            x0[s] = padded(model, initial_state(e, begin))
+            searched[s, of.measured] = float(how.start == "estimated")
+            searched[s, of.internal] = 0.0  # a record's internal states start at 0
+        else:
+            x0[s] = padded(model, _local_state(e, a))
+        if how.anchored:
+            precision[s, of.position] = searched[s, of.position] / _position_error(e, a)
+    return x0, searched, precision
 
 
 def _with_end(array: np.ndarray) -> np.ndarray:
