@@ -50,7 +50,7 @@ from tustinnet.simulate.substeps import PROBED_SECONDS, enough_substeps
 _TARGET = 0.25  # integration error allowed, in encoder counts: less than rounding to them makes
 _TARGET_SPAN = 1e-5  # or of the largest travel, where no count is known
 _SWINGS = (4, 16)  # lengths of the first stages' segments, in quarters of a swing
-_REFIT = Limits(1e-5, 20)
+_REFIT = Limits(1e-2, 6)  # near enough to compare
 _FIRST_VARIANCE = 1e-4  # of residuals, before any are known
 _REWEIGHTED = 20  # times at most, with weights from the residuals before
 _SETTLED = 1e-5  # change of a logarithm, or of a range
