@@ -65,7 +65,7 @@ class Found:
 def described(system: LagrangianSystem, found: Found, seconds: float) -> Identification:
     """Puts the parts of an identification together and says what they mean."""
     fitted, space, certain, records = found.fitted, found.space, found.certain, found.records
-    estimates = _estimates(space, fitted, certain)
+    estimates = _estimates(found)
     lag, multiple = _residuals(found)
     with np.errstate(invalid="ignore", divide="ignore"):
         errors = np.sqrt(np.diag(certain.trusted))
@@ -204,7 +204,8 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:_MOST_NAMED]) + more
 
 
-def _estimates(space: Space, fitted: Fitted, certain: Uncertainty) -> tuple[Estimate, ...]:
+def _estimates(found_by: Found) -> tuple[Estimate, ...]:
+    space, fitted, certain = found_by.space, found_by.fitted, found_by.certain
     bounds = space.at_bounds(fitted.vector)
     numbers, slopes = space.numbers(fitted.vector), space.slopes(fitted.vector)
     low, high = space.lower, space.upper
@@ -214,7 +215,9 @@ def _estimates(space: Space, fitted: Fitted, certain: Uncertainty) -> tuple[Esti
     found = []
     for i, p in enumerate(space.searched):
         known = p.name not in bounds and bool(np.isfinite(trusted[i]))
-        half = certain.trusted_quantile * trusted[i]
+        # a value of one group is told by the records of that group
+        own = [e for e in found_by.records if not p.per or p.name.endswith(f"[{e.group(p.per)}]")]
+        half = certain.quantile_of(len(own)) * trusted[i]
         # beyond its range a value is excluded beforehand
         edges = np.clip([fitted.vector[i] - half, fitted.vector[i] + half], low[i], high[i])
         interval = np.exp(edges) if p.positive else edges * slopes[i]

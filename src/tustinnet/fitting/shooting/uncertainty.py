@@ -43,6 +43,12 @@ class Uncertainty:
         """Standard errors of `trusted` that make half a 95 % interval."""
         return self.quantiles[0 if self.clustered is None else 1]
 
+    def quantile_of(self, records: int) -> float:
+        """The same for a parameter that only so many of the records say something of."""
+        if self.clustered is None:
+            return self.quantiles[0]
+        return float(scipy.stats.t.ppf((1 + CONFIDENCE) / 2, max(records - 1, 1)))
+
 
 def uncertainty(
     normal: Normal,
