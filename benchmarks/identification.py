@@ -28,9 +28,9 @@ from scipy.integrate import solve_ivp
 import tustinnet as tn
 from tustinnet.fitting.recipe import SearchRecipe
 from tustinnet.fitting.shooting.normal import normal_products
+from tustinnet.fitting.shooting.problem import Problem
 from tustinnet.fitting.shooting.segments import Segments
 from tustinnet.fitting.shooting.space import make_space
-from tustinnet.fitting.shooting.stages import Problem
 from tustinnet.models.integrate import discretise
 from tustinnet.systems import qube_servo2, qube_servo2_twin
 from tustinnet.systems.twin import Logger

@@ -83,10 +83,17 @@ class Input:
         if self.delay is not None and not abs(self.delay) < np.inf:
             raise InputError(f"input '{self.name}'", f"delay {self.delay} s", "a number of seconds")
 
-    def as_said_by(self, other: "Input") -> "Input":
-        """The same input; where it does not say what happens between samples, another one does."""
-        open_ = self.hold in (None, "unknown")
-        return replace(self, hold=other.hold or self.hold) if open_ else self
+
+def acting(inputs: Sequence[Input], others: Sequence[Input]) -> tuple[Input, ...]:
+    """Inputs with the delays of others, and their holds where they do not say one themselves."""
+    return tuple(
+        replace(
+            i,
+            hold=(other.hold or i.hold) if i.hold in (None, "unknown") else i.hold,
+            delay=other.delay,
+        )
+        for i, other in zip(inputs, others, strict=True)
+    )
 
 
 @dataclass(frozen=True)

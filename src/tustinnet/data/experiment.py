@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from tustinnet.channels import Channels, HasChannels, Input
+from tustinnet.channels import Channels, HasChannels, Input, acting
 from tustinnet.data.recording import Recording, describe_recording
 from tustinnet.errors import InputError, require_name
 from tustinnet.signals import resampling, transients
@@ -185,7 +185,7 @@ class Experiment(HasChannels):
             InputError: a period longer than the record, or a grid of more than 10 times its
                 samples; the message names the longest interval. An input whose hold is `unknown`.
         """
-        self._require_holds("resampling")
+        self._require_holds(self.inputs, "resampling")
         if not 0 < dt < self.t[-1] - self.t[0]:
             span = self.t[-1] - self.t[0]
             raise InputError(self.name, f"period {dt} s", f"more than 0 and less than {span:g} s")
@@ -267,11 +267,11 @@ class Experiment(HasChannels):
             InputError: an input whose hold nobody says; a record too short to interpolate a
                 band-limited input, or shorter than a delay.
         """
-        of = self if inputs is None else self.driving(inputs)
-        of._require_holds(_SIMULATING)
-        holds: list[Held] = [i.hold or "zero-order" for i in of.inputs]  # pyright: ignore[reportAssignmentType]
-        delays = [(i.delay or 0.0) / self.dt for i in of.inputs]
-        for i, hold, delay in zip(of.inputs, holds, delays, strict=True):
+        said = self.inputs if inputs is None else acting(self.inputs, inputs)
+        self._require_holds(said, _SIMULATING)
+        holds: list[Held] = [i.hold or "zero-order" for i in said]  # pyright: ignore[reportAssignmentType]
+        delays = [(i.delay or 0.0) / self.dt for i in said]
+        for i, hold, delay in zip(said, holds, delays, strict=True):
             where = f"{self.name}, input '{i.name}'"
             if abs(delay) >= len(self) - 1:
                 span = self.t[-1] - self.t[0]
@@ -285,14 +285,11 @@ class Experiment(HasChannels):
 
     def driving(self, inputs: Sequence[Input]) -> "Experiment":
         """The record with the holds and delays of the inputs that a model has."""
-        said = tuple(
-            replace(own.as_said_by(theirs), delay=theirs.delay)
-            for own, theirs in zip(self.inputs, inputs, strict=True)
-        )
+        said = acting(self.inputs, inputs)
         return replace(self, channels=replace(self.channels, inputs=said))
 
-    def _require_holds(self, doing: str) -> None:
-        for i in self.inputs:
+    def _require_holds(self, inputs: Sequence[Input], doing: str) -> None:
+        for i in inputs:
             if i.hold == "unknown":
                 raise InputError(
                     f"{self.name}, input '{i.name}'", f"hold 'unknown', and {doing} needs one",

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from tustinnet.data.columns import NUMBERED, Column, Columns
 from tustinnet.data.readers import read_columns
+from tustinnet.data.units import TIME
 from tustinnet.errors import InputError
 from tustinnet.signals.encoder import encoder_count
 
@@ -104,7 +105,7 @@ def inspect_file(path: Path) -> FileReport:
     reports = tuple(found.get(r.name, r) for r in reports)
     steps = None
     if clock is not None:
-        steps = np.diff(values[clock]) * {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit]
+        steps = np.diff(values[clock]) * TIME[unit]
     dt = None if steps is None else float(np.median(steps))
     jitter = None if steps is None or dt is None else float(np.abs(steps - dt).max())
     rows = max(map(len, values.values()))

@@ -13,6 +13,7 @@ from tustinnet.data.experiment import Experiment, moves_in
 from tustinnet.data.recording import Recording, describe_recording
 from tustinnet.signals import equilibria, outliers, transients
 from tustinnet.signals.equilibria import Held
+from tustinnet.signals.timescales import Timescales, timescales
 from tustinnet.signals.transients import RestThresholds
 
 _REST_SECONDS = 0.25  # slow for this long around a sample: near an equilibrium, not a turning point
@@ -158,6 +159,16 @@ def still(experiments: Sequence[Experiment]) -> list[str]:
     """The names of the coordinates that move in none of some records of a system."""
     moving = moves_in(experiments)
     return [c.name for c, m in zip(experiments[0].coordinates, moving, strict=True) if not m]
+
+
+def scales_of(experiments: Sequence[Experiment]) -> dict[str, Timescales]:
+    """The time scales of each coordinate that moves, by its name."""
+    moving = moves_in(experiments)
+    return {
+        c.name: timescales([e.q[:, j] for e in experiments])
+        for j, c in enumerate(experiments[0].coordinates)
+        if moving[j]
+    }
 
 
 def transient_end(experiment: Experiment) -> int:

@@ -255,10 +255,8 @@ def cross_validate(data: DataSet, asked: Question, tell: Tell = lambda task: SIL
     """
     deals, recipe = dealt(data, asked.folds), asked.recipe
     known = taking_part(data)
-    for start in asked.starts or (
-        default_start(known),
-        f"model-{FITTED}",
-    ):  # before anything is fitted
+    # before anything is fitted
+    for start in asked.starts or (default_start(known), f"model-{FITTED}"):
         horizon_samples(horizon_of(recipe), known, start_named(start))
     physics = [None] * len(deals) if asked.physics is None else _physics(deals, asked, tell)
     folds = tuple(Fold(_used(d.roles, recipe), p) for d, p in zip(deals, physics, strict=True))

@@ -11,7 +11,7 @@ from tustinnet.data.experiment import Experiment, moves_in
 from tustinnet.fitting.recipe import Robust, SearchRecipe, StageRecipe
 
 _NOTHING = 1.0  # the unit of a signal that never changes
-_TO_DEVIATION = 1.4826  # the standard deviation of normal residuals over their median size
+TO_DEVIATION = 1.4826  # the standard deviation of normal residuals over their median size
 _HUBER = 1.345  # standard deviations from which on a residual weighs less
 _FREEDOM = 4.0  # degrees of Student's t
 _LEAST_SCALE = 1e-12  # where most residuals are 0
@@ -126,7 +126,7 @@ def robust_weights(
     least = np.full(errors.shape[1], _LEAST_SCALE)
     least[: len(counts)] = np.maximum(np.nan_to_num(counts) / np.sqrt(12), _LEAST_SCALE)
     deviation = np.median(np.abs(errors - np.median(errors, axis=0)), axis=0)
-    z = np.abs(errors) / np.maximum(_TO_DEVIATION * deviation, least)
+    z = np.abs(errors) / np.maximum(TO_DEVIATION * deviation, least)
     if kind == "huber":
         return _HUBER / np.maximum(z, _HUBER)
     return 1 / (1 + z**2 / _FREEDOM)

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from tustinnet.channels import Channels, Input
+from tustinnet.channels import Channels, Input, acting
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.contract import (
@@ -118,11 +118,7 @@ def discretise(
         )  # fmt: skip
     own = model.channels.inputs
     theirs = own if inputs is None else inputs
-    said = tuple(
-        replace(i.as_said_by(other), delay=other.delay)
-        for i, other in zip(own, theirs, strict=True)
-    )
-    channels = replace(model.channels, dt=dt, inputs=said)
+    channels = replace(model.channels, dt=dt, inputs=acting(own, theirs))
     return Discretised(model, channels, substeps, unrolled)
 
 

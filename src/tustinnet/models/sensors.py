@@ -1,6 +1,6 @@
 """Sensors and actuators that are off: zero and gain of a channel as parameters of a system."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, wraps
 from typing import Any
@@ -77,9 +77,19 @@ def calibrated(system: LagrangianSystem, sensors: tuple[Parameter, ...]) -> Lagr
     )
 
 
+def delay_of(of: Input) -> str:
+    """What the parameter of an input's delay is called."""
+    return f"{of.name}.delay"
+
+
+def delays_among(names: Iterable[str]) -> tuple[str, ...]:
+    """Those of some parameters' names that are of delays."""
+    return tuple(name for name in names if name.endswith(".delay"))
+
+
 def delayed(inputs: Sequence[Input], values: Mapping[str, Any]) -> tuple[Input, ...]:
     """Inputs with the delays [s] that are among the values of parameters."""
-    known = [values.get(f"{i.name}.delay", i.delay or 0.0) for i in inputs]
+    known = [values.get(delay_of(i), i.delay or 0.0) for i in inputs]
     return tuple(replace(i, delay=float(x)) for i, x in zip(inputs, known, strict=True))
 
 

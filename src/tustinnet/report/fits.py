@@ -1,8 +1,10 @@
 """Tables of fits: members of a training, parameters of an identification, folds."""
 
 import math
+from collections.abc import Mapping
 
 from tustinnet.evaluate.folds import Validated
+from tustinnet.evaluate.scores import rmse_by_record
 from tustinnet.fitting.report import Identification
 from tustinnet.report.tables import Table, number, numbers, scale_of
 from tustinnet.simulate.horizon import over
@@ -74,20 +76,20 @@ def _error(value: float | None) -> str:
 def judged_table(run: Run) -> Table:
     """The free runs that judge the best model of a run."""
     best = run.best
-    names = [*(s.experiment for s in best.scores), "mean"]
-    told = numbers([*(s.rmse for s in best.scores), best.mean])
-    rows = [list(row) for row in zip(names, told, strict=True)]
     title = f"{run.judged} free runs, start '{run.start}'{over(best.scores[0].horizon)}"
-    return Table(["record", "RMSE"], rows, title=title)
+    return _by_record({**rmse_by_record(best.scores), "mean": best.mean}, title)
 
 
 def fitted_table(run: Run) -> Table:
     """What the best model of a run leaves of each training record."""
     found = run.best.result.identification
     begin = f"free runs, start '{run.start}'" if found is None else "from the initial states found"
-    told = numbers(list(run.fitted.values()))
-    rows = [list(row) for row in zip(run.fitted, told, strict=True)]
-    return Table(["record", "RMSE"], rows, title=f"train, {begin}")
+    return _by_record(run.fitted, f"train, {begin}")
+
+
+def _by_record(rmse: Mapping[str, float], title: str) -> Table:
+    told = numbers(list(rmse.values()))
+    return Table(["record", "RMSE"], [list(row) for row in zip(rmse, told, strict=True)], title)
 
 
 def folds_table(found: Validated) -> Table:

@@ -14,11 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tustinnet.data.experiment import Experiment, moves_in
+from tustinnet.data.experiment import Experiment
+from tustinnet.data.inspection import scales_of
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
 from tustinnet.signals.derivatives import polynomial_fit
-from tustinnet.signals.timescales import timescales
 from tustinnet.simulate.along import followed
 from tustinnet.simulate.batches import in_batches
 from tustinnet.simulate.drive import drives_of
@@ -203,14 +203,9 @@ def default_start(experiments: Sequence[Experiment], model: Model | None = None)
         return WarmUp(model.warm_up).name
     if all(e.v is not None for e in experiments):
         return "file"
-    return (Fitted(FITTED) if _swing_fast(experiments) else Derived(DERIVED)).name
-
-
-def _swing_fast(experiments: Sequence[Experiment]) -> bool:
-    if min(map(len, experiments)) < 2 * FITTED:
-        return False
-    of = np.flatnonzero(moves_in(experiments))
-    return any(timescales([e.q[:, j] for e in experiments]).fast for j in of)
+    long = min(map(len, experiments)) >= 2 * FITTED
+    fast = long and any(scales.fast for scales in scales_of(experiments).values())
+    return (Fitted(FITTED) if fast else Derived(DERIVED)).name
 
 
 def start_states(

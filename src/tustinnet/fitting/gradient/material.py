@@ -10,13 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from tustinnet.data.experiment import Experiment, VelocitySource, moves_in
-from tustinnet.data.inspection import transient_end
+from tustinnet.data.experiment import Experiment, VelocitySource
+from tustinnet.data.inspection import scales_of, transient_end
 from tustinnet.errors import InputError
 from tustinnet.fitting.recipe import WindowRecipe
 from tustinnet.models.contract import Model
 from tustinnet.signals.stacking import stacked
-from tustinnet.signals.timescales import Timescales, timescales
 from tustinnet.signals.windows import random_windows, strided_windows
 from tustinnet.simulate.along import states_along
 from tustinnet.simulate.drive import drive_of, drives_of
@@ -210,16 +209,6 @@ def adapted_length(experiments: Sequence[Experiment], length: int) -> int:
     longest = min(_LONGEST * length, usual // _USUAL_SHARE)
     wanted = min(max(length, slowest, forgotten), longest)
     return max(_ROUND, int(wanted) // _ROUND * _ROUND)
-
-
-def scales_of(experiments: Sequence[Experiment]) -> dict[str, Timescales]:
-    """The time scales of each coordinate that moves, by its name."""
-    moving = moves_in(experiments)
-    return {
-        c.name: timescales([e.q[:, j] for e in experiments])
-        for j, c in enumerate(experiments[0].coordinates)
-        if moving[j]
-    }
 
 
 def window_account(experiments: Sequence[Experiment], recipe: WindowRecipe) -> str:

@@ -9,9 +9,11 @@ import scipy.stats
 from jaxtyping import Float
 
 from tustinnet.fitting.report import Disagreement, Side
+from tustinnet.fitting.residual import TO_DEVIATION
 from tustinnet.fitting.shooting.least_squares import Fitted, eliminated, prior_deviation
+from tustinnet.fitting.shooting.problem import Problem, State, prior
 from tustinnet.fitting.shooting.segments import Segments
-from tustinnet.fitting.shooting.stages import Problem, State, prior, refitted
+from tustinnet.fitting.shooting.stages import refitted
 from tustinnet.fitting.shooting.uncertainty import (
     FEWEST_RECORDS,
     lag_correlation,
@@ -120,7 +122,7 @@ class Agreement:
         )
         own = -np.einsum("spq,sq->sp", scaled, gradients / unit) / unit
         off = np.abs(own - np.median(own, axis=0))
-        usual = 1.4826 * np.median(off, axis=0)
+        usual = TO_DEVIATION * np.median(off, axis=0)
         far = np.max(off / np.maximum(usual, _LEAST / _SUSPECT), axis=1, initial=0.0)
         worst = np.argsort(-far)[: int(n * _MOST_SUSPECTS)]
         return [int(i) for i in worst if far[i] > _SUSPECT]

@@ -5,14 +5,15 @@ from typing import get_args
 
 import numpy as np
 
-from tustinnet.fitting.shooting.stages import Problem, State, refined, search
+from tustinnet.fitting.shooting.problem import Problem, State
+from tustinnet.fitting.shooting.stages import refined, search
 from tustinnet.signals.excitation import HALF, Held
 
 _FIRST = "first-order"  # between the others, so that both are near enough to go on from it
 _ALIKE = 1.01  # root mean squares of errors that differ by less say nothing
 
 
-def search_with_holds(problem: Problem, begin: State) -> tuple[Problem, State, str, float | None]:
+def search_with_holds(problem: Problem, begin: State) -> tuple[Problem, State, str]:
     """A search that also finds out the holds that the data card calls `unknown`.
 
     The whole search is done for straight lines; from what it found, the last stage is done again
@@ -27,7 +28,7 @@ def search_with_holds(problem: Problem, begin: State) -> tuple[Problem, State, s
     if not unknown:
         return problem, *search(problem, begin)
     first = _with_hold(problem, _FIRST)
-    found, initial, _ = search(first, begin)
+    found, initial = search(first, begin)
     tried = {_FIRST: (first, found)}
     holds: tuple[Held, ...] = get_args(Held)
     short = min(map(len, (*problem.records, *problem.validation))) <= HALF
@@ -39,7 +40,7 @@ def search_with_holds(problem: Problem, begin: State) -> tuple[Problem, State, s
     chosen, ended = tried[best]
     told = _told(unknown, best, {hold: _error(*of) for hold, of in tried.items()}, problem)
     ended = replace(ended, remarks=(*ended.remarks, told))
-    return chosen, ended, initial, chosen.score(ended)
+    return chosen, ended, initial
 
 
 def _with_hold(problem: Problem, hold: Held) -> Problem:

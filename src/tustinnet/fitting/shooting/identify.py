@@ -23,9 +23,9 @@ from tustinnet.fitting.shooting.findings import Found, described
 from tustinnet.fitting.shooting.groups import spread
 from tustinnet.fitting.shooting.holds import search_with_holds
 from tustinnet.fitting.shooting.least_squares import prior_deviation
+from tustinnet.fitting.shooting.problem import Problem, State, model_of, prior, score
 from tustinnet.fitting.shooting.sensors import freed
 from tustinnet.fitting.shooting.space import Searched, Space, make_space
-from tustinnet.fitting.shooting.stages import Problem, State, model_of, prior
 from tustinnet.fitting.shooting.uncertainty import Uncertainty, uncertainty
 from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task
 from tustinnet.models.contract import require_float64
@@ -118,7 +118,7 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
         tuple(e.driving(acting) for e in roles.validation), recipe.search, listener,
     )  # fmt: skip
     if problem.delays and recipe.search.method == "l-bfgs":
-        late = ", ".join(f"'{name}'" for name in system.sensors if name.endswith(".delay"))
+        late = ", ".join(f"'{name}'" for name in problem.delays)
         raise InputError("search.method", f"'l-bfgs', and {late} is free", "levenberg-marquardt")
     space, first = _beginning(problem, recipe.model)
     values = {k: jnp.asarray(v, jnp.float64) for k, v in space.values(first).items()}
@@ -127,7 +127,7 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
         _require_mass(model, sharing)
         _require_finite(model, sharing)
     begin_at = State(space, first, horizons=problem.asked or {})
-    problem, ended, initial, validation = search_with_holds(problem, begin_at)
+    problem, ended, initial = search_with_holds(problem, begin_at)
     reversed_signs: tuple[tuple[str, ...], ...] = ()
     if ended.unexplained > _POORLY_EXPLAINED:
         reversed_signs = inverse_dynamics.likely_reversals(
@@ -149,7 +149,7 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
         remarks=ended.remarks,
         initial=initial,
         start=problem.judging_start(ended.horizon).name,
-        validation_rmse=validation,
+        validation_rmse=score(problem, ended) if problem.validation else None,
         weights=ended.weights,
     )
     return described(system, found, time.perf_counter() - begun)

@@ -22,6 +22,7 @@ from tustinnet.fitting.shooting.segments import Segments
 from tustinnet.fitting.shooting.space import Space
 from tustinnet.models.integrate import between, runge_kutta_4
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Parameter
+from tustinnet.models.sensors import delay_of
 
 _LANES = 8  # segments side by side in one call: one vector of the processor
 _STRETCH = 512  # steps in one call; longer segments take several, one after the other
@@ -266,7 +267,5 @@ def _acting(lane: _Lane, model: LagrangianModel, k: Array) -> Array:
     """What drives a step; where delays are searched for, with its derivatives by them."""
     if lane.later is None:
         return lane.drive[k]
-    delays = jnp.stack(
-        [jnp.asarray(model.values.get(f"{i.name}.delay", 0.0)) for i in model.inputs]
-    )
+    delays = jnp.stack([jnp.asarray(model.values.get(delay_of(i), 0.0)) for i in model.inputs])
     return lane.drive[k] + lane.later[k] * (delays - jax.lax.stop_gradient(delays))

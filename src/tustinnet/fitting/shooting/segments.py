@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from tustinnet.data.experiment import Experiment
 from tustinnet.fitting.residual import Residual
 from tustinnet.models.contract import Model
-from tustinnet.models.sensors import delayed
+from tustinnet.models.sensors import delayed, delays_among
 from tustinnet.signals.derivatives import polynomial_fit
 from tustinnet.signals.stacking import stacked
 from tustinnet.simulate.starts import initial_state, padded
@@ -65,7 +65,7 @@ class Segments:
         if self.drive_at is None:
             return self
         step = _DELAYED * float(self.periods[0])
-        names = [name for name in values if name.endswith(".delay")]
+        names = delays_among(values)
         after, before = (
             self.drive_at({name: values[name] + change for name in names})
             for change in (step, -step)
