@@ -16,6 +16,8 @@ from .evaluate.scores import free_run as free_run
 from .evaluate.scores import mean_rmse as mean_rmse
 from .export.compiled_step import compiled_step as compiled_step
 from .export.numpy_step import numpy_step as numpy_step
+from .families.committee import Committee as Committee
+from .families.committee import committee as committee
 from .families.family import Family as Family
 from .families.hybrid import HybridModel as HybridModel
 from .families.tustin_net import TustinNet as TustinNet

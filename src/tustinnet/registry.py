@@ -63,6 +63,7 @@ FAMILIES: Registry[Any] = Registry(
         "gru": "tustinnet.families.gru:FAMILY",
         "neural-ode": "tustinnet.families.neural_ode:FAMILY",
         "linear": "tustinnet.families.linear:FAMILY",
+        "committee": "tustinnet.families.committee:FAMILY",
     },
 )
 USUAL = next(iter(FAMILIES.places))  # the kind of a recipe that names none

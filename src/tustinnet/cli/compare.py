@@ -14,9 +14,7 @@ if TYPE_CHECKING:
 
 
 def compare(
-    models: Annotated[
-        list[Path], typer.Argument(metavar="MODEL...", help="Model files (.safetensors).")
-    ],
+    models: options.Models,
     data: options.Data,
     split: options.Split = None,
     start: options.Start = None,

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from tustinnet.fitting.recipe import Recipe
     from tustinnet.fitting.task import Task
     from tustinnet.store.run import Earlier, Run
-    from tustinnet.systems.files import SystemFile
 
 
 def fit(
@@ -38,7 +37,14 @@ def fit(
 ) -> None:
     """Fit a model as a recipe says: train its weights or identify its parameters."""
     terminal.prepare_jax(device)
-    from tustinnet.cli.request import kept_system, loaded, members_of, recipe_of, tell_still
+    from tustinnet.cli.request import (
+        kept_system,
+        loaded,
+        members_of,
+        recipe_of,
+        remember_trust,
+        tell_still,
+    )
     from tustinnet.fitting.task import make_task
     from tustinnet.report.progress import FitProgress
     from tustinnet.store.model_file import load_model
@@ -66,7 +72,7 @@ def fit(
     with FitProgress(told, quiet=quiet) as progress, terminal.interruptible(_remedy(chosen)):
         run = run_task(task, records.name, out, earlier, progress.follow, file)
     if file is not None:
-        _trust(file, told)
+        remember_trust(file, told)
     _draw(run, records)
     if json:
         terminal.print_json(run.summary())
@@ -95,17 +101,6 @@ def _tell_windows(task: "Task", told: "Console") -> None:
         for stage in task.recipe.stages:
             account = window_account(train, stage.windows)
             told.print(f"{stage.name}: {account}", highlight=False, soft_wrap=True)
-
-
-def _trust(system: "SystemFile", told: "Console") -> None:
-    """Remembers that the user ran this file, so that the run's copy is run without a question."""
-    from tustinnet.errors import InputError
-    from tustinnet.store.kept_system import trust
-
-    try:
-        trust(system)
-    except InputError as error:  # costs a question later
-        told.print(f"note: {error}")
 
 
 def _remedy(recipe: "Recipe") -> str:

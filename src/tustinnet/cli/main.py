@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from tustinnet.cli import terminal
+from tustinnet.cli.committee import committee
 from tustinnet.cli.compare import compare
 from tustinnet.cli.cross_validate import cross_validate
 from tustinnet.cli.demo import demo
@@ -26,7 +27,8 @@ app = typer.Typer(
     rich_markup_mode=None,  # loading rich would double the time that --help takes
 )
 _VERBS = (
-    demo, inspect, fit, cross_validate, simulate, evaluate, compare, residuals, show, reproduce,
+    demo, inspect, fit, cross_validate, simulate, evaluate, compare, residuals, committee,
+    show, reproduce,
 )  # fmt: skip
 for verb in _VERBS:
     app.command()(terminal.interruptible()(verb))

@@ -25,6 +25,9 @@ Data = Annotated[
     ),
 ]
 Model = Annotated[Path, typer.Argument(metavar="MODEL", help="Model file (.safetensors).")]
+Models = Annotated[
+    list[Path], typer.Argument(metavar="MODEL...", help="Model files (.safetensors).")
+]
 Card = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Data card for a folder that has none.")
 ]

@@ -53,6 +53,8 @@ class Family(ABC):
         hyper: what the table `[model]` of a recipe may say.
         stage: keys of a training stage beside those that all families know.
         trains: whether it has weights that are trained; else parameters that are identified.
+        fitted: whether a recipe fits its models; else they are put together of models that are
+            fitted already.
         needs: what has to be given beside a recipe, a `system` or the `physics` to correct.
         correctable: whether a network may correct its models.
         model: the class of its models, or of what is stepped in them.
@@ -62,6 +64,7 @@ class Family(ABC):
     hyper: ClassVar[type[Hyper]]
     stage: ClassVar[type[StageKeys]] = StageKeys
     trains: ClassVar[bool] = True
+    fitted: ClassVar[bool] = True
     needs: ClassVar[frozenset[Given]] = frozenset()
     correctable: ClassVar[bool] = False
     model: ClassVar[type]
@@ -116,6 +119,10 @@ class Family(ABC):
         A header that does not fit raises KeyError, TypeError or ValueError.
         """
 
+    def parts(self, header: Header) -> Sequence[Header]:
+        """The descriptions of other models in that of a model; most have none."""
+        return ()
+
     @abstractmethod
     def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
         """What `show` tells of a file beside what it tells of all, as words and what they say."""
@@ -140,6 +147,15 @@ def family_of(model: Any) -> Family:
         f"a {type(model).__name__}", "a model of no registered family",
         f"a model of one of the kinds {', '.join(FAMILIES.names())}",
     )  # fmt: skip
+
+
+def systems_in(header: Header) -> tuple[str, ...]:
+    """The names of the systems that a described model belongs to, or parts of it; none twice."""
+    own = header.get("system")
+    names = [str(own.get("name", ""))] if isinstance(own, dict) else []
+    for part in FAMILIES[header["kind"]].parts(header):
+        names += systems_in(part)
+    return tuple(dict.fromkeys(names))
 
 
 class LayeredStage(StageKeys):

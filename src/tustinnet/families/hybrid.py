@@ -268,6 +268,10 @@ class HybridFamily(Family):
             arrays |= {f"{name}.{n}": a for n, a in own.items()}
         return header, arrays
 
+    def parts(self, header: Header) -> Sequence[Header]:
+        """Both; files of format 1 have the system beside them."""
+        return [header[name] for name in (_PHYSICS, _CORRECTION) if name in header]
+
     def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> HybridModel:
         """Both parts; files of format 1 have them side by side in the header."""
         header, arrays = _as_now(header, arrays)

@@ -328,8 +328,15 @@ def read_recipe(
     if kind not in FAMILIES:
         known = ", ".join(FAMILIES.names())
         raise InputError(f"{where}, model.kind", f"no kind of model '{kind}'", f"one of {known}")
+    family = FAMILIES[kind]
+    if not family.fitted:
+        known = ", ".join(name for name in FAMILIES.names() if FAMILIES[name].fitted)
+        raise InputError(
+            f"{where}, model.kind", f"kind '{kind}', which is made of models that are fitted",
+            f"one of {known}", "fit models of these kinds, then put them together",
+        )  # fmt: skip
     content["model"] = {"kind": kind, **table}
-    return declare(content, recipe_type(FAMILIES[kind]), where)
+    return declare(content, recipe_type(family), where)
 
 
 def _require_once(changes: Sequence[str]) -> None:

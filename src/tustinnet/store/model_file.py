@@ -11,7 +11,7 @@ from pydantic import ConfigDict, Field
 from tustinnet.channels import LONGEST_DT, Coordinate, Input
 from tustinnet.data.declaration import Declaration, declare
 from tustinnet.errors import InputError, refusing
-from tustinnet.families.family import family_of
+from tustinnet.families.family import family_of, systems_in
 from tustinnet.fitting.report import Stretch
 from tustinnet.models.contract import Model
 from tustinnet.models.lagrangian import LagrangianSystem
@@ -72,7 +72,7 @@ def load_model(path: str | Path, system: AnySystem | None = None) -> Model:
             a newer version; a system that is not known or has changed.
     """
     header, arrays = _read(Path(path))
-    if system is not None and not _system_in(header):
+    if system is not None and not systems_in(header):
         raise InputError(
             f"system for {path}", f"means nothing to a model of kind '{header['kind']}'",
             "a model of a system", "leave --system out",
@@ -149,8 +149,8 @@ def read_header(path: str | Path) -> dict[str, Any]:
 
 
 def system_of(path: str | Path) -> str:
-    """The name of the system that a model file belongs to, also that a network corrects; or ""."""
-    return _system_in(read_header(path))
+    """The name of the system that a model file belongs to, or a part of its model; or ""."""
+    return "".join(systems_in(read_header(path))[:1])
 
 
 def downweighted_in(path: str | Path) -> list[Stretch]:
@@ -166,13 +166,6 @@ def downweighted_in(path: str | Path) -> list[Stretch]:
         raise InputError(
             path, "an account of its identification that is damaged", "stretches of records"
         ) from error
-
-
-def _system_in(header: dict[str, Any]) -> str:
-    while isinstance(header.get("physics"), dict):
-        header = header["physics"]
-    system = header.get("system")
-    return str(system.get("name", "")) if isinstance(system, dict) else ""
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

@@ -1,0 +1,83 @@
+"""`tustinnet committee`: one model of several."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tustinnet.cli import options, terminal
+
+if TYPE_CHECKING:
+    from tustinnet.systems.files import SystemFile
+
+
+def committee(
+    models: options.Models,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Where the model goes.")],
+    weights: Annotated[
+        str | None,
+        typer.Option(metavar="A,B,..", help="What each model counts; by default all the same."),
+    ] = None,
+    system: options.System = None,
+    overwrite: options.Overwrite = False,
+) -> None:
+    """Put models together as one that averages their accelerations at every step."""
+    terminal.prepare_jax()
+    from tustinnet.cli.request import remember_trust
+    from tustinnet.errors import InputError
+    from tustinnet.families.committee import committee as put_together
+    from tustinnet.store.files import require_new
+    from tustinnet.store.kept_system import header_of, keep, require_room
+    from tustinnet.store.model_file import load_models, save
+    from tustinnet.systems.files import SystemFile, find_system
+
+    shares = None if weights is None else _numbers(weights)
+    if out.resolve() in [path.resolve() for path in models]:
+        raise InputError(out, "one of the models", "another file")
+    require_new([out], overwrite=overwrite)
+    given = _kept_with(models) if system is None else find_system(system)
+    members = load_models(models, [] if given is None else [given], lambda path: None)
+    told, copied = terminal.messages(), given if isinstance(given, SystemFile) else None
+    if not overwrite:
+        require_room(copied, out.parent)
+    header = {"files": [_file(path) for path in models], **header_of(copied)}
+    save(put_together(members, shares), out, **header)
+    if copied is not None:
+        keep(copied, out.parent)
+        remember_trust(copied, told)
+    told.print(f"{len(members)} models: {out}")
+
+
+def _numbers(text: str) -> list[float]:
+    from tustinnet.errors import InputError
+
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise InputError("--weights", f"'{text}'", "numbers, separated by commas") from None
+
+
+def _kept_with(models: list[Path]) -> "SystemFile | None":
+    """The system file that was kept with some of the models, one and the same with all of them."""
+    from tustinnet.cli.request import kept_system
+    from tustinnet.errors import InputError
+
+    found = [copy for path in models if (copy := kept_system(path)) is not None]
+    if len({copy.sha256 for copy in found}) > 1:
+        kept = ", ".join(dict.fromkeys(str(copy.path) for copy in found))
+        raise InputError(
+            "committee", f"models with different system files ({kept})", "one system",
+            "name it with --system FILE.py",
+        )  # fmt: skip
+    return found[0] if found else None
+
+
+def _file(path: Path) -> dict[str, Any]:
+    """What the header says of a model's file."""
+    from hashlib import sha256
+
+    from tustinnet.store.model_file import read_header
+
+    of = {"file": str(path), "sha256": sha256(path.read_bytes()).hexdigest()}
+    data = read_header(path).get("data")
+    return of if data is None else {**of, "data": data}
