@@ -38,6 +38,7 @@ _HORIZON = f"{GREY}::test_a_horizon_is_told_with_scores_and_residuals"
 _REPRODUCED = f"{TABLE}::test_reproduce_writes_tables_and_figures_and_trains_on_no_test_record"
 _QUIET = f"{HERE}::test_quiet_silences_the_progress"
 _PRINTED = f"{HERE}::test_the_demo_is_quiet_and_prints_json"
+_TOGETHER = "cli/test_put_together.py::test_models_are_put_together_and_used_as_one"
 _STRICT = f"{HERE}::test_strict_refuses_what_looks_wrong"
 _INSPECTED = f"{VERBS}::test_inspect_as_json_with_a_figure"
 
@@ -86,6 +87,10 @@ SHOWN = {
         "--split": _NAMES, "--start": _NAMES, "--card": _CARD, "--system": _RESIDUALS,
         "--lags": _RESIDUALS, "--figure": _RESIDUALS, "--json": _RESIDUALS,
         "--horizon": _HORIZON,
+    },
+    "committee": {
+        "--out": _TOGETHER, "--weights": _TOGETHER, "--overwrite": _TOGETHER,
+        "--system": "cli/test_put_together.py::test_members_of_a_users_system_share_its_file",
     },
     "show": {"--json": f"{VERBS}::test_show_prints_the_header"},
     "reproduce": {

@@ -1,6 +1,8 @@
 """Several models averaged in the acceleration at every step."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -42,7 +44,8 @@ def physics(channels=CHANNELS, system=CREEPING, **values: float) -> tn.Model:
 
 
 def hybrid(seed: int, channels=CHANNELS, taps=(), **values: float) -> tn.HybridModel:
-    return tn.HybridModel(physics(channels, **values), network(seed, channels, taps=taps))
+    known = physics(channels, CREEPING, **values)
+    return tn.HybridModel(known, network(seed, channels, taps=taps))
 
 
 def neural_ode(seed: int, channels=CHANNELS) -> tn.Model:
@@ -79,7 +82,7 @@ def stepped(model: tn.Model, x: jax.Array, u: jax.Array) -> jax.Array:
 
 
 def by_hand(
-    models: list[tn.Model], weights: np.ndarray, x0: np.ndarray, e: tn.Experiment
+    models: Sequence[tn.Model], weights: np.ndarray, x0: np.ndarray, e: tn.Experiment
 ) -> np.ndarray:
     """The same as plain loops: each member with its own internal states and its own drive."""
     drives = [np.asarray(tn.drive_of(m, e).u) for m in models]
@@ -203,7 +206,7 @@ def test_it_is_linearised_stepped_by_any_period_and_compiled():
     following = stepped(together, x, u)
     compiled = tn.compiled_step(together)(np.asarray(x), np.asarray(u))
     np.testing.assert_allclose(compiled, following, rtol=1e-9)
-    np.testing.assert_allclose(jax.jit(together.advance)(x, u, DT), following, rtol=1e-12)
+    np.testing.assert_allclose(jax.jit(lambda: together.advance(x, u, DT))(), following, rtol=1e-12)
     with pytest.raises(tn.InputError, match="steps from timestamp to timestamp"):
         tn.committee([physics(), network(0)]).advance(jnp.zeros(3), u, 0.01)
     with pytest.raises(tn.InputError, match=r"a model of kind 'committee'.*use compiled_step"):
@@ -291,7 +294,7 @@ def test_show_tells_what_members_of_a_structure_say_alike(tmp_path):
     tn.save(tn.committee([hybrid(0), network(1), hybrid(2, gravity=1.2)], [2, 1, 1]), file)
     _, lines = shown(file)
     told = [text for word, text in lines if word == "members"]
-    assert told == ["hybrid: 1, 3; weights: 0.5, 0.25", "tustin-net: 2; weights: 0.25"]
+    assert told == ["hybrid: 1, 3; weight 0.5, 0.25", "tustin-net: 2; weight 0.25"]
     words = [word for word, _ in lines]
     assert words.count("network") == 2
     assert "values" not in words  # which differ
@@ -316,14 +319,15 @@ def test_models_that_cannot_be_averaged_are_refused():
         return replace(CHANNELS, **changes)
 
     delayed = channels(inputs=(replace(SWING.inputs[0], delay=0.003),))
-    for wrong, told in (
+    cases: list[tuple[Any, str]] = [
         (network(1, channels(dt=0.01)), "model 2 of the committee: sampling period 0.01 s"),
         (network(1, channels(coordinates=(tn.Coordinate("other", "angular"),))), "coordinates oth"),
         (network(1, BAND), "inputs voltage .*band-limited"),
         (network(1, delayed), r"delays of the inputs of \[0.003\] s"),
         (tn.committee([network(1)]), "model 2 of the committee: a committee"),
         (swing_model(), "a model that steps from sample to sample"),
-    ):  # fmt: skip
+    ]  # fmt: skip
+    for wrong, told in cases:
         with pytest.raises(tn.InputError, match=told):
             tn.committee([network(0), wrong])
     with pytest.raises(tn.InputError, match="0 models"):

@@ -23,7 +23,6 @@ def committee(
 ) -> None:
     """Put models together as one that averages their accelerations at every step."""
     terminal.prepare_jax()
-    from tustinnet.cli.request import remember_trust
     from tustinnet.errors import InputError
     from tustinnet.families.committee import committee as put_together
     from tustinnet.store.files import require_new
@@ -37,15 +36,15 @@ def committee(
     require_new([out], overwrite=overwrite)
     given = _kept_with(models) if system is None else find_system(system)
     members = load_models(models, [] if given is None else [given], lambda path: None)
-    told, copied = terminal.messages(), given if isinstance(given, SystemFile) else None
+    copied = given if isinstance(given, SystemFile) else None
     if not overwrite:
         require_room(copied, out.parent)
     header = {"files": [_file(path) for path in models], **header_of(copied)}
     save(put_together(members, shares), out, **header)
     if copied is not None:
         keep(copied, out.parent)
-        remember_trust(copied, told)
-    told.print(f"{len(members)} models: {out}")
+        terminal.remember_trust(copied)
+    terminal.messages().print(f"{len(members)} models: {out}")
 
 
 def _numbers(text: str) -> list[float]:

@@ -37,14 +37,7 @@ def fit(
 ) -> None:
     """Fit a model as a recipe says: train its weights or identify its parameters."""
     terminal.prepare_jax(device)
-    from tustinnet.cli.request import (
-        kept_system,
-        loaded,
-        members_of,
-        recipe_of,
-        remember_trust,
-        tell_still,
-    )
+    from tustinnet.cli.request import kept_system, loaded, members_of, recipe_of, tell_still
     from tustinnet.fitting.task import make_task
     from tustinnet.report.progress import FitProgress
     from tustinnet.store.model_file import load_model
@@ -72,7 +65,7 @@ def fit(
     with FitProgress(told, quiet=quiet) as progress, terminal.interruptible(_remedy(chosen)):
         run = run_task(task, records.name, out, earlier, progress.follow, file)
     if file is not None:
-        remember_trust(file, told)
+        terminal.remember_trust(file)
     _draw(run, records)
     if json:
         terminal.print_json(run.summary())

@@ -127,17 +127,6 @@ def kept_system(model: Path) -> "SystemFile | None":
     )  # fmt: skip
 
 
-def remember_trust(system: "SystemFile", told: "Console") -> None:
-    """Remembers that the user ran this file, so that a kept copy is run without a question."""
-    from tustinnet.errors import InputError
-    from tustinnet.store.kept_system import trust
-
-    try:
-        trust(system)
-    except InputError as error:  # costs a question later
-        told.print(f"note: {error}")
-
-
 def judged_records(
     data: str, card: Path | None, split: str | None, start: str | None, models: "Sequence[Model]"
 ) -> "tuple[list[Experiment], str]":

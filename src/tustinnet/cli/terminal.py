@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from tustinnet.report.tables import Table
+    from tustinnet.systems.files import SystemFile
 
 _LATER = 0.05  # seconds until a signal is sent again
 _LONGEST_QUESTION = 400  # characters
@@ -54,6 +55,17 @@ def confirmed(question: str) -> bool:
     sys.stderr.write(f"{printable(question, _LONGEST_QUESTION)} [y/N] ")
     sys.stderr.flush()
     return sys.stdin.readline().strip().lower() in ("y", "yes")
+
+
+def remember_trust(system: "SystemFile") -> None:
+    """Remembers that the user ran this file, so that a kept copy is run without a question."""
+    from tustinnet.errors import InputError
+    from tustinnet.store.kept_system import trust
+
+    try:
+        trust(system)
+    except InputError as error:  # costs a question later
+        messages().print(f"note: {error}")
 
 
 class Stopped(KeyboardInterrupt):

@@ -310,8 +310,9 @@ class CommitteeFamily(Family):
             parts = [header[_MEMBERS][i] for i in of]
             family = FAMILIES[parts[0]["kind"]]
             numbers = ", ".join(str(i + 1) for i in of)
-            told = ", ".join(f"{part[_WEIGHT]:.4g}" for part in parts)
-            lines.append(("members", f"{family.kind}: {numbers}; weights: {told}"))
+            weights = [f"{part[_WEIGHT]:.4g}" for part in parts]
+            told = ", ".join(weights if len(set(weights)) > 1 else weights[:1])
+            lines.append(("members", f"{family.kind}: {numbers}; weight {told}"))
             each = [
                 family.shown(part, below(f"{i + 1}.", arrays))
                 for i, part in zip(of, parts, strict=True)

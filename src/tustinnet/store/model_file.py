@@ -72,7 +72,7 @@ def load_model(path: str | Path, system: AnySystem | None = None) -> Model:
             a newer version; a system that is not known or has changed.
     """
     header, arrays = _read(Path(path))
-    if system is not None and not systems_in(header):
+    if system is not None and not _systems_in(header, path):
         raise InputError(
             f"system for {path}", f"means nothing to a model of kind '{header['kind']}'",
             "a model of a system", "leave --system out",
@@ -150,7 +150,12 @@ def read_header(path: str | Path) -> dict[str, Any]:
 
 def system_of(path: str | Path) -> str:
     """The name of the system that a model file belongs to, or a part of its model; or ""."""
-    return "".join(systems_in(read_header(path))[:1])
+    return "".join(_systems_in(read_header(path), path)[:1])
+
+
+def _systems_in(header: dict[str, Any], path: str | Path) -> tuple[str, ...]:
+    with refusing(path, "a header that does not fit", "a file written by tustinnet"):
+        return systems_in(header)
 
 
 def downweighted_in(path: str | Path) -> list[Stretch]:
