@@ -36,6 +36,8 @@ from .models.lagrangian import LagrangianModel as LagrangianModel
 from .models.lagrangian import LagrangianSystem as LagrangianSystem
 from .models.lagrangian import Memory as Memory
 from .models.lagrangian import Parameter as Parameter
+from .selection.select import Asked as Asked
+from .selection.select import select_model as select_model
 from .simulate.adaptive import discretise_adaptively as discretise_adaptively
 from .simulate.drive import Drive as Drive
 from .simulate.drive import drive_of as drive_of

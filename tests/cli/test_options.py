@@ -39,6 +39,7 @@ _REPRODUCED = f"{TABLE}::test_reproduce_writes_tables_and_figures_and_trains_on_
 _QUIET = f"{HERE}::test_quiet_silences_the_progress"
 _PRINTED = f"{HERE}::test_the_demo_is_quiet_and_prints_json"
 _TOGETHER = "cli/test_put_together.py::test_models_are_put_together_and_used_as_one"
+_SELECTED = "cli/test_choosing.py::test_a_folder_of_logs_and_a_system_become_one_model"
 _STRICT = f"{HERE}::test_strict_refuses_what_looks_wrong"
 _INSPECTED = f"{VERBS}::test_inspect_as_json_with_a_figure"
 
@@ -59,6 +60,7 @@ SHOWN = {
         "--system": f"{GREY}::test_a_second_fit_does_not_overwrite_the_first",
         "--overwrite": f"{GREY}::test_a_second_fit_does_not_overwrite_the_first",
         "--resume": f"{VERBS}::test_fit_resumes_a_finished_run",
+        "--plan": _SELECTED, "--budget": _SELECTED,
         "--card": _CARD, "--device": _DEVICE, "--quiet": _QUIET, "--strict": _STRICT,
     },
     "cross-validate": {

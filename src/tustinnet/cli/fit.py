@@ -1,5 +1,7 @@
 """`tustinnet fit`: a model from a folder of logs, as a recipe says."""
 
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,6 +16,7 @@ if TYPE_CHECKING:
     from tustinnet.fitting.recipe import Recipe
     from tustinnet.fitting.task import Task
     from tustinnet.store.run import Earlier, Run
+    from tustinnet.systems.files import SystemFile
 
 
 def fit(
@@ -27,6 +30,17 @@ def fit(
         typer.Option(metavar="MODEL", help="A model whose accelerations a network corrects."),
     ] = None,
     system: options.System = None,
+    plan: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Without a recipe: which candidates are tried, a TOML file. Default: usual.",
+        ),
+    ] = None,
+    budget: Annotated[
+        str | None,
+        typer.Option(metavar="TIME", help="Without a recipe: how long it may take, e.g. 10min."),
+    ] = None,
     card: options.Card = None,
     strict: options.Strict = False,
     device: options.Device = None,
@@ -35,24 +49,51 @@ def fit(
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Fit a model as a recipe says: train its weights or identify its parameters."""
+    """Find the best model that the records allow, or fit one as a recipe says."""
     terminal.prepare_jax(device)
-    from tustinnet.cli.request import kept_system, loaded, members_of, recipe_of, tell_still
+    from tustinnet.cli.request import loaded
+    from tustinnet.cli.select import select
+    from tustinnet.systems.files import find_system
+
+    selects = recipe is None and physics is None
+    _require_meaning(
+        selects, {"--set": changes, "--seeds": seeds}, {"--plan": plan, "--budget": budget}
+    )
+    earlier = _earlier(resume=resume, overwrite=overwrite)
+    given = None if system is None else find_system(system)
+    load = partial(loaded, data, card, out, terminal.messages(), strict=strict)
+    if selects:
+        select(load, out, plan, given, budget, earlier, json=json, quiet=quiet)
+        return
+    asked = recipe, changes, seeds, physics
+    _fit_recipe(load, out, asked, given, earlier, json=json, quiet=quiet)
+
+
+def _fit_recipe(
+    load: "Callable[[], DataSet]",
+    out: Path,
+    asked: tuple[str | None, list[str] | None, str | None, Path | None],
+    given: "SystemFile | str | None",
+    earlier: "Earlier",
+    *,
+    json: bool,
+    quiet: bool,
+) -> None:
+    """Fits one recipe: `asked` has its name, changes, seeds, and the physics to correct."""
+    from tustinnet.cli.request import kept_system, members_of, recipe_of, tell_still
     from tustinnet.fitting.task import make_task
     from tustinnet.report.progress import FitProgress
     from tustinnet.store.model_file import load_model
     from tustinnet.store.run import run_task
-    from tustinnet.systems.files import find_system
 
-    chosen = recipe_of(recipe, changes, system=system, physics=physics)
+    recipe, changes, seeds, physics = asked
+    chosen = recipe_of(recipe, changes, system=given, physics=physics)
     members = members_of(seeds, chosen)
-    given = None if system is None else find_system(system)
     if physics is not None and given is None:
         given = kept_system(physics)
     known = None if physics is None else load_model(physics, given)
-    earlier = _earlier(resume=resume, overwrite=overwrite)
     told = terminal.messages()
-    records = loaded(data, card, out, told, strict=strict)
+    records = load()
     if "validation" not in records.splits:
         told.print("note: no validation split; the scores below are of the training records")
     # with physics, a system is that of the physics
@@ -72,6 +113,21 @@ def fit(
     else:
         _print(run, out)
     _tell_unfinished(run, told)
+
+
+def _require_meaning(
+    selects: bool, by_recipe: Mapping[str, object], by_plan: Mapping[str, object]
+) -> None:
+    """Raises where an option is given that means nothing here."""
+    from tustinnet.errors import InputError
+
+    for name, value in (by_recipe if selects else by_plan).items():
+        if value is not None and selects:
+            raise InputError(name, "means nothing where no recipe is named", "a recipe",
+                             "add --recipe NAME, or write a plan (--plan FILE)")  # fmt: skip
+        if value is not None:
+            raise InputError(name, "means nothing to a single recipe", "no recipe and no physics",
+                             "leave --recipe and --physics out to try several")  # fmt: skip
 
 
 def _tell_unfinished(run: "Run", told: "Console") -> None:

@@ -259,11 +259,11 @@ def cross_validate(data: DataSet, asked: Question, tell: Tell = lambda task: SIL
     for start in asked.starts or (default_start(known), f"model-{FITTED}"):
         horizon_samples(horizon_of(recipe), known, start_named(start))
     physics = [None] * len(deals) if asked.physics is None else _physics(deals, asked, tell)
-    folds = tuple(Fold(_used(d.roles, recipe), p) for d, p in zip(deals, physics, strict=True))
+    folds = tuple(Fold(used_by(d.roles, recipe), p) for d, p in zip(deals, physics, strict=True))
     own = None if asked.physics else asked.system
     seeds = asked.seeds if recipe.family.trains else (0,)
     members = tuple(Member(seed, fold=f) for f in range(len(folds)) for seed in seeds)
-    task, results = Task(recipe, folds, members, own), []
+    task, results = Task(recipe, folds, members, own, brief=True), []
     for group in groups_alike(task):
         results += _fitted(task.of(group), tell)
     results.sort(key=lambda r: members.index(r.member))
@@ -277,8 +277,10 @@ def cross_validate(data: DataSet, asked: Question, tell: Tell = lambda task: SIL
     )
 
 
-def _used(of: Roles, recipe: Recipe) -> Roles:
-    """An identification has no epochs to choose: what would choose them trains, too.
+def used_by(of: Roles, recipe: Recipe) -> Roles:
+    """The records of a fold as a recipe uses them.
+
+    An identification has no epochs to choose: what would choose them trains, too.
 
     Unless the recipe leaves it to these records how initial states are treated.
     """
@@ -290,9 +292,9 @@ def _used(of: Roles, recipe: Recipe) -> Roles:
 def _physics(deals: Sequence[Deal], asked: Question, tell: Tell) -> list[Model]:
     """What every fold's networks correct, identified from all records that are not scored."""
     assert asked.physics is not None
-    folds = tuple(Fold(_used(d.roles, asked.physics)) for d in deals)
+    folds = tuple(Fold(used_by(d.roles, asked.physics)) for d in deals)
     members = tuple(Member(fold=f) for f in range(len(folds)))
-    task = Task(asked.physics, folds, members, asked.system)
+    task = Task(asked.physics, folds, members, asked.system, brief=True)
     return [result.model for result in _fitted(task, tell)]
 
 

@@ -5,6 +5,7 @@ each copy that the user has consented to, a file of that name in the user's conf
 """
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from tustinnet.store.model_file import read_header
 from tustinnet.systems.files import SystemFile
 
 COPY = "system.py"  # what the copy is called in a run folder
+CANDIDATES = "candidates"  # the folder of a selection that has one for each candidate
 HEADER = "system_copy"  # what the header of a model says of it
 CONFIG_VARIABLE = "TUSTINNET_CONFIG"  # names another configuration folder
 
@@ -52,20 +54,26 @@ def require_room(system: SystemFile | None, folder: Path) -> None:
 def kept_with(model: Path) -> SystemFile | None:
     """The copy that was kept with a model file, read but not run; None where there is none.
 
-    The model of a seed lies a folder below the copy.
+    The models of seeds, folds and candidates lie some folders below the copy.
 
     Raises:
         InputError: the model file or the copy cannot be read.
     """
     if HEADER not in read_header(model):
         return None
-    folder = model.parent
-    run = folder.parent if folder.name else Path("..")
-    of_seed = folder.resolve().name.startswith("seed-")
-    for path in (folder / COPY, *([run / COPY] if of_seed else [])):
+    for path in (folder / COPY for folder in _folders_of_run(model.parent)):
         if path.exists():
             return SystemFile(path, _text_of(path))
     return None
+
+
+def _folders_of_run(folder: Path) -> Iterator[Path]:
+    """The folder of a model and those above it, up to that of the run or selection it is from."""
+    yield folder
+    name, above = folder.resolve().name, folder.parent if folder.name else Path("..")
+    of_fit = name.startswith(("seed-", "fold-", "all-records")) or name == CANDIDATES
+    if of_fit or above.resolve().name == CANDIDATES:
+        yield from _folders_of_run(above)
 
 
 def is_trusted(system: SystemFile) -> bool:

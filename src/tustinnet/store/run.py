@@ -203,15 +203,27 @@ def run_task(
 
 def _fitted(task: Task, data: str, folder: Path, tell: Tell, *, resume: bool) -> Run:
     trains, roles = task.recipe.family.trains, task.folds[0].roles
-    fitted = (
-        _trained(task, folder, tell, resume=resume) if trains else _searched(task, folder, tell)
-    )
+    fitted = fit_in(folder, task, tell, resume=resume)
     runs = []
     for member, result in zip(task.members, fitted, strict=True):
         horizon = within(result.horizon, roles.judging)
         scores = tuple(evaluate(result.model, roles.judging, result.start, horizon=horizon))
         runs.append(MemberRun(result, scores, folder / member.name if trains else folder))
     return Run(tuple(runs), data, roles, fitted[0].start, folder)
+
+
+def fit_in(folder: Path, task: Task, tell: Tell, *, resume: bool) -> list[FitResult]:
+    """Fits all members of a task with logs and checkpoints in a folder, a folder each.
+
+    Args:
+        folder: where they go.
+        task: what to fit.
+        tell: see `run_task`.
+        resume: whether to go on from the checkpoints that are there; an identification has none.
+    """
+    if task.recipe.family.trains:
+        return _trained(task, folder, tell, resume=resume)
+    return _searched(task, folder, tell)
 
 
 def _keep(done: Run) -> None:

@@ -25,8 +25,9 @@ from tustinnet.fitting.gradient.material import (
     validation_runs,
 )
 from tustinnet.fitting.gradient.state import Stage, TrainingState, begin_stage
-from tustinnet.fitting.recipe import StageRecipe, TrainingRecipe
+from tustinnet.fitting.recipe import TrainingRecipe
 from tustinnet.fitting.residual import residual_of
+from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Fold, Member, Task
 from tustinnet.models.contract import Model, with_dtype
 from tustinnet.simulate.batches import batches
@@ -92,6 +93,10 @@ class Plan:
 def plan(task: Task, devices: Sequence[Any] | None = None) -> Plan:
     """Prepares trainings that run together: initial weights, windows, validation free runs.
 
+    Material is laid out for all folds that are alike, also for those without a member here: the
+    members of one fold compile to the same program and train to the same weights, whether those of
+    other folds train beside them or in a job of their own.
+
     Args:
         task: what is to be fitted.
         devices: where they train; by default all of the kind that JAX prefers.
@@ -105,6 +110,7 @@ def plan(task: Task, devices: Sequence[Any] | None = None) -> Plan:
         raise InputError(f"recipe '{recipe.name}'", "nothing to train", "a recipe with stages")
     keys = [jax.random.split(jax.random.key(member.seed)) for member in members]
     used = sorted({m.fold for m in members})
+    peers = _peers(task)
     make = {
         f: recipe.family.builder(
             recipe.model, folds[f].roles.train, recipe.velocity, _shared_physics(folds[f])
@@ -114,17 +120,16 @@ def plan(task: Task, devices: Sequence[Any] | None = None) -> Plan:
     given = tuple(make[m.fold](key) for m, (key, _) in zip(members, keys, strict=True))
     single = [with_dtype(model, np.float32) for model in given]
     require_alike(single)
-    pool = Pool([e for f in used for e in folds[f].roles.all])
+    pool = Pool([e for of in peers for e in of.all])
     stages = tuple(
-        _plan_stage(index, stage, task, single[0], pool)
-        for index, stage in enumerate(recipe.stages)
+        _plan_stage(index, task, single[0], pool, peers) for index in range(len(recipe.stages))
     )
     named = recipe.start or default_start(pool.experiments, single[0])
     rule = start_named(named)
     horizon_samples(recipe.horizon, pool.experiments, rule, f"recipe '{recipe.name}', horizon")
     along = {m.fold: pool.internal_states(given[i], recipe.velocity)
              for i, m in reversed(list(enumerate(members)))}  # fmt: skip
-    validation, chosen, counted = _validation(task, single[0], rule)
+    validation, chosen, counted = _validation(task, single[0], rule, peers)
     return Plan(
         task=task,
         given=given,
@@ -194,13 +199,26 @@ def _likeness(recipe: TrainingRecipe, fold: Fold) -> Any:
     )
 
 
-def _plan_stage(index: int, recipe: StageRecipe, task: Task, model: Model, pool: Pool) -> Stage:
+def _peers(task: Task) -> list[Roles]:
+    """The records of every fold that could train together with the members' folds."""
+    used = {m.fold for m in task.members}
+    if len(task.folds) == len(used):
+        return [task.folds[f].roles for f in sorted(used)]
+    assert isinstance(task.recipe, TrainingRecipe)
+    recipe = task.recipe
+    of = {f: _likeness(recipe, fold) for f, fold in enumerate(task.folds)}
+    ours = {of[f] for f in used}
+    return [fold.roles for f, fold in enumerate(task.folds) if of[f] in ours]
+
+
+def _plan_stage(index: int, task: Task, model: Model, pool: Pool, peers: Sequence[Roles]) -> Stage:
     """The stage with the windows of every member drawn."""
-    family, warm_up = task.recipe.family, model.warm_up
+    assert isinstance(task.recipe, TrainingRecipe)
+    family, warm_up, recipe = task.recipe.family, model.warm_up, task.recipe.stages[index]
     roles = [task.folds[m.fold].roles for m in task.members]
     drawn, lengths = [], set()
-    for m, of in zip(task.members, roles, strict=True):
-        generator = np.random.default_rng([m.seed, index])
+    for seed, of in _drawing(task, peers):
+        generator = np.random.default_rng([seed, index])
         windows, length = stage_windows(of.train, recipe.windows, generator, warm_up)
         drawn.append(pool.rows(windows, of.train))
         lengths.add(length)
@@ -210,19 +228,19 @@ def _plan_stage(index: int, recipe: StageRecipe, task: Task, model: Model, pool:
     criteria = (recipe.keep, recipe.plateau.watch if recipe.plateau else None)
     if "validation-loss" in criteria:
         found = []
-        for m, of in zip(task.members, roles, strict=True):
-            generator = np.random.default_rng([m.seed, index, 1])
+        for seed, of in _drawing(task, peers):
+            generator = np.random.default_rng([seed, index, 1])
             if of.validation:
                 windows = draw(of.validation, recipe.windows, length + warm_up, generator)
                 found.append(pool.rows(windows, of.validation))
-        if len(found) == len(roles) and all(len(rows) for rows in found):
-            watched = StageWindows(_side_by_side(found), length, warm_up)
+        if len(found) == len(drawn) and all(len(rows) for rows in found):
+            watched = StageWindows(_side_by_side(found, len(roles)), length, warm_up)
     residuals = {residual_of(recipe, of.train) for of in roles}
     if len(residuals) > 1:
         raise InputError(f"stage '{recipe.name}'", "residuals of different units", "one unit")
     return Stage(
         recipe=recipe,
-        windows=StageWindows(_side_by_side(drawn), length, warm_up),
+        windows=StageWindows(_side_by_side(drawn, len(roles)), length, warm_up),
         trainable=family.trainable(model, recipe),
         residual=residuals.pop(),
         regulariser=family.regulariser(recipe),
@@ -230,23 +248,33 @@ def _plan_stage(index: int, recipe: StageRecipe, task: Task, model: Model, pool:
     )
 
 
-def _side_by_side(rows: Sequence[np.ndarray]) -> Int[np.ndarray, "members count"]:
-    """As many windows for every member as the fewest have, the others thinned out evenly."""
+def _drawing(task: Task, peers: Sequence[Roles]) -> list[tuple[int, Roles]]:
+    """For whom windows are drawn, seed and records: the members, then folds without a member."""
+    mine = [(m.seed, task.folds[m.fold].roles) for m in task.members]
+    others = [of for of in peers if all(of is not own for _, own in mine)]
+    return mine + [(task.members[0].seed, of) for of in others]
+
+
+def _side_by_side(rows: Sequence[np.ndarray], members: int) -> Int[np.ndarray, "members count"]:
+    """The first so many, as many windows for each as the fewest have, others thinned out evenly."""
     fewest = min(map(len, rows))
-    return np.stack([r[np.linspace(0, len(r) - 1, fewest).round().astype(int)] for r in rows])
+    return np.stack(
+        [r[np.linspace(0, len(r) - 1, fewest).round().astype(int)] for r in rows[:members]]
+    )
 
 
 def _validation(
-    task: Task, model: Model, start: Start
+    task: Task, model: Model, start: Start, peers: Sequence[Roles]
 ) -> tuple[ValidationRuns | None, Int[Array, "members runs"], Float[Array, "members runs"]]:
     """The free runs that judge, which of them each member has, and what counts of these."""
     mine = [task.folds[m.fold].roles.validation for m in task.members]
     if not all(mine):
         nothing = jnp.zeros((len(mine), 0))
         return None, nothing.astype(jnp.int32), nothing
-    every: tuple[Experiment, ...] = tuple({e.name: e for of in mine for e in of}.values())
+    theirs = [of.validation for of in peers]
+    every: tuple[Experiment, ...] = tuple({e.name: e for of in theirs for e in of}.values())
     place = {e.name: i for i, e in enumerate(every)}
-    most = max(map(len, mine))
+    most = max(map(len, theirs))
     chosen = np.zeros((len(mine), most), np.int32)
     counted = np.zeros((len(mine), most), np.float32)
     for m, of in enumerate(mine):

@@ -1,0 +1,94 @@
+"""`tustinnet fit` without a recipe: the best model that the records allow."""
+
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from tustinnet.cli import terminal
+
+if TYPE_CHECKING:
+    from tustinnet.data.dataset import DataSet
+    from tustinnet.selection.choice import Choice
+    from tustinnet.store.run import Earlier
+    from tustinnet.systems.files import SystemFile
+
+_SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
+
+
+def seconds_of(budget: str | None) -> float | None:
+    """A time as people write it, in seconds: `90`, `90s`, `10min`, `1.5h`."""
+    from tustinnet.errors import InputError
+
+    if budget is None:
+        return None
+    found = re.fullmatch(r"(\d{1,6}(?:\.\d{1,3})?) ?(s|min|h|)", budget.strip())
+    seconds = float(found[1]) * _SECONDS[found[2]] if found else math.nan
+    if not seconds > 0:
+        raise InputError("--budget", f"'{budget}'", "a time above 0, e.g. 90s, 10min, 1.5h")
+    return seconds
+
+
+def select(
+    load: "Callable[[], DataSet]",
+    out: Path,
+    plan: str | None,
+    system: "SystemFile | str | None",
+    budget: str | None,
+    earlier: "Earlier",
+    *,
+    json: bool,
+    quiet: bool,
+) -> None:
+    """Tries the candidates of a plan and keeps the best as one model."""
+    from tustinnet.report.progress import FitProgress
+    from tustinnet.selection.jobs import Job
+    from tustinnet.selection.plan import USUAL, read_plan
+    from tustinnet.selection.select import Asked, Reporter, select_model
+
+    told = terminal.messages()
+    asked = Asked(read_plan(plan or USUAL), system, seconds_of(budget))
+    records = load()
+    with FitProgress(told, quiet=quiet) as progress:
+
+        def tell(job: Job) -> Any:
+            label = f"{job.candidate}, fold {job.fold}"
+            return lambda prepared: progress.follow(prepared, label=label)
+
+        reporter = Reporter((lambda sentence: None) if quiet else told.print, tell)
+        with terminal.interruptible("--resume goes on with what is done"):
+            choice = select_model(records, out, asked, earlier, reporter)
+    if choice.at.system_file is not None:
+        terminal.remember_trust(choice.at.system_file)
+    _draw(choice)
+    if json:
+        terminal.print_json(choice.as_plain())
+    else:
+        _print(choice, out)
+
+
+def _draw(choice: "Choice") -> None:
+    from tustinnet.report.figures import free_run_figure, write_figure
+    from tustinnet.report.selection import candidates_figure, candidates_table, free_runs
+    from tustinnet.store.files import write_into
+
+    folder = choice.at.folder
+    write_into(folder, "candidates.md", candidates_table(choice).markdown())
+    write_figure(candidates_figure(choice), folder, "figures/candidates.png")
+    for name, runs in free_runs(choice).items():
+        write_figure(free_run_figure(choice.at.data[name], runs), folder, f"figures/{name}.png")
+
+
+def _print(choice: "Choice", out: Path) -> None:
+    from tustinnet.report.selection import candidates_table
+
+    terminal.print_tables(candidates_table(choice))
+    for sentence in choice.sentences:
+        typer.echo(f"* {sentence}")
+    typer.echo(
+        f"model: {out / 'model.safetensors'}   table: {out / 'candidates.md'}   "
+        f"figures: {out / 'figures'}   {choice.seconds:.0f} s"
+    )

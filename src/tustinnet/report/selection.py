@@ -1,0 +1,127 @@
+"""Selections: the table of candidates, their figure, free runs of what was chosen."""
+
+import math
+
+from matplotlib.figure import Figure
+
+from tustinnet.evaluate.scores import Score, evaluate
+from tustinnet.report.figures import COLOURS, house_style
+from tustinnet.report.tables import Table, number, scale_of
+from tustinnet.selection.choice import Choice
+from tustinnet.selection.jobs import loaded
+from tustinnet.selection.ranking import Standing, mean_and_error, paired
+
+_DRAWN = 6  # records whose free runs are drawn
+
+
+def candidates_table(choice: Choice) -> Table:
+    """What was found of every candidate and committee, the best first, those left out last."""
+    scored = _in_order(choice)
+    best, starts = choice.standing(choice.best), choice.starts
+    told = {s.name: [mean_and_error(s.rmse(start=start).values()) if start in _starts(s) else None
+                     for start in starts] for s in scored}  # fmt: skip
+    scale = scale_of(mean[0] for of in told.values() for mean in of if mean is not None)
+    rows = []
+    for s in scored:
+        than = paired(s, best)
+        against = (
+            "" if s is best else f"{_signed(than.mean, scale)} ± {_in(than.standard_error, scale)}"
+        )
+        means = [_plus_minus(mean, scale) for mean in told[s.name]]
+        seeds = len({m.seed for m in s.models})
+        rows.append([s.name, *means, against, str(than.records), str(len(s.folds)), str(seeds),
+                     f"{s.seconds:.0f}"])  # fmt: skip
+    empty = [""] * (len(starts) + 4)
+    rows += [
+        [f"{s.name}: {s.why or 'not tried'}", *empty, f"{s.seconds:.0f}"]
+        for s in choice.found.candidates
+        if not s.folds
+    ]
+    unit = choice.unit
+    columns = ["candidate", *[f"RMSE [{unit}], {start}" for start in starts],
+               f"worse than {best.name} by", "records", "folds", "seeds", "seconds"]  # fmt: skip
+    title = "free runs of records that a model was not fitted to, mean ± standard error"
+    return Table(columns, rows, title=title)
+
+
+def _in_order(choice: Choice) -> list[Standing]:
+    """Those that were scored: what could be chosen, the best first, then what was left behind."""
+    choosable = [s.name for s in choice.found.choosable]
+    best = choice.standing(choice.best)
+
+    def place(s: Standing) -> tuple[bool, bool, float]:
+        mean = paired(s, best).mean
+        return s is not best, s.name not in choosable, math.inf if math.isnan(mean) else mean
+
+    return sorted((s for s in choice.found.standings if s.folds), key=place)
+
+
+def _starts(of: Standing) -> set[str]:
+    return {start for m in of.models for start in m.rmse}
+
+
+def _in(value: float, scale: float) -> str:
+    return number(value, scale=scale)
+
+
+def _signed(value: float, scale: float) -> str:
+    return ("+" if value >= 0 else "") + number(value, scale=scale)
+
+
+def _plus_minus(mean: tuple[float, float] | None, scale: float) -> str:
+    if mean is None:
+        return ""
+    return f"{_in(mean[0], scale)} ± {_in(mean[1], scale)}"
+
+
+def candidates_figure(choice: Choice) -> Figure:
+    """Mean and standard error of every candidate, each record a point."""
+    scored = _in_order(choice)[::-1]
+    with house_style():
+        figure = Figure(figsize=(7.0, 0.42 * len(scored) + 1.3), layout="constrained")
+        axes = figure.subplots()
+        for i, s in enumerate(scored):
+            values = [x for x in s.rmse().values() if math.isfinite(x)]
+            mean, error = mean_and_error(values or [math.nan])
+            chosen = s.name == choice.best
+            colour = COLOURS[0] if chosen else COLOURS[4]
+            axes.plot(values, [i] * len(values), "o", color=colour, alpha=0.3, markersize=3)
+            axes.errorbar(mean, i, xerr=error, fmt="s", color=colour, capsize=3, markersize=5)
+        axes.set_yticks(range(len(scored)), [s.name for s in scored])
+        axes.set_xscale("log")
+        axes.set_xlabel(f"free-run RMSE [{choice.unit}] of records not fitted to")
+        axes.set_title(
+            f"{choice.at.data.name}: mean, standard error, each record a point", loc="left"
+        )
+        axes.grid(visible=False, axis="y")
+    return figure
+
+
+def free_runs(choice: Choice) -> dict[str, dict[str, Score]]:
+    """Free runs to draw: by record and label, of models that were not fitted to the record.
+
+    Of the chosen one and the simplest as good, those of the first seed; of a committee that of its
+    largest part. At most 6 records: the worst, and others down to the best.
+    """
+    labels = dict.fromkeys([_largest(choice, choice.best), _largest(choice, choice.simplest)])
+    worst_first = sorted(choice.standing(choice.best).rmse().items(), key=lambda item: -item[1])
+    step = max(1, (len(worst_first) - 1) / (_DRAWN - 1)) if len(worst_first) > _DRAWN else 1
+    places = {round(i * step) for i in range(_DRAWN)}
+    wanted = {name for i, (name, _) in enumerate(worst_first) if i in places}
+    found: dict[str, dict[str, Score]] = {}
+    for label in labels:
+        for models in choice.standing(label).folds.values():
+            first = models[0]
+            start, rmse = next(iter(first.rmse.items()))
+            records = [choice.at.data[name] for name in rmse if name in wanted]
+            if not records:
+                continue
+            model, horizon = loaded(first.model, choice.at), choice.at.judging.horizon
+            for score in evaluate(model, records, start, horizon=horizon):
+                found.setdefault(score.experiment, {})[label] = score
+    return found
+
+
+def _largest(choice: Choice, name: str) -> str:
+    """A candidate, of a committee the one that counts most."""
+    return max(choice.found.members(name), key=lambda member: member[1])[0].name

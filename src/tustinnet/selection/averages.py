@@ -1,0 +1,100 @@
+"""Committees of candidates: shares chosen on folds, judged on folds that did not choose."""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tustinnet.families.committee import committee
+from tustinnet.models.contract import Model
+from tustinnet.selection.jobs import SeedScore, Workplace, judged, loaded
+from tustinnet.selection.plan import Average
+from tustinnet.selection.ranking import Standing, mean_and_error
+
+_PARTS = 4  # shares are multiples of one over this
+
+Shares = tuple[float, ...]  # of each candidate of a committee
+_ByRecord = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A committee, judged on folds.
+
+    Attributes:
+        standing: its scores; each fold's with the shares that the other folds chose.
+        shares: those that all folds together choose, by candidate.
+    """
+
+    standing: Standing
+    shares: Mapping[str, float]
+
+
+def judge_average(of: Average, members: Sequence[Standing], at: Workplace) -> Judged | None:
+    """Judges a committee on the folds that all of its candidates have.
+
+    In every fold its members are the candidates' models of that fold, none of which has seen the
+    records that it is scored on. Seeds of a candidate count the same.
+
+    Args:
+        of: the committee.
+        members: the standings of its candidates.
+        at: where the models are, and how they are compared.
+
+    Returns:
+        None where time was up before the first fold was judged.
+    """
+    folds = sorted(set.intersection(*(set(s.folds) for s in members)))
+    tried = _compositions(len(members))
+    found: dict[int, list[dict[str, dict[str, float]]]] = {}
+    for fold in folds:
+        if at.clock.left <= 0:
+            break
+        found[fold] = _of_fold([s.folds[fold] for s in members], tried, at)
+    if not found:
+        return None
+    scores = {}
+    for fold, by_shares in found.items():
+        others = [f for f in found if f != fold] or [fold]
+        chosen = _best(found, others)
+        scores[fold] = (SeedScore(0, "", "", 0, by_shares[chosen]),)
+    best = tried[_best(found, list(found))]
+    named = {s.name: share for s, share in zip(members, best, strict=True)}
+    return Judged(Standing(of.name, scores, sum(s.seconds for s in members)), named)
+
+
+def weights_of(models: Sequence[Sequence[SeedScore]], shares: Sequence[float]) -> list[float]:
+    """What every model counts, where each candidate has a share and its models count the same."""
+    return [share / len(of) for of, share in zip(models, shares, strict=True) for _ in of]
+
+
+def _compositions(count: int) -> list[Shares]:
+    """The shares that are tried, equal ones first."""
+    parts = [p for p in itertools.product(range(_PARTS + 1), repeat=count) if sum(p) == _PARTS]
+    tried = [tuple(part / _PARTS for part in p) for p in parts]
+    equal = tuple(1 / count for _ in range(count))
+    return [equal, *(shares for shares in tried if shares != equal)]
+
+
+def _of_fold(
+    models: Sequence[Sequence[SeedScore]], tried: Sequence[Shares], at: Workplace
+) -> list[dict[str, dict[str, float]]]:
+    """RMSE of the records left out, by start, for each of the shares."""
+    members = [loaded(model.model, at) for of in models for model in of]
+    names = list(next(iter(models[0][0].rmse.values())))
+    return [judged(_as_one(members, weights_of(models, shares)), at, names) for shares in tried]
+
+
+def _as_one(members: Sequence[Model], weights: Sequence[float]) -> Model:
+    return members[0] if len(members) == 1 else committee(members, weights)
+
+
+def _best(found: Mapping[int, Sequence[Mapping[str, _ByRecord]]], folds: Sequence[int]) -> int:
+    """The shares with the lowest mean RMSE over the records of some folds; equal ones if level."""
+    count = len(next(iter(found.values())))
+    means = []
+    for i in range(count):
+        values = [x for f in folds for x in next(iter(found[f][i].values())).values()]
+        means.append(mean_and_error(values)[0])
+    return int(np.argmin(np.where(np.isfinite(means), means, np.inf)))

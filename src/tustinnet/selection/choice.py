@@ -1,0 +1,180 @@
+"""The choice of a selection: which model, how good, why."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tustinnet.fitting.report import data_header
+from tustinnet.models.contract import Model
+from tustinnet.selection.ending import Found
+from tustinnet.selection.jobs import Workplace
+from tustinnet.selection.ranking import Standing, mean_and_error, paired
+from tustinnet.store.kept_system import CANDIDATES, header_of
+from tustinnet.store.run import MODEL
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What a selection came to.
+
+    Attributes:
+        at: where it is, the records, how candidates were compared.
+        found: what was found of candidates and committees.
+        best: the candidate or committee that was chosen.
+        simplest: the simplest within one standard error of it.
+        made: what the models of those that could be chosen were made of, in words.
+        model: the chosen model.
+        notes: what else was done or left out, in sentences.
+        seconds: time it took.
+        budget: how long it was to take at most [s], None for no limit.
+    """
+
+    at: Workplace
+    found: Found
+    best: str
+    simplest: str
+    made: Mapping[str, str]
+    model: Model
+    notes: tuple[str, ...] = ()
+    seconds: float = 0.0
+    budget: float | None = None
+
+    @property
+    def unit(self) -> str:
+        """Of the RMSE."""
+        return self.at.data.channels.unit
+
+    @property
+    def starts(self) -> tuple[str, ...]:
+        """The starts that candidates were scored from, first the one that judges."""
+        every = [start for s in self.found.standings for m in s.models for start in m.rmse]
+        return tuple(dict.fromkeys([self.at.judging.start, *every]))
+
+    def standing(self, name: str) -> Standing:
+        """That of a candidate or committee."""
+        return next(s for s in self.found.standings if s.name == name)
+
+    def file(self, name: str) -> str:
+        """The model file of a candidate or committee that could be chosen, below the folder."""
+        return f"{CANDIDATES}/{name}/{MODEL}"
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """How good the chosen model is, and why this one, in plain words."""
+        best = self.standing(self.best)
+        rmse = best.rmse()
+        mean, error = mean_and_error(rmse.values())
+        told = [f"chosen: {self.best}, {self.made[self.best]}"]
+        if not math.isfinite(mean):
+            told.append("free runs of some records leave all bounds: set `horizon` in the plan")
+            return (*told, *self.notes)
+        spread = "" if math.isnan(error) else f" ± {error:.2g}"
+        worst = max(rmse, key=lambda record: rmse[record])
+        several = "s" if len(rmse) > 1 else ""
+        told.append(
+            f"free runs of {len(rmse)} record{several} that its models were not fitted to: "
+            f"{mean:.3g}{spread} {self.unit}, {100 * mean / self._motion:.2g} % of the motion; "
+            f"worst {worst}, {rmse[worst]:.3g} {self.unit}"
+        )
+        told.append(self._against(best))
+        if self.simplest != self.best:
+            than = paired(self.standing(self.simplest), best)
+            told.append(
+                f"simplest within one standard error: {self.simplest}, {self.made[self.simplest]} "
+                f"({than.mean:+.2g} ± {than.standard_error:.2g} {self.unit}): "
+                f"{self.at.folder / self.file(self.simplest)}"
+            )
+        return (*told, *self.notes)
+
+    @property
+    def _motion(self) -> float:
+        """Root mean square of the positions about their means, over all coordinates, in `unit`."""
+        q = np.concatenate([e.q - e.q.mean(axis=0) for e in self.at.data])
+        return float(np.sqrt(np.mean(np.sum(q**2, axis=1)))) or 1.0
+
+    def _against(self, best: Standing) -> str:
+        """How the chosen one stands to the next one."""
+        others = [s for s in self.found.standings if s.folds and s.name != best.name]
+        if not others:
+            return "nothing else was scored to compare it with"
+        than = {s.name: paired(s, best) for s in others}
+        name = min(than, key=lambda other: than[other].mean)
+        mean, error = than[name].mean, than[name].standard_error
+        word = "clearly" if mean > 2 * error else "not clearly"
+        return (
+            f"{word} better than the next, {name}: by {mean:.2g} ± {error:.2g} {self.unit} on "
+            f"{than[name].records} records"
+        )
+
+    def header(self, name: str) -> dict[str, Any]:
+        """What the model file of a candidate or committee says beside the model."""
+        standing = self.standing(name)
+        mean, error = mean_and_error(standing.rmse().values())
+        needs_system = any(
+            self.found.plan.candidate(s.name).content.family.needs
+            for s, _ in self.found.members(name)
+        )
+        return {
+            "data": data_header(self.at.data.name, list(self.at.data)),
+            "selection": {"plan": self.found.plan.name, "chosen": name, "made": self.made[name]},
+            "scores": {
+                "split": "left out",
+                "start": next(iter(standing.models[0].rmse)),
+                "horizon": self.at.judging.horizon,
+                "unit": self.unit,
+                "rmse": standing.rmse(),
+                "mean": mean,
+                "standard_error": error,
+            },
+            **(header_of(self.at.system_file) if needs_system else {}),
+        }
+
+    def as_plain(self) -> dict[str, Any]:
+        """All of it as plain values."""
+        best = self.standing(self.best)
+        return {
+            "plan": self.found.plan.model_dump(mode="json"),
+            "data": self.at.data.name,
+            "unit": self.unit,
+            "folds": self.at.judging.folds,
+            "start": self.at.judging.start,
+            "horizon": self.at.judging.horizon,
+            "best": self.best,
+            "simplest": self.simplest,
+            "seconds": self.seconds,
+            "budget": self.budget,
+            "sentences": list(self.sentences),
+            "candidates": [self._plain(s, best) for s in self.found.standings],
+        }
+
+    def _plain(self, of: Standing, best: Standing) -> dict[str, Any]:
+        common = {"name": of.name, "seconds": of.seconds, "why": of.why}
+        if not of.folds:
+            return common
+        than = paired(of, best)
+        by_start = {start: of.rmse(start=start) for m in of.models for start in m.rmse}
+        averages = self.found.averages
+        return {
+            **common,
+            "model": self.file(of.name) if of.name in self.made else None,
+            "made": self.made.get(of.name),
+            "shares": dict(averages[of.name].shares) if of.name in averages else None,
+            "folds": sorted(of.folds),
+            "seeds": sorted({m.seed for m in of.models}),
+            "starts": {
+                start: dict(
+                    zip(("mean", "standard_error"), mean_and_error(rmse.values()), strict=True)
+                )
+                | {"rmse": rmse}
+                for start, rmse in by_start.items()
+            },
+            "difference": {
+                "mean": than.mean,
+                "standard_error": than.standard_error,
+                "records": than.records,
+            },
+            "models": [m.model for m in of.models if m.model],
+        }

@@ -1,0 +1,170 @@
+"""Successive halving: rounds of more and more folds and seeds, each with fewer candidates."""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from tustinnet.selection.clock import Clock
+from tustinnet.selection.executors import Executor
+from tustinnet.selection.jobs import Job, JobResult
+from tustinnet.selection.plan import Candidate, Round, SelectionPlan
+from tustinnet.selection.ranking import Standing, ranked
+
+_TRYING = 0.6  # share of the time after which no candidate is tried for the first time
+_FEWEST = 2  # candidates that go on, where there are as many
+
+
+class _Wanted(NamedTuple):
+    """A job that waits until what it corrects is there."""
+
+    candidate: Candidate
+    fold: int
+    seeds: tuple[int, ...]
+
+
+class Halving:
+    """Candidates on their way through the rounds of a plan.
+
+    Args:
+        plan: the plan.
+        candidates: those of its candidates that take part.
+        folds: into how many folds the records are dealt.
+        clock: when time is up.
+        told: who is told what happens, in sentences.
+
+    Attributes:
+        plan: the plan.
+        standings: what has been found of each candidate, by name, from the simplest on.
+        cheapest: of the candidates that time ended before they were scored once, the job that
+            would have ended first; None without any.
+    """
+
+    def __init__(
+        self,
+        plan: SelectionPlan,
+        candidates: Sequence[Candidate],
+        folds: int,
+        clock: Clock,
+        told: Callable[[str], None],
+    ) -> None:
+        self.plan, self._candidates, self._folds = plan, tuple(candidates), folds
+        self._clock, self._told, self._begun_with = clock, told, clock.left
+        self._expected: dict[str, float] = {}  # seconds a seed takes on a fold
+        self.standings = {c.name: Standing(c.name) for c in candidates}
+        self.cheapest: JobResult | None = None
+
+    def run(self, executor: Executor) -> list[Standing]:
+        """Goes through the rounds; the candidates that are left, the best first."""
+        alive = self._candidates
+        for number, of in enumerate(self.plan.rounds):
+            ordered = alive if number == 0 else self._by_rank(alive)
+            self._do(self._wanted(ordered, of), executor)
+            found = ranked([self.standings[c.name] for c in alive])
+            last = number + 1 == len(self.plan.rounds)
+            count = len(found) if last else max(_FEWEST, math.ceil(of.keep * len(found)))
+            alive = self._needed([s.name for s in found[:count]], alive)
+            self._tell(number, found, len(alive))
+            if self._clock.left <= 0:
+                break
+        return ranked([self.standings[c.name] for c in alive])
+
+    def _by_rank(self, alive: Sequence[Candidate]) -> list[Candidate]:
+        order = [s.name for s in ranked([self.standings[c.name] for c in alive])]
+        return sorted(alive, key=lambda c: order.index(c.name))
+
+    def _needed(self, names: Sequence[str], alive: Sequence[Candidate]) -> tuple[Candidate, ...]:
+        """The candidates of these names, and those that they correct."""
+        kept = set(names)
+        for c in alive:
+            if c.name in kept:
+                kept |= {name for name in c.corrects if self.standings[name].folds}
+        return tuple(c for c in alive if c.name in kept)
+
+    def _wanted(self, alive: Sequence[Candidate], of: Round) -> list[_Wanted]:
+        """The jobs of a round that are not done, fold by fold."""
+        found = []
+        for fold in range(min(of.folds, self._folds)):
+            for c in alive:
+                seeds = range(of.seeds if c.content.family.trains else 1)
+                done = {s.seed for s in self.standings[c.name].folds.get(fold, ())}
+                if missing := tuple(seed for seed in seeds if seed not in done):
+                    found.append(_Wanted(c, fold, missing))
+        return found
+
+    def _do(self, wanted: Sequence[_Wanted], executor: Executor) -> None:
+        """Does jobs as soon as what they correct is there, in their order."""
+        waiting, running = list(wanted), set[tuple[str, int]]()
+        while waiting or running:
+            ready = self._ready(waiting, running) if executor.free else None
+            if ready is not None:
+                waiting.remove(ready)
+                job = self._job(ready)
+                if job is not None:
+                    running.add((job.candidate, job.fold))
+                    executor.submit(job)
+                continue
+            result = executor.result()
+            running.remove((result.candidate, result.fold))
+            self._note(result)
+
+    @staticmethod
+    def _ready(waiting: Sequence[_Wanted], running: set[tuple[str, int]]) -> _Wanted | None:
+        busy = running | {(w.candidate.name, w.fold) for w in waiting}
+        for wanted in waiting:
+            if not any((name, wanted.fold) in busy for name in wanted.candidate.corrects):
+                return wanted
+        return None
+
+    def _job(self, wanted: _Wanted) -> Job | None:
+        """The job, unless it has nothing to correct or no time is left for it."""
+        candidate, fold, seeds = wanted
+        name, physics = candidate.name, None
+        if candidate.corrects:
+            there = [self.standings[n] for n in candidate.corrects if n in self.standings]
+            best = ranked([s for s in there if fold in s.folds])
+            if not best:
+                return self._leave(name, "nothing to correct: " + ", ".join(candidate.corrects))
+            physics = best[0].folds[fold][0].model
+        if not self._affordable(name, len(seeds)):
+            return self._leave(name, "no time was left for it")
+        return Job(name, candidate.content, fold, seeds, physics)
+
+    def _affordable(self, name: str, seeds: int) -> bool:
+        left = self._clock.left
+        if name not in self._expected:
+            return left > (1 - _TRYING) * self._begun_with or math.isinf(left)
+        return left > seeds * self._expected[name]
+
+    def _leave(self, name: str, why: str) -> None:
+        standing = self.standings[name]
+        if not standing.folds and not standing.why:
+            self.standings[name] = Standing(name, {}, standing.seconds, why)
+            self._told(f"{name}: left out, {why}")
+
+    def _note(self, result: JobResult) -> None:
+        """What a job came to."""
+        name = result.candidate
+        before = self.standings[name]
+        self.standings[name] = after = before.after(result)
+        if result.ended == "done":
+            self._expected[name] = result.seconds / len(result.scores)
+            return
+        self._told(f"{name}, fold {result.fold}: {result.why}")
+        if result.needs is not None and not after.folds:
+            best = self.cheapest
+            if best is None or result.needs < (best.needs or math.inf):
+                self.cheapest = result
+
+    def _tell(self, number: int, found: Sequence[Standing], kept: int) -> None:
+        """How the candidates stand after a round."""
+        if not found:
+            return
+        shared = set.intersection(*(set(s.folds) for s in found))
+        figures = []
+        for s in found:
+            values = list(s.rmse(shared).values())
+            figures.append(f"{s.name} {sum(values) / len(values):.3g}")
+        rounds = len(self.plan.rounds)
+        folds = f"{len(shared)} of {self._folds} folds" if len(shared) > 1 else "one fold"
+        on = f"; {kept} go on" if number + 1 < rounds else ""
+        self._told(f"round {number + 1} of {rounds}, {folds}: {', '.join(figures)}{on}")

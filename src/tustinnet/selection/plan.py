@@ -1,0 +1,199 @@
+"""Plan files: the candidates that are worth trying, and how they are compared, as data."""
+
+from collections.abc import Sequence
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from tustinnet.data.declaration import Declaration, Name, Sentence, read_declaration
+from tustinnet.errors import InputError
+from tustinnet.fitting.recipe import Horizon, Recipe, rates_of, read_recipe
+from tustinnet.simulate.starts import start_named
+
+USUAL = "usual"  # the plan where nobody names one
+_MOST_FOLDS, _MOST_SEEDS, _MANY = 100, 100, 100
+_HOME = "tustinnet.selection"
+
+
+class Candidate(Declaration):
+    """A recipe that is worth trying.
+
+    Attributes:
+        name: what it is called in tables and folders.
+        recipe: a packaged recipe, or a TOML file.
+        set: changes of the recipe, `KEY=VALUE` as the command takes them.
+        corrects: candidates whose models are what a recipe that corrects physics corrects: in
+            every fold the one of them that is best so far.
+        when: `always`, or only for records that are `fast` or `slow`: where a coordinate has few
+            samples in a period of its strongest line, or none has.
+    """
+
+    name: Name
+    recipe: str
+    when: Literal["always", "fast", "slow"] = "always"
+    set: tuple[str, ...] = ()
+    corrects: tuple[str, ...] = ()
+
+    @cached_property
+    def content(self) -> Recipe:
+        """The recipe.
+
+        Raises:
+            InputError: no such recipe, or changes that it does not take.
+        """
+        return read_recipe(self.recipe, self.set)
+
+
+class Average(Declaration):
+    """A committee that is worth trying: models of several candidates averaged.
+
+    Attributes:
+        name: what it is called.
+        of: the candidates, each with all of its seeds.
+    """
+
+    name: Name
+    of: tuple[str, ...] = Field(min_length=1, max_length=_MANY)
+
+
+class Round(Declaration):
+    """What candidates are fitted to before some of them are left behind.
+
+    Attributes:
+        folds: on how many of the folds, from the first on.
+        seeds: with how many seeds, from 0 on; identifications have none.
+        keep: share of the candidates that go on to the next round, the best first.
+    """
+
+    folds: int = Field(gt=0, le=_MOST_FOLDS)
+    seeds: int = Field(default=1, gt=0, le=_MOST_SEEDS)
+    keep: float = Field(default=0.5, gt=0, le=1)
+
+
+class SelectionPlan(Declaration):
+    """What is tried, and how it is compared.
+
+    Attributes:
+        name: what it is called.
+        description: a sentence for people.
+        folds: into how many folds the records are dealt; with fewer records as many as there are.
+        start: where the free runs start that judge; models that need a warm-up start with theirs.
+        horizon: how long a free run that judges lasts at most [s]; none for whole records.
+        candidates: from the simplest to the most complex, which is also from cheap to dear.
+        committees: averages of candidates.
+        rounds: successive halving: the folds and seeds of each round.
+    """
+
+    name: Name
+    description: Sentence = ""
+    folds: int = Field(default=5, ge=3, le=_MOST_FOLDS)
+    start: str = "model-20"
+    horizon: Horizon | None = None
+    candidates: tuple[Candidate, ...] = Field(min_length=1, max_length=_MANY)
+    committees: tuple[Average, ...] = Field(default=(), max_length=_MANY)
+    rounds: tuple[Round, ...] = Field(min_length=1, max_length=_MANY)
+
+    @field_validator("start")
+    @classmethod
+    def _known(cls, start: str) -> str:
+        return start_named(start).name
+
+    @model_validator(mode="after")
+    def _complete(self) -> "SelectionPlan":
+        names = [c.name for c in (*self.candidates, *self.committees)]
+        _require_once(names, "candidates or committees")
+        known: list[str] = []
+        for candidate in self.candidates:
+            _require_known(candidate.corrects, known, f"'{candidate.name}' corrects")
+            known.append(candidate.name)
+        for committee in self.committees:
+            _require_once(committee.of, f"members of '{committee.name}'")
+            _require_known(committee.of, known, f"'{committee.name}' is of")
+        for before, after in zip(self.rounds, self.rounds[1:], strict=False):
+            if after.folds < before.folds or after.seeds < before.seeds or after == before:
+                raise ValueError("a round has fewer folds or seeds than the one before it")
+        if self.rounds[-1].folds > self.folds:
+            raise ValueError(f"a round of {self.rounds[-1].folds} of {self.folds} folds")
+        return self
+
+    def candidate(self, name: str) -> Candidate:
+        """The candidate of that name."""
+        return next(c for c in self.candidates if c.name == name)
+
+
+def _require_once(names: Sequence[str], what: str) -> None:
+    twice = next((n for i, n in enumerate(names) if n in names[:i]), None)
+    if twice is not None:
+        raise ValueError(f"two {what} are called '{twice}'")
+
+
+def _require_known(names: Sequence[str], known: Sequence[str], who: str) -> None:
+    for name in names:
+        if name not in known:
+            raise ValueError(f"{who} '{name}', which is no candidate before it")
+
+
+def packaged_plans() -> list[str]:
+    """Names of the plans that come with the package."""
+    folder = resources.files(_HOME) / "plans"
+    return sorted(
+        f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml")
+    )
+
+
+def read_plan(which: "str | Path | SelectionPlan") -> SelectionPlan:
+    """A packaged plan by name, or a plan from a TOML file, its recipes read and checked.
+
+    Args:
+        which: the plan.
+
+    Raises:
+        InputError: no such plan; an unknown key, a wrong value, a recipe that is not known or
+            cannot be a candidate; the message names the candidate.
+    """
+    if isinstance(which, SelectionPlan):
+        plan = which
+    elif str(which) in packaged_plans():
+        with resources.as_file(resources.files(_HOME) / "plans" / f"{which}.toml") as path:
+            plan = read_declaration(path, SelectionPlan)
+    elif Path(which).suffix == ".toml":
+        plan = _beside(read_declaration(Path(which), SelectionPlan), Path(which).parent)
+    else:
+        known = ", ".join(packaged_plans())
+        raise InputError("plan", f"no plan '{which}'", f"one of {known}, or a file ending in .toml")
+    for candidate in plan.candidates:
+        _check(candidate, plan)
+    return plan
+
+
+def _beside(plan: SelectionPlan, folder: Path) -> SelectionPlan:
+    """The same with recipes that are files looked for from the plan's folder on."""
+    found = tuple(
+        c.model_copy(update={"recipe": str(folder / c.recipe)}) if c.recipe.endswith(".toml") else c
+        for c in plan.candidates
+    )
+    return plan.model_copy(update={"candidates": found})
+
+
+def _check(candidate: Candidate, plan: SelectionPlan) -> None:
+    where = f"plan '{plan.name}', candidate '{candidate.name}'"
+    try:
+        recipe = candidate.content
+    except InputError as error:
+        raise InputError(where, str(error)) from error
+    if rates_of(recipe) != (1.0,):
+        raise InputError(where, "a recipe with `rates`", "a recipe without",
+                         "each rate is a candidate of its own")  # fmt: skip
+    takes = "physics" in recipe.family.needs
+    if takes != bool(candidate.corrects):
+        found = "no `corrects`" if takes else "`corrects`"
+        raise InputError(where, f"{found} with a recipe of kind '{recipe.family.kind}'",
+                         "candidates to correct, for recipes that correct physics")  # fmt: skip
+    for name in candidate.corrects:
+        family = plan.candidate(name).content.family
+        if not family.correctable:
+            raise InputError(where, f"corrects '{name}' of kind '{family.kind}'",
+                             "a candidate whose models a network can correct")  # fmt: skip

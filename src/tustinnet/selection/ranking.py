@@ -1,0 +1,115 @@
+"""What has been found of candidates, and how they compare."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tustinnet.selection.jobs import JobResult, SeedScore
+
+
+@dataclass(frozen=True)
+class Paired:
+    """How much worse a candidate is than another one, record by record.
+
+    Attributes:
+        mean: mean of the differences of RMSE [rad or m].
+        standard_error: of that mean; NaN of a single record.
+        records: on how many records both were scored.
+    """
+
+    mean: float
+    standard_error: float
+    records: int
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What has been found of a candidate.
+
+    Attributes:
+        name: its name.
+        folds: the models of every fold that was done, one a seed.
+        seconds: time of its jobs.
+        why: why it was left out, empty where it was not.
+    """
+
+    name: str
+    folds: Mapping[int, tuple[SeedScore, ...]] = field(default_factory=dict)
+    seconds: float = 0.0
+    why: str = ""
+
+    def after(self, result: JobResult) -> "Standing":
+        """The same after one more job."""
+        seconds = self.seconds + result.seconds
+        if result.ended == "done":
+            models = (*self.folds.get(result.fold, ()), *result.scores)
+            folds = {**self.folds, result.fold: models}
+            return Standing(self.name, folds, seconds, self.why)
+        why = result.why if result.ended == "failed" or not self.folds else self.why
+        return Standing(self.name, self.folds, seconds, why)
+
+    @property
+    def models(self) -> tuple[SeedScore, ...]:
+        """All of its models."""
+        return tuple(model for fold in sorted(self.folds) for model in self.folds[fold])
+
+    def rmse(self, folds: Iterable[int] | None = None, start: int | str = 0) -> dict[str, float]:
+        """Mean over the seeds of every record's RMSE [rad or m].
+
+        Args:
+            folds: of which folds; all that were done by default.
+            start: of the free runs, by name, or by its place: 0 is the one that judges.
+        """
+        by_record: dict[str, list[float]] = {}
+        for fold in self.folds if folds is None else folds:
+            for model in self.folds[fold]:
+                named = list(model.rmse)[start] if isinstance(start, int) else start
+                for record, value in model.rmse.get(named, {}).items():
+                    by_record.setdefault(record, []).append(value)
+        return {record: float(np.mean(values)) for record, values in by_record.items()}
+
+
+def mean_and_error(values: Iterable[float]) -> tuple[float, float]:
+    """Mean and its standard error, NaN of a single value or where one is not finite."""
+    found = np.array(list(values))
+    known = len(found) > 1 and bool(np.isfinite(found).all())
+    error = float(found.std(ddof=1) / np.sqrt(len(found))) if known else float("nan")
+    return float(found.mean()), error
+
+
+def paired(one: Standing, other: Standing) -> Paired:
+    """How much worse one is than another on the records that both were scored on."""
+    ours, theirs = one.rmse(), other.rmse()
+    both = [record for record in ours if record in theirs]
+    with np.errstate(invalid="ignore"):
+        mean, error = mean_and_error(
+            np.subtract([ours[r] for r in both], [theirs[r] for r in both])
+        )
+    return Paired(mean, error, len(both))
+
+
+def ranked(standings: Sequence[Standing]) -> list[Standing]:
+    """The candidates that were scored, the best first, by the folds that all of them have."""
+    scored = [s for s in standings if s.folds]
+    shared = set.intersection(*(set(s.folds) for s in scored)) if scored else set()
+
+    def mean(of: Standing) -> float:
+        value = mean_and_error(of.rmse(shared).values())[0]
+        return value if np.isfinite(value) else np.inf
+
+    return sorted(scored, key=mean)
+
+
+def simplest(standings: Sequence[Standing], best: Standing) -> Standing:
+    """The first of some candidates that is not worse than the best by more than a standard error.
+
+    Args:
+        standings: from the simplest to the most complex.
+        best: the best of them.
+    """
+    for standing in standings:
+        than = paired(standing, best)
+        if standing is best or (than.records > 1 and than.mean <= than.standard_error):
+            return standing
+    return best

@@ -1,0 +1,190 @@
+"""The verb: the best model that records allow, from a plan and a budget."""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from tustinnet.data.dataset import DataSet
+from tustinnet.data.inspection import scales_of
+from tustinnet.errors import InputError
+from tustinnet.fitting.listener import Listener
+from tustinnet.selection.choice import Choice
+from tustinnet.selection.clock import Clock
+from tustinnet.selection.ending import Found, final_models, judge_averages
+from tustinnet.selection.executors import Executor, InProcess
+from tustinnet.selection.halving import Halving
+from tustinnet.selection.jobs import SCORES, Job, Judging, Workplace
+from tustinnet.selection.plan import USUAL, Candidate, SelectionPlan, read_plan
+from tustinnet.selection.ranking import Standing
+from tustinnet.selection.records import for_folds
+from tustinnet.store.files import owned, require_new, to_json, write_into
+from tustinnet.store.kept_system import CANDIDATES, keep, require_room
+from tustinnet.store.model_file import save
+from tustinnet.store.run import MODEL, SUMMARY, Earlier, Tell
+from tustinnet.systems.files import AnySystem
+
+_RESERVE = 0.12  # share of the budget for committees, the last fit and the files
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a selection is asked.
+
+    Attributes:
+        plan: a packaged plan's name, a TOML file, or a plan.
+        system: the system that candidates of a system identify, or None.
+        budget: how long it may take [s], None for no limit.
+    """
+
+    plan: str | Path | SelectionPlan = USUAL
+    system: AnySystem | None = None
+    budget: float | None = None
+
+
+@dataclass(frozen=True)
+class Reporter:
+    """Who is told while a selection goes on.
+
+    Attributes:
+        say: of what happens, in sentences.
+        tell: given a job, what `perform` tells of its fit.
+    """
+
+    say: Callable[[str], None] = lambda sentence: None
+    tell: Callable[[Job], Tell] = lambda job: lambda prepared: Listener()
+
+
+def select_model(
+    data: DataSet,
+    folder: str | Path,
+    asked: Asked | None = None,
+    earlier: Earlier = "refuse",
+    reporter: Reporter | None = None,
+    executor: Callable[[Workplace], Executor] | None = None,
+) -> Choice:
+    """Tries the candidates of a plan on folds of records, and makes the best one into one model.
+
+    Successive halving: every round fits the candidates that are left to more folds and seeds. In
+    the end committees of them are judged. The chosen model of a family with weights is a committee
+    of its models of all folds; the parameters of a system are identified once more from all
+    records. The folder has `model.safetensors`, `summary.json` and `candidates/`.
+
+    Args:
+        data: the records; those of the split `test` take part in nothing, other splits do not
+            matter. One or two records are cut into pieces.
+        folder: where everything goes.
+        asked: the plan, the system, the budget; by default the usual plan, no system, no limit.
+        earlier: what to do with a selection that the folder holds: `refuse`, `discard`, or
+            `resume`: jobs that are done are not done again. A budget counts from now on.
+        reporter: who is told; by default nobody.
+        executor: given what all jobs share, who does them; by default this process.
+
+    Raises:
+        InputError: a plan that does not fit, records too few or too short, a budget in which no
+            candidate was fitted, or none that could be.
+    """
+    begun = time.monotonic()
+    wanted, told = asked or Asked(), reporter or Reporter()
+    plan, where = read_plan(wanted.plan), Path(folder)
+    records, cut = for_folds(data)
+    candidates, lacking = _taking_part(plan, wanted, records)
+    notes = (*([cut] if cut else []), *lacking)
+    judging = Judging(min(plan.folds, len(records)), plan.start, plan.horizon)
+    clock = Clock(None if wanted.budget is None else begun + wanted.budget * (1 - _RESERVE))
+    at = Workplace(where, records, judging, wanted.system, clock, earlier == "resume")
+    for note in notes:
+        told.say(note)
+    with owned(where):
+        _make_room(at, earlier)
+        halving = Halving(plan, candidates, judging.folds, clock, told.say)
+        left = halving.run(executor(at) if executor else InProcess(at, told.tell))
+        if not left:
+            raise _nothing(halving, wanted.budget)
+        choice = _choose(halving, left, at, told)
+        choice = replace(
+            choice, notes=notes, seconds=time.monotonic() - begun, budget=wanted.budget
+        )
+        write_into(where, SUMMARY, to_json(choice.as_plain()))
+    return choice
+
+
+def _choose(halving: Halving, left: Sequence[Standing], at: Workplace, told: Reporter) -> Choice:
+    """Judges committees of what is left, and writes the models."""
+    averages = judge_averages(halving.plan, left, at, told.say)
+    names = tuple(s.name for s in left)
+    found = Found(halving.plan, tuple(halving.standings.values()), names, averages)
+    models, best, plain = final_models(found, at, told.tell)
+    made = {name: of.words for name, of in models.items()}
+    choice = Choice(at, found, best, plain, made, models[best].model)
+    for name, of in models.items():
+        save(of.model, at.folder / CANDIDATES / name / MODEL, **choice.header(name))
+    save(choice.model, at.folder / MODEL, **choice.header(best))
+    return choice
+
+
+def _taking_part(
+    plan: SelectionPlan, asked: Asked, records: DataSet
+) -> tuple[list[Candidate], list[str]]:
+    """The candidates for which everything is given, and sentences on those for which not."""
+    if asked.budget is not None and not 0 < asked.budget < math.inf:
+        raise InputError("--budget", f"{asked.budget:g} s", "a time above 0")
+    if asked.system is not None and not any(_of_system(c) for c in plan.candidates):
+        raise InputError("--system", f"means nothing to the plan '{plan.name}'",
+                         "a plan with a candidate that identifies a system")  # fmt: skip
+    fast = any(scales.fast for scales in scales_of(list(records)).values())
+    other = "slow" if fast else "fast"
+    lacking: dict[str, str] = {}
+    for c in plan.candidates:
+        if c.when == other:
+            lacking[c.name] = f"for {other} records"
+        elif _of_system(c) and asked.system is None:
+            lacking[c.name] = "for want of a system (--system)"
+        elif c.corrects and lacking.keys() >= set(c.corrects):
+            lacking[c.name] = lacking[c.corrects[0]]
+    found = [c for c in plan.candidates if c.name not in lacking]
+    why = {reason: [n for n, of in lacking.items() if of == reason] for reason in lacking.values()}
+    told = [f"left out, {reason}: {', '.join(names)}" for reason, names in why.items()]
+    if not found:
+        raise InputError(f"plan '{plan.name}'", "; ".join(told), "a candidate that can take part")
+    return found, told
+
+
+def _of_system(candidate: Candidate) -> bool:
+    return "system" in candidate.content.family.needs
+
+
+def _make_room(at: Workplace, earlier: Earlier) -> None:
+    """Refuses or discards what an earlier selection left, and keeps the system's file."""
+    scores = sorted((at.folder / CANDIDATES).glob(f"*/*/{SCORES}"))
+    if earlier == "discard":
+        for path in scores:
+            path.unlink()
+    if earlier == "refuse" and scores:
+        raise InputError(
+            at.folder, f"holds an earlier selection ({scores[0].parent.parent.name}, ...)",
+            "a new folder",
+            "add --resume to go on with it, --overwrite to discard it, or choose another --out",
+        )  # fmt: skip
+    if earlier != "discard":
+        require_room(at.system_file, at.folder)
+    files = [at.folder / MODEL, at.folder / SUMMARY]
+    require_new(files, overwrite=earlier != "refuse")
+    for path in files:
+        path.unlink(missing_ok=True)
+    if at.system_file is not None:
+        keep(at.system_file, at.folder)
+
+
+def _nothing(halving: Halving, budget: float | None) -> InputError:
+    """What to say where no candidate was fitted."""
+    short = halving.cheapest
+    if short is not None and short.needs is not None:
+        return InputError(
+            "--budget", f"{budget:g} s: no candidate was fitted in it",
+            f"the cheapest, {short.candidate}, needs about {short.needs / (1 - _RESERVE):.0f} s",
+            "what was begun stays: add --resume to go on",
+        )  # fmt: skip
+    why = "; ".join(f"{s.name}: {s.why}" for s in halving.standings.values() if s.why)
+    return InputError("selection", f"no candidate could be fitted ({why})", "one that can")

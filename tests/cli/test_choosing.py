@@ -1,0 +1,93 @@
+"""`fit` without a recipe: a plan of candidates, a budget, one model and an account in words."""
+
+import json
+
+import pytest
+from small_selection import NETWORK_ONLY, plan_in
+from test_grey_box import SYSTEM
+from test_verbs import tustinnet
+
+PLAN = """
+name = "two"
+folds = 3
+start = "derived-6"
+candidates = [{ name = "grey", recipe = "grey.toml" }, { name = "network", recipe = "small.toml" }]
+rounds = [{ folds = 1, keep = 1.0 }, { folds = 3 }]
+"""
+
+
+@pytest.fixture
+def out(tmp_path):
+    return tmp_path / "run"
+
+
+def test_a_folder_of_logs_and_a_system_become_one_model(folder, tmp_path, out, capsys):
+    plan, system = plan_in(tmp_path, PLAN), tmp_path / "small_pendulum.py"
+    system.write_text(SYSTEM)
+    verb = ("fit", folder, "--plan", plan, "--system", system, "--out", out)
+    code, printed, err = tustinnet(capsys, *verb, "--budget", "5min")
+    assert code == 0, err
+    assert "round 1 of 2, one fold: " in err
+    assert "free runs of records that a model was not fitted to" in printed
+    assert "* chosen: grey, identified from all 5 records" in printed
+    assert "* clearly better than the next, network: by " in printed
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["best"] == "grey"
+    assert "| network |" in (out / "candidates.md").read_text()
+    figures = sorted(path.stem for path in (out / "figures").iterdir())
+    assert figures == ["candidates", "fall1", "fall2", "fall3", "noise1", "noise2"]
+    # the system that was kept serves the model, and those of the folds
+    for model in ("model.safetensors", "candidates/grey/model.safetensors",
+                  "candidates/grey/fold-1-seeds-0/fold-1-seed-0/model.safetensors"):  # fmt: skip
+        code, printed, err = tustinnet(
+            capsys, "evaluate", out / model, folder, "--start", "derived-6", "--json"
+        )
+        assert code == 0, err
+    code, _, err = tustinnet(capsys, *verb)
+    assert code == 1
+    assert "holds an earlier selection" in err
+    code, printed, err = tustinnet(capsys, *verb, "--resume", "--json", "--quiet")
+    assert (code, err) == (0, "")
+    again = json.loads(printed)
+    assert [c["starts"] for c in again["candidates"]] == [
+        c["starts"] for c in summary["candidates"]
+    ]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--seeds", "2"], ["--seeds", "no recipe is named", "--plan"]),
+        (["--set", "model.hidden=[3]"], ["--set", "no recipe is named"]),
+        (["--recipe", "standard", "--budget", "1min"], ["--budget", "single recipe"]),
+        (["--recipe", "standard", "--plan", "usual"], ["--plan", "single recipe"]),
+        (["--budget", "soon"], ["--budget", "'soon'", "10min"]),
+        (["--budget", "0s"], ["--budget", "above 0"]),
+        (["--plan", "best"], ["no plan 'best'", "usual"]),
+        (["--plan", "{}", "--system", "qube-servo2"], ["--system", "means nothing to the plan"]),
+        (["--resume", "--overwrite"], ["both"]),
+    ],
+    ids=lambda part: " ".join(part),
+)
+def test_what_cannot_be_asked_is_one_line(arguments, told, folder, tmp_path, out, capsys):
+    plan = plan_in(tmp_path, NETWORK_ONLY)
+    given = [a.format(plan) for a in arguments]
+    code, printed, err = tustinnet(capsys, "fit", folder, "--out", out, "--quiet", *given)
+    assert (code, printed) == (1, "")
+    assert len(err.strip().splitlines()) == 1
+    for word in told:
+        assert word in err
+    assert not out.exists()
+
+
+def test_a_system_of_other_records_leaves_the_others_to_go_on(folder, tmp_path, out, capsys):
+    plan = plan_in(tmp_path, PLAN.replace("{ folds = 1, keep = 1.0 }, ", ""))
+    code, printed, err = tustinnet(
+        capsys, "fit", folder, "--plan", plan, "--system", "qube-servo2", "--out", out
+    )
+    assert code == 0, err
+    assert "grey, fold 0: " in err
+    assert "* chosen: network" in printed
+    table = (out / "candidates.md").read_text()
+    assert "grey: " in table
+    assert "the system 'qube-servo2'" in table

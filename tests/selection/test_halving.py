@@ -1,0 +1,135 @@
+"""Successive halving, with jobs that only pretend."""
+
+import time
+from collections.abc import Callable
+
+import pytest
+
+from tustinnet.selection.clock import Clock
+from tustinnet.selection.halving import Halving
+from tustinnet.selection.jobs import Job, JobResult, SeedScore
+from tustinnet.selection.plan import SelectionPlan
+
+PLAN = {
+    "name": "pretended",
+    "candidates": [
+        {"name": "linear", "recipe": "linear"},
+        {"name": "grey", "recipe": "best-grey"},
+        {"name": "network", "recipe": "best-tustin"},
+        {"name": "hybrid", "recipe": "best-hybrid", "corrects": ["grey"]},
+    ],
+    "rounds": [{"folds": 1}, {"folds": 3, "keep": 0.5}, {"folds": 3, "seeds": 2}],
+}
+QUALITY = {"linear": 9.0, "grey": 3.0, "network": 2.0, "hybrid": 1.0}
+
+
+class Pretended:
+    """Does jobs at once, the last that it was given first where it may have several."""
+
+    def __init__(self, slots: int = 1, of: Callable[[Job], JobResult | None] = lambda job: None):
+        self.done: list[Job] = []
+        self._slots, self._of = slots, of
+        self._waiting: list[Job] = []
+
+    @property
+    def free(self) -> bool:
+        return len(self._waiting) < self._slots
+
+    def submit(self, job: Job) -> None:
+        self._waiting.append(job)
+
+    def result(self) -> JobResult:
+        job = self._waiting.pop()
+        self.done.append(job)
+        other = self._of(job)
+        if other is not None:
+            return other
+        rmse = {f"r{job.fold}{i}": QUALITY[job.candidate] + 0.1 * i for i in range(2)}
+        models = tuple(
+            SeedScore(seed, "finished", f"{job.folder}/{seed}", 0, {"model-20": rmse})
+            for seed in job.seeds
+        )
+        return JobResult(job.candidate, job.fold, 1.0, "done", models)
+
+
+def halving(plan: dict | None = None, clock: Clock | None = None) -> tuple[Halving, list[str]]:
+    of, said = SelectionPlan.model_validate(plan or PLAN), []
+    return Halving(of, of.candidates, 3, clock or Clock(), said.append), said
+
+
+@pytest.mark.parametrize("slots", [1, 3])
+def test_each_round_has_more_folds_and_seeds_and_fewer_candidates(slots):
+    executor, (found, said) = Pretended(slots), halving()
+    left = found.run(executor)
+    assert [s.name for s in left] == ["hybrid", "network", "grey"]
+    jobs = {(j.candidate, j.fold, j.seeds) for j in executor.done}
+    assert jobs == {
+        ("linear", 0, (0,)),
+        *((name, fold, (0,)) for name in ("grey", "network", "hybrid") for fold in range(3)),
+        *((name, fold, (1,)) for name in ("network", "hybrid") for fold in range(3)),
+    }
+    assert len(executor.done) == len(jobs)
+    assert said[0] == (
+        "round 1 of 3, one fold: hybrid 1.05, network 2.05, grey 3.05, linear 9.05; 3 go on"
+    )
+
+
+@pytest.mark.parametrize("slots", [1, 4])
+def test_a_network_that_corrects_waits_for_the_physics_of_its_fold(slots):
+    executor, (found, _) = Pretended(slots), halving()
+    found.run(executor)
+    done: set[str] = set()
+    for job in executor.done:
+        if job.candidate == "hybrid":
+            physics = f"candidates/grey/fold-{job.fold}-seeds-0"
+            assert job.physics == f"{physics}/0"
+            assert physics in done
+        done.add(job.folder)
+
+
+def test_what_fails_is_left_and_told_and_the_others_go_on():
+    def of(job: Job) -> JobResult | None:
+        if job.candidate == "grey":
+            return JobResult("grey", job.fold, 1.0, "failed", why="arm.py fails at line 3")
+        return None
+
+    found, said = halving()
+    left = found.run(Pretended(of=of))
+    assert [s.name for s in left] == ["network", "linear"]
+    assert found.standings["grey"].why == "arm.py fails at line 3"
+    assert found.standings["hybrid"].why == "nothing to correct: grey"
+    assert "grey, fold 0: arm.py fails at line 3" in said
+    assert said.count("hybrid: left out, nothing to correct: grey") == 1
+
+
+def test_no_job_begins_that_would_take_longer_than_what_is_left():
+    found, said = halving(clock=Clock(time.monotonic() + 0.9))  # every job says that it took 1 s
+    left = found.run(executor := Pretended())
+    assert {j.fold for j in executor.done} == {0}
+    assert [s.name for s in left][:2] == ["hybrid", "network"]
+    assert len(executor.done) == 4
+    assert any("1 of 3" in line for line in said)
+
+
+def test_candidates_are_not_tried_for_the_first_time_when_most_of_the_time_is_spent():
+    clock = Clock(time.monotonic() + 0.5)
+
+    def slow(job: Job) -> None:
+        time.sleep(0.35)
+
+    found, said = halving(clock=clock)
+    left = found.run(executor := Pretended(of=slow))
+    assert [s.name for s in left] == ["linear"]
+    assert len(executor.done) == 1
+    assert "network: left out, no time was left for it" in said
+
+
+def test_the_cheapest_of_those_that_time_ended_is_known():
+    def of(job: Job) -> JobResult:
+        needs = {"linear": 20.0, "network": 50.0}.get(job.candidate)
+        return JobResult(job.candidate, job.fold, 1.0, "out of time", why="spent", needs=needs)
+
+    found, _ = halving()
+    assert found.run(Pretended(of=of)) == []
+    assert found.cheapest is not None
+    assert (found.cheapest.candidate, found.cheapest.needs) == ("linear", 20.0)

@@ -1,0 +1,78 @@
+"""Plan files: what they may say, and how what they may not say is told."""
+
+import re
+from typing import Any
+
+import pytest
+from small_selection import plan_in
+
+from tustinnet.errors import InputError
+from tustinnet.selection.plan import packaged_plans, read_plan
+
+
+def broken(folder, old: str, new: str):
+    path = plan_in(folder)
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    return path
+
+
+@pytest.mark.parametrize("name", packaged_plans())
+def test_packaged_plans_are_whole(name):
+    plan = read_plan(name)
+    assert plan.name == name
+    assert plan.description
+
+
+def test_recipes_that_are_files_stand_beside_the_plan(tmp_path):
+    plan = read_plan(plan_in(tmp_path))
+    assert plan.candidate("hybrid").content.family.kind == "hybrid"
+    assert plan.candidate("grey").content.name == "short-grey"
+
+
+def test_a_candidate_may_change_its_recipe(tmp_path):
+    path = broken(
+        tmp_path, 'recipe = "small.toml"', 'recipe = "small.toml"\nset = ["model.hidden=[3]"]'
+    )
+    hyper: Any = read_plan(path).candidate("network").content.model
+    assert hyper.hidden == (3,)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ('"small.toml"', '"best-tustn"', "candidate 'network'.*no recipe 'best-tustn'"),
+        ('recipe = "small.toml"', 'recipe = "small.toml"\nepoch = 3', "epoch: unknown key"),
+        (
+            'recipe = "small.toml"',
+            'recipe = "small.toml"\nset = ["model.hiden=[3]"]',
+            "'network'.*hiden",
+        ),
+        ('corrects = ["grey"]', "", "candidate 'hybrid'.*no `corrects`"),
+        (
+            'corrects = ["grey"]',
+            'corrects = ["network"]',
+            "corrects 'network' of kind 'tustin-net'",
+        ),
+        ('corrects = ["grey"]', 'corrects = ["gray"]', "'gray', which is no candidate before it"),
+        ('name = "network"', 'name = "grey"', "called 'grey'"),
+        ('of = ["network", "hybrid"]', 'of = ["network", "gru"]', "'both' is of 'gru'"),
+        ('of = ["network", "hybrid"]', 'of = ["network", "network"]', "called 'network'"),
+        ("folds = 3\nseeds = 2", "folds = 1", "fewer folds or seeds"),
+        ("folds = 3\nseeds = 2", "folds = 4", "4 of 3 folds"),
+        ('start = "model-10"', 'start = "model"', "start"),
+        ("folds = 3\nstart", "folds = 2\nstart", "folds"),
+        ('recipe = "small.toml"', 'recipe = "small.toml"\nset = ["rates=[1.0, 2.0]"]', "`rates`"),
+    ],
+)
+def test_a_plan_that_does_not_fit_is_refused_in_a_line(tmp_path, old, new, told):
+    with pytest.raises(InputError) as found:
+        read_plan(broken(tmp_path, old, new))
+    assert re.search(told, str(found.value)), str(found.value)
+    assert "\n" not in str(found.value)
+
+
+def test_an_unknown_plan_is_told_with_those_that_there_are():
+    with pytest.raises(InputError, match=r"no plan 'best'.*usual.*\.toml"):
+        read_plan("best")

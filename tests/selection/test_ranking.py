@@ -1,0 +1,64 @@
+"""How candidates compare."""
+
+import math
+
+import pytest
+
+from tustinnet.selection.jobs import JobResult, SeedScore
+from tustinnet.selection.ranking import Standing, mean_and_error, paired, ranked, simplest
+
+
+def scores(values: dict[str, float], seed: int = 0) -> SeedScore:
+    return SeedScore(seed, "finished", f"m{seed}", 0, {"model-20": values, "file": values})
+
+
+def standing(name: str, *folds: dict[str, float]) -> Standing:
+    return Standing(name, {i: (scores(values),) for i, values in enumerate(folds)})
+
+
+def test_seeds_are_averaged_record_by_record():
+    of = Standing("a", {0: (scores({"r": 1.0}), scores({"r": 3.0}, 1)), 1: (scores({"s": 5.0}),)})
+    assert of.rmse() == {"r": 2.0, "s": 5.0}
+    assert of.rmse([0]) == {"r": 2.0}
+    assert of.rmse(start="file") == {"r": 2.0, "s": 5.0}
+
+
+def test_candidates_are_ranked_by_the_folds_that_all_of_them_have():
+    # the second fold is the harder one; only `b` has it
+    a, b = standing("a", {"r": 2.0}), standing("b", {"r": 1.0}, {"s": 9.0})
+    assert [s.name for s in ranked([a, b])] == ["b", "a"]
+
+
+def test_what_left_all_bounds_comes_last_and_what_was_not_scored_not_at_all():
+    found = ranked([standing("a", {"r": math.inf}), standing("b", {"r": 7.0}), Standing("c")])
+    assert [s.name for s in found] == ["b", "a"]
+
+
+def test_differences_are_paired_by_record():
+    a = standing("a", {"r": 1.0, "s": 2.0, "t": 4.0})
+    b = standing("b", {"r": 2.0, "s": 3.5, "t": 4.0, "u": 100.0})
+    found = paired(b, a)
+    assert found.records == 3
+    assert found.mean == pytest.approx((1 + 1.5 + 0) / 3)
+    assert found.standard_error == pytest.approx(mean_and_error([1, 1.5, 0])[1])
+
+
+def test_the_simplest_within_one_standard_error_is_named():
+    best = standing("best", {"r": 1.0, "s": 2.0, "t": 3.0})
+    level = standing("level", {"r": 1.2, "s": 1.9, "t": 3.1})  # 0.067 +- 0.088
+    worse = standing("worse", {"r": 2.0, "s": 3.0, "t": 4.1})
+    assert simplest([worse, level, best], best) is level
+    assert simplest([worse, best], best) is best
+
+
+def test_one_record_says_nothing_of_an_error():
+    one, best = standing("one", {"r": 1.0}), standing("best", {"r": 1.0})
+    assert math.isnan(paired(one, best).standard_error)
+    assert simplest([one, best], best) is best
+
+
+def test_a_job_that_failed_leaves_its_reason_and_what_was_there_before():
+    after = standing("a", {"r": 1.0}).after(JobResult("a", 1, 5.0, "failed", why="no window"))
+    assert (after.why, list(after.folds), after.seconds) == ("no window", [0], 5.0)
+    late = standing("a", {"r": 1.0}).after(JobResult("a", 1, 5.0, "out of time", why="spent"))
+    assert late.why == ""

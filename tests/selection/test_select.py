@@ -1,0 +1,291 @@
+"""A selection as a whole: what it chooses, writes, tells; stopped, resumed, refused."""
+
+import json
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small_selection import NETWORK_ONLY, plan_in, swings
+from swinging import SWING, TRUTH
+
+import tustinnet as tn
+from tustinnet.errors import InputError
+from tustinnet.fitting.gradient.epoch import _run
+from tustinnet.selection import jobs
+from tustinnet.selection.choice import Choice
+from tustinnet.selection.jobs import Job
+from tustinnet.selection.plan import read_plan
+from tustinnet.selection.ranking import mean_and_error
+from tustinnet.selection.select import Asked, Reporter, _taking_part, select_model
+from tustinnet.store.model_file import read_header, system_of
+from tustinnet.store.run import Earlier
+
+
+def selected(folder: Path, earlier: Earlier = "refuse", data=None, **changes):
+    """A selection of the network alone, and the jobs that were done in it."""
+    done: list[Job] = []
+
+    def tell(job: Job):
+        done.append(job)
+        return Reporter().tell(job)
+
+    asked = Asked(plan_in(folder, NETWORK_ONLY), **changes)
+    choice = select_model(data or swings(), folder / "run", asked, earlier, Reporter(tell=tell))
+    return choice, done
+
+
+class Made(NamedTuple):
+    choice: Choice
+    said: list[str]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Made:
+    """A selection with a system, and what was said while it went on."""
+    folder, said = tmp_path_factory.mktemp("selection"), []
+    asked = Asked(plan_in(folder), SWING)
+    return Made(select_model(swings(), folder / "run", asked, reporter=Reporter(said.append)), said)
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory):
+    return selected(tmp_path_factory.mktemp("alone"))
+
+
+# --- what is chosen ---
+
+
+def test_the_chosen_model_is_the_best_on_records_that_its_models_did_not_see(made):
+    choice = made.choice
+    means = {s.name: mean_and_error(s.rmse().values())[0] for s in choice.found.choosable}
+    assert choice.best == min(means, key=lambda name: means[name])
+    for standing in choice.found.candidates:
+        for fold, models in standing.folds.items():
+            deal = jobs.dealt(choice.at.data, 3)[fold]
+            for model in models:
+                trained = {
+                    r["name"]
+                    for r in read_header(choice.at.folder / model.model)["data"]["records"]
+                }
+                scored = {e.name for e in deal.scored}
+                assert not trained & scored
+                assert set(next(iter(model.rmse.values()))) == scored
+
+
+def test_the_scores_are_those_of_the_models_in_the_folders(made):
+    choice = made.choice
+    first = choice.standing("network").folds[1][0]
+    model = tn.load_model(choice.at.folder / first.model)
+    for start, rmse in first.rmse.items():
+        records = [choice.at.data[name] for name in rmse]
+        again = {s.experiment: s.rmse for s in tn.evaluate(model, records, start)}
+        assert again == pytest.approx(dict(rmse), rel=1e-9)
+
+
+def test_a_committee_is_judged_with_the_shares_that_other_folds_chose(made):
+    choice = made.choice
+    both = choice.found.averages["both"]
+    assert set(both.shares) == {"network", "hybrid"}
+    assert sum(both.shares.values()) == pytest.approx(1)
+    assert set(both.standing.folds) == {0, 1, 2}
+    # the network is much worse: no fold gives it the larger share
+    assert both.shares["network"] <= 0.5
+    assert (
+        mean_and_error(both.standing.rmse().values())[0]
+        < mean_and_error(choice.standing("network").rmse().values())[0]
+    )
+
+
+def test_parameters_of_a_chosen_system_are_identified_from_all_records(made):
+    choice = made.choice
+    assert {choice.best, choice.simplest} & {"grey"}
+    assert choice.made["grey"] == "identified from all 5 records"
+    model: Any = tn.load_model(choice.at.folder / choice.file("grey"), SWING)
+    for name in ("damping", "gravity", "gain"):
+        assert float(model.continuous.values[name]) == pytest.approx(TRUTH[name], rel=0.03)
+
+
+def test_networks_of_all_folds_become_one_committee(alone):
+    choice, _ = alone
+    model = tn.load_model(choice.at.folder / "model.safetensors")
+    each = [tn.load_model(choice.at.folder / m.model) for m in choice.standing("network").models]
+    assert len(each) == 3
+    x, u = jnp.array([0.3, -0.2]), jnp.array([0.7])
+    mean = np.mean([np.asarray(m.step(x, u)) for m in each], axis=0)
+    np.testing.assert_allclose(np.asarray(model.step(x, u)), mean, rtol=1e-6)
+    assert choice.made["network"] == "the average of 3 models of 3 folds"
+
+
+def test_candidates_for_fast_records_are_left_out_of_slow_ones(tmp_path):
+    both = NETWORK_ONLY.replace(
+        "candidates = [", 'candidates = [{ name = "fast", recipe = "small.toml", when = "fast" }, '
+    )
+    said: list[str] = []
+    asked = Asked(plan_in(tmp_path, both))
+    select_model(swings(), tmp_path / "slow", asked, reporter=Reporter(said.append))
+    assert said[0] == "left out, for fast records: fast"
+    plan = read_plan(plan_in(tmp_path, both))
+    t = np.arange(200)
+    fast = tn.DataSet("fast", tuple(
+        tn.from_arrays(np.sin(0.8 * t + i), dt=0.02, coordinates={"a": "angular"}, name=f"r{i}")
+        for i in range(3)
+    ))  # fmt: skip
+    assert [c.name for c in _taking_part(plan, Asked(), fast)[0]] == ["fast", "network"]
+
+
+# --- what is written and told ---
+
+
+def test_summary_and_header_say_what_was_found(made):
+    choice = made.choice
+    summary = json.loads((choice.at.folder / "summary.json").read_text())
+    assert summary["best"] == choice.best
+    by_name = {c["name"]: c for c in summary["candidates"]}
+    assert set(by_name) >= {"grey", "network", "hybrid", "both", "hybrid, seeds averaged"}
+    for name, of in by_name.items():
+        rmse = of["starts"]["model-10"]["rmse"]
+        assert rmse == pytest.approx(choice.standing(name).rmse())
+        assert of["starts"]["model-10"]["mean"] == pytest.approx(np.mean(list(rmse.values())))
+    assert by_name[choice.best]["difference"]["mean"] == 0.0
+    header = read_header(choice.at.folder / "model.safetensors")
+    assert header["selection"]["chosen"] == choice.best
+    assert header["scores"]["mean"] == pytest.approx(
+        by_name[choice.best]["starts"]["model-10"]["mean"]
+    )
+    assert len(header["data"]["records"]) == 5
+
+
+def test_plain_words_say_how_good_it_is_and_why_this_one(made):
+    told = made.choice.sentences
+    assert told[0].startswith(f"chosen: {made.choice.best}, ")
+    assert "free runs of 5 records that its models were not fitted to: " in told[1]
+    assert "% of the motion; worst " in told[1]
+    assert " than the next, " in told[2]
+    assert made.said[0].startswith("round 1 of 3, one fold: ")
+
+
+def test_every_model_can_be_loaded(made):
+    folder = made.choice.at.folder
+    files = sorted(folder.glob("**/*.safetensors"))
+    models = [f for f in files if f.name == "model.safetensors"]
+    assert len(models) > 10
+    for file in models:
+        found = tn.load_model(file, SWING if system_of(file) else None)
+        assert found.channels.n_q == 1
+
+
+# --- stopped and resumed ---
+
+
+def test_a_selection_is_refused_where_another_is(alone):
+    choice, _ = alone
+    with pytest.raises(InputError, match=r"earlier selection.*--resume"):
+        selected(choice.at.folder.parent)
+
+
+def test_resumed_it_does_no_job_twice_and_comes_to_the_same(alone):
+    choice, _ = alone
+    before = (choice.at.folder / "model.safetensors").read_bytes()
+    again, told = selected(choice.at.folder.parent, "resume")
+    assert len(told) == 3  # asked of, not fitted
+    assert again.standing("network").rmse() == choice.standing("network").rmse()
+    assert again.standing("network").seconds == choice.standing("network").seconds
+    assert (choice.at.folder / "model.safetensors").read_bytes() == before
+
+
+def test_a_job_of_other_records_is_done_again(tmp_path):
+    data = swings()
+    first, _ = selected(tmp_path)
+    last = data[4]
+    other = replace(data, experiments=(*data[:4], replace(last, q=last.q + 0.01)))
+    again, _ = selected(tmp_path, "resume", other)
+    assert again.standing("network").rmse() != first.standing("network").rmse()
+
+
+def test_a_damaged_account_of_a_job_is_not_believed(tmp_path):
+    first, _ = selected(tmp_path)
+    path = next(first.at.folder.glob("candidates/*/*/scores.json"))
+    for text in ("{", "[]", "{}", path.read_text().replace('"done"', '"fine"')):
+        path.write_text(text)
+        again, _ = selected(tmp_path, "resume")
+        assert again.standing("network").rmse() == first.standing("network").rmse()
+
+
+def compiled_programs() -> int:
+    """How many programs of epochs have been compiled in this process."""
+    of: Any = _run
+    return of._cache_size()
+
+
+def test_jobs_of_one_candidate_share_a_compiled_program(tmp_path):
+    # other shapes than elsewhere: nothing is compiled yet
+    data = swings()
+    cut = replace(data, experiments=tuple(e[: len(e) - 7] for e in data))
+    sizes: list[int] = []
+
+    def tell(job: Job):
+        sizes.append(compiled_programs())
+        return Reporter().tell(job)
+
+    asked = Asked(plan_in(tmp_path, NETWORK_ONLY))
+    select_model(cut, tmp_path / "run", asked, "refuse", Reporter(tell=tell))
+    assert sizes[1] == sizes[2] == sizes[0] + 1
+
+
+# --- what does not go ---
+
+
+def test_a_budget_that_is_too_short_says_what_the_cheapest_needs(tmp_path):
+    text = NETWORK_ONLY.replace(
+        'recipe = "small.toml"', 'recipe = "small.toml", set = ["stages.0.epochs=100000"]'
+    )
+    asked = Asked(plan_in(tmp_path, text), budget=20.0)
+    begun = time.monotonic()
+    with pytest.raises(
+        InputError, match=r"no candidate was fitted.*network, needs about \d+ s.*--resume"
+    ):
+        select_model(swings(), tmp_path / "run", asked)
+    assert time.monotonic() - begun < 60
+
+
+def test_one_record_is_cut_and_told(tmp_path):
+    one = replace(swings(), experiments=(swings()[0],))
+    with pytest.raises(InputError, match=r"fall1.*200 samples: cut into 6.*at least 100"):
+        selected(tmp_path, data=one)
+    long = replace(one, experiments=(tn.from_arrays(
+        np.tile(one[0].q[:, 0], 4), np.zeros(800), dt=0.02, name="long",
+        coordinates=one[0].coordinates, inputs=one[0].inputs),))  # fmt: skip
+    choice, _ = selected(tmp_path, data=long)
+    assert "cut into 6 pieces in time" in choice.sentences[-1]
+    assert len(choice.standing("network").rmse()) == 6
+
+
+def test_test_records_take_part_in_nothing(tmp_path):
+    data = swings()
+    kept = replace(data[0], split="test")
+    choice, _ = selected(tmp_path, data=replace(data, experiments=(kept, *data[1:])))
+    assert kept.name not in choice.standing("network").rmse()
+    told = read_header(choice.at.folder / "model.safetensors")["data"]["records"]
+    assert kept.name not in [r["name"] for r in told]
+
+
+def test_what_means_nothing_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"--system.*means nothing to the plan 'network only'"):
+        selected(tmp_path, system=SWING)
+    with pytest.raises(InputError, match=r"--budget.*-1"):
+        selected(tmp_path, budget=-1.0)
+
+
+def test_candidates_of_a_system_are_left_out_without_one(tmp_path):
+    said: list[str] = []
+    plan = plan_in(tmp_path).read_text().replace("folds = 3\nseeds = 2", "folds = 3\nseeds = 1")
+    plan = plan[: plan.rindex("[[rounds]]")]
+    asked = Asked(plan_in(tmp_path, plan))
+    choice = select_model(swings(), tmp_path / "run", asked, reporter=Reporter(said.append))
+    assert said[0] == "left out, for want of a system (--system): grey, hybrid"
+    assert choice.best == "network"
+    assert choice.sentences[-1] == said[0]
