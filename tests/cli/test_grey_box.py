@@ -453,6 +453,9 @@ GREY = ["--recipe", "grey", "--system", "{}"]
         ([*GREY, "--set", "model.begin.gain=99"], ["'gain'", "0.1..40"]),
         ([*GREY, "--set", "model.begin.mass=1"], ["no parameter 'mass'"]),
         ([*GREY, "--set", "model.fix.gain=4"], ["model.fix", "did you mean 'fixed'?"]),
+        ([*GREY, "--set", 'model.forces=["glue"]'], ["model.forces", "'glue'", "coulomb"]),
+        ([*GREY, "--set", 'model.forces=["cubic:tilt"]'], ["'tilt'", "one of angle"]),
+        ([*GREY, "--set", 'model.forces="cubic"'], ["model.forces", "tuple"]),
         (
             [*GREY, "--set", "model.fixed.gain=1", "--set", "model.fixed.gain=2"],
             ["--set", "'model.fixed.gain' twice"],
@@ -548,6 +551,25 @@ def test_fixed_parameters_stay(folder, system, tmp_path, capsys):
     )  # fmt: skip
     assert code == 0
     assert json.loads(out)["identification"]["fixed"] == {"inertia": 1.0, "gain": 4.0}
+
+
+def test_forces_of_the_library_are_added_and_shown(folder, system, tmp_path, capsys):
+    out = tmp_path / "rubbed"
+    code, told, _ = tustinnet(
+        capsys, "fit", folder, "--system", system, "--set", 'model.forces=["coulomb", "maxwell"]',
+        "--set", "model.fixed.angle.relaxation=2.0", "--out", out,
+    )  # fmt: skip
+    assert code == 0
+    assert "angle.coulomb" in told
+    assert "angle.maxwell" in told
+    code, told, _ = tustinnet(capsys, "show", out / "model.safetensors")
+    assert code == 0
+    assert "coulomb:angle, maxwell:angle" in " ".join(told.split())
+    code, told, _ = tustinnet(
+        capsys, "evaluate", out / "model.safetensors", folder, "--system", system
+    )
+    assert code == 0
+    assert "fall3" in told
 
 
 def test_the_demo_does_the_whole_job_and_says_twin_everywhere(

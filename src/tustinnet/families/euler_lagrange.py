@@ -6,6 +6,7 @@ values, never its code; what its code computes at fixed states is compared when 
 
 import inspect
 import warnings
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,6 +20,7 @@ from pydantic import Field, field_validator
 from tustinnet.channels import Channels
 from tustinnet.errors import InputError
 from tustinnet.families.family import Arrays, Family, Header, Hyper
+from tustinnet.models.added import needed, with_forces
 from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Parameter
 from tustinnet.models.sensors import calibrated
@@ -41,12 +43,15 @@ class EulerLagrangeHyper(Hyper):
         begin: where the search for a parameter starts.
         free: what sensors and actuators may be off by, as parameters that are searched for:
             `CHANNEL.bias` and `CHANNEL.gain`.
+        forces: forces of the library that are added, `LAW` at every coordinate or
+            `LAW:COORDINATE`, see `models.added`.
     """
 
     system: str | None = None
     fixed: dict[str, float | Literal["nominal"]] = Field(default_factory=dict)
     begin: dict[str, float] = Field(default_factory=dict)
     free: tuple[str, ...] = ()
+    forces: tuple[str, ...] = ()
 
     @field_validator("fixed", "begin", mode="before")
     @classmethod
@@ -87,9 +92,11 @@ class EulerLagrangeFamily(Family):
             "parameters": names,
             "substeps": model.substeps,
         }
+        if system.added:
+            header["forces"] = list(system.added)
+            header["of_forces"] = _declared(system, needed(system))
         if system.sensors:
-            of = [system.parameter(name) for name in system.sensors]
-            header["sensors"] = [[p.name, p.unit, p.nominal, p.lower, p.upper] for p in of]
+            header["sensors"] = _declared(system, system.sensors)
         if known := continuous.groups:
             header["per"] = {p.name: p.per for p in system.grouped}
             header["groups"] = {name: list(of) for name, of in known.items()}
@@ -112,7 +119,11 @@ class EulerLagrangeFamily(Family):
             raise InputError(
                 where, f"the system '{found.name}'", f"'{belongs['name']}', which the model is of"
             )
-        found = calibrated(found, tuple(Parameter(*of) for of in header.get("sensors", ())))
+        forces, of_forces, sensors = (
+            header.get(key, ()) for key in ("forces", "of_forces", "sensors")
+        )
+        found = with_forces(found, tuple(forces), tuple(Parameter(*of) for of in of_forces))
+        found = calibrated(found, tuple(Parameter(*of) for of in sensors))
         values = dict(zip(header["parameters"], jnp.asarray(arrays[_VALUES]), strict=True))
         model = found.model(values)
         expected = [
@@ -135,13 +146,21 @@ class EulerLagrangeFamily(Family):
         system = header["system"]
         told = f"{system['name']} ({system['file']})" if system["file"] else system["name"]
         values = dict(zip(header["parameters"], arrays[_VALUES].tolist(), strict=True))
+        forces = header.get("forces", ())
         return [
             ("system", f"{told}, {header['substeps']} Runge-Kutta steps a period"),
+            *([("added forces", ", ".join(forces))] if forces else []),
             ("values", ", ".join(f"{name} {value:.4g}" for name, value in values.items())),
         ]
 
 
 FAMILY = EulerLagrangeFamily()
+
+
+def _declared(system: LagrangianSystem, names: Iterable[str]) -> list[list[Any]]:
+    """Parameters that were added to a system, as a file keeps them."""
+    of = [system.parameter(name) for name in names]
+    return [[p.name, p.unit, p.nominal, p.lower, p.upper, p.fixed] for p in of]
 
 
 def _file_of(system: LagrangianSystem) -> str:

@@ -23,7 +23,7 @@ def viscous(v: Value, damping: Value) -> Any:
     return damping * v
 
 
-def coulomb(v: Value, level: Value, speed: float) -> Any:
+def coulomb(v: Value, level: Value, speed: Value) -> Any:
     """Coulomb friction, smoothed: `c tanh(v / w)` [N m or N].
 
     The sign function would have no gradient, and no integrator keeps its order across a jump.
@@ -36,7 +36,7 @@ def coulomb(v: Value, level: Value, speed: float) -> Any:
     return level * jnp.tanh(v / speed)
 
 
-def stribeck(v: Value, level: Value, breakaway: Value, stribeck_speed: Value, speed: float) -> Any:
+def stribeck(v: Value, level: Value, breakaway: Value, stribeck_speed: Value, speed: Value) -> Any:
     """Stribeck friction, smoothed: `(c + (s - c) exp(-(v / v_s)^2)) tanh(v / w)` [N m or N].
 
     Args:

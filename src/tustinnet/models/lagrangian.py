@@ -61,6 +61,7 @@ class LagrangianSystem:
         input_map: `Q(q, v, u, p)`, generalised force of the actuators, (n_q,) [N m or N].
         memory: forces with internal states, if any.
         sensors: which parameters are what sensors are off by, see `models.sensors.calibrated`.
+        added: which forces were added by name, see `models.added.with_forces`.
     """
 
     name: str
@@ -73,6 +74,7 @@ class LagrangianSystem:
     input_map: Callable[[Coordinates, Coordinates, InputVector, Values], Any] | None = None
     memory: Memory | None = None
     sensors: tuple[str, ...] = ()
+    added: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         names = [p.name for p in self.parameters]

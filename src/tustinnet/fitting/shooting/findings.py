@@ -279,8 +279,10 @@ def _about_disagreements(disagreements: Sequence[Disagreement]) -> list[str]:
 
 def _about_bounds(estimates: Sequence[Estimate]) -> list[str]:
     return [
-        f"'{e.name}' stands at the {e.bound} end of its range ({e.value:.4g} {e.unit}): the model "
-        "lacks something, or the range is wrong"
+        f"'{e.name}' is 0, the lower end of its range: the records show nothing of it"
+        if e.bound == "lower" and e.lower == 0
+        else f"'{e.name}' stands at the {e.bound} end of its range ({e.value:.4g} {e.unit}): the "
+        "model lacks something, or the range is wrong"
         for e in estimates
         if e.bound
     ]

@@ -20,6 +20,7 @@ from tustinnet.fitting.report import Disagreement, FitResult, Identification
 from tustinnet.fitting.shooting import inverse_dynamics
 from tustinnet.fitting.shooting.agreement import Agreement
 from tustinnet.fitting.shooting.findings import Found, described
+from tustinnet.fitting.shooting.forces import with_added
 from tustinnet.fitting.shooting.groups import spread
 from tustinnet.fitting.shooting.holds import search_with_holds
 from tustinnet.fitting.shooting.least_squares import prior_deviation
@@ -29,7 +30,7 @@ from tustinnet.fitting.shooting.space import Searched, Space, make_space
 from tustinnet.fitting.shooting.uncertainty import Uncertainty, uncertainty
 from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task
 from tustinnet.models.contract import require_float64
-from tustinnet.models.lagrangian import LagrangianModel
+from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
 from tustinnet.models.sensors import calibrated, delayed
 from tustinnet.simulate.batches import batches
 from tustinnet.systems.files import AnySystem
@@ -110,7 +111,7 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
     )
     if recipe.search.part == "transients":
         records = _transients(records)
-    system = calibrated(system, freed(system, getattr(recipe.model, "free", ()), records))
+    system = _as_asked(system, recipe.model, records)
     # what nobody knows is searched for from 0 on
     acting = delayed(records[0].inputs, {})
     problem = Problem(
@@ -153,6 +154,16 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
         weights=ended.weights,
     )
     return described(system, found, time.perf_counter() - begun)
+
+
+def _as_asked(
+    system: LagrangianSystem, model: Hyper, records: Sequence[Experiment]
+) -> LagrangianSystem:
+    """The system with the forces and the parameters of sensors that a table `[model]` adds."""
+    known = {**getattr(model, "begin", {}), **getattr(model, "fixed", {})}
+    numbers = {name: x for name, x in known.items() if not isinstance(x, str)}
+    system = with_added(system, getattr(model, "forces", ()), records, numbers)
+    return calibrated(system, freed(system, getattr(model, "free", ()), records))
 
 
 def _beginning(problem: Problem, model: Hyper) -> tuple[Space, Searched]:

@@ -1,0 +1,218 @@
+"""Forces of the library, identified with the parameters of a system that lacks them."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from swinging import DT, SWING, TRUTH, changed, data_set, falls, read_by_encoder, records
+
+import tustinnet as tn
+from tustinnet.families.hybrid import HybridModel
+from tustinnet.families.tustin_net import random_tustin_net
+from tustinnet.fitting.shooting.forces import with_added
+from tustinnet.models.blocks import Scaling
+from tustinnet.models.lagrangian import LagrangianSystem, Parameter
+
+KNOWN = changed("gain", nominal=TRUTH["gain"], fixed=True)
+RUBBED = {"angle.coulomb": 0.06, "angle.cubic": 0.1}  # N m, N m/rad^3
+STRIBECK = {"angle.coulomb": 0.06, "angle.breakaway": 0.1, "angle.stribeck_speed": 0.5}
+RELAXING = {"angle.maxwell": 0.3, "angle.relaxation": 2.0}
+
+
+def simulated(system: LagrangianSystem, values: dict[str, float]) -> list[tn.Experiment]:
+    """The starts and voltages of the other records, through encoders."""
+    model = tn.discretise(
+        system.model({k: jnp.asarray(x) for k, x in (system.nominal() | TRUTH | values).items()}),
+        DT, 8,
+    )  # fmt: skip
+    made = []
+    for e in records():
+        x0 = np.concatenate([e.q[0], e.v[0], np.zeros(len(system.internal))])
+        x = np.asarray(tn.rollout(model, x0, e.u[:-1]))
+        made.append(read_by_encoder(replace(e, q=x[:, :1], v=x[:, 1:2])))
+    return made
+
+
+def recipe(*forces: str, **fixed: float) -> tn.Recipe:
+    table = {"kind": "euler-lagrange", "forces": list(forces), "fixed": fixed}
+    return tn.read_recipe({"name": "forces", "model": table})
+
+
+def rubbed() -> list[tn.Experiment]:
+    return simulated(with_added(SWING, ["coulomb", "cubic"], records(), {}), RUBBED)
+
+
+@pytest.fixture(scope="module")
+def found() -> tn.Identification:
+    return tn.identify(data_set(rubbed()), KNOWN, recipe("coulomb", "cubic:angle"))
+
+
+def test_dry_friction_and_a_cubic_spring_are_found_with_the_parameters(found):
+    values = {e.name: (e.value, e.unit) for e in found.estimates}
+    assert values["angle.coulomb"] == (pytest.approx(RUBBED["angle.coulomb"], rel=0.005), "N m")
+    assert values["angle.cubic"] == (pytest.approx(RUBBED["angle.cubic"], rel=1e-3), "N m/rad^3")
+    assert values["damping"][0] == pytest.approx(TRUTH["damping"], rel=0.01)
+    assert values["gravity"][0] == pytest.approx(TRUTH["gravity"], rel=1e-3)
+    assert "angle.smooth_speed" in found.fixed
+    assert found.outcome.startswith("converged")
+
+
+@pytest.mark.parametrize(
+    ("force", "truth"), [("stribeck", STRIBECK), ("maxwell:angle", RELAXING)], ids=str
+)
+def test_other_laws_are_found_too(force, truth):
+    made = simulated(with_added(SWING, [force], records(), {}), truth)
+    values = {e.name: e.value for e in tn.identify(data_set(made), KNOWN, recipe(force)).estimates}
+    assert {name: values[name] for name in truth} == pytest.approx(truth, rel=0.1)
+
+
+def test_a_friction_that_is_not_there_is_told():
+    told = tn.identify(data_set(records()), KNOWN, recipe("coulomb")).findings
+    assert any("'angle.coulomb' is 0, the lower end of its range" in f for f in told)
+
+
+def test_a_file_keeps_the_forces(found, tmp_path):
+    path = tmp_path / "m.safetensors"
+    tn.save(found.model, path)
+    again = tn.load_model(path, KNOWN)
+    x, u = jnp.array([0.3, -1.0]), jnp.array([2.0])
+    np.testing.assert_allclose(again.step(x, u), found.model.step(x, u), rtol=1e-12)
+    assert again.continuous.system.parameters == found.model.continuous.system.parameters
+    stiff = replace(KNOWN, potential=lambda q, p: -1.01 * p["gravity"] * jnp.cos(q[0]))
+    with pytest.raises(tn.InputError, match="has changed since the model was identified"):
+        tn.load_model(path, stiff)
+    has_one = replace(
+        KNOWN, parameters=(*KNOWN.parameters, Parameter("angle.cubic", "", 0.0, 0.0, 1.0))
+    )
+    with pytest.raises(tn.InputError, match=r"brings 'angle\.cubic', which the system 'swing' has"):
+        tn.load_model(path, has_one)
+
+
+def test_a_hybrids_physics_keeps_its_forces_and_their_internal_states(tmp_path):
+    system = with_added(SWING, ["maxwell", "coulomb"], records(), {})
+    values = system.nominal() | RELAXING
+    physics = tn.discretise(system.model({k: jnp.asarray(x) for k, x in values.items()}), DT)
+    one, none = jnp.ones(1, jnp.float32), jnp.zeros(0, jnp.float32)
+    network = random_tustin_net(
+        physics.channels, Scaling(none, none, 5 * one, one, one, none), jax.random.key(0),
+        hidden=(4,),
+    )  # fmt: skip
+    model = HybridModel(physics, network)
+    tn.save(model, tmp_path / "h.safetensors")
+    again = tn.load_model(tmp_path / "h.safetensors", SWING)
+    assert again.internal == ("maxwell:angle",)
+    x, u = jnp.array([0.3, -1.0, 0.1]), jnp.array([2.0])
+    np.testing.assert_allclose(again.step(x, u), model.step(x, u), rtol=1e-6)
+
+
+def test_the_search_begins_at_the_plain_system():
+    forces = ["stribeck", "viscous", "spring", "cubic", "maxwell"]
+    system = with_added(SWING, forces, records(), {})
+    at, plain = (s.model({k: jnp.asarray(x) for k, x in s.nominal().items()})
+                 for s in (system, SWING))  # fmt: skip
+    x, u = jnp.array([1.2, -2.0, 0.2]), jnp.array([3.0])
+    np.testing.assert_allclose(at.derivative(x, u)[:2], plain.derivative(x[:2], u), rtol=2e-2)
+
+
+def test_ranges_grow_with_the_system_and_its_motion():
+    """A system a million times as strong, and a thousandth as large, in motion a hundredth."""
+    strong = replace(
+        SWING,
+        parameters=tuple(
+            replace(p, nominal=1e6 * p.nominal, lower=1e6 * p.lower, upper=1e6 * p.upper)
+            for p in SWING.parameters
+        ),
+    )
+    forces = ["stribeck", "viscous", "spring", "cubic", "maxwell"]
+    usual, large = (
+        {p.name: p for p in with_added(s, forces, falls(), {}).parameters if "." in p.name}
+        for s in (SWING, strong)
+    )
+    for name, p in usual.items():
+        by = (
+            1.0
+            if name in ("angle.stribeck_speed", "angle.smooth_speed", "angle.relaxation")
+            else 1e6
+        )
+        assert large[name].upper == pytest.approx(by * p.upper)
+        assert large[name].nominal == pytest.approx(by * p.nominal)
+    slow = [
+        replace(e, t=2 * e.t, v=e.v / 2, channels=replace(e.channels, dt=2 * DT)) for e in falls()
+    ]
+    later = {p.name: p for p in with_added(SWING, ["stribeck", "maxwell"], slow, {}).parameters}
+    for name in ("angle.stribeck_speed", "angle.smooth_speed", "angle.relaxation"):
+        assert later[name].upper == pytest.approx(usual[name].upper / 2)
+
+
+def test_values_that_a_recipe_knows_better_set_the_scale():
+    heavy = {"gravity": 10.0}  # ten times the nominal one
+    of = [with_added(SWING, ["coulomb"], falls(), known) for known in ({}, heavy)]
+    usual, strong = (s.parameter("angle.coulomb").upper for s in of)
+    assert 5 * usual < strong <= 10 * usual
+
+
+def test_units_are_those_of_the_coordinate():
+    cart = LagrangianSystem(
+        name="cart",
+        coordinates=(tn.Coordinate("x", "linear"), tn.Coordinate("u_c", "linear", unit="V")),
+        inputs=(),
+        parameters=(Parameter("mass", "kg", 1.0, 0.1, 5.0),),
+        kinetic=lambda q, v, p: p["mass"] * jnp.sum(v**2),
+    )
+    q = np.sin(np.arange(100.0)[:, None] * [0.1, 0.2])
+    e = tn.from_arrays(q, np.zeros((100, 0)), dt=0.1, coordinates=cart.coordinates, inputs=())
+    system = with_added(cart, ["stribeck", "viscous", "cubic", "maxwell"], [e], {})
+    units = {p.name: p.unit for p in system.parameters}
+    assert units["x.coulomb"] == "N"
+    assert units["x.stribeck_speed"] == "m/s"
+    assert units["x.viscous"] == "N s/m"
+    assert units["x.cubic"] == "N/m^3"
+    assert units["x.maxwell"] == "N/m"
+    assert units["x.relaxation"] == "1/s"
+    assert units["u_c.viscous"] == "J/V s/V"
+
+
+def test_a_coordinate_that_never_moves_is_refused():
+    still = [replace(e, q=0 * e.q, v=0 * e.v) for e in falls()]
+    with pytest.raises(tn.InputError, match="'coulomb:angle': 'angle' never moves"):
+        with_added(SWING, ["coulomb"], still, {})
+
+
+def test_their_parameters_are_fixed_and_begun_like_any_other():
+    some = recipe("coulomb", "cubic", **{"angle.cubic": 0.1, "angle.smooth_speed": 0.05})
+    result = tn.identify(data_set(rubbed()), KNOWN, some, begin={"angle.coulomb": 0.01})
+    assert result.fixed["angle.cubic"] == 0.1
+    assert result.fixed["angle.smooth_speed"] == 0.05
+    assert "angle.coulomb" in {e.name for e in result.estimates}
+    with pytest.raises(tn.InputError, match=r"no parameter 'angle\.viscous'"):
+        tn.identify(data_set(rubbed()), KNOWN, recipe("cubic", **{"angle.viscous": 0.1}))
+
+
+def test_a_system_with_values_per_group_takes_forces():
+    per = changed("damping", KNOWN, per="oil")
+    made = [replace(e, groups=(("oil", "thin"),)) for e in rubbed()]
+    values = {
+        e.name: e.value
+        for e in tn.identify(data_set(made), per, recipe("coulomb", "cubic")).estimates
+    }
+    assert values["angle.cubic"] == pytest.approx(RUBBED["angle.cubic"], rel=0.01)
+    assert values["damping[thin]"] == pytest.approx(TRUTH["damping"], rel=0.01)
+
+
+def test_forces_and_sensors_go_together():
+    made = [replace(e, q=e.q + 0.03) for e in rubbed()]
+    some = recipe("coulomb", "cubic").model_copy()
+    both = some.model_copy(
+        update={"model": some.model.model_copy(update={"free": ("angle.bias",)})}
+    )
+    result = tn.identify(data_set(made), KNOWN, both)
+    values = {e.name: e.value for e in result.estimates}
+    assert values["angle.bias"] == pytest.approx(0.03, abs=2e-3)
+    assert values["angle.cubic"] == pytest.approx(RUBBED["angle.cubic"], rel=0.02)
+
+
+def test_kinds_with_weights_do_not_know_the_key():
+    with pytest.raises(tn.InputError, match="forces"):
+        tn.read_recipe("standard", ['model.forces=["coulomb"]'])

@@ -1,0 +1,136 @@
+"""Forces that are added to a system by name."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from swinging import CREEPING, SWING
+
+import tustinnet as tn
+from tustinnet.models import forces
+from tustinnet.models.added import LAWS, needed, placed, with_forces
+from tustinnet.models.lagrangian import LagrangianSystem, Parameter
+
+CART = LagrangianSystem(
+    name="cart",
+    coordinates=(tn.Coordinate("x", "linear"), tn.Coordinate("angle", "angular")),
+    inputs=(tn.Input("force", "N"),),
+    parameters=(Parameter("mass", "kg", 1.0, 0.1, 5.0),),
+    kinetic=lambda q, v, p: p["mass"] * v[0] ** 2 + v[0] * v[1] * jnp.cos(q[1]) + v[1] ** 2,
+    potential=lambda q, p: jnp.cos(q[1]) + q[0] ** 2,
+    dissipation=lambda q, v, p: 0.1 * v,
+    input_map=lambda q, v, u, p: jnp.stack([u[0], 0.0 * u[0]]),
+)
+BARE = LagrangianSystem(
+    name="bare",
+    coordinates=CART.coordinates,
+    inputs=(),
+    parameters=CART.parameters,
+    kinetic=CART.kinetic,
+)
+X, V, U = jnp.array([0.4, 0.9]), jnp.array([0.7, -1.1]), jnp.array([2.0])
+VALUES = {
+    "coulomb": 0.3, "breakaway": 0.5, "stribeck_speed": 0.8, "smooth_speed": 0.1, "viscous": 0.2,
+    "spring": 1.5, "cubic": 2.5, "maxwell": 3.0, "relaxation": 4.0,
+}  # fmt: skip
+Z = 0.25  # deflection of a spring that relaxes
+AGAINST = {  # what each law does against the motion of the angle
+    "coulomb": forces.coulomb(V[1], 0.3, 0.1),
+    "stribeck": forces.stribeck(V[1], 0.3, 0.8, 0.8, 0.1),
+    "viscous": 0.2 * V[1],
+    "spring": 1.5 * X[1],
+    "cubic": 2.5 * X[1] ** 3,
+    "maxwell": 3.0 * Z,
+}
+
+
+def declared(names: list[str]) -> tuple[Parameter, ...]:
+    return tuple(Parameter(n, "", VALUES[n.partition(".")[2]], 0.0, 9.0) for n in names)
+
+
+def added(system: LagrangianSystem, *names: str) -> LagrangianSystem:
+    """The system with forces whose values are those above."""
+    needs = dict.fromkeys(need for force in placed(system, names) for need in force.needs)
+    return with_forces(system, names, declared(list(needs)))
+
+
+def nominal(system: LagrangianSystem) -> tn.LagrangianModel:
+    return system.model({name: jnp.asarray(x) for name, x in system.nominal().items()})
+
+
+@pytest.mark.parametrize("base", [CART, BARE], ids=lambda s: s.name)
+@pytest.mark.parametrize("law", LAWS)
+def test_a_force_acts_on_its_coordinate_alone(base, law):
+    system = added(base, f"{law}:angle")
+    u = U[: len(base.inputs)]
+    with_it, without = nominal(system), nominal(base)
+    x = jnp.concatenate([X, V, jnp.full(len(system.internal), Z)])
+    change = with_it.acceleration(x, u) - without.acceleration(x[:4], u)
+    moved = with_it.mass_matrix(X) @ change
+    np.testing.assert_allclose(moved, [0.0, -AGAINST[law]], rtol=1e-5, atol=1e-6)
+    assert system.internal == (("maxwell:angle",) if law == "maxwell" else ())
+    assert needed(system) == tuple(f"angle.{need}" for need in LAWS[law].needs)
+
+
+def test_the_spring_that_relaxes_follows_its_coordinate():
+    system = added(CART, "maxwell")
+    assert system.internal == ("maxwell:x", "maxwell:angle")
+    x = jnp.concatenate([X, V, jnp.array([0.1, 0.2])])
+    rate = nominal(system).derivative(x, U)[4:]
+    np.testing.assert_allclose(rate, V - 4.0 * jnp.array([0.1, 0.2]), rtol=1e-6)
+
+
+def test_a_system_that_remembers_keeps_its_memory_beside_the_added_one():
+    both = added(CREEPING, "maxwell", "viscous")
+    assert both.internal == ("creep", "maxwell:angle")
+    x, u = jnp.array([0.3, -0.8, 0.2, 0.1]), jnp.array([1.0])
+    found, alone = nominal(both).derivative(x, u), nominal(CREEPING).derivative(x[:3], u)
+    inertia = 0.05
+    pulled = (-3.0 * 0.1 - 0.2 * -0.8) / inertia
+    np.testing.assert_allclose(found[:3], alone + jnp.array([0.0, pulled, 0.0]), rtol=1e-5)
+    np.testing.assert_allclose(found[3], -0.8 - 4.0 * 0.1, rtol=1e-6)
+
+
+def test_a_law_without_a_coordinate_is_one_at_each():
+    system = added(CART, "coulomb", "spring:x")
+    assert system.added == ("coulomb:x", "coulomb:angle", "spring:x")
+    assert list(system.nominal()) == [
+        "mass", "x.coulomb", "x.smooth_speed", "angle.coulomb", "angle.smooth_speed", "x.spring",
+    ]  # fmt: skip
+
+
+def test_without_forces_a_system_is_the_same_and_with_the_same_forces_one():
+    assert with_forces(CART, (), ()) is CART
+    assert added(CART, "cubic") is added(CART, "cubic")
+
+
+@pytest.mark.parametrize(
+    ("names", "told"),
+    [
+        (["glue"], "no force 'glue'; expected one of coulomb, stribeck, viscous, spring, cubic"),
+        (["cubic:tilt"], "'cubic:tilt': no coordinate 'tilt'; expected one of x, angle"),
+        (["cubic:"], "'cubic:': no coordinate ''"),
+        (["cubic", "cubic:x"], "'cubic:x' twice"),
+        (["coulomb:x", "stribeck:x"],
+         "'stribeck:x' brings 'x.coulomb', which 'coulomb:x' has already"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_added_is_refused_by_name(names, told):
+    with pytest.raises(tn.InputError) as refused:
+        added(CART, *names)
+    assert told in " ".join(str(refused.value).split())
+
+
+def test_a_force_that_a_system_has_already_is_refused():
+    once = added(SWING, "viscous")
+    told = "'viscous:angle' brings 'angle.viscous', which the system 'swing' has already"
+    with pytest.raises(tn.InputError, match=told):
+        added(once, "viscous")
+
+
+def test_forces_have_derivatives_at_rest():
+    system = added(CART, *(law for law in LAWS if law != "coulomb"))
+    model = nominal(system)
+    at_rest = jnp.zeros(model.state_size)
+    slope = jax.jacfwd(model.derivative)(at_rest, U)
+    assert np.isfinite(slope).all()
