@@ -212,6 +212,25 @@ def test_no_member_sees_the_records_that_it_is_scored_on(done, pendulum):
             np.testing.assert_allclose(judged, e.q, rtol=1e-6)
 
 
+def test_records_that_have_nothing_to_choose_train(pendulum, monkeypatch):
+    plans: list[Plan] = []
+    train_plan = folds.train_plan
+
+    def train(prepared, listener):
+        plans.append(prepared)
+        return train_plan(prepared, listener)
+
+    monkeypatch.setattr(folds, "train_plan", train)
+    blind = tn.read_recipe(TINY, ["stages.0.keep=last", "stages.0.decay=cosine"])
+    found = cross_validate(pendulum, make_question(blind, folds=3, starts=("derived-6",)))
+    deals = dealt(pendulum, 3)
+    [prepared] = plans
+    assert [f.roles for f in prepared.task.folds] == [Roles(d.roles.all, ()) for d in deals]
+    assert {(s.record, s.fold) for s in found.scores} == {
+        (e.name, f) for f, d in enumerate(deals) for e in d.scored
+    }
+
+
 def test_the_score_of_a_record_is_that_of_its_folds_model(done, pendulum):
     found, _, results = done
     by = {(r.member.fold, r.seed): r.model for r in results}

@@ -70,6 +70,9 @@ def test_the_codes_standard_and_transfer_recipes_process_as_many_points(real_dat
         (("step = 8", "step = 8, count = 5"), "either `step` or `count`"),
         (("count = 40", "part = 0.5"), "take `count`"),
         (("[8, 6]", "[]"), "at least 1 item"),
+        (("batch = 16", 'batch = 16\ndecay = "cosine"'), "`decay` .* leave out `plateau`"),
+        (("frozen_layers = 1", 'patience = 3\ndecay = "cosine"'), "leave out `patience`"),
+        (("frozen_layers = 1", 'patience = 3\nkeep = "last"'), "`patience` means nothing"),
     ],
 )
 def test_a_wrong_recipe_is_refused_with_the_key(small_recipe, change, told):
@@ -83,3 +86,21 @@ def test_a_wrong_recipe_is_refused_with_the_key(small_recipe, change, told):
 def test_an_unknown_recipe_is_refused_with_the_known_ones():
     with pytest.raises(tn.InputError, match="paper-code-transfer"):
         tn.read_recipe("paper-code")
+
+
+@pytest.mark.parametrize(
+    ("keep", "plateau", "asks"),
+    [
+        ("last", None, False),
+        ("training", {"watch": "training"}, False),
+        ("validation", None, True),
+        ("last", {"watch": "validation-loss"}, True),
+    ],
+)
+def test_a_training_asks_validation_records_where_a_stage_does(keep, plateau, asks):
+    stage = {"windows": {"draw": "strided", "length": 5, "count": 9}, "rate": 1e-3, "epochs": 2,
+             "batch": 4}  # fmt: skip
+    rule = {} if plateau is None else {"plateau": {"factor": 0.5, "patience": 2, **plateau}}
+    quiet, asked = {**stage, "name": "one", "keep": "last"}, {**stage, "name": "two", "keep": keep}
+    recipe = tn.read_recipe({"name": "mine", "model": {}, "stages": [quiet, {**asked, **rule}]})
+    assert recipe.asks_validation is asks

@@ -15,7 +15,7 @@ from tustinnet.fitting.fit import fit_task
 from tustinnet.fitting.gradient.plan import groups_alike, plan
 from tustinnet.fitting.gradient.train import train_plan
 from tustinnet.fitting.listener import SILENT, Listener
-from tustinnet.fitting.recipe import IdentificationRecipe, Recipe, horizon_of, rates_of, read_recipe
+from tustinnet.fitting.recipe import Recipe, horizon_of, rates_of, read_recipe
 from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import AnyRecipe, Fold, Member, Task
@@ -280,13 +280,9 @@ def cross_validate(data: DataSet, asked: Question, tell: Tell = lambda task: SIL
 def used_by(of: Roles, recipe: Recipe) -> Roles:
     """The records of a fold as a recipe uses them.
 
-    An identification has no epochs to choose: what would choose them trains, too.
-
-    Unless the recipe leaves it to these records how initial states are treated.
+    Those that would choose train, too, where the recipe leaves them nothing to choose.
     """
-    if not isinstance(recipe, IdentificationRecipe) or recipe.search.initial == "choose":
-        return of
-    return Roles(of.all, ())
+    return of if recipe.asks_validation else Roles(of.all, ())
 
 
 def _physics(deals: Sequence[Deal], asked: Question, tell: Tell) -> list[Model]:

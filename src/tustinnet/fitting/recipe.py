@@ -32,6 +32,7 @@ from tustinnet.simulate.starts import start_named
 
 Compared = Literal["position", "state"]
 Criterion = Literal["validation", "validation-loss", "training"]
+Kept = Literal[Criterion, "last"]
 Robust = Literal["none", "huber", "student"]
 Initial = Literal["choose", "anchored", "unanchored"]
 
@@ -107,7 +108,10 @@ class StageRecipe(Declaration):
         patience: epochs without a lower value of `keep` after which the stage ends, if ever.
         batch: windows in a step of the optimiser.
         plateau: when the rate is reduced, if ever.
-        keep: the criterion whose lowest value marks the best weights (see `PlateauRecipe`).
+        decay: `cosine` to let the rate fall to nothing over the stage's epochs, by half a period
+            of a cosine (Loshchilov and Hutter, 2017, without restarts).
+        keep: the criterion whose lowest value marks the best weights (see `PlateauRecipe`), or
+            `last` for those of the last epoch.
         mirror: whether the system behaves alike when all positions, velocities and inputs change
             their sign; in every epoch half of the windows are then mirrored, by chance.
         clip: largest norm of the gradient, if it is limited.
@@ -125,10 +129,27 @@ class StageRecipe(Declaration):
     patience: Count | None = None
     batch: Count
     plateau: PlateauRecipe | None = None
-    keep: Criterion = "validation"
+    decay: Literal["cosine"] | None = None
+    keep: Kept = "validation"
     mirror: bool = False
     clip: float | None = Field(default=None, gt=0, le=1e6)
     averaging: float | None = Field(default=None, gt=0, lt=1)
+
+    @model_validator(mode="after")
+    def _one_rule(self) -> "StageRecipe":
+        if self.decay and self.plateau:
+            raise ValueError("`decay` says the rate of every epoch: leave out `plateau`")
+        if self.keep == "last" and self.patience:
+            raise ValueError("`patience` means nothing where the last epoch is kept")
+        if self.decay and self.patience:
+            raise ValueError("`decay` takes all `epochs`: leave out `patience`")
+        return self
+
+    @property
+    def asks_validation(self) -> bool:
+        """Whether validation records decide over the weights that are kept, or the rate."""
+        watched = self.plateau.watch if self.plateau else "training"
+        return self.keep.startswith("validation") or watched.startswith("validation")
 
 
 class SearchRecipe(Declaration):
@@ -197,6 +218,11 @@ class Recipe(Declaration):
         """The family of its models."""
         return FAMILIES[self.model.kind]
 
+    @property
+    def asks_validation(self) -> bool:
+        """Whether validation records decide over anything while a model is fitted."""
+        raise NotImplementedError
+
 
 class TrainingRecipe(Recipe):
     """How a model with weights is trained.
@@ -242,6 +268,11 @@ class TrainingRecipe(Recipe):
                 raise ValueError(f"stage '{stage.name}' {error}") from None
         return self
 
+    @property
+    def asks_validation(self) -> bool:
+        """Whether validation records choose the epochs or the rate of a stage."""
+        return any(stage.asks_validation for stage in self.stages)
+
     def each(self, **changes: Any) -> "TrainingRecipe":
         """The same recipe with other values in every stage."""
         stages = [stage.model_copy(update=changes) for stage in self.stages]
@@ -264,6 +295,11 @@ class IdentificationRecipe(Recipe):
     """
 
     search: SearchRecipe = SearchRecipe()
+
+    @property
+    def asks_validation(self) -> bool:
+        """Whether validation records choose how initial states are treated."""
+        return self.search.initial == "choose"
 
 
 def horizon_of(recipe: Recipe) -> float | None:

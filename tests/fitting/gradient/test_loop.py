@@ -177,6 +177,42 @@ def test_the_best_weights_can_be_those_of_the_lowest_training_loss(prepared):
     assert progress[0].best_score == min(r.loss for r in reports if r.stage == "second")
 
 
+@pytest.fixture(scope="module")
+def decaying(prepared) -> Plan:
+    """Two members whose rate decays and whose last epochs are kept; several compiled calls."""
+    changes = {"stages.0.epochs": 12, "stages.1.epochs": 7, "stages.*.decay": "cosine",
+               "stages.*.keep": "last", "stages.*.averaging": 0.9}  # fmt: skip
+    plain = prepared.recipe.each(plateau=None)
+    return plan_of(tn.read_recipe(plain, [f"{key}={value}" for key, value in changes.items()]))
+
+
+@pytest.fixture(scope="module")
+def decaying_whole(decaying):
+    return run(decaying)
+
+
+def test_the_weights_of_the_last_epoch_can_be_kept(decaying_whole):
+    model, progress, _, states = decaying_whole
+    assert [p.best_epoch for p in progress] == [7, 7]
+    assert same_bits(model, states[-1][0].weights.average)
+
+
+def test_a_rate_that_decays_is_told_epoch_by_epoch(decaying_whole):
+    _, _, reports, _ = decaying_whole
+    told = [r.rate for r in reports if r.stage == "first" and r.member == 0]
+    assert told == pytest.approx(3e-3 * (1 + np.cos(np.pi * np.arange(12) / 12)) / 2, rel=1e-5)
+
+
+@pytest.mark.parametrize("at", [0, 1, 3])
+def test_a_resumed_training_with_a_decaying_rate_ends_with_the_same_bits(
+    decaying, decaying_whole, at
+):
+    model, _, reports, states = decaying_whole
+    again, _, later, _ = run(decaying, states[at])
+    assert same_bits(again, model)
+    assert later == reports[len(reports) - len(later) :]
+
+
 def test_an_average_of_the_weights_is_kept_where_one_is_asked_for(prepared):
     stages = prepared.stages[:1]
     plain = run(dataclasses.replace(prepared, stages=stages))
@@ -402,3 +438,4 @@ def test_a_kept_epoch_at_an_end_of_the_last_stage_is_told(prepared, kept, said):
     assert re.search(said, found)
     assert not said or "validation" in found
     assert ends(with_stages(prepared, epochs=100), Progress(best_epoch=kept, outcome="")) == ()
+    assert ends(with_stages(prepared, epochs=100, keep="last"), progress) == ()

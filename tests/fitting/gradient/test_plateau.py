@@ -1,10 +1,10 @@
-"""The plateau rule against PyTorch's, written out from its documentation."""
+"""How the rate goes down: the plateau rule of PyTorch's documentation, and the cosine."""
 
 import jax.numpy as jnp
 import pytest
 
-from tustinnet.fitting.gradient.plateau import Plateau, after_epoch, new_plateau
-from tustinnet.fitting.recipe import PlateauRecipe
+from tustinnet.fitting.gradient.plateau import Plateau, after_epoch, decayed, new_plateau
+from tustinnet.fitting.recipe import PlateauRecipe, StageRecipe, WindowRecipe
 
 RULE = PlateauRecipe(factor=0.5, patience=2)
 
@@ -55,3 +55,14 @@ def test_members_have_schedulers_of_their_own():
 
 def test_without_a_rule_the_rate_stays():
     assert rates([1.0] * 5, None) == [1.0] * 5
+
+
+@pytest.mark.parametrize(
+    ("decay", "expected"), [("cosine", [2.0, 1.5, 0.5]), (None, [2.0, 2.0, 2.0])]
+)
+def test_a_cosine_goes_from_the_whole_rate_to_nothing(decay, expected):
+    windows = WindowRecipe(draw="strided", length=5, count=9)
+    stage = StageRecipe(name="one", windows=windows, rate=1.0, epochs=3, batch=4, decay=decay)
+    done, epochs = jnp.arange(3), jnp.array(3)
+    told = decayed(jnp.full(3, 2.0), done, epochs, stage)
+    assert told.tolist() == pytest.approx(expected)

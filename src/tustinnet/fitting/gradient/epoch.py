@@ -18,7 +18,7 @@ from tustinnet.families.family import Regulariser
 from tustinnet.fitting.gradient.layout import MEMBERS, WINDOWS
 from tustinnet.fitting.gradient.material import Records, ValidationRuns
 from tustinnet.fitting.gradient.plan import Plan
-from tustinnet.fitting.gradient.plateau import after_epoch
+from tustinnet.fitting.gradient.plateau import after_epoch, decayed
 from tustinnet.fitting.gradient.state import (
     Course,
     EpochFigures,
@@ -27,7 +27,7 @@ from tustinnet.fitting.gradient.state import (
     Weights,
     adam_without_rate,
 )
-from tustinnet.fitting.recipe import Criterion, StageRecipe
+from tustinnet.fitting.recipe import Criterion, Kept, StageRecipe
 from tustinnet.fitting.residual import Residual
 from tustinnet.models.contract import Model
 from tustinnet.simulate.rollout import rollouts
@@ -124,9 +124,9 @@ def compiled_epochs(prepared: Plan, stage: Stage) -> EpochsFunction:
     return lambda state: _run(jax.device_put(state, layout), material, program=program)
 
 
-def _possible(wanted: Criterion, stage: Stage, validation: ValidationRuns | None) -> Criterion:
+def _possible(wanted: Kept, stage: Stage, validation: ValidationRuns | None) -> Criterion:
     """The criterion, or the next one where there are no records or windows for it."""
-    if validation is None:
+    if validation is None or wanted == "last":
         return "training"
     if wanted == "validation-loss" and stage.watched is None:
         return "validation"  # the validation records are shorter than a window
@@ -169,11 +169,12 @@ def _epoch(
             mine,
         )
 
-    of = (state.weights, material.own, course.plateau.rate, due)
+    rate = decayed(course.plateau.rate, course.epoch, material.epochs, program.recipe)
+    of = (state.weights, material.own, rate, due)
     attempts, loss, finite = _each(program.mesh, attempt, of)
     figures = _figures(attempts.average, loss, material, program)
     judge = jax.vmap(partial(_judged, program=program))
-    return judge(state, attempts, figures, finite, due)
+    return judge(state, attempts, figures, finite, rate, due)
 
 
 def _judged(
@@ -181,14 +182,16 @@ def _judged(
     attempt: Weights,
     figures: dict[Criterion, Float[Array, ""]],
     finite: Bool[Array, ""],
+    used: Float[Array, ""],
     due: Bool[Array, ""],
     *,
     program: _Program,
 ) -> tuple[TrainingState, EpochFigures]:
     """What becomes of a member after an epoch: its best weights, its rate, where it is."""
     weights, course = before
-    rate, score = course.plateau.rate, figures[program.keep]
-    better = finite & (score < course.best_score)
+    rate, last = course.plateau.rate, program.recipe.keep == "last"
+    score = figures[program.keep]
+    better = finite & (last | (score < course.best_score))
     plateau = after_epoch(course.plateau, figures[program.watch], program.recipe.plateau)
     attempt = attempt._replace(best=_choose(better, attempt.average, weights.best))
     gives_up = ~finite & (course.rollbacks >= ROLLBACKS)
@@ -207,7 +210,7 @@ def _judged(
         epoch=course.epoch + 1,
         loss=jnp.where(finite, figures["training"], jnp.nan),
         validation=jnp.where(finite, figures["validation"], jnp.nan),
-        rate=rate,
+        rate=used,
         best=after.best_score,
     )
     kept = TrainingState(_choose(finite, attempt, weights), after)

@@ -1,11 +1,11 @@
-"""When a watched figure stops improving, the rate goes down."""
+"""How the rate goes down: when a watched figure stops improving, or from epoch to epoch."""
 
 from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from tustinnet.fitting.recipe import PlateauRecipe
+from tustinnet.fitting.recipe import PlateauRecipe, StageRecipe
 
 _THRESHOLD = 1e-4  # relative improvement that counts
 _SMALLEST_CHANGE = 1e-8  # a smaller change of the rate is not made
@@ -52,3 +52,18 @@ def after_epoch(
         best=jnp.where(better, figure, state.best),
         bad_epochs=jnp.where(due, 0, bad),
     )
+
+
+def decayed(
+    rate: Float[Array, "..."],
+    epoch: Int[Array, "..."],
+    epochs: Int[Array, "..."],
+    recipe: StageRecipe,
+) -> Float[Array, "..."]:
+    """The rate of the epoch that comes after so many: `rate (1 + cos(pi epoch / epochs)) / 2`.
+
+    Where the recipe has no decay it is the rate itself.
+    """
+    if recipe.decay is None:
+        return rate
+    return rate * (1.0 + jnp.cos(jnp.pi * epoch / epochs)) / 2.0

@@ -65,6 +65,8 @@ def ends(prepared: Plan, progress: Progress) -> tuple[str, ...]:
         return ()
     index, kept, done = progress.stage, progress.best_epoch, progress.epoch
     recipe = prepared.stages[index].recipe
+    if recipe.keep == "last":
+        return ()
     few = min(_FEW, recipe.epochs // 10)
     judge = "training loss" if prepared.validation is None else f"lowest `{recipe.keep}`"
     at = f"epoch {kept} of {done} of stage '{recipe.name}' was kept ({judge})"
