@@ -20,6 +20,7 @@ from tustinnet.cli.main import run
 from tustinnet.fitting.fit import fit_task
 from tustinnet.fitting.recipe import read_recipe
 from tustinnet.fitting.task import make_task
+from tustinnet.selection.plan import SelectionPlan
 from tustinnet.store.model_file import read_header
 from tustinnet.store.run import run_task
 from tustinnet.systems import qube_servo2_twin
@@ -426,7 +427,7 @@ def test_a_system_file_is_run_once_and_leaves_nothing_beside_it(
     for arguments in (
         ["evaluate", model, folder],
         ["compare", model, folder],
-        ["fit", folder, "--out", tmp_path / "again", "--quiet"],
+        ["fit", folder, "--recipe", "grey", "--out", tmp_path / "again", "--quiet"],
     ):
         code, out, err = tustinnet(capsys, *arguments, "--system", system)
         assert code == 0, err
@@ -444,7 +445,10 @@ GREY = ["--recipe", "grey", "--system", "{}"]
         (["--recipe", "best-grey"], ["recipe 'best-grey'", "no system", "--system"]),
         (["--recipe", "grey", "--system", "qube-servo3"], ["'qube-servo3'", "no such system"]),
         (["--recipe", "grey", "--system", "nowhere.py"], ["nowhere.py", "no such file"]),
-        (["--system", "qube-servo2"], ["coordinates", "theta (angular)", "'qube-servo2'"]),
+        (
+            ["--recipe", "grey", "--system", "qube-servo2"],
+            ["coordinates", "theta (angular)", "'qube-servo2'"],
+        ),
         (["--recipe", "standard", "--system", "{}"], ["--system", "tustin-net", "--recipe grey"]),
         (["--recipe", "nope", "--system", "{}"], ["no recipe 'nope'", "one of best-grey"]),
         ([*GREY, "--set", "model.fixed.mass=nominal"], ["no parameter 'mass'", "inertia"]),
@@ -465,8 +469,14 @@ GREY = ["--recipe", "grey", "--system", "{}"]
         ([*GREY, "--set", "search.method=newton"], ["search.method", "'l-bfgs'", "'newton'"]),
         ([*GREY, "--set", "search.los=state"], ["search.los", "did you mean 'loss'?"]),
         ([*GREY, "--set", "stages.0.epochs=3"], ["recipe 'grey', stages", "unknown key"]),
-        (["--set", "search.loss=state"], ["recipe 'standard', search", "unknown key"]),
-        (["--set", "model.fixed.gain=4"], ["recipe 'standard', model.fixed", "unknown key"]),
+        (
+            ["--recipe", "standard", "--set", "search.loss=state"],
+            ["recipe 'standard', search", "unknown key"],
+        ),
+        (
+            ["--recipe", "standard", "--set", "model.fixed.gain=4"],
+            ["recipe 'standard', model.fixed", "unknown key"],
+        ),
         ([*GREY, "--seeds", "2"], ["--seeds", "'grey' identifies", "no seeds"]),
         ([*GREY, "--seeds", "1"], ["--seeds", "no seeds"]),
         ([*GREY, "--set", "rates=[1,0.5]"], ["recipe 'grey', rates", "unknown key"]),
@@ -556,7 +566,8 @@ def test_fixed_parameters_stay(folder, system, tmp_path, capsys):
 def test_forces_of_the_library_are_added_and_shown(folder, system, tmp_path, capsys):
     out = tmp_path / "rubbed"
     code, told, _ = tustinnet(
-        capsys, "fit", folder, "--system", system, "--set", 'model.forces=["coulomb", "maxwell"]',
+        capsys, "fit", folder, "--recipe", "grey", "--system", system,
+        "--set", 'model.forces=["coulomb", "maxwell"]',
         "--set", "model.fixed.angle.relaxation=2.0", "--out", out,
     )  # fmt: skip
     assert code == 0
@@ -582,22 +593,32 @@ def test_the_demo_does_the_whole_job_and_says_twin_everywhere(
         cut = lambda *drawn, whole=whole: replace(run := whole(*drawn), u=run.u[:300])  # noqa: E731
         monkeypatch.setattr(qube_servo2_twin, name, cut)
     monkeypatch.setattr(demo, "_DRAWN", ("twin_fall_test1",))
-    quick = tn.read_recipe(
-        "grey", ["search.initial=anchored", "search.substeps=2", "search.iterations=5"]
+    quick = ["search.initial=anchored", "search.substeps=2", "search.iterations=5"]
+    plan = SelectionPlan.model_validate(
+        {
+            "name": "quick",
+            "folds": 3,
+            "candidates": [
+                {"name": "physics", "recipe": "grey", "set": quick},
+                {"name": "network", "recipe": str(small_recipe)},
+            ],
+            "rounds": [{"folds": 1}],
+        }
     )
-    fitted = {
-        label: (quick if tn.read_recipe(recipe).name == "grey" else small_recipe, system)
-        for label, (recipe, system) in demo._FITTED.items()
-    }
-    monkeypatch.setattr(demo, "_FITTED", fitted)
+    monkeypatch.setattr(demo, "_PLAN", plan)
     out = tmp_path / "demo"
-    code, printed, _ = tustinnet(capsys, "demo", "--out", out)
-    assert code == 0
+    code, printed, err = tustinnet(capsys, "demo", "--out", out)
+    assert code == 0, err
+    assert "* chosen: physics" in printed
     assert "Twin (simulated, favours Lagrangian models)" in printed
     table = json.loads((out / "twin_table.json").read_text())
     means = {name: m["mean"] for name, m in table["models"].items()}
-    assert means["Euler-Lagrange"] < means["Euler-Lagrange, no spring"]
-    assert len(means) == 4
+    assert means["physics (chosen)"] < means["network"]
+    assert len(means) == 2
+    scored = json.loads((out / "twin_choice" / "summary.json").read_text())
+    assert not any(
+        "test" in record for record in scored["candidates"][0]["starts"]["model-20"]["rmse"]
+    )
     assert all(path.name.startswith("twin") for path in out.iterdir())
     assert tn.load(out / "twin").splits == ("train", "validation", "test")
     before = (out / "twin_table.json").read_bytes()

@@ -20,7 +20,7 @@ PLAN = {
     ],
     "rounds": [{"folds": 1}, {"folds": 3, "keep": 0.5}, {"folds": 3, "seeds": 2}],
 }
-QUALITY = {"linear": 9.0, "grey": 3.0, "network": 2.0, "hybrid": 1.0}
+QUALITY = {"linear": 9.0, "grey": 3.0, "better grey": 2.5, "network": 2.0, "hybrid": 1.0}
 
 
 class Pretended:
@@ -85,6 +85,19 @@ def test_a_network_that_corrects_waits_for_the_physics_of_its_fold(slots):
             assert job.physics == f"{physics}/0"
             assert physics in done
         done.add(job.folder)
+
+
+def test_of_several_that_could_be_corrected_the_best_goes_on_with_it():
+    other = {"name": "better grey", "recipe": "best-grey"}
+    hybrid = {**PLAN["candidates"][3], "corrects": ["grey", "better grey"]}
+    candidates = [*PLAN["candidates"][:2], other, hybrid]
+    executor = Pretended()
+    found, _ = halving({**PLAN, "candidates": candidates, "rounds": [{"folds": 1, "keep": 0.1},
+                                                                    {"folds": 3}]})  # fmt: skip
+    found.run(executor)
+    assert {j.candidate for j in executor.done if j.fold == 2} == {"hybrid", "better grey"}
+    used = [j.physics for j in executor.done if j.candidate == "hybrid"]
+    assert used == [f"candidates/better grey/fold-{f}-seeds-0/0" for f in range(3)]
 
 
 def test_what_fails_is_left_and_told_and_the_others_go_on():

@@ -12,7 +12,10 @@ from tustinnet.cli import terminal
 
 if TYPE_CHECKING:
     from tustinnet.data.dataset import DataSet
+    from tustinnet.report.progress import FitProgress
     from tustinnet.selection.choice import Choice
+    from tustinnet.selection.jobs import Job
+    from tustinnet.selection.select import Reporter
     from tustinnet.store.run import Earlier
     from tustinnet.systems.files import SystemFile
 
@@ -45,32 +48,39 @@ def select(
 ) -> None:
     """Tries the candidates of a plan and keeps the best as one model."""
     from tustinnet.report.progress import FitProgress
-    from tustinnet.selection.jobs import Job
     from tustinnet.selection.plan import USUAL, read_plan
-    from tustinnet.selection.select import Asked, Reporter, select_model
+    from tustinnet.selection.select import Asked, select_model
 
     told = terminal.messages()
     asked = Asked(read_plan(plan or USUAL), system, seconds_of(budget))
     records = load()
     with FitProgress(told, quiet=quiet) as progress:
-
-        def tell(job: Job) -> Any:
-            label = f"{job.candidate}, fold {job.fold}"
-            return lambda prepared: progress.follow(prepared, label=label)
-
-        reporter = Reporter((lambda sentence: None) if quiet else told.print, tell)
+        reporter = told_by(progress, quiet=quiet)
         with terminal.interruptible("--resume goes on with what is done"):
             choice = select_model(records, out, asked, earlier, reporter)
     if choice.at.system_file is not None:
         terminal.remember_trust(choice.at.system_file)
-    _draw(choice)
+    draw_choice(choice)
     if json:
         terminal.print_json(choice.as_plain())
     else:
-        _print(choice, out)
+        print_choice(choice)
 
 
-def _draw(choice: "Choice") -> None:
+def told_by(progress: "FitProgress", *, quiet: bool) -> "Reporter":
+    """Who is told while a selection goes on: bars or lines for fits, sentences for rounds."""
+    from tustinnet.selection.select import Reporter
+
+    def tell(job: "Job") -> Any:
+        label = f"{job.candidate}, fold {job.fold}"
+        return lambda prepared: progress.follow(prepared, label=label)
+
+    say = (lambda sentence: None) if quiet else terminal.messages().print
+    return Reporter(say, tell)
+
+
+def draw_choice(choice: "Choice") -> None:
+    """Writes table and figures: of candidates, of free runs of models that did not see a record."""
     from tustinnet.report.figures import free_run_figure, write_figure
     from tustinnet.report.selection import candidates_figure, candidates_table, free_runs
     from tustinnet.store.files import write_into
@@ -82,9 +92,11 @@ def _draw(choice: "Choice") -> None:
         write_figure(free_run_figure(choice.at.data[name], runs), folder, f"figures/{name}.png")
 
 
-def _print(choice: "Choice", out: Path) -> None:
+def print_choice(choice: "Choice") -> None:
+    """The table of candidates, and what there is to say of the choice."""
     from tustinnet.report.selection import candidates_table
 
+    out = choice.at.folder
     terminal.print_tables(candidates_table(choice))
     for sentence in choice.sentences:
         typer.echo(f"* {sentence}")

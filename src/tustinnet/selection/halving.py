@@ -73,12 +73,17 @@ class Halving:
         return sorted(alive, key=lambda c: order.index(c.name))
 
     def _needed(self, names: Sequence[str], alive: Sequence[Candidate]) -> tuple[Candidate, ...]:
-        """The candidates of these names, and those that they correct."""
+        """The candidates of these names, and the best that each of them corrects."""
         kept = set(names)
         for c in alive:
             if c.name in kept:
-                kept |= {name for name in c.corrects if self.standings[name].folds}
+                kept |= {s.name for s in self._corrected(c)[:1]}
         return tuple(c for c in alive if c.name in kept)
+
+    def _corrected(self, by: Candidate, fold: int | None = None) -> list[Standing]:
+        """What a candidate can correct, in a fold or anywhere, the best first."""
+        there = [self.standings[name] for name in by.corrects if name in self.standings]
+        return ranked([s for s in there if fold is None or fold in s.folds])
 
     def _wanted(self, alive: Sequence[Candidate], of: Round) -> list[_Wanted]:
         """The jobs of a round that are not done, fold by fold."""
@@ -120,8 +125,7 @@ class Halving:
         candidate, fold, seeds = wanted
         name, physics = candidate.name, None
         if candidate.corrects:
-            there = [self.standings[n] for n in candidate.corrects if n in self.standings]
-            best = ranked([s for s in there if fold in s.folds])
+            best = self._corrected(candidate, fold)
             if not best:
                 return self._leave(name, "nothing to correct: " + ", ".join(candidate.corrects))
             physics = best[0].folds[fold][0].model
