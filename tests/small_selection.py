@@ -13,8 +13,8 @@ hidden = [6]
 [[stages]]
 name = "only"
 windows = { draw = "strided", length = 20, count = 100 }
-rate = 3e-3
-epochs = 5
+rate = 1e-2
+epochs = 60
 batch = 16
 """
 HYBRID = NETWORK.replace("hidden = [6]", 'kind = "hybrid"\ncorrection = { hidden = [4] }')

@@ -30,7 +30,7 @@ def test_a_folder_of_logs_and_a_system_become_one_model(folder, tmp_path, out, c
     assert "round 1 of 2, one fold: " in err
     assert "free runs of records that a model was not fitted to" in printed
     assert "* chosen: grey, identified from all 5 records" in printed
-    assert "* clearly better than the next, network: by " in printed
+    assert " better than the next, network: by " in printed
     summary = json.loads((out / "summary.json").read_text())
     assert summary["best"] == "grey"
     assert "| network |" in (out / "candidates.md").read_text()

@@ -2,12 +2,14 @@
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
+from small_selection import swings
 
 from tustinnet.selection.clock import Clock
 from tustinnet.selection.halving import Halving
-from tustinnet.selection.jobs import Job, JobResult, SeedScore
+from tustinnet.selection.jobs import Job, JobResult, Judging, SeedScore, Workplace
 from tustinnet.selection.plan import SelectionPlan
 
 PLAN = {
@@ -20,7 +22,7 @@ PLAN = {
     ],
     "rounds": [{"folds": 1}, {"folds": 3, "keep": 0.5}, {"folds": 3, "seeds": 2}],
 }
-QUALITY = {"linear": 9.0, "grey": 3.0, "better grey": 2.5, "network": 2.0, "hybrid": 1.0}
+QUALITY = {"linear": 0.9, "grey": 0.3, "better grey": 0.25, "network": 0.2, "hybrid": 0.1}
 
 
 class Pretended:
@@ -44,9 +46,9 @@ class Pretended:
         other = self._of(job)
         if other is not None:
             return other
-        rmse = {f"r{job.fold}{i}": QUALITY[job.candidate] + 0.1 * i for i in range(2)}
+        rmse = {f"r{job.fold}{i}": QUALITY[job.candidate] + 0.01 * i for i in range(2)}
         models = tuple(
-            SeedScore(seed, "finished", f"{job.folder}/{seed}", 0, {"model-20": rmse})
+            SeedScore(seed, "finished", f"{job.folder}/{seed}", None, {"model-20": rmse})
             for seed in job.seeds
         )
         return JobResult(job.candidate, job.fold, 1.0, "done", models)
@@ -54,7 +56,8 @@ class Pretended:
 
 def halving(plan: dict | None = None, clock: Clock | None = None) -> tuple[Halving, list[str]]:
     of, said = SelectionPlan.model_validate(plan or PLAN), []
-    return Halving(of, of.candidates, 3, clock or Clock(), said.append), said
+    at = Workplace(Path(), swings(), Judging(3, "model-20"), clock=clock or Clock())
+    return Halving(of, of.candidates, at, said.append), said
 
 
 @pytest.mark.parametrize("slots", [1, 3])
@@ -70,7 +73,7 @@ def test_each_round_has_more_folds_and_seeds_and_fewer_candidates(slots):
     }
     assert len(executor.done) == len(jobs)
     assert said[0] == (
-        "round 1 of 3, one fold: hybrid 1.05, network 2.05, grey 3.05, linear 9.05; 3 go on"
+        "round 1 of 3, one fold: hybrid 0.105, network 0.205, grey 0.305, linear 0.905; 3 go on"
     )
 
 
@@ -124,15 +127,16 @@ def test_no_job_begins_that_would_take_longer_than_what_is_left():
     assert any("1 of 3" in line for line in said)
 
 
-def test_candidates_are_not_tried_for_the_first_time_when_most_of_the_time_is_spent():
-    clock = Clock(time.monotonic() + 0.5)
+def test_candidates_are_not_tried_for_the_first_time_when_most_of_the_time_is_spent(monkeypatch):
+    left = [100.0]
+    monkeypatch.setattr(Clock, "left", property(lambda self: left[0]))
 
     def slow(job: Job) -> None:
-        time.sleep(0.35)
+        left[0] -= 61.0
 
-    found, said = halving(clock=clock)
-    left = found.run(executor := Pretended(of=slow))
-    assert [s.name for s in left] == ["linear"]
+    found, said = halving()
+    scored = found.run(executor := Pretended(of=slow))
+    assert [s.name for s in scored] == ["linear"]
     assert len(executor.done) == 1
     assert "network: left out, no time was left for it" in said
 
@@ -146,3 +150,15 @@ def test_the_cheapest_of_those_that_time_ended_is_known():
     assert found.run(Pretended(of=of)) == []
     assert found.cheapest is not None
     assert (found.cheapest.candidate, found.cheapest.needs) == ("linear", 20.0)
+
+
+def test_free_runs_that_are_further_off_than_the_records_move_end_it_after_a_round():
+    def of(job: Job) -> JobResult:
+        rmse = {f"r{job.fold}": float("inf") if job.candidate == "grey" else 50.0}
+        models = (SeedScore(0, "finished", "m", None, {"model-20": rmse}),)
+        return JobResult(job.candidate, job.fold, 1.0, "done", models)
+
+    found, _ = halving()
+    found.run(executor := Pretended(of=of))
+    assert found.hopeless
+    assert {j.fold for j in executor.done} == {0}

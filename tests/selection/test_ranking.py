@@ -9,7 +9,7 @@ from tustinnet.selection.ranking import Standing, mean_and_error, paired, ranked
 
 
 def scores(values: dict[str, float], seed: int = 0) -> SeedScore:
-    return SeedScore(seed, "finished", f"m{seed}", 0, {"model-20": values, "file": values})
+    return SeedScore(seed, "finished", f"m{seed}", None, {"model-20": values, "file": values})
 
 
 def standing(name: str, *folds: dict[str, float]) -> Standing:

@@ -22,7 +22,7 @@ from tustinnet.selection.plan import read_plan
 from tustinnet.selection.ranking import mean_and_error
 from tustinnet.selection.select import Asked, Reporter, _taking_part, select_model
 from tustinnet.store.model_file import read_header, system_of
-from tustinnet.store.run import Earlier
+from tustinnet.store.run import Earlier, fit_in
 
 
 def selected(folder: Path, earlier: Earlier = "refuse", data=None, **changes):
@@ -176,6 +176,27 @@ def test_every_model_can_be_loaded(made):
     for file in models:
         found = tn.load_model(file, SWING if system_of(file) else None)
         assert found.channels.n_q == 1
+
+
+def test_where_whole_free_runs_say_nothing_a_horizon_is_judged_over_and_nothing_fitted_again(
+    tmp_path, monkeypatch
+):
+    whole = jobs.evaluate
+
+    def unstable(model, records, start, *, horizon=None):
+        scores = whole(model, records, start, horizon=horizon)
+        return [replace(s, rmse=np.inf) for s in scores] if horizon is None else scores
+
+    monkeypatch.setattr(jobs, "evaluate", unstable)
+    fitted: list[Path] = []
+    monkeypatch.setattr(jobs, "fit_in", lambda folder, *more, **named: (
+        fitted.append(folder), fit_in(folder, *more, **named))[1])  # fmt: skip
+    choice, _ = selected(tmp_path)
+    horizon = choice.at.judging.horizon
+    assert horizon == pytest.approx(0.1 * 200 * 0.02, abs=0.25)
+    assert f"judged over pieces of {horizon:.3g} s instead" in choice.sentences[-1]
+    assert len(fitted) == len(set(fitted)) == 3
+    assert np.isfinite(list(choice.standing("network").rmse().values())).all()
 
 
 # --- stopped and resumed ---

@@ -58,7 +58,7 @@ def judge_average(of: Average, members: Sequence[Standing], at: Workplace) -> Ju
     for fold, by_shares in found.items():
         others = [f for f in found if f != fold] or [fold]
         chosen = _best(found, others)
-        scores[fold] = (SeedScore(0, "", "", 0, by_shares[chosen]),)
+        scores[fold] = (SeedScore(0, "", "", None, by_shares[chosen]),)
     best = tried[_best(found, list(found))]
     named = {s.name: share for s, share in zip(members, best, strict=True)}
     return Judged(Standing(of.name, scores, sum(s.seconds for s in members)), named)

@@ -5,8 +5,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from tustinnet.fitting.report import data_header
 from tustinnet.models.contract import Model
 from tustinnet.selection.ending import Found
@@ -76,7 +74,7 @@ class Choice:
         several = "s" if len(rmse) > 1 else ""
         told.append(
             f"free runs of {len(rmse)} record{several} that its models were not fitted to: "
-            f"{mean:.3g}{spread} {self.unit}, {100 * mean / self._motion:.2g} % of the motion; "
+            f"{mean:.3g}{spread} {self.unit}, {100 * mean / self.at.motion:.2g} % of the motion; "
             f"worst {worst}, {rmse[worst]:.3g} {self.unit}"
         )
         told.append(self._against(best))
@@ -88,12 +86,6 @@ class Choice:
                 f"{self.at.folder / self.file(self.simplest)}"
             )
         return (*told, *self.notes)
-
-    @property
-    def _motion(self) -> float:
-        """Root mean square of the positions about their means, over all coordinates, in `unit`."""
-        q = np.concatenate([e.q - e.q.mean(axis=0) for e in self.at.data])
-        return float(np.sqrt(np.mean(np.sum(q**2, axis=1)))) or 1.0
 
     def _against(self, best: Standing) -> str:
         """How the chosen one stands to the next one."""

@@ -4,11 +4,10 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from tustinnet.selection.clock import Clock
 from tustinnet.selection.executors import Executor
-from tustinnet.selection.jobs import Job, JobResult
+from tustinnet.selection.jobs import Job, JobResult, Workplace
 from tustinnet.selection.plan import Candidate, Round, SelectionPlan
-from tustinnet.selection.ranking import Standing, ranked
+from tustinnet.selection.ranking import Standing, mean_and_error, ranked
 
 _TRYING = 0.6  # share of the time after which no candidate is tried for the first time
 _FEWEST = 2  # candidates that go on, where there are as many
@@ -28,8 +27,7 @@ class Halving:
     Args:
         plan: the plan.
         candidates: those of its candidates that take part.
-        folds: into how many folds the records are dealt.
-        clock: when time is up.
+        at: the records, how they are judged, when time is up.
         told: who is told what happens, in sentences.
 
     Attributes:
@@ -37,21 +35,24 @@ class Halving:
         standings: what has been found of each candidate, by name, from the simplest on.
         cheapest: of the candidates that time ended before they were scored once, the job that
             would have ended first; None without any.
+        hopeless: whether free runs of whole records were further off than the records move, for
+            all candidates: then the first round was the last one.
     """
 
     def __init__(
         self,
         plan: SelectionPlan,
         candidates: Sequence[Candidate],
-        folds: int,
-        clock: Clock,
+        at: Workplace,
         told: Callable[[str], None],
     ) -> None:
-        self.plan, self._candidates, self._folds = plan, tuple(candidates), folds
-        self._clock, self._told, self._begun_with = clock, told, clock.left
+        self.plan, self._candidates, self._at = plan, tuple(candidates), at
+        self._folds, self._clock, self._told = at.judging.folds, at.clock, told
+        self._begun_with = at.clock.left
         self._expected: dict[str, float] = {}  # seconds a seed takes on a fold
         self.standings = {c.name: Standing(c.name) for c in candidates}
         self.cheapest: JobResult | None = None
+        self.hopeless = False
 
     def run(self, executor: Executor) -> list[Standing]:
         """Goes through the rounds; the candidates that are left, the best first."""
@@ -64,9 +65,17 @@ class Halving:
             count = len(found) if last else max(_FEWEST, math.ceil(of.keep * len(found)))
             alive = self._needed([s.name for s in found[:count]], alive)
             self._tell(number, found, len(alive))
-            if self._clock.left <= 0:
+            self.hopeless = number == 0 and self._says_nothing(found)
+            if self._clock.left <= 0 or self.hopeless:
                 break
         return ranked([self.standings[c.name] for c in alive])
+
+    def _says_nothing(self, found: Sequence[Standing]) -> bool:
+        """Whether even the best is further off than the records move, over whole records."""
+        if not found or self._at.judging.horizon is not None:
+            return False
+        mean, _ = mean_and_error(found[0].rmse().values())
+        return not mean <= self._at.motion
 
     def _by_rank(self, alive: Sequence[Candidate]) -> list[Candidate]:
         order = [s.name for s in ranked([self.standings[c.name] for c in alive])]

@@ -6,13 +6,15 @@ finds the file there, of the same job, need not do it again.
 
 import hashlib
 import json
+import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 from pydantic import ConfigDict, TypeAdapter
 
 from tustinnet.data.dataset import DataSet
@@ -90,14 +92,14 @@ class SeedScore:
         seed: its seed.
         outcome: why the fit ended.
         model: the model file, below the run's folder.
-        warm_up: samples that it needs before a free run.
+        horizon: over how long its fit compared [s], None for whole records.
         rmse: of every record left out, by start [rad or m].
     """
 
     seed: int
     outcome: str
     model: str
-    warm_up: int
+    horizon: float | None
     rmse: Mapping[str, Mapping[str, float]]
 
 
@@ -154,6 +156,12 @@ class Workplace:
         """The system, its file run once."""
         return None if self.system is None else load_system(self.system)
 
+    @cached_property
+    def motion(self) -> float:
+        """Root mean square of the positions about each record's mean [rad or m]."""
+        q = np.concatenate([e.q - e.q.mean(axis=0) for e in self.data])
+        return float(np.sqrt(np.mean(np.sum(q**2, axis=1)))) or 1.0
+
     @property
     def system_file(self) -> SystemFile | None:
         """The system's file, where it is in one."""
@@ -174,14 +182,14 @@ def perform(job: Job, at: Workplace, tell: Tell) -> JobResult:
     begun = time.monotonic()
     try:
         task, deal = _task(job, at)
-        of = _digest(task, deal, at)
+        of = _digest(task, at)
         found = _done_before(job, at, of)
-        if found is not None:
-            return found
-        folder = at.folder / job.folder
-        require_writable_folder(folder)
-        results = fit_in(folder, task, at.clock.within(tell), resume=at.resume)
-        scores = _scored(job, at, results, deal)
+        if found is None:
+            folder = at.folder / job.folder
+            require_writable_folder(folder)
+            results = fit_in(folder, task, at.clock.within(tell), resume=at.resume)
+            scores = _scored(job, at, results, deal)
+            found = JobResult(job.candidate, job.fold, time.monotonic() - begun, "done", scores)
     except OutOfTime as stop:
         spent = time.monotonic() - begun
         why, needs = "the budget was spent", None if stop.left is None else spent + stop.left
@@ -189,10 +197,10 @@ def perform(job: Job, at: Workplace, tell: Tell) -> JobResult:
     except InputError as error:
         spent = time.monotonic() - begun
         return JobResult(job.candidate, job.fold, spent, "failed", why=str(error))
-    done = JobResult(job.candidate, job.fold, time.monotonic() - begun, "done", scores)
-    content = {"job": of, "result": _RESULT.dump_python(done, mode="json")}
+    told = _RESULT.dump_python(found, mode="json")
+    content = {"fit": of, "judging": asdict(at.judging), "result": told}
     write_into(at.folder, f"{job.folder}/{SCORES}", to_json(content))
-    return done
+    return found
 
 
 def _task(job: Job, at: Workplace) -> tuple[Task, Deal]:
@@ -205,12 +213,11 @@ def _task(job: Job, at: Workplace) -> tuple[Task, Deal]:
     return Task(job.recipe, folds, members, own, brief=True), deals[job.fold]
 
 
-def _digest(task: Task, deal: Deal, at: Workplace) -> str:
-    """What a finished job belongs to."""
-    digest = hashlib.sha256(repr(at.judging).encode())
+def _digest(task: Task, at: Workplace) -> str:
+    """What a finished job belongs to: its fit, whatever it was judged by."""
+    digest = hashlib.sha256(str(at.judging.folds).encode())
     for member in task.members:
         digest.update(fingerprint(task, member).encode())
-    digest.update(" ".join(e.name for e in deal.scored).encode())
     if at.system_file is not None:
         digest.update(at.system_file.sha256.encode())
     elif task.system is not None:
@@ -219,15 +226,34 @@ def _digest(task: Task, deal: Deal, at: Workplace) -> str:
 
 
 def _done_before(job: Job, at: Workplace, of: str) -> JobResult | None:
-    """The result that is there already, of this very job; None where there is none."""
+    """The result that is there already, of this very fit; None where there is none.
+
+    Where it was judged otherwise its models are judged again.
+    """
     try:
         content = json.loads((at.folder / job.folder / SCORES).read_text(encoding="utf-8"))
-        if content["job"] != of:
+        if content["fit"] != of:
             return None
-        found = _RESULT.validate_python(content["result"])
-    except (OSError, ValueError, KeyError, TypeError):
+        found, before = _read_result(content["result"]), content["judging"]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
-    return found if all((at.folder / s.model).is_file() for s in found.scores) else None
+    if not all((at.folder / s.model).is_file() for s in found.scores):
+        return None
+    if before == asdict(at.judging):
+        return found
+    names = list(next(iter(found.scores[0].rmse.values())))
+    scores = [replace(s, rmse=judged(loaded(s.model, at), at, names)) for s in found.scores]
+    return replace(found, scores=tuple(scores))
+
+
+def _read_result(content: Any) -> JobResult:
+    """A result as its file has it, where a number that is not finite is null."""
+    for score in content["scores"]:
+        score["rmse"] = {
+            start: {name: math.inf if x is None else x for name, x in of.items()}
+            for start, of in score["rmse"].items()
+        }
+    return _RESULT.validate_python(content)
 
 
 def _scored(
@@ -239,7 +265,7 @@ def _scored(
         rmse = judged(result.model, at, [e.name for e in deal.scored])
         model = f"{job.folder}/{result.member.name}/{MODEL}"
         save(result.model, at.folder / model, **_header(result, at, deal, rmse))
-        found.append(SeedScore(result.seed, result.outcome, model, result.model.warm_up, rmse))
+        found.append(SeedScore(result.seed, result.outcome, model, result.horizon, rmse))
     return tuple(found)
 
 

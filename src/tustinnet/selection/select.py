@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.inspection import scales_of
 from tustinnet.errors import InputError
@@ -19,12 +21,15 @@ from tustinnet.selection.jobs import SCORES, Job, Judging, Workplace
 from tustinnet.selection.plan import USUAL, Candidate, SelectionPlan, read_plan
 from tustinnet.selection.ranking import Standing
 from tustinnet.selection.records import for_folds
+from tustinnet.simulate.starts import start_named
 from tustinnet.store.files import owned, require_new, to_json, write_into
 from tustinnet.store.kept_system import CANDIDATES, keep, require_room
 from tustinnet.store.model_file import save
 from tustinnet.store.run import MODEL, SUMMARY, Earlier, Tell
 from tustinnet.systems.files import AnySystem
 
+_TENTH = 0.1  # of a record, a horizon where no fit chose one
+_STARTS = 3  # a horizon is at least as many times as long as what a start is fitted to
 _RESERVE = 0.12  # share of the budget for committees, the last fit and the files
 
 
@@ -98,8 +103,14 @@ def select_model(
         told.say(note)
     with owned(where):
         _make_room(at, earlier)
-        halving = Halving(plan, candidates, judging.folds, clock, told.say)
-        left = halving.run(executor(at) if executor else InProcess(at, told.tell))
+        do = executor or (lambda at: InProcess(at, told.tell))
+        halving = Halving(plan, candidates, at, told.say)
+        left = halving.run(do(at))
+        if halving.hopeless:
+            at, note = _over_a_horizon(at, halving)
+            told.say(note)
+            notes, halving = (*notes, note), Halving(plan, candidates, at, told.say)
+            left = halving.run(do(at))
         if not left:
             raise _nothing(halving, wanted.budget)
         choice = _choose(halving, left, at, told)
@@ -108,6 +119,19 @@ def select_model(
         )
         write_into(where, SUMMARY, to_json(choice.as_plain()))
     return choice
+
+
+def _over_a_horizon(at: Workplace, halving: Halving) -> tuple[Workplace, str]:
+    """Judges over the shortest horizon that a fit chose, or a tenth of a record; and says so."""
+    chosen = [m.horizon for s in halving.standings.values() for m in s.models if m.horizon]
+    usual = _TENTH * float(np.median([len(e) for e in at.data])) * at.data.channels.dt
+    fewest = _STARTS * start_named(at.judging.start).samples * at.data.channels.dt
+    horizon = max(min(chosen, default=usual), fewest)
+    note = (
+        "free runs of whole records were further off than the records move: judged over pieces "
+        f"of {horizon:.3g} s instead, each from a start of its own (`horizon` in a plan)"
+    )
+    return replace(at, judging=replace(at.judging, horizon=horizon), resume=False), note
 
 
 def _choose(halving: Halving, left: Sequence[Standing], at: Workplace, told: Reporter) -> Choice:
