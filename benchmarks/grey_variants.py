@@ -75,6 +75,36 @@ def dry_friction_of_the_pendulum() -> LagrangianSystem:
     )
 
 
+def cable_that_rubs() -> LagrangianSystem:
+    """Dry friction of the arm that grows with its deflection."""
+    return qube_servo2.RUBBING
+
+
+def relaxing_part_that_stiffens() -> LagrangianSystem:
+    """The Maxwell element's stiffness grows with the square of the arm's deflection."""
+
+    def force(q: Any, v: Any, z: Any, p: Any) -> Any:
+        pull = -(p["cable_memory"] + p["memory_cubic"] * q[0] ** 2) * z[0]
+        return jnp.stack([pull, jnp.zeros_like(pull)])
+
+    return with_more(
+        Parameter("memory_cubic", "N m/rad^3", 1e-4, -2e-3, 5e-3),
+        memory=Memory(("cable",), qube_servo2.cable_rate, force),
+    )
+
+
+def damping_that_grows() -> LagrangianSystem:
+    """Viscous friction of the arm that grows with the square of its deflection."""
+
+    def dissipation(q: Any, v: Any, p: Any) -> Any:
+        more = p["damping_growth"] * q[0] ** 2 * v[0]
+        return DISSIPATION(q, v, p) + jnp.stack([more, jnp.zeros_like(more)])
+
+    return with_more(
+        Parameter("damping_growth", "N m s/rad^3", 1e-5, -1e-3, 1e-3), dissipation=dissipation
+    )
+
+
 def air_drag() -> LagrangianSystem:
     """Drag that grows with the square of the speed, on both bodies."""
 
@@ -134,6 +164,9 @@ VARIANTS: dict[str, Callable[[], LagrangianSystem]] = {
     "Stribeck friction of the arm": stribeck_friction,
     "dry friction of the pendulum": dry_friction_of_the_pendulum,
     "air drag": air_drag,
+    "dry friction grows with the deflection": cable_that_rubs,
+    "relaxing part stiffens with the deflection": relaxing_part_that_stiffens,
+    "damping grows with the deflection": damping_that_grows,
     "tilted base": tilted_base,
     "offset of the voltage": voltage_offset,
     "offset of the pendulum's encoder": offset_of_the_pendulums_encoder,

@@ -331,6 +331,24 @@ def test_a_positive_voltage_drives_the_recorded_arm_angle_negative():
     assert moved[0] < 0
 
 
+def test_a_wound_cable_rubs_in_proportion_to_its_deflection():
+    rubbing, plain = (
+        {k: jnp.asarray(x) for k, x in s.nominal().items()}
+        for s in (qube_servo2.RUBBING, qube_servo2.WITH_MEMORY)
+    )
+
+    def more(theta: float, speed: float) -> np.ndarray:
+        q, v = jnp.array([theta, 3.0]), jnp.array([speed, 0.4])
+        found = qube_servo2.damping_and_rubbing(q, v, rubbing)
+        return np.asarray(found - qube_servo2.damping_and_dry_friction(q, v, plain))
+
+    np.testing.assert_allclose(more(1.0, 5.0), [1e-4, 0.0], rtol=1e-3)
+    np.testing.assert_allclose(more(-2.0, 5.0), [2e-4, 0.0], rtol=1e-3)
+    np.testing.assert_allclose(more(1.0, -5.0), [-1e-4, 0.0], rtol=1e-3)
+    assert abs(more(0.0, 5.0)[0]) < 2e-6
+    assert tn.load_system("qube-servo2-rubbing") is qube_servo2.RUBBING
+
+
 def test_the_packaged_mass_matrix_is_positive_definite_at_all_corners_of_the_ranges():
     system = qube_servo2.SYSTEM
     names = [

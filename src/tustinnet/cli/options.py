@@ -35,8 +35,8 @@ System = Annotated[
     str | None,
     typer.Option(
         metavar="NAME|FILE.py",
-        help="Physical system: qube-servo2, qube-servo2-naive, qube-servo2-memory, duffing, or a "
-        "Python file with SYSTEM (it is run).",
+        help="Physical system: qube-servo2, qube-servo2-naive, qube-servo2-memory, "
+        "qube-servo2-rubbing, duffing, or a Python file with SYSTEM (it is run).",
     ),
 ]
 Recipe = Annotated[

@@ -67,8 +67,9 @@ def load_system(which: AnySystem) -> LagrangianSystem:
     """A system by its packaged name, or the `SYSTEM` of a Python file, which is run.
 
     Args:
-        which: a name (`qube-servo2`, `qube-servo2-naive`, `qube-servo2-memory`, `duffing`), or a
-            file, as `arm.py`; a system is returned as it is.
+        which: a name (`qube-servo2`, `qube-servo2-naive`, `qube-servo2-memory`,
+            `qube-servo2-rubbing`, `duffing`), or a file, as `arm.py`; a system is returned as it
+            is.
 
     Raises:
         InputError: no such name or file, a file that fails or has no `SYSTEM`. The functions of

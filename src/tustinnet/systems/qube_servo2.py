@@ -30,6 +30,7 @@ GRAVITY = 9.81  # m/s^2
 ARM = -1.0  # the sign of theta in the data, where the direction that a positive voltage drives is +
 SUPPLY = 15.0  # V
 SLOW = 0.1  # rad/s, width of the smoothed sign in the arm's Coulomb friction
+STRAIGHT = 0.01  # rad, width in which the size of a deflection is smooth
 
 
 def kinetic(q: Coordinates, v: Coordinates, p: Values) -> Scalar:
@@ -80,6 +81,13 @@ def damping_and_dry_friction(q: Coordinates, v: Coordinates, p: Values) -> Coord
     """Viscous friction, and Coulomb friction of the arm."""
     dry = forces.coulomb(v[0], p["arm_friction"], SLOW)
     return damping(q, v, p) + jnp.stack([dry, jnp.zeros_like(dry)])
+
+
+def damping_and_rubbing(q: Coordinates, v: Coordinates, p: Values) -> Coordinates:
+    """The same, and dry friction that grows with the deflection: a cable that is wound rubs."""
+    wound = jnp.sqrt(q[0] ** 2 + STRAIGHT**2)
+    dry = forces.coulomb(v[0], p["cable_friction"] * wound, SLOW)
+    return damping_and_dry_friction(q, v, p) + jnp.stack([dry, jnp.zeros_like(dry)])
 
 
 def cable_rate(q: Coordinates, v: Coordinates, z: Internal, p: Values) -> Internal:
@@ -139,4 +147,13 @@ WITH_MEMORY = replace(
     potential=with_memory_potential,
     dissipation=damping_and_dry_friction,
     memory=Memory(("cable",), cable_rate, cable_force),
+)
+RUBBING = replace(
+    WITH_MEMORY,
+    name="qube-servo2-rubbing",
+    parameters=(
+        *WITH_MEMORY.parameters,
+        Parameter("cable_friction", "N m/rad", 1e-4, 0.0, 3e-3),
+    ),
+    dissipation=damping_and_rubbing,
 )
