@@ -174,7 +174,8 @@ def _epoch(
     attempts, loss, finite = _each(program.mesh, attempt, of)
     figures = _figures(attempts.average, loss, material, program)
     judge = jax.vmap(partial(_judged, program=program))
-    return judge(state, attempts, figures, finite, rate, due)
+    after, told = judge(state, attempts, figures, finite, due)
+    return after, told._replace(rate=rate)
 
 
 def _judged(
@@ -182,7 +183,6 @@ def _judged(
     attempt: Weights,
     figures: dict[Criterion, Float[Array, ""]],
     finite: Bool[Array, ""],
-    used: Float[Array, ""],
     due: Bool[Array, ""],
     *,
     program: _Program,
@@ -210,7 +210,7 @@ def _judged(
         epoch=course.epoch + 1,
         loss=jnp.where(finite, figures["training"], jnp.nan),
         validation=jnp.where(finite, figures["validation"], jnp.nan),
-        rate=used,
+        rate=rate,
         best=after.best_score,
     )
     kept = TrainingState(_choose(finite, attempt, weights), after)
