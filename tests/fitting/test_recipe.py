@@ -18,6 +18,7 @@ def test_the_packaged_recipes_are_there_and_valid():
         "transfer",
         "best-tustin",
         "best-hybrid",
+        "hybrid",
         "grey",
         "best-grey",
         "gru",

@@ -103,6 +103,21 @@ def test_of_several_that_could_be_corrected_the_best_goes_on_with_it():
     assert used == [f"candidates/better grey/fold-{f}-seeds-0/0" for f in range(3)]
 
 
+def test_what_comes_last_is_not_waited_for_in_the_first_round():
+    other = {"name": "better grey", "recipe": "best-grey", "last": True}
+    hybrid = {**PLAN["candidates"][3], "corrects": ["grey", "better grey"]}
+    candidates = [*PLAN["candidates"][:2], other, PLAN["candidates"][2], hybrid]
+    executor = Pretended()
+    found, _ = halving({**PLAN, "candidates": candidates, "rounds": [{"folds": 1, "keep": 1.0},
+                                                                    {"folds": 2}]})  # fmt: skip
+    found.run(executor)
+    assert [j.candidate for j in executor.done if j.fold == 0] == [
+        "linear", "grey", "network", "hybrid", "better grey",
+    ]  # fmt: skip
+    used = [j.physics for j in executor.done if j.candidate == "hybrid"]
+    assert used == ["candidates/grey/fold-0-seeds-0/0", "candidates/better grey/fold-1-seeds-0/0"]
+
+
 def test_what_fails_is_left_and_told_and_the_others_go_on():
     def of(job: Job) -> JobResult | None:
         if job.candidate == "grey":

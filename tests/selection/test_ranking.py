@@ -29,6 +29,11 @@ def test_candidates_are_ranked_by_the_folds_that_all_of_them_have():
     assert [s.name for s in ranked([a, b])] == ["b", "a"]
 
 
+def test_those_that_share_no_fold_are_ranked_by_what_each_has():
+    a, b = Standing("a", {0: (scores({"r": 2.0}),)}), Standing("b", {1: (scores({"s": 1.0}),)})
+    assert [s.name for s in ranked([a, b])] == ["b", "a"]
+
+
 def test_what_left_all_bounds_comes_last_and_what_was_not_scored_not_at_all():
     found = ranked([standing("a", {"r": math.inf}), standing("b", {"r": 7.0}), Standing("c")])
     assert [s.name for s in found] == ["b", "a"]

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from tustinnet.selection.executors import Executor
 from tustinnet.selection.jobs import Job, JobResult, Workplace
 from tustinnet.selection.plan import Candidate, Round, SelectionPlan
-from tustinnet.selection.ranking import Standing, mean_and_error, ranked
+from tustinnet.selection.ranking import Standing, mean_and_error, ranked, shared_folds
 
 _TRYING = 0.6  # share of the time after which no candidate is tried for the first time
 _FEWEST = 2  # candidates that go on, where there are as many
@@ -58,8 +58,9 @@ class Halving:
         """Goes through the rounds; the candidates that are left, the best first."""
         alive = self._candidates
         for number, of in enumerate(self.plan.rounds):
-            ordered = alive if number == 0 else self._by_rank(alive)
-            self._do(self._wanted(ordered, of), executor)
+            ordered = self._by_rank(alive) if number else sorted(alive, key=lambda c: c.last)
+            late = set() if number else {c.name for c in alive if c.last}
+            self._do(self._wanted(ordered, of), late, executor)
             found = ranked([self.standings[c.name] for c in alive])
             last = number + 1 == len(self.plan.rounds)
             count = len(found) if last else max(_FEWEST, math.ceil(of.keep * len(found)))
@@ -105,11 +106,13 @@ class Halving:
                     found.append(_Wanted(c, fold, missing))
         return found
 
-    def _do(self, wanted: Sequence[_Wanted], executor: Executor) -> None:
-        """Does jobs as soon as what they correct is there, in their order."""
+    def _do(self, wanted: Sequence[_Wanted], late: set[str], executor: Executor) -> None:
+        """Does jobs in their order as soon as what they correct is there, unless that is `late`."""
         waiting, running = list(wanted), set[tuple[str, int]]()
         while waiting or running:
-            ready = self._ready(waiting, running) if executor.free else None
+            busy = running | {(w.candidate.name, w.fold) for w in waiting}
+            busy = {(name, fold) for name, fold in busy if name not in late}
+            ready = self._ready(waiting, busy) if executor.free else None
             if ready is not None:
                 waiting.remove(ready)
                 job = self._job(ready)
@@ -122,8 +125,7 @@ class Halving:
             self._note(result)
 
     @staticmethod
-    def _ready(waiting: Sequence[_Wanted], running: set[tuple[str, int]]) -> _Wanted | None:
-        busy = running | {(w.candidate.name, w.fold) for w in waiting}
+    def _ready(waiting: Sequence[_Wanted], busy: set[tuple[str, int]]) -> _Wanted | None:
         for wanted in waiting:
             if not any((name, wanted.fold) in busy for name in wanted.candidate.corrects):
                 return wanted
@@ -172,12 +174,10 @@ class Halving:
         """How the candidates stand after a round."""
         if not found:
             return
-        shared = set.intersection(*(set(s.folds) for s in found))
-        figures = []
-        for s in found:
-            values = list(s.rmse(shared).values())
-            figures.append(f"{s.name} {sum(values) / len(values):.3g}")
-        rounds = len(self.plan.rounds)
-        folds = f"{len(shared)} of {self._folds} folds" if len(shared) > 1 else "one fold"
+        shared = shared_folds(found)
+        means = [(s.name, mean_and_error(s.rmse(shared).values())[0]) for s in found]
+        rounds, count = len(self.plan.rounds), len(shared or ())
+        folds = f"{count} of {self._folds} folds" if count > 1 else "one fold"
         on = f"; {kept} go on" if number + 1 < rounds else ""
-        self._told(f"round {number + 1} of {rounds}, {folds}: {', '.join(figures)}{on}")
+        figures = ", ".join(f"{name} {mean:.3g}" for name, mean in means)
+        self._told(f"round {number + 1} of {rounds}, {folds}: {figures}{on}")

@@ -29,11 +29,14 @@ class Candidate(Declaration):
             every fold the one of them that is best so far.
         when: `always`, or only for records that are `fast` or `slow`: where a coordinate has few
             samples in a period of its strongest line, or none has.
+        last: whether it is tried for the first time after all others, where time is left; what
+            corrects it does not wait for it then.
     """
 
     name: Name
     recipe: str
     when: Literal["always", "fast", "slow"] = "always"
+    last: bool = False
     set: tuple[str, ...] = ()
     corrects: tuple[str, ...] = ()
 

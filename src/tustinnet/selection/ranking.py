@@ -89,10 +89,18 @@ def paired(one: Standing, other: Standing) -> Paired:
     return Paired(mean, error, len(both))
 
 
+def shared_folds(standings: Sequence[Standing]) -> set[int] | None:
+    """The folds that all of some candidates were scored on; None where there are none."""
+    return set.intersection(*(set(s.folds) for s in standings)) or None if standings else None
+
+
 def ranked(standings: Sequence[Standing]) -> list[Standing]:
-    """The candidates that were scored, the best first, by the folds that all of them have."""
+    """The candidates that were scored, the best first, by the folds that all of them have.
+
+    Where they share none, by those that each has.
+    """
     scored = [s for s in standings if s.folds]
-    shared = set.intersection(*(set(s.folds) for s in scored)) if scored else set()
+    shared = shared_folds(scored)
 
     def mean(of: Standing) -> float:
         value = mean_and_error(of.rmse(shared).values())[0]
