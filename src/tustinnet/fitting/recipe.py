@@ -197,6 +197,10 @@ class Recipe(Declaration):
         """The family of its models."""
         return FAMILIES[self.model.kind]
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled as data: the class of a recipe is made where it is first needed."""
+        return read_recipe, (self.model_dump(mode="json", exclude_unset=True),)
+
 
 class TrainingRecipe(Recipe):
     """How a model with weights is trained.
