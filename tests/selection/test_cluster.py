@@ -153,6 +153,28 @@ def test_auto_is_the_cluster_that_the_environment_names(monkeypatch):
             pass
 
 
+@pytest.mark.parametrize("answer", [b"", b"HTTP/1.1 400 Bad Request\r\n"], ids=["none", "other"])
+def test_a_port_where_something_else_listens_is_told_in_time(answer, monkeypatch):
+    monkeypatch.setattr(room, "_ANSWERS", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def listen() -> None:
+            known, _ = server.accept()
+            known.sendall(answer)
+            known.recv(1000)
+            time.sleep(1)
+            known.close()
+
+        other = threading.Thread(target=listen)
+        other.start()
+        address = f"127.0.0.1:{server.getsockname()[1]}"
+        begun = time.monotonic()
+        with pytest.raises(InputError, match=r"does not answer"), cluster(address):
+            pass
+        assert time.monotonic() - begun < 5
+        other.join()
+
+
 def test_without_ray_the_extra_is_named(monkeypatch):
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
 

@@ -38,6 +38,9 @@ from tustinnet.systems.files import find_system
 
 AUTO = "auto"
 _ANSWERS = 5.0  # seconds in which the address of a cluster answers
+# what HTTP/2 begins with (RFC 9113, 3.4), which the head of a cluster speaks: settings for settings
+_SETTINGS = b"\x04"
+_GREETING = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes(3) + _SETTINGS + bytes(5)
 _TRIES = 3  # of a job whose workers die
 _MOMENT = 0.2  # seconds
 _STORE = 2**27  # bytes of shared memory of a cluster of one; more goes to the disk
@@ -310,7 +313,7 @@ def _found(address: str) -> str | None:
         raise InputError(where, "no address", "auto, or HOST:PORT of a cluster's head",
                          "for instance 10.0.0.5:6379")  # fmt: skip
     try:
-        socket.create_connection((parts[1].strip("[]"), int(parts[2])), _ANSWERS).close()
+        _ask(parts[1].strip("[]"), int(parts[2]))
     except (OSError, OverflowError, UnicodeError) as error:
         raise InputError(
             where, f"does not answer ({brief(error)})", "the head of a running cluster",
@@ -319,13 +322,27 @@ def _found(address: str) -> str | None:
     return named
 
 
+def _ask(host: str, port: int) -> None:
+    """Raises `OSError` where nobody answers, or somebody else: Ray itself asks for minutes."""
+    with socket.create_connection((host, port), _ANSWERS) as asked:
+        if os.environ.get("RAY_USE_TLS", "0") != "0":
+            return  # it answers nobody without a certificate
+        asked.settimeout(_ANSWERS)
+        asked.sendall(_GREETING)
+        if asked.recv(4)[3:] != _SETTINGS:
+            raise OSError("not as a cluster does")
+
+
 def _join(ray: Any, address: str | None) -> None:
     """Joins a cluster, or makes this machine one; leaves handlers of signals as they are."""
     alone = {"num_cpus": cores(), "include_dashboard": False, "object_store_memory": _STORE}
     quiet = {"log_to_driver": False, "logging_level": logging.ERROR}
     main = threading.current_thread() is threading.main_thread()
     before = signal.getsignal(signal.SIGTERM)
-    remedy = "this machine must be one of the cluster: ray start --address HOST:PORT"
+    remedy = (
+        "this machine must be one of it (ray start --address HOST:PORT), and where it asks for a "
+        "token, RAY_AUTH_MODE=token be set"
+    )
     with (
         refusing("cluster", "cannot be joined", "a Ray cluster", remedy if address else ""),
         warnings.catch_warnings(),  # JAX warns of forks; Ray's become other programs at once
