@@ -36,6 +36,7 @@ from .models.lagrangian import LagrangianModel as LagrangianModel
 from .models.lagrangian import LagrangianSystem as LagrangianSystem
 from .models.lagrangian import Memory as Memory
 from .models.lagrangian import Parameter as Parameter
+from .selection.cluster import cluster as cluster
 from .selection.select import Asked as Asked
 from .selection.select import select_model as select_model
 from .simulate.adaptive import discretise_adaptively as discretise_adaptively

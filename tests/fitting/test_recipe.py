@@ -1,5 +1,7 @@
 """Recipes as data."""
 
+import pickle
+
 import pytest
 
 import tustinnet as tn
@@ -27,7 +29,9 @@ def test_the_packaged_recipes_are_there_and_valid():
         "oscillator",
     }
     for name in names:
-        assert tn.read_recipe(name).name == name
+        recipe = tn.read_recipe(name)
+        assert recipe.name == name
+        assert pickle.loads(pickle.dumps(recipe)) == recipe
 
 
 def test_the_papers_transfer_recipe_says_what_the_paper_says():

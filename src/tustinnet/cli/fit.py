@@ -41,6 +41,14 @@ def fit(
         str | None,
         typer.Option(metavar="TIME", help="Without a recipe: how long it may take, e.g. 10min."),
     ] = None,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            metavar="auto|ADDRESS",
+            help="Without a recipe: fit on the machines of a Ray cluster, HOST:PORT of its head; "
+            "auto is the one that RAY_ADDRESS names, else this machine.",
+        ),
+    ] = None,
     card: options.Card = None,
     strict: options.Strict = False,
     device: options.Device = None,
@@ -50,23 +58,24 @@ def fit(
     quiet: options.Quiet = False,
 ) -> None:
     """Find the best model that the records allow, or fit one as a recipe says."""
+    _require_cores(cluster, device)
     terminal.prepare_jax(device)
     from tustinnet.cli.request import loaded
     from tustinnet.cli.select import select
     from tustinnet.systems.files import find_system
 
     selects = recipe is None and physics is None
-    _require_meaning(
-        selects, {"--set": changes, "--seeds": seeds}, {"--plan": plan, "--budget": budget}
-    )
+    by_plan = {"--plan": plan, "--budget": budget, "--cluster": cluster}
+    _require_meaning(selects, {"--set": changes, "--seeds": seeds}, by_plan)
     earlier = _earlier(resume=resume, overwrite=overwrite)
     given = None if system is None else find_system(system)
     load = partial(loaded, data, card, out, terminal.messages(), strict=strict)
     if selects:
-        select(load, out, plan, given, budget, earlier, json=json, quiet=quiet)
+        asked = plan, budget, cluster
+        select(load, out, asked, given, earlier, json=json, quiet=quiet)
         return
-    asked = recipe, changes, seeds, physics
-    _fit_recipe(load, out, asked, given, earlier, json=json, quiet=quiet)
+    what = recipe, changes, seeds, physics
+    _fit_recipe(load, out, what, given, earlier, json=json, quiet=quiet)
 
 
 def _fit_recipe(
@@ -128,6 +137,15 @@ def _require_meaning(
         if value is not None:
             raise InputError(name, "means nothing to a single recipe", "no recipe and no physics",
                              "leave --recipe and --physics out to try several")  # fmt: skip
+
+
+def _require_cores(cluster: str | None, device: options.Hardware | None) -> None:
+    """Raises where jobs of a cluster are to compute on something else."""
+    from tustinnet.errors import InputError
+
+    if cluster is not None and device not in (None, options.Hardware.cpu):
+        raise InputError(f"--device {device.value}", "means nothing to jobs on a cluster",
+                         "cpu", "leave the option out")  # fmt: skip
 
 
 def _tell_unfinished(run: "Run", told: "Console") -> None:

@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,26 +39,32 @@ def seconds_of(budget: str | None) -> float | None:
 def select(
     load: "Callable[[], DataSet]",
     out: Path,
-    plan: str | None,
+    asked: tuple[str | None, str | None, str | None],
     system: "SystemFile | str | None",
-    budget: str | None,
     earlier: "Earlier",
     *,
     json: bool,
     quiet: bool,
 ) -> None:
-    """Tries the candidates of a plan and keeps the best as one model."""
+    """Tries the candidates of a plan and keeps the best as one model.
+
+    `asked` has the plan, the budget, and the cluster whose machines do the jobs.
+    """
     from tustinnet.report.progress import FitProgress
+    from tustinnet.selection.cluster import cluster
     from tustinnet.selection.plan import USUAL, read_plan
     from tustinnet.selection.select import Asked, select_model
 
-    told = terminal.messages()
-    asked = Asked(read_plan(plan or USUAL), system, seconds_of(budget))
+    plan, budget, machines = asked
+    wanted = Asked(read_plan(plan or USUAL), system, seconds_of(budget))
     records = load()
-    with FitProgress(told, quiet=quiet) as progress:
+    with FitProgress(terminal.messages(), quiet=quiet) as progress:
         reporter = told_by(progress, quiet=quiet)
-        with terminal.interruptible("--resume goes on with what is done"):
-            choice = select_model(records, out, asked, earlier, reporter)
+        with (
+            terminal.interruptible("--resume goes on with what is done"),
+            nullcontext() if machines is None else cluster(machines, reporter.say) as executor,
+        ):
+            choice = select_model(records, out, wanted, earlier, reporter, executor)
     if choice.at.system_file is not None:
         terminal.remember_trust(choice.at.system_file)
     draw_choice(choice)

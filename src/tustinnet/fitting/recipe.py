@@ -223,6 +223,10 @@ class Recipe(Declaration):
         """Whether validation records decide over anything while a model is fitted."""
         raise NotImplementedError
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled as data: the class of a recipe is made where it is first needed."""
+        return read_recipe, (self.model_dump(mode="json", exclude_unset=True),)
+
 
 class TrainingRecipe(Recipe):
     """How a model with weights is trained.

@@ -10,6 +10,7 @@ from tustinnet.selection.plan import Candidate, Round, SelectionPlan
 from tustinnet.selection.ranking import Standing, mean_and_error, ranked, shared_folds
 
 _TRYING = 0.6  # share of the time after which no candidate is tried for the first time
+_TRYING_LAST = 0.4  # the same of candidates that come last
 _FEWEST = 2  # candidates that go on, where there are as many
 
 
@@ -140,15 +141,16 @@ class Halving:
             if not best:
                 return self._leave(name, "nothing to correct: " + ", ".join(candidate.corrects))
             physics = best[0].folds[fold][0].model
-        if not self._affordable(name, len(seeds)):
+        if not self._affordable(candidate, len(seeds)):
             return self._leave(name, "no time was left for it")
         return Job(name, candidate.content, fold, seeds, physics)
 
-    def _affordable(self, name: str, seeds: int) -> bool:
+    def _affordable(self, candidate: Candidate, seeds: int) -> bool:
         left = self._clock.left
-        if name not in self._expected:
-            return left > (1 - _TRYING) * self._begun_with or math.isinf(left)
-        return left > seeds * self._expected[name]
+        if candidate.name in self._expected:
+            return left > seeds * self._expected[candidate.name]
+        trying = _TRYING_LAST if candidate.last else _TRYING
+        return left > (1 - trying) * self._begun_with or math.isinf(left)
 
     def _leave(self, name: str, why: str) -> None:
         standing = self.standings[name]

@@ -29,7 +29,7 @@ from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.selection.clock import Clock, OutOfTime
 from tustinnet.simulate.starts import default_start
 from tustinnet.store.checkpoint import fingerprint
-from tustinnet.store.files import require_writable_folder, to_json, write_into
+from tustinnet.store.files import require_writable_folder, sweep, to_json, write_into
 from tustinnet.store.kept_system import CANDIDATES, header_of
 from tustinnet.store.model_file import load_model, save, system_of
 from tustinnet.store.run import MODEL, Tell, fit_in
@@ -187,6 +187,7 @@ def perform(job: Job, at: Workplace, tell: Tell) -> JobResult:
         if found is None:
             folder = at.folder / job.folder
             require_writable_folder(folder)
+            sweep(folder)
             results = fit_in(folder, task, at.clock.within(tell), resume=at.resume)
             scores = _scored(job, at, results, deal)
             found = JobResult(job.candidate, job.fold, time.monotonic() - begun, "done", scores)

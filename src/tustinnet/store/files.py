@@ -15,7 +15,7 @@ try:
 except ImportError:  # Windows: two runs in one folder are not kept apart there
     fcntl = None
 
-_PART = ".part"  # how the name of a file ends while it is written
+PART = ".part"  # how the name of a file ends while it is written
 
 
 def write_into(folder: Path, name: str, content: bytes | str) -> None:
@@ -31,7 +31,7 @@ def write_into(folder: Path, name: str, content: bytes | str) -> None:
     """
     path = folder / name
     payload = content.encode() if isinstance(content, str) else content
-    temporary = path.with_name(f".{path.name}.{os.getpid()}{_PART}")
+    temporary = path.with_name(f".{path.name}.{os.getpid()}{PART}")
     try:
         if not path.parent.resolve().is_relative_to(folder.resolve()):
             raise InputError(path, "outside of the output folder", f"a file below {folder}")
@@ -50,13 +50,20 @@ def write_into(folder: Path, name: str, content: bytes | str) -> None:
 
 def require_writable_folder(folder: Path) -> None:
     """Makes a folder and raises `InputError` unless files can be written into it."""
-    probe = folder / f".writable.{os.getpid()}{_PART}"
+    probe = folder / f".writable.{os.getpid()}{PART}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         probe.touch()
         probe.unlink()
     except OSError as error:
         raise unwritable(folder, error) from error
+
+
+def sweep(folder: Path) -> None:
+    """Removes what killed processes left half-written in a folder and those in it."""
+    for pattern in (f".*{PART}", f"*/.*{PART}"):
+        for left in folder.glob(pattern):
+            left.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -84,9 +91,7 @@ def owned(folder: Path) -> Iterator[None]:
     except OSError:
         pass  # a file system without locks
     try:
-        for pattern in (f".*{_PART}", f"*/.*{_PART}"):
-            for left in folder.glob(pattern):
-                left.unlink(missing_ok=True)
+        sweep(folder)
         yield
     finally:
         if descriptor is not None:
