@@ -103,6 +103,25 @@ def test_of_several_that_could_be_corrected_the_best_goes_on_with_it():
     assert used == [f"candidates/better grey/fold-{f}-seeds-0/0" for f in range(3)]
 
 
+def test_a_kind_goes_on_with_its_simplest_that_is_as_good():
+    quality = {"grey": 0.3, "better grey": 0.3 - 1e-3}
+    other = {"name": "better grey", "recipe": "best-grey"}
+
+    def of(job: Job) -> JobResult | None:
+        if job.candidate not in quality:
+            return None
+        rmse = {f"r{job.fold}{i}": quality[job.candidate] * (1 + i) ** 2 for i in range(2)}
+        if job.candidate == "grey":
+            rmse = dict(zip(rmse, reversed(rmse.values()), strict=True))
+        models = (SeedScore(0, "finished", "m", None, {"model-20": rmse}),)
+        return JobResult(job.candidate, job.fold, 1.0, "done", models)
+
+    found, _ = halving({**PLAN, "candidates": [*PLAN["candidates"][:2], other],
+                        "rounds": [{"folds": 1, "keep": 1.0}, {"folds": 2}]})  # fmt: skip
+    found.run(executor := Pretended(of=of))
+    assert [j.candidate for j in executor.done if j.fold == 1] == ["grey", "linear"]
+
+
 def test_what_comes_last_is_not_waited_for_in_the_first_round():
     other = {"name": "better grey", "recipe": "best-grey", "last": True}
     hybrid = {**PLAN["candidates"][3], "corrects": ["grey", "better grey"]}

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from tustinnet.selection.executors import Executor
 from tustinnet.selection.jobs import Job, JobResult, Workplace
 from tustinnet.selection.plan import Candidate, Round, SelectionPlan
-from tustinnet.selection.ranking import Standing, mean_and_error, ranked, shared_folds
+from tustinnet.selection.ranking import Standing, mean_and_error, ranked, shared_folds, simplest
 
 _TRYING = 0.6  # share of the time after which no candidate is tried for the first time
 _TRYING_LAST = 0.4  # the same of candidates that come last
@@ -64,8 +64,9 @@ class Halving:
             self._do(self._wanted(ordered, of), late, executor)
             found = ranked([self.standings[c.name] for c in alive])
             last = number + 1 == len(self.plan.rounds)
-            count = len(found) if last else max(_FEWEST, math.ceil(of.keep * len(found)))
-            alive = self._needed([s.name for s in found[:count]], alive)
+            kinds = found if last else self._best_of_kinds(found)
+            count = len(kinds) if last else max(_FEWEST, math.ceil(of.keep * len(kinds)))
+            alive = self._needed([s.name for s in kinds[:count]], alive)
             self._tell(number, found, len(alive))
             self.hopeless = number == 0 and self._says_nothing(found)
             if self._clock.left <= 0 or self.hopeless:
@@ -78,6 +79,15 @@ class Halving:
             return False
         mean, _ = mean_and_error(found[0].rmse().values())
         return not mean <= self._at.motion
+
+    def _best_of_kinds(self, found: Sequence[Standing]) -> list[Standing]:
+        """Of each kind of model the simplest that is as good as its best, in the order of these."""
+        kind = {c.name: c.content.family.kind for c in self._candidates}
+        by_kind: dict[str, list[Standing]] = {}
+        for standing in found:
+            by_kind.setdefault(kind[standing.name], []).append(standing)
+        place = list(kind).index
+        return [simplest(sorted(of, key=lambda s: place(s.name)), of[0]) for of in by_kind.values()]
 
     def _by_rank(self, alive: Sequence[Candidate]) -> list[Candidate]:
         order = [s.name for s in ranked([self.standings[c.name] for c in alive])]

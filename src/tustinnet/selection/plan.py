@@ -68,7 +68,8 @@ class Round(Declaration):
     Attributes:
         folds: on how many of the folds, from the first on.
         seeds: with how many seeds, from 0 on; identifications have none.
-        keep: share of the candidates that go on to the next round, the best first.
+        keep: share of the kinds of models that go on to the next round, the best first; each kind
+            with one candidate, the simplest that is as good as its best.
     """
 
     folds: int = Field(gt=0, le=_MOST_FOLDS)
