@@ -104,7 +104,7 @@ def test_of_several_that_could_be_corrected_the_best_goes_on_with_it():
 
 
 def test_a_kind_goes_on_with_its_simplest_that_is_as_good():
-    quality = {"grey": 0.3, "better grey": 0.3 - 1e-3}
+    quality = {"grey": 0.1, "better grey": 0.1 - 1e-3}
     other = {"name": "better grey", "recipe": "best-grey"}
 
     def of(job: Job) -> JobResult | None:
