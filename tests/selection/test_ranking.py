@@ -56,6 +56,12 @@ def test_the_simplest_within_one_standard_error_is_named():
     assert simplest([worse, best], best) is best
 
 
+def test_a_difference_of_a_fiftieth_is_none_however_sure():
+    best = standing("best", {"r": 1.0, "s": 2.0})
+    near = standing("near", {"r": 1.01, "s": 2.01})  # 0.01 +- 0
+    assert simplest([near, best], best) is near
+
+
 def test_one_record_says_nothing_of_an_error():
     one, best = standing("one", {"r": 1.0}), standing("best", {"r": 1.0})
     assert math.isnan(paired(one, best).standard_error)

@@ -22,7 +22,7 @@ class Choice:
         at: where it is, the records, how candidates were compared.
         found: what was found of candidates and committees.
         best: the candidate or committee that was chosen.
-        simplest: the simplest within one standard error of it.
+        simplest: the simplest that is as good as it.
         made: what the models of those that could be chosen were made of, in words.
         model: the chosen model.
         notes: what else was done or left out, in sentences.
@@ -81,7 +81,7 @@ class Choice:
         if self.simplest != self.best:
             than = paired(self.standing(self.simplest), best)
             told.append(
-                f"simplest within one standard error: {self.simplest}, {self.made[self.simplest]} "
+                f"simplest that is as good: {self.simplest}, {self.made[self.simplest]} "
                 f"({than.mean:+.2g} ± {than.standard_error:.2g} {self.unit}): "
                 f"{self.at.folder / self.file(self.simplest)}"
             )

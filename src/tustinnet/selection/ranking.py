@@ -7,6 +7,8 @@ import numpy as np
 
 from tustinnet.selection.jobs import JobResult, SeedScore
 
+_LEVEL = 0.02  # of an error, a difference that nobody minds
+
 
 @dataclass(frozen=True)
 class Paired:
@@ -110,7 +112,9 @@ def ranked(standings: Sequence[Standing]) -> list[Standing]:
 
 
 def simplest(standings: Sequence[Standing], best: Standing) -> Standing:
-    """The first of some candidates that is not worse than the best by more than a standard error.
+    """The first of some candidates that is as good as the best.
+
+    That is: worse by no more than a standard error of the difference, or by a fiftieth.
 
     Args:
         standings: from the simplest to the most complex.
@@ -118,6 +122,7 @@ def simplest(standings: Sequence[Standing], best: Standing) -> Standing:
     """
     for standing in standings:
         than = paired(standing, best)
-        if standing is best or (than.records > 1 and than.mean <= than.standard_error):
+        level = _LEVEL * mean_and_error(best.rmse().values())[0]
+        if standing is best or (than.records > 1 and than.mean <= max(than.standard_error, level)):
             return standing
     return best
