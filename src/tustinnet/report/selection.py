@@ -3,6 +3,7 @@
 import math
 
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from tustinnet.evaluate.scores import Score, evaluate
 from tustinnet.report.figures import COLOURS, house_style
@@ -89,6 +90,9 @@ def candidates_figure(choice: Choice) -> Figure:
             axes.errorbar(mean, i, xerr=error, fmt="s", color=colour, capsize=3, markersize=5)
         axes.set_yticks(range(len(scored)), [s.name for s in scored])
         axes.set_xscale("log")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axes.xaxis.set_minor_formatter(NullFormatter())
         axes.set_xlabel(f"free-run RMSE [{choice.unit}] of records not fitted to")
         axes.set_title(
             f"{choice.at.data.name}: mean, standard error, each record a point", loc="left"

@@ -89,7 +89,9 @@ class Choice:
 
     def _against(self, best: Standing) -> str:
         """How the chosen one stands to the next one."""
-        others = [s for s in self.found.standings if s.folds and s.name != best.name]
+        left = self.found.choosable
+        every = left if len(left) > 1 else [s for s in self.found.standings if s.folds]
+        others = [s for s in every if s.name != best.name]
         if not others:
             return "nothing else was scored to compare it with"
         than = {s.name: paired(s, best) for s in others}

@@ -1,11 +1,13 @@
 """The time that a selection may take."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from tustinnet.fitting.gradient.plan import Plan
-from tustinnet.fitting.listener import EpochReport, Iteration, Listener
+from tustinnet.fitting.gradient.state import Progress
+from tustinnet.fitting.listener import Iteration, Listener
 from tustinnet.fitting.task import Task
 
 _ENDS_EARLY = 0.5  # share of its epochs that a stage with `patience` is expected to take
@@ -45,57 +47,59 @@ class Clock:
 
         def follow(prepared: Plan | Task) -> Listener:
             told = tell(prepared)
-            watch = _Watch(self, prepared if isinstance(prepared, Plan) else None)
+            watch = Watch(self, prepared) if isinstance(prepared, Plan) else None
 
-            def epoch(report: EpochReport) -> None:
-                told.epoch(report)
-                watch.epoch(report)
+            def state(of: Any, progress: Sequence[Progress]) -> None:
+                told.state(of, progress)
+                if watch is not None:
+                    watch(progress)
 
             def iteration(of: Iteration) -> None:
                 told.iteration(of)
                 if self.left < 0:
                     raise OutOfTime(None)
 
-            return replace(told, epoch=epoch, iteration=iteration)
+            return replace(told, state=state, iteration=iteration)
 
         return follow
 
 
-class _Watch:
-    """Foresees when a training ends, from the time of its compiled calls."""
+class Watch:
+    """Foresees, after every compiled call, when a training ends; raises where that is too late.
 
-    def __init__(self, clock: Clock, plan: Plan | None) -> None:
-        self._clock, self._stages = clock, plan.stages if plan else ()
-        self._members = len(plan.members) if plan else 1
-        self._heard: float | None = None  # when the first call of the stage had ended
-        self._first = 0  # how many epochs it did
-        self._stage = ""
+    The first call of a stage compiles and says nothing of the time that the next ones take.
 
-    def epoch(self, report: EpochReport) -> None:
-        """Told of every epoch; those of one call come together."""
-        now = time.monotonic()
-        if report.stage != self._stage:
-            self._stage, self._heard, self._first = report.stage, None, 0
-        if self._heard is None or now - self._heard < _APART:
-            self._heard, self._first = self._heard or now, report.epoch
-            left = None
-        else:
-            rate = (now - self._heard) / max(report.epoch - self._first, 1)
-            left = rate * self._to_do(report)
-        if self._clock.left < (left or 0.0):
-            raise OutOfTime(left)
+    Args:
+        clock: when time is up.
+        plan: the training.
+    """
 
-    def _to_do(self, report: EpochReport) -> float:
+    def __init__(self, clock: Clock, plan: Plan) -> None:
+        self._clock, self._stages = clock, plan.stages
+        self._ended: tuple[int, int, float] | None = None  # stage, epochs, when the last call did
+
+    def __call__(self, progress: Sequence[Progress]) -> None:
+        """Told of every member's progress after a call.
+
+        Raises:
+            OutOfTime: the training cannot end in time.
+        """
+        slowest = min(progress, key=lambda p: (p.stage, p.epoch))
+        now, before = time.monotonic(), self._ended
+        self._ended = slowest.stage, slowest.epoch, now
+        left = 0.0
+        if before is not None and before[0] == slowest.stage and slowest.epoch > before[1]:
+            left = (now - before[2]) / (slowest.epoch - before[1]) * self._to_do(slowest)
+        if self._clock.left < left:
+            raise OutOfTime(left or None)
+
+    def _to_do(self, progress: Progress) -> float:
         """Epochs that are left, those of later stages in the time of this one's."""
-        names = [stage.recipe.name for stage in self._stages]
-        here = names.index(report.stage)
+        here = progress.stage
         work = [s.windows.rows.shape[1] * s.windows.length for s in self._stages]
         found = 0.0
         for i, stage in enumerate(self._stages[here:], here):
-            epochs = stage.recipe.epochs - (report.epoch if i == here else 0)
+            epochs = stage.recipe.epochs - (progress.epoch if i == here else 0)
             share = 1.0 if stage.recipe.patience is None else _ENDS_EARLY
             found += share * epochs * work[i] / work[here]
         return found
-
-
-_APART = 0.05  # seconds; epochs of one compiled call are reported closer together

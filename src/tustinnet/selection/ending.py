@@ -137,7 +137,7 @@ def _from_all_records(
     if recipe.family.trains:
         return None
     records = tuple(taking_part(at.data))
-    task = Task(recipe, (Fold(Roles(records, ())),), system=at.loaded_system)
+    task = Task(recipe, (Fold(Roles(records, ())),), system=at.loaded_system, brief=True)
     folder = at.folder / CANDIDATES / standing.name / _WHOLE
     job = Job(standing.name, recipe, fold=0)
     try:

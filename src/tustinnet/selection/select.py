@@ -97,7 +97,8 @@ def select_model(
     candidates, lacking = _taking_part(plan, wanted, records)
     notes = (*([cut] if cut else []), *lacking)
     judging = Judging(min(plan.folds, len(records)), plan.start, plan.horizon)
-    clock = Clock(None if wanted.budget is None else begun + wanted.budget * (1 - _RESERVE))
+    end = None if wanted.budget is None else begun + wanted.budget
+    clock = Clock(end and end - _RESERVE * (wanted.budget or 0.0))
     at = Workplace(where, records, judging, wanted.system, clock, earlier == "resume")
     for note in notes:
         told.say(note)
@@ -113,7 +114,7 @@ def select_model(
             left = halving.run(do(at))
         if not left:
             raise _nothing(halving, wanted.budget)
-        choice = _choose(halving, left, at, told)
+        choice = _choose(halving, left, replace(at, clock=Clock(end)), told)
         choice = replace(
             choice, notes=notes, seconds=time.monotonic() - begun, budget=wanted.budget
         )

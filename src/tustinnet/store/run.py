@@ -23,6 +23,7 @@ from tustinnet.evaluate.scores import Score, evaluate, mean_rmse, rmse_by_record
 from tustinnet.fitting.fit import fit_task
 from tustinnet.fitting.gradient.loop import Resumed
 from tustinnet.fitting.gradient.plan import Plan, plan
+from tustinnet.fitting.gradient.state import Progress, TrainingState
 from tustinnet.fitting.gradient.train import train_plan
 from tustinnet.fitting.listener import EpochReport, Iteration, Listener, SearchedStage
 from tustinnet.fitting.report import FitResult, data_header
@@ -328,8 +329,12 @@ def _train_together(
         logs[report.member].write(report)
         told.epoch(report)
 
+    def state(of: TrainingState, progress: tuple[Progress, ...]) -> None:
+        keeps(of, progress)
+        told.state(of, progress)
+
     try:
-        return train_plan(prepared, Listener(epoch, keeps), resumed)
+        return train_plan(prepared, Listener(epoch, state), resumed)
     except KeyboardInterrupt:  # also how SIGTERM and SIGHUP arrive
         keeps.flush()
         raise
