@@ -71,18 +71,14 @@ def select_model(
 ) -> Choice:
     """Tries the candidates of a plan on folds of records, and makes the best one into one model.
 
-    Successive halving: every round fits the candidates that are left to more folds and seeds. In
-    the end committees of them are judged. The chosen model of a family with weights is a committee
-    of its models of all folds; the parameters of a system are identified once more from all
-    records. The folder has `model.safetensors`, `summary.json` and `candidates/`.
+    Successive halving, then committees of what is left. The chosen model of a family with weights
+    is a committee of its models of all folds; a system is identified once more from all records.
 
     Args:
-        data: the records; those of the split `test` take part in nothing, other splits do not
-            matter. One or two records are cut into pieces.
+        data: the records; those of the split `test` take part in nothing.
         folder: where everything goes.
         asked: the plan, the system, the budget; by default the usual plan, no system, no limit.
-        earlier: what to do with a selection that the folder holds: `refuse`, `discard`, or
-            `resume`: jobs that are done are not done again. A budget counts from now on.
+        earlier: what to do with a selection that is there; `resume` does no job twice.
         reporter: who is told; by default nobody.
         executor: given what all jobs share, who does them; by default this process.
 
@@ -115,9 +111,8 @@ def select_model(
         if not left:
             raise _nothing(halving, wanted.budget)
         choice = _choose(halving, left, replace(at, clock=Clock(end)), told)
-        choice = replace(
-            choice, notes=notes, seconds=time.monotonic() - begun, budget=wanted.budget
-        )
+        spent = time.monotonic() - begun
+        choice = replace(choice, notes=notes, seconds=spent, budget=wanted.budget)
         write_into(where, SUMMARY, to_json(choice.as_plain()))
     return choice
 
