@@ -114,7 +114,7 @@ def _averaged(found: Found, name: str, at: Workplace) -> Final:
     models: list[Sequence[SeedScore]] = [s.models for s, _ in members]
     each = [loaded(of.model, at) for some in models for of in some]
     if len(each) == 1:
-        return Final(each[0], "one model")
+        return Final(each[0], "the model of one fold")
     weights = weights_of(models, [share for _, share in members])
     parts = [f"{len(s.models)} of {s.name} ({100 * share:.0f} %)" for s, share in members]
     folds = sorted({fold for s, _ in members for fold in s.folds})

@@ -1,6 +1,7 @@
 """Forces of the library, identified with the parameters of a system that lacks them."""
 
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +30,7 @@ def simulated(system: LagrangianSystem, values: dict[str, float]) -> list[tn.Exp
     )  # fmt: skip
     made = []
     for e in records():
-        x0 = np.concatenate([e.q[0], e.v[0], np.zeros(len(system.internal))])
+        x0 = np.concatenate([e.q[0], e.velocities()[0], np.zeros(len(system.internal))])
         x = np.asarray(tn.rollout(model, x0, e.u[:-1]))
         made.append(read_by_encoder(replace(e, q=x[:, :1], v=x[:, 1:2])))
     return made
@@ -76,7 +77,7 @@ def test_a_friction_that_is_not_there_is_told():
 def test_a_file_keeps_the_forces(found, tmp_path):
     path = tmp_path / "m.safetensors"
     tn.save(found.model, path)
-    again = tn.load_model(path, KNOWN)
+    again: Any = tn.load_model(path, KNOWN)
     x, u = jnp.array([0.3, -1.0]), jnp.array([2.0])
     np.testing.assert_allclose(again.step(x, u), found.model.step(x, u), rtol=1e-12)
     assert again.continuous.system.parameters == found.model.continuous.system.parameters
@@ -139,7 +140,8 @@ def test_ranges_grow_with_the_system_and_its_motion():
         assert large[name].upper == pytest.approx(by * p.upper)
         assert large[name].nominal == pytest.approx(by * p.nominal)
     slow = [
-        replace(e, t=2 * e.t, v=e.v / 2, channels=replace(e.channels, dt=2 * DT)) for e in falls()
+        replace(e, t=2 * e.t, v=e.velocities() / 2, channels=replace(e.channels, dt=2 * DT))
+        for e in falls()
     ]
     later = {p.name: p for p in with_added(SWING, ["stribeck", "maxwell"], slow, {}).parameters}
     for name in ("angle.stribeck_speed", "angle.smooth_speed", "angle.relaxation"):
@@ -175,7 +177,7 @@ def test_units_are_those_of_the_coordinate():
 
 
 def test_a_coordinate_that_never_moves_is_refused():
-    still = [replace(e, q=0 * e.q, v=0 * e.v) for e in falls()]
+    still = [replace(e, q=0 * e.q, v=0 * e.velocities()) for e in falls()]
     with pytest.raises(tn.InputError, match="'coulomb:angle': 'angle' never moves"):
         with_added(SWING, ["coulomb"], still, {})
 
