@@ -98,13 +98,15 @@ class Halving:
         kept = set(names)
         for c in alive:
             if c.name in kept:
-                kept |= {s.name for s in self._corrected(c)[:1]}
+                corrected = self._corrected(c)
+                kept |= {corrected.name} if corrected else set()
         return tuple(c for c in alive if c.name in kept)
 
-    def _corrected(self, by: Candidate, fold: int | None = None) -> list[Standing]:
-        """What a candidate can correct, in a fold or anywhere, the best first."""
+    def _corrected(self, by: Candidate, fold: int | None = None) -> Standing | None:
+        """What a candidate corrects, in a fold or anywhere: the simplest as good as the best."""
         there = [self.standings[name] for name in by.corrects if name in self.standings]
-        return ranked([s for s in there if fold is None or fold in s.folds])
+        found = [s for s in there if (s.folds if fold is None else fold in s.folds)]
+        return simplest(found, ranked(found)[0]) if found else None
 
     def _wanted(self, alive: Sequence[Candidate], of: Round) -> list[_Wanted]:
         """The jobs of a round that are not done, fold by fold."""
@@ -147,10 +149,10 @@ class Halving:
         candidate, fold, seeds = wanted
         name, physics = candidate.name, None
         if candidate.corrects:
-            best = self._corrected(candidate, fold)
-            if not best:
+            corrected = self._corrected(candidate, fold)
+            if corrected is None:
                 return self._leave(name, "nothing to correct: " + ", ".join(candidate.corrects))
-            physics = best[0].folds[fold][0].model
+            physics = corrected.folds[fold][0].model
         if not self._affordable(candidate, len(seeds)):
             return self._leave(name, "no time was left for it")
         return Job(name, candidate.content, fold, seeds, physics)
