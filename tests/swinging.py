@@ -47,6 +47,17 @@ CREEPING = replace(
         lambda q, v, z, p: -p["stiffness"] * z,
     ),
 )
+# a cart with a pendulum: both kinds of coordinates, an inertia between them
+CART = LagrangianSystem(
+    name="cart",
+    coordinates=(tn.Coordinate("x", "linear"), tn.Coordinate("angle", "angular")),
+    inputs=(tn.Input("force", "N"),),
+    parameters=(Parameter("mass", "kg", 1.0, 0.1, 5.0),),
+    kinetic=lambda q, v, p: p["mass"] * v[0] ** 2 + v[0] * v[1] * jnp.cos(q[1]) + v[1] ** 2,
+    potential=lambda q, p: jnp.cos(q[1]) + q[0] ** 2,
+    dissipation=lambda q, v, p: 0.1 * v,
+    input_map=lambda q, v, u, p: jnp.stack([u[0], 0.0 * u[0]]),
+)
 
 
 def changed(name: str, system: LagrangianSystem = SWING, **changes) -> LagrangianSystem:

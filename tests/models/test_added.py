@@ -4,23 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from swinging import CREEPING, SWING
+from swinging import CART, CREEPING, SWING
 
 import tustinnet as tn
 from tustinnet.models import forces
 from tustinnet.models.added import LAWS, needed, placed, with_forces
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 
-CART = LagrangianSystem(
-    name="cart",
-    coordinates=(tn.Coordinate("x", "linear"), tn.Coordinate("angle", "angular")),
-    inputs=(tn.Input("force", "N"),),
-    parameters=(Parameter("mass", "kg", 1.0, 0.1, 5.0),),
-    kinetic=lambda q, v, p: p["mass"] * v[0] ** 2 + v[0] * v[1] * jnp.cos(q[1]) + v[1] ** 2,
-    potential=lambda q, p: jnp.cos(q[1]) + q[0] ** 2,
-    dissipation=lambda q, v, p: 0.1 * v,
-    input_map=lambda q, v, u, p: jnp.stack([u[0], 0.0 * u[0]]),
-)
 BARE = LagrangianSystem(
     name="bare",
     coordinates=CART.coordinates,

@@ -4,8 +4,9 @@ import math
 
 import pytest
 
+from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.selection.jobs import JobResult, SeedScore
-from tustinnet.selection.ranking import Standing, mean_and_error, paired, ranked, simplest
+from tustinnet.selection.ranking import Standing, paired, ranked, simplest
 
 
 def scores(values: dict[str, float], seed: int = 0) -> SeedScore:
@@ -45,7 +46,7 @@ def test_differences_are_paired_by_record():
     found = paired(b, a)
     assert found.records == 3
     assert found.mean == pytest.approx((1 + 1.5 + 0) / 3)
-    assert found.standard_error == pytest.approx(mean_and_error([1, 1.5, 0])[1])
+    assert found.standard_error == pytest.approx(mean_and_error([1.0, 1.5, 0.0])[1])
 
 
 def test_the_simplest_within_one_standard_error_is_named():

@@ -14,12 +14,12 @@ from swinging import SWING, TRUTH
 
 import tustinnet as tn
 from tustinnet.errors import InputError
+from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.fitting.gradient.epoch import _run
 from tustinnet.selection import jobs
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.jobs import Job
 from tustinnet.selection.plan import read_plan
-from tustinnet.selection.ranking import mean_and_error
 from tustinnet.selection.select import Asked, Reporter, _taking_part, select_model
 from tustinnet.store.model_file import read_header, system_of
 from tustinnet.store.run import Earlier, fit_in

@@ -107,33 +107,35 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise ValueError(_NESTED) from None
 
 
-def packaged_names(package: str) -> list[str]:
-    """Names of the declarations in the folder `recipes` of a package."""
-    folder = resources.files(package) / "recipes"
+def packaged_names(package: str, what: str = "recipe") -> list[str]:
+    """Names of the declarations in the folder `recipes`, or of another kind, of a package."""
+    folder = resources.files(package) / f"{what}s"
     return sorted(
         f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml")
     )
 
 
-def read_packaged(name: str | Path, packages: Sequence[str]) -> tuple[dict[str, Any], object]:
-    """A recipe that comes with one of some packages, by name, or one from a TOML file.
+def read_packaged(
+    name: str | Path, packages: Sequence[str], what: str = "recipe"
+) -> tuple[dict[str, Any], object]:
+    """A recipe or a plan that comes with one of some packages, by name, or one from a TOML file.
 
     Returns:
         Its content, and what to call it in messages.
 
     Raises:
-        InputError: no such recipe.
+        InputError: none of that name.
     """
-    known = {found: home for home in packages for found in packaged_names(home)}
+    known = {found: home for home in packages for found in packaged_names(home, what)}
     if str(name) in known:
-        place = resources.files(known[str(name)]) / "recipes" / f"{name}.toml"
+        place = resources.files(known[str(name)]) / f"{what}s" / f"{name}.toml"
         with resources.as_file(place) as path:
-            return read_toml(path), f"recipe '{name}'"
+            return read_toml(path), f"{what} '{name}'"
     if Path(name).suffix == ".toml":
         return read_toml(Path(name)), name
     raise InputError(
-        "recipe",
-        f"no recipe '{name}'",
+        what,
+        f"no {what} '{name}'",
         f"one of {', '.join(sorted(known))}, or a file ending in .toml",
     )
 

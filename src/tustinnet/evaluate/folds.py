@@ -10,6 +10,7 @@ import numpy as np
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
+from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.evaluate.scores import evaluate, rmse_by_record
 from tustinnet.fitting.fit import fit_task
 from tustinnet.fitting.gradient.plan import groups_alike, plan
@@ -74,14 +75,11 @@ class Validated:
         """By start: mean over the records, its standard error, the mean of each seed."""
         found = {}
         for start in self.scores[0].rmse:
-            means = np.array(list(self.means(start).values()))
+            mean, error = mean_and_error(self.means(start).values())
             seeds = sorted({score.seed for score in self.scores})
-            # of free runs that left all bounds the mean is infinite and has no standard error
-            known = len(means) > 1 and np.all(np.isfinite(means))
-            spread = np.std(means, ddof=1) / np.sqrt(len(means)) if known else np.nan
             found[start] = {
-                "mean": float(means.mean()),
-                "standard_error": float(spread),
+                "mean": mean,
+                "standard_error": error,
                 "by_seed": {
                     str(seed): float(
                         np.mean([s.rmse[start] for s in self.scores if s.seed == seed])

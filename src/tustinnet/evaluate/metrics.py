@@ -1,5 +1,7 @@
 """Scores of a simulated record."""
 
+from collections.abc import Iterable
+
 import numpy as np
 from jaxtyping import Float
 
@@ -38,3 +40,11 @@ def nrmse(simulated: Trajectory, measured: Trajectory) -> PerCoordinate:
 def fit_percent(simulated: Trajectory, measured: Trajectory) -> PerCoordinate:
     """`100 (1 - NRMSE)` of each coordinate, (n_q,): 100 is perfect, 0 no better than the mean."""
     return 100.0 * (1.0 - nrmse(simulated, measured))
+
+
+def mean_and_error(values: Iterable[float]) -> tuple[float, float]:
+    """Mean and its standard error, NaN of a single value or where one is not finite."""
+    found = np.array(list(values))
+    known = len(found) > 1 and bool(np.isfinite(found).all())
+    error = float(found.std(ddof=1) / np.sqrt(len(found))) if known else float("nan")
+    return float(found.mean()), error

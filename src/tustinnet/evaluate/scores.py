@@ -187,14 +187,14 @@ def rmse_by_record(scores: Sequence[Score]) -> dict[str, float]:
 
 
 def scores_header(
-    judged: str, start: str, channels: Channels, scores: Sequence[Score]
+    judged: str, start: str, channels: Channels, horizon: float | None, rmse: Mapping[str, float]
 ) -> Mapping[str, Any]:
     """How a model simulates the records it is judged by, as files have it."""
     return {
         "split": judged,
         "start": start,
-        "horizon": scores[0].horizon,
+        "horizon": horizon,
         "unit": channels.unit,
-        "rmse": rmse_by_record(scores),
-        "mean": mean_rmse(scores),
+        "rmse": dict(rmse),
+        "mean": float(np.mean(list(rmse.values()))),
     }

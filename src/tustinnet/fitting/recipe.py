@@ -5,6 +5,7 @@ for kinds with weights, `search` for kinds with parameters.
 """
 
 import tomllib
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from functools import cache
@@ -219,9 +220,9 @@ class Recipe(Declaration):
         return FAMILIES[self.model.kind]
 
     @property
+    @abstractmethod
     def asks_validation(self) -> bool:
         """Whether validation records decide over anything while a model is fitted."""
-        raise NotImplementedError
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled as data: the class of a recipe is made where it is first needed."""

@@ -5,12 +5,13 @@ import math
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
+from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.evaluate.scores import Score, evaluate
 from tustinnet.report.figures import COLOURS, house_style
 from tustinnet.report.tables import Table, number, scale_of
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.jobs import loaded
-from tustinnet.selection.ranking import Standing, mean_and_error, paired
+from tustinnet.selection.ranking import Standing, paired
 
 _DRAWN = 6  # records whose free runs are drawn
 
@@ -19,7 +20,7 @@ def candidates_table(choice: Choice) -> Table:
     """What was found of every candidate and committee, the best first, those left out last."""
     scored = _in_order(choice)
     best, starts = choice.standing(choice.best), choice.starts
-    told = {s.name: [mean_and_error(s.rmse(start=start).values()) if start in _starts(s) else None
+    told = {s.name: [mean_and_error(s.rmse(start=start).values()) if start in s.starts else None
                      for start in starts] for s in scored}  # fmt: skip
     scale = scale_of(mean[0] for of in told.values() for mean in of if mean is not None)
     rows = []
@@ -55,10 +56,6 @@ def _in_order(choice: Choice) -> list[Standing]:
         return s is not best, s.name not in choosable, math.inf if math.isnan(mean) else mean
 
     return sorted((s for s in choice.found.standings if s.folds), key=place)
-
-
-def _starts(of: Standing) -> set[str]:
-    return {start for m in of.models for start in m.rmse}
 
 
 def _in(value: float, scale: float) -> str:

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.families.committee import committee
 from tustinnet.models.contract import Model
 from tustinnet.selection.jobs import SeedScore, Workplace, judged, loaded
 from tustinnet.selection.plan import Average
-from tustinnet.selection.ranking import Standing, mean_and_error
+from tustinnet.selection.ranking import Standing
 
 _PARTS = 4  # shares are multiples of one over this
 

@@ -5,11 +5,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from tustinnet.evaluate.metrics import mean_and_error
+from tustinnet.evaluate.scores import scores_header
 from tustinnet.fitting.report import data_header
 from tustinnet.models.contract import Model
 from tustinnet.selection.ending import Found
-from tustinnet.selection.jobs import Workplace
-from tustinnet.selection.ranking import Standing, mean_and_error, paired
+from tustinnet.selection.jobs import LEFT_OUT, Workplace
+from tustinnet.selection.ranking import Standing, paired
 from tustinnet.store.kept_system import CANDIDATES, header_of
 from tustinnet.store.run import MODEL
 
@@ -48,7 +50,7 @@ class Choice:
     @property
     def starts(self) -> tuple[str, ...]:
         """The starts that candidates were scored from, first the one that judges."""
-        every = [start for s in self.found.standings for m in s.models for start in m.rmse]
+        every = [start for s in self.found.standings for start in s.starts]
         return tuple(dict.fromkeys([self.at.judging.start, *every]))
 
     def standing(self, name: str) -> Standing:
@@ -106,7 +108,7 @@ class Choice:
     def header(self, name: str) -> dict[str, Any]:
         """What the model file of a candidate or committee says beside the model."""
         standing = self.standing(name)
-        mean, error = mean_and_error(standing.rmse().values())
+        rmse, channels, horizon = standing.rmse(), self.at.data.channels, self.at.judging.horizon
         needs_system = any(
             self.found.plan.candidate(s.name).content.family.needs
             for s, _ in self.found.members(name)
@@ -115,13 +117,8 @@ class Choice:
             "data": data_header(self.at.data.name, list(self.at.data)),
             "selection": {"plan": self.found.plan.name, "chosen": name, "made": self.made[name]},
             "scores": {
-                "split": "left out",
-                "start": next(iter(standing.models[0].rmse)),
-                "horizon": self.at.judging.horizon,
-                "unit": self.unit,
-                "rmse": standing.rmse(),
-                "mean": mean,
-                "standard_error": error,
+                **scores_header(LEFT_OUT, standing.starts[0], channels, horizon, rmse),
+                "standard_error": mean_and_error(rmse.values())[1],
             },
             **(header_of(self.at.system_file) if needs_system else {}),
         }
@@ -149,7 +146,7 @@ class Choice:
         if not of.folds:
             return common
         than = paired(of, best)
-        by_start = {start: of.rmse(start=start) for m in of.models for start in m.rmse}
+        by_start = {start: of.rmse(start=start) for start in of.starts}
         averages = self.found.averages
         return {
             **common,

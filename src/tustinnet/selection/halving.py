@@ -4,10 +4,11 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.selection.executors import Executor
 from tustinnet.selection.jobs import Job, JobResult, Workplace
 from tustinnet.selection.plan import Candidate, Round, SelectionPlan
-from tustinnet.selection.ranking import Standing, mean_and_error, ranked, shared_folds, simplest
+from tustinnet.selection.ranking import Standing, ranked, shared_folds, simplest
 
 _TRYING = 0.6  # share of the time after which no candidate is tried for the first time
 _TRYING_LAST = 0.4  # the same of candidates that come last

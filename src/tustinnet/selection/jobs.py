@@ -20,7 +20,7 @@ from pydantic import ConfigDict, TypeAdapter
 from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
 from tustinnet.evaluate.folds import Deal, dealt, taking_part, used_by
-from tustinnet.evaluate.scores import evaluate, rmse_by_record
+from tustinnet.evaluate.scores import evaluate, rmse_by_record, scores_header
 from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.report import FitResult, data_header
 from tustinnet.fitting.task import Fold, Member, Task
@@ -36,6 +36,7 @@ from tustinnet.store.run import MODEL, Tell, fit_in
 from tustinnet.systems.files import AnySystem, SystemFile, load_system
 
 SCORES = "scores.json"
+LEFT_OUT = "left out"  # where files name a split: records that a model was not fitted to
 
 Ended = Literal["done", "out of time", "failed"]
 
@@ -272,9 +273,8 @@ def _scored(
 
 def starts_of(model: Model, at: Workplace) -> tuple[str, ...]:
     """Where free runs of a model start: first the start that judges, then the usual one."""
-    if model.warm_up:
-        return (default_start(list(at.data), model),)
-    return tuple(dict.fromkeys((at.judging.start, default_start(list(at.data), model))))
+    usual = default_start(list(at.data), model)
+    return (usual,) if model.warm_up else tuple(dict.fromkeys((at.judging.start, usual)))
 
 
 def judged(model: Model, at: Workplace, names: Sequence[str]) -> dict[str, dict[str, float]]:
@@ -298,14 +298,7 @@ def _header(
     return {
         **result.as_header(),
         "data": data_header(at.data.name, deal.roles.all),
-        "scores": {
-            "split": "left out",
-            "start": start,
-            "horizon": at.judging.horizon,
-            "unit": at.data.channels.unit,
-            "rmse": dict(of),
-            "mean": sum(of.values()) / len(of),
-        },
+        "scores": scores_header(LEFT_OUT, start, at.data.channels, at.judging.horizon, of),
         **(header_of(at.system_file) if result.recipe.family.needs else {}),
     }
 

@@ -2,20 +2,26 @@
 
 from collections.abc import Sequence
 from functools import cached_property
-from importlib import resources
 from pathlib import Path
 from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from tustinnet.data.declaration import Declaration, Name, Sentence, read_declaration
+from tustinnet.data.declaration import (
+    Declaration,
+    Name,
+    Sentence,
+    declare,
+    packaged_names,
+    read_packaged,
+)
 from tustinnet.errors import InputError
 from tustinnet.fitting.recipe import Horizon, Recipe, rates_of, read_recipe
 from tustinnet.simulate.starts import start_named
 
 USUAL = "usual"  # the plan where nobody names one
 _MOST_FOLDS, _MOST_SEEDS, _MANY = 100, 100, 100
-_HOME = "tustinnet.selection"
+_HOME, _PLAN = "tustinnet.selection", "plan"  # packaged plans are in its folder `plans`
 
 
 class Candidate(Declaration):
@@ -142,10 +148,7 @@ def _require_known(names: Sequence[str], known: Sequence[str], who: str) -> None
 
 def packaged_plans() -> list[str]:
     """Names of the plans that come with the package."""
-    folder = resources.files(_HOME) / "plans"
-    return sorted(
-        f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml")
-    )
+    return packaged_names(_HOME, _PLAN)
 
 
 def read_plan(which: "str | Path | SelectionPlan") -> SelectionPlan:
@@ -160,14 +163,11 @@ def read_plan(which: "str | Path | SelectionPlan") -> SelectionPlan:
     """
     if isinstance(which, SelectionPlan):
         plan = which
-    elif str(which) in packaged_plans():
-        with resources.as_file(resources.files(_HOME) / "plans" / f"{which}.toml") as path:
-            plan = read_declaration(path, SelectionPlan)
-    elif Path(which).suffix == ".toml":
-        plan = _beside(read_declaration(Path(which), SelectionPlan), Path(which).parent)
     else:
-        known = ", ".join(packaged_plans())
-        raise InputError("plan", f"no plan '{which}'", f"one of {known}, or a file ending in .toml")
+        content, where = read_packaged(which, [_HOME], _PLAN)
+        plan = declare(content, SelectionPlan, where)
+        if str(which) not in packaged_plans():
+            plan = _beside(plan, Path(which).parent)
     for candidate in plan.candidates:
         _check(candidate, plan)
     return plan

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.selection.jobs import JobResult, SeedScore
 
 _LEVEL = 0.02  # of an error, a difference that nobody minds
@@ -56,6 +57,11 @@ class Standing:
         """All of its models."""
         return tuple(model for fold in sorted(self.folds) for model in self.folds[fold])
 
+    @property
+    def starts(self) -> tuple[str, ...]:
+        """The starts that its models were scored from, first the one that judges."""
+        return tuple(dict.fromkeys(start for model in self.models for start in model.rmse))
+
     def rmse(self, folds: Iterable[int] | None = None, start: int | str = 0) -> dict[str, float]:
         """Mean over the seeds of every record's RMSE [rad or m].
 
@@ -70,14 +76,6 @@ class Standing:
                 for record, value in model.rmse.get(named, {}).items():
                     by_record.setdefault(record, []).append(value)
         return {record: float(np.mean(values)) for record, values in by_record.items()}
-
-
-def mean_and_error(values: Iterable[float]) -> tuple[float, float]:
-    """Mean and its standard error, NaN of a single value or where one is not finite."""
-    found = np.array(list(values))
-    known = len(found) > 1 and bool(np.isfinite(found).all())
-    error = float(found.std(ddof=1) / np.sqrt(len(found))) if known else float("nan")
-    return float(found.mean()), error
 
 
 def paired(one: Standing, other: Standing) -> Paired:

@@ -130,7 +130,9 @@ class Run:
         return {
             **of.result.as_header(),
             "data": data_header(self.data, self.roles.all),
-            "scores": scores_header(self.judged, self.start, channels, of.scores),
+            "scores": scores_header(
+                self.judged, self.start, channels, of.scores[0].horizon, rmse_by_record(of.scores)
+            ),
             **header_of(self.system),
         }
 

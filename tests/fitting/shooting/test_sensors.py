@@ -5,11 +5,11 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from swinging import SWING, TRUTH, changed, data_set, falls, records
+from swinging import CART, SWING, TRUTH, changed, data_set, falls, records
 
 import tustinnet as tn
 from tustinnet.fitting.shooting.sensors import freed
-from tustinnet.models.lagrangian import LagrangianSystem, Parameter
+from tustinnet.models.lagrangian import Parameter
 from tustinnet.models.sensors import calibrated
 
 BIAS, INPUT_GAIN = 0.035, 1.1
@@ -54,16 +54,7 @@ def test_what_stands_for_the_same_is_said():
 
 def test_measured_motion_is_the_physical_one_through_the_sensors():
     """A cart with a pendulum: accelerations, mass matrix and energy of both descriptions."""
-    cart = LagrangianSystem(
-        name="cart",
-        coordinates=(tn.Coordinate("x", "linear"), tn.Coordinate("angle", "angular")),
-        inputs=(tn.Input("force", "N"),),
-        parameters=(Parameter("mass", "kg", 1.0, 0.1, 5.0),),
-        kinetic=lambda q, v, p: p["mass"] * v[0] ** 2 + v[0] * v[1] * jnp.cos(q[1]) + v[1] ** 2,
-        potential=lambda q, p: jnp.cos(q[1]) + q[0] ** 2,
-        dissipation=lambda q, v, p: 0.1 * v,
-        input_map=lambda q, v, u, p: jnp.stack([u[0], 0.0 * u[0]]),
-    )
+    cart = CART
     off = {"x.gain": 1.2, "x.bias": 0.1, "angle.bias": 0.3, "force.gain": 0.8, "force.bias": 0.5}
     sensors = tuple(Parameter(name, "", value, 0.0, 2.0) for name, value in off.items())
     seen = calibrated(cart, sensors).model({"mass": jnp.asarray(1.0), **off})
