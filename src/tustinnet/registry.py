@@ -1,7 +1,8 @@
-"""What can be named: families of models, scalings, systems. A new one is a line here.
+"""What can be named: families of models, scalings, systems, targets of exports.
 
-Other packages add theirs by entry points of the groups `tustinnet.families`,
-`tustinnet.scalings` and `tustinnet.systems`; a program adds one by `register`.
+A new one is a line here. Other packages add theirs by entry points of the groups
+`tustinnet.families`, `tustinnet.scalings`, `tustinnet.systems` and `tustinnet.targets`; a program
+adds one by `register`.
 """
 
 from dataclasses import dataclass
@@ -84,6 +85,19 @@ SYSTEMS: Registry[Any] = Registry(
         "qube-servo2-memory": "tustinnet.systems.qube_servo2:WITH_MEMORY",
         "qube-servo2-rubbing": "tustinnet.systems.qube_servo2:RUBBING",
         "duffing": "tustinnet.systems.duffing:SYSTEM",
+    },
+)
+TARGETS: Registry[Any] = Registry(
+    "target",
+    "tustinnet.targets",
+    {
+        "c": "tustinnet.export.c:TARGET",
+        "fmu": "tustinnet.export.fmu:TARGET",
+        "casadi": "tustinnet.export.casadi:TARGET",
+        "onnx": "tustinnet.export.onnx:TARGET",
+        "js": "tustinnet.export.javascript:TARGET",
+        "stablehlo": "tustinnet.export.stablehlo:TARGET",
+        "mat": "tustinnet.export.mat:TARGET",
     },
 )
 RECIPE_HOMES: list[str] = ["tustinnet.fitting", "tustinnet.reproduce"]  # packages with `recipes/`

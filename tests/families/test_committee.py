@@ -8,66 +8,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from every_family import CHANNELS, every_family, hybrid, network, neural_ode, physics
 from swinging import CREEPING, DT, SWING, records, swing_model
 
 import tustinnet as tn
-from tustinnet.families.gru import random_gru
-from tustinnet.families.linear import FAMILY as LINEAR
-from tustinnet.families.linear import LinearHyper
-from tustinnet.families.neural_ode import NeuralODE
-from tustinnet.families.tustin_net import random_tustin_net
 from tustinnet.fitting.recipe import read_recipe
-from tustinnet.models.blocks import Layers, Scaling, feature_count, random_network
 from tustinnet.models.contract import with_dtype
 from tustinnet.models.parameters import Parameter
 from tustinnet.simulate.rollout import rollouts
 from tustinnet.store.model_file import shown, system_of
 
-CHANNELS = tn.Channels(SWING.coordinates, SWING.inputs, DT)
 BAND = replace(CHANNELS, inputs=(replace(SWING.inputs[0], hold="band-limited"),))
-
-
-def scaling(memory: int = 0) -> Scaling:
-    one = jnp.ones(1, jnp.float32)
-    return Scaling(jnp.zeros(0), jnp.zeros(0), 5 * one, one, 3 * one, jnp.ones(memory, jnp.float32))
-
-
-def network(seed: int, channels=CHANNELS, times=(), taps=(), hidden=(6, 5)) -> tn.TustinNet:
-    return random_tustin_net(
-        channels, scaling(len(times)), jax.random.key(seed), hidden=hidden, stem=4,
-        relaxation_times=times, taps=taps,
-    )  # fmt: skip
-
-
-def physics(channels=CHANNELS, system=CREEPING, **values: float) -> tn.Model:
-    return tn.discretise(swing_model(values, system), DT, inputs=channels.inputs)
-
-
-def hybrid(seed: int, channels=CHANNELS, taps=(), **values: float) -> tn.HybridModel:
-    known = physics(channels, CREEPING, **values)
-    return tn.HybridModel(known, network(seed, channels, taps=taps))
-
-
-def neural_ode(seed: int, channels=CHANNELS) -> tn.Model:
-    layers = Layers(hidden=(4,))
-    made = random_network(scaling(), jax.random.key(seed), feature_count(channels), 2, layers)
-    return tn.discretise(NeuralODE(made, channels), DT, unrolled=True)
-
-
-def every_family(channels=CHANNELS) -> list[tn.Model]:
-    """Nine models of six families, some alike, none of those beside one another."""
-    linear = LINEAR.builder(LinearHyper(kind="linear", internal=1), records(), "auto", None)
-    return [
-        network(0, channels, times=(0.5,)),
-        physics(channels),
-        hybrid(1, channels, taps=(-1, 0, 1)),
-        random_gru(channels, scaling(), jax.random.key(2), 3, 8),
-        network(3, channels, times=(0.5,)),
-        replace(linear(jax.random.key(4)), channels=channels),
-        neural_ode(5, channels),
-        hybrid(6, channels, taps=(-1, 0, 1), gravity=1.2),
-        network(7, channels, taps=(0, 1)),
-    ]
 
 
 def banded() -> list[tn.Experiment]:

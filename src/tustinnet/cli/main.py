@@ -11,6 +11,7 @@ from tustinnet.cli.compare import compare
 from tustinnet.cli.cross_validate import cross_validate
 from tustinnet.cli.demo import demo
 from tustinnet.cli.evaluate import evaluate
+from tustinnet.cli.export import export
 from tustinnet.cli.fit import fit
 from tustinnet.cli.inspect import inspect
 from tustinnet.cli.reproduce import reproduce
@@ -28,7 +29,7 @@ app = typer.Typer(
 )
 _VERBS = (
     demo, inspect, fit, cross_validate, simulate, evaluate, compare, residuals, committee,
-    show, reproduce,
+    export, show, reproduce,
 )  # fmt: skip
 for verb in _VERBS:
     app.command()(terminal.interruptible()(verb))

@@ -54,9 +54,14 @@ def save(model: Model, path: str | Path, **header: Any) -> None:
         **described,
         **model.channels.as_header(),
         **header,
-        "versions": {name: metadata.version(name) for name in _PACKAGES},
+        "versions": package_versions(),
     }
     write_sealed(Path(path).parent, Path(path).name, finite(content), arrays)
+
+
+def package_versions() -> dict[str, str]:
+    """The versions of the packages that models are computed with."""
+    return {name: metadata.version(name) for name in _PACKAGES}
 
 
 def load_model(path: str | Path, system: AnySystem | None = None) -> Model:

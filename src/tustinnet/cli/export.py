@@ -1,0 +1,66 @@
+"""`tustinnet export`: a model in other forms."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tustinnet.cli import options, terminal
+
+
+def export(
+    model: options.Model,
+    to: Annotated[
+        str,
+        typer.Option(
+            metavar="TARGET,..",
+            help="c, fmu, casadi, onnx, js, stablehlo or mat; several, separated by commas, or "
+            "all: each in a folder of its own.",
+        ),
+    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the files go.")],
+    group: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE",
+            help="Of a model with values by group, which to take; may be repeated.",
+        ),
+    ] = None,
+    system: options.System = None,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
+) -> None:
+    """Write a model as C, FMU, CasADi, ONNX, JavaScript, StableHLO or matrices."""
+    terminal.prepare_jax()
+    from tustinnet.cli.request import model_of
+    from tustinnet.report.tables import Table
+    from tustinnet.store.exported import export_model
+
+    found = export_model(
+        model_of(model, system), to, out,
+        file=model, groups=_groups(group or []), overwrite=overwrite,
+    )  # fmt: skip
+    if json:
+        terminal.print_json([
+            {"target": e.target, "folder": str(e.folder), "files": e.files, "notes": e.notes,
+             "steps": e.checked.steps, "difference": e.checked.difference, "note": e.checked.note}
+            for e in found
+        ])  # fmt: skip
+        return
+    rows = [
+        [e.target, str(e.folder), ", ".join(e.files), f"{e.checked.difference:.1e}"] for e in found
+    ]
+    title = "Exports, and how far a step is from the model's, relative to 1 + the state"
+    terminal.print_tables(Table(["target", "folder", "files", "difference"], rows, title=title))
+    told = [f"{e.target}: {e.checked.note}" for e in found if e.checked.note]
+    for line in dict.fromkeys([*(note for e in found for note in e.notes), *told]):
+        terminal.messages().print(f"note: {line}")
+
+
+def _groups(given: list[str]) -> dict[str, str]:
+    from tustinnet.errors import InputError
+
+    found = dict(pair.split("=", 1) for pair in given if "=" in pair)
+    if len(found) < len(given):
+        raise InputError("--group", f"'{', '.join(given)}'", "NAME=VALUE, each name once")
+    return found

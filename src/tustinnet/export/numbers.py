@@ -1,0 +1,56 @@
+"""Programs done with NumPy: what every target has to compute."""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from tustinnet.export.tape import OPERATIONS, Loop, Node, Program
+
+Vector = Float[np.ndarray, " _"]
+
+
+def run(program: Program, **inputs: Vector) -> dict[str, Vector]:
+    """What a program returns, by name.
+
+    Args:
+        program: the program.
+        inputs: the vectors that it is given, by their names.
+    """
+    values: list[Any] = []
+    for node in program.nodes:
+        values.append(_value(program, node, [values[a] for a in node.args], inputs))
+    return {name: np.atleast_1d(values[i]) for name, i in program.outputs.items()}
+
+
+def _value(program: Program, node: Node, args: list[Any], inputs: dict[str, Vector]) -> Any:
+    match node.op:
+        case "input":
+            return np.asarray(inputs[node.data], np.float64)
+        case "number":
+            return node.data
+        case "table":
+            return program.tables[node.data]
+        case "pick":
+            return args[0][node.data]
+        case "part":
+            return args[0][node.data : node.data + node.size]
+        case "join":
+            return np.concatenate([np.atleast_1d(a) for a in args])
+        case "product":
+            return program.tables[node.data] @ args[0]
+        case "loop":
+            return _looped(node.data, args)
+    with np.errstate(all="ignore"):
+        return OPERATIONS[node.op].apply(*args)
+
+
+def _looped(loop: Loop, args: list[Vector]) -> Vector:
+    first, last = loop.constants, loop.constants + loop.carried
+    constants, state, given = args[:first], args[first:last], args[last:]
+    names = list(loop.body.inputs)
+    rows = [g.reshape(loop.length, -1) for g in given]
+    for i in range(loop.length):
+        now = [*constants, *state, *(row[i] for row in rows)]
+        state = list(run(loop.body, **dict(zip(names, now, strict=True))).values())
+    return np.concatenate(state)

@@ -1,0 +1,368 @@
+"""Programs: what a step of a model computes, as numbers and vectors without JAX.
+
+A program is a list of nodes in the order of computation. Most nodes are single numbers; layers of
+networks are products of matrices and vectors, and what follows them acts on whole vectors.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+LONG = 8  # numbers from which a vector is treated as one thing
+
+Ids = Sequence[int] | np.ndarray
+
+
+class Operation(NamedTuple):
+    """An operation on single numbers, or on every number of vectors.
+
+    Attributes:
+        apply: what it computes, with NumPy.
+        truth: whether it says true or false.
+    """
+
+    apply: Callable[..., Any]
+    truth: bool = False
+
+
+# all that a target has to know beside the nodes that move or multiply
+OPERATIONS: dict[str, Operation] = {
+    "add": Operation(np.add),
+    "sub": Operation(np.subtract),
+    "mul": Operation(np.multiply),
+    "div": Operation(np.divide),
+    "neg": Operation(np.negative),
+    "max": Operation(np.maximum),
+    "min": Operation(np.minimum),
+    "pow": Operation(np.power),
+    "rem": Operation(np.fmod),
+    "atan2": Operation(np.arctan2),
+    "abs": Operation(np.abs),
+    "sign": Operation(np.sign),
+    "floor": Operation(np.floor),
+    "ceil": Operation(np.ceil),
+    "sqrt": Operation(np.sqrt),
+    "exp": Operation(np.exp),
+    "expm1": Operation(np.expm1),
+    "log": Operation(np.log),
+    "log1p": Operation(np.log1p),
+    "sin": Operation(np.sin),
+    "cos": Operation(np.cos),
+    "tan": Operation(np.tan),
+    "asin": Operation(np.arcsin),
+    "acos": Operation(np.arccos),
+    "atan": Operation(np.arctan),
+    "sinh": Operation(np.sinh),
+    "cosh": Operation(np.cosh),
+    "tanh": Operation(np.tanh),
+    "asinh": Operation(np.arcsinh),
+    "acosh": Operation(np.arccosh),
+    "atanh": Operation(np.arctanh),
+    "lt": Operation(np.less, truth=True),
+    "le": Operation(np.less_equal, truth=True),
+    "gt": Operation(np.greater, truth=True),
+    "ge": Operation(np.greater_equal, truth=True),
+    "eq": Operation(np.equal, truth=True),
+    "ne": Operation(np.not_equal, truth=True),
+    "and": Operation(np.logical_and, truth=True),
+    "or": Operation(np.logical_or, truth=True),
+    "not": Operation(np.logical_not, truth=True),
+    "select": Operation(np.where),  # a condition, the value where it holds, the other value
+}
+
+
+@dataclass(frozen=True)
+class Node:
+    """One thing that is computed.
+
+    Attributes:
+        op: a key of `OPERATIONS`, or one of
+            `input`: a vector that the program is given, called `data`;
+            `number`: the number `data`;
+            `table`: the constant vector `Program.tables[data]`;
+            `pick`: the number at `data` of a vector;
+            `part`: `size` numbers of a vector from `data` on;
+            `join`: vectors and numbers one after the other;
+            `product`: the matrix `Program.tables[data]` times a vector;
+            `loop`: a `Loop`, which is `data`; its value is all that it carries, at the end.
+        args: the nodes that it is computed from. An operation takes vectors of its own size and
+            single numbers, which act on all.
+        size: how many numbers it is; more than 1 for vectors only.
+        data: see `op`.
+        truth: whether it says true or false.
+    """
+
+    op: str
+    args: tuple[int, ...] = ()
+    size: int = 1
+    data: Any = None
+    truth: bool = False
+
+    @property
+    def single(self) -> bool:
+        """Whether it is a number, not a vector."""
+        return self.op in ("number", "pick") or (self.op in OPERATIONS and self.size == 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """A program that is done several times, each time with what it computed before.
+
+    The nodes that a loop is computed from are, in this order, the constants, what the carried
+    vectors are at first, and what is given every time, laid out one time after the other.
+
+    Attributes:
+        body: its inputs are the constants, the carried vectors and what is given; its outputs are
+            the carried vectors.
+        length: how often.
+        constants: how many vectors are the same every time.
+        carried: how many are carried.
+    """
+
+    body: "Program"
+    length: int
+    constants: int
+    carried: int
+
+    @cached_property
+    def sizes(self) -> tuple[int, ...]:
+        """Of the body's inputs, in their order."""
+        return tuple(self.body.inputs.values())
+
+    @property
+    def carried_sizes(self) -> tuple[int, ...]:
+        """Of what is carried."""
+        return self.sizes[self.constants : self.constants + self.carried]
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """What a function computes.
+
+    Attributes:
+        inputs: the vectors that it is given, and their sizes.
+        nodes: in the order of computation.
+        outputs: the vectors that it returns, by name: numbers of nodes.
+        tables: constant vectors and matrices.
+    """
+
+    inputs: dict[str, int]
+    nodes: tuple[Node, ...]
+    outputs: dict[str, int]
+    tables: tuple[np.ndarray, ...]
+
+    @cached_property
+    def uses(self) -> tuple[int, ...]:
+        """How often each node is used, by others and as output."""
+        counts = [0] * len(self.nodes)
+        for used in (*(a for node in self.nodes for a in node.args), *self.outputs.values()):
+            counts[used] += 1
+        return tuple(counts)
+
+    @property
+    def loops(self) -> Iterator[Loop]:
+        """The loops in it, not those inside of them."""
+        return (node.data for node in self.nodes if node.op == "loop")
+
+    @property
+    def operations(self) -> int:
+        """How many operations on numbers and vectors are written in it, loops included."""
+        own = sum(node.op in OPERATIONS or node.op == "product" for node in self.nodes)
+        return own + sum(loop.body.operations for loop in self.loops)
+
+
+@dataclass
+class Tape:
+    """A program while it is written: the same thing is computed once, constants at once.
+
+    Attributes:
+        inputs: the vectors that it is given, and their sizes.
+    """
+
+    inputs: dict[str, int]
+    _nodes: list[Node] = field(default_factory=list)
+    _known: dict[Node, int] = field(default_factory=dict)
+    _tables: list[np.ndarray] = field(default_factory=list)
+    _known_tables: dict[tuple[Any, ...], int] = field(default_factory=dict)
+
+    def __getitem__(self, number: int) -> Node:
+        return self._nodes[number]
+
+    def add(self, node: Node) -> int:
+        """The number of a node, an old one where there is the same already."""
+        if node not in self._known:
+            self._known[node] = len(self._nodes)
+            self._nodes.append(node)
+        return self._known[node]
+
+    def input(self, name: str) -> list[int]:
+        """The numbers of an input."""
+        size = self.inputs[name]
+        return self.split(self.add(Node("input", size=size, data=name)))
+
+    def number(self, value: float | bool) -> int:
+        """A constant; 0.0 and -0.0 are told apart."""
+        truth = isinstance(value, bool | np.bool_)
+        data = bool(value) if truth else float(value)
+        # as nodes are compared by ==, by which 0.0 is -0.0 and True is 1.0
+        return self.add(Node("number", data=_Exact(data), truth=truth))
+
+    def value(self, number: int) -> float | bool | None:
+        """What a node is, where it is constant."""
+        node = self._nodes[number]
+        return node.data.value if node.op == "number" else None
+
+    def split(self, number: int) -> list[int]:
+        """The single numbers of a vector."""
+        node = self._nodes[number]
+        if node.op == "table":
+            return [self.number(value) for value in self._tables[node.data].tolist()]
+        if node.single:
+            return [number]
+        return [self.add(Node("pick", (number,), 1, i, truth=node.truth)) for i in range(node.size)]
+
+    def vector(self, ids: Ids) -> int:
+        """Single numbers as a vector; where they are one already, or a part of one, that."""
+        ids = [int(i) for i in ids]
+        values = [self.value(i) for i in ids]
+        if ids and all(value is not None for value in values):
+            return self.table(np.array(values))
+        pieces = list(self._pieces(ids))
+        if len(pieces) == 1 and not self._nodes[pieces[0]].single:
+            return pieces[0]
+        return self.add(Node("join", tuple(pieces), len(ids), truth=self._nodes[pieces[0]].truth))
+
+    def _pieces(self, ids: list[int]) -> Iterator[int]:
+        """Runs of numbers that stand in one vector one after the other, as parts of it."""
+        first = 0
+        while first < len(ids):
+            last, node = first + 1, self._nodes[ids[first]]
+            if node.op == "pick":
+                while last < len(ids) and self._follows(ids[last - 1], ids[last]):
+                    last += 1
+            count = last - first
+            if node.op == "pick" and count == self._nodes[node.args[0]].size:
+                yield node.args[0]
+            elif count > 1:
+                yield self.add(Node("part", node.args, count, node.data, truth=node.truth))
+            else:
+                yield ids[first]
+            first = last
+
+    def _follows(self, before: int, after: int) -> bool:
+        a, b = self._nodes[before], self._nodes[after]
+        return b.op == "pick" and b.args == a.args and b.data == a.data + 1
+
+    def is_vector(self, ids: Ids) -> bool:
+        """Whether numbers stand one after the other in a long vector that is computed as one."""
+        first = self._nodes[int(ids[0])]
+        return (
+            len(ids) >= LONG
+            and first.op == "pick"
+            and all(self._follows(int(a), int(b)) for a, b in pairwise(ids))
+        )
+
+    def table(self, values: np.ndarray) -> int:
+        """A constant vector."""
+        return self.add(Node("table", (), len(values), self._kept(values), values.dtype == bool))
+
+    def product(self, matrix: np.ndarray, vector: Ids) -> list[int]:
+        """The numbers of a constant matrix, (rows, columns), times a vector, (columns,)."""
+        node = Node("product", (self.vector(vector),), len(matrix), self._kept(matrix))
+        return self.split(self.add(node))
+
+    def _kept(self, values: np.ndarray) -> int:
+        key = values.shape, values.dtype.kind, values.tobytes()
+        if key not in self._known_tables:
+            self._known_tables[key] = len(self._tables)
+            self._tables.append(values)
+        return self._known_tables[key]
+
+    def loop(self, loop: Loop, args: Sequence[Ids]) -> list[int]:
+        """The numbers of all that a loop carries, at its end."""
+        vectors = tuple(self.vector(ids) for ids in args)
+        return self.split(self.add(Node("loop", vectors, sum(loop.carried_sizes), loop)))
+
+    def apply(self, op: str, *args: int) -> int:
+        """An operation on single numbers, or on vectors of one size."""
+        values = [self.value(a) for a in args]
+        if all(value is not None for value in values):
+            with np.errstate(all="ignore"):
+                return self.number(OPERATIONS[op].apply(*values).item())
+        simple = self._simplified(op, args, values)
+        if simple is not None:
+            return simple
+        size = max(self._nodes[a].size for a in args)
+        truth = OPERATIONS[op].truth
+        if op == "select":
+            truth = self._nodes[args[1]].truth
+        if op in ("add", "mul", "max", "min"):
+            args = tuple(sorted(args))
+        return self.add(Node(op, tuple(args), size, truth=truth))
+
+    def _simplified(self, op: str, args: Sequence[int], values: Sequence[Any]) -> int | None:
+        """A node that is the same as an operation, without it; factors of 0 give 0."""
+        match op, values:
+            case ("add", [0.0, _]) | ("mul", [1.0, _]):
+                return args[1]
+            case ("add", [_, 0.0]) | ("sub", [_, 0.0]) | ("mul", [_, 1.0]) | ("div", [_, 1.0]):
+                return args[0]
+            case ("mul", [0.0, _]) | ("mul", [_, 0.0]) | ("div", [0.0, _]):
+                return self.number(0.0)
+            case ("sub", [0.0, _]):
+                return self.apply("neg", args[1])
+            case ("mul", [-1.0, _]):
+                return self.apply("neg", args[1])
+            case ("mul", [_, -1.0]):
+                return self.apply("neg", args[0])
+            case ("neg", _) if self._nodes[args[0]].op == "neg":
+                return self._nodes[args[0]].args[0]
+            case ("select", [True, *_]):
+                return args[1]
+            case ("select", [False, *_]):
+                return args[2]
+            case ("select", _) if args[1] == args[2]:
+                return args[1]
+        return None
+
+    def program(self, outputs: dict[str, Ids]) -> Program:
+        """The program that returns some vectors, with nothing in it that they do not need."""
+        ends = {name: self.vector(ids) for name, ids in outputs.items()}
+        needed = set(ends.values())
+        for number in range(len(self._nodes) - 1, -1, -1):
+            if number in needed:
+                needed |= set(self._nodes[number].args)
+        kept = sorted(needed)
+        place = {number: i for i, number in enumerate(kept)}
+        used = sorted(
+            {self._nodes[n].data for n in kept if self._nodes[n].op in ("table", "product")}
+        )
+        nodes = tuple(self._moved(self._nodes[n], place, used) for n in kept)
+        tables = tuple(self._tables[i] for i in used)
+        return Program(dict(self.inputs), nodes, {k: place[n] for k, n in ends.items()}, tables)
+
+    def _moved(self, node: Node, place: dict[int, int], used: list[int]) -> Node:
+        data = node.data
+        if node.op in ("table", "product"):
+            data = used.index(data)
+        elif node.op == "number":
+            data = data.value
+        args = tuple(place[a] for a in node.args)
+        return Node(node.op, args, node.size, data, node.truth)
+
+
+@dataclass(frozen=True)
+class _Exact:
+    """A constant that equals only what has the same bits."""
+
+    value: float | bool
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Exact) and repr(self.value) == repr(other.value)
+
+    def __hash__(self) -> int:
+        return hash(repr(self.value))

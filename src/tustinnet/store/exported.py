@@ -1,0 +1,167 @@
+"""Exports on disk: models in other forms, each in a folder with a card."""
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from tustinnet.errors import InputError
+from tustinnet.export.check import Checked, checked
+from tustinnet.export.numbers import run
+from tustinnet.export.source import Source, source_of
+from tustinnet.export.target import Files, Target, Unbuilt
+from tustinnet.models.contract import Model
+from tustinnet.registry import TARGETS
+from tustinnet.simulate.range import Range
+from tustinnet.store.files import require_new, require_writable_folder, to_json, write_into
+from tustinnet.store.model_file import package_versions, read_header
+
+CARD = "card.json"
+ALL = "all"
+_MARK = "tustinnet-export"  # what a card says first
+
+
+@dataclass(frozen=True)
+class Exported:
+    """A model that was exported.
+
+    Attributes:
+        target: what to.
+        folder: where its files are.
+        files: their names.
+        checked: how they compare with the model.
+        notes: what whoever uses them has to know.
+    """
+
+    target: str
+    folder: Path
+    files: tuple[str, ...]
+    checked: Checked
+    notes: tuple[str, ...]
+
+
+def export_model(
+    model: Model,
+    to: str | Sequence[str],
+    out: str | Path,
+    *,
+    file: str | Path | None = None,
+    groups: Mapping[str, str] | None = None,
+    overwrite: bool = False,
+) -> list[Exported]:
+    """Writes a model in other forms, each compared with the model before it is written.
+
+    Args:
+        model: a model that steps from sample to sample.
+        to: a target (`c`, `fmu`, `casadi`, `onnx`, `js`, `stablehlo`, `mat`), several, or `all`.
+        out: the folder; of several targets each gets a folder of its name in it.
+        file: the model's file, which says what the card tells of data and scores.
+        groups: of models with values by group those to take, as `{"payload": "1kg"}`.
+        overwrite: whether an export that is there may be replaced.
+
+    Raises:
+        InputError: a target that is not known or whose packages are missing; a folder that holds
+            something else, or an export that may not be replaced; a model that the target cannot
+            say; a step that differs from the model's. Nothing is written then.
+    """
+    names = _named(to)
+    targets: list[Target] = [TARGETS[name] for name in names]
+    for target in targets:
+        target.require_extra()
+    about = {} if file is None else read_header(file)
+    source = source_of(model, Range.from_header(about, model), groups, about)
+    folders = [Path(out) / t.name if len(targets) > 1 else Path(out) for t in targets]
+    for folder in folders:
+        _require_room(folder, overwrite=overwrite)
+    made = [_made(source, target, file) for target in targets]
+    return [_written(folder, *of) for folder, of in zip(folders, made, strict=True)]
+
+
+def _named(to: str | Sequence[str]) -> list[str]:
+    """Targets by name; `all` of them."""
+    names = to.split(",") if isinstance(to, str) else list(to)
+    found = list(TARGETS.names()) if names == [ALL] else names
+    if not found or len(set(found)) < len(found):
+        raise InputError("--to", f"'{','.join(found)}'", "targets, none of them twice")
+    return found
+
+
+def _require_room(folder: Path, *, overwrite: bool) -> None:
+    """Raises unless a folder is empty, or holds an export that may be replaced."""
+    if folder.is_dir() and any(folder.iterdir()) and not _holds_export(folder):
+        raise InputError(
+            folder, "a folder that holds something else", "an empty folder", "choose another --out"
+        )
+    require_new([folder / CARD], overwrite=overwrite)
+
+
+def _holds_export(folder: Path) -> bool:
+    try:
+        return _MARK in (folder / CARD).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return False
+
+
+def _made(source: Source, target: Target, file: str | Path | None) -> tuple[Target, Files, Any]:
+    """The files of a target, compared with the model; the card among them."""
+    files = target.files(source)
+    with tempfile.TemporaryDirectory() as place:
+        _write(Path(place), files)
+        try:
+            found = checked(source, target, target.stepper(Path(place), source))
+        except Unbuilt as unbuilt:
+            alike = checked(source, target, lambda x, u: run(source.step, x=x, u=u)["x"])
+            note = f"not run here: {unbuilt}; what it is written from was compared"
+            found = Checked(alike.steps, alike.difference, note)
+    card = to_json(_card(source, target, files, found, file))
+    return target, {**files, CARD: card}, (found, source.notes)
+
+
+def _written(folder: Path, target: Target, files: Files, told: Any) -> Exported:
+    require_writable_folder(folder)
+    _write(folder, files)
+    return Exported(target.name, folder, tuple(files), *told)
+
+
+def _write(folder: Path, files: Files) -> None:
+    for name, content in files.items():
+        write_into(folder, name, content)
+
+
+def _card(
+    source: Source, target: Target, files: Files, found: Checked, file: str | Path | None
+) -> dict[str, Any]:
+    """What an exported folder says of itself."""
+    channels, known = source.channels, source.range
+    ranges = [None] * source.n_x if known is None else known.states.tolist()
+    acting = [None] * channels.n_u if known is None else known.inputs.tolist()
+    contents = {k: v.encode() if isinstance(v, str) else v for k, v in files.items()}
+    return {
+        "form": _MARK,
+        "target": target.name,
+        "files": {name: sha256(content).hexdigest() for name, content in contents.items()},
+        "model": None if file is None else {
+            "file": Path(file).name,
+            "sha256": sha256(Path(file).read_bytes()).hexdigest(),
+            "kind": source.about["kind"],
+        },
+        "period": source.channels.dt,
+        "states": [
+            {"name": name, "unit": unit, "range": ends}
+            for name, unit, ends in zip(source.states, source.units, ranges, strict=True)
+        ],
+        "inputs": [
+            {"name": i.name, "unit": i.unit, "hold": i.hold or "zero-order", "delay": i.delay,
+             "limits": i.limits, "range": ends}
+            for i, ends in zip(channels.inputs, acting, strict=True)
+        ],
+        "samples": list(source.seen.offsets),
+        "warm_up": source.model.warm_up,
+        "scores": source.about.get("scores"),
+        "check": {"steps": found.steps, "difference": found.difference,
+                  "bound": target.bound, "note": found.note},
+        "notes": list(source.notes),
+        "versions": package_versions(),
+    }  # fmt: skip

@@ -1,0 +1,124 @@
+"""A function of JAX arrays, read as a program, computes the same without JAX."""
+
+import jax
+import jax.numpy as jnp
+import jax.scipy.linalg
+import numpy as np
+import pytest
+from every_family import NAMES, example
+
+from tustinnet.errors import InputError
+from tustinnet.export.numbers import run
+from tustinnet.export.reading import read
+from tustinnet.export.source import source_of
+from tustinnet.registry import FAMILIES
+
+EDGES = np.array([-2.5, -1.5, -0.5, -0.0, 0.0, 0.5, 1.0, 1.5, 2.5, 1e-9])
+
+
+def same(function, *values: np.ndarray, atol: float = 1e-14) -> None:
+    """The program of a function of vectors returns what JAX does."""
+    names = [f"in{i}" for i in range(len(values))]
+    sizes = {name: len(v) for name, v in zip(names, values, strict=True)}
+    program = read(lambda *v: {"out": function(*v)}, sizes)
+    found = run(program, **dict(zip(names, values, strict=True)))["out"]
+    expected = np.ravel(function(*map(jnp.asarray, values)))
+    np.testing.assert_allclose(found, expected.astype(float), rtol=1e-14, atol=atol)
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        jnp.sin, jnp.cos, jnp.tan, jnp.arctan, jnp.sinh, jnp.cosh, jnp.tanh, jnp.arcsinh, jnp.exp,
+        jnp.expm1, jnp.abs, jnp.sign, jnp.floor, jnp.ceil, jnp.round, jnp.square, jnp.cbrt,
+        jnp.exp2, jax.nn.relu, jax.nn.leaky_relu, jax.nn.softplus, jax.nn.sigmoid, jax.nn.silu,
+        jax.nn.elu, jnp.cumsum, jnp.cumprod, jnp.flip, jnp.trunc,
+        lambda x: jnp.arcsin(x / 3), lambda x: jnp.arccos(x / 3), lambda x: jnp.arctanh(x / 3),
+        lambda x: jnp.sqrt(x**2 + 1), lambda x: jax.lax.rsqrt(x**2 + 1), lambda x: x**7,
+        lambda x: x**0, lambda x: (x + 3.0) ** -3, lambda x: jnp.log(x + 4),
+        lambda x: jnp.log1p(x / 4), lambda x: (x + 4) ** 1.5,
+        lambda x: jnp.arctan2(x, x[::-1] - 0.3), lambda x: x % 0.7,
+        lambda x: jnp.remainder(x + jnp.pi, 2 * jnp.pi) - jnp.pi, lambda x: jnp.fmod(x, 0.7),
+        lambda x: jnp.clip(x, -1, x[6]), lambda x: jnp.where((x > 0) & ~(x > 1), x, -x),
+        lambda x: jnp.where((x < 0) | (x >= 1.5), 1.0, 2.0), lambda x: jnp.maximum(x, x[::-1]),
+        lambda x: x.reshape(2, 5).T @ x[:2], lambda x: jnp.outer(x, x), lambda x: jnp.sum(x),
+        lambda x: jnp.max(x.reshape(2, 5), axis=0), lambda x: jnp.prod(x + 3),
+        lambda x: jnp.mean(x), lambda x: jnp.any(x > 2.4) * 1.0, lambda x: jnp.all(x > -2) * 1.0,
+        lambda x: x[jnp.array([3, 1])], lambda x: x.at[2].set(x[0]),
+        lambda x: x.at[jnp.array([2, 3])].add(5.0), lambda x: jnp.roll(x, 2), lambda x: jnp.diag(x),
+        lambda x: jnp.tril(jnp.outer(x, x)), lambda x: jnp.tile(x, 3), lambda x: jax.lax.round(x),
+        lambda x: (x > 0.2).astype(float) + x.astype(int), lambda x: jnp.stack([x, 2 * x])[:, ::3],
+        lambda x: jnp.pad(x, (2, 1)), lambda x: jnp.cross(x[:3], x[3:6]),
+        lambda x: jax.lax.dynamic_slice(x, (2,), (3,)), lambda x: jnp.linalg.norm(x),
+        lambda x: jax.grad(lambda y: jnp.sum(jnp.cos(y) * y))(x), lambda x: jax.jacrev(jnp.tanh)(x),
+        lambda x: jax.lax.cond(x[0] > 0, lambda y: y, lambda y: -y, x),
+        lambda x: jax.lax.switch(2, [jnp.sin, jnp.cos, jnp.tanh], x),
+        lambda x: jax.lax.fori_loop(0, 4, lambda i, y: y * 0.5 + x[i], x),
+        lambda x: jax.lax.while_loop(lambda s: s[0] < 3, lambda s: (s[0] + 1, s[1] * x), (0, x))[1],
+        lambda x: jax.lax.scan(lambda c, y: (c + y, c * y), 0.0, x)[1],
+        lambda x: jax.lax.scan(lambda c, y: (c + y, c * y), 0.0, x, reverse=True)[1],
+        lambda x: jax.scipy.linalg.cho_solve(
+            (jnp.linalg.cholesky(jnp.outer(x, x) + 3 * jnp.eye(10)), True), x
+        ),
+        jax.checkpoint(lambda x: jnp.sin(x) ** 2), lambda x: jnp.interp(0.3, jnp.arange(10.0), x),
+    ],
+)  # fmt: skip
+def test_what_jax_computes_a_program_computes(function):
+    same(function, EDGES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_step_and_its_derivatives_are_read(name):
+    source = source_of(example(name))
+    states, inputs = source.samples(5)
+    a, b = jax.vmap(jax.jacfwd(source.function, argnums=(0, 1)))(
+        jnp.asarray(states), jnp.asarray(inputs)
+    )
+    expected = jax.vmap(source.function)(jnp.asarray(states), jnp.asarray(inputs))
+    for i, (x, u) in enumerate(zip(states, inputs, strict=True)):
+        found = run(source.linearised, x=x, u=u)
+        np.testing.assert_allclose(run(source.step, x=x, u=u)["x"], expected[i], atol=1e-13)
+        np.testing.assert_allclose(found["x"], expected[i], atol=1e-13)
+        np.testing.assert_allclose(found["a"], np.ravel(a[i]), atol=1e-12)
+        np.testing.assert_allclose(found["b"], np.ravel(b[i]), atol=1e-12)
+
+
+def test_every_registered_family_is_among_the_examples():
+    models = [example(name) for name in NAMES]
+    kinds = {kind for kind in FAMILIES.places if any(FAMILIES[kind].owns(m) for m in models)}
+    assert kinds == set(FAMILIES.places) - {"toy"}
+
+
+def test_layers_stay_matrices_and_substeps_loops():
+    network, physics = source_of(example("gru")), source_of(example("qube memory"))
+    assert "product" in {node.op for node in network.step.nodes}
+    assert physics.step.operations < 300  # though it does 30 substeps of four stages
+    assert [loop.length for loop in physics.step.loops] == [30]
+
+
+def test_the_same_thing_is_computed_once():
+    program = read(lambda x: {"out": jnp.sin(x) + jnp.sin(x) * 1.0 + 0.0 * x}, {"x": 1})
+    assert [node.op for node in program.nodes if node.op == "sin"] == ["sin"]
+    assert program.operations == 2
+
+
+def blur(x):
+    return jax.lax.conv(x[None, None], jnp.ones((1, 1, 3)), (1,), "SAME")[0, 0]
+
+
+def test_what_has_no_rule_is_refused_by_name_and_place():
+    with pytest.raises(InputError, match=r"'conv_general_dilated', in blur \(test_reading.py"):
+        read(lambda x: {"out": blur(x)}, {"x": 10})
+
+
+@pytest.mark.parametrize(
+    ("function", "told"),
+    [
+        (lambda x: x[jnp.argmax(x)], "argmax"),
+        (lambda x: x[x[0].astype(int)], "by an index that depends on the state"),
+        (lambda x: jax.lax.while_loop(lambda y: y[0] < 9, lambda y: 2 * y + 1, x), "whose end"),
+    ],
+)
+def test_what_depends_on_the_state_is_refused(function, told):
+    with pytest.raises(InputError, match=told):
+        read(lambda x: {"out": function(x)}, {"x": 10})
