@@ -84,7 +84,7 @@ _FAMILIES = (
 _OTHERS = {
     "committee": lambda: tn.committee(every_family()),
     "qube": lambda: nominal(SYSTEM, 1),
-    "qube memory": lambda: nominal(WITH_MEMORY, 30),
+    "qube memory": lambda: nominal(WITH_MEMORY, 4),
     "qube rubbing": lambda: nominal(RUBBING, 2),
     "cart": lambda: nominal(CART, 3),
     "qube network": lambda: pendulum_network((100, 100)),
