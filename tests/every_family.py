@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from swinging import CART, CREEPING, DT, SWING, records, swing_model
 
 import tustinnet as tn
+from tustinnet.export.source import Source, source_of
 from tustinnet.families.gru import random_gru
 from tustinnet.families.linear import FAMILY as LINEAR
 from tustinnet.families.linear import LinearHyper
@@ -105,6 +106,12 @@ def example(name: str) -> tn.Model:
     if name in _OTHERS:
         return _OTHERS[name]()
     return _families()[_FAMILIES.index(name)]
+
+
+@cache
+def leaving(name: str) -> Source:
+    """One of `NAMES` on its way out: its step is read once for all tests of a process."""
+    return source_of(example(name))
 
 
 @cache

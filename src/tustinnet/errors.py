@@ -3,6 +3,7 @@
 import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 
 _LONGEST_PART = 400  # characters of where, found, expected, remedy; what lists keys needs some
 _LONGEST_FOREIGN = 150  # characters of what a foreign library says
@@ -65,6 +66,25 @@ def refusing(where: object, found: str, expected: str, remedy: str = "") -> Iter
         ) from None
     except BaseException as error:
         raise InputError(where, f"{found} ({brief(error)})", expected, remedy) from error
+
+
+def require_package(package: str, extra: str, where: object, otherwise: str = "") -> None:
+    """Raises unless a package is installed that an extra of this one brings.
+
+    Args:
+        package: what it is imported as.
+        extra: the extra.
+        where: what needs it.
+        otherwise: what else could be done, as ", or ...".
+
+    Raises:
+        InputError: it is not installed.
+    """
+    if find_spec(package) is None:
+        raise InputError(
+            where, f"the package {package} is not installed", package,
+            f"pip install 'tustinnet[{extra}]'{otherwise}",
+        )  # fmt: skip
 
 
 def require_name(name: str, where: object) -> None:

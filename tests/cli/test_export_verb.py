@@ -8,10 +8,12 @@ from typing import ClassVar
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.io import loadmat
 from test_grey_box import identified, identified_once, system  # noqa: F401 (fixtures)
 from test_verbs import tustinnet
 
 import tustinnet as tn
+from tustinnet.export.mat import Matrices
 from tustinnet.export.numbers import run
 from tustinnet.export.source import Source
 from tustinnet.export.target import Files, Stepper, Target, Unbuilt
@@ -100,6 +102,26 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 # --- what is written ---
+
+
+def test_matrices_are_about_the_operating_point_that_is_named(
+    model, out, capsys, refused, monkeypatch
+):
+    monkeypatch.setitem(TARGETS.places, "mat", Matrices())
+    given = ("export", model, "--to", "mat", "--at", "angle=0.5, torque=-1", "--out", out)
+    code, _, err = tustinnet(capsys, *given)
+    assert code == 0, err
+    read = loadmat(out / "linear.mat")
+    expected = tn.linearize(tn.load_model(model), np.array([0.5, 0.0]), np.array([-1.0]))
+    np.testing.assert_allclose(read["A"], expected.a, rtol=1e-12)
+    np.testing.assert_array_equal(read["x"].ravel(), [0.5, 0.0])
+    for at, to, told in [
+        ("angle=0", "plain", "--at: an operating point for plain"),
+        ("angle", "mat", "--at: 'angle'; expected NAME=VALUE"),
+        ("angle=1,angle=2", "mat", "each name once"),
+        ("speed=1", "mat", "speed = 1.0; expected finite values of angle, der_angle, torque"),
+    ]:
+        refused(model, "--to", to, "--at", at, "--out", out / "new", told=told)
 
 
 def test_a_model_is_exported_with_a_card(model, out, capsys):

@@ -96,6 +96,7 @@ SHOWN = {
         "--to": f"{EXPORT}::test_several_targets_get_a_folder_each",
         "--json": f"{EXPORT}::test_several_targets_get_a_folder_each",
         "--out": f"{EXPORT}::test_a_model_is_exported_with_a_card",
+        "--at": f"{EXPORT}::test_matrices_are_about_the_operating_point_that_is_named",
         "--group": f"{EXPORT}::test_a_model_with_values_by_group_needs_the_group",
         "--system": f"{EXPORT}::test_foreign_code_is_run_where_it_is_named",
         "--overwrite": f"{EXPORT}::test_an_export_is_replaced_where_that_is_asked_for",

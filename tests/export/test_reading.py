@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import jax.scipy.linalg
 import numpy as np
 import pytest
-from every_family import NAMES, example
+from every_family import NAMES, example, leaving
 
 from tustinnet.errors import InputError
 from tustinnet.export.numbers import run
@@ -60,7 +60,8 @@ def same(function, *values: np.ndarray, atol: float = 1e-14) -> None:
         lambda x: jax.scipy.linalg.cho_solve(
             (jnp.linalg.cholesky(jnp.outer(x, x) + 3 * jnp.eye(10)), True), x
         ),
-        jax.checkpoint(lambda x: jnp.sin(x) ** 2), lambda x: jnp.interp(0.3, jnp.arange(10.0), x),
+        lambda x: x[:0], jax.checkpoint(lambda x: jnp.sin(x) ** 2),
+        lambda x: jnp.interp(0.3, jnp.arange(10.0), x),
     ],
 )  # fmt: skip
 def test_what_jax_computes_a_program_computes(function):
@@ -69,7 +70,7 @@ def test_what_jax_computes_a_program_computes(function):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_step_and_its_derivatives_are_read(name):
-    source = source_of(example(name))
+    source = leaving(name)
     states, inputs = source.samples(2)
 
     @jax.jit
@@ -83,6 +84,12 @@ def test_a_step_and_its_derivatives_are_read(name):
         np.testing.assert_allclose(found["x"], expected[i], atol=1e-13)
         np.testing.assert_allclose(found["a"], np.ravel(a[i]), atol=1e-12)
         np.testing.assert_allclose(found["b"], np.ravel(b[i]), atol=1e-12)
+
+
+def test_single_precision_weights_are_folded_in_double():
+    model, x = example("hybrid"), jnp.array([0.1, 0.2, 0.3])
+    found = run(leaving("hybrid").step, x=np.asarray(x), u=np.ones(3))["x"]
+    np.testing.assert_allclose(found, model.step(x, jnp.ones(1)), rtol=1e-15, atol=1e-15)
 
 
 def test_every_registered_family_is_among_the_examples():

@@ -26,6 +26,13 @@ def export(
             help="Of a model with values by group, which to take; may be repeated.",
         ),
     ] = None,
+    at: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME=VALUE,..",
+            help="Of mat: states and inputs of the operating point, 0 where they are not named.",
+        ),
+    ] = None,
     system: options.System = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
@@ -34,10 +41,10 @@ def export(
     terminal.prepare_jax()
     from tustinnet.cli.request import model_of
     from tustinnet.report.tables import Table
-    from tustinnet.store.exported import export_model
+    from tustinnet.store.exported import export_model, targets_of
 
     found = export_model(
-        model_of(model, system), to, out,
+        model_of(model, system), targets_of(to, _point(at)), out,
         file=model, groups=_groups(group or []), overwrite=overwrite,
     )  # fmt: skip
     if json:
@@ -63,4 +70,20 @@ def _groups(given: list[str]) -> dict[str, str]:
     found = dict(pair.split("=", 1) for pair in given if "=" in pair)
     if len(found) < len(given):
         raise InputError("--group", f"'{', '.join(given)}'", "NAME=VALUE, each name once")
+    return found
+
+
+def _point(given: str | None) -> dict[str, float]:
+    from tustinnet.errors import InputError
+
+    pairs = [] if given is None else [pair.partition("=") for pair in given.split(",")]
+    try:
+        found = {name.strip(): float(value) for name, _, value in pairs}
+    except ValueError:
+        found = {}
+    if len(found) < len(pairs):
+        raise InputError(
+            "--at", f"'{given}'", "NAME=VALUE, separated by commas, each name once",
+            "for instance --at theta=0.1,der_theta=0",
+        )  # fmt: skip
     return found

@@ -31,14 +31,14 @@ class Checked:
 
 
 def checked(source: Source, target: Target, stepper: Stepper) -> Checked:
-    """Compares a step with the model's own, at random states and inputs.
+    """Compares a step with what the target says it should be, at random states and inputs.
 
     Raises:
         InputError: they differ by more than the target's bound, or the model itself steps to
             numbers that are not finite.
     """
     states, inputs = source.samples(STEPS)
-    expected = np.asarray(jax.vmap(source.function)(*map(jnp.asarray, (states, inputs))))
+    expected = np.asarray(jax.vmap(target.expected(source))(*map(jnp.asarray, (states, inputs))))
     finite = np.isfinite(expected).all(axis=1)
     if not finite.all() and (source.range is not None or np.sum(~finite) > _MOST):
         first = int(np.argmin(finite))

@@ -3,11 +3,11 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from tustinnet.export.tape import OPERATIONS, Loop, Node, Program
 
-Vector = Float[np.ndarray, " _"]
+Vector = Float[np.ndarray, " _"] | Bool[np.ndarray, " _"]
 
 
 def run(program: Program, **inputs: Vector) -> dict[str, Vector]:

@@ -15,7 +15,7 @@ from tustinnet.data.dataset import from_arrays
 from tustinnet.errors import InputError
 from tustinnet.export.reading import read
 from tustinnet.export.tape import Program
-from tustinnet.models.contract import Model, require_float64
+from tustinnet.models.contract import Model, require_float64, with_dtype
 from tustinnet.signals.excitation import Excitation, Held, excitation
 from tustinnet.simulate.range import Range
 
@@ -87,6 +87,15 @@ class Source:
         units = [c.unit for c in self.channels.coordinates]
         internal = [""] * len(self.model.internal)
         return (*units, *(f"{unit}/s" for unit in units), *internal)
+
+    @property
+    def drives(self) -> tuple[str, ...]:
+        """What the numbers that a step is given of the inputs are called.
+
+        `voltage`; where it sees other samples than its own, `voltage_after_1`, `voltage_before_1`.
+        """
+        names = [i.name for i in self.channels.inputs]
+        return tuple(f"{name}{_counted(k)}" for k in self.seen.offsets for name in names)
 
     @cached_property
     def function(self) -> Stepped:
@@ -184,7 +193,9 @@ def source_of(
             "export", f"a {type(model).__name__} in continuous time",
             "a model that steps from sample to sample", "make it discrete (discretise)",
         )  # fmt: skip
-    return Source(_of_groups(model, groups or {}).folded(), range, about or {})
+    # in double precision, as it is evaluated: folding in single would round once more
+    chosen = with_dtype(_of_groups(model, groups or {}), np.float64)
+    return Source(chosen.folded(), range, about or {})
 
 
 def _of_groups(model: Model, groups: Mapping[str, str]) -> Model:
@@ -248,6 +259,10 @@ def _beyond(driven: Callable[[np.ndarray], np.ndarray], reach: int, n_u: int) ->
     samples = np.ones((2 * _FARTHEST + 2, n_u))
     samples[_FARTHEST - reach : _FARTHEST + reach + 1] = 0.0
     return bool(np.any(driven(samples)[_FARTHEST]))
+
+
+def _counted(offset: int) -> str:
+    return f"_{'after' if offset > 0 else 'before'}_{abs(offset)}" if offset else ""
 
 
 def _hold(hold: str | None) -> Held:

@@ -235,7 +235,7 @@ class Tape:
         """Single numbers as a vector; where they are one already, or a part of one, that."""
         ids = [int(i) for i in ids]
         values = [self.value(i) for i in ids]
-        if ids and all(value is not None for value in values):
+        if all(value is not None for value in values):
             return self.table(np.array(values))
         pieces = list(self._pieces(ids))
         if len(pieces) == 1 and not self._nodes[pieces[0]].single:

@@ -1,16 +1,15 @@
 """What every target of an export answers."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from importlib.util import find_spec
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.errors import InputError
-from tustinnet.export.source import Source
+from tustinnet.errors import require_package
+from tustinnet.export.source import Source, Stepped
 
 Vector = Float[np.ndarray, " _"]
 Files = dict[str, bytes | str]
@@ -28,7 +27,7 @@ class Target(ABC):
         name: what `--to` calls it.
         bound: the largest difference from the model's own step that is let out, relative to
             1 + the state.
-        extra: the extra of this package that it needs, and the modules of it.
+        extra: the extra of this package that it needs, and the packages of it.
     """
 
     name: ClassVar[str]
@@ -53,12 +52,20 @@ class Target(ABC):
             Unbuilt: who is to use it is not on this machine.
         """
 
+    def expected(self, source: Source) -> Stepped:
+        """What the steps have to equal: those of the model."""
+        return source.function
+
+    def at(self, point: Mapping[str, float]) -> "Target":
+        """The same target about an operating point; most have none and return themselves.
+
+        Args:
+            point: values of states and inputs by name; those that are not named are 0.
+        """
+        return self
+
     def require_extra(self) -> None:
         """Raises unless the libraries are here that the target needs."""
-        extra, modules = self.extra or ("", ())
-        missing = [module for module in modules if find_spec(module) is None]
-        if missing:
-            raise InputError(
-                f"--to {self.name}", f"the package {missing[0]} is not installed", missing[0],
-                f"pip install 'tustinnet[{extra}]'",
-            )  # fmt: skip
+        extra, packages = self.extra or ("", ())
+        for package in packages:
+            require_package(package, extra, f"--to {self.name}")

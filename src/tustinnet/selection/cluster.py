@@ -28,7 +28,7 @@ from typing import Any
 import jax
 
 from tustinnet.cores import cores
-from tustinnet.errors import InputError, brief, refusing
+from tustinnet.errors import InputError, brief, refusing, require_package
 from tustinnet.fitting.listener import Listener
 from tustinnet.selection.clock import Clock
 from tustinnet.selection.executors import Executor
@@ -294,12 +294,8 @@ def _jax_settings() -> dict[str, str]:
 def _ray() -> Any:
     for name, value in _QUIET.items():
         os.environ.setdefault(name, value)
-    try:
-        return import_module("ray")
-    except ImportError:
-        raise InputError(
-            "cluster", "the package ray is not installed", "ray", "pip install 'tustinnet[ray]'"
-        ) from None
+    require_package("ray", "ray", "cluster")
+    return import_module("ray")
 
 
 def _found(address: str) -> str | None:

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from tustinnet.errors import InputError
+from tustinnet.errors import InputError, require_package
 from tustinnet.models.contract import ContinuousModel, Drive, State
 from tustinnet.models.integrate import FromContinuous, at
 
@@ -32,7 +32,7 @@ class Adaptive(FromContinuous):
 
     def advance(self, x: State, u: Drive, period: Array | float) -> State:
         """One period, in as many steps as the tolerance asks for; arguments as `Discretised`."""
-        diffrax = _diffrax()
+        import diffrax
 
         def derivative(t: Any, state: State, model: ContinuousModel) -> State:
             return model.derivative(state, at(u, t / period))
@@ -66,18 +66,7 @@ def discretise_adaptively(model: ContinuousModel, dt: float, tolerance: float = 
         raise InputError(
             "discretise_adaptively", f"period {dt} s, tolerance {tolerance}", "positive numbers"
         )
-    _diffrax()
+    require_package(
+        "diffrax", "adaptive", "adaptive integration", ", or use fixed steps (discretise)"
+    )
     return Adaptive(model, replace(model.channels, dt=dt), tolerance)
-
-
-def _diffrax():  # noqa: ANN202 (a module)
-    try:
-        import diffrax
-    except ImportError:
-        raise InputError(
-            "adaptive integration",
-            "the package diffrax is not installed",
-            "diffrax",
-            "pip install 'tustinnet[adaptive]', or use fixed steps (discretise)",
-        ) from None
-    return diffrax

@@ -23,6 +23,8 @@ CARD = "card.json"
 ALL = "all"
 _MARK = "tustinnet-export"  # what a card says first
 
+To = str | Target | Sequence[str | Target]
+
 
 @dataclass(frozen=True)
 class Exported:
@@ -45,7 +47,7 @@ class Exported:
 
 def export_model(
     model: Model,
-    to: str | Sequence[str],
+    to: To,
     out: str | Path,
     *,
     file: str | Path | None = None,
@@ -56,7 +58,8 @@ def export_model(
 
     Args:
         model: a model that steps from sample to sample.
-        to: a target (`c`, `fmu`, `casadi`, `onnx`, `js`, `stablehlo`, `mat`), several, or `all`.
+        to: a target (`c`, `fmu`, `casadi`, `onnx`, `js`, `stablehlo`, `mat`), several, or `all`;
+            by name, or as `targets_of` makes it with an operating point.
         out: the folder; of several targets each gets a folder of its name in it.
         file: the model's file, which says what the card tells of data and scores.
         groups: of models with values by group those to take, as `{"payload": "1kg"}`.
@@ -67,8 +70,7 @@ def export_model(
             something else, or an export that may not be replaced; a model that the target cannot
             say; a step that differs from the model's. Nothing is written then.
     """
-    names = _named(to)
-    targets: list[Target] = [TARGETS[name] for name in names]
+    targets = targets_of(to)
     for target in targets:
         target.require_extra()
     about = {} if file is None else read_header(file)
@@ -80,13 +82,33 @@ def export_model(
     return [_written(folder, *of) for folder, of in zip(folders, made, strict=True)]
 
 
-def _named(to: str | Sequence[str]) -> list[str]:
-    """Targets by name; `all` of them."""
-    names = [n.strip() for n in to.split(",")] if isinstance(to, str) else list(to)
-    found = list(TARGETS.names()) if names == [ALL] else names
-    if not found or len(set(found)) < len(found):
-        raise InputError("--to", f"'{','.join(found)}'", "targets, none of them twice")
-    return found
+def targets_of(to: To, at: Mapping[str, float] | None = None) -> list[Target]:
+    """Targets by name; `all` of them.
+
+    Args:
+        to: as for `export_model`.
+        at: an operating point for those that have one (`mat`): values of states and inputs by name,
+            as `{"theta": 0.1}`; those that are not named are 0.
+
+    Raises:
+        InputError: a target that is not known, or twice; an operating point for none that has one.
+    """
+    listed = [name.strip() for name in to.split(",")] if isinstance(to, str) else to
+    given = [listed] if isinstance(listed, Target) else list(listed)
+    given = list(TARGETS.names()) if given == [ALL] else given
+    found: list[Target] = [g if isinstance(g, Target) else TARGETS[g] for g in given]
+    names = [target.name for target in found]
+    if not found or len(set(names)) < len(names):
+        raise InputError("--to", f"'{','.join(names)}'", "targets, none of them twice")
+    if not at:
+        return found
+    moved = [target.at(at) for target in found]
+    if moved == found:
+        raise InputError(
+            "--at", f"an operating point for {', '.join(names)}", "a target that has one",
+            "leave it out, or add mat to --to",
+        )  # fmt: skip
+    return moved
 
 
 def _require_room(folder: Path, *, overwrite: bool) -> None:

@@ -1,0 +1,74 @@
+"""Models as systems of the package control (python-control)."""
+
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from tustinnet.errors import require_package
+from tustinnet.export.source import Source, source_of
+from tustinnet.export.tangent import tangent
+from tustinnet.models.contract import Model
+
+if TYPE_CHECKING:
+    from control import NonlinearIOSystem, StateSpace
+
+
+def control_system(model: Model) -> "NonlinearIOSystem":
+    """A model as a discrete system of python-control, with the names of its channels.
+
+    Its outputs are the states. Where a step depends on inputs at several samples, each is an input
+    of its own (`voltage`, `voltage_after_1`): connect all to one signal that is held.
+
+    Args:
+        model: a model that steps from sample to sample.
+
+    Raises:
+        InputError: the package control is not installed.
+    """
+    require_package("control", "control", "control_system")
+    from control import nlsys
+
+    source = source_of(model)
+    sizes = np.zeros(source.n_x), np.zeros(source.n_w)
+    compiled = jax.jit(source.function).lower(*sizes).compile()
+
+    def update(t: float, x: Any, u: Any, params: Any) -> np.ndarray:
+        return np.asarray(compiled(np.asarray(x, float), np.asarray(u, float)))
+
+    return nlsys(update, None, dt=model.dt, **_signals(source))
+
+
+def state_space(
+    model: Model,
+    x: Float[Array | np.ndarray, " n_x"],
+    u: Float[Array | np.ndarray, " n_u"],
+) -> "StateSpace":
+    """The linear system of python-control about an operating point, by the exact derivatives.
+
+    Its states and inputs are differences from the point. Names and outputs are those of
+    `control_system`, matrices those of the export `mat`.
+
+    Args:
+        model: a model that steps from sample to sample.
+        x: the state there, usually an equilibrium, (n_x,).
+        u: the inputs there, (n_u,).
+
+    Raises:
+        InputError: the package control is not installed, other shapes, or derivatives that are not
+            finite there.
+    """
+    require_package("control", "control", "state_space")
+    from control import StateSpace
+
+    source = source_of(model)
+    found = tangent(source, np.asarray(x), np.asarray(u))
+    through = np.zeros_like(found.b)
+    return StateSpace(found.a, found.b, np.eye(source.n_x), through, model.dt, **_signals(source))
+
+
+def _signals(source: Source) -> dict[str, list[str]]:
+    """The names of a system; a dot in one would name a part of a system."""
+    states, inputs = ([n.replace(".", "_") for n in of] for of in (source.states, source.drives))
+    return {"states": states, "inputs": inputs, "outputs": states}

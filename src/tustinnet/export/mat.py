@@ -1,0 +1,82 @@
+"""Matrices of a linearised step, for scipy and MATLAB."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from scipy.io import loadmat, savemat
+
+from tustinnet.export.source import Source, Stepped
+from tustinnet.export.tangent import point_of, tangent
+from tustinnet.export.target import Files, Stepper, Target, Vector
+
+FILE = "linear.mat"
+_TITLE = 116  # bytes of text that a file begins with
+
+
+@dataclass(frozen=True)
+class Matrices(Target):
+    """`A`, `B`, `C`, `D` of a step about an operating point.
+
+    Attributes:
+        point: values of states and inputs there, by name; those that are not named are 0.
+    """
+
+    name = "mat"
+    point: Mapping[str, float] = field(default_factory=dict)
+
+    def at(self, point: Mapping[str, float]) -> "Matrices":
+        """The same about another operating point."""
+        return Matrices(point)
+
+    def expected(self, source: Source) -> Stepped:
+        """The tangent of the model's step, as JAX has it."""
+        x0, u0 = map(jnp.asarray, point_of(source, self.point))
+        u0 = jnp.tile(u0, len(source.seen.offsets))
+        a, b = jax.jit(jax.jacfwd(source.function, argnums=(0, 1)))(x0, u0)
+        reached = jax.jit(source.function)(x0, u0)
+
+        def step(x: Array, u: Array) -> Array:
+            return reached + a @ (x - x0) + b @ (u - u0)
+
+        return step
+
+    def files(self, source: Source) -> Files:
+        """The matrices, names, period and operating point."""
+        found = tangent(source, *point_of(source, self.point))
+        content = BytesIO()
+        columns = {"x": found.x, "u": found.u, "drift": found.drift}
+        savemat(content, {
+            "A": found.a, "B": found.b,
+            "C": np.eye(source.n_x), "D": np.zeros((source.n_x, source.n_w)),
+            "dt": source.channels.dt,
+            "states": _cells(source.states), "inputs": _cells(source.drives),
+            "outputs": _cells(source.states),
+            **{name: values[:, None] for name, values in columns.items()},
+        })  # fmt: skip
+        # the time at which it was written is no part of it
+        title = b"MATLAB 5.0 MAT-file, written by tustinnet".ljust(_TITLE)
+        return {FILE: title + content.getvalue()[_TITLE:]}
+
+    def stepper(self, folder: Path, source: Source) -> Stepper:
+        """An affine step by the matrices of the file, read by scipy."""
+        read = loadmat(folder / FILE)
+        x0, u0, drift = (read[name].ravel() for name in ("x", "u", "drift"))
+
+        def step(x: Vector, u: Vector) -> Vector:
+            return x0 + drift + read["A"] @ (x - x0) + read["B"] @ (u - u0)
+
+        return step
+
+
+def _cells(names: tuple[str, ...]) -> np.ndarray:
+    """Names as MATLAB has them: a cell each."""
+    return np.array(names, dtype=object)
+
+
+TARGET = Matrices()

@@ -1,0 +1,78 @@
+"""A step about an operating point, as matrices."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from tustinnet.errors import InputError
+from tustinnet.export.numbers import run
+from tustinnet.export.source import Source
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """`x[k+1] - x = drift + a (x[k] - x) + b (u[k] - u)`.
+
+    Attributes:
+        x: the state of the operating point, (n_x,).
+        u: the inputs there, of all samples that a step sees, (n_w,).
+        a: derivatives by the state, (n_x, n_x).
+        b: derivatives by the inputs, (n_x, n_w).
+        drift: how far a step leads away from the point, (n_x,); 0 at an equilibrium.
+    """
+
+    x: Float[np.ndarray, " n_x"]
+    u: Float[np.ndarray, " n_w"]
+    a: Float[np.ndarray, "n_x n_x"]
+    b: Float[np.ndarray, "n_x n_w"]
+    drift: Float[np.ndarray, " n_x"]
+
+
+def tangent(source: Source, x: Float[np.ndarray, " n_x"], u: Float[np.ndarray, " n_u"]) -> Tangent:
+    """A step about an operating point, by its exact derivatives.
+
+    Args:
+        source: the model.
+        x: the state, (n_x,).
+        u: the inputs, (n_u,), the same at all samples that a step sees.
+
+    Raises:
+        InputError: other shapes, or derivatives that are not finite there.
+    """
+    n_x, n_u = source.n_x, source.channels.n_u
+    if np.shape(x) != (n_x,) or np.shape(u) != (n_u,):
+        raise InputError(
+            "operating point", f"x of shape {np.shape(x)}, u of shape {np.shape(u)}",
+            f"({n_x},) and ({n_u},)",
+        )  # fmt: skip
+    state = np.asarray(x, float)
+    inputs = np.tile(np.asarray(u, float), len(source.seen.offsets))
+    found = run(source.linearised, x=state, u=inputs)
+    if not all(np.isfinite(values).all() for values in found.values()):
+        raise InputError(
+            "operating point", "derivatives that are not finite",
+            "a point where the model is smooth",
+        )  # fmt: skip
+    a, b = found["a"].reshape(n_x, n_x), found["b"].reshape(n_x, source.n_w)
+    return Tangent(state, inputs, a, b, found["x"] - state)
+
+
+def point_of(
+    source: Source, named: Mapping[str, float]
+) -> tuple[Float[np.ndarray, " n_x"], Float[np.ndarray, " n_u"]]:
+    """States and inputs of an operating point, 0 where they are not named.
+
+    Raises:
+        InputError: a name that the model does not have, or a value that is not finite.
+    """
+    inputs = tuple(i.name for i in source.channels.inputs)
+    known = (*source.states, *inputs)
+    for name, value in named.items():
+        if name not in known or not np.isfinite(value):
+            raise InputError(
+                "operating point", f"{name} = {value}", f"finite values of {', '.join(known)}"
+            )
+    x, u = (np.array([named.get(n, 0.0) for n in names]) for names in (source.states, inputs))
+    return x, u

@@ -1,0 +1,77 @@
+"""Models as systems of python-control: the simulation is the rollout, the matrices are exact."""
+
+import sys
+
+import numpy as np
+import pytest
+from every_family import example, nominal
+
+import tustinnet as tn
+from tustinnet.errors import InputError
+from tustinnet.systems.qube_servo2 import SYSTEM
+
+control = pytest.importorskip("control")
+
+
+@pytest.mark.parametrize("name", ["qube", "gru", "network memory"])
+def test_a_response_is_the_rollout(name):
+    model = example(name)
+    system = tn.control_system(model)
+    assert system.dt == model.dt
+    u = np.random.default_rng(0).uniform(-1, 1, (40, 1))
+    x0 = np.linspace(0.1, 0.3, model.state_size)
+    found = control.input_output_response(system, model.dt * np.arange(40), u.T, x0)
+    expected = np.asarray(tn.rollout(model, x0, u[:-1]))
+    np.testing.assert_allclose(found.outputs.T, expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(found.states, found.outputs)
+    assert not any("." in label for label in system.state_labels)  # "relaxing in 0.5 s"
+
+
+def test_inputs_at_other_samples_are_inputs_of_their_own():
+    model = example("hybrid")
+    system = tn.control_system(model)
+    assert system.input_labels == ["voltage", "voltage_after_1", "voltage_before_1"]
+    assert system.state_labels == system.output_labels == ["angle", "der_angle", "creep"]
+    u = np.random.default_rng(0).uniform(-1, 1, 22)
+    record = tn.from_arrays(
+        np.zeros((22, 1)), u, dt=model.dt, coordinates=model.coordinates, inputs=model.inputs
+    )
+    expected = tn.rollout(model, np.zeros(3), tn.drive_of(model, record)[1:])
+    rows = np.stack([u[1:-1], u[2:], u[:-2]])
+    found = control.input_output_response(system, model.dt * np.arange(20), rows, np.zeros(3))
+    np.testing.assert_allclose(found.outputs.T, expected[:20], rtol=1e-12, atol=1e-12)
+
+
+def test_a_controller_is_designed_with_the_matrices_and_tried_on_the_model():
+    model = nominal(SYSTEM, 1)
+    upright, still = np.zeros(4), np.zeros(1)
+    plant = tn.state_space(model, upright, still)
+    exact = tn.linearize(model, upright, still)
+    np.testing.assert_allclose(plant.A, exact.a, rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(plant.B, exact.b, rtol=1e-12, atol=1e-14)
+    assert (plant.dt, plant.input_labels) == (model.dt, ["voltage"])
+    assert plant.state_labels == ["theta", "alpha", "der_theta", "der_alpha"]
+    gain = control.dlqr(plant, np.diag([1.0, 1.0, 0.1, 0.1]), np.eye(1))[0]
+    feedback = control.ss(
+        [], [], [], -gain, model.dt, inputs=plant.state_labels, outputs=["voltage"]
+    )
+    loop = control.interconnect([tn.control_system(model), feedback], outputs=["alpha"])
+    times = model.dt * np.arange(300)
+    alpha = np.ravel(control.input_output_response(loop, times, 0, [0, 0.2, 0, 0]).outputs)
+    assert np.abs(alpha).max() < 0.5
+    assert np.abs(alpha[-50:]).max() < 0.01
+
+
+def test_shapes_that_the_model_does_not_have_are_refused():
+    with pytest.raises(InputError, match=r"x of shape \(2,\), u of shape \(1,\).*\(4,\) and"):
+        tn.state_space(example("qube"), np.zeros(2), np.zeros(1))
+
+
+@pytest.mark.parametrize("call", [
+    lambda model: tn.control_system(model),
+    lambda model: tn.state_space(model, np.zeros(4), np.zeros(1)),
+])  # fmt: skip
+def test_they_ask_for_the_package(call, monkeypatch):
+    monkeypatch.setitem(sys.modules, "control", None)
+    with pytest.raises(InputError, match=r"control is not installed.*'tustinnet\[control\]'"):
+        call(example("qube"))
