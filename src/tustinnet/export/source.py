@@ -119,8 +119,12 @@ class Source:
         """The step and its derivatives by rows: `x`, `u` to `x`, `a` (n_x n_x), `b` (n_x n_w)."""
 
         def both(x: Array, u: Array) -> dict[str, Array]:
-            a, b = jax.jacfwd(self.function, argnums=(0, 1))(x, u)
-            return {"x": self.function(x, u), "a": a, "b": b}
+            def twice(x: Array, u: Array) -> tuple[Array, Array]:
+                moved = self.function(x, u)
+                return moved, moved
+
+            (a, b), moved = jax.jacfwd(twice, argnums=(0, 1), has_aux=True)(x, u)
+            return {"x": moved, "a": a, "b": b}
 
         return read(both, self._inputs)
 

@@ -1,0 +1,315 @@
+"""Programs as C99 functions that allocate nothing, over constants that stay in flash."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from tustinnet.export.c_words import HELPED, HELPERS, LOGIC, NAMES, SIGNS, literal, wrapped
+from tustinnet.export.memory import is_elementwise, lives_of
+from tustinnet.export.tape import Loop, Node, Program
+
+
+class Code:
+    """Functions of one C file, and the constants and helpers that they share."""
+
+    def __init__(self) -> None:
+        self._names: dict[Any, str] = {}
+        self._arrays: list[str] = []
+        self._functions: list[str] = []
+        self._helpers: set[str] = set()
+
+    def add(self, name: str, program: Program, changed: Sequence[str] = ()) -> None:
+        """A program as a static function: of its inputs, then of `to_` and each output's name.
+
+        Args:
+            name: what the function is called.
+            program: the program.
+            changed: the inputs that take the outputs in their order, where they may be changed.
+        """
+        # the functions of its loops are added before it
+        text = _Writer(self, name, program, changed).text()
+        self._functions.append(text)
+
+    def constant(self, values: np.ndarray) -> str:
+        """The name of an array of constants; the same numbers are kept once."""
+        values = values.astype(np.float64)
+        key = values.tobytes()
+        if key not in self._names:
+            self._names[key] = f"k{len(self._names)}"
+            numbers = [literal(x) for x in values.tolist()]
+            self._arrays.append(
+                f"static const model_real {self._names[key]}[{len(numbers)}] = {{\n"
+                f"{wrapped(numbers)}\n}};\n"
+            )
+        return self._names[key]
+
+    def helper(self, name: str) -> str:
+        """The name of a function of `HELPERS`, which is written then."""
+        self._helpers.add(name)
+        return name
+
+    def text(self) -> str:
+        """Everything, constants first."""
+        helpers = [text for name, text in HELPERS.items() if name in self._helpers]
+        return "\n".join(part.strip("\n") + "\n" for part in
+                         (*self._arrays, *helpers, *self._functions))  # fmt: skip
+
+
+class _Writer:
+    """Writes one program as a function."""
+
+    def __init__(
+        self, code: Code, name: str, program: Program, changed: Sequence[str] = ()
+    ) -> None:
+        self._code, self._name, self._program = code, name, program
+        self._nodes = program.nodes
+        self._lives = lives_of(program)
+        self._lines: list[str] = []
+        self._sizes: dict[str, int] = {}  # of the arrays of the function
+        self._free: list[str] = []  # those of them that nobody needs any more
+        self._place: dict[int, str] = {}  # where vectors are
+        names = changed or [f"to_{output}" for output in program.outputs]
+        self._returned = list(zip(names, program.outputs.values(), strict=True))
+        self._changed = changed
+        self._ends: dict[int, str] = {}  # vectors that are computed where they are returned
+        if not changed:
+            self._ends = {i: name for name, i in reversed(self._returned)}
+        self._loops = 0
+        self._groups: dict[int, list[int]] = {}  # what is computed with a node
+        self._leaving: dict[int, list[int]] = {}  # what a node is the last to read
+        for i in range(len(self._nodes)):
+            self._groups.setdefault(self._lives.root[i], []).append(i)
+            self._leaving.setdefault(self._lives.last[i], []).append(i)
+
+    def text(self) -> str:
+        """The function."""
+        for i, node in enumerate(self._nodes):
+            self._write(i, node)
+            for gone in self._leaving.get(i, []):
+                place = self._place.get(gone)
+                if place in self._sizes and place not in self._free:
+                    self._free.append(place)
+        for place, i in self._returned:
+            if self._changed:
+                self._join(place, self._nodes[i])  # now that nothing is read any more
+            elif self._place.get(i) != place:
+                self._store(place, 0, i)
+        return self._signature() + "\n{\n" + "\n".join([*self._declared(), *self._lines]) + "\n}\n"
+
+    def _signature(self) -> str:
+        given = [
+            f"{'' if name in self._changed else 'const '}model_real *restrict {name}"
+            for name in self._program.inputs
+        ]
+        made = [f"model_real *restrict {name}" for name, _ in self._returned if not self._changed]
+        start = f"static void {self._name}("
+        return start + (",\n" + " " * len(start)).join([*given, *made]) + ")"
+
+    def _declared(self) -> list[str]:
+        read = {node.data for node in self._nodes if node.op == "input"}
+        unread = [name for name in self._program.inputs if name not in {*read, *self._changed}]
+        empty = [name for name, i in self._returned if not self._nodes[i].size]
+        return [
+            *(f"    model_real {name}[{size}];" for name, size in self._sizes.items()),
+            *(f"    (void){name};" for name in (*unread, *empty)),
+        ]
+
+    def _write(self, i: int, node: Node) -> None:
+        match node.op:
+            case "number" | "pick" | "part" | "table":
+                return
+            case "join" if self._changed and i in self._program.outputs.values():
+                return
+            case "input":
+                self._place[i] = node.data
+            case "join":
+                self._join(self._room(i), node)
+            case "product":
+                self._product(self._room(i), node)
+            case "loop":
+                self._loop(self._room(i), node.data, node.args)
+            case _ if not is_elementwise(node):
+                self._lines.append(f"    {self._definition(i)}")
+            case _ if self._lives.root[i] == i:
+                self._elementwise(i, node)
+
+    def _room(self, i: int) -> str:
+        """An array for a vector, where it is returned or one that nobody needs any more."""
+        self._place[i] = self._ends.get(i) or self._array(self._nodes[i].size)
+        return self._place[i]
+
+    def _array(self, size: int) -> str:
+        fitting = sorted(self._free, key=lambda name: (self._sizes[name] < size,
+                                                       abs(self._sizes[name] - size)))  # fmt: skip
+        name = fitting[0] if fitting else f"v{len(self._sizes)}"
+        if fitting:
+            self._free.remove(name)
+        self._sizes[name] = max(size, self._sizes.get(name, 0))
+        return name
+
+    def _join(self, place: str, node: Node) -> None:
+        offset = 0
+        for a in node.args:
+            self._store(place, offset, a)
+            offset += self._nodes[a].size
+
+    def _store(self, place: str, offset: int, a: int) -> None:
+        """Writes a number or a vector to an array."""
+        size = self._nodes[a].size
+        if size == 1:
+            self._lines.append(f"    {place}[{offset}] = {self._real(a)};")
+        elif size:
+            copy = self._code.helper("copy")
+            self._lines.append(f"    {copy}({size}, {self._at(a)}, {_plus(place, offset)});")
+
+    def _product(self, place: str, node: Node) -> None:
+        matrix = self._program.tables[node.data]
+        rows, columns = matrix.shape
+        stored = self._code.constant(matrix.ravel(order="F"))
+        product = self._code.helper("product")
+        self._lines.append(
+            f"    {product}({rows}, {columns}, {stored}, {self._at(node.args[0])}, {place});"
+        )
+
+    def _loop(self, place: str, loop: Loop, args: tuple[int, ...]) -> None:
+        """What is carried stays in one array; the body changes it, or it is copied."""
+        body = f"{self._name}_turn{self._loops}"
+        self._loops += 1
+        first, last = loop.constants, loop.constants + loop.carried
+        changed = tuple(loop.body.inputs)[first:last]
+        changed = changed if _may_change(loop.body, changed) else ()
+        self._code.add(body, loop.body, changed)
+        offset, carried = 0, []
+        for a, size in zip(args[first:last], loop.carried_sizes, strict=True):
+            self._store(place, offset, a)
+            carried.append(offset)
+            offset += size
+        given = [f"{self._at(a)} + turn * {size}"
+                 for a, size in zip(args[last:], loop.sizes[last:], strict=True)]  # fmt: skip
+        handed = [*map(self._at, args[:first]), *(_plus(place, at) for at in carried), *given]
+        copied = []
+        if not changed:
+            after = self._array(offset)
+            handed += [_plus(after, at) for at in carried]
+            copied = [f"        {self._code.helper('copy')}({offset}, {after}, {place});"]
+            self._free.append(after)
+        self._lines += [
+            f"    for (int turn = 0; turn < {loop.length}; turn++) {{",
+            f"        {body}({', '.join(handed)});",
+            *copied,
+            "    }",
+        ]
+
+    def _elementwise(self, i: int, node: Node) -> None:
+        """A loop that computes a vector and those that only it needs."""
+        *inner, _ = self._groups[i]
+        place = self._in_place(i) or self._room(i)
+        self._place[i] = place
+        self._lines += [
+            f"    for (int i = 0; i < {node.size}; i++) {{",
+            *(f"        {self._definition(j)}" for j in inner),
+            f"        {place}[i] = {self._formula(i, real=True)};",
+            "    }",
+        ]
+
+    def _in_place(self, i: int) -> str | None:
+        """The array of a vector that is read for the last time, each number just before it."""
+        if i in self._ends:
+            return None
+        read = [a for j in self._groups[i] for a in self._nodes[j].args]
+        for a in read:
+            place = self._place.get(a)
+            whole = place in self._sizes and self._nodes[a].size == self._nodes[i].size
+            elsewhere = any(b != a and self._owner(b) == a for b in read)
+            if whole and self._lives.last[a] == i and not elsewhere:
+                self._leaving[i].remove(a)
+                return place
+        return None
+
+    def _owner(self, i: int) -> int:
+        """The vector that a part or a number is read out of."""
+        while self._nodes[i].op in ("part", "pick"):
+            (i,) = self._nodes[i].args
+        return i
+
+    def _definition(self, i: int) -> str:
+        kind = "int" if self._nodes[i].truth else "model_real"
+        return f"const {kind} t{i} = {self._formula(i)};"
+
+    def _formula(self, i: int, *, real: bool = False) -> str:
+        """What a node is of its arguments; of vectors, at one place."""
+        node = self._nodes[i]
+        op, args = node.op, node.args
+        if op in SIGNS:
+            text = f" {SIGNS[op]} ".join(map(self._real, args))
+        elif op in LOGIC:
+            text = LOGIC[op].format(*map(self._truth, args))
+        elif op == "select":
+            of = self._truth if node.truth else self._real
+            text = f"{self._truth(args[0])} ? {of(args[1])} : {of(args[2])}"
+        elif op == "neg":
+            text = f"-{self._real(args[0])}"
+        else:
+            name = self._code.helper(HELPED[op]) if op in HELPED else f"M({NAMES.get(op, op)})"
+            text = f"{name}({', '.join(map(self._real, args))})"
+        return f"(model_real)({text})" if real and node.truth else text
+
+    def _real(self, a: int) -> str:
+        """A number; of a vector, the one at the place of the loop."""
+        text, held = self._read(a)
+        return f"(model_real){text}" if self._nodes[a].truth and not held else text
+
+    def _truth(self, a: int) -> str:
+        text, held = self._read(a)
+        return text if self._nodes[a].truth and not held else f"({text} != R(0.0))"
+
+    def _read(self, a: int) -> tuple[str, bool]:
+        """The text of a number, and whether it is held as one though it may be a truth."""
+        node = self._nodes[a]
+        if node.op == "number":
+            return literal(float(node.data)), True
+        if node.op == "pick":
+            place, offset = self._where(node.args[0])
+            return f"{place}[{offset + node.data}]", True
+        if node.single or self._lives.root[a] != a:
+            return f"t{a}", False
+        place, offset = self._where(a)
+        if node.size == 1:
+            return f"{place}[{offset}]", True
+        return f"{place}[{_plus('i', offset)}]", True
+
+    def _at(self, a: int) -> str:
+        return _plus(*self._where(a))
+
+    def _where(self, a: int) -> tuple[str, int]:
+        """The array in which a vector is, and from which place on."""
+        node = self._nodes[a]
+        if node.op == "part":
+            place, offset = self._where(node.args[0])
+            return place, offset + node.data
+        if node.op == "table":
+            return self._code.constant(self._program.tables[node.data]), 0
+        return self._place[a], 0
+
+
+def _may_change(program: Program, carried: Sequence[str]) -> bool:
+    """Whether outputs may take the place of inputs: all are numbers that are computed before."""
+    nodes = program.nodes
+
+    def known(a: int) -> bool:
+        node = nodes[a]
+        if node.op == "pick":
+            of = nodes[node.args[0]]
+            return of.op == "input" and of.data not in carried
+        return node.single
+
+    ends = program.outputs.values()
+    read = {a for node in nodes for a in node.args}
+    return all(nodes[i].op == "join" and all(map(known, nodes[i].args)) for i in ends) and (
+        not read & set(ends)
+    )
+
+
+def _plus(text: str, offset: int) -> str:
+    return f"{text} + {offset}" if offset else text

@@ -1,0 +1,258 @@
+"""A model as FMUs for co-simulation, FMI 2.0 and 3.0, made of its C."""
+
+import io
+import platform
+import tempfile
+import zipfile
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from uuid import UUID
+from xml.etree import ElementTree as Xml
+
+from tustinnet.export.c import compile_c, compiler, library_step, model_files, template
+from tustinnet.export.source import Source
+from tustinnet.export.target import Files, Stepper, Target, Unbuilt
+
+IDENTIFIER = "model"  # of the functions, and what the binary is called
+FILES = {2: "model-fmi2.fmu", 3: "model-fmi3.fmu"}
+_LIBRARY = {2: f"binaries/linux64/{IDENTIFIER}.so", 3: f"binaries/x86_64-linux/{IDENTIFIER}.so"}
+_FLAGS = ("-std=c99", "-O2", "-fPIC")
+# an FMU calls its own functions, whatever others of the same names are in the process
+_SHARED = ("-shared", "-s", "-Wl,-Bsymbolic")
+_LONG_AGO = (1980, 1, 1, 0, 0, 0)  # of every file in the archive: same content, same bytes
+# of the units that coordinates have, in those that FMI knows
+_BASES = {"rad": {"rad": "1"}, "m": {"m": "1"}, "s": {"s": "1"}}
+_BASES |= {"rad/s": {"rad": "1", "s": "-1"}, "m/s": {"m": "1", "s": "-1"}}
+
+
+class Fmu(Target):
+    """Functional mock-up units, for simulators of systems."""
+
+    name = "fmu"
+
+    def files(self, source: Source) -> Files:
+        """`model-fmi2.fmu` and `model-fmi3.fmu`, with binaries where they can be compiled."""
+        description = _Description.of(source)
+        sources = {v: _sources(source, v) for v in FILES}
+        told = "".join(sorted({text for of in sources.values() for text in of.values()}))
+        # a token says which model this is, and so depends on everything in it
+        token = f"{{{UUID(sha256(f'{told}{description}'.encode()).hexdigest()[:32])}}}"
+        for of in sources.values():
+            of["fmu.h"] = of["fmu.h"].replace("@token@", token)
+        libraries = _libraries(sources)
+        made: Files = {}
+        for v, name in FILES.items():
+            contents = {"modelDescription.xml": description.xml(v, token, sources[v]).encode()}
+            contents |= {f"sources/{file}": text.encode() for file, text in sources[v].items()}
+            if v == 3:
+                contents["sources/buildDescription.xml"] = _build(sources[v]).encode()
+            if v in libraries:
+                contents[_LIBRARY[v]] = libraries[v]
+            made[name] = _archive(contents)
+        return made
+
+    def stepper(self, folder: Path, source: Source) -> Stepper:
+        """A step by the binary in the FMU, without its interface."""
+        with zipfile.ZipFile(folder / FILES[3]) as archive, tempfile.TemporaryDirectory() as place:
+            if _LIBRARY[3] not in archive.namelist():
+                _require_platform()
+                compiler()
+                raise Unbuilt("the FMU has sources only, as its C was not compiled")
+            library = archive.extract(_LIBRARY[3], place)
+            return library_step(Path(library), source.n_x)
+
+
+def _sources(source: Source, version: int) -> dict[str, str]:
+    """The C of an FMU by file name, headers too."""
+    offsets = source.seen.offsets
+    return {
+        **model_files(source, linearised=False),
+        "fmu.h": template(
+            "fmu.h", inputs=source.channels.n_u, samples=len(offsets), past=max(-min(offsets), 0)
+        ),
+        "fmu.c": template(
+            "fmu.c", offsets=", ".join(map(str, offsets)), period=float(source.channels.dt)
+        ),
+        f"fmi{version}.c": template(f"fmi{version}.c"),
+    }
+
+
+def _require_platform() -> None:
+    if (platform.system(), platform.machine()) != ("Linux", "x86_64"):
+        raise Unbuilt("the FMU has sources only: binaries are made on Linux on x86-64")
+
+
+def _libraries(sources: Mapping[int, Mapping[str, str]]) -> dict[int, bytes]:
+    """Shared libraries of the FMUs; none where they cannot be compiled."""
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        for of in sources.values():
+            for name, text in of.items():
+                (folder / name).write_text(text, encoding="utf-8")
+        try:
+            _require_platform()
+            compile_c([folder / "model.c"], folder / "model.o", (*_FLAGS, "-c"))
+            for v in sources:
+                parts = [folder / name for name in (f"fmi{v}.c", "fmu.c", "model.o")]
+                compile_c(parts, folder / f"{v}.so", (*_FLAGS, *_SHARED))
+        except Unbuilt:
+            return {}  # the stepper says why
+        return {v: (folder / f"{v}.so").read_bytes() for v in sources}
+
+
+def _archive(contents: Mapping[str, bytes]) -> bytes:
+    """A zip archive whose bytes depend on the contents only."""
+    memory = io.BytesIO()
+    with zipfile.ZipFile(memory, "w") as archive:
+        for name, content in contents.items():
+            entry = zipfile.ZipInfo(name, _LONG_AGO)
+            entry.external_attr = 0o644 << 16
+            archive.writestr(entry, content, zipfile.ZIP_DEFLATED)
+    return memory.getvalue()
+
+
+def _build(sources: Iterable[str]) -> str:
+    """How the sources of FMI 3.0 are compiled."""
+    root = Xml.Element("fmiBuildDescription", fmiVersion="3.0")
+    build = Xml.SubElement(root, "BuildConfiguration", modelIdentifier=IDENTIFIER)
+    files = Xml.SubElement(build, "SourceFileSet", language="C99")
+    for name in _compiled(sources):
+        Xml.SubElement(files, "SourceFile", name=name)
+    Xml.SubElement(build, "Library", name="m")
+    return _document(root)
+
+
+def _compiled(sources: Iterable[str]) -> list[str]:
+    return [name for name in sources if name.endswith(".c")]
+
+
+def _document(root: Xml.Element) -> str:
+    Xml.indent(root)
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{Xml.tostring(root, encoding="unicode")}\n'
+
+
+@dataclass(frozen=True)
+class _Description:
+    """What the model description says, in both versions.
+
+    Attributes:
+        title: what the model is called.
+        states: names and units, in the order of their references.
+        inputs: the same of the inputs, whose references follow.
+        period: of a step [s].
+        text: what whoever uses the FMU has to know.
+    """
+
+    title: str
+    states: tuple[tuple[str, str], ...]
+    inputs: tuple[tuple[str, str], ...]
+    period: float
+    text: str
+
+    @classmethod
+    def of(cls, source: Source) -> "_Description":
+        names = _unique([*source.states, *(i.name for i in source.channels.inputs), "time"])
+        units = [*source.units, *(i.unit for i in source.channels.inputs)]
+        both = tuple(zip(names, units, strict=False))
+        title = f"model of {', '.join(c.name for c in source.channels.coordinates)}"
+        period = float(source.channels.dt)
+        return cls(title, both[: source.n_x], both[source.n_x :], period, _told(source))
+
+    def xml(self, version: int, token: str, sources: Iterable[str]) -> str:
+        """`modelDescription.xml`."""
+        newer = version == 3
+        root = Xml.Element(
+            "fmiModelDescription", fmiVersion=f"{version}.0",
+            modelName=self.title, description=self.text, generationTool="tustinnet",
+            variableNamingConvention="flat",
+        )  # fmt: skip
+        root.set("instantiationToken" if newer else "guid", token)
+        simulated = Xml.SubElement(
+            root, "CoSimulation", modelIdentifier=IDENTIFIER,
+            canHandleVariableCommunicationStepSize="false",
+        )  # fmt: skip
+        if newer:
+            more = {"canGetAndSetFMUState": "true", "canSerializeFMUState": "true",
+                    "fixedInternalStepSize": repr(self.period)}  # fmt: skip
+        else:
+            more = {"canGetAndSetFMUstate": "true", "canSerializeFMUstate": "true",
+                    "canInterpolateInputs": "true",
+                    "canNotUseMemoryManagementFunctions": "true"}  # fmt: skip
+            files = Xml.SubElement(simulated, "SourceFiles")
+            for name in _compiled(sources):
+                Xml.SubElement(files, "File", name=name)
+        simulated.attrib.update(more)
+        self._units(root)
+        kinds = Xml.SubElement(root, "LogCategories")
+        Xml.SubElement(kinds, "Category", name="logStatusError")
+        Xml.SubElement(root, "DefaultExperiment", stepSize=repr(self.period))
+        self._variables(root, newer=newer)
+        return _document(root)
+
+    def _units(self, root: Xml.Element) -> None:
+        used = dict.fromkeys([unit for _, unit in (*self.states, *self.inputs) if unit] + ["s"])
+        units = Xml.SubElement(root, "UnitDefinitions")
+        for name in used:
+            unit = Xml.SubElement(units, "Unit", name=name)
+            if name in _BASES:
+                Xml.SubElement(unit, "BaseUnit", _BASES[name])
+
+    def _variables(self, root: Xml.Element, *, newer: bool) -> None:
+        variables = Xml.SubElement(root, "ModelVariables")
+        structure = Xml.SubElement(root, "ModelStructure")
+        outputs = structure if newer else Xml.SubElement(structure, "Outputs")
+        for reference, (name, unit) in enumerate((*self.states, *self.inputs)):
+            state = reference < len(self.states)
+            about = {
+                "name": name, "valueReference": str(reference),
+                "causality": "output" if state else "input", "variability": "continuous",
+                **({"initial": "exact"} if state else {}),
+            }  # fmt: skip
+            number = {"start": "0", **({"unit": unit} if unit else {})}
+            if newer:
+                Xml.SubElement(variables, "Float64", {**about, **number})
+            else:
+                Xml.SubElement(Xml.SubElement(variables, "ScalarVariable", about), "Real", number)
+            if state and newer:
+                Xml.SubElement(outputs, "Output", valueReference=str(reference), dependencies="")
+            elif state:
+                Xml.SubElement(outputs, "Unknown", index=str(reference + 1), dependencies="")
+        if newer:
+            Xml.SubElement(
+                variables, "Float64", name="time", causality="independent", unit="s",
+                valueReference=str(len(self.states) + len(self.inputs)), variability="continuous",
+            )  # fmt: skip
+
+
+def _unique(names: Iterable[str]) -> list[str]:
+    """Names, those that are there already with a number."""
+    found: list[str] = []
+    for name in names:
+        candidate, count = name, 1
+        while candidate in found:
+            count += 1
+            candidate = f"{name}_{count}"
+        found.append(candidate)
+    return found
+
+
+def _told(source: Source) -> str:
+    """What the model description says of steps and inputs."""
+    period = float(source.channels.dt)
+    told = [
+        f"Steps of {period!r} s; a communication step is a whole multiple of it, with inputs as "
+        "they are at its beginning."
+    ]
+    if max(source.seen.offsets) > 0:
+        told.append(
+            "A step depends on later inputs too: an importer of FMI 2.0 may tell them by the "
+            "derivatives of the inputs, otherwise inputs are taken as held."
+        )
+    if min(source.seen.offsets) < 0:
+        told.append("Inputs before the first step are taken as the first ones.")
+    return " ".join([*told, *(f"Note: {note}." for note in source.notes)])
+
+
+TARGET = Fmu()

@@ -1,0 +1,46 @@
+"""When the vectors of a program are computed and when they are read for the last time."""
+
+from dataclasses import dataclass
+
+from tustinnet.export.tape import OPERATIONS, Node, Program
+
+_VIEWS = ("part", "pick")  # read out of the vector that they are taken from
+
+
+@dataclass(frozen=True)
+class Lives:
+    """What a target has to know that gives vectors memory and uses it again.
+
+    Attributes:
+        root: for each node, the one with which it is computed: of what is only used, number by
+            number, in the loop that computes another vector, that vector; of all others itself.
+        last: for each node, the last one that reads it; of what is returned, one beyond all.
+    """
+
+    root: tuple[int, ...]
+    last: tuple[int, ...]
+
+
+def is_elementwise(node: Node) -> bool:
+    """Whether a node is a vector, computed number by number."""
+    return node.op in OPERATIONS and node.size > 1
+
+
+def lives_of(program: Program) -> Lives:
+    """When the vectors of a program live."""
+    nodes, ends = program.nodes, set(program.outputs.values())
+    users: list[list[int]] = [[] for _ in nodes]
+    for i, node in enumerate(nodes):
+        for a in node.args:
+            users[a].append(i)
+    root = list(range(len(nodes)))
+    last = [len(nodes) if i in ends else i for i in root]
+    for i in reversed(range(len(nodes))):
+        roots = {root[user] for user in users[i]}
+        loops = all(is_elementwise(nodes[user]) for user in users[i])
+        if is_elementwise(nodes[i]) and i not in ends and loops and len(roots) == 1:
+            root[i] = roots.pop()
+        read = last[i] if nodes[i].op in _VIEWS else root[i]
+        for a in nodes[i].args:
+            last[a] = max(last[a], read)
+    return Lives(tuple(root), tuple(last))

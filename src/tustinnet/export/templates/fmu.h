@@ -1,0 +1,48 @@
+/* What both versions of FMI have in common: one instance and its variables. */
+#ifndef FMU_H
+#define FMU_H
+
+#include "model.h"
+
+#ifdef MODEL_FLOAT
+#error "an FMU computes in double precision"
+#endif
+
+#ifdef _WIN32
+#define FMU_EXPORT __declspec(dllexport)
+#else
+#define FMU_EXPORT
+#endif
+
+#define FMU_TOKEN "@token@"
+#define FMU_INPUTS @inputs@
+#define FMU_SAMPLES @samples@ /* that a step sees of the inputs */
+#define FMU_PAST @past@ /* of them at most so many before its beginning */
+
+/* Everything that changes; copied as a whole where a state of the FMU is taken or put back. */
+typedef struct fmu_memory {
+    model_state state;
+    double input[FMU_INPUTS + 1];
+    double slope[FMU_INPUTS + 1]; /* of the inputs in time; 0 where nobody tells */
+    double past[FMU_PAST * FMU_INPUTS + 1]; /* samples of the inputs before, the last one first */
+    double time;
+    int stepped; /* whether there was a step */
+    int running; /* whether initialisation is over */
+} fmu_memory;
+
+/* All at 0. */
+void fmu_reset(fmu_memory *m);
+
+/* States come first, then the inputs, then time; NULL for what there is not. */
+double *fmu_variable(fmu_memory *m, unsigned int reference);
+
+/* Sets one; NULL, or why it cannot be set. States are set before the simulation only. */
+const char *fmu_set(fmu_memory *m, unsigned int reference, double value);
+
+/* How fast an input changes from now on; NULL, or why that cannot be told. */
+const char *fmu_set_slope(fmu_memory *m, unsigned int reference, double value);
+
+/* Steps on; NULL, or why there is no such step. Nothing has changed then. */
+const char *fmu_step(fmu_memory *m, double time, double size);
+
+#endif

@@ -1,0 +1,125 @@
+"""The states that a model has along a record, by a filter that is told the positions only."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tustinnet.data.experiment import Experiment
+from tustinnet.errors import InputError
+from tustinnet.models.contract import Model, require_fit
+from tustinnet.simulate.drive import drive_of
+
+Deviations = Float[Array | np.ndarray, " _"]
+Rows = Float[Array | np.ndarray, "..."]
+Vector = Float[np.ndarray, " _"]
+Covariance = Float[np.ndarray, "n_x n_x"]
+
+
+@dataclass(frozen=True)
+class FilterNoise:
+    """Standard deviations of what a filter does not know.
+
+    Attributes:
+        start: of the first state, (n_x,), in units of the state.
+        process: of what a step of the model misses, (n_x,), in units of the state.
+        measured: of the measured positions, (n_q,) [rad or m].
+    """
+
+    start: Deviations
+    process: Deviations
+    measured: Deviations
+
+
+@dataclass(frozen=True)
+class Filtered:
+    """What a filter says of a record.
+
+    Attributes:
+        states: after the positions of the same sample are known, (n, n_x).
+        deviations: the standard deviation that it has for each of them, (n, n_x).
+    """
+
+    states: Float[np.ndarray, "n n_x"]
+    deviations: Float[np.ndarray, "n n_x"]
+
+
+def kalman_filter(
+    model: Model, experiment: Experiment, x0: Float[Array | np.ndarray, " n_x"], noise: FilterNoise
+) -> Filtered:
+    """Follows a record with an extended Kalman filter over the steps of a model.
+
+    It sees the positions up to each sample, never later ones: what a controller can do, and what
+    `estimate.c` of an export to C computes. Positions are not wrapped.
+
+    Args:
+        model: the model; what it sees of the inputs after a sample is taken from the record.
+        experiment: the record, of which positions and inputs are used.
+        x0: the state at the first sample before its positions are known, (n_x,).
+        noise: standard deviations of the start, of the steps, of the measurement.
+
+    Raises:
+        InputError: another system's record; shapes that the model does not have; a standard
+            deviation that is negative or not finite; no noise at a position that is measured.
+    """
+    require_fit(model, experiment)
+    values = _checked(
+        {"x0": x0, "start": noise.start, "process": noise.process, "measured": noise.measured},
+        model.state_size, model.channels.n_q,
+    )  # fmt: skip
+    x, start, process, measured = values
+    p, folded = np.diag(start**2), model.folded()
+    u = np.asarray(drive_of(model, experiment).u)
+    states, variances = [], []
+    for k, q in enumerate(experiment.q):
+        x, p = _corrected(x, p, q, measured**2)
+        states.append(x)
+        variances.append(np.diag(p))
+        if k < len(u):
+            following, derivatives = _predicted(folded, x, u[k])
+            x, a = np.asarray(following), np.asarray(derivatives)
+            p = a @ p @ a.T + np.diag(process**2)
+    return Filtered(np.stack(states), np.sqrt(np.stack(variances)))
+
+
+def _checked(given: Mapping[str, Rows], n_x: int, n_q: int) -> list[Vector]:
+    """What a filter is given, as arrays; raises unless it can be computed with."""
+    found = []
+    for name, value in given.items():
+        size = n_q if name == "measured" else n_x
+        array = np.asarray(value, np.float64)
+        if array.shape != (size,) or not np.isfinite(array).all():
+            raise InputError("kalman_filter", f"{name} {value}", f"{size} finite numbers")
+        if (name != "x0" and (array < 0).any()) or (name == "measured" and not array.all()):
+            raise InputError(
+                "kalman_filter", f"{name} {value}", "standard deviations, those measured above 0"
+            )
+        found.append(array)
+    return found
+
+
+@eqx.filter_jit
+def _predicted(model: Model, x: Rows, u: Rows) -> tuple[Array, Array]:
+    """The next state, and its derivatives by this one."""
+
+    def twice(x: Array) -> tuple[Array, Array]:
+        following = model.step(x, jnp.asarray(u))
+        return following, following
+
+    derivatives, following = jax.jacfwd(twice, has_aux=True)(jnp.asarray(x))
+    return following, derivatives
+
+
+def _corrected(x: Vector, p: Covariance, q: Vector, variance: Vector) -> tuple[Vector, Covariance]:
+    """One position after the other; the form of Joseph, which keeps the covariance symmetric."""
+    for i in range(len(q)):
+        row = p[i]
+        spread = row[i] + variance[i]
+        gain = row / spread
+        x = x + gain * (q[i] - x[i])
+        p = p - np.outer(gain, row) - np.outer(row, gain) + np.outer(gain, gain) * spread
+    return x, p
