@@ -29,7 +29,7 @@ STRICT = [
     "-fsyntax-only",
 ]  # fmt: skip
 STEADY = ("qube network", "qube hybrid")
-FLOAT_STEP = 1e-5  # of a step in single precision, relative to 1 + the state
+FLOAT_STEP = 1e-6  # of a step in single precision, relative to 1 + the state
 
 
 class Odd(Model):

@@ -7,7 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from every_family import NAMES, example, leaving
+from documented import blocks
+from every_family import NAMES, example, leaving, physics
+from swinging import SWING
 
 import tustinnet as tn
 from tustinnet.errors import InputError
@@ -57,7 +59,7 @@ def test_casadi_alone_steps_as_every_model_does(stepped, name):
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["physics", "gru", "qube network", "band-limited"])
+@pytest.mark.parametrize("name", ["physics", "gru", "band-limited"])
 def test_value_jacobian_and_hessian_are_jaxs(name):
     source, step = leaving(name), tn.casadi_step(example(name))
     weights = np.random.default_rng(0).normal(size=source.n_x)
@@ -152,6 +154,23 @@ def test_constants_may_be_anything():
     tape = Tape({"x": 2})
     whole = [tape.number(v) for v in (np.inf, -np.inf, np.nan, True, -0.0)]
     same(tape.program({"a": whole, "b": [*whole[:2], *tape.input("x")], "c": []}), x=np.ones(2))
+
+
+def test_the_pages_program_steps(tmp_path, monkeypatch):
+    model = physics(system=SWING)
+    tn.export_model(model, "casadi", tmp_path / "my-casadi")
+    (program,) = blocks("CasADi", "python")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(program, "casadi.md", "exec"), known := {})
+    expected = model.step(jnp.array([0.1, 0.0]), jnp.array([0.5]))
+    np.testing.assert_allclose(known["x_next"].full().ravel(), expected, rtol=1e-14)
+
+
+def test_a_function_of_layers_can_be_expanded():
+    step = tn.casadi_step(example("gru"))
+    x, u = np.full(5, 0.1), np.ones(1)
+    assert step.expand().class_name() == "SXFunction"
+    np.testing.assert_allclose(step.expand()(x, u).full(), step(x, u).full(), rtol=1e-14)
 
 
 def test_physics_is_sx_and_networks_are_mx():

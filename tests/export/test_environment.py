@@ -1,6 +1,5 @@
 """Models as environments of Gymnasium."""
 
-import re
 import subprocess
 import sys
 import warnings
@@ -12,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from documented import blocks
 from every_family import CHANNELS, example, physics
 from gymnasium.utils.env_checker import check_env
 from swinging import CREEPING, records
@@ -267,12 +267,11 @@ assert not jax.config.jax_enable_x64 and jax.numpy.ones(1).dtype == np.float32
 
 
 def test_the_pages_programs_run_as_they_stand(run_folder, monkeypatch):
-    page = Path(__file__).parents[2] / "docs" / "export-parts" / "gymnasium.md"
-    programs = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.S)
+    programs = blocks("Gymnasium", "python")
     monkeypatch.chdir(run_folder)
     known: dict = {}
     for program in programs:
-        exec(compile(program, str(page), "exec"), known)
+        exec(compile(program, "export.md", "exec"), known)
     assert known["env"].observation_space.shape == known["state"].shape == (2,)
     np.testing.assert_allclose(known["env"].unwrapped.rules.bounds[0], [-3.84, 3.84])
     assert known["states"].shape == (256, 2)

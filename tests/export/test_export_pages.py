@@ -1,25 +1,18 @@
 """What the pages tell users of C and FMUs to type does what they say."""
 
-import re
 import shutil
 import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
+from documented import blocks
 from every_family import example
 
 import tustinnet as tn
 from tustinnet.cli.main import run
 
-PAGES = Path(__file__).parents[2] / "docs/export-parts"
-
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
-
-
-def blocks(page: str, language: str) -> list[str]:
-    text = (PAGES / page).read_text(encoding="utf-8")
-    return re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.M | re.S)
 
 
 def typed(lines: str, folder: Path) -> str:
@@ -48,20 +41,20 @@ def place(tmp_path, monkeypatch):
 
 
 def test_the_page_on_c(place):
-    (commands,) = blocks("c.md", "sh")
+    (commands,) = blocks("C", "sh")
     assert "estimate" in typed(commands, place)
-    (controller,) = blocks("c.md", "c")
+    (controller,) = blocks("C", "c")
     (place / "pendulum-c/controller.c").write_text(controller)
     typed("cd pendulum-c\ngcc -std=c99 -Wall -Wextra -Werror -c controller.c", place)
 
 
 def test_the_page_on_fmus(place, capsys):
     pytest.importorskip("fmpy")
-    export, build = blocks("fmu.md", "sh")
+    export, build = blocks("FMU", "sh")
     # the command of fmpy is where Python's are, which need not be in the path
     typed(export.splitlines()[0], place)
     capsys.readouterr()
-    (program,) = blocks("fmu.md", "python")
+    (program,) = blocks("FMU", "python")
     exec(program, {})
     shown = float(capsys.readouterr().out)
     model = example("linear")

@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from documented import blocks
 from every_family import CHANNELS, NAMES, network
 from every_step import PROGRAMS, example_source, state_of, stepping, without_inputs
 
@@ -26,7 +27,6 @@ QUIET = (
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
 )  # fmt: skip
-PART = Path(__file__).parents[2] / "docs/export-parts/javascript.md"
 by_node = pytest.mark.skipif(NODE is None, reason="node is not installed")
 
 
@@ -190,7 +190,7 @@ def test_without_node_nothing_is_run(tmp_path, monkeypatch):
 
 @by_node
 def test_the_documented_lines_run(tmp_path):
-    (block,) = re.findall(r"```js\n(.*?)```", PART.read_text(encoding="utf-8"), re.DOTALL)
+    (block,) = blocks("JavaScript", "js")
     found = node(block, written(example_source("qube"), tmp_path))
     assert "theta" in found
     assert len(re.findall(r"-?\d+\.\d+", found)) >= CHANNELS.n_q

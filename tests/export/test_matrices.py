@@ -1,14 +1,16 @@
 """Matrices of a linearised step: the file has the model's exact slopes, names and point."""
 
 from dataclasses import replace
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from every_family import NAMES, example, leaving
+from documented import blocks
+from every_family import NAMES, example, leaving, physics
 from scipy.io import loadmat
 from scipy.signal import StateSpace, dlsim
-from swinging import CART
+from swinging import CART, SWING
 
 import tustinnet as tn
 from tustinnet.errors import InputError
@@ -63,6 +65,16 @@ def test_scipy_simulates_by_the_file_what_the_model_does_near_an_equilibrium(tmp
     expected = np.asarray(tn.rollout(model, np.zeros(4), u[:-1]))
     np.testing.assert_allclose(dlsim(system, u)[1], expected, atol=1e-13)
     assert np.abs(expected).max() > 1e-8
+
+
+def test_the_pages_programs_write_and_read_matrices(tmp_path, monkeypatch):
+    programs = blocks("Matrices for scipy and MATLAB", "python")
+    monkeypatch.chdir(tmp_path)
+    known: dict[str, Any] = {"model": physics(system=SWING)}
+    for program in programs:
+        exec(compile(program, "mat.md", "exec"), known)
+    np.testing.assert_array_equal(known["read"]["x"].ravel(), [0.1, 0.0])
+    assert known["system"].dt == physics().dt
 
 
 def test_inputs_at_other_samples_have_columns_and_names_of_their_own(tmp_path):

@@ -1,14 +1,13 @@
 """ONNX files compute what the model does, in onnxruntime and in ONNX's own reference."""
 
 import json
-import re
 import subprocess
 import sys
-from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from documented import blocks, section
 from every_family import NAMES
 from every_step import PROGRAMS, example_source, state_of, stepping, without_inputs
 
@@ -20,7 +19,6 @@ from tustinnet.export.onnx import ROLLOUT, SINGLE, STEP, TARGET
 from tustinnet.export.source import Source, source_of
 
 onnx = pytest.importorskip("onnx")
-PART = Path(__file__).parents[2] / "docs/export-parts/onnx.md"
 
 
 def made(source: Source, name: str) -> bytes:
@@ -124,7 +122,7 @@ def test_a_file_says_names_units_period_and_opset():
         "inputs": ["voltage"], "samples": [0], "period": 0.01,
     }  # fmt: skip
     assert [(o.domain, o.version) for o in model.opset_import] == [("", 17)]
-    assert "opset 17" in PART.read_text(encoding="utf-8")
+    assert "opset 17" in section("ONNX")
 
 
 def test_bytes_depend_on_the_model_only():
@@ -141,7 +139,7 @@ def test_without_the_package_the_extra_is_told(monkeypatch):
 def test_the_documented_lines_run(tmp_path):
     pytest.importorskip("onnxruntime")
     (tmp_path / ROLLOUT).write_bytes(made(example_source("qube"), ROLLOUT))
-    (block,) = re.findall(r"```python\n(.*?)```", PART.read_text(encoding="utf-8"), re.DOTALL)
+    (block,) = blocks("ONNX", "python")
     done = subprocess.run(
         [sys.executable, "-c", block], cwd=tmp_path, capture_output=True, text=True, check=True
     )

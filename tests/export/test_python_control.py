@@ -4,6 +4,7 @@ import sys
 
 import numpy as np
 import pytest
+from documented import blocks
 from every_family import example, nominal
 
 import tustinnet as tn
@@ -42,7 +43,7 @@ def test_inputs_at_other_samples_are_inputs_of_their_own():
     np.testing.assert_allclose(found.outputs.T, expected[:20], rtol=1e-12, atol=1e-12)
 
 
-def test_a_controller_is_designed_with_the_matrices_and_tried_on_the_model():
+def test_the_pages_program_designs_a_controller_and_tries_it_on_the_model():
     model = nominal(SYSTEM, 1)
     upright, still = np.zeros(4), np.zeros(1)
     plant = tn.state_space(model, upright, still)
@@ -51,13 +52,9 @@ def test_a_controller_is_designed_with_the_matrices_and_tried_on_the_model():
     np.testing.assert_allclose(plant.B, exact.b, rtol=1e-12, atol=1e-14)
     assert (plant.dt, plant.input_labels) == (model.dt, ["voltage"])
     assert plant.state_labels == ["theta", "alpha", "der_theta", "der_alpha"]
-    gain = control.dlqr(plant, np.diag([1.0, 1.0, 0.1, 0.1]), np.eye(1))[0]
-    feedback = control.ss(
-        [], [], [], -gain, model.dt, inputs=plant.state_labels, outputs=["voltage"]
-    )
-    loop = control.interconnect([tn.control_system(model), feedback], outputs=["alpha"])
-    times = model.dt * np.arange(300)
-    alpha = np.ravel(control.input_output_response(loop, times, 0, [0, 0.2, 0, 0]).outputs)
+    (program,) = blocks("python-control", "python")
+    exec(compile(program, "control.md", "exec"), known := {"model": model})
+    alpha = np.ravel(known["found"].outputs)
     assert np.abs(alpha).max() < 0.5
     assert np.abs(alpha[-50:]).max() < 0.01
 

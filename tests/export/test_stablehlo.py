@@ -1,7 +1,6 @@
 """Serialized functions of JAX compute what the model does, without this package."""
 
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,14 +9,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from documented import blocks
 from every_family import NAMES, example
 from every_step import example_source, without_inputs
 
 import tustinnet as tn
 from tustinnet.export.source import Source, source_of
 from tustinnet.export.stablehlo import ROLLOUT, TARGET
-
-PART = Path(__file__).parents[2] / "docs/export-parts/stablehlo.md"
 
 
 def made(source: Source) -> dict[str, bytes]:
@@ -111,5 +109,5 @@ def test_bytes_depend_on_the_model_only_and_hold_no_path():
 def test_the_documented_lines_run(tmp_path):
     for file, content in made(example_source("qube")).items():
         (tmp_path / file).write_bytes(content)
-    (block,) = re.findall(r"```python\n(.*?)```", PART.read_text(encoding="utf-8"), re.DOTALL)
+    (block,) = blocks("StableHLO", "python")
     assert elsewhere(block, tmp_path).split() == ["(4,)", "(501,", "4)"]

@@ -38,9 +38,8 @@ def checked(source: Source, target: Target, stepper: Stepper) -> Checked:
             numbers that are not finite.
     """
     states, inputs = source.samples(STEPS)
-    steps = jax.jit(
-        jax.vmap(target.expected(source))
-    )  # a quarter of the time that it takes without
+    # compiled, which takes half of the time that it takes without
+    steps = jax.jit(jax.vmap(target.expected(source)))
     expected = np.asarray(steps(*map(jnp.asarray, (states, inputs))))
     finite = np.isfinite(expected).all(axis=1)
     if not finite.all() and (source.range is not None or np.sum(~finite) > _MOST):
