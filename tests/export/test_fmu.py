@@ -263,6 +263,26 @@ def test_what_is_not_there_is_refused_with_a_message(version, written):
         Instance(written("qube network"), of, version, token="{another}")
 
 
+@pytest.mark.parametrize("version", VERSIONS)
+def test_parameters_are_read_by_name_and_cannot_be_set(version, written):
+    of = source("qube hybrid")
+    read = fmpy.read_model_description(str(written("qube hybrid") / FILES[version]))
+    known = {v.name: v for v in read.modelVariables if v.variability == "constant"}
+    assert {n: (v.unit, float(v.start)) for n, v in known.items()} == {
+        name: (unit or None, value) for name, unit, value in of.parameters
+    }
+    assert known["hub_mass"].unit == "kg"
+    instance = Instance(written("qube hybrid"), of, version).begin(start(of))
+    getter = instance.fmu.getReal if version == 2 else instance.fmu.getFloat64
+    references = [v.valueReference for v in known.values()]
+    assert list(getter(references)) == [value for _, _, value in of.parameters]
+    with pytest.raises(FMICallException):
+        instance._set(references[:1], [1.0])
+    assert "constants of the model" in instance.said[-1]
+    with pytest.raises(FMICallException):
+        getter([max(references) + 1])
+
+
 def test_the_same_model_gives_the_same_bytes(written):
     again = TARGET.files(source_of(example("hybrid")))
     for name, content in again.items():

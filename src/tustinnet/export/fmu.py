@@ -70,10 +70,17 @@ def _sources(source: Source, version: int) -> dict[str, str]:
     return {
         **model_files(source, linearised=False),
         "fmu.h": template(
-            "fmu.h", inputs=source.channels.n_u, samples=len(offsets), past=max(-min(offsets), 0)
+            "fmu.h",
+            inputs=source.channels.n_u,
+            samples=len(offsets),
+            past=max(-min(offsets), 0),
+            parameters=len(source.parameters),
         ),
         "fmu.c": template(
-            "fmu.c", offsets=", ".join(map(str, offsets)), period=float(source.channels.dt)
+            "fmu.c",
+            offsets=", ".join(map(str, offsets)),
+            period=float(source.channels.dt),
+            values=", ".join(repr(value) for _, _, value in source.parameters) or "0",
         ),
         f"fmi{version}.c": template(f"fmi{version}.c"),
     }
@@ -141,6 +148,7 @@ class _Description:
         title: what the model is called.
         states: names and units, in the order of their references.
         inputs: the same of the inputs, whose references follow.
+        parameters: names, units and values of constants, whose references follow that of time.
         period: of a step [s].
         text: what whoever uses the FMU has to know.
     """
@@ -148,17 +156,26 @@ class _Description:
     title: str
     states: tuple[tuple[str, str], ...]
     inputs: tuple[tuple[str, str], ...]
+    parameters: tuple[tuple[str, str, float], ...]
     period: float
     text: str
 
     @classmethod
     def of(cls, source: Source) -> "_Description":
-        names = _unique([*source.states, *(i.name for i in source.channels.inputs), "time"])
+        acting = [i.name for i in source.channels.inputs]
+        known = [name for name, _, _ in source.parameters]
+        names = _unique([*source.states, *acting, "time", *known])
         units = [*source.units, *(i.unit for i in source.channels.inputs)]
         both = tuple(zip(names, units, strict=False))
         title = f"model of {', '.join(c.name for c in source.channels.coordinates)}"
         period = float(source.channels.dt)
-        return cls(title, both[: source.n_x], both[source.n_x :], period, _told(source))
+        constants = tuple(
+            (name, unit, value)
+            for name, (_, unit, value) in zip(
+                names[len(both) + 1 :], source.parameters, strict=True
+            )
+        )
+        return cls(title, both[: source.n_x], both[source.n_x :], constants, period, _told(source))
 
     def xml(self, version: int, token: str, sources: Iterable[str]) -> str:
         """`modelDescription.xml`."""
@@ -192,7 +209,8 @@ class _Description:
         return _document(root)
 
     def _units(self, root: Xml.Element) -> None:
-        used = dict.fromkeys([unit for _, unit in (*self.states, *self.inputs) if unit] + ["s"])
+        every = [of[1] for of in (*self.states, *self.inputs, *self.parameters)]
+        used = dict.fromkeys([unit for unit in every if unit] + ["s"])
         units = Xml.SubElement(root, "UnitDefinitions")
         for name in used:
             unit = Xml.SubElement(units, "Unit", name=name)
@@ -219,11 +237,22 @@ class _Description:
                 Xml.SubElement(outputs, "Output", valueReference=str(reference), dependencies="")
             elif state:
                 Xml.SubElement(outputs, "Unknown", index=str(reference + 1), dependencies="")
+        time = len(self.states) + len(self.inputs)
         if newer:
             Xml.SubElement(
                 variables, "Float64", name="time", causality="independent", unit="s",
-                valueReference=str(len(self.states) + len(self.inputs)), variability="continuous",
+                valueReference=str(time), variability="continuous",
             )  # fmt: skip
+        for reference, (name, unit, value) in enumerate(self.parameters, time + 1):
+            about = {
+                "name": name, "valueReference": str(reference), "causality": "local",
+                "variability": "constant", "initial": "exact",
+            }  # fmt: skip
+            number = {"start": repr(value), **({"unit": unit} if unit else {})}
+            if newer:
+                Xml.SubElement(variables, "Float64", {**about, **number})
+            else:
+                Xml.SubElement(Xml.SubElement(variables, "ScalarVariable", about), "Real", number)
 
 
 def _unique(names: Iterable[str]) -> list[str]:

@@ -15,6 +15,7 @@ from tustinnet.data.dataset import from_arrays
 from tustinnet.errors import InputError
 from tustinnet.export.reading import read
 from tustinnet.export.tape import Program
+from tustinnet.families.family import family_of
 from tustinnet.models.contract import Model, require_float64, with_dtype
 from tustinnet.signals.excitation import Excitation, Held, excitation
 from tustinnet.simulate.range import Range
@@ -96,6 +97,11 @@ class Source:
         """
         names = [i.name for i in self.channels.inputs]
         return tuple(f"{name}{_counted(k)}" for k in self.seen.offsets for name in names)
+
+    @property
+    def parameters(self) -> tuple[tuple[str, str, float], ...]:
+        """Name, unit and value of its physical parameters, which are constants of the step."""
+        return tuple(family_of(self.model).parameters(self.model))
 
     @cached_property
     def function(self) -> Stepped:

@@ -6,7 +6,7 @@ values, never its code; what its code computes at fixed states is compared when 
 
 import inspect
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -140,6 +140,17 @@ class EulerLagrangeFamily(Family):
         return discretise(
             model, header["dt"], header["substeps"], inputs=Channels.from_header(header).inputs
         )
+
+    def parameters(self, model: Discretised) -> Sequence[tuple[str, str, float]]:
+        """Those of the system; of values by group that of the group that was chosen."""
+        continuous = model.continuous
+        assert isinstance(continuous, LagrangianModel)
+        values = continuous.values
+        return [
+            (p.name, p.unit, float(values[p.name]))
+            for p in continuous.system.parameters
+            if p.name in values
+        ]
 
     def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
         """The system and the values."""

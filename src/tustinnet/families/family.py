@@ -127,6 +127,10 @@ class Family(ABC):
     def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
         """What `show` tells of a file beside what it tells of all, as words and what they say."""
 
+    def parameters(self, model: Any) -> Sequence[tuple[str, str, float]]:
+        """Name, unit and value of its physical parameters; networks have none."""
+        return ()
+
     def numpy_step(self, model: Any, dtype: type[np.floating]) -> NumpyStep:
         """A step that needs NumPy only."""
         raise InputError(

@@ -283,6 +283,10 @@ class HybridFamily(Family):
         )
         return HybridModel(physics, correction, bool(header["fades_at_rest"]))
 
+    def parameters(self, model: HybridModel) -> Sequence[tuple[str, str, float]]:
+        """Those of the physics."""
+        return family_of(model.physics).parameters(model.physics)
+
     def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
         """Both parts."""
         header, arrays = _as_now(header, arrays)

@@ -193,6 +193,10 @@ def _card(
              "limits": i.limits, "range": ends}
             for i, ends in zip(channels.inputs, acting, strict=True)
         ],
+        "parameters": [
+            {"name": name, "unit": unit, "value": value}
+            for name, unit, value in source.parameters
+        ],
         "samples": list(source.seen.offsets),
         "warm_up": source.model.warm_up,
         "scores": source.about.get("scores"),

@@ -4,31 +4,39 @@
 #include <string.h>
 
 static const int offsets[FMU_SAMPLES] = {@offsets@};
+static const double parameters[FMU_PARAMETERS + 1] = {@values@};
 
 void fmu_reset(fmu_memory *m)
 {
     memset(m, 0, sizeof *m);
 }
 
-double *fmu_variable(fmu_memory *m, unsigned int reference)
+const double *fmu_variable(const fmu_memory *m, unsigned int reference)
 {
+    const unsigned int time = MODEL_STATES + FMU_INPUTS;
     if (reference < MODEL_STATES)
         return &m->state.x[reference];
-    if (reference < MODEL_STATES + FMU_INPUTS)
+    if (reference < time)
         return &m->input[reference - MODEL_STATES];
-    return reference == MODEL_STATES + FMU_INPUTS ? &m->time : NULL;
+    if (reference == time)
+        return &m->time;
+    return reference <= time + FMU_PARAMETERS ? &parameters[reference - time - 1] : NULL;
 }
 
 const char *fmu_set(fmu_memory *m, unsigned int reference, double value)
 {
-    double *variable = fmu_variable(m, reference);
-    if (variable == NULL || variable == &m->time)
-        return "there is no such variable to set";
+    if (reference >= MODEL_STATES + FMU_INPUTS)
+        return fmu_variable(m, reference) ? "time and parameters are not set: parameters are constants "
+                                            "of the model"
+                                          : "there is no such variable to set";
     if (reference < MODEL_STATES && m->running)
         return "states are set before the end of the initialisation";
-    if (reference >= MODEL_STATES)
+    if (reference < MODEL_STATES) {
+        m->state.x[reference] = value;
+    } else {
+        m->input[reference - MODEL_STATES] = value;
         m->slope[reference - MODEL_STATES] = 0.0;
-    *variable = value;
+    }
     return NULL;
 }
 

@@ -17,6 +17,7 @@
 #define FMU_TOKEN "@token@"
 #define FMU_INPUTS @inputs@
 #define FMU_SAMPLES @samples@ /* that a step sees of the inputs */
+#define FMU_PARAMETERS @parameters@ /* constants of the model */
 #define FMU_PAST @past@ /* of them at most so many before its beginning */
 
 /* Everything that changes; copied as a whole where a state of the FMU is taken or put back. */
@@ -33,8 +34,8 @@ typedef struct fmu_memory {
 /* All at 0. */
 void fmu_reset(fmu_memory *m);
 
-/* States come first, then the inputs, then time; NULL for what there is not. */
-double *fmu_variable(fmu_memory *m, unsigned int reference);
+/* States come first, then the inputs, time, parameters; NULL for what there is not. */
+const double *fmu_variable(const fmu_memory *m, unsigned int reference);
 
 /* Sets one; NULL, or why it cannot be set. States are set before the simulation only. */
 const char *fmu_set(fmu_memory *m, unsigned int reference, double value);
