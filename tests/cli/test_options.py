@@ -20,6 +20,7 @@ from tustinnet.reproduce import figures, table1
 from tustinnet.systems import qube_servo2_twin
 
 TESTS = Path(__file__).parents[1]
+EXPORT = "cli/test_export_verb.py"
 VERBS, BAD, GREY = "cli/test_verbs.py", "cli/test_bad_input.py", "cli/test_grey_box.py"
 FOLDS, TABLE, HERE = "cli/test_cross_validate.py", "reproduce/test_table1.py", "cli/test_options.py"
 _CARD = f"{HERE}::test_a_card_is_read"
@@ -90,6 +91,14 @@ SHOWN = {
         "--split": _NAMES, "--start": _NAMES, "--card": _CARD, "--system": _RESIDUALS,
         "--lags": _RESIDUALS, "--figure": _RESIDUALS, "--json": _RESIDUALS,
         "--horizon": _HORIZON,
+    },
+    "export": {
+        "--to": f"{EXPORT}::test_several_targets_get_a_folder_each",
+        "--json": f"{EXPORT}::test_several_targets_get_a_folder_each",
+        "--out": f"{EXPORT}::test_a_model_is_exported_with_a_card",
+        "--group": f"{EXPORT}::test_a_model_with_values_by_group_needs_the_group",
+        "--system": f"{EXPORT}::test_foreign_code_is_run_where_it_is_named",
+        "--overwrite": f"{EXPORT}::test_an_export_is_replaced_where_that_is_asked_for",
     },
     "committee": {
         "--out": _TOGETHER, "--weights": _TOGETHER, "--overwrite": _TOGETHER,

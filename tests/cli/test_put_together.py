@@ -33,6 +33,7 @@ def test_models_are_put_together_and_used_as_one(models, folder, tmp_path, capsy
         assert told["file"] == str(path)
         assert told["sha256"] == sha256(path.read_bytes()).hexdigest()
         assert told["data"]["name"] == "pendulum"
+    assert header["range"] == tn.read_header(models[0])["range"]
 
     code, out, _ = tustinnet(capsys, "evaluate", file, folder, "--json")
     assert code == 0

@@ -157,6 +157,9 @@ def test_summary_and_header_say_what_was_found(made):
         by_name[choice.best]["starts"]["model-10"]["mean"]
     )
     assert len(header["data"]["records"]) == 5
+    inputs = np.concatenate([e.u for e in choice.at.data])
+    assert header["range"]["inputs"] == [[inputs.min(), inputs.max()]]
+    assert len(header["range"]["states"]) == choice.model.state_size
 
 
 def test_plain_words_say_how_good_it_is_and_why_this_one(made):

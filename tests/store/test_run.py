@@ -66,6 +66,15 @@ def test_the_header_names_recipe_data_and_scores(run_folder):
     assert header["scores"]["start"] == "derived-6"
 
 
+def test_the_header_says_where_the_training_records_lie(run_folder, pendulum):
+    told = tn.read_header(run_folder / MODEL)["range"]
+    training = list(pendulum.split("train"))
+    angles = np.concatenate([e.q for e in training])
+    np.testing.assert_allclose(told["states"][0], [angles.min(), angles.max()], atol=1e-6)
+    torques = np.concatenate([e.u for e in training])
+    np.testing.assert_allclose(told["inputs"], [[torques.min(), torques.max()]], atol=1e-6)
+
+
 def test_a_seed_alone_is_the_same_as_among_others(run_folder, folder, small_recipe, tmp_path):
     run(tn.load(folder), small(small_recipe), [1], tmp_path / "alone")
     there, here = (

@@ -8,6 +8,7 @@ import typer
 from tustinnet.cli import options, terminal
 
 if TYPE_CHECKING:
+    from tustinnet.models.contract import Model
     from tustinnet.systems.files import SystemFile
 
 
@@ -39,7 +40,11 @@ def committee(
     copied = given if isinstance(given, SystemFile) else None
     if not overwrite:
         require_room(copied, out.parent)
-    header = {"files": [_file(path) for path in models], **header_of(copied)}
+    header = {
+        "files": [_file(path) for path in models],
+        **_range(models, members),
+        **header_of(copied),
+    }
     save(put_together(members, shares), out, **header)
     if copied is not None:
         keep(copied, out.parent)
@@ -69,6 +74,19 @@ def _kept_with(models: list[Path]) -> "SystemFile | None":
             "name it with --system FILE.py",
         )  # fmt: skip
     return found[0] if found else None
+
+
+def _range(models: list[Path], members: "list[Model]") -> dict[str, Any]:
+    """Where the training records of all members lie, where all files say it."""
+    from tustinnet.simulate.range import KEY, Range, joined
+    from tustinnet.store.model_file import read_header
+
+    told = [
+        Range.from_header(read_header(path), member)
+        for path, member in zip(models, members, strict=True)
+    ]
+    known = [of for of in told if of is not None]
+    return {KEY: joined(known, members[0].channels).as_header()} if len(known) == len(told) else {}
 
 
 def _file(path: Path) -> dict[str, Any]:

@@ -20,9 +20,9 @@ class Checked:
     """How an export compares with its model.
 
     Attributes:
-        steps: how many random steps were compared; 0 where the consumer is not on this machine.
+        steps: how many random steps were compared.
         difference: the largest difference, relative to 1 + the state.
-        note: why nothing was compared, or "".
+        note: where the consumer is not on this machine, that and what was compared instead; or "".
     """
 
     steps: int

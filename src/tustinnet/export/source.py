@@ -188,18 +188,30 @@ def source_of(
 
 
 def _of_groups(model: Model, groups: Mapping[str, str]) -> Model:
-    """The model of a record with these groups."""
-    record = from_arrays(
-        np.zeros((2, model.channels.n_q)), np.zeros((2, model.channels.n_u)), dt=model.dt,
-        coordinates=model.coordinates, inputs=model.inputs, name="export", groups=groups,
-    )  # fmt: skip
-    chosen = model.of(record)
-    if groups and chosen is model:
-        raise InputError(
-            "export", f"groups {', '.join(f'{k}={v}' for k, v in groups.items())}",
-            "a model with values by group", "leave them out",
+    """The model of a record with these groups, all of which it needs."""
+
+    def chosen(given: Mapping[str, str]) -> Model:
+        record = from_arrays(
+            np.zeros((2, model.channels.n_q)), np.zeros((2, model.channels.n_u)), dt=model.dt,
+            coordinates=model.coordinates, inputs=model.inputs, name="export", groups=given,
         )  # fmt: skip
-    return chosen
+        return model.of(record)
+
+    def answers(given: Mapping[str, str]) -> bool:
+        try:
+            chosen(given)
+        except InputError:
+            return False
+        return True
+
+    found = chosen(groups)
+    for name in groups:
+        if answers({other: value for other, value in groups.items() if other != name}):
+            raise InputError(
+                "export", f"group '{name}', which nothing in the model is per",
+                "groups that its values are by", "leave it out",
+            )  # fmt: skip
+    return found
 
 
 def seen_by(model: Model) -> Seen:

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from tustinnet.evaluate.folds import taking_part
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.evaluate.scores import scores_header
 from tustinnet.fitting.report import data_header
@@ -12,6 +13,8 @@ from tustinnet.models.contract import Model
 from tustinnet.selection.ending import Found
 from tustinnet.selection.jobs import LEFT_OUT, Workplace
 from tustinnet.selection.ranking import Standing, paired
+from tustinnet.simulate.range import KEY as RANGE
+from tustinnet.simulate.range import range_of
 from tustinnet.store.kept_system import CANDIDATES, header_of
 from tustinnet.store.run import MODEL
 
@@ -105,7 +108,7 @@ class Choice:
             f"{than[name].records} records"
         )
 
-    def header(self, name: str) -> dict[str, Any]:
+    def header(self, name: str, model: Model) -> dict[str, Any]:
         """What the model file of a candidate or committee says beside the model."""
         standing = self.standing(name)
         rmse, channels, horizon = standing.rmse(), self.at.data.channels, self.at.judging.horizon
@@ -115,6 +118,7 @@ class Choice:
         )
         return {
             "data": data_header(self.at.data.name, list(self.at.data)),
+            RANGE: range_of(model, taking_part(self.at.data)).as_header(),
             "selection": {"plan": self.found.plan.name, "chosen": name, "made": self.made[name]},
             "scores": {
                 **scores_header(LEFT_OUT, standing.starts[0], channels, horizon, rmse),

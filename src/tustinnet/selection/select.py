@@ -139,8 +139,8 @@ def _choose(halving: Halving, left: Sequence[Standing], at: Workplace, told: Rep
     made = {name: of.words for name, of in models.items()}
     choice = Choice(at, found, best, plain, made, models[best].model)
     for name, of in models.items():
-        save(of.model, at.folder / CANDIDATES / name / MODEL, **choice.header(name))
-    save(choice.model, at.folder / MODEL, **choice.header(best))
+        save(of.model, at.folder / CANDIDATES / name / MODEL, **choice.header(name, of.model))
+    save(choice.model, at.folder / MODEL, **choice.header(best, choice.model))
     return choice
 
 

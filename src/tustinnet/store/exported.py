@@ -1,5 +1,6 @@
 """Exports on disk: models in other forms, each in a folder with a card."""
 
+import json
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -81,7 +82,7 @@ def export_model(
 
 def _named(to: str | Sequence[str]) -> list[str]:
     """Targets by name; `all` of them."""
-    names = to.split(",") if isinstance(to, str) else list(to)
+    names = [n.strip() for n in to.split(",")] if isinstance(to, str) else list(to)
     found = list(TARGETS.names()) if names == [ALL] else names
     if not found or len(set(found)) < len(found):
         raise InputError("--to", f"'{','.join(found)}'", "targets, none of them twice")
@@ -121,8 +122,21 @@ def _made(source: Source, target: Target, file: str | Path | None) -> tuple[Targ
 
 def _written(folder: Path, target: Target, files: Files, told: Any) -> Exported:
     require_writable_folder(folder)
+    _discard_earlier(folder, files)
     _write(folder, files)
     return Exported(target.name, folder, tuple(files), *told)
+
+
+def _discard_earlier(folder: Path, files: Files) -> None:
+    """Removes what an earlier export left that this one does not replace, as it was written."""
+    try:
+        earlier = json.loads((folder / CARD).read_text(encoding="utf-8"))["files"].items()
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return
+    for path, digest in ((folder / name, of) for name, of in earlier if name not in files):
+        ours = path.parent == folder and path.is_file()
+        if ours and sha256(path.read_bytes()).hexdigest() == digest:
+            path.unlink()
 
 
 def _write(folder: Path, files: Files) -> None:

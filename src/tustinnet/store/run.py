@@ -30,6 +30,8 @@ from tustinnet.fitting.report import FitResult, data_header
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Member, Task
 from tustinnet.simulate.horizon import within
+from tustinnet.simulate.range import KEY as RANGE
+from tustinnet.simulate.range import range_of
 from tustinnet.store.checkpoint import Checkpointer, read_checkpoint
 from tustinnet.store.files import (
     owned,
@@ -130,6 +132,7 @@ class Run:
         return {
             **of.result.as_header(),
             "data": data_header(self.data, self.roles.all),
+            RANGE: range_of(of.result.model, self.roles.train).as_header(),
             "scores": scores_header(
                 self.judged, self.start, channels, of.scores[0].horizon, rmse_by_record(of.scores)
             ),

@@ -1,0 +1,73 @@
+"""Model files as environments of Gymnasium; `tustinnet.gym` makes them known to it."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from tustinnet.export.environment import ModelEnv, ModelVectorEnv, Rules
+from tustinnet.export.source import source_of
+from tustinnet.models.contract import Model
+from tustinnet.simulate.range import KEY, Range
+from tustinnet.store.kept_system import is_trusted, kept_with
+from tustinnet.store.model_file import load_model, read_header
+from tustinnet.systems.files import AnySystem
+
+
+def environment(model: str | Path | Model, **options: Any) -> ModelEnv:
+    """A model as an environment: `gymnasium.make("tustinnet.gym:TustinNet-v0", model=...)`.
+
+    Args:
+        model: a model file, or a model.
+        options: `system`, the system or its file, of a model of a system of your own; `groups`, of
+            a model with values by group those to take; `range`, where states and inputs lie, of a
+            model that does not say it: `{"states": [[low, high], ...], "inputs": [[low, high],
+            ...]}`; and what `Rules` has: `reward`, `target`, `start`, `noise`, `margin`.
+
+    Raises:
+        InputError: see `load_model`, `source_of` and `Rules`; nobody says where states and inputs
+            lie.
+    """
+    return ModelEnv(_rules(model, **options))
+
+
+def environments(
+    num_envs: int, model: str | Path | Model, max_episode_steps: int | None = None, **options: Any
+) -> ModelVectorEnv:
+    """Many that step at once: `gymnasium.make_vec("tustinnet.gym:TustinNet-v0", 64, model=...)`.
+
+    Args:
+        num_envs: how many.
+        model: as of `environment`.
+        max_episode_steps: after how many steps episodes are cut, None for never.
+        options: as of `environment`.
+
+    Raises:
+        InputError: as `environment`.
+    """
+    return ModelVectorEnv(_rules(model, **options), num_envs, max_episode_steps)
+
+
+def _rules(
+    model: str | Path | Model,
+    *,
+    system: AnySystem | None = None,
+    groups: Mapping[str, str] | None = None,
+    range: Mapping[str, Any] | None = None,
+    **asked: Any,
+) -> Rules:
+    # in double precision, whatever else JAX is used for
+    with jax.enable_x64(True):
+        found, about = _opened(model, system)
+        told = about if range is None else {KEY: range}
+        return Rules(source_of(found, Range.from_header(told, found), groups, about), **asked)
+
+
+def _opened(model: str | Path | Model, system: AnySystem | None) -> tuple[Model, Mapping[str, Any]]:
+    """A model, and what its file says; code is run where it is named or trusted."""
+    if isinstance(model, Model):
+        return model, {}
+    kept = kept_with(Path(model)) if system is None else None
+    trusted = kept if kept is not None and is_trusted(kept) else None
+    return load_model(model, system or trusted), read_header(model)

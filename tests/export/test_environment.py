@@ -1,0 +1,278 @@
+"""Models as environments of Gymnasium."""
+
+import re
+import subprocess
+import sys
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from every_family import CHANNELS, example, physics
+from gymnasium.utils.env_checker import check_env
+from swinging import CREEPING, records
+
+import tustinnet as tn
+from tustinnet.export.environment import ModelEnv, ModelVectorEnv
+from tustinnet.simulate.range import KEY, range_of
+
+ID = "tustinnet.gym:TustinNet-v0"
+STATES = {"states": [[-3.0, 3.0], [-9.0, 9.0], [-4.0, 4.0]], "inputs": [[-5.0, 3.0]]}
+
+
+def saved(folder: Path, name: str) -> Path:
+    """A model file that says where its training records lie."""
+    path = folder / "model.safetensors"
+    model = example(name)
+    tn.save(model, path, **{KEY: range_of(model, records()).as_header()})
+    return path
+
+
+def made(**options) -> ModelEnv:
+    """An environment of a grey box that has one internal state."""
+    given = {"model": example("physics"), "range": STATES, **options}
+    found = gymnasium.make(ID, **given).unwrapped
+    assert isinstance(found, ModelEnv)
+    return found
+
+
+def many(count: int, **options) -> ModelVectorEnv:
+    given = {"model": example("physics"), "range": STATES, **options}
+    found = gymnasium.make_vec(ID, count, **given)
+    assert isinstance(found, ModelVectorEnv)
+    return found
+
+
+@pytest.mark.parametrize("name", ["network taps", "gru"])
+def test_gymnasium_checks_it_without_a_warning(name, tmp_path):
+    env = gymnasium.make(ID, model=saved(tmp_path, name), reward="swing-up")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env.unwrapped)
+    assert env.observation_space.shape == (example(name).state_size,)
+
+
+def test_a_system_of_your_own_is_run_where_it_is_named(tmp_path):
+    file = saved(tmp_path, "physics")
+    with pytest.raises(tn.InputError, match="'creeping swing'"):
+        gymnasium.make(ID, model=file)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(gymnasium.make(ID, model=file, system=CREEPING).unwrapped)
+
+
+def test_an_episode_is_the_free_run_of_the_model():
+    env, model = made(), example("physics")
+    x0 = np.array([0.4, -0.3, 0.1])
+    observed = [env.reset(seed=1, options={"x": x0})[0]]
+    actions = np.random.default_rng(2).uniform(-1, 1, (30, 1))
+    for action in actions:
+        x, _, left, cut, _ = env.step(action)
+        observed.append(x)
+        assert (left, cut) == (False, False)
+    inputs = -5.0 + (actions + 1) / 2 * 8.0
+    expected = np.asarray(tn.rollout(model, x0, inputs))
+    np.testing.assert_allclose(observed, expected, rtol=1e-12, atol=1e-13)
+
+
+@pytest.mark.parametrize("name", ["network taps", "first-order", "hybrid", "two"])
+def test_samples_seen_before_are_remembered_and_those_to_come_held(name):
+    both = [example("network taps"), example("physics")]
+    model = (tn.committee(both) if name == "two" else example(name)).folded()
+    free = [[-9.0, 9.0]] * model.state_size
+    env = made(model=model, range={"states": free, "inputs": [[-1, 1]]}, margin=100.0)
+    x, actions = np.full(model.state_size, 0.1), np.array([0.5, -0.7, 0.2])
+    env.reset(options={"x": x})
+    for k, action in enumerate(actions):
+        until = np.concatenate([actions[: k + 1], np.full(5, action)])  # as if it stayed
+        record = tn.from_arrays(
+            np.zeros(len(until)), until, dt=model.dt, coordinates=model.coordinates,
+            inputs=model.inputs,
+        )  # fmt: skip
+        if name == "first-order":
+            acting = np.array([[action], [0.0]])  # a straight line without a slope
+        else:
+            acting = tn.drive_of(model, record).u[k]
+        x = np.asarray(model.step(jnp.asarray(x), jnp.asarray(acting)))
+        np.testing.assert_allclose(env.step(np.array([action]))[0], x, rtol=1e-12, atol=1e-14)
+
+
+def test_runs_of_the_same_seed_are_the_same_bit_for_bit():
+    def run(env) -> list[np.ndarray]:
+        env.action_space.seed(3)
+        found = [env.reset(seed=3)[0]]
+        for _ in range(40):
+            found += [np.asarray(part) for part in env.step(env.action_space.sample())[:4]]
+        return found
+
+    for make in (made, lambda: many(5)):
+        for first, again in zip(run(make()), run(make()), strict=True):
+            assert first.tobytes() == again.tobytes()
+
+
+def test_many_are_as_many_single_ones():
+    envs, env = many(4), made()
+    begun, _ = envs.reset(seed=0)
+    generator = np.random.default_rng(1)
+    running, alive = begun.copy(), np.ones(4, bool)
+    assert envs.observation_space.contains(begun)
+    for _ in range(10):
+        actions = generator.uniform(-1, 1, (4, 1))
+        found, rewards, left, cut, infos = envs.step(actions)
+        assert (infos, cut.any()) == ({}, False)
+        for i in np.flatnonzero(alive):
+            env.reset(options={"x": running[i]})
+            x, reward, ended, _, _ = env.step(actions[i])
+            np.testing.assert_allclose(found[i], x, rtol=1e-12)
+            assert (rewards[i], left[i]) == (pytest.approx(reward), ended)
+        running, alive = found, alive & ~left
+
+
+def test_those_that_end_start_anew_one_step_later():
+    envs = many(3, start=[0.0, 0.0], noise=0.0, max_episode_steps=4)
+    begun, _ = envs.reset(seed=0)
+    still = np.zeros((3, 1))
+    for _ in range(3):
+        x, *_, cut, _ = envs.step(still)
+        assert not cut.any()
+    x, _, left, cut, _ = envs.step(still)
+    assert (cut.all(), left.any()) == (True, False)
+    assert not np.array_equal(x, begun)
+    again, rewards, left, cut, _ = envs.step(still)
+    np.testing.assert_array_equal(again, begun)
+    assert not np.any([rewards, left, cut])
+    assert not envs.step(still)[3].any()
+
+
+def test_an_episode_ends_out_of_the_range_and_what_is_observed_stays_in():
+    env = made(start=[2.9, 8.0], noise=0.0, margin=0.2)
+    env.reset(seed=0)
+    high = np.array([3.0 + 1.2, 9.0 + 3.6, 4.0 + 1.6])
+    np.testing.assert_allclose(env.rules.bounds, np.stack([-high, high], axis=1))
+    ends = []
+    while not any(ends) and len(ends) < 60:
+        x, _, left, _, _ = env.step(np.array([1.0]))
+        assert x in env.observation_space
+        ends.append(left and x[0] == env.rules.bounds[0, 1])
+    assert ends[-1]
+
+
+def test_a_model_that_leaves_all_numbers_ends_its_episode():
+    env = made(model=physics(inertia=1e-300), start=[1.0, 0.0])
+    before, _ = env.reset(seed=0)
+    x, _, left, _, _ = env.step(np.array([0.3]))
+    assert left
+    assert x in env.observation_space
+    assert np.isfinite(before).all()
+
+
+def test_actions_stand_for_the_range_of_the_inputs_within_their_limits():
+    limited = replace(CHANNELS, inputs=(tn.Input("voltage", "V", limits=(-2.0, 12.0)),))
+    seen = []
+
+    def noted(x, u, following) -> float:
+        seen.append(u[0])
+        return 0.5
+
+    env = made(model=replace(physics(), channels=limited), reward=noted)
+    env.reset(seed=0)
+    assert env.action_space == gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float64)
+    rewards = [env.step(np.array([action]))[1] for action in (-1.0, 0.0, 1.0, 7.0)]
+    np.testing.assert_allclose(seen, [-2.0, 0.5, 3.0, 3.0])
+    assert rewards == [0.5] * 4
+
+
+def test_rewards_by_name():
+    still = np.array([-1.0 + 2 * 5 / 8])  # 0 V
+    held = made(start=[0.7, 0.0], noise=0.0)
+    held.reset(seed=0)
+    x, reward, *_ = held.step(still)
+    assert reward == pytest.approx((1 + np.cos(x[0] - 0.7)) / 2, rel=1e-12)
+    swung = made(reward="swing-up", target=[np.pi])
+    swung.reset(options={"x": [0.2, 0.0]})
+    x, reward, *_ = swung.step(still)
+    assert reward == pytest.approx((1 + np.cos(x[0] - np.pi)) / 2, rel=1e-12)
+    assert reward < 0.05
+    cart, free = example("cart"), {"states": [[-2.0, 2.0]] * 4, "inputs": [[-1.0, 1.0]]}
+    both = made(model=cart, range=free, target=[0.5, 0.1])
+    both.reset(options={"x": [0.4, 0.3, 0.0, 0.0]})
+    x, reward, *_ = both.step(np.zeros(1))
+    near = (1 - ((x[0] - 0.5) / 4) ** 2) * (1 + np.cos(x[1] - 0.1)) / 2
+    assert reward == pytest.approx(near, rel=1e-12)
+
+
+def test_starts_lie_within_the_range_or_near_what_is_given():
+    anywhere = np.concatenate([many(500).reset(seed=seed)[0] for seed in (0, 1)])
+    np.testing.assert_allclose(anywhere[:, :2].min(0), [-3, -9], atol=0.1)
+    np.testing.assert_allclose(anywhere[:, :2].max(0), [3, 9], atol=0.1)
+    assert not anywhere[:, 2].any()  # internal states begin at 0, as along records
+    near = many(500, start=[0.5, 1.0, -0.2], noise=0.05).reset(seed=0)[0]
+    np.testing.assert_allclose(near.min(0), [0.5 - 0.3, 1.0 - 0.9, -0.2 - 0.4], atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"range": None}, "does not say where its training records lie; .*give range="),
+        ({"range": {"states": [[0, 1]], "inputs": []}}, "range: no range of the model"),
+        ({"range": {**STATES, "inputs": [[0, 0]]}}, "no input that the training records move"),
+        ({"reward": "dance"}, "reward: 'dance'; expected a function, or one of hold, swing-up"),
+        ({"target": [1, 2]}, "target: 2 numbers; expected 1 positions"),
+        ({"start": [1.0]}, "start: 1 numbers; expected positions and velocities of 1"),
+        ({"start": [7.0, 0.0]}, "start: angle = 7; expected -3.6 to 3.6"),
+        ({"margin": 0.0}, "noise 0.01, margin 0.0"),
+        ({"noise": -1.0}, "noise -1.0, margin 0.1"),
+        ({"groups": {"load": "1kg"}}, "group 'load', which nothing"),
+    ],
+    ids=lambda part: next(iter(part)) if isinstance(part, dict) else "",
+)
+def test_what_cannot_be_asked_is_one_line(options, told):
+    with pytest.raises(tn.InputError, match=told):
+        made(**options)
+
+
+def test_a_linear_system_has_nothing_to_swing_up():
+    slide = tn.LagrangianSystem(
+        name="slide", coordinates=(tn.Coordinate("x", "linear"),), inputs=(tn.Input("f", "N"),),
+        parameters=(), kinetic=lambda q, v, p: v[0] ** 2 / 2, input_map=lambda q, v, u, p: u,
+    )  # fmt: skip
+    model = tn.discretise(slide.model({}), 0.01)
+    free = {"states": [[-1, 1], [-1, 1]], "inputs": [[-1, 1]]}
+    with pytest.raises(tn.InputError, match="'swing-up'; expected a model that has an angle"):
+        made(model=model, range=free, reward="swing-up")
+
+
+def test_it_computes_in_double_precision_where_jax_does_not(tmp_path):
+    file = saved(tmp_path, "hybrid")
+    program = f"""
+import gymnasium, jax, numpy as np, sys
+sys.path.insert(0, {str(Path(__file__).parents[1])!r})
+from swinging import CREEPING
+env = gymnasium.make({ID!r}, model={str(file)!r}, system=CREEPING, max_episode_steps=3)
+env.reset(seed=0, options={{"x": [0.3, 0.1, 0.05]}})
+print(*env.step(np.array([0.4]))[0].tolist())
+assert not jax.config.jax_enable_x64 and jax.numpy.ones(1).dtype == np.float32
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert jax.config.read("jax_enable_x64")
+    env = gymnasium.make(ID, model=file, system=CREEPING).unwrapped
+    env.reset(seed=0, options={"x": [0.3, 0.1, 0.05]})
+    expected = env.step(np.array([0.4]))[0]
+    np.testing.assert_allclose([float(x) for x in done.stdout.split()], expected, rtol=1e-13)
+
+
+def test_the_pages_programs_run_as_they_stand(run_folder, monkeypatch):
+    page = Path(__file__).parents[2] / "docs" / "export-parts" / "gymnasium.md"
+    programs = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.S)
+    monkeypatch.chdir(run_folder)
+    known: dict = {}
+    for program in programs:
+        exec(compile(program, str(page), "exec"), known)
+    assert known["env"].observation_space.shape == known["state"].shape == (2,)
+    np.testing.assert_allclose(known["env"].unwrapped.rules.bounds[0], [-3.84, 3.84])
+    assert known["states"].shape == (256, 2)
