@@ -31,9 +31,12 @@ def simulate(
     from tustinnet.data.loading import load_folder
     from tustinnet.errors import InputError
     from tustinnet.evaluate.scores import evaluate
+    from tustinnet.report.leaving import left_plain, left_words
     from tustinnet.report.tables import Table, number
+    from tustinnet.simulate.range import Range
     from tustinnet.simulate.starts import default_start
     from tustinnet.store.files import require_new, require_writable_folder
+    from tustinnet.store.model_file import read_header
     from tustinnet.store.simulation_file import simulation_name, write_simulation
 
     asked = band_asked(band, whole=whole_records)
@@ -53,10 +56,14 @@ def simulate(
     none = [None] * len(records)
     bands = none if asked is None else bands_of(model, simulator, records, scores, asked)
     require_writable_folder(out)
-    written = []
+    known, written = Range.from_header(read_header(model), simulator), []
     for e, score, around, path in zip(records, scores, bands, paths, strict=True):
         write_simulation(out, e, score.simulated, around)
-        written.append({"experiment": e.name, "rmse": score.rmse, "file": str(path)})
+        left = None if known is None else known.left(simulator.channels, score.simulated, e.u)
+        written.append({"experiment": e.name, "rmse": score.rmse, "file": str(path),
+                        "left": None if left is None else left_plain(left, e)})  # fmt: skip
+        if left is not None:
+            terminal.messages().print(f"note: {e.name}: {left_words(left, e)}")
     if json:
         terminal.print_json({"start": begin, "simulations": written})
         return
