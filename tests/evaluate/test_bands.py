@@ -1,5 +1,7 @@
 """Bands around free runs hold what they promise, and refuse what they cannot."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import scipy.stats
@@ -48,8 +50,8 @@ def test_higher_levels_are_wider_and_whole_records_widest():
     calibration = calibrated(*some(range(12)), "file")
     guess, _ = made(50)
     widths = [
-        np.mean(calibration.half(guess, level, of))
-        for level, of in ((0.5, "time"), (0.8, "time"), (0.9, "time"), (0.9, "record"))
+        *(np.mean(calibration.half(guess, level)) for level in (0.5, 0.8, 0.9)),
+        np.mean(calibration.half(guess, 0.9, "record")),
     ]
     assert widths == sorted(widths)
 
@@ -97,8 +99,10 @@ def test_alternatives_of_an_identified_system_are_drawn_from_its_errors():
     result = tn.fit(tn.DataSet("swing", tuple(known)), "grey", system=SWING)
     others = family_of(result.model).alternatives(result.model, result.as_header())
     assert len(others) == 12
+    assert result.identification is not None
     for e in result.identification.estimates:
-        values = [float(of.continuous.values[e.name]) for of in others]
+        drawn: list[Any] = list(others)
+        values = [float(of.continuous.values[e.name]) for of in drawn]
         if e.error:
             assert 0.4 * e.error < np.std(values) < 1.8 * e.error
     made_ = guesses(result.model, others, known[:2], "model-20")
