@@ -20,7 +20,7 @@ def run(program: Program, **inputs: Vector) -> dict[str, Vector]:
     values: list[Any] = []
     for node in program.nodes:
         values.append(_value(program, node, [values[a] for a in node.args], inputs))
-    return {name: np.atleast_1d(values[i]) for name, i in program.outputs.items()}
+    return {name: _numbers(values[i]) for name, i in program.outputs.items()}
 
 
 def _value(program: Program, node: Node, args: list[Any], inputs: dict[str, Vector]) -> Any:
@@ -40,9 +40,14 @@ def _value(program: Program, node: Node, args: list[Any], inputs: dict[str, Vect
         case "product":
             return program.tables[node.data] @ args[0]
         case "loop":
-            return _looped(node.data, args)
+            return _looped(node.data, [_numbers(a) for a in args])
     with np.errstate(all="ignore"):
         return OPERATIONS[node.op].apply(*args)
+
+
+def _numbers(value: Any) -> Vector:
+    """What is returned or carried: truths as 0 and 1."""
+    return np.atleast_1d(np.asarray(value, np.float64))
 
 
 def _looped(loop: Loop, args: list[Vector]) -> Vector:

@@ -93,10 +93,10 @@ class Source:
         """The step as a JAX function of two vectors, (n_x,) and (n_w,), in float64."""
         model, seen = self.model, self.seen
         plain = seen.offsets == (0,) and seen.shape == (self.channels.n_u,)
-        matrix = jnp.asarray(seen.matrix)
 
         def step(x: Array, w: Array) -> Array:
-            return model.step(x, w if plain else (matrix @ w).reshape(seen.shape))
+            # from NumPy in here: an array of JAX made while a step is read would belong to that
+            return model.step(x, w if plain else (jnp.asarray(seen.matrix) @ w).reshape(seen.shape))
 
         return step
 

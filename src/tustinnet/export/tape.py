@@ -107,6 +107,12 @@ class Node:
         """Whether it is a number, not a vector."""
         return self.op in ("number", "pick") or (self.op in OPERATIONS and self.size == 1)
 
+    def takes_truth(self, place: int) -> bool:
+        """Whether an operation takes what it is given at `place` as true or false, not a number."""
+        if self.op == "select":
+            return place == 0 or self.truth
+        return self.op in ("and", "or", "not")
+
 
 @dataclass(frozen=True, eq=False)
 class Loop:

@@ -108,8 +108,8 @@ def _advanced(model: Model, x: State, now: _Course) -> State:
 
 def _loop(advance: Callable[..., Any], start: Any, course: Any) -> Any:
     """The loop over time; of a long one a gradient keeps the states between stretches only."""
-    steps = len(jax.tree.leaves(course)[0])
-    if steps <= LONG:
+    steps = jax.tree.leaves(course)[0].shape[0]
+    if not isinstance(steps, int) or steps <= LONG:  # a symbol where a length is exported open
         return jax.lax.scan(advance, start, course)[1]
 
     def stretch(x: Any, part: Any) -> tuple[Any, Any]:

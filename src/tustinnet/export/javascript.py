@@ -1,0 +1,338 @@
+"""JavaScript: one module without dependencies, for browsers and node."""
+
+import json
+import shutil
+import subprocess
+import weakref
+from base64 import b64encode
+from collections.abc import Sequence
+from pathlib import Path
+from textwrap import indent
+from typing import Any
+
+import numpy as np
+
+from tustinnet.errors import InputError
+from tustinnet.export.source import Source
+from tustinnet.export.tape import Loop, Node, Program
+from tustinnet.export.target import Files, Stepper, Target, Unbuilt, Vector
+
+MODULE = "model.mjs"
+
+# what operations are in JavaScript; the others are functions of `Math` of the same name
+_FORMS = {
+    "add": "{} + {}", "sub": "{} - {}", "mul": "{} * {}", "div": "{} / {}", "rem": "{} % {}",
+    "neg": "-{}", "pow": "power({}, {})",
+    "lt": "{} < {}", "le": "{} <= {}", "gt": "{} > {}", "ge": "{} >= {}", "eq": "{} === {}",
+    "ne": "{} !== {}", "and": "{} && {}", "or": "{} || {}", "not": "!{}", "select": "{} ? {} : {}",
+}  # fmt: skip
+
+# functions of the module, each written where it is called
+_HELPERS = {
+    "decoded": """\
+// the numbers of a text in base64, 64 bits each, the lowest byte first
+function decoded(text) {
+  const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+  const view = new DataView(bytes.buffer);
+  return Float64Array.from({ length: bytes.length / 8 }, (_, i) => view.getFloat64(8 * i, true));
+}
+""",
+    "product": """\
+// a matrix, row by row, times a vector
+function product(out, matrix, vector) {
+  for (let i = 0, k = 0; i < out.length; i++) {
+    let sum = 0;
+    for (let j = 0; j < vector.length; j++, k++) sum += matrix[k] * vector[j];
+    out[i] = sum;
+  }
+}
+""",
+    "take": """\
+// one of several vectors that stand one after the other
+function take(out, from, which) {
+  for (let i = 0; i < out.length; i++) out[i] = from[which * out.length + i];
+}
+""",
+    "power": """\
+// as IEEE 754 has it: powers of 1 are 1, and those of -1 by infinities
+function power(x, y) {
+  return x === 1 || (x === -1 && Math.abs(y) === Infinity) ? 1 : x ** y;
+}
+""",
+}
+
+_MODULE = """\
+// A model of a mechanical system, stepped from sample to sample.
+//
+//   import {{ init, step }} from "./model.mjs";
+//   const state = init(x0);  // x0: as many numbers as `states` has names
+//   step(state, u);          // u: all inputs of the first sample of `samples`, then of the next
+//   state.x                  // a Float64Array
+
+// what the numbers of a state are called
+export const states = {states};
+// what the inputs are called
+export const inputs = {inputs};
+// from one state to the next [s]
+export const period = {period};
+// the samples whose inputs a step is given, counted from the one at which it begins
+export const samples = {samples};
+// smallest and largest states and inputs of the training records, null where nobody knows
+export const range = {range};
+
+{helpers}
+{vectors}
+
+function sized(values, size, name) {{
+  if (values.length === size) return values;
+  throw new RangeError(`${{name}} has ${{values.length}} numbers, not ${{size}}`);
+}}
+
+// A state, which `step` changes.
+export function init(x0) {{
+  return {{ x: Float64Array.from(sized(x0, {n_x}, "x0")) }};
+}}
+
+// Takes a state to the next sample, in place, and returns it.
+export function step(state, u) {{
+  v0.set(state.x);
+  v1.set(sized(u, {n_w}, "u"));
+{body}
+  state.x.set({following});
+  return state;
+}}
+"""
+
+# what answers the check: a line with state and inputs in, a line with the next state out
+_ANSWERING = """\
+import { createInterface } from "node:readline";
+import { pathToFileURL } from "node:url";
+const { init, step } = await import(pathToFileURL(process.argv[1]).href);
+for await (const line of createInterface({ input: process.stdin })) {
+  const { x, u } = JSON.parse(line);
+  console.log(JSON.stringify(Array.from(step(init(x), u).x)));
+}
+"""
+
+
+class JavaScript(Target):
+    """A module for browsers and node: `init`, `step`, names, ranges."""
+
+    name = "js"
+
+    def files(self, source: Source) -> Files:
+        """See `Target.files`."""
+        writer = _Writer()
+        given = {"x": writer.vector(source.n_x), "u": writer.vector(source.n_w)}  # v0, v1
+        body, found = writer.program(source.step, given)
+        text = _MODULE.format(
+            states=_text(source.states),
+            inputs=_text([i.name for i in source.channels.inputs]),
+            period=_number(source.channels.dt),
+            samples=_text(source.seen.offsets),
+            range=_ranges(source),
+            helpers=_helpers("\n".join(body) + writer.declarations),
+            vectors=writer.declarations,
+            n_x=source.n_x,
+            n_w=source.n_w,
+            body=indent("\n".join(body), "  "),
+            following=found["x"],
+        )
+        return {MODULE: text}
+
+    def stepper(self, folder: Path, source: Source) -> Stepper:
+        """See `Target.stepper`; node does it."""
+        node = shutil.which("node")
+        if node is None:
+            raise Unbuilt("node is not installed")
+        return _Node(node, folder / MODULE)
+
+
+class _Node:
+    """A process of node that steps the module; it ends with this object."""
+
+    def __init__(self, node: str, module: Path) -> None:
+        self._process = subprocess.Popen(
+            [node, "--input-type=module", "--eval", _ANSWERING, str(module.resolve())],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            encoding="utf-8",
+        )  # fmt: skip
+        self._end = weakref.finalize(self, _ended, self._process)
+
+    def __call__(self, x: Vector, u: Vector) -> Vector:
+        """The next state; NaN stands for what is not finite."""
+        question, answers = self._process.stdin, self._process.stdout
+        assert question is not None
+        assert answers is not None
+        try:
+            question.write(json.dumps({"x": x.tolist(), "u": u.tolist()}) + "\n")
+            question.flush()
+        except BrokenPipeError:
+            pass  # node has ended, and says why below
+        answer = answers.readline()
+        if not answer:
+            raise InputError("--to js", f"node ended: {_ended(self._process)}", "a step")
+        return np.array(json.loads(answer), np.float64)
+
+
+def _ended(process: subprocess.Popen[str]) -> str:
+    """Ends a process; returns what it complained of."""
+    return process.communicate()[1]
+
+
+class _Writer:
+    """Writes programs as statements of JavaScript. All vectors are global."""
+
+    def __init__(self) -> None:
+        self._declared: list[str] = []
+        self._weights: list[np.ndarray] = []
+        self._count = 0
+
+    @property
+    def declarations(self) -> str:
+        """All vectors, the constant ones with their numbers."""
+        if not self._weights:
+            return "\n".join(self._declared)
+        content = b64encode(np.concatenate(self._weights).astype("<f8").tobytes()).decode()
+        return "\n".join([f'const weights = decoded("{content}");', *self._declared])
+
+    def vector(self, size: int) -> str:
+        """A new vector."""
+        return self._declare(f"new Float64Array({size})")
+
+    def program(self, program: Program, given: dict[str, str]) -> tuple[list[str], dict[str, str]]:
+        """The statements of a program, and what its outputs are called.
+
+        Args:
+            program: the program.
+            given: what its inputs are called.
+        """
+        lines: list[str] = []
+        values: list[str] = []
+        for node in program.nodes:
+            args = [(program.nodes[a], values[a]) for a in node.args]
+            if node.op == "input":
+                values.append(given[node.data])
+            elif node.op in ("table", "product"):
+                values.append(self._multiplied(node, program.tables[node.data], args, lines))
+            else:
+                values.append(self._value(node, args, lines))
+        return lines, {name: values[i] for name, i in program.outputs.items()}
+
+    def _value(self, node: Node, args: list[tuple[Node, str]], lines: list[str]) -> str:
+        match node.op:
+            case "number":
+                return _number(node.data)
+            case "pick":
+                ((_, vector),) = args
+                return f"({vector}[{node.data}] !== 0)" if node.truth else f"{vector}[{node.data}]"
+            case "part":
+                return self._declare(f"{args[0][1]}.subarray({node.data}, {node.data + node.size})")
+            case "join":
+                return self._joined(args, node.size, lines)
+            case "loop":
+                return self._looped(node.data, [text for _, text in args], lines)
+        operands = [_operand(*of, truth=node.takes_truth(i)) for i, of in enumerate(args)]
+        form = _FORMS.get(node.op, f"Math.{node.op}({', '.join(['{}'] * len(args))})")
+        if node.single:
+            name = self._name("s")
+            lines.append(f"const {name} = {form.format(*operands)};")
+            return name
+        name = self.vector(node.size)
+        each = f"for (let i = 0; i < {node.size}; i++)"
+        lines.append(f"{each} {name}[i] = {form.format(*operands)};")
+        return name
+
+    def _multiplied(
+        self, node: Node, table: np.ndarray, args: list[tuple[Node, str]], lines: list[str]
+    ) -> str:
+        """A constant vector, or a constant matrix times a vector."""
+        first = sum(w.size for w in self._weights)
+        self._weights.append(np.ravel(table).astype(np.float64))
+        constant = self._declare(f"weights.subarray({first}, {first + table.size})")
+        if node.op == "table":
+            return constant
+        name = self.vector(node.size)
+        lines.append(f"product({name}, {constant}, {args[0][1]});")
+        return name
+
+    def _joined(self, args: Sequence[tuple[Node, str]], size: int, lines: list[str]) -> str:
+        name, first = self.vector(size), 0
+        for node, text in args:
+            lines.append(
+                f"{name}[{first}] = {text};" if node.single else f"{name}.set({text}, {first});"
+            )
+            first += node.size
+        return name
+
+    def _looped(self, loop: Loop, args: list[str], lines: list[str]) -> str:
+        """A loop; what it carries is one vector, replaced at the end of a turn as a whole."""
+        names, size = list(loop.body.inputs), sum(loop.carried_sizes)
+        carried, following, turn = self.vector(size), self.vector(size), self._name("k")
+        first, last = loop.constants, loop.constants + loop.carried
+        given = dict(zip(names[:first], args[:first], strict=True))
+        ends = np.cumsum([0, *loop.carried_sizes]).tolist()
+        for name, start, low, high in zip(
+            names[first:last], args[first:last], ends[:-1], ends[1:], strict=True
+        ):
+            lines.append(f"{carried}.set({start}, {low});")
+            given[name] = self._declare(f"{carried}.subarray({low}, {high})")
+        turns: list[str] = []
+        for name, rows in zip(names[last:], args[last:], strict=True):
+            given[name] = self.vector(loop.body.inputs[name])
+            turns.append(f"take({given[name]}, {rows}, {turn});")
+        body, found = self.program(loop.body, given)
+        turns += body
+        turns += [
+            f"{following}.set({text}, {low});"
+            for text, low in zip(found.values(), ends[:-1], strict=True)
+        ]
+        turns.append(f"{carried}.set({following});")
+        lines.append(f"for (let {turn} = 0; {turn} < {loop.length}; {turn}++) {{")
+        lines += [f"  {line}" for line in turns]
+        lines.append("}")
+        return carried
+
+    def _declare(self, what: str) -> str:
+        name = self._name("v")
+        self._declared.append(f"const {name} = {what};")
+        return name
+
+    def _name(self, kind: str) -> str:
+        self._count += 1
+        return f"{kind}{self._count - 1}"
+
+
+def _operand(node: Node, text: str, *, truth: bool) -> str:
+    """A number of a value; vectors hold truths as 0 and 1, as do loops."""
+    item = text if node.single else f"{text}[{'i' if node.size > 1 else '0'}]"
+    said = node.truth and node.single
+    if said == truth:
+        return item
+    return f"({item} !== 0)" if truth else f"(+{item})"
+
+
+def _number(value: float | bool) -> str:
+    """A constant, to the last bit."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    text = repr(float(value)).replace("inf", "Infinity").replace("nan", "NaN")
+    return f"({text})" if text.startswith("-") else text
+
+
+def _text(value: Any) -> str:
+    """Plain values; no text in them ends a script or a line."""
+    return json.dumps(value).replace("<", "\\u003c")
+
+
+def _ranges(source: Source) -> str:
+    if source.range is None:
+        return "null"
+    return _text({"states": source.range.states.tolist(), "inputs": source.range.inputs.tolist()})
+
+
+def _helpers(text: str) -> str:
+    return "\n".join(code for name, code in _HELPERS.items() if f"{name}(" in text)
+
+
+TARGET = JavaScript()

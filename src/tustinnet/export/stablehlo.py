@@ -1,0 +1,77 @@
+"""StableHLO: a step and a free run for whoever has JAX and not this package."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import export
+from jaxtyping import Array
+
+from tustinnet.export.source import Source
+from tustinnet.export.target import Files, Stepper, Target, Vector
+from tustinnet.simulate.rollout import rollout
+
+STEP, ROLLOUT = "step.bin", "rollout.bin"
+PLATFORMS = "cpu", "cuda"
+_FRAMES = "jax_traceback_in_locations_limit"
+
+
+class StableHLO(Target):
+    """Functions as JAX serializes them, in double precision."""
+
+    name = "stablehlo"
+
+    def files(self, source: Source) -> Files:
+        """See `Target.files`."""
+        n_x, n_w = source.n_x, source.n_w
+        (steps,) = export.symbolic_shape("steps")
+        return {
+            STEP: _serialized(source.function, (n_x,), (n_w,)),
+            ROLLOUT: _serialized(_free_run(source), (n_x,), (steps, n_w)),
+        }
+
+    def stepper(self, folder: Path, source: Source) -> Stepper:
+        """See `Target.stepper`."""
+        call = jax.jit(export.deserialize(bytearray((folder / STEP).read_bytes())).call)
+
+        def step(x: Vector, u: Vector) -> Vector:
+            return np.asarray(call(x, u))
+
+        return step
+
+
+def _free_run(source: Source) -> Callable[[Array, Array], Array]:
+    """`rollout`, of what steps are given of the inputs."""
+
+    def run(x0: Array, u: Array) -> Array:
+        seen = u @ jnp.asarray(source.seen.matrix).T
+        return rollout(source.model, x0, seen.reshape(u.shape[0], *source.seen.shape))
+
+    return run
+
+
+def _serialized(function: Callable[..., Array], *shapes: tuple[Any, ...]) -> bytes:
+    given = [jax.ShapeDtypeStruct(shape, np.float64) for shape in shapes]
+    with _without_places():
+        return bytes(export.export(jax.jit(function), platforms=PLATFORMS)(*given).serialize())
+
+
+@contextmanager
+def _without_places() -> Iterator[None]:
+    """Leaves out where in which files operations were written.
+
+    Those are paths of this machine, and the same model would give other bytes elsewhere.
+    """
+    frames = getattr(jax.config, _FRAMES)
+    jax.config.update(_FRAMES, 0)
+    try:
+        yield
+    finally:
+        jax.config.update(_FRAMES, frames)
+
+
+TARGET = StableHLO()
