@@ -2,12 +2,13 @@
 
     python benchmarks/bands.py DATA [--recipe best-grey] [--system qube-servo2-rubbing]
 
-Each of five folds is left out. The others are dealt into folds again: models of these give the free
-runs that calibrate, a model of all others the bands that are tried on the fold left out.
+Each of five folds is left out. The others are dealt into three folds again: models of these give
+the free runs that calibrate, a model of all others the bands that are tried on the fold left out.
 """
 
 import argparse
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +16,10 @@ import jax
 
 jax.config.update("jax_enable_x64", True)
 
-import numpy as np
-import scoringrules
-
 import tustinnet as tn
 from tustinnet.data.dataset import DataSet
-from tustinnet.evaluate.bands import Calibration, Guess, calibrated, guesses
+from tustinnet.evaluate.bands import Band, Guess, band_of, calibrated, guesses
+from tustinnet.evaluate.coverage import covered, crps_of
 from tustinnet.evaluate.folds import dealt
 from tustinnet.families.family import family_of
 from tustinnet.fitting.fit import fit_task
@@ -28,7 +27,7 @@ from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Fold, Member, Task
 
-LEVELS = np.arange(0.05, 0.96, 0.05)
+INNER = 3  # folds of the others
 
 
 def fitted(folds: list[Fold], recipe: Any, system: Any, seeds: int) -> list[FitResult]:
@@ -41,33 +40,6 @@ def guessed(result: FitResult, records: Any, start: str) -> list[Guess]:
     """Free runs of records with the spread of the model's alternatives."""
     others = family_of(result.model).alternatives(result.model, result.as_header())
     return guesses(result.model, others, records, start)
-
-
-def told(of: Calibration, made: Guess, e: tn.Experiment, name: str) -> list[dict[str, Any]]:
-    """How a record lies in its bands, by coordinate, moving and at rest."""
-    rows = []
-    low, high = of.band(made, 0.9)
-    n = len(of.records)
-    whole = of.band(made, n / (n + 1), "record")
-    for j, c in enumerate(e.coordinates):
-        for part, where in (("moving", made.moving), ("rest", ~made.moving)):
-            where = where & (np.arange(len(e)) >= made.first)
-            if not where.any():
-                continue
-            q, error = e.q[where, j], (made.simulated - e.q)[where, j]
-            quantiles = np.stack(
-                [of.band(made, abs(2 * p - 1) or 1e-3)[int(p > 0.5)][where, j] for p in LEVELS], -1
-            )
-            rows.append({
-                "record": e.name, "fold": name, "coordinate": c.name, "part": part,
-                "samples": int(where.sum()),
-                "inside": float(np.mean((low[where, j] <= q) & (q <= high[where, j]))),
-                "all": bool(((whole[0][where, j] <= q) & (q <= whole[1][where, j])).all()),
-                "width": float(np.mean((high - low)[where, j])),
-                "rmse": float(np.sqrt(np.mean(error**2))),
-                "crps": float(np.mean(scoringrules.crps_quantile(q, quantiles, LEVELS))),
-            })  # fmt: skip
-    return rows
 
 
 def main() -> None:
@@ -86,11 +58,14 @@ def main() -> None:
     folds: list[Fold] = []
     for k, deal in enumerate(deals):
         others = deal.roles.all
-        folds.append(Fold(Roles(tuple(others), ())))
         inner.append((k, None))
-        for d in dealt(DataSet(data.name, tuple(others))):
-            folds.append(Fold(Roles(tuple(d.roles.all), ())))
+        folds.append(Fold(Roles(tuple(others), ())))
+        for d in dealt(DataSet(data.name, tuple(others)), INNER):
             inner.append((k, d.scored))
+            folds.append(Fold(Roles(tuple(d.roles.all), ())))
+    bands: dict[str, list[Band]] = {"time": [], "record": []}
+    crps: list[Any] = []
+    scored_all: list[tn.Experiment] = []
     results = fitted(folds, recipe, system, 1)
     for k, deal in enumerate(deals):
         of_fold = [(r, s) for r, (f, s) in zip(results, inner, strict=True) if f == k]
@@ -101,18 +76,25 @@ def main() -> None:
                 records += scored
         calibration = calibrated(made, records, given.start)
         final = next(r for r, s in of_fold if s is None)
-        for guess, e in zip(guessed(final, deal.scored, given.start), deal.scored, strict=True):
-            rows += told(calibration, guess, e, str(k))
+        tried = guessed(final, deal.scored, given.start)
+        n = len(records)
+        bands["time"] += [band_of(calibration, g, 0.9) for g in tried]
+        bands["record"] += [band_of(calibration, g, n / (n + 1), "record") for g in tried]
+        crps += [crps_of(e, calibration, g) for e, g in zip(deal.scored, tried, strict=True)]
+        scored_all += deal.scored
+    for of, some in bands.items():
+        shares = covered(scored_all, some, crps)
+        rows += [{"of": of, "level": some[0].level, **asdict(share)} for share in shares]
+        for share in shares:
+            low, high = share.interval
+            print(
+                f"{of:6} {some[0].level:.3f} {share.coordinate:6} {share.part:6} inside "
+                f"{share.inside:.3f} ({low:.2f} to {high:.2f}), all of {share.whole} of "
+                f"{share.records}, width {share.width:.4f} = {share.width / share.rmse:.2f} RMSE, "
+                f"CRPS {share.crps:.4f}"
+            )
     given.out.parent.mkdir(parents=True, exist_ok=True)
     given.out.write_text(json.dumps(rows, indent=1))
-    for coordinate in [c.name for c in data.channels.coordinates]:
-        for part in ("moving", "rest"):
-            some = [r for r in rows if r["coordinate"] == coordinate and r["part"] == part]
-            if some:
-                mean = {k: np.mean([r[k] for r in some])
-                        for k in ("inside", "all", "width", "rmse", "crps")}  # fmt: skip
-                print(coordinate, part, len(some), {k: round(float(x), 4) for k, x in mean.items()},
-                      "width/rmse", round(float(mean["width"] / mean["rmse"]), 2))  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -92,6 +92,8 @@ def test_bands_that_cannot_be_are_one_line(place, run_folder, tmp_path, refused,
             told="there already")  # fmt: skip
     refused("calibrate", net, folder, "--out", out, "--split", "validation",
             told="nothing says how sure it is")  # fmt: skip
+    for option in ("--start", "--card", "--split"):
+        refused("calibrate", plain, folder, *given, "--out", out, option, "nowhere", told="nowhere")
     assert not out.exists()
     sim = ("--out", tmp_path / "sim")
     start = ("--start", "derived-6")
@@ -105,6 +107,7 @@ def test_bands_that_cannot_be_are_one_line(place, run_folder, tmp_path, refused,
     refused("simulate", banded, folder, *given, *sim, "--whole-records", told="add --band")
     refused("evaluate", banded, folder, *given, "--whole-records", told="add --band")
     refused("compare", banded, folder, *given, "--band", 0.6, told="--figures DIR")
+    refused("compare", banded, folder, *given, "--whole-records", told="add --band")
     assert not (tmp_path / "sim").exists()
     asked = ("calibrate", plain, folder, *given, "--out", banded, "--split", "validation")
     code, told, _ = tustinnet(capsys, *asked, "--overwrite", "--json", "--horizon", 1.0)
