@@ -44,6 +44,9 @@ _SELECTED = "cli/test_choosing.py::test_a_folder_of_logs_and_a_system_become_one
 _STRICT = f"{HERE}::test_strict_refuses_what_looks_wrong"
 _INSPECTED = f"{VERBS}::test_inspect_as_json_with_a_figure"
 
+_BANDED = "cli/test_bands_verb.py::test_a_calibrated_model_simulates_and_is_judged_with_bands"
+_NO_BANDS = "cli/test_bands_verb.py::test_bands_that_cannot_be_are_one_line"
+
 SHOWN = {
     "demo": {
         "--out": f"{GREY}::test_the_demo_does_the_whole_job_and_says_twin_everywhere",
@@ -78,14 +81,22 @@ SHOWN = {
         "--out": _TWICE, "--experiment": _TWICE, "--overwrite": _TWICE,
         "--json": f"{VERBS}::test_simulate_writes_the_free_runs",
         "--split": _NAMES, "--start": _NAMES, "--card": _CARD, "--system": _SYSTEMS,
+        "--band": _BANDED, "--whole-records": _BANDED,
+    },
+    "calibrate": {
+        "--out": _NO_BANDS, "--system": _NO_BANDS, "--split": _NO_BANDS, "--card": _NO_BANDS,
+        "--overwrite": _NO_BANDS, "--json": _NO_BANDS, "--horizon": _NO_BANDS,
+        "--start": _NO_BANDS,
     },
     "evaluate": {
         "--split": _NAMES, "--start": _NAMES, "--card": _CARD, "--system": _SYSTEMS,
         "--ahead": _AHEAD, "--figures": _AHEAD, "--json": _AHEAD, "--horizon": _HORIZON,
+        "--band": _BANDED, "--whole-records": _BANDED,
     },
     "compare": {
         "--split": _NAMES, "--start": _NAMES, "--card": _CARD, "--system": _COMPARED,
         "--figures": _COMPARED, "--json": _COMPARED, "--horizon": _HORIZON,
+        "--band": _BANDED, "--whole-records": _NO_BANDS,
     },
     "residuals": {
         "--split": _NAMES, "--start": _NAMES, "--card": _CARD, "--system": _RESIDUALS,

@@ -131,7 +131,7 @@ def test_bytes_depend_on_the_model_only():
 
 
 def test_without_the_package_the_extra_is_told(monkeypatch):
-    monkeypatch.setattr("tustinnet.export.target.find_spec", lambda name: None)
+    monkeypatch.setattr("tustinnet.errors.find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"onnx is not installed.*tustinnet\[onnx\]"):
         TARGET.require_extra()
 

@@ -7,6 +7,7 @@ from swinging import noises, records
 
 import tustinnet as tn
 from tustinnet.simulate.range import Range, joined, range_of
+from tustinnet.systems.qube_servo2_twin import twin
 
 
 @pytest.mark.parametrize("name", ["physics", "linear", "committee"])
@@ -45,3 +46,59 @@ def test_what_is_not_told_or_no_number_is_unknown():
 def test_what_is_no_range_of_the_model_is_refused(told):
     with pytest.raises(tn.InputError, match=r"range: no range of the model.* 2 states and 1 input"):
         Range.from_header({"range": told}, example("network taps"))
+
+
+def driven(model: tn.Model, u: np.ndarray, x0: np.ndarray) -> np.ndarray:
+    return np.asarray(tn.rollout(model, x0, u))
+
+
+def test_free_runs_that_leave_the_records_are_told_and_others_are_not():
+    data, model = twin(), example("qube")
+    known = range_of(model, [e for e in data if e.split == "train"])
+    t, rest = np.arange(600) * model.dt, np.zeros(4)
+    high = float(known.inputs[0, 1])
+    drives = [
+        *(volts * high * np.ones((600, 1)) for volts in (1.3, -1.3, 2.0, -3.0)),
+        *(1.4 * high * np.sin(w * t)[:, None] for w in (0.5, 2.0, 5.0, 9.0, 20.0)),
+        # within the recorded voltages, which the recorded noise never held on to for so long
+        *(sign * high * np.minimum(t, 1.0)[:, None] for sign in (1.0, -1.0)),
+        *(0.95 * high * np.sign(np.sin(w * t))[:, None] for w in (0.5, 1.0, 1.5, 2.0)),
+        *(level * high * np.ones((600, 1)) for level in (0.9, 0.95, -0.9, -0.95, 1.0)),
+    ]
+    assert len(drives) == 20
+    for u in drives:
+        found = known.left(model.channels, driven(model, u, rest)[:-1], u)
+        assert found is not None
+        assert 0 <= found.sample < 600
+        assert not found.what or not found.recorded[0] <= found.value <= found.recorded[1]
+    alarms = [
+        known.left(model.channels, e.measured_states(), e.u) for e in data if e.split == "test"
+    ]
+    assert not any(alarms)
+
+
+def test_what_leaves_is_named_with_its_value():
+    model = example("physics")
+    known = range_of(model, records())
+    calm = records()[0]
+    states = np.pad(calm.measured_states(), ((0, 0), (0, 1)))
+    assert known.left(model.channels, states, calm.u) is None
+    fast = states.copy()
+    fast[50:, 1] = 3 * known.states[1, 1]
+    found = known.left(model.channels, fast, calm.u)
+    assert found is not None
+    assert (found.sample, found.what) == (50, "der_angle")
+    assert found.value == pytest.approx(3 * known.states[1, 1])
+    turned = states + np.array([2 * np.pi, 0, 0])  # the same angle, a turn on
+    assert known.left(model.channels, turned, calm.u) is None
+    lost = states.copy()
+    lost[20:] = np.nan
+    found = known.left(model.channels, lost, calm.u)
+    assert found is not None
+    assert found.sample == 20
+    # fast and far up, which no record of a damped pendulum was
+    both = states.copy()
+    both[30, :2] = np.pi, 0.99 * known.states[1, 1]
+    found = known.left(model.channels, both, calm.u)
+    assert found is not None
+    assert (found.sample, found.what) == (30, "")

@@ -31,16 +31,22 @@ def compare(
     figures: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Draw every record with all free runs.")
     ] = None,
+    band: options.Band = None,
+    whole_records: options.WholeRecords = False,
     json: options.Json = False,
 ) -> None:
     """Compare the free runs of several models: one table, one overlay a record."""
     terminal.prepare_jax()
-    from tustinnet.cli.request import judged_records, kept_system
+    from tustinnet.cli.request import band_asked, bands_of, judged_records, kept_system
+    from tustinnet.errors import InputError
     from tustinnet.evaluate.scores import evaluate, mean_rmse, rmse_by_record
     from tustinnet.report.figures import free_run_figure, write_figure
     from tustinnet.store.model_file import load_models
     from tustinnet.systems.files import find_system
 
+    asked = band_asked(band, whole=whole_records)
+    if asked is not None and figures is None:
+        raise InputError("--band", "no figures, which bands are drawn into", "--figures DIR")
     given = [find_system(which) for which in system or []]
     loaded = load_models(models, given, kept_system)
     records, begin = judged_records(data, card, split, start, loaded)
@@ -49,9 +55,14 @@ def compare(
         for label, model in zip(_labels(models), loaded, strict=True)
     }
     if figures is not None:
+        bands = {} if asked is None else {
+            label: bands_of(path, model, records, scores[label], asked)
+            for label, path, model in zip(scores, models, loaded, strict=True)
+        }  # fmt: skip
         for i, e in enumerate(records):
             runs = {label: found[i] for label, found in scores.items()}
-            write_figure(free_run_figure(e, runs), figures, f"{e.name}.png")
+            around = {label: of[i] for label, of in bands.items()}
+            write_figure(free_run_figure(e, runs, bands=around), figures, f"{e.name}.png")
         terminal.messages().print(f"figures: {figures}")
     if json:
         content = {

@@ -1,5 +1,6 @@
 """`tustinnet evaluate`: score a model on records."""
 
+from dataclasses import asdict
 from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,6 +11,8 @@ from tustinnet.cli import options, terminal
 
 if TYPE_CHECKING:
     from tustinnet.channels import Channels
+    from tustinnet.cli.request import BandAsked
+    from tustinnet.evaluate.coverage import Covered
     from tustinnet.evaluate.scores import Score
     from tustinnet.report.tables import Table
 
@@ -29,27 +32,36 @@ def evaluate(
     figures: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Draw every free run into this folder.")
     ] = None,
+    band: options.Band = None,
+    whole_records: options.WholeRecords = False,
     json: options.Json = False,
 ) -> None:
     """Score free runs: RMSE, per coordinate, NRMSE, fit in percent, k steps ahead."""
     terminal.prepare_jax()
-    from tustinnet.cli.request import judged_records, model_of
+    from tustinnet.cli.request import band_asked, banded, judged_records, model_of
     from tustinnet.evaluate.ahead import rmse_ahead
+    from tustinnet.evaluate.coverage import covered
     from tustinnet.evaluate.scores import Score, mean_rmse
     from tustinnet.evaluate.scores import evaluate as score_records
 
+    asked = band_asked(band, whole=whole_records)
     judged = model_of(model, system)
     records, begin = judged_records(data, card, split, start, [judged])
     scores = score_records(judged, records, begin, horizon=horizon)
     by_split: dict[str, list[Score]] = {}
     for e, score in zip(records, scores, strict=True):
         by_split.setdefault(e.split or "all", []).append(score)
+    found = [] if asked is None else banded(model, judged, records, scores, asked)
+    bands = [of for of, _ in found]
+    shares = covered(records, bands, [crps for _, crps in found]) if found else []
     errors = None if ahead is None else rmse_ahead(judged, records, ahead)
     if figures is not None:
         from tustinnet.report.figures import ahead_figure, free_run_figure, write_figure
 
-        for e, score in zip(records, scores, strict=True):
-            write_figure(free_run_figure(e, {model.stem: score}), figures, f"{e.name}.png")
+        for i, (e, score) in enumerate(zip(records, scores, strict=True)):
+            around = {model.stem: bands[i]} if bands else {}
+            figure = free_run_figure(e, {model.stem: score}, bands=around)
+            write_figure(figure, figures, f"{e.name}.png")
         if errors is not None:
             write_figure(ahead_figure({model.stem: errors}, judged.channels), figures, "ahead.png")
         terminal.messages().print(f"figures: {figures}")
@@ -65,11 +77,16 @@ def evaluate(
             "mean": mean_rmse(scores),
             "means": {name: mean_rmse(group) for name, group in by_split.items()},
         }
+        if asked is not None:
+            content["band"] = {"level": asked.level, "of": asked.of,
+                               "covered": [asdict(of) for of in shares]}  # fmt: skip
         if errors is not None:
             content["ahead"] = {"dt": judged.dt, "rmse": errors.tolist()}
         terminal.print_json(content)
         return
     terminal.print_tables(_score_table(by_split, judged.channels, begin))
+    if asked is not None:
+        terminal.print_tables(_band_table(shares, asked, judged.channels))
     if errors is not None:
         terminal.print_tables(_ahead_table(errors.tolist(), judged.channels))
 
@@ -82,6 +99,24 @@ def _ahead_table(errors: list[float], channels: "Channels") -> "Table":
             for k in [*marks, len(errors)]]  # fmt: skip
     columns = ["k", "horizon [s]", f"RMSE [{channels.unit}]"]
     return Table(columns, rows, title="k steps ahead")
+
+
+def _band_table(shares: "list[Covered]", asked: "BandAsked", channels: "Channels") -> "Table":
+    from tustinnet.report.tables import Table, number
+
+    units = {c.name: c.unit for c in channels.coordinates}
+    rows = []
+    for of in shares:
+        low, high = (f"{100 * end:.0f}" for end in of.interval)
+        rows.append([
+            of.coordinate, of.part, f"{100 * of.inside:.1f}", f"{low} to {high}",
+            f"{of.whole} of {of.records}", f"{number(of.width)} {units[of.coordinate]}",
+            number(of.width / of.rmse, 1) if of.rmse else "", number(of.crps),
+        ])  # fmt: skip
+    columns = ["coordinate", "part", "inside [%]", "95 % interval", "records all inside",
+               "width", "width / RMSE", "CRPS"]  # fmt: skip
+    what = "of the time" if asked.of == "time" else "of whole records"
+    return Table(columns, rows, title=f"Bands of {100 * asked.level:g} % {what}")
 
 
 def _plain(score: "Score") -> dict[str, Any]:

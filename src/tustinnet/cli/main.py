@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from tustinnet.cli import terminal
+from tustinnet.cli.calibrate import calibrate
 from tustinnet.cli.committee import committee
 from tustinnet.cli.compare import compare
 from tustinnet.cli.cross_validate import cross_validate
@@ -29,7 +30,7 @@ app = typer.Typer(
 )
 _VERBS = (
     demo, inspect, fit, cross_validate, simulate, evaluate, compare, residuals, committee,
-    export, show, reproduce,
+    calibrate, export, show, reproduce,
 )  # fmt: skip
 for verb in _VERBS:
     app.command()(terminal.interruptible()(verb))

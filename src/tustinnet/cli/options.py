@@ -90,3 +90,13 @@ Seeds = Annotated[
     str | None,
     typer.Option(metavar="K|A,B,..", help="How many seeds, from 0 on, or which; all at once."),
 ]
+Band = Annotated[
+    float | None,
+    typer.Option(
+        metavar="LEVEL",
+        help="Bands that hold this share of the time, as 0.9, of a model that was calibrated.",
+    ),
+]
+WholeRecords = Annotated[
+    bool, typer.Option("--whole-records", help="With --band: hold this share of whole records.")
+]

@@ -1,16 +1,20 @@
 """What the verbs make of their arguments: records, recipes, members."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tustinnet.cli import terminal
 
 if TYPE_CHECKING:
+    import numpy as np
     from rich.console import Console
 
     from tustinnet.data.dataset import DataSet
     from tustinnet.data.experiment import Experiment
+    from tustinnet.evaluate.bands import Band, Of
+    from tustinnet.evaluate.scores import Score
     from tustinnet.fitting.recipe import Recipe
     from tustinnet.fitting.task import Member
     from tustinnet.models.contract import Model
@@ -138,3 +142,93 @@ def judged_records(
     records = list(found if split is None else found.split(split))
     needing = max(models, key=lambda model: model.warm_up)
     return records, default_start(records, needing) if start is None else start
+
+
+def alternatives_of(path: Path, model: "Model") -> "Sequence[Model]":
+    """Models that the records of a file's model would allow as well.
+
+    Raises:
+        InputError: a model that does not know its own errors.
+    """
+    from tustinnet.errors import InputError
+    from tustinnet.families.family import family_of
+    from tustinnet.store.model_file import read_header
+
+    found = family_of(model).alternatives(model, read_header(path))
+    if not found:
+        raise InputError(
+            path, "a model without members or errors of its parameters: nothing says how sure it "
+            "is", "a committee, or an identified system",
+            "put several seeds or folds together (tustinnet committee)",
+        )  # fmt: skip
+    return found
+
+
+def bands_of(
+    path: Path, model: "Model", records: "Sequence[Experiment]", scores: "Sequence[Score]",
+    asked: "BandAsked",
+) -> "list[Band]":  # fmt: skip
+    """The bands around free runs.
+
+    Args:
+        path: the model's file.
+        model: the model.
+        records: the records.
+        scores: their free runs.
+        asked: which bands.
+
+    Raises:
+        InputError: a model that was not calibrated, or from another start or horizon.
+    """
+    return [band for band, _ in banded(path, model, records, scores, asked)]
+
+
+def banded(
+    path: Path, model: "Model", records: "Sequence[Experiment]", scores: "Sequence[Score]",
+    asked: "BandAsked",
+) -> "list[tuple[Band, np.ndarray]]":  # fmt: skip
+    """The bands around free runs, see `bands_of`, and at every time how well they are placed."""
+    from tustinnet.evaluate.bands import Calibration, band_of, guesses
+    from tustinnet.evaluate.coverage import crps_of
+    from tustinnet.store.model_file import read_header
+
+    others = alternatives_of(path, model)
+    calibration = Calibration.from_header(read_header(path), path)
+    start, horizon = scores[0].start, scores[0].horizon
+    calibration.require(asked.level, start, horizon)
+    own = [score.simulated for score in scores]
+    made = guesses(model, others, records, start, horizon=horizon, own=own)
+    return [
+        (band_of(calibration, guess, asked.level, asked.of), crps_of(e, calibration, guess))
+        for e, guess in zip(records, made, strict=True)
+    ]
+
+
+@dataclass(frozen=True)
+class BandAsked:
+    """The bands that options ask for.
+
+    Attributes:
+        level: the share that is to lie inside.
+        of: of what: `time` or `record`.
+    """
+
+    level: float
+    of: "Of"
+
+
+def band_asked(level: float | None, *, whole: bool) -> BandAsked | None:
+    """What `--band` and `--whole-records` ask for.
+
+    Raises:
+        InputError: no share; whole records without a band.
+    """
+    from tustinnet.errors import InputError
+
+    if level is None:
+        if whole:
+            raise InputError("--whole-records", "no band", "a band", "add --band LEVEL")
+        return None
+    if not 0 < level < 1:
+        raise InputError("--band", f"{level:g}", "a share between 0 and 1")
+    return BandAsked(level, "record" if whole else "time")

@@ -17,6 +17,8 @@ def simulate(
         list[str] | None, typer.Option(metavar="NAME", help="Only this record; may be repeated.")
     ] = None,
     start: options.Start = None,
+    band: options.Band = None,
+    whole_records: options.WholeRecords = False,
     card: options.Card = None,
     system: options.System = None,
     overwrite: options.Overwrite = False,
@@ -24,16 +26,20 @@ def simulate(
 ) -> None:
     """Simulate records from their start with only the input; one CSV file each."""
     terminal.prepare_jax()
-    from tustinnet.cli.request import model_of
+    from tustinnet.cli.request import band_asked, bands_of, model_of
     from tustinnet.data.catalog import locate
     from tustinnet.data.loading import load_folder
     from tustinnet.errors import InputError
     from tustinnet.evaluate.scores import evaluate
+    from tustinnet.report.leaving import left_plain, left_words
     from tustinnet.report.tables import Table, number
+    from tustinnet.simulate.range import Range
     from tustinnet.simulate.starts import default_start
     from tustinnet.store.files import require_new, require_writable_folder
+    from tustinnet.store.model_file import read_header
     from tustinnet.store.simulation_file import simulation_name, write_simulation
 
+    asked = band_asked(band, whole=whole_records)
     simulator = model_of(model, system)
     folder, declared = locate(data, card)
     loaded = load_folder(folder, declared)
@@ -47,11 +53,17 @@ def simulate(
         if path.resolve() in sources:
             raise InputError(path, "a record of the data set", "another folder than the data's")
     require_new(paths, overwrite=overwrite)
+    none = [None] * len(records)
+    bands = none if asked is None else bands_of(model, simulator, records, scores, asked)
     require_writable_folder(out)
-    written = []
-    for e, score, path in zip(records, scores, paths, strict=True):
-        write_simulation(out, e, score.simulated)
-        written.append({"experiment": e.name, "rmse": score.rmse, "file": str(path)})
+    known, written = Range.from_header(read_header(model), simulator), []
+    for e, score, around, path in zip(records, scores, bands, paths, strict=True):
+        write_simulation(out, e, score.simulated, around)
+        left = None if known is None else known.left(simulator.channels, score.simulated, e.u)
+        written.append({"experiment": e.name, "rmse": score.rmse, "file": str(path),
+                        "left": None if left is None else left_plain(left, e)})  # fmt: skip
+        if left is not None:
+            terminal.messages().print(f"note: {e.name}: {left_words(left, e)}")
     if json:
         terminal.print_json({"start": begin, "simulations": written})
         return

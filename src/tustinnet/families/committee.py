@@ -299,6 +299,10 @@ class CommitteeFamily(Family):
             raise ValueError(f"weights {weights.tolist()}")
         return _together(members, weights)
 
+    def alternatives(self, model: Committee, header: Header) -> Sequence[Model]:
+        """The members."""
+        return model.members if len(model.members) > 1 else ()
+
     def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
         """The weights; of members whose structure is the same what all of them say."""
         kinds: dict[str, list[int]] = {}

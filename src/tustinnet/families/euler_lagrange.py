@@ -7,6 +7,7 @@ values, never its code; what its code computes at fixed states is compared when 
 import inspect
 import warnings
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,6 +22,7 @@ from tustinnet.channels import Channels
 from tustinnet.errors import InputError
 from tustinnet.families.family import Arrays, Family, Header, Hyper
 from tustinnet.models.added import needed, with_forces
+from tustinnet.models.contract import Model
 from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Parameter
 from tustinnet.models.sensors import calibrated
@@ -31,6 +33,9 @@ _VALUES, _PROBED = "values", "probed"  # arrays: the parameters' values, derivat
 _PROBES = 16
 _REACH = {"q": 2.0, "v": 3.0, "z": 0.5, "u": 3.0}  # how far from 0 the probes are, SI units
 _SAME = {True: 1e-6, False: 1e-3}  # relative, in double and in single precision
+
+
+_DRAWN = 12  # sets of parameters that stand for their errors
 
 
 class EulerLagrangeHyper(Hyper):
@@ -151,6 +156,33 @@ class EulerLagrangeFamily(Family):
             for p in continuous.system.parameters
             if p.name in values
         ]
+
+    def alternatives(self, model: Discretised, header: Header) -> Sequence[Model]:
+        """The same equations with parameters drawn from their errors, within their ranges."""
+        found = header.get("identification", {})
+        estimates, correlation = found.get("estimates", ()), found.get("correlation")
+        if correlation is None or not estimates:
+            return ()
+        each = [[of[key] for of in estimates] for key in ("value", "error", "lower", "upper")]
+        values, errors, lower, upper = (np.array(x, float) for x in each)  # None becomes NaN
+        errors = np.nan_to_num(errors)
+        shape = np.nan_to_num(np.array(correlation, float)) * np.outer(errors, errors)
+        drawn = np.random.default_rng(0).multivariate_normal(
+            values, shape, _DRAWN, check_valid="ignore"
+        )
+        continuous = model.continuous
+        assert isinstance(continuous, LagrangianModel)
+        names = [of["name"] for of in estimates if of["name"] in continuous.values]
+        if len(names) < len(estimates):  # as a delay, which is no parameter of the equations
+            kept = np.array([of["name"] in continuous.values for of in estimates])
+            drawn, lower, upper = drawn[:, kept], lower[kept], upper[kept]
+        return [
+            replace(model, continuous=LagrangianModel(
+                continuous.system,
+                continuous.values | dict(zip(names, map(jnp.asarray, of), strict=True)),
+            ))
+            for of in np.clip(drawn, lower, upper)
+        ]  # fmt: skip
 
     def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
         """The system and the values."""

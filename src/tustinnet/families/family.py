@@ -131,6 +131,18 @@ class Family(ABC):
         """Name, unit and value of its physical parameters; networks have none."""
         return ()
 
+    def alternatives(self, model: Any, header: Header) -> Sequence[Model]:
+        """Models that its records would allow as well; how they differ says how sure it is.
+
+        Args:
+            model: the model.
+            header: what its file says.
+
+        Returns:
+            At least two; none of a model that does not know its own errors.
+        """
+        return ()
+
     def numpy_step(self, model: Any, dtype: type[np.floating]) -> NumpyStep:
         """A step that needs NumPy only."""
         raise InputError(

@@ -17,6 +17,7 @@ from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.inspection import ExperimentReport
 from tustinnet.errors import InputError
+from tustinnet.evaluate.bands import Band
 from tustinnet.evaluate.scores import Score
 from tustinnet.simulate.horizon import over
 from tustinnet.store.files import write_into
@@ -71,6 +72,7 @@ def free_run_figure(
     runs: Mapping[str, Score],
     styles: Mapping[str, tuple[str, object]] | None = None,
     recorded: str = "measured",
+    bands: Mapping[str, Band] | None = None,
 ) -> Figure:
     """Measured and simulated positions of one record, a panel a coordinate.
 
@@ -82,6 +84,7 @@ def free_run_figure(
         runs: free runs by label.
         styles: colour and line style by label.
         recorded: what to call the record's own line.
+        bands: around the free runs, by label.
     """
     with house_style():
         e, unit, long = experiment, experiment.channels.unit, len(experiment) > _LONG
@@ -101,6 +104,8 @@ def free_run_figure(
                 )
                 told = f"{label} (RMSE {score.rmse:.3g} {unit})"
                 line = _bounded(score.simulated[:, j], e.q[:, j])
+                if (band := (bands or {}).get(label)) is not None:
+                    _shade(axes, t, band, j, e, colour)
                 if not long:
                     axes.plot(t, line, color=colour, linestyle=dash, label=told)
                     continue
@@ -120,6 +125,16 @@ def free_run_figure(
             handles, labels, loc="outside lower center", ncols=_columns(labels), fontsize=8
         )
         return figure
+
+
+def _shade(
+    axes: Axes, t: Float[np.ndarray, " n"], band: Band, j: int, e: Experiment, colour: str
+) -> None:
+    """A band of one coordinate, from where the free run begins."""
+    after = slice(band.first, None)
+    low, high = (_bounded(of[after, j], e.q[after, j]) for of in (band.low, band.high))
+    told = f"{100 * band.level:g} % of {'the time' if band.of == 'time' else 'whole records'}"
+    axes.fill_between(t[after], low, high, color=colour, alpha=0.2, linewidth=0, label=told)
 
 
 def _plot(axes: Axes, t: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"], **style: Any) -> None:

@@ -17,7 +17,7 @@ from tustinnet.models.contract import Model
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.registry import FAMILIES
 from tustinnet.store.files import finite
-from tustinnet.store.sealed import read_sealed, write_sealed
+from tustinnet.store.sealed import SEAL, read_sealed, write_sealed
 from tustinnet.systems.files import AnySystem, SystemFile, load_system
 
 _PACKAGES = ("tustinnet", "jax", "jaxlib", "equinox", "optax", "numpy")
@@ -62,6 +62,22 @@ def save(model: Model, path: str | Path, **header: Any) -> None:
 def package_versions() -> dict[str, str]:
     """The versions of the packages that models are computed with."""
     return {name: metadata.version(name) for name in _PACKAGES}
+
+
+def copy_with(path: Path, out: Path, **more: Any) -> None:
+    """Writes a copy of a model file whose header says more.
+
+    Args:
+        path: the model file.
+        out: the copy.
+        more: what its header shall say beside what it says already, or instead.
+
+    Raises:
+        InputError: as `load_model` and `save`.
+    """
+    header, arrays = _read(path)
+    header.pop(SEAL, None)
+    write_sealed(out.parent, out.name, finite({**header, **more}), arrays)
 
 
 def load_model(path: str | Path, system: AnySystem | None = None) -> Model:
@@ -183,3 +199,21 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     header, arrays = read_sealed(path, FAMILIES.names())
     declare(header, _Header, path)
     return header, arrays
+
+
+def records_in(header: Mapping[str, Any]) -> dict[str, str]:
+    """The records that a model was made from: names by checksum.
+
+    A fit trains with the records of `train`, a selection with all but those of `test`; what was
+    put together was made from the records of all its parts.
+    """
+    listed = header.get("data", {}).get("records", ())
+    chosen = "selection" in header
+    found = {
+        of["sha256"]: of["name"]
+        for of in listed
+        if of["sha256"] and (of["split"] != "test" if chosen else of["split"] == "train")
+    }
+    for part in header.get("files", ()):
+        found |= records_in(part)
+    return found

@@ -1,0 +1,101 @@
+"""How many of the records that were used for nothing lie inside the bands of a model.
+
+    python benchmarks/bands.py DATA [--recipe best-grey] [--system qube-servo2-rubbing]
+
+Each of five folds is left out. The others are dealt into three folds again: models of these give
+the free runs that calibrate, a model of all others the bands that are tried on the fold left out.
+"""
+
+import argparse
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+
+import tustinnet as tn
+from tustinnet.data.dataset import DataSet
+from tustinnet.evaluate.bands import Band, Guess, band_of, calibrated, guesses
+from tustinnet.evaluate.coverage import covered, crps_of
+from tustinnet.evaluate.folds import dealt
+from tustinnet.families.family import family_of
+from tustinnet.fitting.fit import fit_task
+from tustinnet.fitting.report import FitResult
+from tustinnet.fitting.roles import Roles
+from tustinnet.fitting.task import Fold, Member, Task
+
+INNER = 3  # folds of the others
+
+
+def fitted(folds: list[Fold], recipe: Any, system: Any, seeds: int) -> list[FitResult]:
+    """One model a fold, or a committee of several seeds."""
+    members = tuple(Member(s, fold=f) for f in range(len(folds)) for s in range(seeds))
+    return fit_task(Task(recipe, tuple(folds), members, system, brief=True))
+
+
+def guessed(result: FitResult, records: Any, start: str) -> list[Guess]:
+    """Free runs of records with the spread of the model's alternatives."""
+    others = family_of(result.model).alternatives(result.model, result.as_header())
+    return guesses(result.model, others, records, start)
+
+
+def main() -> None:
+    """Reads the arguments, fits, prints."""
+    asked = argparse.ArgumentParser()
+    asked.add_argument("data")
+    asked.add_argument("--recipe", default="best-grey")
+    asked.add_argument("--system", default="qube-servo2-rubbing")
+    asked.add_argument("--start", default="model-20")
+    asked.add_argument("--out", type=Path, default=Path("results/bands.json"))
+    given = asked.parse_args()
+    data, recipe = tn.load(given.data), tn.read_recipe(given.recipe)
+    system = tn.load_system(given.system)
+    deals, rows = dealt(data), []
+    inner: list[tuple[int, Any]] = []
+    folds: list[Fold] = []
+    for k, deal in enumerate(deals):
+        others = deal.roles.all
+        inner.append((k, None))
+        folds.append(Fold(Roles(tuple(others), ())))
+        for d in dealt(DataSet(data.name, tuple(others)), INNER):
+            inner.append((k, d.scored))
+            folds.append(Fold(Roles(tuple(d.roles.all), ())))
+    bands: dict[str, list[Band]] = {"time": [], "record": []}
+    crps: list[Any] = []
+    scored_all: list[tn.Experiment] = []
+    results = fitted(folds, recipe, system, 1)
+    for k, deal in enumerate(deals):
+        of_fold = [(r, s) for r, (f, s) in zip(results, inner, strict=True) if f == k]
+        made, records = [], []
+        for result, scored in of_fold:
+            if scored is not None:
+                made += guessed(result, scored, given.start)
+                records += scored
+        calibration = calibrated(made, records, given.start)
+        final = next(r for r, s in of_fold if s is None)
+        tried = guessed(final, deal.scored, given.start)
+        n = len(records)
+        bands["time"] += [band_of(calibration, g, 0.9) for g in tried]
+        bands["record"] += [band_of(calibration, g, n / (n + 1), "record") for g in tried]
+        crps += [crps_of(e, calibration, g) for e, g in zip(deal.scored, tried, strict=True)]
+        scored_all += deal.scored
+    for of, some in bands.items():
+        shares = covered(scored_all, some, crps)
+        rows += [{"of": of, "level": some[0].level, **asdict(share)} for share in shares]
+        for share in shares:
+            low, high = share.interval
+            print(
+                f"{of:6} {some[0].level:.3f} {share.coordinate:6} {share.part:6} inside "
+                f"{share.inside:.3f} ({low:.2f} to {high:.2f}), all of {share.whole} of "
+                f"{share.records}, width {share.width:.4f} = {share.width / share.rmse:.2f} RMSE, "
+                f"CRPS {share.crps:.4f}"
+            )
+    given.out.parent.mkdir(parents=True, exist_ok=True)
+    given.out.write_text(json.dumps(rows, indent=1))
+
+
+if __name__ == "__main__":
+    main()

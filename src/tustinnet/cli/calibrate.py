@@ -1,0 +1,60 @@
+"""`tustinnet calibrate`: bands for a model."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tustinnet.cli import options, terminal
+
+
+def calibrate(
+    model: options.Model,
+    data: options.Data,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Where the model with bands goes.")],
+    split: options.Split = None,
+    start: options.Start = None,
+    horizon: options.Horizon = None,
+    card: options.Card = None,
+    system: options.System = None,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
+) -> None:
+    """Learn from records that the model was not made from how far its free runs can be trusted."""
+    terminal.prepare_jax()
+    from tustinnet.cli.request import alternatives_of, judged_records, model_of
+    from tustinnet.errors import InputError
+    from tustinnet.evaluate.bands import KEY, calibrated, guesses
+    from tustinnet.store.files import require_new
+    from tustinnet.store.kept_system import keep, kept_with, require_room
+    from tustinnet.store.model_file import copy_with, read_header, records_in
+
+    if out.resolve() == model.resolve():
+        raise InputError(out, "the model itself", "another file")
+    require_new([out], overwrite=overwrite)
+    judged = model_of(model, system)
+    others = alternatives_of(model, judged)
+    records, begin = judged_records(data, card, split, start, [judged])
+    made_from = records_in(read_header(model))
+    if seen := [e.name for e in records if e.sha256 in made_from]:
+        raise InputError(
+            "calibrate", f"{', '.join(seen[:3])}, which {model} was made from",
+            "records that it never saw", "name them by --split",
+        )  # fmt: skip
+    made = guesses(judged, others, records, begin, horizon=horizon)
+    found = calibrated(made, records, begin, horizon)
+    copy = kept_with(model)
+    if not overwrite:
+        require_room(copy, out.parent)
+    copy_with(model, out, **{KEY: found.as_header()})
+    if copy is not None:
+        keep(copy, out.parent)
+    promised = len(records) / (len(records) + 1)
+    if json:
+        terminal.print_json({"file": str(out), "start": begin, "records": found.records,
+                             "highest_level": promised})  # fmt: skip
+        return
+    terminal.messages().print(
+        f"{out}: bands from {len(records)} records, start '{begin}'; they can promise at most "
+        f"{100 * promised:.1f} %"
+    )

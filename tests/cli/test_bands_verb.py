@@ -1,0 +1,116 @@
+"""Bands by the command: calibrated, drawn, judged, refused."""
+
+import json
+from pathlib import Path
+from typing import NamedTuple
+
+import polars as pl
+import pytest
+from test_grey_box import SYSTEM, identified, identified_once, system  # noqa: F401 (fixtures)
+from test_verbs import tustinnet
+
+import tustinnet as tn
+
+
+@pytest.fixture
+def refused(capsys):
+    def check(*arguments: object, told: str) -> None:
+        code, out, err = tustinnet(capsys, *arguments)
+        assert (code, out, err.count("\n")) == (1, "", 1)
+        assert told in err
+
+    return check
+
+
+class Place(NamedTuple):
+    """What the verbs are given."""
+
+    plain: Path
+    banded: Path
+    logs: Path
+    system: Path
+
+
+@pytest.fixture
+def place(identified, folder, system, tmp_path, capsys) -> Place:  # noqa: F811
+    """An identified model, and its copy with bands."""
+    file = tmp_path / "banded" / "model.safetensors"
+    asked = ("calibrate", identified / "model.safetensors", folder, "--split", "validation",
+             "--system", system, "--out", file)  # fmt: skip
+    code, out, err = tustinnet(capsys, *asked)
+    assert (code, out) == (0, "")
+    assert "bands from 2 records, start 'derived-6'; they can promise at most 66.7 %" in err
+    return Place(identified / "model.safetensors", file, folder, system)
+
+
+def test_a_calibrated_model_simulates_and_is_judged_with_bands(place, tmp_path, capsys):
+    banded, folder = place.banded, place.logs
+    given = ("--system", place.system, "--start", "derived-6", "--split", "validation")
+    sim = tmp_path / "sim"
+    asked = ("simulate", banded, folder, *given, "--out", sim, "--band", 0.6)
+    assert tustinnet(capsys, *asked)[0] == 0
+    by_time = pl.read_csv(sim / "fall3.csv")
+    assert (by_time["angle_low"] <= by_time["angle"]).all()
+    assert (by_time["angle"] <= by_time["angle_high"]).all()
+    assert tustinnet(capsys, *asked, "--whole-records", "--overwrite")[0] == 0
+    whole = pl.read_csv(sim / "fall3.csv")
+    widths = [(of["angle_high"] - of["angle_low"]).to_numpy().mean() for of in (by_time, whole)]
+    assert widths[0] < widths[1]
+
+    figures = tmp_path / "figures"
+    asked = ("evaluate", banded, folder, *given, "--band", 0.6)
+    code, out, _ = tustinnet(capsys, *asked, "--json", "--whole-records", "--figures", figures)
+    assert code == 0
+    told = json.loads(out)["band"]
+    assert (told["level"], told["of"]) == (0.6, "record")
+    assert {of["part"] for of in told["covered"]} <= {"moving", "rest"}
+    # what was calibrated on these records holds the share of them that it can promise
+    assert all(of["whole"] == of["records"] or of["inside"] > 0.5 for of in told["covered"])
+    assert (figures / "fall3.png").exists()
+    code, out, _ = tustinnet(capsys, *asked)
+    assert code == 0
+    assert "Bands of 60 % of the time" in out
+    drawn = ("compare", banded, folder, *given, "--band", 0.6)
+    assert tustinnet(capsys, *drawn, "--figures", tmp_path / "compared")[0] == 0
+
+
+def test_a_copy_with_bands_is_the_same_model(place):
+    one, other = (tn.read_header(path) for path in (place.plain, place.banded))
+    assert other.pop("bands")["records"] == ["fall3", "noise2"]
+    assert one == other
+    assert (place.banded.parent / "system.py").exists()
+
+
+def test_bands_that_cannot_be_are_one_line(place, run_folder, tmp_path, refused, capsys):
+    plain, banded, folder, file = place
+    out = tmp_path / "x.safetensors"
+    net = run_folder / "model.safetensors"
+    given = ("--system", file)
+    refused("calibrate", plain, folder, *given, "--out", out, "--split", "train", told="fall1")
+    refused("calibrate", plain, folder, *given, "--out", plain, told="the model itself")
+    refused("calibrate", plain, folder, *given, "--out", banded, "--split", "validation",
+            told="there already")  # fmt: skip
+    refused("calibrate", net, folder, "--out", out, "--split", "validation",
+            told="nothing says how sure it is")  # fmt: skip
+    for option in ("--start", "--card", "--split"):
+        refused("calibrate", plain, folder, *given, "--out", out, option, "nowhere", told="nowhere")
+    assert not out.exists()
+    sim = ("--out", tmp_path / "sim")
+    start = ("--start", "derived-6")
+    refused("simulate", banded, folder, *given, *start, *sim, "--band", 0.9,
+            told="which cannot promise more than 66.7 %; expected 9 records")  # fmt: skip
+    refused("simulate", banded, folder, *given, *start, *sim, "--band", 90, told="between 0 and 1")
+    refused("simulate", banded, folder, *given, *sim, "--band", 0.6, "--start", "model-20",
+            told="'derived-6', whole records, as the model was calibrated")  # fmt: skip
+    refused("simulate", plain, folder, *given, *sim, "--band", 0.6, told="without bands")
+    refused("simulate", net, folder, *sim, "--band", 0.6, told="nothing says how sure it is")
+    refused("simulate", banded, folder, *given, *sim, "--whole-records", told="add --band")
+    refused("evaluate", banded, folder, *given, "--whole-records", told="add --band")
+    refused("compare", banded, folder, *given, "--band", 0.6, told="--figures DIR")
+    refused("compare", banded, folder, *given, "--whole-records", told="add --band")
+    assert not (tmp_path / "sim").exists()
+    asked = ("calibrate", plain, folder, *given, "--out", banded, "--split", "validation")
+    code, told, _ = tustinnet(capsys, *asked, "--overwrite", "--json", "--horizon", 1.0)
+    assert code == 0
+    assert json.loads(told)["highest_level"] == pytest.approx(2 / 3)
+    refused("simulate", banded, folder, *given, *start, *sim, "--band", 0.6, told="horizon 1 s")
