@@ -176,6 +176,7 @@ def test_a_port_where_something_else_listens_is_told_in_time(answer, monkeypatch
 
 
 def test_without_ray_the_extra_is_named(monkeypatch):
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(InputError, match=r"ray is not installed.*tustinnet\[ray\]"), cluster():
         pass
