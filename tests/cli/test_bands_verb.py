@@ -92,8 +92,10 @@ def test_bands_that_cannot_be_are_one_line(place, run_folder, tmp_path, refused,
             told="there already")  # fmt: skip
     refused("calibrate", net, folder, "--out", out, "--split", "validation",
             told="nothing says how sure it is")  # fmt: skip
-    for option in ("--start", "--card", "--split"):
+    for option in ("--card", "--split"):
         refused("calibrate", plain, folder, *given, "--out", out, option, "nowhere", told="nowhere")
+    refused("calibrate", plain, folder, *given, "--out", out, "--split", "validation",
+            "--start", "nowhere", told="nowhere")  # fmt: skip
     assert not out.exists()
     sim = ("--out", tmp_path / "sim")
     start = ("--start", "derived-6")

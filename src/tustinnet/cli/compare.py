@@ -1,7 +1,7 @@
 """`tustinnet compare`: several models on the same records."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -39,7 +39,7 @@ def compare(
     terminal.prepare_jax()
     from tustinnet.cli.request import band_asked, bands_of, judged_records, kept_system
     from tustinnet.errors import InputError
-    from tustinnet.evaluate.scores import evaluate, mean_rmse, rmse_by_record
+    from tustinnet.evaluate.scores import evaluate
     from tustinnet.report.figures import free_run_figure, write_figure
     from tustinnet.store.model_file import load_models
     from tustinnet.systems.files import find_system
@@ -65,21 +65,23 @@ def compare(
             write_figure(free_run_figure(e, runs, bands=around), figures, f"{e.name}.png")
         terminal.messages().print(f"figures: {figures}")
     if json:
-        content = {
-            "start": begin,
-            "horizon": horizon,
-            "models": {
-                label: {
-                    "file": str(path),
-                    "mean": mean_rmse(scores[label]),
-                    "rmse": rmse_by_record(scores[label]),
-                }
-                for label, path in zip(scores, models, strict=True)
-            },
-        }
-        terminal.print_json(content)
+        content = _content(models, scores)
+        terminal.print_json({"start": begin, "horizon": horizon, "models": content})
         return
     terminal.print_tables(_table(records, scores, begin))
+
+
+def _content(models: list[Path], scores: "dict[str, list[Score]]") -> dict[str, Any]:
+    from tustinnet.evaluate.scores import mean_rmse, rmse_by_record
+
+    return {
+        label: {
+            "file": str(path),
+            "mean": mean_rmse(scores[label]),
+            "rmse": rmse_by_record(scores[label]),
+        }
+        for label, path in zip(scores, models, strict=True)
+    }
 
 
 def _table(records: "list[Experiment]", scores: "dict[str, list[Score]]", begin: str) -> "Table":

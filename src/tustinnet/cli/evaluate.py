@@ -10,8 +10,12 @@ import typer
 from tustinnet.cli import options, terminal
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from tustinnet.channels import Channels
     from tustinnet.cli.request import BandAsked
+    from tustinnet.data.experiment import Experiment
+    from tustinnet.evaluate.bands import Band
     from tustinnet.evaluate.coverage import Covered
     from tustinnet.evaluate.scores import Score
     from tustinnet.report.tables import Table
@@ -41,42 +45,28 @@ def evaluate(
     from tustinnet.cli.request import band_asked, banded, judged_records, model_of
     from tustinnet.evaluate.ahead import rmse_ahead
     from tustinnet.evaluate.coverage import covered
-    from tustinnet.evaluate.scores import Score, mean_rmse
+    from tustinnet.evaluate.scores import Score
     from tustinnet.evaluate.scores import evaluate as score_records
 
     asked = band_asked(band, whole=whole_records)
     judged = model_of(model, system)
     records, begin = judged_records(data, card, split, start, [judged])
     scores = score_records(judged, records, begin, horizon=horizon)
+    runs = list(zip(records, scores, strict=True))
     by_split: dict[str, list[Score]] = {}
-    for e, score in zip(records, scores, strict=True):
+    for e, score in runs:
         by_split.setdefault(e.split or "all", []).append(score)
     found = [] if asked is None else banded(model, judged, records, scores, asked)
     bands = [of for of, _ in found]
     shares = covered(records, bands, [crps for _, crps in found]) if found else []
     errors = None if ahead is None else rmse_ahead(judged, records, ahead)
     if figures is not None:
-        from tustinnet.report.figures import ahead_figure, free_run_figure, write_figure
-
-        for i, (e, score) in enumerate(zip(records, scores, strict=True)):
-            around = {model.stem: bands[i]} if bands else {}
-            figure = free_run_figure(e, {model.stem: score}, bands=around)
-            write_figure(figure, figures, f"{e.name}.png")
+        _draw(figures, model.stem, runs, bands)
         if errors is not None:
-            write_figure(ahead_figure({model.stem: errors}, judged.channels), figures, "ahead.png")
+            _draw_ahead(figures, model.stem, errors, judged.channels)
         terminal.messages().print(f"figures: {figures}")
     if json:
-        content: dict[str, Any] = {
-            "start": begin,
-            "horizon": horizon,
-            "coordinates": [c.name for c in judged.coordinates],
-            "experiments": [
-                {**_plain(score), "split": e.split}
-                for e, score in zip(records, scores, strict=True)
-            ],
-            "mean": mean_rmse(scores),
-            "means": {name: mean_rmse(group) for name, group in by_split.items()},
-        }
+        content = _content(judged.channels, runs, by_split, horizon)
         if asked is not None:
             content["band"] = {"level": asked.level, "of": asked.of,
                                "covered": [asdict(of) for of in shares]}  # fmt: skip
@@ -89,6 +79,40 @@ def evaluate(
         terminal.print_tables(_band_table(shares, asked, judged.channels))
     if errors is not None:
         terminal.print_tables(_ahead_table(errors.tolist(), judged.channels))
+
+
+def _content(
+    channels: "Channels",
+    runs: "list[tuple[Experiment, Score]]",
+    by_split: dict[str, list["Score"]],
+    horizon: float | None,
+) -> dict[str, Any]:
+    from tustinnet.evaluate.scores import mean_rmse
+
+    return {
+        "start": runs[0][1].start,
+        "horizon": horizon,
+        "coordinates": [c.name for c in channels.coordinates],
+        "experiments": [{**_plain(score), "split": e.split} for e, score in runs],
+        "mean": mean_rmse([score for _, score in runs]),
+        "means": {name: mean_rmse(group) for name, group in by_split.items()},
+    }
+
+
+def _draw(
+    folder: Path, label: str, runs: "list[tuple[Experiment, Score]]", bands: "list[Band]"
+) -> None:
+    from tustinnet.report.figures import free_run_figure, write_figure
+
+    for i, (e, score) in enumerate(runs):
+        around = {label: bands[i]} if bands else {}
+        write_figure(free_run_figure(e, {label: score}, bands=around), folder, f"{e.name}.png")
+
+
+def _draw_ahead(folder: Path, label: str, errors: "np.ndarray", channels: "Channels") -> None:
+    from tustinnet.report.figures import ahead_figure, write_figure
+
+    write_figure(ahead_figure({label: errors}, channels), folder, "ahead.png")
 
 
 def _ahead_table(errors: list[float], channels: "Channels") -> "Table":

@@ -1,11 +1,14 @@
 """`tustinnet simulate`: free runs as files."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tustinnet.cli import options, terminal
+
+if TYPE_CHECKING:
+    from tustinnet.report.tables import Table
 
 
 def simulate(
@@ -32,7 +35,6 @@ def simulate(
     from tustinnet.errors import InputError
     from tustinnet.evaluate.scores import evaluate
     from tustinnet.report.leaving import left_plain, left_words
-    from tustinnet.report.tables import Table, number
     from tustinnet.simulate.range import Range
     from tustinnet.simulate.starts import default_start
     from tustinnet.store.files import require_new, require_writable_folder
@@ -67,7 +69,11 @@ def simulate(
     if json:
         terminal.print_json({"start": begin, "simulations": written})
         return
+    terminal.print_tables(_table(written, begin))
+
+
+def _table(written: list[dict[str, Any]], start: str) -> "Table":
+    from tustinnet.report.tables import Table, number
+
     rows = [[w["experiment"], number(w["rmse"]), w["file"]] for w in written]
-    terminal.print_tables(
-        Table(["record", "RMSE", "file"], rows, title=f"Free runs, start '{begin}'")
-    )
+    return Table(["record", "RMSE", "file"], rows, title=f"Free runs, start '{start}'")
