@@ -325,6 +325,9 @@ class Tape:
                 return self.apply("neg", args[1])
             case ("mul", [_, -1.0]):
                 return self.apply("neg", args[0])
+            # a factorisation divides several numbers by the same root: one reciprocal serves all
+            case ("div", _) if self._nodes[args[1]].op == "sqrt" and values[0] != 1.0:
+                return self.apply("mul", args[0], self.apply("div", self.number(1.0), args[1]))
             case ("neg", _) if self._nodes[args[0]].op == "neg":
                 return self._nodes[args[0]].args[0]
             case ("select", [True, *_]):
