@@ -166,14 +166,22 @@ def range_of(model: Model, experiments: Sequence[Experiment]) -> Range:
 def joined(ranges: Sequence[Range], channels: Channels) -> Range:
     """The range of models that step together, their internal states one after the other.
 
+    What came together is known where all are of the same records.
+
     Args:
         ranges: of each model.
         channels: what they share.
     """
     measured = [of.states[channels.measured] for of in ranges]
     internal = [of.states[channels.internal] for of in ranges]
+    clouds = [of.cloud for of in ranges if of.cloud is not None]
+    same = len(clouds) == len(ranges) and all(
+        np.array_equal(cloud.points, clouds[0].points) for cloud in clouds
+    )
     return Range(
-        np.concatenate([_around(measured), *internal]), _around([of.inputs for of in ranges])
+        np.concatenate([_around(measured), *internal]),
+        _around([of.inputs for of in ranges]),
+        clouds[0] if same else None,
     )
 
 
