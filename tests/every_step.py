@@ -127,3 +127,16 @@ def operations_in(program: Program) -> set[str]:
     """The kinds of nodes of a program, loops included."""
     found = {node.op for node in program.nodes}
     return found.union(*(operations_in(loop.body) for loop in program.loops))
+
+
+def require_same_run(found: object, expected: object, *, relative: float = 1e-12) -> None:
+    """Two free runs, (time, n_x), agree: each state relative to its largest value in the run.
+
+    A relative error of each number would ask for most where a state passes through 0, and what
+    is rounded on the way depends on the machine.
+    """
+    runs = [np.asarray(run, float) for run in (found, expected)]
+    assert runs[0].shape == runs[1].shape
+    largest = np.abs(runs[1]).max(axis=0)
+    difference = np.abs(runs[0] - runs[1]).max(axis=0)
+    assert np.all(difference <= relative * largest), (difference, largest)

@@ -11,7 +11,14 @@ import numpy as np
 import pytest
 from documented import blocks
 from every_family import CHANNELS, NAMES, network
-from every_step import PROGRAMS, example_source, state_of, stepping, without_inputs
+from every_step import (
+    PROGRAMS,
+    example_source,
+    require_same_run,
+    state_of,
+    stepping,
+    without_inputs,
+)
 
 import tustinnet as tn
 from tustinnet.errors import InputError
@@ -93,9 +100,7 @@ def test_500_steps_in_node_are_a_rollout(name, tmp_path):
     x0, u = np.full(source.n_x, 0.1), 0.5 * np.sin(np.arange(500.0) / 7)[:, None]
     script = rolled(f'import {{ init, step }} from "./{MODULE}";', x0, u)
     found = node(f"{script}console.log(JSON.stringify(run));", written(source, tmp_path))
-    np.testing.assert_allclose(
-        json.loads(found), tn.rollout(source.model, x0, u), rtol=1e-12, atol=1e-12
-    )
+    require_same_run(json.loads(found), tn.rollout(source.model, x0, u))
 
 
 HOSTILE = "<script>'\"`${x} é"
@@ -151,9 +156,7 @@ def test_a_browser_makes_the_same_run(tmp_path):
     )  # fmt: skip
     found = re.search(r"&lt;(\[.*\])&gt;", done.stdout)
     assert found
-    np.testing.assert_allclose(
-        json.loads(found[1]), tn.rollout(source.model, x0, u), rtol=1e-12, atol=1e-12
-    )
+    require_same_run(json.loads(found[1]), tn.rollout(source.model, x0, u))
 
 
 @by_node

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from documented import blocks
 from every_family import example, nominal
+from every_step import require_same_run
 
 import tustinnet as tn
 from tustinnet.errors import InputError
@@ -23,7 +24,7 @@ def test_a_response_is_the_rollout(name):
     x0 = np.linspace(0.1, 0.3, model.state_size)
     found = control.input_output_response(system, model.dt * np.arange(40), u.T, x0)
     expected = np.asarray(tn.rollout(model, x0, u[:-1]))
-    np.testing.assert_allclose(found.outputs.T, expected, rtol=1e-12, atol=1e-12)
+    require_same_run(found.outputs.T, expected)
     np.testing.assert_array_equal(found.states, found.outputs)
     assert not any("." in label for label in system.state_labels)  # "relaxing in 0.5 s"
 
@@ -40,7 +41,7 @@ def test_inputs_at_other_samples_are_inputs_of_their_own():
     expected = tn.rollout(model, np.zeros(3), tn.drive_of(model, record)[1:])
     rows = np.stack([u[1:-1], u[2:], u[:-2]])
     found = control.input_output_response(system, model.dt * np.arange(20), rows, np.zeros(3))
-    np.testing.assert_allclose(found.outputs.T, expected[:20], rtol=1e-12, atol=1e-12)
+    require_same_run(found.outputs.T, expected[:20])
 
 
 def test_the_pages_program_designs_a_controller_and_tries_it_on_the_model():

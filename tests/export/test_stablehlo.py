@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from documented import blocks
 from every_family import NAMES, example
-from every_step import example_source, without_inputs
+from every_step import example_source, require_same_run, without_inputs
 
 import tustinnet as tn
 from tustinnet.export.source import Source, source_of
@@ -65,7 +65,7 @@ def test_a_process_without_the_package_makes_the_same_run(name, tmp_path):
     expected = tn.rollout(source.model, x0, u)
     for steps in (1, 300):
         found = np.load(tmp_path / f"found{steps}.npy")
-        np.testing.assert_allclose(found, expected[: steps + 1], rtol=1e-12, atol=1e-12)
+        require_same_run(found, expected[: steps + 1])
     np.testing.assert_allclose(np.load(tmp_path / "following.npy"), expected[1], rtol=1e-13)
 
 
