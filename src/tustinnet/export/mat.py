@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -36,13 +35,11 @@ class Matrices(Target):
 
     def expected(self, source: Source) -> Stepped:
         """The tangent of the model's step, as JAX has it."""
-        x0, u0 = map(jnp.asarray, point_of(source, self.point))
-        u0 = jnp.tile(u0, len(source.seen.offsets))
-        a, b = jax.jit(jax.jacfwd(source.function, argnums=(0, 1)))(x0, u0)
-        reached = jax.jit(source.function)(x0, u0)
+        of = tangent(source, *point_of(source, self.point))
+        reached = of.x + of.drift
 
         def step(x: Array, u: Array) -> Array:
-            return reached + a @ (x - x0) + b @ (u - u0)
+            return jnp.asarray(reached + of.a @ (x - of.x) + of.b @ (u - of.u))
 
         return step
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -18,6 +17,7 @@ from tustinnet.export.tape import Program
 from tustinnet.families.family import family_of
 from tustinnet.models.contract import Model, require_float64, with_dtype
 from tustinnet.signals.excitation import Excitation, Held, excitation
+from tustinnet.simulate.linearise import with_slopes
 from tustinnet.simulate.range import Range
 
 _FARTHEST = 1000  # samples away that a step may see
@@ -49,7 +49,6 @@ class Source:
         model: the model, in its cheapest form, of one group.
         range: where its training records lie, None where nobody knows.
         about: what its file says of it, for the card.
-        seen: what a step is given of the inputs.
     """
 
     model: Model
@@ -125,11 +124,7 @@ class Source:
         """The step and its derivatives by rows: `x`, `u` to `x`, `a` (n_x n_x), `b` (n_x n_w)."""
 
         def both(x: Array, u: Array) -> dict[str, Array]:
-            def twice(x: Array, u: Array) -> tuple[Array, Array]:
-                moved = self.function(x, u)
-                return moved, moved
-
-            (a, b), moved = jax.jacfwd(twice, argnums=(0, 1), has_aux=True)(x, u)
+            moved, (a, b) = with_slopes(self.function, x, u)
             return {"x": moved, "a": a, "b": b}
 
         return read(both, self._inputs)

@@ -2,13 +2,15 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
 from tustinnet.errors import InputError
-from tustinnet.export.numbers import run
 from tustinnet.export.source import Source
+from tustinnet.simulate.linearise import with_slopes
 
 
 @dataclass(frozen=True)
@@ -49,14 +51,14 @@ def tangent(source: Source, x: Float[np.ndarray, " n_x"], u: Float[np.ndarray, "
         )  # fmt: skip
     state = np.asarray(x, float)
     inputs = np.tile(np.asarray(u, float), len(source.seen.offsets))
-    found = run(source.linearised, x=state, u=inputs)
-    if not all(np.isfinite(values).all() for values in found.values()):
+    reached, slopes = jax.jit(partial(with_slopes, source.function))(state, inputs)
+    moved, a, b = (np.asarray(of) for of in (reached, *slopes))
+    if not all(np.isfinite(values).all() for values in (moved, a, b)):
         raise InputError(
             "operating point", "derivatives that are not finite",
             "a point where the model is smooth",
         )  # fmt: skip
-    a, b = found["a"].reshape(n_x, n_x), found["b"].reshape(n_x, source.n_w)
-    return Tangent(state, inputs, a, b, found["x"] - state)
+    return Tangent(state, inputs, a, b, moved - state)
 
 
 def point_of(

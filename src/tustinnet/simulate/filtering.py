@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -13,6 +12,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model, require_fit
 from tustinnet.simulate.drive import drive_of
+from tustinnet.simulate.linearise import with_slopes
 
 Deviations = Float[Array | np.ndarray, " _"]
 Rows = Float[Array | np.ndarray, "..."]
@@ -105,13 +105,8 @@ def _checked(given: Mapping[str, Rows], n_x: int, n_q: int) -> list[Vector]:
 @eqx.filter_jit
 def _predicted(model: Model, x: Rows, u: Rows) -> tuple[Array, Array]:
     """The next state, and its derivatives by this one."""
-
-    def twice(x: Array) -> tuple[Array, Array]:
-        following = model.step(x, jnp.asarray(u))
-        return following, following
-
-    derivatives, following = jax.jacfwd(twice, has_aux=True)(jnp.asarray(x))
-    return following, derivatives
+    following, (a,) = with_slopes(lambda x: model.step(x, jnp.asarray(u)), jnp.asarray(x))
+    return following, a
 
 
 def _corrected(x: Vector, p: Covariance, q: Vector, variance: Vector) -> tuple[Vector, Covariance]:

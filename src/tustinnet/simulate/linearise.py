@@ -1,6 +1,8 @@
 """Linear models about a point."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -53,12 +55,29 @@ def linearize(
             f"({n_x},) and ({n_u},)",
         )
     discrete = isinstance(model, Model)
-    function = model.step if discrete else model.derivative
-    a, b = jax.jacfwd(function, argnums=(0, 1))(at, inputs)
-    moved = function(at, inputs)
+    moved, (a, b) = with_slopes(model.step if discrete else model.derivative, at, inputs)
     return Linearisation(
         np.asarray(a),
         np.asarray(b),
         np.asarray(moved - at if discrete else moved),
         model.dt if discrete else None,
     )
+
+
+def with_slopes(function: Callable[..., Array], *at: Any) -> tuple[Array, tuple[Array, ...]]:
+    """What a function returns at a point, and its derivatives by each argument; computed once.
+
+    Args:
+        function: of vectors, (n,) each, to a vector, (m,).
+        at: the vectors.
+
+    Returns:
+        The value, (m,), and for each argument the derivatives, (m, n).
+    """
+
+    def twice(*at: Array) -> tuple[Array, Array]:
+        value = function(*at)
+        return value, value
+
+    slopes, value = jax.jacfwd(twice, argnums=tuple(range(len(at))), has_aux=True)(*at)
+    return value, slopes
