@@ -19,7 +19,7 @@ jax.config.update("jax_enable_x64", True)
 import tustinnet as tn
 from tustinnet.data.dataset import DataSet
 from tustinnet.evaluate.bands import Band, Guess, band_of, calibrated, guesses
-from tustinnet.evaluate.coverage import covered, crps_of
+from tustinnet.evaluate.coverage import covered
 from tustinnet.evaluate.folds import dealt
 from tustinnet.families.family import family_of
 from tustinnet.fitting.fit import fit_task
@@ -64,7 +64,6 @@ def main() -> None:
             inner.append((k, d.scored))
             folds.append(Fold(Roles(tuple(d.roles.all), ())))
     bands: dict[str, list[Band]] = {"time": [], "record": []}
-    crps: list[Any] = []
     scored_all: list[tn.Experiment] = []
     results = fitted(folds, recipe, system, 1)
     for k, deal in enumerate(deals):
@@ -80,10 +79,9 @@ def main() -> None:
         n = len(records)
         bands["time"] += [band_of(calibration, g, 0.9) for g in tried]
         bands["record"] += [band_of(calibration, g, n / (n + 1), "record") for g in tried]
-        crps += [crps_of(e, calibration, g) for e, g in zip(deal.scored, tried, strict=True)]
         scored_all += deal.scored
     for of, some in bands.items():
-        shares = covered(scored_all, some, crps)
+        shares = covered(scored_all, some)
         rows += [{"of": of, "level": some[0].level, **asdict(share)} for share in shares]
         for share in shares:
             low, high = share.interval

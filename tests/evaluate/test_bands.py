@@ -10,7 +10,7 @@ from swinging import SWING, records
 import tustinnet as tn
 from tustinnet.errors import InputError
 from tustinnet.evaluate.bands import Calibration, Guess, band_of, calibrated, guesses
-from tustinnet.evaluate.coverage import covered, crps_of
+from tustinnet.evaluate.coverage import covered
 from tustinnet.families.family import family_of
 
 N = 400
@@ -81,8 +81,7 @@ def test_coverage_is_told_with_its_interval_and_score():
     calibration = calibrated(*some(range(30)), "file")
     tried, known = some(range(100, 120))
     bands = [band_of(calibration, guess, 0.9) for guess in tried]
-    scores = [crps_of(e, calibration, g) for g, e in zip(tried, known, strict=True)]
-    moving, rest = covered(known, bands, scores)
+    moving, rest = covered(known, bands)
     assert (moving.part, rest.part, moving.records) == ("moving", "rest", 20)
     k = 20 * moving.inside
     assert moving.interval[0] == pytest.approx(scipy.stats.beta.ppf(0.025, k, 21 - k))

@@ -15,8 +15,9 @@ import tustinnet as tn
 from tustinnet.errors import InputError
 from tustinnet.export import casadi as target
 from tustinnet.export.numbers import run
+from tustinnet.export.program import OPERATIONS
 from tustinnet.export.reading import read
-from tustinnet.export.tape import OPERATIONS, Tape
+from tustinnet.export.tape import Tape
 
 casadi = pytest.importorskip("casadi")
 

@@ -2,7 +2,7 @@
 
 from every_step import PROGRAMS, operations_in, stepping
 
-from tustinnet.export.tape import OPERATIONS
+from tustinnet.export.program import OPERATIONS
 
 
 def test_every_kind_of_node_is_tried():

@@ -33,9 +33,10 @@ def calibrate(
         raise InputError(out, "the model itself", "another file")
     require_new([out], overwrite=overwrite)
     judged = model_of(model, system)
-    others = alternatives_of(model, judged)
+    header = read_header(model)
+    others = alternatives_of(model, judged, header)
     records, begin = judged_records(data, card, split, start, [judged])
-    made_from = records_in(read_header(model))
+    made_from = records_in(header)
     if seen := [e.name for e in records if e.sha256 in made_from]:
         raise InputError(
             "calibrate", f"{', '.join(seen[:3])}, which {model} was made from",

@@ -42,7 +42,7 @@ def evaluate(
 ) -> None:
     """Score free runs: RMSE, per coordinate, NRMSE, fit in percent, k steps ahead."""
     terminal.prepare_jax()
-    from tustinnet.cli.request import band_asked, banded, judged_records, model_of
+    from tustinnet.cli.request import band_asked, bands_of, judged_records, model_of
     from tustinnet.evaluate.ahead import rmse_ahead
     from tustinnet.evaluate.coverage import covered
     from tustinnet.evaluate.scores import Score
@@ -56,9 +56,8 @@ def evaluate(
     by_split: dict[str, list[Score]] = {}
     for e, score in runs:
         by_split.setdefault(e.split or "all", []).append(score)
-    found = [] if asked is None else banded(model, judged, records, scores, asked)
-    bands = [of for of, _ in found]
-    shares = covered(records, bands, [crps for _, crps in found]) if found else []
+    bands = [] if asked is None else bands_of(model, judged, records, scores, asked)
+    shares = covered(records, bands) if bands else []
     errors = None if ahead is None else rmse_ahead(judged, records, ahead)
     if figures is not None:
         _draw(figures, model.stem, runs, bands)

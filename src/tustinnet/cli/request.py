@@ -3,12 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tustinnet.cli import terminal
 
 if TYPE_CHECKING:
-    import numpy as np
     from rich.console import Console
 
     from tustinnet.data.dataset import DataSet
@@ -144,17 +143,21 @@ def judged_records(
     return records, default_start(records, needing) if start is None else start
 
 
-def alternatives_of(path: Path, model: "Model") -> "Sequence[Model]":
+def alternatives_of(path: Path, model: "Model", header: dict[str, Any]) -> "Sequence[Model]":
     """Models that the records of a file's model would allow as well.
+
+    Args:
+        path: the file.
+        model: its model.
+        header: its header.
 
     Raises:
         InputError: a model that does not know its own errors.
     """
     from tustinnet.errors import InputError
     from tustinnet.families.family import family_of
-    from tustinnet.store.model_file import read_header
 
-    found = family_of(model).alternatives(model, read_header(path))
+    found = family_of(model).alternatives(model, header)
     if not found:
         raise InputError(
             path, "a model without members or errors of its parameters: nothing says how sure it "
@@ -180,28 +183,17 @@ def bands_of(
     Raises:
         InputError: a model that was not calibrated, or from another start or horizon.
     """
-    return [band for band, _ in banded(path, model, records, scores, asked)]
-
-
-def banded(
-    path: Path, model: "Model", records: "Sequence[Experiment]", scores: "Sequence[Score]",
-    asked: "BandAsked",
-) -> "list[tuple[Band, np.ndarray]]":  # fmt: skip
-    """The bands around free runs, see `bands_of`, and at every time how well they are placed."""
     from tustinnet.evaluate.bands import Calibration, band_of, guesses
-    from tustinnet.evaluate.coverage import crps_of
     from tustinnet.store.model_file import read_header
 
-    others = alternatives_of(path, model)
-    calibration = Calibration.from_header(read_header(path), path)
+    header = read_header(path)
+    others = alternatives_of(path, model, header)
+    calibration = Calibration.from_header(header, path)
     start, horizon = scores[0].start, scores[0].horizon
     calibration.require(asked.level, start, horizon)
     own = [score.simulated for score in scores]
     made = guesses(model, others, records, start, horizon=horizon, own=own)
-    return [
-        (band_of(calibration, guess, asked.level, asked.of), crps_of(e, calibration, guess))
-        for e, guess in zip(records, made, strict=True)
-    ]
+    return [band_of(calibration, guess, asked.level, asked.of) for guess in made]
 
 
 @dataclass(frozen=True)
@@ -224,11 +216,11 @@ def band_asked(level: float | None, *, whole: bool) -> BandAsked | None:
         InputError: no share; whole records without a band.
     """
     from tustinnet.errors import InputError
+    from tustinnet.evaluate.bands import require_share
 
     if level is None:
         if whole:
             raise InputError("--whole-records", "no band", "a band", "add --band LEVEL")
         return None
-    if not 0 < level < 1:
-        raise InputError("--band", f"{level:g}", "a share between 0 and 1")
+    require_share(level)
     return BandAsked(level, "record" if whole else "time")

@@ -77,7 +77,12 @@ class Part:
         require_level(level, len(self.records))
         if of == "record":
             return self.records[math.ceil(level * (len(self.records) + 1) - _ROUNDING) - 1]
-        return self.factors[min(_place(level), len(self.factors) - 1)]
+        return self.of_time(level)
+
+    def of_time(self, level: float) -> float:
+        """Times of the spread that hold a share of the time, or as much as is known."""
+        place = math.ceil(level * (len(_GRID) + 1) - _ROUNDING) - 1
+        return self.factors[min(place, len(self.factors) - 1)]
 
 
 @dataclass(frozen=True)
@@ -89,16 +94,16 @@ class Band:
         of: of what it is a share: the time, or whole records.
         low: lower end, (n, n_q) [rad or m].
         high: upper end, (n, n_q).
-        moving: where the free run moves, (n,).
-        first: sample at which it begins.
+        guess: the free run.
+        calibration: what the band was made of.
     """
 
     level: float
     of: Of
     low: Float[np.ndarray, "n n_q"]
     high: Float[np.ndarray, "n n_q"]
-    moving: Bool[np.ndarray, " n"]
-    first: int
+    guess: Guess
+    calibration: "Calibration"
 
     def holds(self, q: Float[np.ndarray, "n n_q"]) -> Bool[np.ndarray, "n n_q"]:
         """Where positions lie inside, (n, n_q)."""
@@ -179,10 +184,15 @@ def _over(horizon: float | None) -> str:
     return ", whole records" if horizon is None else f", horizon {horizon:g} s"
 
 
-def require_level(level: float, records: int) -> None:
-    """Raises unless so many calibration records can promise a level: n of them n / (n + 1)."""
+def require_share(level: float) -> None:
+    """Raises unless a level is a share."""
     if not 0 < level < 1:
         raise InputError("--band", f"{level:g}", "a share between 0 and 1")
+
+
+def require_level(level: float, records: int) -> None:
+    """Raises unless so many calibration records can promise a level: n of them n / (n + 1)."""
+    require_share(level)
     if level > records / (records + 1) + _ROUNDING:
         needed = math.ceil(level / (1 - level) - _ROUNDING)
         raise InputError(
@@ -196,7 +206,7 @@ def band_of(of: Calibration, guess: Guess, level: float, share: Of = "time") -> 
     """The band around a free run, see `Calibration.half`."""
     half = of.half(guess, level, share)
     low, high = guess.simulated - half, guess.simulated + half
-    return Band(level, share, low, high, guess.moving, guess.first)
+    return Band(level, share, low, high, guess, of)
 
 
 def guesses(
@@ -310,13 +320,8 @@ def _part(errors: Sequence[np.ndarray], spreads: Sequence[np.ndarray]) -> Part:
     for share in _FLOORS:
         part = Part(share * scale, _factors(errors, spreads, share * scale), ())
         mean = np.mean([np.mean(part.width(s)) for s in spreads])
-        tried.append((part.factors[min(_place(level), len(part.factors) - 1)] * mean, part))
+        tried.append((part.of_time(level) * mean, part))
     return min(tried, key=lambda of: of[0])[1]
-
-
-def _place(level: float) -> int:
-    """Where the factor of a level stands."""
-    return math.ceil(level * (len(_GRID) + 1) - _ROUNDING) - 1
 
 
 def _factors(

@@ -9,7 +9,7 @@ import scoringrules
 from jaxtyping import Bool, Float
 
 from tustinnet.data.experiment import Experiment
-from tustinnet.evaluate.bands import Band, Calibration, Guess
+from tustinnet.evaluate.bands import Band
 
 _CONFIDENCE = 0.95
 _TENTHS = np.arange(1, 10) / 10  # levels whose bands' ends are the quantiles of a score
@@ -42,17 +42,15 @@ class Covered:
     crps: float
 
 
-def covered(
-    experiments: Sequence[Experiment], bands: Sequence[Band], crps: Sequence[np.ndarray]
-) -> list[Covered]:
+def covered(experiments: Sequence[Experiment], bands: Sequence[Band]) -> list[Covered]:
     """How much of some records lies inside their bands, by coordinate, motion and rest apart.
 
     Args:
         experiments: the records.
         bands: around their free runs.
-        crps: of each record what `crps_of` says.
     """
     found = []
+    crps = [crps_of(e, band) for e, band in zip(experiments, bands, strict=True)]
     for j, c in enumerate(experiments[0].coordinates):
         for part in ("moving", "rest"):
             rows = [
@@ -65,14 +63,14 @@ def covered(
     return found
 
 
-def crps_of(
-    experiment: Experiment, calibration: Calibration, guess: Guess
-) -> Float[np.ndarray, "n n_q"]:
+def crps_of(experiment: Experiment, band: Band) -> Float[np.ndarray, "n n_q"]:
     """Continuous ranked probability score at every time, (n, n_q) [rad or m].
 
-    From the ends of bands of 10, 20, ... %, as far as there are enough calibration records, taken
-    as quantiles (the mean pinball loss).
+    From the ends of bands of 10, 20, ... % around the same free run, as far as there are enough
+    calibration records, taken as quantiles (the mean pinball loss). The level of the band itself
+    does not matter.
     """
+    calibration, guess = band.calibration, band.guess
     n = len(calibration.records)
     levels = [level for level in _TENTHS.tolist() if level <= n / (n + 1)]
     halves = np.stack([calibration.half(guess, level) for level in levels], axis=-1)
@@ -84,8 +82,9 @@ def crps_of(
 
 
 def _where(band: Band, part: str) -> Bool[np.ndarray, " n"]:
-    after = np.arange(len(band.moving)) >= band.first
-    return after & (band.moving if part == "moving" else ~band.moving)
+    moving = band.guess.moving
+    after = np.arange(len(moving)) >= band.guess.first
+    return after & (moving if part == "moving" else ~moving)
 
 
 def _one(

@@ -7,7 +7,7 @@ import numpy as np
 
 from tustinnet.export.c_words import HELPED, HELPERS, LOGIC, NAMES, SIGNS, literal, wrapped
 from tustinnet.export.memory import is_elementwise, lives_of
-from tustinnet.export.tape import Loop, Node, Program
+from tustinnet.export.program import Loop, Node, Program
 
 
 class Code:

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tustinnet.errors import require_package
+from tustinnet.export.program import Loop, Node, Program
 from tustinnet.export.source import Source, source_of
-from tustinnet.export.tape import Loop, Node, Program
 from tustinnet.export.target import Files, Stepper, Target, Vector
 from tustinnet.models.contract import Model
 

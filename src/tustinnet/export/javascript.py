@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from tustinnet.errors import InputError
+from tustinnet.export.program import Loop, Node, Program
 from tustinnet.export.source import Source
-from tustinnet.export.tape import Loop, Node, Program
 from tustinnet.export.target import Files, Stepper, Target, Unbuilt, Vector
 
 MODULE = "model.mjs"

@@ -19,7 +19,8 @@ from tustinnet.export.primitives import (
     multiplied,
     scattered,
 )
-from tustinnet.export.tape import OPERATIONS, Loop, Program, Tape
+from tustinnet.export.program import OPERATIONS, Loop, Program
+from tustinnet.export.tape import Tape
 
 _UNROLLED = 300  # operations up to which a loop is written out
 _MOST = 200_000  # operations of a loop that can only be written out

@@ -12,8 +12,8 @@ from jaxtyping import Array, Float
 from tustinnet.channels import Channels
 from tustinnet.data.dataset import from_arrays
 from tustinnet.errors import InputError
+from tustinnet.export.program import Program
 from tustinnet.export.reading import read
-from tustinnet.export.tape import Program
 from tustinnet.families.family import family_of
 from tustinnet.models.contract import Model, require_float64, with_dtype
 from tustinnet.signals.excitation import Excitation, Held, excitation

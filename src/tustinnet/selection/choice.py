@@ -3,8 +3,10 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
+from tustinnet.data.experiment import Experiment
 from tustinnet.evaluate.folds import taking_part
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.evaluate.scores import scores_header
@@ -14,7 +16,7 @@ from tustinnet.selection.ending import Found
 from tustinnet.selection.jobs import LEFT_OUT, Workplace
 from tustinnet.selection.ranking import Standing, paired
 from tustinnet.simulate.range import KEY as RANGE
-from tustinnet.simulate.range import range_of
+from tustinnet.simulate.range import Cloud, cloud_of, range_of
 from tustinnet.store.kept_system import CANDIDATES, header_of
 from tustinnet.store.run import MODEL
 
@@ -63,6 +65,14 @@ class Choice:
     def file(self, name: str) -> str:
         """The model file of a candidate or committee that could be chosen, below the folder."""
         return f"{CANDIDATES}/{name}/{MODEL}"
+
+    @cached_property
+    def _recorded(self) -> list[Experiment]:
+        return taking_part(self.at.data)
+
+    @cached_property
+    def _cloud(self) -> Cloud | None:
+        return cloud_of(self.at.data.channels, self._recorded)
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -118,7 +128,7 @@ class Choice:
         )
         return {
             "data": data_header(self.at.data.name, list(self.at.data)),
-            RANGE: range_of(model, taking_part(self.at.data)).as_header(),
+            RANGE: range_of(model, self._recorded, self._cloud).as_header(),
             "selection": {"plan": self.found.plan.name, "chosen": name, "made": self.made[name]},
             "scores": {
                 **scores_header(LEFT_OUT, standing.starts[0], channels, horizon, rmse),

@@ -156,11 +156,18 @@ class Range:
         return found if all(np.isfinite(e).all() for e in (states, inputs)) else None
 
 
-def range_of(model: Model, experiments: Sequence[Experiment]) -> Range:
-    """Where records lie, internal states as the model has them along the records."""
+def range_of(model: Model, experiments: Sequence[Experiment], cloud: Cloud | None = None) -> Range:
+    """Where records lie, internal states as the model has them along the records.
+
+    Args:
+        model: the model.
+        experiments: the records.
+        cloud: what came together in them, where it is known: it is the same for every model.
+    """
     states = np.concatenate(states_along(model, experiments))
     inputs = np.concatenate([e.u for e in experiments])
-    return Range(_ends(states), _ends(inputs), cloud_of(model.channels, experiments))
+    known = cloud_of(model.channels, experiments) if cloud is None else cloud
+    return Range(_ends(states), _ends(inputs), known)
 
 
 def joined(ranges: Sequence[Range], channels: Channels) -> Range:

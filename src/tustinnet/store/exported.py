@@ -78,8 +78,10 @@ def export_model(
     folders = [Path(out) / t.name if len(targets) > 1 else Path(out) for t in targets]
     for folder in folders:
         _require_room(folder, overwrite=overwrite)
-    made = [_made(source, target, file) for target in targets]
-    return [_written(folder, *of) for folder, of in zip(folders, made, strict=True)]
+    made = [_made(source, t, file, folder) for t, folder in zip(targets, folders, strict=True)]
+    for exported, files in made:
+        _write_anew(exported.folder, files)
+    return [exported for exported, _ in made]
 
 
 def targets_of(to: To, at: Mapping[str, float] | None = None) -> list[Target]:
@@ -127,7 +129,9 @@ def _holds_export(folder: Path) -> bool:
         return False
 
 
-def _made(source: Source, target: Target, file: str | Path | None) -> tuple[Target, Files, Any]:
+def _made(
+    source: Source, target: Target, file: str | Path | None, folder: Path
+) -> tuple[Exported, Files]:
     """The files of a target, compared with the model; the card among them."""
     files = target.files(source)
     with tempfile.TemporaryDirectory() as place:
@@ -138,15 +142,14 @@ def _made(source: Source, target: Target, file: str | Path | None) -> tuple[Targ
             alike = checked(source, target, lambda x, u: run(source.step, x=x, u=u)["x"])
             note = f"not run here: {unbuilt}; what it is written from was compared"
             found = Checked(alike.steps, alike.difference, note)
-    card = to_json(_card(source, target, files, found, file))
-    return target, {**files, CARD: card}, (found, source.notes)
+    files = {**files, CARD: to_json(_card(source, target, files, found, file))}
+    return Exported(target.name, folder, tuple(files), found, source.notes), files
 
 
-def _written(folder: Path, target: Target, files: Files, told: Any) -> Exported:
+def _write_anew(folder: Path, files: Files) -> None:
     require_writable_folder(folder)
     _discard_earlier(folder, files)
     _write(folder, files)
-    return Exported(target.name, folder, tuple(files), *told)
 
 
 def _discard_earlier(folder: Path, files: Files) -> None:

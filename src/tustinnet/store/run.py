@@ -31,7 +31,7 @@ from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Member, Task
 from tustinnet.simulate.horizon import within
 from tustinnet.simulate.range import KEY as RANGE
-from tustinnet.simulate.range import range_of
+from tustinnet.simulate.range import Cloud, cloud_of, range_of
 from tustinnet.store.checkpoint import Checkpointer, read_checkpoint
 from tustinnet.store.files import (
     owned,
@@ -110,6 +110,10 @@ class Run:
             return rmse_by_record(self.best.scores)
         return rmse_by_record(evaluate(result.model, self.roles.train, result.start))
 
+    @cached_property
+    def _cloud(self) -> Cloud | None:
+        return cloud_of(self.roles.train[0].channels, self.roles.train)
+
     @property
     def judged(self) -> str:
         """The split whose free runs rank them."""
@@ -132,7 +136,7 @@ class Run:
         return {
             **of.result.as_header(),
             "data": data_header(self.data, self.roles.all),
-            RANGE: range_of(of.result.model, self.roles.train).as_header(),
+            RANGE: range_of(of.result.model, self.roles.train, self._cloud).as_header(),
             "scores": scores_header(
                 self.judged, self.start, channels, of.scores[0].horizon, rmse_by_record(of.scores)
             ),

@@ -145,12 +145,7 @@ FMU_EXPORT Status fmi2DoStep(void *c, double time, double size, int kept)
 
 FMU_EXPORT Status fmi2GetFMUstate(void *c, void **state)
 {
-    if (*state == NULL)
-        *state = malloc(sizeof(fmu_memory));
-    if (*state == NULL)
-        return told(c, "no memory for a state");
-    memcpy(*state, &((Instance *)c)->memory, sizeof(fmu_memory));
-    return OK;
+    return told(c, fmu_keep(&((Instance *)c)->memory, state));
 }
 
 FMU_EXPORT Status fmi2SetFMUstate(void *c, void *state)
@@ -186,12 +181,7 @@ FMU_EXPORT Status fmi2DeSerializeFMUstate(void *c, const char bytes[], size_t si
 {
     if (size != sizeof(fmu_memory))
         return told(c, "these bytes are no state of this FMU");
-    if (*state == NULL)
-        *state = malloc(sizeof(fmu_memory));
-    if (*state == NULL)
-        return told(c, "no memory for a state");
-    memcpy(*state, bytes, sizeof(fmu_memory));
-    return OK;
+    return told(c, fmu_keep(bytes, state));
 }
 
 /* What this FMU does not have. */

@@ -123,12 +123,7 @@ FMU_EXPORT Status fmi3DoStep(void *c, double time, double size, bool kept, bool 
 
 FMU_EXPORT Status fmi3GetFMUState(void *c, void **state)
 {
-    if (*state == NULL)
-        *state = malloc(sizeof(fmu_memory));
-    if (*state == NULL)
-        return told(c, "no memory for a state");
-    memcpy(*state, &((Instance *)c)->memory, sizeof(fmu_memory));
-    return OK;
+    return told(c, fmu_keep(&((Instance *)c)->memory, state));
 }
 
 FMU_EXPORT Status fmi3SetFMUState(void *c, void *state)
@@ -165,12 +160,7 @@ FMU_EXPORT Status fmi3DeserializeFMUState(void *c, const uint8_t bytes[], size_t
 {
     if (size != sizeof(fmu_memory))
         return told(c, "these bytes are no state of this FMU");
-    if (*state == NULL)
-        *state = malloc(sizeof(fmu_memory));
-    if (*state == NULL)
-        return told(c, "no memory for a state");
-    memcpy(*state, bytes, sizeof(fmu_memory));
-    return OK;
+    return told(c, fmu_keep(bytes, state));
 }
 
 /* What this FMU does not have. */

@@ -1,6 +1,7 @@
 #include "fmu.h"
 
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 static const int offsets[FMU_SAMPLES] = {@offsets@};
@@ -45,6 +46,16 @@ const char *fmu_set_slope(fmu_memory *m, unsigned int reference, double value)
     if (reference < MODEL_STATES || reference >= MODEL_STATES + FMU_INPUTS)
         return "there is no such input";
     m->slope[reference - MODEL_STATES] = value;
+    return NULL;
+}
+
+const char *fmu_keep(const void *memory, void **state)
+{
+    if (*state == NULL)
+        *state = malloc(sizeof(fmu_memory));
+    if (*state == NULL)
+        return "no memory for a state";
+    memcpy(*state, memory, sizeof(fmu_memory));
     return NULL;
 }
 

@@ -43,6 +43,9 @@ const char *fmu_set(fmu_memory *m, unsigned int reference, double value);
 /* How fast an input changes from now on; NULL, or why that cannot be told. */
 const char *fmu_set_slope(fmu_memory *m, unsigned int reference, double value);
 
+/* Copies a memory to a state, which is allocated where it is NULL; NULL, or why it cannot be. */
+const char *fmu_keep(const void *memory, void **state);
+
 /* Steps on; NULL, or why there is no such step. Nothing has changed then. */
 const char *fmu_step(fmu_memory *m, double time, double size);
 
