@@ -1,0 +1,176 @@
+"""Programs: what a step of a model computes, as numbers and vectors without JAX.
+
+A program is a list of nodes in the order of computation. Most nodes are single numbers; layers of
+networks are products of matrices and vectors, and what follows them acts on whole vectors.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+
+class Operation(NamedTuple):
+    """An operation on single numbers, or on every number of vectors.
+
+    Attributes:
+        apply: what it computes, with NumPy.
+        truth: whether it says true or false.
+    """
+
+    apply: Callable[..., Any]
+    truth: bool = False
+
+
+# all that a target has to know beside the nodes that move or multiply
+OPERATIONS: dict[str, Operation] = {
+    "add": Operation(np.add),
+    "sub": Operation(np.subtract),
+    "mul": Operation(np.multiply),
+    "div": Operation(np.divide),
+    "neg": Operation(np.negative),
+    "max": Operation(np.maximum),
+    "min": Operation(np.minimum),
+    "pow": Operation(np.power),
+    "rem": Operation(np.fmod),
+    "atan2": Operation(np.arctan2),
+    "abs": Operation(np.abs),
+    "sign": Operation(np.sign),
+    "floor": Operation(np.floor),
+    "ceil": Operation(np.ceil),
+    "sqrt": Operation(np.sqrt),
+    "exp": Operation(np.exp),
+    "expm1": Operation(np.expm1),
+    "log": Operation(np.log),
+    "log1p": Operation(np.log1p),
+    "sin": Operation(np.sin),
+    "cos": Operation(np.cos),
+    "tan": Operation(np.tan),
+    "asin": Operation(np.arcsin),
+    "acos": Operation(np.arccos),
+    "atan": Operation(np.arctan),
+    "sinh": Operation(np.sinh),
+    "cosh": Operation(np.cosh),
+    "tanh": Operation(np.tanh),
+    "asinh": Operation(np.arcsinh),
+    "acosh": Operation(np.arccosh),
+    "atanh": Operation(np.arctanh),
+    "lt": Operation(np.less, truth=True),
+    "le": Operation(np.less_equal, truth=True),
+    "gt": Operation(np.greater, truth=True),
+    "ge": Operation(np.greater_equal, truth=True),
+    "eq": Operation(np.equal, truth=True),
+    "ne": Operation(np.not_equal, truth=True),
+    "and": Operation(np.logical_and, truth=True),
+    "or": Operation(np.logical_or, truth=True),
+    "not": Operation(np.logical_not, truth=True),
+    "select": Operation(np.where),  # a condition, the value where it holds, the other value
+}
+
+
+@dataclass(frozen=True)
+class Node:
+    """One thing that is computed.
+
+    Attributes:
+        op: a key of `OPERATIONS`, or one of
+            `input`: a vector that the program is given, called `data`;
+            `number`: the number `data`;
+            `table`: the constant vector `Program.tables[data]`;
+            `pick`: the number at `data` of a vector;
+            `part`: `size` numbers of a vector from `data` on;
+            `join`: vectors and numbers one after the other;
+            `product`: the matrix `Program.tables[data]` times a vector;
+            `loop`: a `Loop`, which is `data`; its value is all that it carries, at the end.
+        args: the nodes that it is computed from. An operation takes vectors of its own size and
+            single numbers, which act on all.
+        size: how many numbers it is; more than 1 for vectors only.
+        data: see `op`.
+        truth: whether it says true or false.
+    """
+
+    op: str
+    args: tuple[int, ...] = ()
+    size: int = 1
+    data: Any = None
+    truth: bool = False
+
+    @property
+    def single(self) -> bool:
+        """Whether it is a number, not a vector."""
+        return self.op in ("number", "pick") or (self.op in OPERATIONS and self.size == 1)
+
+    def takes_truth(self, place: int) -> bool:
+        """Whether an operation takes what it is given at `place` as true or false, not a number."""
+        if self.op == "select":
+            return place == 0 or self.truth
+        return self.op in ("and", "or", "not")
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """A program that is done several times, each time with what it computed before.
+
+    The nodes that a loop is computed from are, in this order, the constants, what the carried
+    vectors are at first, and what is given every time, laid out one time after the other.
+
+    Attributes:
+        body: its inputs are the constants, the carried vectors and what is given; its outputs are
+            the carried vectors.
+        length: how often.
+        constants: how many vectors are the same every time.
+        carried: how many are carried.
+    """
+
+    body: "Program"
+    length: int
+    constants: int
+    carried: int
+
+    @cached_property
+    def sizes(self) -> tuple[int, ...]:
+        """Of the body's inputs, in their order."""
+        return tuple(self.body.inputs.values())
+
+    @property
+    def carried_sizes(self) -> tuple[int, ...]:
+        """Of what is carried."""
+        return self.sizes[self.constants : self.constants + self.carried]
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """What a function computes.
+
+    Attributes:
+        inputs: the vectors that it is given, and their sizes.
+        nodes: in the order of computation.
+        outputs: the vectors that it returns, by name: numbers of nodes.
+        tables: constant vectors and matrices.
+    """
+
+    inputs: dict[str, int]
+    nodes: tuple[Node, ...]
+    outputs: dict[str, int]
+    tables: tuple[np.ndarray, ...]
+
+    @cached_property
+    def uses(self) -> tuple[int, ...]:
+        """How often each node is used, by others and as output."""
+        counts = [0] * len(self.nodes)
+        for used in (*(a for node in self.nodes for a in node.args), *self.outputs.values()):
+            counts[used] += 1
+        return tuple(counts)
+
+    @property
+    def loops(self) -> Iterator[Loop]:
+        """The loops in it, not those inside of them."""
+        return (node.data for node in self.nodes if node.op == "loop")
+
+    @property
+    def operations(self) -> int:
+        """How many operations on numbers and vectors are written in it, loops included."""
+        own = sum(node.op in OPERATIONS or node.op == "product" for node in self.nodes)
+        return own + sum(loop.body.operations for loop in self.loops)
