@@ -121,6 +121,7 @@ def _context(
     parameters = [told.parameters_of(of.subject) for of in found]
     return {
         "title": told.what_it_is(first.subject),
+        "about": (first.subject.header.get("data") or {}).get("name", ""),
         "described": told.described(channels),
         "verdict": told.verdict(first, records),
         "models": [of.subject.label for of in found],

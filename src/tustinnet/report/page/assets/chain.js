@@ -177,8 +177,8 @@ class Chain {
     context.save();
     context.lineCap = "round";
     context.lineJoin = "round";
-    context.strokeStyle = colour;
     this.trail(context, see, trail, colour);
+    context.strokeStyle = colour;
     const joints = this.joints(q).map(see);
     context.lineWidth = width;
     context.setLineDash(dash);
@@ -216,7 +216,7 @@ class Chain {
     context.lineWidth = 1.5;
     context.setLineDash([]);
     for (let i = 1; i < points.length; i++) {
-      context.strokeStyle = faint(colour, (0.4 * i) / points.length);
+      context.strokeStyle = faint(colour, (0.45 * i) / points.length);
       context.beginPath();
       context.moveTo(points[i - 1][0], points[i - 1][1]);
       context.lineTo(points[i][0], points[i][1]);

@@ -49,6 +49,7 @@ function beginClock() {
   clock.choosers.add((record) => {
     const of = recordAt(record);
     time.max = of.length;
+    $("chosen").textContent = of.name;
     for (const out of document.querySelectorAll(".rmse"))
       out.textContent = `${told(of.runs[out.dataset.model].rmse)} ${data.unit}`;
   });

@@ -78,6 +78,7 @@ class Plot {
         axis(y, { size: 52, space: 26, values: (u, ticks) => ticks.map((v) => (v === null ? "" : told(v))) })],
       hooks: {
         drawAxes: bound ? [(u) => this.shade(u, bound)] : [],
+        ready: [(u) => { if (!this.timed && lines.length > 1) u.setLegend({ idx: x.length - 1 }); }],
         setScale: [(u, scale) => this.scaled(u, scale)],
       },
     }, values, this.frame);
@@ -88,7 +89,7 @@ class Plot {
         clock.go(this.drawn.posToVal(event.offsetX, "x"));
       });
       this.mark(clock.time, true);
-    } else if (lines.length > 1) this.drawn.setLegend({ idx: x.length - 1 });
+    }
   }
 
   remove() {

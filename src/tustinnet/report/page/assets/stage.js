@@ -1,6 +1,6 @@
 // The mechanism in motion: measured, and simulated by each model beside it.
 
-const TRAIL = 0.5; // s
+const TRAIL = 0.4; // s
 
 function travelOf() {
   return data.coordinates.map((_, i) => endsOf(data.records.map((r) => [r.q[i].low, r.q[i].high])));
@@ -15,8 +15,8 @@ function beginStage() {
   const trailOf = (t, signals, now) => {
     if (!data.links.length) return [];
     const found = [];
-    for (let i = 0; i <= 24; i++) {
-      const then = now - TRAIL * (1 - i / 24);
+    for (let i = 0; i <= 32; i++) {
+      const then = now - TRAIL * (1 - i / 32);
       const q = then < 0 ? null : at(t, signals, then);
       if (q) found.push(q);
     }
