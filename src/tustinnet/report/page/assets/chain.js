@@ -16,12 +16,17 @@ function turned(v, axis, angle) {
   return v.map((x, i) => x * c + side[i] * s + axis[i] * along);
 }
 
+const SPARE = 0.4; // rad, beyond what an angle reaches
+
 class Chain {
-  constructor(links, coordinates, ends) {
+  // ends: of each coordinate, what records reach; whole: room for turns beyond that
+  constructor(links, coordinates, ends, whole = false) {
     this.coordinates = coordinates;
     this.links = links.map((of) => ({ ...of, axis: unitOf(of.axis),
       slides: coordinates[of.coordinate].kind === "linear" }));
-    this.travel = ends; // of each coordinate, what linear ones reach
+    this.travel = ends;
+    this.swept = ends.map(([low, high], i) => (coordinates[i].kind === "linear" ? [low, high]
+      : whole || high - low > TURN - 2 * SPARE ? [0, TURN] : [low - SPARE, high + SPARE]));
     const reach = this.links.reduce((sum, of) => sum + lengthOf(of.reach), 0);
     const slides = this.links.filter((of) => of.slides);
     const span = slides.map((of) => ends[of.coordinate][1] - ends[of.coordinate][0]);
@@ -40,18 +45,19 @@ class Chain {
   // The smallest box of the screen that all positions fit into, at a scale of 1: [low, high] each.
   reached() {
     const see = this.seen(), points = [];
-    const turns = this.links.map((of) => (of.slides ? 2 : Math.min(16, Math.round(600 ** (1 / this.links.length)))));
+    const turns = this.links.map((of) => (of.slides ? 2 : Math.min(17, Math.round(900 ** (1 / this.links.length)))));
     const count = turns.reduce((a, b) => a * b, 1);
     for (let k = 0; k < Math.min(count, 4000); k++) {
       const q = this.coordinates.map(() => 0);
       let rest = k;
       this.links.forEach((of, i) => {
-        const step = rest % turns[i], [low, high] = this.travel[of.coordinate];
+        const step = rest % turns[i], [low, high] = this.swept[of.coordinate];
         rest = Math.floor(rest / turns[i]);
-        q[of.coordinate] = of.slides ? (step ? high : low) : (TURN * step) / turns[i];
+        q[of.coordinate] = low + ((high - low) * step) / (turns[i] - 1 || 1);
       });
       for (const joint of this.joints(q)) points.push(see(joint));
     }
+    if (this.upright) points.push(see([0, 0, -1.2 * lengthOf(this.links[0].reach)]));
     const spare = 0.08 * this.size;
     return [0, 1].map((i) => {
       const [low, high] = endsOf([points.map((p) => p[i])]);
@@ -132,6 +138,7 @@ class Chain {
     }
     if (!this.upright && !this.links[0].slides) {
       const [x, y] = see([0, 0, 0]);
+      context.strokeStyle = colours.grey;
       context.beginPath();
       context.moveTo(x - 26, y);
       context.lineTo(x + 26, y);
@@ -190,7 +197,7 @@ class Chain {
     }
     context.setLineDash([]);
     this.links.forEach((link, i) => {
-      const [x, y, k] = joints[i], half = link.slides ? 16 * k : (width + 1.5) * k;
+      const [x, y, k] = joints[i], half = link.slides ? 20 * k : (width + 1.5) * k;
       context.fillStyle = colours.paper;
       context.lineWidth = Math.min(width, 2);
       context.beginPath();

@@ -24,7 +24,7 @@ function timeCharts() {
     new Plot($("plots-run"), `${input.name} against time`, () => {
       const of = record();
       return {
-        x: of.t, y: input.unit ? `${input.name} [${input.unit}]` : input.name,
+        x: of.t, last: j === data.inputs.length - 1, y: input.unit ? `${input.name} [${input.unit}]` : input.name,
         lines: [{ label: input.name, values: of.u[j], colour: colours.input, width: 1,
           stepped: !input.hold || input.hold === "zero-order" }],
       };
@@ -69,7 +69,7 @@ function residualCharts() {
     for (const r of of) {
       const own = unpacked(r.own), lags = own.length - 1;
       const bars = (name, values, from, bound) => new Plot(host, name, () => ({
-        x: values.map((_, k) => (k + from) * data.dt), xlabel: "lag [s]", y: name, bound,
+        x: values.map((_, k) => (k + from) * data.dt), xlabel: "lag [s]", y: `correlation, ${name}`, bound,
         lines: [{ label: "correlation", values, colour: colourOf(model), width: 1, bars: true }],
       }), { height: 170 });
       bars(r.coordinate, own, 0, r.bound);

@@ -23,6 +23,7 @@ const clock = {
   },
   pause() {
     this.playing = false;
+    this.go(this.time); // the values of this moment
     showPlaying();
   },
 };

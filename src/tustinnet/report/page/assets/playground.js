@@ -74,6 +74,7 @@ function beginPlayground() {
   const choice = $("toy-model"), run = $("toy-run"), status = $("toy-state");
   toys.forEach((toy, k) =>
     choice.append(element("option", { value: k }, data.models[toy.model].label)));
+  const mechanism = mechanismFor(true);
   let toy = toys[0], running = false, since = null, owed = 0, taken = null, trail = [], held = 0;
   const begin = [...at(recordAt(0).frames.t, recordAt(0).frames.q, 0)];
 

@@ -21,13 +21,21 @@ function roomy(low, high, bound) {
   return [ends[0] - spare, ends[1] + spare];
 }
 
+// Powers of ten on an axis, few of them.
+function powers(u, i, low, high) {
+  const [from, to] = [Math.ceil(Math.log10(low)), Math.floor(Math.log10(high))];
+  const step = Math.max(1, Math.ceil((to - from) / 5)), found = [];
+  for (let k = from; k <= to; k += step) found.push(10 ** k);
+  return found.length ? found : [low, high];
+}
+
 class Plot {
   // of: what is drawn, made anew for each record: { x, lines: [{ label, values, colour, dash,
   // width, model, stepped, bars }], bands: [{ low, high, colour }], y, xlabel, bound }
   constructor(host, name, of, { timed = false, height = 150, log = false } = {}) {
     Object.assign(this, { host, name, of, timed, height, log, drawn: null });
     this.frame = host.appendChild(element("div", {
-      class: "plot", tabindex: "0", role: "img", "aria-label": name,
+      class: "plot", tabindex: "0", role: "group", "aria-label": name,
     }));
     this.frame.addEventListener("keydown", (event) => this.key(event));
     plots.add(this);
@@ -40,10 +48,12 @@ class Plot {
     const told_ = this.of();
     this.frame.hidden = !told_;
     this.drawn = null;
+    this.frame.replaceChildren();
     if (!told_) return;
     const { x, lines, bands = [], y, xlabel = "time [s]", bound, last = true } = told_;
     const visible = shown();
-    const series = [{ label: xlabel, value: (u, v) => told(v, 4) }];
+    this.frame.append(element("p", { class: "what" }, y));
+    const series = [{ label: xlabel, value: (u, v) => (v === null || v === undefined ? "\u2013" : String(Number(v.toFixed(3)))) }];
     const values = [x];
     for (const line of lines) {
       series.push({
@@ -75,7 +85,7 @@ class Plot {
         y: this.log ? { distr: 3 } : { range: (u, low, high) => roomy(low, high, bound) },
       },
       axes: [last ? axis(xlabel, { size: 26, labelSize: 15, labelGap: 0, space: 60 }) : axis(undefined, { size: 24, space: 60 }),
-        axis(y, { size: 52, space: 26, values: (u, ticks) => ticks.map((v) => (v === null ? "" : told(v))) })],
+        axis(undefined, { size: 46, space: 26, ...(this.log ? { splits: powers } : {}), values: (u, ticks) => ticks.map((v) => (v === null ? "" : told(v))) })],
       hooks: {
         drawAxes: bound ? [(u) => this.shade(u, bound)] : [],
         ready: [(u) => { if (!this.timed && lines.length > 1) u.setLegend({ idx: x.length - 1 }); }],

@@ -6,12 +6,12 @@ function travelOf() {
   return data.coordinates.map((_, i) => endsOf(data.records.map((r) => [r.q[i].low, r.q[i].high])));
 }
 
-const mechanism = data.links.length
-  ? new Chain(data.links, data.coordinates, travelOf())
-  : new Dials(data.coordinates, travelOf());
+const mechanismFor = (whole) => (data.links.length
+  ? new Chain(data.links, data.coordinates, travelOf(), whole)
+  : new Dials(data.coordinates, travelOf()));
 
 function beginStage() {
-  const canvas = $("stage");
+  const canvas = $("stage"), mechanism = mechanismFor(false);
   const trailOf = (t, signals, now) => {
     if (!data.links.length) return [];
     const found = [];
