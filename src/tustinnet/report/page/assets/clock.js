@@ -44,7 +44,11 @@ function showPlaying() {
 function beginClock() {
   const time = $("time");
   $("play").addEventListener("click", () => (clock.playing ? clock.pause() : clock.play()));
-  time.addEventListener("input", () => { clock.pause(); clock.go(Number(time.value)); });
+  time.addEventListener("input", () => {
+    const to = Number(time.value);
+    clock.pause();
+    clock.go(to);
+  });
   $("speed").addEventListener("change", () => { clock.speed = Number($("speed").value); });
   $("record").addEventListener("change", () => clock.choose(Number($("record").value)));
   clock.choosers.add((record) => {
