@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from test_bands_verb import place  # noqa: F401 (a fixture)
+from test_grey_box import identified, identified_once, system  # noqa: F401 (fixtures)
 from test_verbs import tustinnet
 
 LINKED = """
@@ -59,12 +61,12 @@ def test_a_run_is_reported_as_its_options_say(run_folder, folder, tmp_path, caps
 
 
 def test_a_system_with_links_draws_a_network(run_folder, folder, tmp_path, capsys, refused):
-    system, page = tmp_path / "drawn.py", tmp_path / "report.html"
+    drawn, page = tmp_path / "drawn.py", tmp_path / "report.html"
     command = ("report", run_folder / "model.safetensors", folder, "--out", page,
-               "--system", system)  # fmt: skip
-    system.write_text(LINKED.format(name="elbow"))
+               "--system", drawn)  # fmt: skip
+    drawn.write_text(LINKED.format(name="elbow"))
     refused(*command, told="error: --system: 'drawn', which no model is of")
-    system.write_text(LINKED.format(name="angle"))
+    drawn.write_text(LINKED.format(name="angle"))
     refused(*command, "--system", "qube-servo2", told="error: --system: 'drawn'")
     assert not page.exists()
     assert tustinnet(capsys, *command)[0] == 0
@@ -82,3 +84,20 @@ def test_what_cannot_be_reported_is_one_line(run_folder, folder, tmp_path, refus
     card.write_text(card.read_text().replace('name = "angle"', 'name = "elbow"'))
     refused("report", model, folder, "--out", page, told="elbow")
     assert not page.exists()
+
+
+def test_parameters_have_both_errors_and_calibrated_models_bands(place, tmp_path, capsys):  # noqa: F811
+    page = tmp_path / "report.html"
+    command = ("report", place.banded, place.plain, place.logs, "--split", "validation",
+               "--start", "derived-6", "--system", place.system, "--out", page)  # fmt: skip
+    code, _, err = tustinnet(capsys, *command)
+    assert code == 0, err
+    text, (record, _) = page.read_text(encoding="utf-8"), numbers_in(page)["records"]
+    assert "Shaded: bands that hold 66.7 % (banded) of the time." in text
+    assert [len(run.get("band", ())) for run in record["runs"]] == [2, 0]
+    assert [len(run["energy"]) for run in record["runs"]] == [2, 2]
+    assert '<th scope="col">std. error</th>' in text
+    assert '<th scope="col">error of J&#39;J</th>' in text
+    assert text.count('class="place"') == 2 * 3
+    assert tustinnet(capsys, *command, "--overwrite", "--horizon", 1)[0] == 0
+    assert "no bands: --band: start" in page.read_text(encoding="utf-8")

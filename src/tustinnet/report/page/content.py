@@ -96,7 +96,6 @@ def _model(of: Judged) -> dict[str, Any]:
             for r in of.residuals
         ],
         "training": [_curve(name, lines) for name, lines in of.subject.histories.items()],
-        "bands": of.bands[0].level if of.bands else None,
     }
 
 

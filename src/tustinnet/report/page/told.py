@@ -88,6 +88,12 @@ def trained_on(subject: Subject, records: Sequence[Experiment]) -> list[str]:
     return [e.name for e in records if e.sha256 and e.sha256 in known]
 
 
+def about_bands(found: Sequence[Judged]) -> str:
+    """Which bands are drawn; nothing where there are none."""
+    each = [f"{100 * of.bands[0].level:.3g} % ({of.subject.label})" for of in found if of.bands]
+    return f"Shaded: bands that hold {listed(each)} of the time." if each else ""
+
+
 def scores_table(found: Sequence[Judged], records: Sequence[Experiment]) -> Table:
     """RMSE of every record, a column a model."""
     scores = {of.subject.label: of.scores for of in found}
@@ -119,7 +125,10 @@ def parameters_of(subject: Subject) -> Parameters | None:
         table = Table(ESTIMATE_COLUMNS[:3], rows)
         return Parameters(subject.label, "values", table, [None] * len(rows)) if rows else None
     with refusing(subject.label, "an account of its identification that is damaged", "estimates"):
-        estimates = [Estimate(**of) for of in found["estimates"]]
+        estimates = [
+            Estimate(**of | {"interval": of["interval"] and tuple(of["interval"])})
+            for of in found["estimates"]
+        ]
         source = error_source(found["trust"])
         fixed = [[name, f"{value:.4g}", "", "fixed", "", "", ""]
                  for name, value in found["fixed"].items()]  # fmt: skip
