@@ -51,7 +51,7 @@ def test_a_run_is_reported_as_its_options_say(run_folder, folder, tmp_path, caps
     assert [of["name"] for of in told["records"]] == ["fall3", "noise2"]
     assert [len(of["training"]) for of in told["models"]] == [2]
     text = page.read_text(encoding="utf-8")
-    assert "2 validation records that it was not made from" in text
+    assert "2 validation records that it was not fitted to" in text
     assert f"tustinnet report {run_folder} {folder} --out {page} --split validation" in text
     refused(*command, told="add --overwrite")
     again = (*command, "--horizon", 1, "--start", "derived-8", "--overwrite")

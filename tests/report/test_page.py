@@ -114,7 +114,7 @@ def test_every_control_has_a_name_and_every_reference_a_target(page):
 def test_a_page_says_what_it_is_about(page):
     for text in (
         "A tustin-net model of angle", "Driven by torque (N m), in steps of 20 ms",
-        "5 train and validation records, 3 of which it was made from", "run", "seed-1",
+        "5 train and validation records, 3 of which it was fitted to", "run", "seed-1",
         "Every sample is drawn", "Copyright (c) 2022 Leon Sorokin", "Made by",
     ):  # fmt: skip
         assert (text in page) == (text != "Made by"), text  # nobody typed a command
@@ -176,7 +176,7 @@ def test_packed_signals_come_back_to_a_part_in_65534():
 
 
 def test_long_records_are_thinned_and_the_page_says_so(tmp_path, monkeypatch):
-    monkeypatch.setattr(content, "_POINTS", 100)
+    monkeypatch.setattr(content, "_POINTS", (100,))
     values = {name: jnp.asarray(x) for name, x in TRUTH.items()}
     e = falls()[0]
     assert len(e) > 100
@@ -232,3 +232,13 @@ def test_what_cannot_be_written_is_refused(pendulum, tmp_path):
     with pytest.raises(InputError, match="no such file"):
         tn.write_report([tmp_path / "nowhere"], pendulum[0], tmp_path / "new.html")
     assert Path(there).read_text() == "mine"
+
+
+def test_points_are_as_many_as_have_room():
+    def judging(samples: int) -> Any:
+        return [replace(falls()[0][:samples], name=f"r{i}") for i in range(20)]
+
+    few = content.thinning_of([], judging(150), 1e6)
+    assert (few.points, few.records) == (2000, 0)
+    tight = content.thinning_of([], judging(200), 45_000)
+    assert (tight.points, tight.records) == (100, 20)

@@ -15,9 +15,9 @@ from tustinnet.report.page.signals import bounded, packed, thinned
 from tustinnet.report.page.subject import History
 from tustinnet.simulate.range import Cloud
 
-_POINTS = 2000  # of a signal, at most; no screen shows more
-_FEWEST = 100
-_NUMBERS = 220_000  # of all signals together: they make three quarters of a page's largest size
+# points of a signal that are tried, the most that a screen shows first
+_POINTS = (2000, 1700, 1400, 1200, 1000, 850, 700, 600, 500, 400, 300, 200, 150, 100)
+_BYTES, _NAMED = 8 / 3, 80.0  # of a point in base64, of what is said of a signal
 _EPOCHS = 400  # points of a training curve
 
 
@@ -34,14 +34,25 @@ class Thinning:
     records: int
 
 
-def thinning_of(found: Sequence[Judged], records: Sequence[Experiment]) -> Thinning:
-    """So many points that all signals together have a page's room."""
+def thinning_of(found: Sequence[Judged], records: Sequence[Experiment], room: float) -> Thinning:
+    """So many points that all signals together have room.
+
+    Args:
+        found: the models and what was found of them.
+        records: the records.
+        room: of the signals in the page [bytes].
+    """
     c = records[0].channels
-    each = 1 + c.measured.stop + c.n_u
+    drawn, moving = 1 + c.measured.stop + c.n_u, 1 + c.n_q * (1 + len(found))
     for of in found:
-        each += c.n_q * (4 if of.bands else 2) + (2 if of.energies else 0)
-    share = _NUMBERS // (each * len(records))
-    points = max(_FEWEST, min(_POINTS, share))
+        drawn += c.n_q * (4 if of.bands else 2) + (2 if of.energies else 0)
+
+    def size(points: int) -> float:
+        """Bytes of all signals, and those of the motion of records that are thinned."""
+        each = [drawn * min(len(e), points) + moving * points * (len(e) > points) for e in records]
+        return _BYTES * sum(each) + _NAMED * drawn * len(records)
+
+    points = next((p for p in _POINTS if size(p) <= room), _POINTS[-1])
     return Thinning(points, sum(len(e) > points for e in records))
 
 

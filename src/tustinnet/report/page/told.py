@@ -70,7 +70,7 @@ def verdict(of: Judged, records: Sequence[Experiment]) -> str:
 
 
 def _records(subject: Subject, records: Sequence[Experiment]) -> str:
-    """Which records, and whether they made the model."""
+    """Which records, and whether the model was fitted to them."""
     splits = list(dict.fromkeys(e.split for e in records if e.split))
     kind = f"{' and '.join(splits)} " if splits else ""
     many = f"{len(records)} {kind}record{'s' if records[1:] else ''}"
@@ -78,12 +78,12 @@ def _records(subject: Subject, records: Sequence[Experiment]) -> str:
         return many
     made = trained_on(subject, records)
     if not made:
-        return f"{many} that it was not made from"
-    return f"{many}, {'all' if len(made) == len(records) else len(made)} of which it was made from"
+        return f"{many} that it was not fitted to"
+    return f"{many}, {'all' if len(made) == len(records) else len(made)} of which it was fitted to"
 
 
 def trained_on(subject: Subject, records: Sequence[Experiment]) -> list[str]:
-    """The names of those records that a model was made from, by their checksums."""
+    """The names of those records that a model was fitted to, by their checksums."""
     known = records_in(subject.header)
     return [e.name for e in records if e.sha256 and e.sha256 in known]
 
@@ -119,8 +119,9 @@ def coordinates_table(found: Sequence[Judged], channels: Channels) -> Table:
 def parameters_of(subject: Subject) -> Parameters | None:
     """The parameters of a model, with both errors where it was identified."""
     found = subject.header.get("identification")
+    values = family_of(subject.model).parameters(subject.model)
+    units = {name: unit for name, unit, _ in values}
     if found is None:
-        values = family_of(subject.model).parameters(subject.model)
         rows = [[name, f"{value:.4g}", unit] for name, unit, value in values]
         table = Table(ESTIMATE_COLUMNS[:3], rows)
         return Parameters(subject.label, "values", table, [None] * len(rows)) if rows else None
@@ -130,7 +131,7 @@ def parameters_of(subject: Subject) -> Parameters | None:
             for of in found["estimates"]
         ]
         source = error_source(found["trust"])
-        fixed = [[name, f"{value:.4g}", "", "fixed", "", "", ""]
+        fixed = [[name, f"{value:.4g}", units.get(name, ""), "fixed", "", "", ""]
                  for name, value in found["fixed"].items()]  # fmt: skip
     rows = [*map(estimate_cells, estimates), *fixed]
     places = []
@@ -173,7 +174,7 @@ def models_table(found: Sequence[Judged], records: Sequence[Experiment]) -> Tabl
             _digest(file.read_bytes()) if file else "–",
             " ".join(f"{k} {v}" for k, v in (header.get("versions") or {}).items()) or "–",
         ])  # fmt: skip
-    return Table(["model", "kind", "recipe", "made from", "SHA-256", "made with"], rows)
+    return Table(["model", "kind", "recipe", "fitted to", "SHA-256", "made with"], rows)
 
 
 def structure_table(found: Sequence[Judged]) -> Table:
@@ -184,7 +185,7 @@ def structure_table(found: Sequence[Judged]) -> Table:
 
 
 def records_table(found: Sequence[Judged], records: Sequence[Experiment]) -> Table:
-    """Where the records are from, and which models were made from them."""
+    """Where the records are from, and which models were fitted to them."""
     made = {of.subject.label: trained_on(of.subject, records) for of in found}
     rows = [
         [
@@ -194,7 +195,8 @@ def records_table(found: Sequence[Judged], records: Sequence[Experiment]) -> Tab
         ]
         for e in records
     ]  # fmt: skip
-    return Table(["record", "split", "samples", "length [s]", "made", "SHA-256"], rows)
+    columns = ["record", "split", "samples", "length [s]", "models fitted to it", "SHA-256"]
+    return Table(columns, rows)
 
 
 def versions() -> str:

@@ -21,6 +21,7 @@ from tustinnet.simulate.starts import default_start
 from tustinnet.store.files import require_new, write_into
 from tustinnet.store.model_file import load_model
 
+_LARGEST, _REST = 1_000_000, 250_000  # bytes of a page, and of it what is no signal and no model
 _MOST = 5  # models; more lines than that nobody tells apart
 
 
@@ -105,9 +106,10 @@ def page_of(found: Sequence[Judged], records: Sequence[Experiment], asked: Asked
         records: the records that judged them.
         asked: how the report is made.
     """
-    thinning = thinning_of(found, records)
     links = _links(found) or asked.links
     modules, silent = _modules(found, records)
+    room = _LARGEST - _REST - sum(map(len, modules.values()))
+    thinning = thinning_of(found, records, room)
     content = content_of(found, records, links, thinning.points)
     return rendered(_context(found, records, thinning, silent, asked), content, modules)
 
