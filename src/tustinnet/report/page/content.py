@@ -1,6 +1,6 @@
 """The numbers of a report as plain values, which the page draws."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.evaluate.bands import Band
 from tustinnet.models.kinematics import Link
 from tustinnet.report.page.judged import Judged
-from tustinnet.report.page.signals import bounded, packed, thinned
+from tustinnet.report.page.signals import bounded, kept, packed
 from tustinnet.report.page.subject import History
 from tustinnet.simulate.range import Cloud
 
@@ -43,14 +43,13 @@ def thinning_of(found: Sequence[Judged], records: Sequence[Experiment], room: fl
         room: of the signals in the page [bytes].
     """
     c = records[0].channels
-    drawn, moving = 1 + c.measured.stop + c.n_u, 1 + c.n_q * (1 + len(found))
+    drawn = 1 + c.measured.stop + c.n_u
     for of in found:
-        drawn += c.n_q * (4 if of.bands else 2) + (2 if of.energies else 0)
+        drawn += c.n_q * (3 if of.bands else 1) + (2 if of.energies else 0)
 
     def size(points: int) -> float:
-        """Bytes of all signals, and those of the motion of records that are thinned."""
-        each = [drawn * min(len(e), points) + moving * points * (len(e) > points) for e in records]
-        return _BYTES * sum(each) + _NAMED * drawn * len(records)
+        each = sum(min(len(e), points) for e in records)
+        return drawn * (_BYTES * each + _NAMED * len(records))
 
     points = next((p for p in _POINTS if size(p) <= room), _POINTS[-1])
     return Thinning(points, sum(len(e) > points for e in records))
@@ -115,39 +114,35 @@ def _curve(name: str, lines: History) -> dict[str, Any]:
     values = np.array([[e["loss"], e["validation"]] for e in lines], float)  # None becomes NaN
     with np.errstate(divide="ignore", invalid="ignore"):
         values = np.log10(values)
-    at, kept = thinned(np.arange(1.0, len(lines) + 1), values, _EPOCHS)
-    return {"name": name, "epoch": packed(at), "loss": packed(kept[:, 0]),
-            "validation": packed(kept[:, 1])}  # fmt: skip
+    at = kept(values, _EPOCHS)
+    loss, validation = values[at].T
+    return {"name": name, "epoch": packed(at + 1.0), "loss": packed(loss),
+            "validation": packed(validation)}  # fmt: skip
 
 
 def _record(i: int, e: Experiment, found: Sequence[Judged], points: int) -> dict[str, Any]:
     """The signals of one record, all at the same times."""
     c, t = e.channels, e.t - e.t[0]
-    q = e.q
-    runs = [bounded(of.scores[i].simulated[:, c.position], q) for of in found]
     columns: dict[str, np.ndarray] = {
-        "q": q, "v": e.measured_states()[:, c.velocity], "u": e.u,
+        "q": e.q, "v": e.measured_states()[:, c.velocity], "u": e.u,
     }  # fmt: skip
-    for k, (of, run) in enumerate(zip(found, runs, strict=True)):
-        columns |= {f"{k} q": run, f"{k} error": run - q, **_around(k, of, i, q)}
-    times, parts = _together(t, columns, points)
-    told: dict[str, Any] = {
+    for k, of in enumerate(found):
+        run = bounded(of.scores[i].simulated[:, c.position], e.q)
+        columns |= {f"{k} error": run - e.q, **_around(k, of, i, e.q)}
+    samples = kept(np.concatenate(list(columns.values()), axis=1), points)
+    parts = {key: _packed(part[samples]) for key, part in columns.items()}
+    return {
         "name": e.name,
         "split": e.split,
-        "t": packed(times),
-        **{key: _packed(parts[key]) for key in ("q", "v", "u")},
+        "t": packed(t[samples]),
+        **{key: parts[key] for key in ("q", "v", "u")},
         "runs": [
-            {part: _packed(parts[f"{k} {part}"])
-             for part in ("q", "error", "band", "energy") if f"{k} {part}" in parts}
+            {part: parts[f"{k} {part}"]
+             for part in ("error", "band", "energy") if f"{k} {part}" in parts}
             | {"rmse": of.scores[i].rmse}
             for k, of in enumerate(found)
         ],
     }  # fmt: skip
-    if len(e) > points:  # a motion is not made of extremes
-        step = -(-len(e) // points)
-        told["frames"] = {"t": packed(t[::step]), "q": _packed(q[::step]),
-                          "runs": [_packed(run[::step]) for run in runs]}  # fmt: skip
-    return told
 
 
 def _around(k: int, of: Judged, i: int, q: np.ndarray) -> dict[str, np.ndarray]:
@@ -165,15 +160,6 @@ def _ends(band: Band, q: np.ndarray) -> list[np.ndarray]:
     """Lower and upper ends, from where the free run begins."""
     after = (np.arange(len(q)) >= band.first)[:, None]
     return [np.where(after, bounded(end, q), np.nan) for end in (band.low, band.high)]
-
-
-def _together(
-    t: np.ndarray, columns: Mapping[str, np.ndarray], points: int
-) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Several groups of columns, thinned to the same times."""
-    ends = np.cumsum([part.shape[1] for part in columns.values()])[:-1]
-    times, kept = thinned(t, np.concatenate(list(columns.values()), axis=1), points)
-    return times, dict(zip(columns, np.split(kept, ends, axis=1), strict=True))
 
 
 def _packed(columns: np.ndarray) -> list[dict[str, Any]]:

@@ -2,47 +2,50 @@
 
 from base64 import b64encode
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 _LARGEST = 32767  # of the whole numbers that stand for a signal
 _GAP = -32768  # stands for what is not finite
+_GROWTH = 1.15  # of the stretches that are tried
 _FARTHEST = 3.0  # times the measured span from its middle, beyond which a simulation is cut
 
 
-def thinned(
-    t: Float[np.ndarray, " n"], signals: Float[np.ndarray, "n c"], points: int
-) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m c"]]:
-    """Signals in at most so many points: of each bin the smallest and the largest value.
+def kept(signals: Float[np.ndarray, "n c"], points: int) -> Int[np.ndarray, " m"]:
+    """The samples that lines through all signals need: at most so many, without losing a peak.
 
-    Both stand in the order in which they came, at two times that all signals share, so that none is
-    farther from where it was than a bin is wide.
+    Of stretches of equal length those at which any signal is smallest or largest, and both ends;
+    the stretches are as short as the number of points allows.
 
     Args:
-        t: times, (n,) [s].
-        signals: a column each.
-        points: how many at most; signals that have no more stay as they are.
+        signals: a column each, NaN where there is a gap.
+        points: how many at most.
 
     Returns:
-        Times and signals.
+        Their indices, rising; all where there are no more.
     """
-    n, bins = len(t), max(points // 2, 1)
+    n, length = len(signals), 2
     if n <= points:
-        return t, signals
-    edges = np.linspace(0, n, bins + 1).astype(int)
-    times, values = np.empty(2 * bins), np.empty((2 * bins, signals.shape[1]))
-    for k, (a, b) in enumerate(pairwise(edges)):
-        part = signals[a:b]
-        gap = np.isnan(part)
-        low = np.argmin(np.where(gap, np.inf, part), axis=0)
-        high = np.argmax(np.where(gap, -np.inf, part), axis=0)
-        places = np.stack([np.minimum(low, high), np.maximum(low, high)])
-        values[2 * k : 2 * k + 2] = np.take_along_axis(part, places, axis=0)
-        times[2 * k : 2 * k + 2] = t[a + (b - a) // 4], t[a + 3 * (b - a) // 4]
-    return times, values
+        return np.arange(n)
+    found = _extremes(signals, length)
+    while len(found) > points and length < n:
+        length = max(length + 1, int(_GROWTH * length))
+        found = _extremes(signals, length)
+    return found
+
+
+def _extremes(signals: Float[np.ndarray, "n c"], length: int) -> Int[np.ndarray, " m"]:
+    """The samples at which any signal is smallest or largest in its stretch."""
+    n, stretches = len(signals), -(-len(signals) // length)
+    padded = np.full((stretches * length, signals.shape[1]), np.nan)
+    padded[:n] = signals
+    parts = padded.reshape(stretches, length, -1)
+    begins = length * np.arange(stretches)[:, None]
+    low = begins + np.argmin(np.where(np.isnan(parts), np.inf, parts), axis=1)
+    high = begins + np.argmax(np.where(np.isnan(parts), -np.inf, parts), axis=1)
+    return np.unique(np.concatenate([low.ravel(), high.ravel(), [0, n - 1]]))
 
 
 def packed(values: Float[np.ndarray, " n"] | Sequence[float]) -> dict[str, Any]:

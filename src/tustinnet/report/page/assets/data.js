@@ -29,17 +29,14 @@ function recordAt(index) {
   if (!opened.has(index)) {
     const of = data.records[index];
     const all = (signals) => (signals ?? []).map(unpacked);
-    const runs = of.runs.map((run) => ({
-      rmse: run.rmse, q: all(run.q), error: all(run.error), band: all(run.band),
-      energy: all(run.energy),
-    }));
-    const t = unpacked(of.t);
-    const frames = of.frames
-      ? { t: unpacked(of.frames.t), q: all(of.frames.q), runs: of.frames.runs.map(all) }
-      : { t, q: all(of.q), runs: runs.map((run) => run.q) };
+    const t = unpacked(of.t), q = all(of.q);
+    const runs = of.runs.map((run) => {
+      const error = all(run.error);
+      const simulated = error.map((e, j) => e.map((x, k) => (x === null ? null : q[j][k] + x)));
+      return { rmse: run.rmse, q: simulated, error, band: all(run.band), energy: all(run.energy) };
+    });
     opened.set(index, {
-      name: of.name, t, q: all(of.q), v: all(of.v), u: all(of.u), runs, frames,
-      length: t[t.length - 1],
+      name: of.name, t, q, v: all(of.v), u: all(of.u), runs, length: t[t.length - 1],
     });
   }
   return opened.get(index);

@@ -76,7 +76,7 @@ function beginPlayground() {
     choice.append(element("option", { value: k }, data.models[toy.model].label)));
   const mechanism = mechanismFor(true);
   let toy = toys[0], running = false, since = null, owed = 0, taken = null, trail = [], held = 0;
-  const begin = [...at(recordAt(0).frames.t, recordAt(0).frames.q, 0)];
+  const begin = [...at(recordAt(0).t, recordAt(0).q, 0)];
 
   const slider = (host, name, [low, high], value, tell) => {
     const out = element("output", {}, told(value));

@@ -25,14 +25,14 @@ function beginStage() {
   const draw = () => {
     const { context, width, height } = sharp(canvas);
     if (!width) return;
-    const { frames } = recordAt(clock.record), poses = [], visible = shown();
-    frames.runs.forEach((run, i) => {
-      const q = visible[i] && at(frames.t, run, clock.time);
+    const of = recordAt(clock.record), poses = [], visible = shown();
+    of.runs.forEach((run, i) => {
+      const q = visible[i] && at(of.t, run.q, clock.time);
       if (q) poses.push({ q, colour: colourOf(i), dash: dashOf(i), width: 2.5,
-        trail: trailOf(frames.t, run, clock.time) });
+        trail: trailOf(of.t, run.q, clock.time) });
     });
-    const q = at(frames.t, frames.q, clock.time);
-    poses.unshift({ q, colour: colours.ink, width: 4.5, trail: trailOf(frames.t, frames.q, clock.time) });
+    const q = at(of.t, of.q, clock.time);
+    poses.unshift({ q, colour: colours.ink, width: 4.5, trail: trailOf(of.t, of.q, clock.time) });
     mechanism.draw(context, width, height, poses);
   };
   clock.listeners.add(draw);
