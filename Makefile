@@ -9,7 +9,7 @@ SEED ?= 0
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo reproduce test check torture bench clean
+.PHONY: help install demo reproduce test test-browser check torture bench clean
 
 help:
 	@echo "make install     the package and its command in .venv"
@@ -17,6 +17,7 @@ help:
 	@echo "make reproduce   the paper's results (DATA=FOLDER OUT=$(OUT) SEEDS=$(SEEDS))"
 	@echo "make bench       speed against PyTorch, plain JAX and scipy (DATA=FOLDER; 'bench' extra)"
 	@echo "make test        linter, type checker, layers, tests"
+	@echo "make test-browser  the report in Chromium, which has to be installed ('browser' extra)"
 	@echo "make torture     kills, damaged inputs, faults, load for about MINUTES=$(MINUTES) (SEED=$(SEED))"
 
 install: .venv/installed
@@ -32,6 +33,10 @@ test: .venv/installed-dev
 	@$(MAKE) --no-print-directory check > .venv/check.log 2>&1 & check=$$!; \
 	$(BIN)/pytest -q -n auto; tests=$$?; \
 	wait $$check || { cat .venv/check.log; exit 1; }; exit $$tests
+
+test-browser: .venv/installed-dev
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[browser]'
+	$(BIN)/pytest -q -rs tests/report/test_page_in_browser.py
 
 check: .venv/installed-dev
 	$(BIN)/ruff check .

@@ -70,4 +70,8 @@ SYSTEM = tn.LagrangianSystem(
     potential=potential,
     dissipation=dissipation,
     input_map=input_map,
+    links=(
+        tn.Link("shoulder", (0.0, -1.0, 0.0), (0.0, 0.0, -LENGTH)),
+        tn.Link("elbow", (0.0, -1.0, 0.0), (0.0, 0.0, -0.3)),
+    ),
 )

@@ -45,4 +45,5 @@ SYSTEM = tn.LagrangianSystem(
     kinetic=kinetic,
     dissipation=dissipation,
     input_map=input_map,
+    links=(tn.Link("position", (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)),),
 )

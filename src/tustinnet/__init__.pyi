@@ -35,10 +35,12 @@ from .fitting.shooting.identify import identify as identify
 from .fitting.task import Member as Member
 from .models.contract import Model as Model
 from .models.integrate import discretise as discretise
+from .models.kinematics import Link as Link
 from .models.lagrangian import LagrangianModel as LagrangianModel
 from .models.lagrangian import LagrangianSystem as LagrangianSystem
 from .models.lagrangian import Memory as Memory
 from .models.lagrangian import Parameter as Parameter
+from .report.page.write import write_report as write_report
 from .selection.cluster import cluster as cluster
 from .selection.select import Asked as Asked
 from .selection.select import select_model as select_model

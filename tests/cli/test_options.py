@@ -45,6 +45,8 @@ _STRICT = f"{HERE}::test_strict_refuses_what_looks_wrong"
 _INSPECTED = f"{VERBS}::test_inspect_as_json_with_a_figure"
 
 _BANDED = "cli/test_bands_verb.py::test_a_calibrated_model_simulates_and_is_judged_with_bands"
+_PAGE = "cli/test_report_verb.py::test_a_run_is_reported_as_its_options_say"
+_DRAWN = "cli/test_report_verb.py::test_a_system_with_links_draws_a_network"
 _NO_BANDS = "cli/test_bands_verb.py::test_bands_that_cannot_be_are_one_line"
 
 SHOWN = {
@@ -115,6 +117,10 @@ SHOWN = {
     "committee": {
         "--out": _TOGETHER, "--weights": _TOGETHER, "--overwrite": _TOGETHER,
         "--system": "cli/test_put_together.py::test_members_of_a_users_system_share_its_file",
+    },
+    "report": {
+        "--split": _NAMES, "--start": _NAMES, "--card": _CARD,
+        "--out": _PAGE, "--horizon": _PAGE, "--overwrite": _PAGE, "--system": _DRAWN,
     },
     "show": {"--json": f"{VERBS}::test_show_prints_the_header"},
     "reproduce": {
@@ -191,12 +197,14 @@ def of(verb: str, model: Path, folder: Path, tmp_path: Path) -> list[object]:
     return first + (["--out", tmp_path / "out"] if verb in WRITING else [])
 
 
-JUDGING = ("simulate", "evaluate", "compare", "residuals")
-WRITING = ("simulate", "fit", "cross-validate")
+JUDGING = ("simulate", "evaluate", "compare", "residuals", "report")
+WRITING = ("simulate", "fit", "cross-validate", "report")
 
 
 @pytest.mark.parametrize("option", ["--split", "--start"])
-@pytest.mark.parametrize("verb", ["inspect", "simulate", "evaluate", "compare", "residuals"])
+@pytest.mark.parametrize(
+    "verb", ["inspect", "simulate", "evaluate", "compare", "residuals", "report"]
+)
 def test_names_that_are_none_are_refused_by_their_option(
     verb, option, model, folder, tmp_path, refused
 ):
@@ -210,7 +218,7 @@ def test_names_that_are_none_are_refused_by_their_option(
 
 @pytest.mark.parametrize("verb", ["inspect", "fit", "cross-validate", *JUDGING])
 def test_a_card_is_read(verb, model, folder, tmp_path, refused):
-    """Of: inspect, fit, cross-validate, simulate, evaluate, compare, residuals."""
+    """Of: inspect, fit, cross-validate, simulate, evaluate, compare, residuals, report."""
     card = tmp_path / "nowhere.toml"
     refused(*of(verb, model, folder, tmp_path), "--card", card, names=("nowhere.toml",))
 

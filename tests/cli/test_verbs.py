@@ -35,7 +35,7 @@ def test_help_names_every_verb_and_loads_no_jax():
     assert done.returncode == 0, done.stderr
     for verb in (
         "demo", "inspect", "fit", "cross-validate", "simulate", "evaluate", "compare", "residuals",
-        "committee", "export", "show", "reproduce",
+        "committee", "export", "show", "report", "reproduce",
     ):  # fmt: skip
         assert f"\n  {verb} " in done.stdout
 

@@ -8,9 +8,7 @@ import typer
 from tustinnet.cli import options, terminal
 
 if TYPE_CHECKING:
-    from tustinnet.data.experiment import Experiment
     from tustinnet.evaluate.scores import Score
-    from tustinnet.report.tables import Table
 
 
 def compare(
@@ -40,7 +38,9 @@ def compare(
     from tustinnet.cli.request import band_asked, bands_of, judged_records, kept_system
     from tustinnet.errors import InputError
     from tustinnet.evaluate.scores import evaluate
+    from tustinnet.report.comparison import comparison_table
     from tustinnet.report.figures import free_run_figure, write_figure
+    from tustinnet.report.page.subject import labels
     from tustinnet.store.model_file import load_models
     from tustinnet.systems.files import find_system
 
@@ -52,7 +52,7 @@ def compare(
     records, begin = judged_records(data, card, split, start, loaded)
     scores = {
         label: evaluate(model, records, begin, horizon=horizon)
-        for label, model in zip(_labels(models), loaded, strict=True)
+        for label, model in zip(labels(models), loaded, strict=True)
     }
     if figures is not None:
         bands = {} if asked is None else {
@@ -68,7 +68,7 @@ def compare(
         content = _content(models, scores)
         terminal.print_json({"start": begin, "horizon": horizon, "models": content})
         return
-    terminal.print_tables(_table(records, scores, begin))
+    terminal.print_tables(comparison_table(records, scores, begin))
 
 
 def _content(models: list[Path], scores: "dict[str, list[Score]]") -> dict[str, Any]:
@@ -82,36 +82,3 @@ def _content(models: list[Path], scores: "dict[str, list[Score]]") -> dict[str, 
         }
         for label, path in zip(scores, models, strict=True)
     }
-
-
-def _table(records: "list[Experiment]", scores: "dict[str, list[Score]]", begin: str) -> "Table":
-    from tustinnet.evaluate.scores import mean_rmse
-    from tustinnet.report.tables import Table, number, scale_of
-    from tustinnet.simulate.horizon import over
-
-    scale = scale_of(s.rmse for found in scores.values() for s in found)
-
-    def told(value: float) -> str:
-        return number(value, scale=scale)
-
-    rows = [
-        [e.name, e.split or "all", *[told(found[i].rmse) for found in scores.values()]]
-        for i, e in enumerate(records)
-    ]
-    for name in dict.fromkeys(e.split or "all" for e in records):
-        inside = [i for i, e in enumerate(records) if (e.split or "all") == name]
-        groups = [mean_rmse([found[i] for i in inside]) for found in scores.values()]
-        rows.append(["mean", name, *map(told, groups)])
-    horizon = over(next(iter(scores.values()))[0].horizon)
-    title = f"Free-run RMSE [{records[0].channels.unit}], start '{begin}'{horizon}"
-    return Table(["record", "split", *scores], rows, title=title)
-
-
-def _labels(paths: list[Path]) -> list[str]:
-    """Short names that differ: the files' stems, with as many folders as it takes."""
-    parts = [[*p.resolve().parent.parts, p.stem] for p in paths]
-    for depth in range(1, max(map(len, parts)) + 1):
-        labels = ["/".join(part[-depth:]) for part in parts]
-        if len(set(labels)) == len(labels):
-            return labels
-    return [f"{'/'.join(part[-2:])} ({i + 1})" for i, part in enumerate(parts)]

@@ -69,7 +69,8 @@ def demo(
         terminal.print_tables(_table(scores))
     _say(told, quiet, f"written to {out}: {table_file.name}, {', '.join(figures)}")
     _say(told, quiet, f"look again: tustinnet inspect {logs}; tustinnet show {out / _CHOICE}/"
-                      f"model.safetensors; {out / _CHOICE / 'figures'}")  # fmt: skip
+                      f"model.safetensors; tustinnet report {out / _CHOICE} {logs} --split test "
+                      f"--out {out / 'report.html'}; {out / _CHOICE / 'figures'}")  # fmt: skip
 
 
 def _say(told: "Console", quiet: bool, line: str) -> None:

@@ -15,6 +15,7 @@ from tustinnet.cli.evaluate import evaluate
 from tustinnet.cli.export import export
 from tustinnet.cli.fit import fit
 from tustinnet.cli.inspect import inspect
+from tustinnet.cli.report import report
 from tustinnet.cli.reproduce import reproduce
 from tustinnet.cli.residuals import residuals
 from tustinnet.cli.show import show
@@ -30,7 +31,7 @@ app = typer.Typer(
 )
 _VERBS = (
     demo, inspect, fit, cross_validate, simulate, evaluate, compare, residuals, committee,
-    calibrate, export, show, reproduce,
+    calibrate, export, show, report, reproduce,
 )  # fmt: skip
 for verb in _VERBS:
     app.command()(terminal.interruptible()(verb))

@@ -76,6 +76,7 @@ def residual_reports(
     lags: int = 50,
     *,
     horizon: float | None = None,
+    own: Sequence[Float[np.ndarray, "_ n_x"]] | None = None,
 ) -> list[ResidualReport]:
     """Examines the free-run residuals (measured minus simulated) of records.
 
@@ -88,6 +89,7 @@ def residual_reports(
         lags: largest lag in samples.
         horizon: how long a free run lasts at most [s], see `free_run`; correlations reach across
             the segments of a record.
+        own: the free runs, where they are known.
 
     Raises:
         InputError: lags that the shortest record does not have, a free run that diverges; see also
@@ -100,7 +102,7 @@ def residual_reports(
     shortest = min(len(e) for e in experiments)
     if not 1 <= lags < shortest:
         raise InputError("lags", f"{lags} samples", f"1 to {shortest - 1}")
-    runs = free_run(model, experiments, start, horizon=horizon)
+    runs = own or free_run(model, experiments, start, horizon=horizon)
     begin, at = start_named(start).first, model.channels.position
     residuals = [e.q[begin:] - x[begin:, at] for e, x in zip(experiments, runs, strict=True)]
     for e, r in zip(experiments, residuals, strict=True):

@@ -25,6 +25,7 @@ from tustinnet.families.family import (
     systems_in,
 )
 from tustinnet.models.contract import Drive, Model, Seen, State
+from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.registry import FAMILIES
 from tustinnet.signals.excitation import Excitation
 from tustinnet.systems.files import load_system
@@ -298,6 +299,11 @@ class CommitteeFamily(Family):
         if not (weights >= 0).all() or abs(weights.sum() - 1) > _ROUNDING:
             raise ValueError(f"weights {weights.tolist()}")
         return _together(members, weights)
+
+    def equations(self, model: Committee) -> LagrangianModel | None:
+        """Those of the first member that has some."""
+        found = (family_of(member).equations(member) for member in model.members)
+        return next((of for of in found if of is not None), None)
 
     def alternatives(self, model: Committee, header: Header) -> Sequence[Model]:
         """The members."""

@@ -157,6 +157,11 @@ class EulerLagrangeFamily(Family):
             if p.name in values
         ]
 
+    def equations(self, model: Discretised) -> LagrangianModel:
+        """All of it."""
+        assert isinstance(model.continuous, LagrangianModel)
+        return model.continuous
+
     def alternatives(self, model: Discretised, header: Header) -> Sequence[Model]:
         """The same equations with parameters drawn from their errors, within their ranges."""
         found = header.get("identification", {})

@@ -18,6 +18,7 @@ from tustinnet.errors import InputError
 from tustinnet.models.blocks import Affine
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import FromContinuous
+from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.registry import FAMILIES
 
 Header = dict[str, Any]
@@ -130,6 +131,10 @@ class Family(ABC):
     def parameters(self, model: Any) -> Sequence[tuple[str, str, float]]:
         """Name, unit and value of its physical parameters; networks have none."""
         return ()
+
+    def equations(self, model: Any) -> LagrangianModel | None:
+        """The equations of motion that a model has in it, for its energy; networks have none."""
+        return None
 
     def alternatives(self, model: Any, header: Header) -> Sequence[Model]:
         """Models that its records would allow as well; how they differ says how sure it is.

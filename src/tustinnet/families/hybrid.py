@@ -35,6 +35,7 @@ from tustinnet.models.contract import (
     State,
     require_fit,
 )
+from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.registry import FAMILIES, USUAL
 from tustinnet.signals.excitation import Excitation
 from tustinnet.signals.stacking import stacked
@@ -286,6 +287,10 @@ class HybridFamily(Family):
     def parameters(self, model: HybridModel) -> Sequence[tuple[str, str, float]]:
         """Those of the physics."""
         return family_of(model.physics).parameters(model.physics)
+
+    def equations(self, model: HybridModel) -> LagrangianModel | None:
+        """Those of the physics."""
+        return family_of(model.physics).equations(model.physics)
 
     def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
         """Both parts."""

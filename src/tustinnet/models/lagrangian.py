@@ -21,6 +21,7 @@ from tustinnet.models.contract import (
     Internal,
     State,
 )
+from tustinnet.models.kinematics import Link, require_links
 from tustinnet.models.parameters import Parameter, known_group
 
 Scalar = Float[Array, ""]
@@ -62,6 +63,7 @@ class LagrangianSystem:
         memory: forces with internal states, if any.
         sensors: which parameters are what sensors are off by, see `models.sensors.calibrated`.
         added: which forces were added by name, see `models.added.with_forces`.
+        links: how it is drawn, none where nobody said.
     """
 
     name: str
@@ -75,6 +77,7 @@ class LagrangianSystem:
     memory: Memory | None = None
     sensors: tuple[str, ...] = ()
     added: tuple[str, ...] = ()
+    links: tuple[Link, ...] = ()
 
     def __post_init__(self) -> None:
         names = [p.name for p in self.parameters]
@@ -94,6 +97,7 @@ class LagrangianSystem:
                 )  # fmt: skip
         if not self.coordinates:
             raise InputError(f"system '{self.name}'", "no coordinates", "at least one")
+        require_links(self.links, self.coordinates, f"system '{self.name}'")
         self._require_shapes()
 
     def nominal(self) -> dict[str, float]:

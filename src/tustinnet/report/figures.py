@@ -19,6 +19,7 @@ from tustinnet.data.inspection import ExperimentReport
 from tustinnet.errors import InputError
 from tustinnet.evaluate.bands import Band
 from tustinnet.evaluate.scores import Score
+from tustinnet.report.page.signals import bounded
 from tustinnet.simulate.horizon import over
 from tustinnet.store.files import write_into
 
@@ -103,7 +104,7 @@ def free_run_figure(
                     label, (COLOURS[i % len(COLOURS)], _DASHES[i % len(_DASHES)])
                 )
                 told = f"{label} (RMSE {score.rmse:.3g} {unit})"
-                line = _bounded(score.simulated[:, j], e.q[:, j])
+                line = bounded(score.simulated[:, j], e.q[:, j])
                 if (band := (bands or {}).get(label)) is not None:
                     _shade(axes, t, band, j, e, colour)
                 if not long:
@@ -132,7 +133,7 @@ def _shade(
 ) -> None:
     """A band of one coordinate, from where the free run begins."""
     after = slice(band.guess.first, None)
-    low, high = (_bounded(of[after, j], e.q[after, j]) for of in (band.low, band.high))
+    low, high = (bounded(of[after, j], e.q[after, j]) for of in (band.low, band.high))
     told = f"{100 * band.level:g} % of {'the time' if band.of == 'time' else 'whole records'}"
     axes.fill_between(t[after], low, high, color=colour, alpha=0.2, linewidth=0, label=told)
 
@@ -161,16 +162,6 @@ def extremes(y: Float[np.ndarray, " n"]) -> Int[np.ndarray, " kept"]:
 def _columns(labels: Sequence[str]) -> int:
     """Columns of a legend that the figure's width has room for."""
     return max(1, min(len(labels), 3, _LEGEND_WIDTH // (max(map(len, labels)) + 7)))
-
-
-def _bounded(
-    simulated: Float[np.ndarray, " n"], measured: Float[np.ndarray, " n"]
-) -> Float[np.ndarray, " n"]:
-    """A simulation cut where it leaves the picture, so that a divergence does not hide the rest."""
-    middle, reach = (measured.max() + measured.min()) / 2, np.ptp(measured) + 1e-12
-    with np.errstate(invalid="ignore"):
-        inside = np.abs(simulated - middle) < 3 * reach
-    return np.where(inside, simulated, np.nan)
 
 
 def training_figure(histories: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 from tustinnet.evaluate.folds import Validated
 from tustinnet.evaluate.scores import rmse_by_record
-from tustinnet.fitting.report import Identification
+from tustinnet.fitting.report import Estimate, Identification
 from tustinnet.report.tables import Table, number, numbers, scale_of
 from tustinnet.simulate.horizon import over
 from tustinnet.store.run import Run
@@ -42,24 +42,41 @@ def members_table(run: Run) -> Table:
 
 def parameter_table(result: Identification) -> Table:
     """Parameters with the errors to trust and those of J'J."""
-    rows = []
-    for e in result.estimates:
-        at = f"at the {e.bound} end" if e.bound else ""
-        digits = _digits(e.value, e.error)
-        interval = "–"
-        if e.interval:
-            interval = f"{e.interval[0]:.{digits}g}..{e.interval[1]:.{digits}g}"
-        rows.append(
-            [
-                e.name, f"{e.value:.{digits}g}", e.unit, _error(e.error), interval,
-                _error(e.naive_error), f"{e.lower:.3g}..{e.upper:.3g} {at}".strip(),
-            ]
-        )  # fmt: skip
+    rows = [estimate_cells(e) for e in result.estimates]
     rows += [[name, f"{value:.4g}", result.system.parameter(name).unit, "fixed", "", "", ""]
              for name, value in result.fixed.items()]  # fmt: skip
-    columns = ["parameter", "value", "unit", "std. error", "95 %", "error of J'J", "range"]
-    source = "how the records disagree" if result.trust == "records" else "J'J"
-    return Table(columns, rows, title=f"{result.system.name}; standard errors from {source}")
+    title = f"{result.system.name}; standard errors from {error_source(result.trust)}"
+    return Table(ESTIMATE_COLUMNS, rows, title=title)
+
+
+ESTIMATE_COLUMNS = ("parameter", "value", "unit", "std. error", "95 %", "error of J'J", "range")
+
+
+def estimate_cells(e: Estimate) -> list[str]:
+    """One parameter, a cell for each of `ESTIMATE_COLUMNS`."""
+    at = f"at the {e.bound} end" if e.bound else ""
+    digits = _digits(e.value, e.error)
+    interval = "–"
+    if e.interval:
+        interval = f"{e.interval[0]:.{digits}g}..{e.interval[1]:.{digits}g}"
+    return [
+        e.name, f"{e.value:.{digits}g}", e.unit, _error(e.error), interval,
+        _error(e.naive_error), f"{e.lower:.3g}..{e.upper:.3g} {at}".strip(),
+    ]  # fmt: skip
+
+
+def error_source(trust: str) -> str:
+    """Where standard errors are from that `Identification.trust` names."""
+    return "how the records disagree" if trust == "records" else "J'J"
+
+
+def place(e: Estimate, value: float) -> float:
+    """Where a value stands in a parameter's range, 0..1; by logarithms where that is positive."""
+    if e.lower > 0:
+        share = math.log(max(value, e.lower) / e.lower) / math.log(e.upper / e.lower)
+    else:
+        share = (value - e.lower) / (e.upper - e.lower)
+    return min(max(share, 0.0), 1.0)
 
 
 def _digits(value: float, error: float | None) -> int:

@@ -1,10 +1,10 @@
 """The figure of an identification: parameters in their ranges, correlations of their errors."""
 
-import numpy as np
 from matplotlib.figure import Figure
 
 from tustinnet.fitting.report import Identification
 from tustinnet.report.figures import COLOURS, INPUT, house_style
+from tustinnet.report.fits import place
 
 
 def correlation_figure(result: Identification) -> Figure:
@@ -15,18 +15,13 @@ def correlation_figure(result: Identification) -> Figure:
         figure = Figure(figsize=(9.0, 0.36 * n + 1.6), layout="constrained")
         left, right = figure.subplots(1, 2, width_ratios=(1, 1.1))
         for i, e in enumerate(estimates):
-            positive = e.lower > 0
-
-            def place(value: float, e=e, positive=positive) -> float:  # noqa: ANN001
-                if positive:
-                    return float(np.log(value / e.lower) / np.log(e.upper / e.lower))
-                return (value - e.lower) / (e.upper - e.lower)
-
             left.plot([0, 1], [i, i], color="0.85", linewidth=5, solid_capstyle="butt", zorder=1)
             if e.interval:
-                low, high = (float(np.clip(place(max(x, e.lower)), 0, 1)) for x in e.interval)
+                low, high = (place(e, x) for x in e.interval)
                 left.plot([low, high], [i, i], color=INPUT, linewidth=5, solid_capstyle="butt")
-            left.plot(place(e.value), i, "o", color=COLOURS[0] if e.bound else "#111111", zorder=3)
+            left.plot(
+                place(e, e.value), i, "o", color=COLOURS[0] if e.bound else "#111111", zorder=3
+            )
         left.set_yticks(range(n), [e.name for e in estimates])
         left.set_xticks([0, 1], ["lower", "upper"])
         left.set_xlim(-0.05, 1.05)

@@ -11,6 +11,7 @@ References:
 from tustinnet.channels import Coordinate, Input
 from tustinnet.models import forces
 from tustinnet.models.contract import Coordinates, InputVector
+from tustinnet.models.kinematics import Link
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter, Scalar, Values
 
 
@@ -49,4 +50,5 @@ SYSTEM = LagrangianSystem(
     potential=potential,
     dissipation=dissipation,
     input_map=input_map,
+    links=(Link("deflection", (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)),),
 )

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 from tustinnet.channels import Coordinate, Input
 from tustinnet.models import forces
 from tustinnet.models.contract import Coordinates, InputVector, Internal
+from tustinnet.models.kinematics import Link
 from tustinnet.models.lagrangian import (
     LagrangianSystem,
     Memory,
@@ -136,6 +137,10 @@ NAIVE = LagrangianSystem(
     potential=gravity,
     dissipation=damping,
     input_map=motor,
+    links=(
+        Link("theta", (0.0, 0.0, ARM), (0.0, -0.085, 0.0)),
+        Link("alpha", (0.0, -ARM, 0.0), (0.0, 0.0, 0.129)),
+    ),
 )
 SYSTEM = replace(
     NAIVE, name="qube-servo2", parameters=(*_RIGID, *_CABLE), potential=gravity_and_cable

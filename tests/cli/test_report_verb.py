@@ -1,0 +1,103 @@
+"""`tustinnet report` by the command: what its options change, what it refuses."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from test_bands_verb import place  # noqa: F401 (a fixture)
+from test_grey_box import identified, identified_once, system  # noqa: F401 (fixtures)
+from test_verbs import tustinnet
+
+LINKED = """
+import tustinnet as tn
+
+SYSTEM = tn.LagrangianSystem(
+    name="drawn",
+    coordinates=(tn.Coordinate("{name}", "angular"),),
+    inputs=(tn.Input("torque", "N m"),),
+    parameters=(tn.Parameter("inertia", "kg m^2", 1.0, 0.1, 10.0),),
+    kinetic=lambda q, v, p: p["inertia"] * v[0] ** 2 / 2,
+    links=(tn.Link("{name}", (0, -1, 0), (0, 0, -0.3)),),
+)
+"""
+
+
+def numbers_in(page: Path) -> dict[str, Any]:
+    """The numbers that a page draws."""
+    text = page.read_text(encoding="utf-8")
+    (found,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', text)
+    return json.loads(found)
+
+
+@pytest.fixture
+def refused(capsys):
+    def check(*arguments: object, told: str) -> None:
+        code, out, err = tustinnet(capsys, *arguments)
+        assert (code, out, err.count("\n")) == (1, "", 1), err
+        assert told in err
+
+    return check
+
+
+def test_a_run_is_reported_as_its_options_say(run_folder, folder, tmp_path, capsys, refused):
+    page = tmp_path / "pages" / "report.html"
+    command = ("report", run_folder, folder, "--split", "validation", "--out", page)
+    code, out, err = tustinnet(capsys, *command)
+    assert (code, out) == (0, "")
+    assert f"report: {page} (" in err
+    told = numbers_in(page)
+    assert [of["name"] for of in told["records"]] == ["fall3", "noise2"]
+    assert [len(of["training"]) for of in told["models"]] == [2]
+    text = page.read_text(encoding="utf-8")
+    assert "2 validation records that it was not fitted to" in text
+    assert f"tustinnet report {run_folder} {folder} --out {page} --split validation" in text
+    refused(*command, told="add --overwrite")
+    again = (*command, "--horizon", 1, "--start", "derived-8", "--overwrite")
+    assert tustinnet(capsys, *again)[0] == 0
+    assert "over segments of 1 s" in page.read_text(encoding="utf-8")
+    assert numbers_in(page)["records"][0]["runs"][0]["rmse"] < told["records"][0]["runs"][0]["rmse"]
+
+
+def test_a_system_with_links_draws_a_network(run_folder, folder, tmp_path, capsys, refused):
+    drawn, page = tmp_path / "drawn.py", tmp_path / "report.html"
+    command = ("report", run_folder / "model.safetensors", folder, "--out", page,
+               "--system", drawn)  # fmt: skip
+    drawn.write_text(LINKED.format(name="elbow"))
+    refused(*command, told="error: --system: 'drawn', which no model is of")
+    drawn.write_text(LINKED.format(name="angle"))
+    refused(*command, "--system", "qube-servo2", told="error: --system: 'drawn'")
+    assert not page.exists()
+    assert tustinnet(capsys, *command)[0] == 0
+    assert numbers_in(page)["links"] == [
+        {"coordinate": 0, "axis": [0, -1, 0], "reach": [0, 0, -0.3]}
+    ]
+
+
+def test_what_cannot_be_reported_is_one_line(run_folder, folder, tmp_path, refused):
+    page, model = tmp_path / "report.html", run_folder / "model.safetensors"
+    refused("report", tmp_path / "gone", folder, "--out", page, told="no such file")
+    refused("report", folder, folder, "--out", page, told="a folder without model.safetensors")
+    refused("report", *[model] * 6, folder, "--out", page, told="6 models; expected 1 to 5")
+    card = folder / "dataset.toml"
+    card.write_text(card.read_text().replace('name = "angle"', 'name = "elbow"'))
+    refused("report", model, folder, "--out", page, told="elbow")
+    assert not page.exists()
+
+
+def test_parameters_have_both_errors_and_calibrated_models_bands(place, tmp_path, capsys):  # noqa: F811
+    page = tmp_path / "report.html"
+    command = ("report", place.banded, place.plain, place.logs, "--split", "validation",
+               "--start", "derived-6", "--system", place.system, "--out", page)  # fmt: skip
+    code, _, err = tustinnet(capsys, *command)
+    assert code == 0, err
+    text, (record, _) = page.read_text(encoding="utf-8"), numbers_in(page)["records"]
+    assert "Shaded: bands that hold 66.7 % (banded) of the time." in text
+    assert [len(run.get("band", ())) for run in record["runs"]] == [2, 0]
+    assert [len(run["energy"]) for run in record["runs"]] == [2, 2]
+    assert '<th scope="col">std. error</th>' in text
+    assert '<th scope="col">error of J&#39;J</th>' in text
+    assert text.count('class="place"') == 2 * 3
+    assert tustinnet(capsys, *command, "--overwrite", "--horizon", 1)[0] == 0
+    assert "no bands: --band: start" in page.read_text(encoding="utf-8")

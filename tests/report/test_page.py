@@ -1,0 +1,242 @@
+"""The report page without a browser: what it says, what it escapes, what it draws."""
+
+import base64
+import hashlib
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest import write_folder
+from swinging import SWING, TRUTH, falls
+
+import tustinnet as tn
+from tustinnet.errors import InputError
+from tustinnet.evaluate.energy import energy_along
+from tustinnet.report.page import content
+from tustinnet.report.page.signals import bounded, kept, packed
+
+HOSTILE = '"><img src=x onerror=alert(1)>'
+UNIT = "</script><script>alert(2)</script>"
+
+
+class Elements(HTMLParser):
+    """The elements of a page with their attributes, and the texts of its scripts and styles."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.texts: list[tuple[str, str]] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+        if tag in ("script", "style"):
+            self.texts.append((tag, ""))
+
+    def handle_data(self, data):
+        if self.elements and self.elements[-1][0] in ("script", "style"):
+            tag, before = self.texts[-1]
+            self.texts[-1] = (tag, before + data)
+
+    def handle_endtag(self, tag):
+        self.elements.append((f"/{tag}", {}))
+
+
+def unpacked(signal: dict[str, Any]) -> np.ndarray:
+    whole = np.frombuffer(base64.b64decode(signal["k"]), "<i2").astype(float)
+    values = signal["low"] + (signal["high"] - signal["low"]) * (whole + 32767) / 65534
+    return np.where(whole == -32768, np.nan, values)
+
+
+def numbers_in(text: str) -> dict[str, Any]:
+    (found,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', text)
+    return json.loads(found)
+
+
+@pytest.fixture(scope="module")
+def page(trained_once, pendulum, tmp_path_factory) -> str:
+    """The report of a training on a few records."""
+    place = tmp_path_factory.mktemp("page")
+    data = tn.load(write_folder(pendulum, place / "logs"))
+    runs = [trained_once, trained_once / "seed-1" / "model.safetensors"]
+    return tn.write_report(runs, list(data), place / "report.html").read_text(encoding="utf-8")
+
+
+def hostile_model() -> tuple[tn.Model, tn.Experiment]:
+    e = falls()[0]
+    coordinates = (tn.Coordinate(HOSTILE, "angular"),)
+    inputs = (tn.Input("voltage", UNIT),)
+    channels = replace(e.channels, coordinates=coordinates, inputs=inputs)
+    system = replace(SWING, coordinates=coordinates, inputs=inputs)
+    values = {name: jnp.asarray(x) for name, x in TRUTH.items()}
+    model = tn.discretise(system.model(values), e.dt, 2)
+    return model, replace(e, channels=channels, name=HOSTILE.replace("/", ""))
+
+
+def test_a_page_is_one_file_that_may_ask_for_nothing(page):
+    found = Elements(page)
+    assert len(page.encode()) < 1_000_000
+    policy = next(of["content"] for tag, of in found.elements if "http-equiv" in of)
+    assert policy is not None
+    assert policy.startswith("default-src 'none'; script-src 'sha256-")
+    allowed = set(re.findall(r"'(sha256-[^']+)'", policy))
+    said = {
+        f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"
+        for (tag, text), of in zip(
+            found.texts, [of for tag, of in found.elements if tag in ("script", "style")],
+            strict=True,
+        )
+        if of.get("type") != "application/json"
+    }  # fmt: skip
+    assert said == allowed
+    for _, of in found.elements:
+        assert not {"src", "onclick", "style", "action"} & of.keys()
+        assert (of.get("href") or "#").startswith("#")
+
+
+def test_every_control_has_a_name_and_every_reference_a_target(page):
+    found = Elements(page).elements
+    ids = [of["id"] for _, of in found if of.get("id")]
+    assert len(ids) == len(set(ids))
+    for tag, of in found:
+        for key in ("aria-labelledby", "for"):
+            assert of.get(key) is None or of[key] in ids
+        if tag == "canvas":
+            assert of.get("aria-label")
+
+
+def test_a_page_says_what_it_is_about(page):
+    for text in (
+        "A tustin-net model of angle", "Driven by torque (N m), in steps of 20 ms",
+        "5 train and validation records, 3 of which it was fitted to", "run", "seed-1",
+        "Every sample is drawn", "Copyright (c) 2022 Leon Sorokin", "Made by",
+    ):  # fmt: skip
+        assert (text in page) == (text != "Made by"), text  # nobody typed a command
+
+
+def test_signals_are_those_of_the_evaluation(page, pendulum, trained_once):
+    told = numbers_in(page)
+    model = tn.load_model(trained_once / "model.safetensors")
+    scores = tn.evaluate(model, list(pendulum), "derived-6")
+    for e, score, of in zip(pendulum, scores, told["records"], strict=True):
+        assert of["runs"][0]["rmse"] == pytest.approx(score.rmse, rel=1e-6)
+        error = score.simulated[:, 0] - e.q[:, 0]
+        for signal, values in ((of["q"][0], e.q[:, 0]), (of["runs"][0]["error"][0], error)):
+            span = signal["high"] - signal["low"]
+            np.testing.assert_allclose(unpacked(signal), values, atol=1e-4 * span)
+    lines = told["models"][0]["training"]
+    assert [line["name"] for line in lines] == ["seed-0", "seed-1"]
+    assert len(unpacked(lines[0]["loss"])) == 9
+
+
+def test_hostile_names_are_text(tmp_path):
+    model, e = hostile_model()
+    path = tn.write_report({HOSTILE: model}, e, tmp_path / "report.html")
+    text = path.read_text(encoding="utf-8")
+    found = Elements(text)
+    assert not [of for tag, of in found.elements if tag == "img" or "onerror" in of]
+    assert UNIT not in text
+    told = numbers_in(text)
+    assert told["coordinates"][0]["name"] == told["models"][0]["label"] == HOSTILE
+    assert told["inputs"][0]["unit"] == UNIT
+    assert len([of for tag, of in found.elements if tag == "script"]) == 5
+
+
+def test_thinning_keeps_every_peak():
+    generator = np.random.default_rng(0)
+    signals = generator.normal(size=(10_000, 3))
+    signals[5000:5300, 2] = np.nan
+    signals[777, 1] = 50.0
+    at = kept(signals, 300)
+    assert 150 < len(at) <= 300
+    assert np.all(np.diff(at) > 0)
+    assert {0, 777, 9999} <= set(at.tolist())
+    np.testing.assert_array_equal(np.nanmax(signals[at], axis=0), np.nanmax(signals, axis=0))
+    np.testing.assert_array_equal(np.nanmin(signals[at], axis=0), np.nanmin(signals, axis=0))
+    assert np.isnan(signals[at, 2]).any()
+    assert len(kept(signals, 10_000)) == 10_000
+    # what rises evenly needs the ends of its stretches alone
+    assert len(kept(np.arange(10_000.0)[:, None], 300)) > 250
+
+
+def test_packed_signals_come_back_to_a_part_in_65534():
+    values = np.array([-3.0, np.nan, 0.1, 7.0, np.inf])
+    found = unpacked(packed(values))
+    np.testing.assert_array_equal(np.isnan(found), ~np.isfinite(values))
+    np.testing.assert_allclose(found[[0, 2, 3]], values[[0, 2, 3]], atol=10 / 65534)
+    assert unpacked(packed([2.0, 2.0])).tolist() == [2.0, 2.0]
+    assert len(unpacked(packed([]))) == 0
+
+
+def test_long_records_are_thinned_and_the_page_says_so(tmp_path, monkeypatch):
+    monkeypatch.setattr(content, "_POINTS", (100,))
+    values = {name: jnp.asarray(x) for name, x in TRUTH.items()}
+    e = falls()[0]
+    assert len(e) > 100
+    model = tn.discretise(SWING.model(values), e.dt, 2)
+    text = tn.write_report({"swing": model}, [e], tmp_path / "report.html").read_text()
+    assert "1 of 1 records are drawn by at most 100 samples" in " ".join(text.split())
+    (of,) = numbers_in(text)["records"]
+    assert 50 < len(unpacked(of["q"][0])) == len(unpacked(of["t"])) <= 100
+    assert unpacked(of["q"][0]).max() == pytest.approx(e.q.max(), abs=1e-3)
+
+
+def test_a_simulation_that_leaves_the_picture_is_cut():
+    measured = np.array([[0.0], [1.0]])
+    found = bounded(np.array([[0.5], [1e300]]), measured)
+    assert np.isnan(found).tolist() == [[False], [True]]
+
+
+def test_energy_is_that_of_the_equations():
+    values = {name: jnp.asarray(x) for name, x in TRUTH.items()}
+    several = falls()
+    model = tn.discretise(SWING.model(values), several[0].dt, 2)
+    states = [e.measured_states() for e in several]
+    found = energy_along(model, several, states)
+    assert found is not None
+    for x, energy in zip(states, found, strict=True):
+        assert energy[7] == pytest.approx(float(SWING.model(values).energy(jnp.asarray(x[7]))))
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"axis": (0, 0, 0)}, "an axis of length 0"),
+        ({"reach": (0, 0)}, "3 numbers"),
+        ({"coordinate": "elbow"}, "a link of the coordinate 'elbow'"),
+    ],
+)
+def test_links_that_cannot_be_drawn_are_refused(change, told):
+    known: dict[str, Any] = {"coordinate": "angle", "axis": (0, 0, 1), "reach": (0, 0, 1)}
+    with pytest.raises(InputError, match=re.escape(told)):
+        replace(SWING, links=(tn.Link(**(known | change)),))
+
+
+def test_what_cannot_be_written_is_refused(pendulum, tmp_path):
+    there = tmp_path / "there.html"
+    there.write_text("mine")
+    with pytest.raises(InputError, match="there already"):
+        tn.write_report({}, pendulum[0], there)
+    with pytest.raises(InputError, match="0 models"):
+        tn.write_report({}, pendulum[0], tmp_path / "new.html")
+    with pytest.raises(InputError, match="no records"):
+        tn.write_report({"a": hostile_model()[0]}, [], tmp_path / "new.html")
+    with pytest.raises(InputError, match="no such file"):
+        tn.write_report([tmp_path / "nowhere"], pendulum[0], tmp_path / "new.html")
+    assert Path(there).read_text() == "mine"
+
+
+def test_points_are_as_many_as_have_room():
+    def judging(samples: int) -> Any:
+        return [replace(falls()[0][:samples], name=f"r{i}") for i in range(20)]
+
+    few = content.thinning_of([], judging(150), 1e6)
+    assert (few.points, few.records) == (2000, 0)
+    tight = content.thinning_of([], judging(200), 30_000)
+    assert (tight.points, tight.records) == (100, 20)
