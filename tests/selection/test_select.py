@@ -14,6 +14,7 @@ from swinging import SWING, TRUTH
 
 import tustinnet as tn
 from tustinnet.errors import InputError
+from tustinnet.evaluate.bands import Calibration
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.fitting.gradient.epoch import _run
 from tustinnet.selection import jobs
@@ -57,6 +58,21 @@ def alone(tmp_path_factory):
 
 
 # --- what is chosen ---
+
+
+def test_the_chosen_model_has_bands_from_the_records_that_folds_left_out(made):
+    header = read_header(made.choice.at.folder / "model.safetensors")
+    bands = Calibration.from_header(header, "model")
+    assert sorted(bands.records) == sorted(e.name for e in swings())
+    assert bands.start == made.choice.at.judging.start
+    assert any("bands (simulate --band) of up to 83 %" in of for of in made.choice.sentences)
+    assert header["identification"]["estimates"]  # without its errors it had no alternatives
+
+
+def test_one_model_a_fold_says_nothing_of_bands(alone):
+    choice, _ = alone
+    assert choice.bands is None
+    assert "bands" not in read_header(choice.at.folder / "model.safetensors")
 
 
 def test_the_chosen_model_is_the_best_on_records_that_its_models_did_not_see(made):

@@ -128,6 +128,11 @@ class Calibration:
     moving: tuple[Part, ...]
     resting: tuple[Part, ...]
 
+    @property
+    def most(self) -> float:
+        """The highest level that so many calibration records can promise."""
+        return len(self.records) / (len(self.records) + 1)
+
     def half(self, guess: Guess, level: float, of: Of = "time") -> Float[np.ndarray, "n n_q"]:
         """Half the width of the band of a free run, (n, n_q) [rad or m].
 

@@ -84,10 +84,11 @@ def _of_fold(
     """RMSE of the records left out, by start, for each of the shares."""
     members = [loaded(model.model, at) for of in models for model in of]
     names = list(next(iter(models[0][0].rmse.values())))
-    return [judged(_as_one(members, weights_of(models, shares)), at, names) for shares in tried]
+    return [judged(as_one(members, weights_of(models, shares)), at, names) for shares in tried]
 
 
-def _as_one(members: Sequence[Model], weights: Sequence[float]) -> Model:
+def as_one(members: Sequence[Model], weights: Sequence[float]) -> Model:
+    """A committee of models, or the only one."""
     return members[0] if len(members) == 1 else committee(members, weights)
 
 

@@ -7,12 +7,14 @@ from functools import cached_property
 from typing import Any
 
 from tustinnet.data.experiment import Experiment
+from tustinnet.evaluate.bands import KEY as BANDS
+from tustinnet.evaluate.bands import Calibration
 from tustinnet.evaluate.folds import taking_part
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.evaluate.scores import scores_header
 from tustinnet.fitting.report import data_header
 from tustinnet.models.contract import Model
-from tustinnet.selection.ending import Found
+from tustinnet.selection.ending import Final, Found
 from tustinnet.selection.jobs import LEFT_OUT, Workplace
 from tustinnet.selection.ranking import Standing, paired
 from tustinnet.simulate.range import KEY as RANGE
@@ -32,6 +34,7 @@ class Choice:
         simplest: the simplest that is as good as it.
         made: what the models of those that could be chosen were made of, in words.
         model: the chosen model.
+        bands: around free runs of the chosen one, None where nothing says how wide they are.
         notes: what else was done or left out, in sentences.
         seconds: time it took.
         budget: how long it was to take at most [s], None for no limit.
@@ -43,6 +46,7 @@ class Choice:
     simplest: str
     made: Mapping[str, str]
     model: Model
+    bands: Calibration | None = None
     notes: tuple[str, ...] = ()
     seconds: float = 0.0
     budget: float | None = None
@@ -58,13 +62,13 @@ class Choice:
         every = [start for s in self.found.standings for start in s.starts]
         return tuple(dict.fromkeys([self.at.judging.start, *every]))
 
-    def standing(self, name: str) -> Standing:
-        """That of a candidate or committee."""
-        return next(s for s in self.found.standings if s.name == name)
-
     def file(self, name: str) -> str:
         """The model file of a candidate or committee that could be chosen, below the folder."""
         return f"{CANDIDATES}/{name}/{MODEL}"
+
+    def standing(self, name: str) -> Standing:
+        """That of a candidate or committee."""
+        return self.found.standing(name)
 
     @cached_property
     def _recorded(self) -> list[Experiment]:
@@ -100,6 +104,12 @@ class Choice:
                 f"({than.mean:+.2g} ± {than.standard_error:.2g} {self.unit}): "
                 f"{self.at.folder / self.file(self.simplest)}"
             )
+        if self.bands is not None:
+            most, known = math.floor(100 * self.bands.most), len(self.bands.records)
+            told.append(
+                f"its free runs have bands (simulate --band) of up to {most} %, calibrated on the "
+                f"{known} records that folds left out"
+            )
         return (*told, *self.notes)
 
     def _against(self, best: Standing) -> str:
@@ -118,7 +128,7 @@ class Choice:
             f"{than[name].records} records"
         )
 
-    def header(self, name: str, model: Model) -> dict[str, Any]:
+    def header(self, name: str, final: Final) -> dict[str, Any]:
         """What the model file of a candidate or committee says beside the model."""
         standing = self.standing(name)
         rmse, channels, horizon = standing.rmse(), self.at.data.channels, self.at.judging.horizon
@@ -127,14 +137,16 @@ class Choice:
             for s, _ in self.found.members(name)
         )
         return {
+            **final.about,
             "data": data_header(self.at.data.name, list(self.at.data)),
-            RANGE: range_of(model, self._recorded, self._cloud).as_header(),
+            RANGE: range_of(final.model, self._recorded, self._cloud).as_header(),
             "selection": {"plan": self.found.plan.name, "chosen": name, "made": self.made[name]},
             "scores": {
                 **scores_header(LEFT_OUT, standing.starts[0], channels, horizon, rmse),
                 "standard_error": mean_and_error(rmse.values())[1],
             },
             **(header_of(self.at.system_file) if needs_system else {}),
+            **({BANDS: self.bands.as_header()} if self.bands and name == self.best else {}),
         }
 
     def as_plain(self) -> dict[str, Any]:

@@ -1,7 +1,8 @@
 """From the candidates that are left to models: committees, and parameters from all records."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 from tustinnet.errors import InputError
 from tustinnet.evaluate.folds import taking_part
@@ -46,6 +47,10 @@ class Found:
         """The candidates that are left and the committees, from the simplest on."""
         return [s for s in self.standings if s.name in self.left or s.name in self.averages]
 
+    def standing(self, name: str) -> Standing:
+        """That of a candidate or committee."""
+        return next(s for s in self.standings if s.name == name)
+
     def members(self, name: str) -> list[tuple[Standing, float]]:
         """The candidates that a committee, or a candidate by itself, is made of; their shares."""
         shares = self.averages[name].shares if name in self.averages else {name: 1.0}
@@ -59,10 +64,12 @@ class Final:
     Attributes:
         model: the model.
         words: what it was made of.
+        about: what its file says of the fit, where it was one.
     """
 
     model: Model
     words: str
+    about: Mapping[str, Any] = field(default_factory=dict)
 
 
 def judge_averages(
@@ -144,4 +151,5 @@ def _from_all_records(
         result = fit_in(folder, task, at.clock.within(tell(job)), resume=False)[0]
     except (InputError, OutOfTime):
         return None
-    return Final(result.model, f"identified from all {len(records)} records")
+    words = f"identified from all {len(records)} records"
+    return Final(result.model, words, result.as_header())

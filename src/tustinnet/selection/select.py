@@ -12,6 +12,7 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.data.inspection import scales_of
 from tustinnet.errors import InputError
 from tustinnet.fitting.listener import Listener
+from tustinnet.selection.calibration import calibrated_on_folds
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.clock import Clock
 from tustinnet.selection.ending import Found, final_models, judge_averages
@@ -137,10 +138,11 @@ def _choose(halving: Halving, left: Sequence[Standing], at: Workplace, told: Rep
     found = Found(halving.plan, tuple(halving.standings.values()), names, averages)
     models, best, plain = final_models(found, at, told.tell)
     made = {name: of.words for name, of in models.items()}
-    choice = Choice(at, found, best, plain, made, models[best].model)
+    bands = calibrated_on_folds(found, best, models[best], at)
+    choice = Choice(at, found, best, plain, made, models[best].model, bands)
     for name, of in models.items():
-        save(of.model, at.folder / CANDIDATES / name / MODEL, **choice.header(name, of.model))
-    save(choice.model, at.folder / MODEL, **choice.header(best, choice.model))
+        save(of.model, at.folder / CANDIDATES / name / MODEL, **choice.header(name, of))
+    save(choice.model, at.folder / MODEL, **choice.header(best, models[best]))
     return choice
 
 
