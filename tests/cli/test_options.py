@@ -64,6 +64,7 @@ SHOWN = {
         "--system": f"{GREY}::test_a_second_fit_does_not_overwrite_the_first",
         "--overwrite": f"{GREY}::test_a_second_fit_does_not_overwrite_the_first",
         "--resume": f"{VERBS}::test_fit_resumes_a_finished_run",
+        "--from": "cli/test_begin_from.py::test_what_cannot_go_on_is_one_line",
         "--plan": _SELECTED, "--budget": _SELECTED,
         "--cluster": "cli/test_choosing.py::test_what_cannot_be_asked_is_one_line",
         "--card": _CARD, "--device": _DEVICE, "--quiet": _QUIET, "--strict": _STRICT,
