@@ -3,7 +3,7 @@
 import json
 from hashlib import sha256
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -38,6 +38,11 @@ def grey(identified, system) -> Grey:  # noqa: F811
     return Grey(identified / "model.safetensors", system)
 
 
+def network_of(path, part="network", of=None) -> Any:
+    model: Any = tn.load_model(path, of)
+    return model.network if part == "network" else model.correction.network
+
+
 def header_of(path) -> dict:
     return tn.read_header(path)
 
@@ -53,8 +58,8 @@ def test_a_network_goes_on_with_its_own_recipe_and_says_where_it_is_from(
     code, told, err = tustinnet(capsys, *fit, "--json")
     assert code == 0, err
     # at a rate of nothing the weights are those it began with
-    before, after = (tn.load_model(path) for path in (model, out / "model.safetensors"))
-    for a, b in zip(*(list(of.network.hidden) for of in (before, after)), strict=True):
+    before, after = (network_of(path) for path in (model, out / "model.safetensors"))
+    for a, b in zip(*(list(of.hidden) for of in (before, after)), strict=True):
         np.testing.assert_array_equal(a.weight, b.weight)
     digest = sha256(model.read_bytes()).hexdigest()
     summary = json.loads(told)
@@ -103,7 +108,7 @@ keep = "last"
     other = (*go_on, "--physics", grey.model, "--out", tmp_path / "third")
     assert tustinnet(capsys, *other)[0] == 0
     said = [
-        tn.load_model(place / "model.safetensors", find_system(str(grey.system))).correction.network
+        network_of(place / "model.safetensors", "correction", find_system(str(grey.system)))
         for place in (first, tmp_path / "second", tmp_path / "third")
     ]
     assert float(said[0].output.weight.std()) > 0

@@ -47,6 +47,11 @@ _INSPECTED = f"{VERBS}::test_inspect_as_json_with_a_figure"
 _BANDED = "cli/test_bands_verb.py::test_a_calibrated_model_simulates_and_is_judged_with_bands"
 _NO_BANDS = "cli/test_bands_verb.py::test_bands_that_cannot_be_are_one_line"
 
+_CURVE = (
+    "cli/test_learning_curve.py::test_every_way_to_a_model_is_drawn_against_the_number_of_records"
+)
+_NO_CURVE = "cli/test_learning_curve.py::test_what_cannot_be_drawn_is_one_line"
+
 SHOWN = {
     "demo": {
         "--out": f"{GREY}::test_the_demo_does_the_whole_job_and_says_twin_everywhere",
@@ -77,6 +82,12 @@ SHOWN = {
         "--folds": f"{FOLDS}::test_what_cannot_be_asked_is_one_line",
         "--physics": f"{FOLDS}::test_what_cannot_be_asked_is_one_line",
         "--card": _CARD, "--device": _DEVICE, "--quiet": _QUIET, "--strict": _STRICT,
+    },
+    "learning-curve": {
+        "--out": _CURVE, "--records": _CURVE, "--draws": _CURVE, "--recipe": _CURVE,
+        "--system": _CURVE, "--physics": _CURVE, "--hybrid": _CURVE, "--twin": _CURVE,
+        "--start": _CURVE, "--overwrite": _CURVE, "--json": _CURVE, "--quiet": _CURVE,
+        "--card": _NO_CURVE, "--strict": _NO_CURVE, "--device": _NO_CURVE,
     },
     "simulate": {
         "--out": _TWICE, "--experiment": _TWICE, "--overwrite": _TWICE,

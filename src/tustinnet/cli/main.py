@@ -15,6 +15,7 @@ from tustinnet.cli.evaluate import evaluate
 from tustinnet.cli.export import export
 from tustinnet.cli.fit import fit
 from tustinnet.cli.inspect import inspect
+from tustinnet.cli.learning_curve import learning_curve
 from tustinnet.cli.reproduce import reproduce
 from tustinnet.cli.residuals import residuals
 from tustinnet.cli.show import show
@@ -29,8 +30,8 @@ app = typer.Typer(
     rich_markup_mode=None,  # loading rich would double the time that --help takes
 )
 _VERBS = (
-    demo, inspect, fit, cross_validate, simulate, evaluate, compare, residuals, committee,
-    calibrate, export, show, reproduce,
+    demo, inspect, fit, cross_validate, learning_curve, simulate, evaluate, compare, residuals,
+    committee, calibrate, export, show, reproduce,
 )  # fmt: skip
 for verb in _VERBS:
     app.command()(terminal.interruptible()(verb))

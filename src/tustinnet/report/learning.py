@@ -1,0 +1,63 @@
+"""Learning curves: a table and a figure."""
+
+import math
+from statistics import median
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from tustinnet.evaluate.learning import LearningCurve
+from tustinnet.report.figures import COLOURS, house_style
+from tustinnet.report.tables import Table, number
+
+_APART = 1.03  # factor between the lines of two approaches, so that their bars do not cover
+
+
+def learning_table(curve: LearningCurve) -> Table:
+    """Median over the draws and their range, a row for each number of records."""
+    finite = [p.rmse for p in curve.points if math.isfinite(p.rmse)]
+    scale = min(finite, default=1.0)
+
+    def told(values: list[float]) -> str:
+        middle, low, high = (
+            number(x, scale=scale) if math.isfinite(x) else "none"
+            for x in (median(values), min(values), max(values))
+        )
+        return f"{middle} ({low}..{high})"
+
+    rows = [
+        [str(size), *[told(curve.by_draw(approach, size)) for approach in curve.approaches]]
+        for size in curve.sizes
+    ]
+    draws, left = len(curve.scored), sorted(set(curve.scored))
+    title = (
+        f"Free-run RMSE [{curve.unit}], start '{curve.start}', of {' or '.join(map(str, left))} "
+        f"records left out; median (range) of {draws} draws"
+    )
+    return Table(["records", *curve.approaches], rows, title=title)
+
+
+def learning_figure(curve: LearningCurve) -> Figure:
+    """RMSE of records left out against the number of records: medians, ranges, every draw."""
+    with house_style():
+        figure = Figure(figsize=(6.0, 3.8), layout="constrained")
+        axes = figure.subplots()
+        for i, approach in enumerate(curve.approaches):
+            each = np.array([curve.by_draw(approach, size) for size in curve.sizes])
+            each = np.where(np.isfinite(each), each, np.nan)
+            at = np.array(curve.sizes) * _APART ** (i - (len(curve.approaches) - 1) / 2)
+            colour = COLOURS[i % len(COLOURS)]
+            middle = np.median(each, axis=1)
+            axes.plot(at, middle, "o-", color=colour, markersize=4, label=approach)
+            axes.vlines(at, each.min(axis=1), each.max(axis=1), color=colour, linewidth=0.9)
+            for draw in each.T:
+                axes.plot(at, draw, ".", color=colour, markersize=3, alpha=0.5)
+        axes.set_xscale("log", base=2)
+        axes.set_yscale("log")
+        axes.set_xticks(curve.sizes, list(map(str, curve.sizes)))
+        axes.minorticks_off()
+        axes.set_xlabel("records that anything was made from")
+        axes.set_ylabel(f"RMSE of records left out [{curve.unit}]")
+        axes.set_title(f"Median and range of {len(curve.scored)} draws", loc="left")
+        axes.legend()
+        return figure
