@@ -52,6 +52,9 @@ _CURVE = (
 )
 _NO_CURVE = "cli/test_learning_curve.py::test_what_cannot_be_drawn_is_one_line"
 
+_NEXT = "cli/test_next_record.py::test_an_identified_system_wants_what_shrinks_its_errors"
+_COMMITTEE_NEXT = "cli/test_next_record.py::test_a_committee_wants_what_its_members_differ_on"
+
 SHOWN = {
     "demo": {
         "--out": f"{GREY}::test_the_demo_does_the_whole_job_and_says_twin_everywhere",
@@ -88,6 +91,9 @@ SHOWN = {
         "--system": _CURVE, "--physics": _CURVE, "--hybrid": _CURVE, "--twin": _CURVE,
         "--start": _CURVE, "--overwrite": _CURVE, "--json": _CURVE, "--quiet": _CURVE,
         "--card": _NO_CURVE, "--strict": _NO_CURVE, "--device": _NO_CURVE,
+    },
+    "next-record": {
+        "--system": _NEXT, "--json": _NEXT, "--horizon": _COMMITTEE_NEXT,
     },
     "simulate": {
         "--out": _TWICE, "--experiment": _TWICE, "--overwrite": _TWICE,

@@ -12,11 +12,31 @@ if TYPE_CHECKING:
     from tustinnet.evaluate.folds import Question
 
 
-class Twin(StrEnum):
+class Values(StrEnum):
     """The values of a twin."""
 
     identified = "identified"
     nominal = "nominal"
+
+
+Network = Annotated[
+    str | None, typer.Option(metavar="NAME|FILE", help="The network. Default: standard.")
+]
+Physics = Annotated[
+    str | None,
+    typer.Option(metavar="RECIPE", help="With a system: its recipe. Default: best-grey."),
+]
+Hybrid = Annotated[
+    str | None,
+    typer.Option(metavar="RECIPE", help="With a system: what corrects it. Default: hybrid."),
+]
+Twin = Annotated[
+    Values | None,
+    typer.Option(
+        help="With a system: whose values the simulated records have on which a network is "
+        "pre-trained; those identified from the same records by default."
+    ),
+]
 
 
 def learning_curve(
@@ -29,25 +49,11 @@ def learning_curve(
     draws: Annotated[
         int, typer.Option(min=2, max=100, metavar="K", help="How often records are drawn.")
     ] = 3,
-    recipe: Annotated[
-        str | None, typer.Option(metavar="NAME|FILE", help="The network. Default: standard.")
-    ] = None,
+    recipe: Network = None,
     system: options.System = None,
-    physics: Annotated[
-        str | None,
-        typer.Option(metavar="RECIPE", help="With a system: its recipe. Default: best-grey."),
-    ] = None,
-    hybrid: Annotated[
-        str | None,
-        typer.Option(metavar="RECIPE", help="With a system: what corrects it. Default: hybrid."),
-    ] = None,
-    twin: Annotated[
-        Twin | None,
-        typer.Option(
-            help="With a system: whose values the simulated records have on which a network is "
-            "pre-trained; those identified from the same records by default."
-        ),
-    ] = None,
+    physics: Physics = None,
+    hybrid: Hybrid = None,
+    twin: Twin = None,
     start: options.Start = None,
     card: options.Card = None,
     strict: options.Strict = False,
@@ -69,7 +75,7 @@ def learning_curve(
     question = _with_system(system, physics, hybrid, twin)
     asked = make_curve_question(
         recipe or "standard", question, _sizes(records), draws=draws, start=start,
-        twin=(twin or Twin.identified).value,
+        twin=(twin or Values.identified).value,
     )  # fmt: skip
     told = terminal.messages()
     names = [f"learning-curve.{ending}" for ending in ("json", "md", "png")]

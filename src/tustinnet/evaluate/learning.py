@@ -273,17 +273,17 @@ def learning_curve(
     """
     places = places_of(data, asked)
     start = asked.start or default_start(list(data))
-    points = _scored(NETWORK, places, trained(places, asked.network, tell=tell), start)
+    points = scored(NETWORK, places, trained(places, asked.network, tell=tell), start)
     if asked.hybrid is not None:
-        physics = _identified(places, asked.hybrid, tell)
-        points += _scored(PHYSICS, places, physics, start)
+        physics = identified(places, asked.hybrid, tell)
+        points += scored(PHYSICS, places, physics, start)
         known = [p.model if isinstance(p, FitResult) else None for p in physics]
         hybrids = trained(places, asked.hybrid.recipe, physics=known, tell=tell)
-        points += _scored(HYBRID, places, hybrids, start)
+        points += scored(HYBRID, places, hybrids, start)
         twins = _twins(places, known, asked)
         begun = [t and Origin(t) for t in _pretrained(twins, asked.network, tell)]
         after = trained(places, asked.network, origins=begun, tell=tell)
-        points += _scored(PRETRAINED, places, after, start)
+        points += scored(PRETRAINED, places, after, start)
     sizes = tuple(dict.fromkeys(p.size for p in places))
     left_out = tuple(len(p.scored) for p in places if p.size == sizes[0])
     return LearningCurve(data.channels.unit, start, sizes, tuple(points), left_out)
@@ -330,7 +330,7 @@ def trained(
     return found
 
 
-def _identified(places: Sequence[Place], asked: Question, tell: Tell) -> list[Maybe]:
+def identified(places: Sequence[Place], asked: Question, tell: Tell) -> list[Maybe]:
     """The physics of every place, by itself: where one cannot be found, others can."""
     assert asked.physics is not None
     found: list[Maybe] = []
@@ -381,9 +381,17 @@ def _pretrained(twins: Sequence[Place | None], recipe: Recipe, tell: Tell) -> li
     return found
 
 
-def _scored(
+def scored(
     approach: str, places: Sequence[Place], results: Sequence[Maybe], start: str
 ) -> list[Point]:
+    """The points of a way to a model.
+
+    Args:
+        approach: what it is called.
+        places: the records of each point.
+        results: what came of each, a fit or why there is none.
+        start: where free runs start.
+    """
     points = []
     for place, result in zip(places, results, strict=True):
         if isinstance(result, str):
