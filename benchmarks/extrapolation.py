@@ -96,13 +96,18 @@ def main() -> None:
     asked.add_argument("--start", default="model-20")
     asked.add_argument("--network", default=str(RECIPES / "short-network.toml"))
     asked.add_argument("--hybrid", default=str(RECIPES / "short-hybrid.toml"))
+    asked.add_argument("--epochs", type=int, nargs=2, default=(150, 30), help="network, hybrid")
     asked.add_argument("--out", type=Path, default=Path("results/extrapolation.json"))
     given = asked.parse_args()
     data = tn.load(given.data)
     lots = [(name, tuple(of)) for name, several in sets_of(data).items() for of in several]
     for name, of in lots:
         print(f"{name}: {', '.join(e.name for e in of)}")
-    question = make_question(given.hybrid, system=given.system)
+    network_recipe, hybrid_recipe = (
+        tn.read_recipe(name, [f"stages.*.epochs={epochs}"])
+        for name, epochs in zip((given.network, given.hybrid), given.epochs, strict=True)
+    )
+    question = make_question(hybrid_recipe, system=given.system)
     alone = [Place(0, len(of), of, tuple(scored_of(data, of))) for _, of in lots]
     places = [
         Place(seed, p.size, p.records, p.scored) for seed in range(given.seeds) for p in alone
@@ -110,7 +115,7 @@ def main() -> None:
     with FitProgress(Console(stderr=True, soft_wrap=True)) as progress:
         physics = identified(alone, question, progress.follow)
         known = [p.model if isinstance(p, FitResult) else None for p in physics] * given.seeds
-        network = trained(places, tn.read_recipe(given.network), tell=progress.follow)
+        network = trained(places, network_recipe, tell=progress.follow)
         hybrid = trained(places, question.recipe, physics=known, tell=progress.follow)
     results: dict[str, tuple[list[Place], list[Maybe]]] = {
         "network": (places, network), "grey box": (alone, physics), "hybrid": (places, hybrid),

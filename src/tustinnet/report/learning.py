@@ -5,6 +5,7 @@ from statistics import median
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator, ScalarFormatter
 
 from tustinnet.evaluate.learning import LearningCurve
 from tustinnet.report.figures import COLOURS, house_style
@@ -55,7 +56,10 @@ def learning_figure(curve: LearningCurve) -> Figure:
         axes.set_xscale("log", base=2)
         axes.set_yscale("log")
         axes.set_xticks(curve.sizes, list(map(str, curve.sizes)))
-        axes.minorticks_off()
+        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.yaxis.set_major_formatter(ScalarFormatter())
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_minor_locator(NullLocator())
         axes.set_xlabel("records that anything was made from")
         axes.set_ylabel(f"RMSE of records left out [{curve.unit}]")
         axes.set_title(f"Median and range of {len(curve.scored)} draws", loc="left")
