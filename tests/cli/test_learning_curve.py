@@ -165,6 +165,8 @@ def test_enough_is_where_more_gain_less_than_a_tenth():
     assert "8 records are not known to be enough (2 draws: 8 to 8): from 4 to 8" in (
         falling.told("network")
     )
+    # nothing is enough where even the most gave no model
+    assert curve_of([np.inf] * 3).needed("network").records is None
     # a dip that does not last is not enough
     assert curve_of([0.1, 0.3, 0.1]).needed("network").by_draw == (8,)
 

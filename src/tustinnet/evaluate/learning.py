@@ -189,7 +189,8 @@ class LearningCurve:
         each = list(zip(*(self.by_draw(approach, size) for size in self.sizes), strict=True))
         enough = []
         for errors in each:
-            short = [k for k, error in enumerate(errors) if not error <= ENOUGH * errors[-1]]
+            goal = ENOUGH * errors[-1] if errors[-1] < np.inf else -np.inf
+            short = [k for k, error in enumerate(errors) if not error <= goal]
             enough.append(self.sizes[min(max(short, default=-1) + 1, len(errors) - 1)])
         gain = statistics.median(
             1 - of[-1] / of[-2] if 0 < of[-2] < np.inf else float(of[-1] < np.inf) for of in each
