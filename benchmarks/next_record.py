@@ -174,10 +174,12 @@ def main() -> None:
                 lines.append({"way": arm.way, "seed": arm.seed, "records": n, "figures": figures,
                               "names": list(arm.names)})  # fmt: skip
                 print(f"{n} records, seed {arm.seed}, {arm.way}: {figures}", flush=True)
-                if arm.way == CHOSEN:
-                    others = rank([p for p in pool if p.name not in arm.names])
-                else:
-                    others = [name for name in orders[arm.seed] if name not in arm.names]
+                others = [name for name in orders[arm.seed] if name not in arm.names]
+                if arm.way == CHOSEN and more:
+                    try:
+                        others = rank([p for p in pool if p.name not in arm.names])
+                    except tn.InputError as error:  # a model that can simulate nothing
+                        print(f"seed {arm.seed}: at random, {error}", flush=True)
                 arm.names += others[:more]
     given.out.mkdir(parents=True, exist_ok=True)
     (given.out / f"next_record_{given.what}.json").write_text(json.dumps(lines, indent=1))

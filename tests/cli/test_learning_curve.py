@@ -13,6 +13,7 @@ from test_verbs import tustinnet
 from torture.pendulum import SYSTEM as SMALL
 
 import tustinnet as tn
+from tustinnet.evaluate import learning
 from tustinnet.evaluate.learning import (
     CurveQuestion,
     LearningCurve,
@@ -57,7 +58,7 @@ def recipes(tmp_path) -> Recipes:
 @pytest.fixture(scope="session")
 def six(tmp_path_factory):
     """Six records of the small pendulum as a folder: four are left in each draw."""
-    records = [record(f"r{k}", 80 + 4 * k, k, "train", forced=k % 2 == 0) for k in range(6)]
+    records = [record(f"r{k}", 80, k, "train", forced=k % 2 == 0) for k in range(6)]
     place = tmp_path_factory.mktemp("six") / "logs"
     write_data_set(tn.DataSet("six", tuple(records)), place, "six records")
     return place
@@ -68,11 +69,11 @@ def test_every_way_to_a_model_is_drawn_against_the_number_of_records(
 ):
     system, out = tmp_path / "small_pendulum.py", tmp_path / "curve"
     system.write_text(SYSTEM)
-    command = ("learning-curve", six, "--out", out, "--recipe", recipes.network,
-               "--draws", 2, "--quiet")  # fmt: skip
-    given = ("--system", system, "--hybrid", recipes.hybrid, "--physics", "best-grey",
-             "--twin", "identified", "--start", "derived-6")  # fmt: skip
-    code, told, err = tustinnet(capsys, *command, *given, "--json")
+    command = ("learning-curve", six, "--out", out, "--recipe", recipes.network, "--draws", 2,
+               "--system", system, "--hybrid", recipes.hybrid, "--physics", "best-grey",
+               "--twin", "identified", "--start", "derived-6", "--records", "2,4",
+               "--quiet")  # fmt: skip
+    code, told, err = tustinnet(capsys, *command, "--json")
     assert code == 0, err
     curve = json.loads(told)
     assert curve == json.loads((out / "learning-curve.json").read_text())
@@ -85,12 +86,26 @@ def test_every_way_to_a_model_is_drawn_against_the_number_of_records(
     table = (out / "learning-curve.md").read_text()
     assert "pre-trained" in table
     assert "* grey box: " in table
-    code, _, err = tustinnet(capsys, *command, *given)
+    code, _, err = tustinnet(capsys, *command)
     assert code == 1
-    assert "--overwrite" in err
-    code, told, _ = tustinnet(capsys, *command, "--overwrite", "--records", "2,3")
-    assert code == 0
-    assert "* network: " in told
+    assert "add --overwrite" in err
+
+
+def test_a_network_alone_is_drawn_without_a_system(six, recipes, tmp_path, monkeypatch, capsys):
+    """Of: learning-curve, with what is there replaced."""
+
+    def nothing(places, recipe, **given):
+        return ["not trained"] * len(places)
+
+    monkeypatch.setattr(learning, "trained", nothing)
+    out = tmp_path / "curve"
+    out.mkdir()
+    (out / "learning-curve.md").write_text("of before")
+    command = ("learning-curve", six, "--out", out, "--recipe", recipes.network)
+    code, told, err = tustinnet(capsys, *command, "--overwrite")
+    assert code == 0, err
+    assert "* network: 4 records are not known to be enough (3 draws: 4 to 4)" in told
+    assert "none (none..none)" in (out / "learning-curve.md").read_text()
 
 
 @pytest.mark.parametrize(

@@ -89,7 +89,7 @@ def test_a_committee_wants_what_its_members_differ_on(run_folder, proposals, tmp
         (("a fall", "driven", 1), "two proposals 'driven'"),
         (("seconds = 2", "secnods = 2", 1), "did you mean 'seconds'?"),
         (("seconds = 2", "seconds = 99999", 1), "at most 1000000; fewer seconds"),
-        (("start = { angle = 2.0", "start = { angle = 1e300", 1), "finite numbers of at most"),
+        (("start = { angle = 2.0", "start = { angle = 1e300", 1), "less than or equal to 1000000"),
     ],
 )
 def test_proposals_that_are_none_are_one_line(change, told, place, capsys):

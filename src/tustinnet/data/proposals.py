@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path, PurePath
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float
@@ -12,6 +13,7 @@ from tustinnet.data.declaration import Declaration, Name, Text, read_declaration
 from tustinnet.data.readers import read_columns
 from tustinnet.errors import InputError
 
+_FAR = 1e6  # rad or m, or over s
 _LONGEST = 1e5  # s
 _MOST = 10**6  # samples
 _RATE = "_dot"  # what the name of a velocity ends with, as in simulations that are written
@@ -46,7 +48,7 @@ class _Declared(Declaration):
     """
 
     name: Name
-    start: dict[str, float] = Field(default_factory=dict)
+    start: dict[str, Annotated[float, Field(ge=-_FAR, le=_FAR)]] = Field(default_factory=dict)
     seconds: float | None = Field(default=None, gt=0, le=_LONGEST)
     inputs: Text | None = None
 

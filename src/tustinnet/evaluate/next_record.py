@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.data.experiment import Experiment
+from tustinnet.data.experiment import LARGEST, Experiment
 from tustinnet.data.proposals import Proposal
 from tustinnet.errors import InputError
 from tustinnet.evaluate.bands import guesses
@@ -33,9 +33,10 @@ class Promise:
 
     Attributes:
         name: the proposal.
-        value: by which proposals are ranked, the more the better: nats, half the logarithm of the
-            covariance's determinant before over after; or the root mean square difference of the
-            members' free runs from that of all [rad or m].
+        value: by which proposals are ranked, the more the better, NaN where the model cannot
+            simulate it: nats, half the logarithm of the covariance's determinant before over
+            after; or the root mean square difference of the members' free runs from that of all
+            [rad or m].
         words: what it says most of.
     """
 
@@ -84,26 +85,33 @@ def ranked(
             is; None for whole records. Means nothing to an identified system.
 
     Raises:
-        InputError: a model that knows nothing of its errors, a simulation that is not finite,
-            inputs of which one is held otherwise than the model's.
+        InputError: a model that knows nothing of its errors, or can simulate none of them.
     """
     require_float64("next-record")
-    records = _imagined(model, proposals)
-    if header.get("identification"):
-        if horizon is not None:
-            raise InputError("--horizon", "means nothing to an identified system", "a committee")
-        unit, promises = "nats", _shrinking(model, header["identification"], records)
-        criterion = COVARIANCE
+    imagined = _imagined(model, proposals)
+    records = [e for e in imagined.values() if e is not None]
+    found = header.get("identification")
+    if found and horizon is not None:
+        raise InputError("--horizon", "means nothing to an identified system", "a committee")
+    if found:
+        criterion, unit, promises = COVARIANCE, "nats", _shrinking(model, found, records)
     else:
-        unit, promises = records[0].channels.unit, _differing(model, header, records, horizon)
-        criterion = DISAGREEMENT
-    order = sorted(promises, key=lambda of: -of.value)
-    return Ranking(criterion, unit, tuple(order))
+        promises = _differing(model, header, records, horizon)
+        criterion, unit = DISAGREEMENT, model.channels.unit
+    known = sorted((of for of in promises if np.isfinite(of.value)), key=lambda of: -of.value)
+    if not known:
+        raise InputError(
+            "next-record", "no proposal that the model can simulate to finite numbers",
+            "one at least", "fit it to more records, or propose gentler ones",
+        )  # fmt: skip
+    others = [name for name in imagined if name not in {of.name for of in known}]
+    lost = [Promise(name, float("nan"), "the model cannot simulate it") for name in others]
+    return Ranking(criterion, unit, (*known, *lost))
 
 
-def _imagined(model: Model, proposals: Sequence[Proposal]) -> list[Experiment]:
-    """What the model says would be recorded."""
-    of, found = model.channels, []
+def _imagined(model: Model, proposals: Sequence[Proposal]) -> dict[str, Experiment | None]:
+    """What the model says would be recorded, None where it runs away."""
+    of, found = model.channels, {}
     simulator = with_dtype(model, np.float64).folded()
     for p in proposals:
         n = len(p.u)
@@ -113,10 +121,8 @@ def _imagined(model: Model, proposals: Sequence[Proposal]) -> list[Experiment]:
         )  # fmt: skip
         x0 = np.concatenate([p.q, p.v, np.zeros(len(model.internal))])[None]
         x = np.asarray(simulated(simulator, x0, drives_of(simulator, [blank])))[0]
-        if not np.isfinite(x).all():
-            raise InputError(f"proposal '{p.name}'", "a simulation that is not finite",
-                             "one that the model can simulate", "leave it out")  # fmt: skip
-        found.append(replace(blank, q=x[:, of.position], v=x[:, of.velocity]))
+        sound = (np.abs(x) <= LARGEST).all()  # False of what is no number
+        found[p.name] = replace(blank, q=x[:, of.position], v=x[:, of.velocity]) if sound else None
     return found
 
 
@@ -124,6 +130,8 @@ def _shrinking(
     model: Model, told: Mapping[str, Any], records: Sequence[Experiment]
 ) -> list[Promise]:
     """By how much the covariance of an identified system's parameters would shrink."""
+    if not records:
+        return []
     assert isinstance(model, Discretised)
     continuous = model.continuous
     assert isinstance(continuous, LagrangianModel)
@@ -168,6 +176,8 @@ def _covariance(
 def _promise(name: str, names: Sequence[str], covariance: np.ndarray, added: np.ndarray) -> Promise:
     root = np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance)))
     inner = np.eye(len(root)) + root.T @ added @ root
+    if not np.isfinite(inner).all():
+        return Promise(name, float("nan"), "")
     gain = float(np.linalg.slogdet(inner)[1]) / 2
     after = root @ np.linalg.solve(inner, root.T)
     left = np.sqrt(np.diag(after) / np.diag(covariance))
@@ -187,7 +197,7 @@ def _differing(
             "(tustinnet committee)",
         )  # fmt: skip
     found = []
-    for guess in guesses(model, others, records, "file", horizon=horizon):
+    for guess in guesses(model, others, records, "file", horizon=horizon) if records else ():
         each = np.sqrt(np.mean(guess.spread**2, axis=0))
         worst = int(np.argmax(each))
         most = model.channels.coordinates[worst]

@@ -11,6 +11,7 @@ from tustinnet.evaluate.learning import LearningCurve
 from tustinnet.report.figures import COLOURS, house_style
 from tustinnet.report.tables import Table, number
 
+_TICKS = (1, 1.5, 2, 3, 4, 6)  # of a decade; a curve often spans less than one
 _APART = 1.03  # factor between the lines of two approaches, so that their bars do not cover
 
 
@@ -56,7 +57,7 @@ def learning_figure(curve: LearningCurve) -> Figure:
         axes.set_xscale("log", base=2)
         axes.set_yscale("log")
         axes.set_xticks(curve.sizes, list(map(str, curve.sizes)))
-        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.yaxis.set_major_locator(LogLocator(subs=_TICKS))
         axes.yaxis.set_major_formatter(ScalarFormatter())
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_minor_locator(NullLocator())
