@@ -17,7 +17,15 @@ import numpy as np
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
-from tustinnet.evaluate.folds import FOLDS, Question, Tell, dealt, fitted, make_question
+from tustinnet.evaluate.folds import (
+    FOLDS,
+    Question,
+    Tell,
+    dealt,
+    fitted,
+    make_question,
+    taking_part,
+)
 from tustinnet.evaluate.scores import evaluate, rmse_by_record
 from tustinnet.fitting.gradient.plan import groups_alike
 from tustinnet.fitting.listener import SILENT
@@ -231,13 +239,14 @@ def places_of(data: DataSet, asked: CurveQuestion) -> list[Place]:
     Raises:
         InputError: too few records.
     """
-    deals = dealt(data, FOLDS) if len(data) >= FOLDS else []
+    known = len(taking_part(data))
+    deals = dealt(data, FOLDS) if known >= FOLDS else []
     most = min((len(d.roles.all) for d in deals), default=0)
     sizes = asked.sizes or _doubled(most)
     if len(sizes) < 2 or sizes[-1] > most:
         wanted = sizes[-1] if len(sizes) > 1 else 2 * FEWEST
         raise InputError(
-            data.name, f"{len(data)} records, of which {most} are left in each draw",
+            data.name, f"{known} records, of which {most} are left in each draw",
             f"{wanted} that are left", "record more, or ask for fewer: --records 2,4",
         )  # fmt: skip
     found = []
