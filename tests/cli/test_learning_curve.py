@@ -22,6 +22,8 @@ from tustinnet.evaluate.learning import (
     places_of,
 )
 from tustinnet.fitting.recipe import read_recipe
+from tustinnet.report.figures import write_figure
+from tustinnet.report.learning import learning_figure
 from tustinnet.store.data_set_folder import write_data_set
 from tustinnet.systems.twin import imitated
 
@@ -184,6 +186,12 @@ def test_enough_is_where_more_gain_less_than_a_tenth():
     assert curve_of([np.inf] * 3).needed("network").records is None
     # a dip that does not last is not enough
     assert curve_of([0.1, 0.3, 0.1]).needed("network").by_draw == (8,)
+
+
+@pytest.mark.parametrize("draws", [([np.inf, 0.2, 0.1], [0.4, 0.3, 0.2]), ([np.inf] * 3,) * 2])
+def test_points_without_a_model_leave_gaps_in_the_figure(draws, tmp_path):
+    write_figure(learning_figure(curve_of(*draws)), tmp_path, "curve.png")
+    assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_twin_stays_where_records_were(pendulum):

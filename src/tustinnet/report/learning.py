@@ -46,19 +46,22 @@ def learning_figure(curve: LearningCurve) -> Figure:
         axes = figure.subplots()
         for i, approach in enumerate(curve.approaches):
             each = np.array([curve.by_draw(approach, size) for size in curve.sizes])
-            each = np.where(np.isfinite(each), each, np.nan)
+            known = np.isfinite(each)
+            high = np.where(known, each, -np.inf).max(axis=1)  # -inf where no draw has a model
             at = np.array(curve.sizes) * _APART ** (i - (len(curve.approaches) - 1) / 2)
             colour = COLOURS[i % len(COLOURS)]
-            middle = np.median(each, axis=1)
+            middle, found = np.median(each, axis=1), np.isfinite(high)
+            middle = np.where(np.isfinite(middle), middle, np.nan)
             axes.plot(at, middle, "o-", color=colour, markersize=4, label=approach)
-            axes.vlines(at, each.min(axis=1), each.max(axis=1), color=colour, linewidth=0.9)
-            for draw in each.T:
-                axes.plot(at, draw, ".", color=colour, markersize=3, alpha=0.5)
+            axes.vlines(at[found], each.min(axis=1)[found], high[found], colour, linewidth=0.9)
+            for draw, sound in zip(each.T, known.T, strict=True):
+                axes.plot(at[sound], draw[sound], ".", color=colour, markersize=3, alpha=0.5)
         axes.set_xscale("log", base=2)
-        axes.set_yscale("log")
+        if any(math.isfinite(p.rmse) for p in curve.points):
+            axes.set_yscale("log")
+            axes.yaxis.set_major_locator(LogLocator(subs=_TICKS))
+            axes.yaxis.set_major_formatter(ScalarFormatter())
         axes.set_xticks(curve.sizes, list(map(str, curve.sizes)))
-        axes.yaxis.set_major_locator(LogLocator(subs=_TICKS))
-        axes.yaxis.set_major_formatter(ScalarFormatter())
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_minor_locator(NullLocator())
         axes.set_xlabel("records that anything was made from")
