@@ -49,6 +49,14 @@ _PAGE = "cli/test_report_verb.py::test_a_run_is_reported_as_its_options_say"
 _DRAWN = "cli/test_report_verb.py::test_a_system_with_links_draws_a_network"
 _NO_BANDS = "cli/test_bands_verb.py::test_bands_that_cannot_be_are_one_line"
 
+_CURVE = (
+    "cli/test_learning_curve.py::test_every_way_to_a_model_is_drawn_against_the_number_of_records"
+)
+_NO_CURVE = "cli/test_learning_curve.py::test_what_cannot_be_drawn_is_one_line"
+
+_NEXT = "cli/test_next_record.py::test_an_identified_system_wants_what_shrinks_its_errors"
+_COMMITTEE_NEXT = "cli/test_next_record.py::test_a_committee_wants_what_its_members_differ_on"
+
 SHOWN = {
     "demo": {
         "--out": f"{GREY}::test_the_demo_does_the_whole_job_and_says_twin_everywhere",
@@ -66,6 +74,7 @@ SHOWN = {
         "--system": f"{GREY}::test_a_second_fit_does_not_overwrite_the_first",
         "--overwrite": f"{GREY}::test_a_second_fit_does_not_overwrite_the_first",
         "--resume": f"{VERBS}::test_fit_resumes_a_finished_run",
+        "--from": "cli/test_begin_from.py::test_what_cannot_go_on_is_one_line",
         "--plan": _SELECTED, "--budget": _SELECTED,
         "--cluster": "cli/test_choosing.py::test_what_cannot_be_asked_is_one_line",
         "--card": _CARD, "--device": _DEVICE, "--quiet": _QUIET, "--strict": _STRICT,
@@ -78,6 +87,15 @@ SHOWN = {
         "--folds": f"{FOLDS}::test_what_cannot_be_asked_is_one_line",
         "--physics": f"{FOLDS}::test_what_cannot_be_asked_is_one_line",
         "--card": _CARD, "--device": _DEVICE, "--quiet": _QUIET, "--strict": _STRICT,
+    },
+    "learning-curve": {
+        "--out": _CURVE, "--records": _CURVE, "--draws": _CURVE, "--recipe": _CURVE,
+        "--system": _CURVE, "--physics": _CURVE, "--hybrid": _CURVE, "--twin": _CURVE,
+        "--start": _CURVE, "--overwrite": _CURVE, "--json": _CURVE, "--quiet": _CURVE,
+        "--card": _NO_CURVE, "--strict": _NO_CURVE, "--device": _NO_CURVE,
+    },
+    "next-record": {
+        "--system": _NEXT, "--json": _NEXT, "--horizon": _COMMITTEE_NEXT,
     },
     "simulate": {
         "--out": _TWICE, "--experiment": _TWICE, "--overwrite": _TWICE,

@@ -34,8 +34,8 @@ def test_help_names_every_verb_and_loads_no_jax():
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     for verb in (
-        "demo", "inspect", "fit", "cross-validate", "simulate", "evaluate", "compare", "residuals",
-        "committee", "export", "show", "report", "reproduce",
+        "demo", "inspect", "fit", "cross-validate", "learning-curve", "next-record", "simulate",
+        "evaluate", "compare", "residuals", "committee", "export", "show", "report", "reproduce",
     ):  # fmt: skip
         assert f"\n  {verb} " in done.stdout
 

@@ -25,10 +25,8 @@ def fit(
     recipe: options.Recipe = None,
     changes: options.Set = None,
     seeds: options.Seeds = None,
-    physics: Annotated[
-        Path | None,
-        typer.Option(metavar="MODEL", help="A model whose accelerations a network corrects."),
-    ] = None,
+    physics: options.Physics = None,
+    origin: options.Origin = None,
     system: options.System = None,
     plan: Annotated[
         str | None,
@@ -64,7 +62,8 @@ def fit(
     from tustinnet.cli.select import select
     from tustinnet.systems.files import find_system
 
-    selects = recipe is None and physics is None
+    selects = recipe is None and physics is None and origin is None
+    _require_apart(out, origin)
     by_plan = {"--plan": plan, "--budget": budget, "--cluster": cluster}
     _require_meaning(selects, {"--set": changes, "--seeds": seeds}, by_plan)
     earlier = _earlier(resume=resume, overwrite=overwrite)
@@ -74,41 +73,53 @@ def fit(
         asked = plan, budget, cluster
         select(load, out, asked, given, earlier, json=json, quiet=quiet)
         return
-    what = recipe, changes, seeds, physics
+    what = recipe, changes, seeds, physics, origin
     _fit_recipe(load, out, what, given, earlier, json=json, quiet=quiet)
 
 
 def _fit_recipe(
     load: "Callable[[], DataSet]",
     out: Path,
-    asked: tuple[str | None, list[str] | None, str | None, Path | None],
+    asked: tuple[str | None, list[str] | None, str | None, Path | None, Path | None],
     given: "SystemFile | str | None",
     earlier: "Earlier",
     *,
     json: bool,
     quiet: bool,
 ) -> None:
-    """Fits one recipe: `asked` has its name, changes, seeds, and the physics to correct."""
-    from tustinnet.cli.request import kept_system, members_of, recipe_of, tell_still
+    """Fits one recipe: `asked` has its name, changes, seeds, physics to correct, origin."""
+    from tustinnet.cli.request import (
+        begun_with,
+        kept_system,
+        members_of,
+        recipe_of,
+        recipe_within,
+        tell_still,
+    )  # fmt: skip
     from tustinnet.fitting.task import make_task
     from tustinnet.report.progress import FitProgress
-    from tustinnet.store.model_file import load_model
+    from tustinnet.store.model_file import load_model, system_of
     from tustinnet.store.run import run_task
 
-    recipe, changes, seeds, physics = asked
-    chosen = recipe_of(recipe, changes, system=given, physics=physics)
+    recipe, changes, seeds, physics, origin = asked
+    within = None if origin is None or recipe is not None else recipe_within(origin)
+    chosen = recipe_of(within or recipe, changes, system=given, physics=physics)
     members = members_of(seeds, chosen)
-    if physics is not None and given is None:
-        given = kept_system(physics)
+    begun = None if origin is None else begun_with(origin, given, changes)
+    if given is None and (kept := physics or origin) is not None:
+        given = kept_system(kept)
     known = None if physics is None else load_model(physics, given)
     told = terminal.messages()
     records = load()
     if "validation" not in records.splits:
         told.print("note: no validation split; the scores below are of the training records")
-    # with physics, a system is that of the physics
-    of = None if physics is not None else given
+    of = given
+    if origin is not None and "system" in chosen.family.needs:
+        of = given or system_of(origin) or None
+    elif physics is not None or origin is not None:
+        of = None  # it is that of the physics
     file = None if isinstance(given, str) else given
-    task = make_task(records, chosen, members, physics=known, system=of)
+    task = make_task(records, chosen, members, physics=known, system=of, origin=begun)
     tell_still(task.folds[0].roles.train, told)
     if not quiet:
         _tell_windows(task, told)
@@ -135,8 +146,16 @@ def _require_meaning(
             raise InputError(name, "means nothing where no recipe is named", "a recipe",
                              "add --recipe NAME, or write a plan (--plan FILE)")  # fmt: skip
         if value is not None:
-            raise InputError(name, "means nothing to a single recipe", "no recipe and no physics",
-                             "leave --recipe and --physics out to try several")  # fmt: skip
+            raise InputError(name, "means nothing to a single recipe", "no recipe, no model",
+                             "leave --recipe, --physics and --from out to try several")  # fmt: skip
+
+
+def _require_apart(out: Path, origin: Path | None) -> None:
+    """Raises where a run would be written over the model that it begins with."""
+    from tustinnet.errors import InputError
+
+    if origin is not None and out.resolve() in origin.resolve().parents:
+        raise InputError(out, f"the folder of {origin}, which --from names", "another folder")
 
 
 def _require_cores(cluster: str | None, device: options.Hardware | None) -> None:

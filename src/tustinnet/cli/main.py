@@ -15,6 +15,8 @@ from tustinnet.cli.evaluate import evaluate
 from tustinnet.cli.export import export
 from tustinnet.cli.fit import fit
 from tustinnet.cli.inspect import inspect
+from tustinnet.cli.learning_curve import learning_curve
+from tustinnet.cli.next_record import next_record
 from tustinnet.cli.report import report
 from tustinnet.cli.reproduce import reproduce
 from tustinnet.cli.residuals import residuals
@@ -30,8 +32,8 @@ app = typer.Typer(
     rich_markup_mode=None,  # loading rich would double the time that --help takes
 )
 _VERBS = (
-    demo, inspect, fit, cross_validate, simulate, evaluate, compare, residuals, committee,
-    calibrate, export, show, report, reproduce,
+    demo, inspect, fit, cross_validate, learning_curve, next_record, simulate, evaluate,
+    compare, residuals, committee, calibrate, export, show, report, reproduce,
 )  # fmt: skip
 for verb in _VERBS:
     app.command()(terminal.interruptible()(verb))

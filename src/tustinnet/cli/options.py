@@ -82,6 +82,19 @@ Horizon = Annotated[
 Strict = Annotated[
     bool, typer.Option("--strict", help="Refuse records in which something looks wrong.")
 ]
+Physics = Annotated[
+    Path | None,
+    typer.Option(metavar="MODEL", help="A model whose accelerations a network corrects."),
+]
+Origin = Annotated[
+    Path | None,
+    typer.Option(
+        "--from",
+        metavar="MODEL",
+        help="A fitted model to begin with, by default with the recipe that it was fitted by: for "
+        "few records of another device.",
+    ),
+]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on from the checkpoints in --out.")]
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace what is there already in --out.")

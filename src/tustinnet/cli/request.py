@@ -1,6 +1,6 @@
 """What the verbs make of their arguments: records, recipes, members."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,15 +15,19 @@ if TYPE_CHECKING:
     from tustinnet.evaluate.bands import Band, Of
     from tustinnet.evaluate.scores import Score
     from tustinnet.fitting.recipe import Recipe
-    from tustinnet.fitting.task import Member
+    from tustinnet.fitting.task import Member, Origin
     from tustinnet.models.contract import Model
-    from tustinnet.systems.files import SystemFile
+    from tustinnet.systems.files import AnySystem, SystemFile
 
 _MOST_SEEDS, _LARGEST_SEED = 1000, 2**32 - 1
 
 
 def recipe_of(
-    name: str | None, changes: Sequence[str] | None, *, system: object, physics: object
+    name: "str | Mapping[str, Any] | None",
+    changes: Sequence[str] | None,
+    *,
+    system: object,
+    physics: object,
 ) -> "Recipe":
     """The recipe that was asked for, or the usual one for what was given, with its changes."""
     from tustinnet.fitting.recipe import read_recipe
@@ -31,6 +35,39 @@ def recipe_of(
 
     usual = usual_recipe(system=system is not None, physics=physics is not None)
     return read_recipe(name or usual, changes or ())
+
+
+def recipe_within(model: Path) -> "Mapping[str, Any]":
+    """The recipe that a model file keeps of how its model was fitted."""
+    from tustinnet.errors import InputError
+    from tustinnet.store.model_file import read_header
+
+    header = read_header(model)
+    if not isinstance(told := header.get("recipe"), dict):
+        raise InputError(
+            f"--from {model}", f"a model of kind '{header['kind']}' that names no recipe",
+            "a model that `fit` has made by a recipe",
+            "of a model of one kind, name the recipe: --recipe NAME",
+        )  # fmt: skip
+    return told
+
+
+def begun_with(
+    model: Path, system: "AnySystem | None", changes: "Sequence[str] | None"
+) -> "Origin":
+    """The model that `--from` names.
+
+    Raises:
+        InputError: what it begins with is also set by hand; see also `load_model`.
+    """
+    from tustinnet.errors import InputError
+    from tustinnet.store.model_file import load_origin
+
+    for change in changes or ():
+        if change.strip().startswith("model.begin"):
+            raise InputError(f"--set {change}", "--from says where the search begins",
+                             "one of them", "leave one out")  # fmt: skip
+    return load_origin(model, kept_system(model) if system is None else system)
 
 
 def members_of(seeds: str | None, recipe: "Recipe") -> "list[Member]":

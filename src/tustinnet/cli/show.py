@@ -50,6 +50,8 @@ def _fit(header: dict[str, Any]) -> list[tuple[str, str]]:
         told = f"windows {training['windows']}, epochs {training['epochs']}"
         kept = f"epoch {training['kept_epoch']} kept, {training['outcome']}"
         lines.append(("training", f"{told}, {kept}"))
+    if "from" in header:
+        lines.append(("begun with", f"{header['from']['file']}, sha256 {header['from']['sha256']}"))
     if "data" in header:
         data = header["data"]
         lines.append(("data", f"{data['name']}, {len(data['records'])} records"))

@@ -263,7 +263,7 @@ def cross_validate(data: DataSet, asked: Question, tell: Tell = lambda task: SIL
     members = tuple(Member(seed, fold=f) for f in range(len(folds)) for seed in seeds)
     task, results = Task(recipe, folds, members, own, brief=True), []
     for group in groups_alike(task):
-        results += _fitted(task.of(group), tell)
+        results += fitted(task.of(group), tell)
     results.sort(key=lambda r: members.index(r.member))
     scores = [s for r in results for s in _scores(r, deals[r.member.fold].scored, data, asked)]
     return Validated(
@@ -289,10 +289,10 @@ def _physics(deals: Sequence[Deal], asked: Question, tell: Tell) -> list[Model]:
     folds = tuple(Fold(used_by(d.roles, asked.physics)) for d in deals)
     members = tuple(Member(fold=f) for f in range(len(folds)))
     task = Task(asked.physics, folds, members, asked.system, brief=True)
-    return [result.model for result in _fitted(task, tell)]
+    return [result.model for result in fitted(task, tell)]
 
 
-def _fitted(task: Task, tell: Tell) -> list[FitResult]:
+def fitted(task: Task, tell: Tell) -> list[FitResult]:
     """Members that can be fitted together, followed by whoever wants to know."""
     if not task.recipe.family.trains:
         return fit_task(task, tell(task))

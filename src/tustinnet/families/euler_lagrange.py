@@ -146,6 +146,20 @@ class EulerLagrangeFamily(Family):
             model, header["dt"], header["substeps"], inputs=Channels.from_header(header).inputs
         )
 
+    def beginning(
+        self, hyper: EulerLagrangeHyper, origin: Model, system: LagrangianSystem
+    ) -> EulerLagrangeHyper:
+        """Every parameter that both systems have begins at its identified value."""
+        self.require_own(origin)
+        assert isinstance(origin, Discretised)
+        continuous = origin.continuous
+        assert isinstance(continuous, LagrangianModel)
+        known = {p.name for p in system.parameters if p.per is None} | set(hyper.free)
+        if hyper.forces:
+            known |= set(needed(continuous.system))
+        begin = {n: float(x) for n, x in continuous.values.items() if n in known}
+        return hyper.model_copy(update={"begin": begin})
+
     def parameters(self, model: Discretised) -> Sequence[tuple[str, str, float]]:
         """Those of the system; of values by group that of the group that was chosen."""
         continuous = model.continuous

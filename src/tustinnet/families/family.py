@@ -102,6 +102,53 @@ class Family(ABC):
         """A tree like the model, True at the arrays that train in a stage; here all layers."""
         return mask_of(model, layers_in(model))
 
+    def begun(self, built: Any, origin: Model) -> Model:
+        """A model as a recipe builds it with the arrays of a trained one, to go on from there.
+
+        Args:
+            built: what the recipe makes of the records.
+            origin: the trained model.
+
+        Raises:
+            InputError: the trained model is of another kind, or of other sizes.
+        """
+        self.require_own(origin)
+        fresh, trained = built.folded(), origin.folded()
+        (said, ours), (says, theirs) = self.describe(fresh), self.describe(trained)
+        sizes = [{name: a.shape for name, a in of.items()} for of in (ours, theirs)]
+        if said != says or sizes[0] != sizes[1]:
+            raise InputError(
+                "--from", f"a model with {_differing(says, said)}",
+                f"{_differing(said, says)}, as the recipe has it",
+                "leave --recipe and --set of [model] out: the model's own recipe is the usual one",
+            )  # fmt: skip
+        leaves, structure = jax.tree.flatten(fresh)
+        arrays = zip(jax.tree.leaves(trained), leaves, strict=True)
+        return jax.tree.unflatten(structure, [jnp.asarray(a, b.dtype) for a, b in arrays])
+
+    def require_own(self, origin: Model) -> None:
+        """Raises unless a model to begin with is of this family."""
+        if not self.owns(origin):
+            raise InputError(
+                "--from", f"a model of kind '{family_of(origin).kind}'",
+                f"one of kind '{self.kind}', which the recipe makes",
+                "leave --recipe out to go on with the model's own recipe",
+            )  # fmt: skip
+
+    def beginning(self, hyper: Any, origin: Model, system: Any) -> Any:
+        """The table `[model]` of an identification that begins where another one ended.
+
+        Args:
+            hyper: the table.
+            origin: the identified model.
+            system: the system whose parameters are identified.
+        """
+        raise InputError(f"kind '{self.kind}'", "no parameters", "a kind that is identified")
+
+    def corrected(self, model: Any) -> Model | None:
+        """The physics that a model corrects, None of most."""
+        return None
+
     def regulariser(self, stage: Any) -> Regulariser | None:
         """What a stage adds to the loss at every step, from model, state and input; None for none.
 
@@ -153,6 +200,20 @@ class Family(ABC):
         raise InputError(
             "numpy_step", f"a model of kind '{self.kind}'", "a Tustin-Net", "use compiled_step"
         )
+
+
+def _differing(said: Header, other: Header) -> str:
+    """What a description says that another one does not; its sizes where it says the same."""
+    flat = [
+        {
+            key: x
+            for k, of in header.items()
+            for key, x in (of if isinstance(of, dict) else {k: of}).items()
+        }
+        for header in (said, other)
+    ]
+    told = [f"{key} {x}" for key, x in flat[0].items() if flat[1].get(key) != x]
+    return ", ".join(told) or "other sizes"
 
 
 def family_of(model: Any) -> Family:

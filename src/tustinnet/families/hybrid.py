@@ -253,6 +253,22 @@ class HybridFamily(Family):
         nothing = jax.tree.map(lambda _: False, model)
         return eqx.tree_at(lambda m: m.correction, nothing, of_correction)
 
+    def begun(self, built: HybridModel, origin: Model) -> HybridModel:
+        """The physics that is given, with the correction of the trained model."""
+        self.require_own(origin)
+        assert isinstance(origin, HybridModel)
+        if built.fades_at_rest != origin.fades_at_rest:
+            raise InputError(
+                "--from", f"a correction with fades_at_rest = {origin.fades_at_rest}",
+                f"{built.fades_at_rest}, as the recipe has it", "leave --recipe and --set out",
+            )  # fmt: skip
+        correction = family_of(built.correction).begun(built.correction, origin.correction)
+        return replace(built, correction=cast(AccelerationModel, correction))
+
+    def corrected(self, model: HybridModel) -> Model:
+        """The physics."""
+        return model.physics
+
     def regulariser(self, stage: HybridStage) -> Regulariser | None:
         """The penalty on the correction."""
         return Effort(stage.penalty) if stage.penalty else None

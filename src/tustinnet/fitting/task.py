@@ -1,7 +1,7 @@
 """What is to be fitted: records, a recipe, members that may be fitted together."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ from tustinnet.errors import InputError
 from tustinnet.families.family import family_of
 from tustinnet.fitting.recipe import Recipe, rates_of, read_recipe
 from tustinnet.fitting.roles import Roles, roles
-from tustinnet.models.contract import Model
+from tustinnet.models.contract import Model, require_fit
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.systems.files import AnySystem, load_system
 
@@ -42,16 +42,31 @@ class Member:
 
 
 @dataclass(frozen=True)
+class Origin:
+    """A fitted model that a fit begins with.
+
+    Attributes:
+        model: the model.
+        account: what the files of the fit say of it.
+    """
+
+    model: Model
+    account: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Fold:
-    """The records of a fit, and the physics that it corrects.
+    """The records of a fit, the physics that it corrects, and the model that it begins with.
 
     Attributes:
         roles: which records train, which choose.
         physics: the model that a network corrects, or None.
+        origin: the model whose weights are trained on, or None to begin anew.
     """
 
     roles: Roles
     physics: Model | None = None
+    origin: Origin | None = None
 
 
 @dataclass(frozen=True)
@@ -85,6 +100,7 @@ def make_task(
     *,
     physics: Model | None = None,
     system: AnySystem | None = None,
+    origin: Origin | None = None,
 ) -> Task:
     """What is to be fitted, checked.
 
@@ -95,6 +111,9 @@ def make_task(
         members: seeds and rates; an identification has neither.
         physics: a model whose accelerations a network corrects, for recipes that do so.
         system: a system whose parameters are identified, for recipes that do so.
+        origin: a fitted model of the recipe's kind to begin with: weights go on from its own, a
+            correction stays with its physics where none is given, an identification begins at
+            its values.
 
     Raises:
         InputError: something is given that the recipe has no use for, or something is missing.
@@ -103,6 +122,9 @@ def make_task(
     usual = usual_recipe(system=system is not None, physics=physics is not None)
     chosen = read_recipe(usual if recipe is None else recipe)
     family = chosen.family
+    if origin is not None:
+        family.require_own(origin.model)
+        given["physics"] = physics = physics or family.corrected(origin.model)
     if system is None and "system" in family.needs:
         given["system"] = system = getattr(chosen.model, "system", None)
     for what, thing in given.items():
@@ -121,7 +143,13 @@ def make_task(
         )  # fmt: skip
     _require_members(members, chosen)
     found = None if system is None else load_system(system)
-    return Task(chosen, (Fold(roles(data), physics),), tuple(members), found)
+    if origin is not None:
+        for e in data:
+            require_fit(origin.model, e)
+        if not family.trains:
+            table = family.beginning(chosen.model, origin.model, found)
+            chosen = chosen.model_copy(update={"model": table})
+    return Task(chosen, (Fold(roles(data), physics, origin),), tuple(members), found)
 
 
 def usual_recipe(*, system: bool, physics: bool) -> str:

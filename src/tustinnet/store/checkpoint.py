@@ -61,13 +61,15 @@ class Checkpointer:
 
 
 def fingerprint(task: Task, member: Member) -> str:
-    """What a checkpoint belongs to: the recipe, the member, its records and physics."""
+    """What a checkpoint belongs to: the recipe, the member, its records, physics and origin."""
     fold = task.folds[member.fold]
     digest = hashlib.sha256(task.recipe.model_dump_json(exclude={"rates"}).encode())
     digest.update(member.name.encode())
-    if fold.physics is not None:
-        described, arrays = family_of(fold.physics).describe(fold.physics)
-        digest.update(json.dumps([described, fold.physics.channels.as_header()]).encode())
+    for given in (fold.physics, fold.origin and fold.origin.model):
+        if given is None:
+            continue
+        described, arrays = family_of(given).describe(given)
+        digest.update(json.dumps([described, given.channels.as_header()]).encode())
         for name in sorted(arrays):
             digest.update(arrays[name].tobytes())
     for role, records in (("train", fold.roles.train), ("validation", fold.roles.validation)):

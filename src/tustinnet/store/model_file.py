@@ -1,5 +1,6 @@
 """The model file: one safetensors file, arrays plus a JSON header; it knows no family."""
 
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
@@ -13,6 +14,7 @@ from tustinnet.data.declaration import Declaration, declare
 from tustinnet.errors import InputError, refusing
 from tustinnet.families.family import family_of, systems_in
 from tustinnet.fitting.report import Stretch
+from tustinnet.fitting.task import Origin
 from tustinnet.models.contract import Model
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.registry import FAMILIES
@@ -20,6 +22,7 @@ from tustinnet.store.files import finite
 from tustinnet.store.sealed import SEAL, read_sealed, write_sealed
 from tustinnet.systems.files import AnySystem, SystemFile, load_system
 
+ORIGIN = "from"  # in headers: the model that a fit began with
 _PACKAGES = ("tustinnet", "jax", "jaxlib", "equinox", "optax", "numpy")
 
 
@@ -100,6 +103,21 @@ def load_model(path: str | Path, system: AnySystem | None = None) -> Model:
         )  # fmt: skip
     with refusing(path, "header and arrays do not fit", "a file written by tustinnet"):
         return FAMILIES[header["kind"]].restore(header, arrays, system, Path(path))
+
+
+def load_origin(path: Path, system: AnySystem | None = None) -> Origin:
+    """A fitted model to begin a fit with.
+
+    What the files of the fit say of it: its file, the SHA-256 of that, and the records that it was
+    made from.
+
+    Raises:
+        InputError: as `load_model`.
+    """
+    model = load_model(path, system)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    made_from = records_in(read_header(path))
+    return Origin(model, {"file": str(path), "sha256": digest, "made_from": made_from})
 
 
 def load_models(
@@ -216,4 +234,4 @@ def records_in(header: Mapping[str, Any]) -> dict[str, str]:
     }
     for part in header.get("files", ()):
         found |= records_in(part)
-    return found
+    return found | header.get(ORIGIN, {}).get("made_from", {})

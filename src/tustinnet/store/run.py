@@ -13,7 +13,7 @@ Seeds that are trained at several rates have folders like seed-0-rate-0.5.
 
 import statistics
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -42,7 +42,7 @@ from tustinnet.store.files import (
 )
 from tustinnet.store.kept_system import header_of, keep, require_room
 from tustinnet.store.log import DAMAGED, LOG, Log, SearchLog
-from tustinnet.store.model_file import save
+from tustinnet.store.model_file import ORIGIN, save
 from tustinnet.systems.files import SystemFile
 
 MODEL = "model.safetensors"
@@ -83,6 +83,7 @@ class Run:
         start: where the free runs start that rank the members.
         folder: where the files are.
         system: the system's file, where one was given.
+        origin: what is known of the model that the fits began with, empty where they began anew.
     """
 
     members: tuple[MemberRun, ...]
@@ -91,6 +92,7 @@ class Run:
     start: str
     folder: Path
     system: SystemFile | None = None
+    origin: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def best(self) -> MemberRun:
@@ -141,6 +143,7 @@ class Run:
                 self.judged, self.start, channels, of.scores[0].horizon, rmse_by_record(of.scores)
             ),
             **header_of(self.system),
+            **({ORIGIN: dict(self.origin)} if self.origin else {}),
         }
 
     def summary(self) -> dict[str, Any]:
@@ -219,7 +222,9 @@ def _fitted(task: Task, data: str, folder: Path, tell: Tell, *, resume: bool) ->
         horizon = within(result.horizon, roles.judging)
         scores = tuple(evaluate(result.model, roles.judging, result.start, horizon=horizon))
         runs.append(MemberRun(result, scores, folder / member.name if trains else folder))
-    return Run(tuple(runs), data, roles, fitted[0].start, folder)
+    origin = task.folds[0].origin
+    known = {} if origin is None else origin.account
+    return Run(tuple(runs), data, roles, fitted[0].start, folder, origin=known)
 
 
 def fit_in(folder: Path, task: Task, tell: Tell, *, resume: bool) -> list[FitResult]:

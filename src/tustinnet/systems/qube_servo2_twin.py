@@ -1,5 +1,6 @@
 """The twin of the Qube-Servo 2: what `tustinnet demo` runs on."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -31,7 +32,9 @@ _TWIN_RUNS = {"train": (10, 5), "validation": (4, 2), "test": (4, 4)}
 _AMPLITUDES = (2.0, 2.5, 3.0, 3.5, 4.0)  # V
 
 
-def twin(seed: int = 0, logger: Logger = AS_LOGGED) -> DataSet:
+def twin(
+    seed: int = 0, logger: Logger = AS_LOGGED, values: Mapping[str, float] = TWIN_VALUES
+) -> DataSet:
     """Records of a simulated Qube-Servo 2: free falls and white-noise voltage, in three splits.
 
     Numbers, lengths and starts are those of the published records. The twin is a Lagrangian
@@ -41,6 +44,7 @@ def twin(seed: int = 0, logger: Logger = AS_LOGGED) -> DataSet:
     Args:
         seed: everything random follows from it.
         logger: how it is logged.
+        values: of its parameters, by name; others make another device.
     """
     generator = np.random.default_rng(seed)
     runs = []
@@ -51,10 +55,10 @@ def twin(seed: int = 0, logger: Logger = AS_LOGGED) -> DataSet:
             _noise(f"twin_noise{label}{i + 1}", split, _AMPLITUDES[i], generator)
             for i in range(noises)
         ]
-    values = {name: jnp.asarray(value, jnp.float64) for name, value in TWIN_VALUES.items()}
+    own = {name: jnp.asarray(value, jnp.float64) for name, value in values.items()}
     coordinates = tuple(replace(c, resolution=COUNT) for c in WITH_MEMORY.coordinates)
     channels = Channels(coordinates, WITH_MEMORY.inputs)
-    records = log_runs(WITH_MEMORY.model(values), channels, runs, logger, generator)
+    records = log_runs(WITH_MEMORY.model(own), channels, runs, logger, generator)
     return DataSet(TWIN_NAME, records)
 
 

@@ -12,13 +12,16 @@ from jaxtyping import Array, Float
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment
 from tustinnet.models.contract import ContinuousModel, Model
-from tustinnet.models.integrate import discretise
+from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.signals.derivatives import five_point_stencil
 from tustinnet.signals.stacking import stacked
 from tustinnet.simulate.drive import Drive
 from tustinnet.simulate.rollout import rollout
 
 _LEAD, _TRAIL = 3, 2  # rows at a record's ends whose velocities are stored as 0, as in real logs
+
+_NEAR = 0.1  # standard deviations that a simulated record begins away from what was recorded
+_FAR = 10  # recorded ranges that a simulated record may leave
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,47 @@ class Logger:
 
 
 AS_LOGGED = Logger()
+
+
+def imitated(
+    model: Discretised,
+    records: Sequence[Experiment],
+    count: int,
+    generator: np.random.Generator,
+) -> tuple[Experiment, ...]:
+    """Records as a model would make them in the range of others.
+
+    Each begins near a state that one of them had, internal states at 0, and is driven by the
+    inputs of one of them, begun at another time. Runs that leave ten times the recorded range are
+    left out.
+
+    Args:
+        model: the model, discretised: its period and integration steps are taken.
+        records: what was recorded.
+        count: how many to make, at most.
+        generator: the source of choices, of the encoders' places and of the departures.
+
+    Raises:
+        InputError: a run that is not finite.
+    """
+    channels = replace(records[0].channels, dt=model.dt)
+    q, v = (
+        np.concatenate(of) for of in zip(*((e.q, e.velocities()) for e in records), strict=True)
+    )
+    runs = []
+    for i in range(count):
+        begins, drives = (records[int(generator.integers(len(records)))] for _ in range(2))
+        row = int(generator.integers(_LEAD, max(len(begins) - _TRAIL, _LEAD + 1)))
+        x0 = np.zeros(model.state_size)
+        for of, at, all_of in ((begins.q, channels.position, q),
+                               (begins.velocities(), channels.velocity, v)):  # fmt: skip
+            x0[at] = of[row] + _NEAR * all_of.std(axis=0) * generator.normal(size=channels.n_q)
+        u = np.roll(drives.u, int(generator.integers(len(drives))), axis=0)
+        runs.append(Run(f"simulated{i + 1}", "train", x0, u))
+    logger = Logger(model.dt, 0.0, counts=bool(channels.resolution.all()), substeps=model.substeps)
+    made = log_runs(model.continuous, channels, runs, logger, generator)
+    middle, reach = (q.max(axis=0) + q.min(axis=0)) / 2, _FAR * np.ptp(q, axis=0) + 1e-12
+    return tuple(e for e in made if (np.abs(e.q - middle) < reach).all())
 
 
 def log_runs(

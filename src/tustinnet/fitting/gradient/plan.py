@@ -117,7 +117,9 @@ def plan(task: Task, devices: Sequence[Any] | None = None) -> Plan:
         )
         for f in used
     }
-    given = tuple(make[m.fold](key) for m, (key, _) in zip(members, keys, strict=True))
+    given = tuple(
+        _begun(task, m.fold, make[m.fold](key)) for m, (key, _) in zip(members, keys, strict=True)
+    )
     single = [with_dtype(model, np.float32) for model in given]
     require_alike(single)
     pool = Pool([e for of in peers for e in of.all])
@@ -144,6 +146,12 @@ def plan(task: Task, devices: Sequence[Any] | None = None) -> Plan:
         keys=jnp.stack([shuffling for _, shuffling in keys]),
         mesh=lay_out_devices(len(members), min(s.batch for s in recipe.stages), devices),
     )
+
+
+def _begun(task: Task, fold: int, built: Model) -> Model:
+    """A model as it was built, or with the weights of the one that its fold begins with."""
+    origin = task.folds[fold].origin
+    return built if origin is None else task.recipe.family.begun(built, origin.model)
 
 
 def _shared_physics(fold: Fold) -> Model | None:

@@ -1,0 +1,205 @@
+"""Are records that `next-record` asks for worth more than others? On the twin of the pendulum.
+
+    python benchmarks/next_record.py grey [--seeds 5]
+    python benchmarks/next_record.py network [--seeds 5] [--horizon 1]
+
+24 records of 4 s can be made: falls, small swings, white noise of 0.5 to 4 V, sines. Models are
+fitted to a few drawn at random, then `next-record` ranks the others: the first of them are made and
+added, and the models fitted anew, and so on; beside that others at random are. Each is scored on
+the 6 validation records of the twin.
+
+`grey` identifies the twin's own equations of motion and adds a record a round; `network` trains
+three networks, put together as a committee, and adds two.
+"""
+
+import argparse
+import json
+import statistics
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+
+jax.config.update("jax_num_cpu_devices", 2)
+jax.config.update("jax_enable_x64", True)
+
+import jax.numpy as jnp
+import numpy as np
+from rich.console import Console
+
+import tustinnet as tn
+from tustinnet.data.proposals import Proposal
+from tustinnet.evaluate.folds import fitted
+from tustinnet.evaluate.next_record import ranked
+from tustinnet.fitting.roles import Roles
+from tustinnet.fitting.task import Fold, Member, Task
+from tustinnet.report.progress import FitProgress
+from tustinnet.report.tables import Table, number
+from tustinnet.systems.qube_servo2 import WITH_MEMORY
+from tustinnet.systems.qube_servo2_twin import TWIN_VALUES, twin
+from tustinnet.systems.twin import AS_LOGGED, Run, log_runs
+
+SAMPLES, EACH = 400, 6
+RANDOM, CHOSEN = "random", "chosen"
+MEMBERS = 3
+GREY, NETWORK = (3, 4, 5, 6), (3, 5, 7, 9)
+QUICK = ["stages.*.epochs=40", "stages.*.windows.count=600"]
+
+
+def proposals() -> list[Proposal]:
+    """What could be recorded."""
+    generator, found = np.random.default_rng(0), []
+    t, still = np.arange(SAMPLES) * 0.01, np.zeros((SAMPLES, 1))
+    for i in range(EACH):
+        side = (-1) ** i
+        tilt, arm = generator.uniform(0.2, 0.8), generator.uniform(-1.5, 1.5)
+        found.append(Proposal(f"fall {i}", np.array([arm, side * tilt]), np.zeros(2), still))
+        low, arm = generator.uniform(0.2, 1.5), generator.uniform(-0.3, 0.3)
+        found.append(
+            Proposal(f"swing {i}", np.array([arm, np.pi + side * low]), np.zeros(2), still)
+        )
+        level = 0.5 + 0.7 * i
+        u = generator.uniform(-level, level, (SAMPLES, 1))
+        found.append(Proposal(f"noise {level:.1f} V", np.array([0, np.pi]), np.zeros(2), u))
+        hertz = 0.5 * 1.5**i
+        u = 2 * np.sin(2 * np.pi * hertz * t)[:, None]
+        found.append(Proposal(f"sine {hertz:.1f} Hz", np.array([0, np.pi]), np.zeros(2), u))
+    return found
+
+
+def recorded(of: Sequence[Proposal], channels: tn.Experiment) -> dict[str, tn.Experiment]:
+    """What the twin makes of proposals."""
+    values = {name: jnp.asarray(value) for name, value in TWIN_VALUES.items()}
+    runs = [Run(p.name, "train", np.concatenate([p.q, p.v, [0.0]]), p.u) for p in of]
+    made = log_runs(WITH_MEMORY.model(values), channels.channels, runs, AS_LOGGED,
+                    np.random.default_rng(1))  # fmt: skip
+    return {e.name: e for e in made}
+
+
+@dataclass
+class Arm:
+    """Records that are added to in one way.
+
+    Attributes:
+        seed: what the first ones were drawn by.
+        way: how others are added.
+        names: those it has.
+    """
+
+    seed: int
+    way: str
+    names: list[str]
+
+
+Ranked = tuple[list[float], Callable[[Sequence[Proposal]], list[str]]]
+
+
+def grey(arms: Sequence[Arm], made: dict[str, tn.Experiment], left: Sequence[tn.Experiment],
+         tell: Callable, horizon: float | None) -> list[Ranked]:  # fmt: skip
+    """Identifies the records of each arm: RMSE and error of parameters, and who ranks."""
+    found: list[Ranked] = []
+    # positions alone: their units are the same for all records, so that programs compile once
+    recipe = tn.read_recipe("grey", ["search.initial=anchored"])
+    for arm in arms:
+        roles = Roles(tuple(made[name] for name in arm.names), ())
+        task = Task(recipe, (Fold(roles),), system=WITH_MEMORY, brief=True)
+        result = fitted(task, tell)[0]
+        scores = tn.evaluate(result.model, left, "model-20")
+        assert result.identification is not None
+        off = [abs(np.log(max(e.value, 1e-12) / TWIN_VALUES[e.name]))
+               for e in result.identification.estimates if TWIN_VALUES[e.name] > 0]  # fmt: skip
+
+        def rank(of: Sequence[Proposal], result: tn.FitResult = result) -> list[str]:
+            told = ranked(result.model, result.as_header(), of)
+            return [promise.name for promise in told.promises]
+
+        found.append(([tn.mean_rmse(scores), float(np.median(off))], rank))
+    return found
+
+
+def network(arms: Sequence[Arm], made: dict[str, tn.Experiment], left: Sequence[tn.Experiment],
+            tell: Callable, horizon: float | None) -> list[Ranked]:  # fmt: skip
+    """Trains a committee for each arm: its RMSE, and who ranks."""
+    recipe = tn.read_recipe(Path(__file__).parent / "recipes" / "short-network.toml", QUICK)
+    folds = tuple(Fold(Roles(tuple(made[name] for name in arm.names), ())) for arm in arms)
+    members = tuple(Member(MEMBERS * arm.seed + k, fold=f)
+                    for f, arm in enumerate(arms) for k in range(MEMBERS))  # fmt: skip
+    results = fitted(Task(recipe, folds, members), tell)
+    found: list[Ranked] = []
+    for f in range(len(arms)):
+        model = tn.committee([r.model for r in results if r.member.fold == f])
+        scores = tn.evaluate(model, left, "model-20")
+
+        def rank(of: Sequence[Proposal], model: tn.Model = model) -> list[str]:
+            told = ranked(model, {}, of, horizon=horizon)
+            return [promise.name for promise in told.promises]
+
+        found.append(([tn.mean_rmse(scores)], rank))
+    return found
+
+
+def needed(curves: dict[tuple[str, int], list[float]], sizes: Sequence[int], seeds: int) -> str:
+    """With how many records chosen ones are as good as random ones are with the most."""
+    goal_at = sizes[-1]
+    medians = {way: [statistics.median(curves[way, s][k] for s in range(seeds))
+                     for k in range(len(sizes))] for way in (RANDOM, CHOSEN)}  # fmt: skip
+    goal = medians[RANDOM][sizes.index(goal_at)]
+    reached = [n for n, x in zip(sizes, medians[CHOSEN], strict=True) if x <= goal]
+    with_ = f"with {reached[0]}" if reached else "never"
+    return f"what {goal_at} random records give, chosen ones give {with_}"
+
+
+def main() -> None:
+    """Reads the arguments, runs the rounds, prints."""
+    asked = argparse.ArgumentParser()
+    asked.add_argument("what", choices=("grey", "network"))
+    asked.add_argument("--seeds", type=int, default=5)
+    asked.add_argument("--horizon", type=float)
+    asked.add_argument("--out", type=Path, default=Path("results"))
+    given = asked.parse_args()
+    fit, sizes = (grey, GREY) if given.what == "grey" else (network, NETWORK)
+    left = list(twin(7).split("validation"))
+    pool = proposals()
+    made = recorded(pool, left[0])
+    names = [p.name for p in pool]
+    orders = [np.random.default_rng(s).permutation(names).tolist() for s in range(given.seeds)]
+    arms = [
+        Arm(s, way, orders[s][: sizes[0]]) for s in range(given.seeds) for way in (RANDOM, CHOSEN)
+    ]
+    lines: list[dict] = []
+    with FitProgress(Console(stderr=True, soft_wrap=True), quiet=given.what == "grey") as progress:
+        for n, more in zip(sizes, (*np.diff(sizes).tolist(), 0), strict=True):
+            for arm, (figures, rank) in zip(
+                arms, fit(arms, made, left, progress.follow, given.horizon), strict=True
+            ):
+                lines.append({"way": arm.way, "seed": arm.seed, "records": n, "figures": figures,
+                              "names": list(arm.names)})  # fmt: skip
+                print(f"{n} records, seed {arm.seed}, {arm.way}: {figures}", flush=True)
+                others = [name for name in orders[arm.seed] if name not in arm.names]
+                if arm.way == CHOSEN and more:
+                    try:
+                        others = rank([p for p in pool if p.name not in arm.names])
+                    except tn.InputError as error:  # a model that can simulate nothing
+                        print(f"seed {arm.seed}: at random, {error}", flush=True)
+                arm.names += others[:more]
+    given.out.mkdir(parents=True, exist_ok=True)
+    (given.out / f"next_record_{given.what}.json").write_text(json.dumps(lines, indent=1))
+    for i in range(len(lines[0]["figures"])):
+        curves: dict[tuple[str, int], list[float]] = {}
+        for of in lines:
+            curves.setdefault((of["way"], of["seed"]), []).append(of["figures"][i])
+        rows = []
+        for k, n in enumerate(sizes):
+            row = [str(n)]
+            for way in (RANDOM, CHOSEN):
+                each = [curves[way, s][k] for s in range(given.seeds)]
+                told = [number(f(each)) for f in (statistics.median, min, max)]
+                row.append(f"{told[0]} ({told[1]}..{told[2]})")
+            rows.append(row)
+        print(Table(["records", RANDOM, CHOSEN], rows).markdown())
+        print(f"* {needed(curves, sizes, given.seeds)}\n")
+
+
+if __name__ == "__main__":
+    main()

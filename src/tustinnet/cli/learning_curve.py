@@ -1,0 +1,130 @@
+"""`tustinnet learning-curve`: how many records are enough."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tustinnet.cli import options, terminal
+
+if TYPE_CHECKING:
+    from tustinnet.evaluate.folds import Question
+
+
+class Values(StrEnum):
+    """The values of a twin."""
+
+    identified = "identified"
+    nominal = "nominal"
+
+
+Network = Annotated[
+    str | None, typer.Option(metavar="NAME|FILE", help="The network. Default: standard.")
+]
+Physics = Annotated[
+    str | None,
+    typer.Option(metavar="RECIPE", help="With a system: its recipe. Default: best-grey."),
+]
+Hybrid = Annotated[
+    str | None,
+    typer.Option(metavar="RECIPE", help="With a system: what corrects it. Default: hybrid."),
+]
+Twin = Annotated[
+    Values | None,
+    typer.Option(
+        help="With a system: whose values the simulated records have on which a network is "
+        "pre-trained; those identified from the same records by default."
+    ),
+]
+
+
+def learning_curve(
+    data: options.Data,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where table and figure go.")],
+    records: Annotated[
+        str | None,
+        typer.Option(metavar="A,B,..", help="Numbers of records. Default: 2,4,8,.. and all."),
+    ] = None,
+    draws: Annotated[
+        int, typer.Option(min=2, max=100, metavar="K", help="How often records are drawn.")
+    ] = 3,
+    recipe: Network = None,
+    system: options.System = None,
+    physics: Physics = None,
+    hybrid: Hybrid = None,
+    twin: Twin = None,
+    start: options.Start = None,
+    card: options.Card = None,
+    strict: options.Strict = False,
+    device: options.Device = None,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Find out how many records are enough: accuracy on records left out, against their number."""
+    terminal.prepare_jax(device)
+    from tustinnet.cli.request import loaded, tell_still
+    from tustinnet.evaluate.folds import taking_part
+    from tustinnet.evaluate.learning import learning_curve, make_curve_question, places_of
+    from tustinnet.report.figures import write_figure
+    from tustinnet.report.learning import learning_figure, learning_table
+    from tustinnet.report.progress import FitProgress
+    from tustinnet.store.files import owned, require_new, to_json, write_into
+
+    question = _with_system(system, physics, hybrid, twin)
+    asked = make_curve_question(
+        recipe or "standard", question, _sizes(records), draws=draws, start=start,
+        twin=(twin or Values.identified).value,
+    )  # fmt: skip
+    told = terminal.messages()
+    names = [f"learning-curve.{ending}" for ending in ("json", "md", "png")]
+    require_new([out / name for name in names], overwrite=overwrite)
+    found = loaded(data, card, out, told, strict=strict)
+    tell_still(taking_part(found), told)
+    places_of(found, asked)  # says at once where there are too few records
+    with owned(out), FitProgress(told, quiet=quiet) as progress:
+        curve = learning_curve(found, asked, progress.follow)
+        table, sentences = learning_table(curve), [curve.told(a) for a in curve.approaches]
+        write_into(out, names[0], to_json(curve.as_plain()))
+        write_into(out, names[1], table.markdown() + "".join(f"\n* {s}." for s in sentences) + "\n")
+        write_figure(learning_figure(curve), out, names[2])
+    if json:
+        terminal.print_json(curve.as_plain())
+    else:
+        terminal.print_tables(table)
+        for sentence in sentences:
+            typer.echo(f"* {sentence}")
+    told.print(f"written: {', '.join(str(out / name) for name in names)}")
+
+
+def _sizes(records: str | None) -> list[int]:
+    from tustinnet.errors import InputError
+
+    try:
+        return [int(x) for x in (records or "").split(",") if x.strip()]
+    except ValueError:
+        raise InputError("--records", f"'{records}'", "numbers, separated by commas",
+                         "for instance --records 2,4,8") from None  # fmt: skip
+
+
+def _with_system(
+    system: str | None, physics: str | None, hybrid: str | None, twin: Any
+) -> "Question | None":
+    """What a network corrects and is pre-trained by, where there is a system."""
+    from tustinnet.errors import InputError
+    from tustinnet.evaluate.folds import make_question
+    from tustinnet.fitting.recipe import read_recipe
+    from tustinnet.systems.files import find_system
+
+    if system is not None:
+        chosen = read_recipe(hybrid or "hybrid")
+        if "physics" not in chosen.family.needs:
+            raise InputError("--hybrid", f"a recipe of kind '{chosen.family.kind}'",
+                             "a recipe that corrects physics")  # fmt: skip
+        return make_question(chosen, system=find_system(system), physics=physics)
+    for name, value in (("--physics", physics), ("--hybrid", hybrid), ("--twin", twin)):
+        if value is not None:
+            raise InputError(name, "means nothing without a system", "a system",
+                             "add --system NAME|FILE.py")  # fmt: skip
+    return None

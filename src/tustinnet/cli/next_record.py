@@ -1,0 +1,53 @@
+"""`tustinnet next-record`: which of some proposed records would tell the most."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tustinnet.cli import options, terminal
+
+if TYPE_CHECKING:
+    from tustinnet.evaluate.next_record import Ranking
+    from tustinnet.report.tables import Table
+
+
+def next_record(
+    model: options.Model,
+    proposals: Annotated[
+        Path, typer.Argument(metavar="PROPOSALS", help="TOML file: inputs and releases.")
+    ],
+    horizon: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS",
+            help="Of a committee: compare the members over so long. Default: whole records.",
+        ),
+    ] = None,
+    system: options.System = None,
+    json: options.Json = False,
+) -> None:
+    """Rank proposed records by what they would tell: the first one should be recorded next."""
+    terminal.prepare_jax()
+    from tustinnet.cli.request import alternatives_of, model_of
+    from tustinnet.data.proposals import read_proposals
+    from tustinnet.evaluate.next_record import ranked
+    from tustinnet.store.model_file import read_header
+
+    judged = model_of(model, system)
+    alternatives_of(model, judged)  # says at once what knows nothing of its errors
+    asked = read_proposals(proposals, judged.channels)
+    found = ranked(judged, read_header(model), asked, horizon=horizon)
+    if json:
+        terminal.print_json(found.as_plain())
+        return
+    terminal.print_tables(_table(found))
+    typer.echo(f"record next: {found.promises[0].name}")
+
+
+def _table(found: "Ranking") -> "Table":
+    from tustinnet.report.tables import Table, number
+
+    rows = [[of.name, number(of.value), of.words] for of in found.promises]
+    columns = ["proposal", f"tells [{found.unit}]", "most of all"]
+    return Table(columns, rows, title=f"By the {found.criterion}")
