@@ -34,10 +34,10 @@ def next_record(
     from tustinnet.evaluate.next_record import ranked
     from tustinnet.store.model_file import read_header
 
-    judged = model_of(model, system)
-    alternatives_of(model, judged)  # says at once what knows nothing of its errors
+    judged, header = model_of(model, system), read_header(model)
+    alternatives_of(model, judged, header)  # says at once what knows nothing of its errors
     asked = read_proposals(proposals, judged.channels)
-    found = ranked(judged, read_header(model), asked, horizon=horizon)
+    found = ranked(judged, header, asked, horizon=horizon)
     if json:
         terminal.print_json(found.as_plain())
         return
