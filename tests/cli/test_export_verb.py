@@ -8,16 +8,20 @@ from typing import ClassVar
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from every_family import example
 from scipy.io import loadmat
 from test_grey_box import identified, identified_once, system  # noqa: F401 (fixtures)
 from test_verbs import tustinnet
 
 import tustinnet as tn
+from tustinnet.errors import InputError
 from tustinnet.export.mat import Matrices
 from tustinnet.export.numbers import run
 from tustinnet.export.source import Source
 from tustinnet.export.target import Files, Stepper, Target, Unbuilt
 from tustinnet.registry import TARGETS
+from tustinnet.store import exported
+from tustinnet.store.files import write_into
 
 
 class Plain(Target):
@@ -64,6 +68,10 @@ class Single(Plain):
 
 class Lacking(Plain):
     name, extra = "lacking", ("lacking-extra", ("no_package_of_this_name",))
+
+
+class LackingToo(Plain):
+    name, extra = "lacking-too", ("other-extra", ("nor_of_that_name",))
 
 
 @pytest.fixture(autouse=True)
@@ -119,7 +127,7 @@ def test_matrices_are_about_the_operating_point_that_is_named(
         ("angle=0", "plain", "--at: an operating point for plain"),
         ("angle", "mat", "--at: 'angle'; expected NAME=VALUE"),
         ("angle=1,angle=2", "mat", "each name once"),
-        ("speed=1", "mat", "speed = 1.0; expected finite values of angle, der_angle, torque"),
+        ("speed=1", "mat", "no state or input 'speed'; expected some of angle, der_angle, torque"),
     ]:
         refused(model, "--to", to, "--at", at, "--out", out / "new", told=told)
 
@@ -196,6 +204,23 @@ def test_an_export_is_replaced_where_that_is_asked_for(model, out, refused, caps
     assert set(contents(out)) == {*before, "other.txt", "mine.c"}
 
 
+def test_an_export_that_was_stopped_can_be_made_again(model, out, monkeypatch, capsys):
+    def stopped(folder, name, content):
+        if folder == out and name != "card.json":
+            (folder / f".{name}.1.part").write_text("half")
+            raise KeyboardInterrupt
+        write_into(folder, name, content)
+
+    asked = ("export", model, "--to", "plain", "--out", out)
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(exported, "write_into", stopped)
+        tn.export_model(tn.load_model(model), "plain", out)
+    assert set(contents(out)) == {"card.json", ".step.txt.1.part"}
+    assert tustinnet(capsys, *asked)[0] == 1
+    assert tustinnet(capsys, *asked, "--overwrite")[0] == 0
+    assert set(contents(out)) == {"card.json", "notes.bin", "step.txt"}
+
+
 def test_a_card_cannot_have_files_removed_elsewhere(model, out, tmp_path, capsys):
     assert tustinnet(capsys, "export", model, "--to", "plain", "--out", out)[0] == 0
     precious = tmp_path / "precious.txt"
@@ -218,6 +243,7 @@ def test_a_card_cannot_have_files_removed_elsewhere(model, out, tmp_path, capsys
         ("plain,nowhere", "no such target"),
         ("", "target ''"),
         ("plain,plain", "--to: 'plain,plain'; expected targets, none of them twice"),
+        ("plain,all", "--to: 'all' beside others; expected all by itself"),
         ("lacking", "--to lacking: the package no_package_of_this_name is not installed"),
         ("plain,lacking", "pip install 'tustinnet[lacking-extra]'"),
         ("wrong", "--to wrong: a step differs from the model's by"),
@@ -226,6 +252,20 @@ def test_a_card_cannot_have_files_removed_elsewhere(model, out, tmp_path, capsys
 )
 def test_a_target_that_cannot_be_had_is_one_line(to, told, model, out, refused):
     refused(model, "--to", to, "--out", out, told=told)
+    assert not out.exists()
+
+
+def test_all_packages_that_are_missing_are_named_at_once(model, out):
+    told = r"packages for lacking, lacking-too are not.*'tustinnet\[lacking-extra,other-extra\]'"
+    with pytest.raises(InputError, match=told):
+        tn.export_model(tn.load_model(model), [Lacking(), LackingToo()], out)
+
+
+def test_what_is_no_model_and_the_file_of_another_are_told(model, out):
+    with pytest.raises(InputError, match=r"a str; expected a model; tn\.load_model"):
+        tn.export_model(str(model), "plain", out)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(InputError, match=r"of the kind 'tustin-net'; expected .* 'gru'"):
+        tn.export_model(example("gru"), "plain", out, file=model)
     assert not out.exists()
 
 

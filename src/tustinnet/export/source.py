@@ -169,8 +169,16 @@ class Source:
                 f"internal states need {self.model.warm_up} samples: put measured positions and "
                 "velocities into the state before each of the first steps"
             )
+        if (ahead := max(self.seen.offsets)) > 0:
+            notes.append(
+                f"a step takes inputs up to {ahead} samples ahead: it can be made once they are "
+                "known, and an FMU holds the last ones where its importer tells no derivatives"
+            )
         if self.range is None:
-            notes.append("the model does not say where its training records lie")
+            notes.append(
+                "it is not known where its training records lie; in Python file= names the "
+                "model's file, which may say so"
+            )
         return tuple(notes)
 
 
@@ -192,15 +200,24 @@ def source_of(
         InputError: JAX computes in single precision; a model of no sampling period; groups that
             are missing, that the model does not have or whose values it does not know.
     """
+    require_stepping(model)
+    # in double precision, as it is evaluated: folding in single would round once more
+    chosen = with_dtype(_of_groups(model, groups or {}), np.float64)
+    return Source(chosen.folded(), range, about or {})
+
+
+def require_stepping(model: object) -> None:
+    """Raises unless it is a model that steps from sample to sample, in double precision."""
     require_float64("export")
+    if not hasattr(model, "derivative") and not isinstance(model, Model):
+        raise InputError(
+            "export", f"a {type(model).__name__}", "a model", "tn.load_model reads one from a file"
+        )
     if not isinstance(model, Model) or not model.dt > 0:
         raise InputError(
             "export", f"a {type(model).__name__} in continuous time",
             "a model that steps from sample to sample", "make it discrete (discretise)",
         )  # fmt: skip
-    # in double precision, as it is evaluated: folding in single would round once more
-    chosen = with_dtype(_of_groups(model, groups or {}), np.float64)
-    return Source(chosen.folded(), range, about or {})
 
 
 def _of_groups(model: Model, groups: Mapping[str, str]) -> Model:

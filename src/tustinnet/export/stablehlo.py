@@ -24,6 +24,7 @@ class StableHLO(Target):
     """Functions as JAX serializes them, in double precision."""
 
     name = "stablehlo"
+    extra = "stablehlo", ("flatbuffers",)
 
     def files(self, source: Source) -> Files:
         """See `Target.files`."""

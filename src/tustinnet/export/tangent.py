@@ -72,9 +72,11 @@ def point_of(
     inputs = tuple(i.name for i in source.channels.inputs)
     known = (*source.states, *inputs)
     for name, value in named.items():
-        if name not in known or not np.isfinite(value):
+        if name not in known:
             raise InputError(
-                "operating point", f"{name} = {value}", f"finite values of {', '.join(known)}"
+                "operating point", f"no state or input '{name}'", f"some of {', '.join(known)}"
             )
+        if not np.isfinite(value):
+            raise InputError("operating point", f"{name} = {value}", "a finite value")
     x, u = (np.array([named.get(n, 0.0) for n in names]) for names in (source.states, inputs))
     return x, u

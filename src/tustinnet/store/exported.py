@@ -11,12 +11,20 @@ from typing import Any
 from tustinnet.errors import InputError
 from tustinnet.export.check import Checked, checked
 from tustinnet.export.numbers import run
-from tustinnet.export.source import Source, source_of
+from tustinnet.export.source import Source, require_stepping, source_of
 from tustinnet.export.target import Files, Target, Unbuilt
+from tustinnet.families.family import family_of
 from tustinnet.models.contract import Model
 from tustinnet.registry import TARGETS
 from tustinnet.simulate.range import Range
-from tustinnet.store.files import require_new, require_writable_folder, to_json, write_into
+from tustinnet.store.files import (
+    PART,
+    require_new,
+    require_writable_folder,
+    sweep,
+    to_json,
+    write_into,
+)
 from tustinnet.store.model_file import package_versions, read_header
 
 CARD = "card.json"
@@ -61,19 +69,26 @@ def export_model(
         to: a target (`c`, `fmu`, `casadi`, `onnx`, `js`, `stablehlo`, `mat`), several, or `all`;
             by name, or as `targets_of` makes it with an operating point.
         out: the folder; of several targets each gets a folder of its name in it.
-        file: the model's file, which says what the card tells of data and scores.
+        file: the model's file, which says what the card tells of data and scores, and where the
+            training records lie.
         groups: of models with values by group those to take, as `{"payload": "1kg"}`.
         overwrite: whether an export that is there may be replaced.
 
     Raises:
         InputError: a target that is not known or whose packages are missing; a folder that holds
-            something else, or an export that may not be replaced; a model that the target cannot
-            say; a step that differs from the model's. Nothing is written then.
+            something else, or an export that may not be replaced; a file of another kind of model;
+            a model that the target cannot say; a step that differs from the model's. Nothing is
+            written then.
     """
     targets = targets_of(to)
-    for target in targets:
-        target.require_extra()
+    _require_extras(targets)
+    require_stepping(model)
     about = {} if file is None else read_header(file)
+    if file is not None and about["kind"] != family_of(model).kind:
+        raise InputError(
+            file, f"the file of a model of the kind '{about['kind']}'",
+            f"that of the model given, of the kind '{family_of(model).kind}'",
+        )  # fmt: skip
     source = source_of(model, Range.from_header(about, model), groups, about)
     folders = [Path(out) / t.name if len(targets) > 1 else Path(out) for t in targets]
     for folder in folders:
@@ -82,6 +97,25 @@ def export_model(
     for exported, files in made:
         _write_anew(exported.folder, files)
     return [exported for exported, _ in made]
+
+
+def _require_extras(targets: Sequence[Target]) -> None:
+    """Raises for all targets together unless the libraries are here that they need."""
+    lacking = []
+    for target in targets:
+        try:
+            target.require_extra()
+        except InputError as error:
+            lacking.append((target, error))
+    if len(lacking) == 1:
+        raise lacking[0][1]
+    if lacking:
+        names = ", ".join(target.name for target, _ in lacking)
+        extras = ",".join(target.extra[0] for target, _ in lacking if target.extra)
+        raise InputError(
+            "--to", f"packages for {names} are not installed", "them",
+            f"pip install 'tustinnet[{extras}]'",
+        )  # fmt: skip
 
 
 def targets_of(to: To, at: Mapping[str, float] | None = None) -> list[Target]:
@@ -97,6 +131,8 @@ def targets_of(to: To, at: Mapping[str, float] | None = None) -> list[Target]:
     """
     listed = [name.strip() for name in to.split(",")] if isinstance(to, str) else to
     given = [listed] if isinstance(listed, Target) else list(listed)
+    if ALL in given and len(given) > 1:
+        raise InputError("--to", "'all' beside others", "all by itself, or targets by name")
     given = list(TARGETS.names()) if given == [ALL] else given
     found: list[Target] = [g if isinstance(g, Target) else TARGETS[g] for g in given]
     names = [target.name for target in found]
@@ -115,7 +151,8 @@ def targets_of(to: To, at: Mapping[str, float] | None = None) -> list[Target]:
 
 def _require_room(folder: Path, *, overwrite: bool) -> None:
     """Raises unless a folder is empty, or holds an export that may be replaced."""
-    if folder.is_dir() and any(folder.iterdir()) and not _holds_export(folder):
+    entries = folder.iterdir() if folder.is_dir() else ()
+    if any(not e.name.endswith(PART) for e in entries) and not _holds_export(folder):
         raise InputError(
             folder, "a folder that holds something else", "an empty folder", "choose another --out"
         )
@@ -142,12 +179,14 @@ def _made(
             alike = checked(source, target, lambda x, u: run(source.step, x=x, u=u)["x"])
             note = f"not run here: {unbuilt}; what it is written from was compared"
             found = Checked(alike.steps, alike.difference, note)
-    files = {**files, CARD: to_json(_card(source, target, files, found, file))}
-    return Exported(target.name, folder, tuple(files), found, source.notes), files
+    made = Exported(target.name, folder, (*files, CARD), found, source.notes)
+    # first the card: where writing was stopped, it says that the folder is an export's
+    return made, {CARD: to_json(_card(source, target, files, found, file)), **files}
 
 
 def _write_anew(folder: Path, files: Files) -> None:
     require_writable_folder(folder)
+    sweep(folder)
     _discard_earlier(folder, files)
     _write(folder, files)
 
