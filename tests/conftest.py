@@ -14,11 +14,9 @@ os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
 # what tests trust is no business of whoever runs them
 os.environ["TUSTINNET_CONFIG"] = str(Path(__file__).parents[1] / ".pytest_cache/config")
 # compiling is most of the time, running what was compiled is not: with these a quarter of the time
-os.environ["XLA_FLAGS"] = " ".join([
-    os.environ.get("XLA_FLAGS", ""),
-    "--xla_backend_optimization_level=0",
-    "--xla_cpu_use_fusion_emitters=false",
-])  # fmt: skip
+os.environ.setdefault(
+    "XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+)
 
 import jax
 import jaxtyping
