@@ -22,9 +22,9 @@ def calibrate(
 ) -> None:
     """Learn from records that the model was not made from how far its free runs can be trusted."""
     terminal.prepare_jax()
-    from tustinnet.cli.request import alternatives_of, judged_records, model_of
+    from tustinnet.cli.request import judged_records, model_of
     from tustinnet.errors import InputError
-    from tustinnet.evaluate.bands import KEY, calibrated, guesses
+    from tustinnet.evaluate.bands import KEY, alternatives_of, calibrated, guesses
     from tustinnet.store.files import require_new
     from tustinnet.store.kept_system import keep, kept_with, require_room
     from tustinnet.store.model_file import copy_with, read_header, records_in
@@ -34,7 +34,7 @@ def calibrate(
     require_new([out], overwrite=overwrite)
     judged = model_of(model, system)
     header = read_header(model)
-    others = alternatives_of(model, judged, header)
+    others = alternatives_of(judged, header, model)
     records, begin = judged_records(data, card, split, start, [judged])
     made_from = records_in(header)
     if seen := [e.name for e in records if e.sha256 in made_from]:

@@ -13,9 +13,8 @@ if TYPE_CHECKING:
     import numpy as np
 
     from tustinnet.channels import Channels
-    from tustinnet.cli.request import BandAsked
     from tustinnet.data.experiment import Experiment
-    from tustinnet.evaluate.bands import Band
+    from tustinnet.evaluate.bands import Band, BandAsked
     from tustinnet.evaluate.coverage import Covered
     from tustinnet.evaluate.scores import Score
     from tustinnet.report.tables import Table

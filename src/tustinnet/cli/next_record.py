@@ -29,13 +29,14 @@ def next_record(
 ) -> None:
     """Rank proposed records by what they would tell: the first one should be recorded next."""
     terminal.prepare_jax()
-    from tustinnet.cli.request import alternatives_of, model_of
+    from tustinnet.cli.request import model_of
     from tustinnet.data.proposals import read_proposals
+    from tustinnet.evaluate.bands import alternatives_of
     from tustinnet.evaluate.next_record import ranked
     from tustinnet.store.model_file import read_header
 
     judged, header = model_of(model, system), read_header(model)
-    alternatives_of(model, judged, header)  # says at once what knows nothing of its errors
+    alternatives_of(judged, header, model)  # says at once what knows nothing of its errors
     asked = read_proposals(proposals, judged.channels)
     found = ranked(judged, header, asked, horizon=horizon)
     if json:

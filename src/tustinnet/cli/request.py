@@ -1,7 +1,6 @@
 """What the verbs make of their arguments: records, recipes, members."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +11,7 @@ if TYPE_CHECKING:
 
     from tustinnet.data.dataset import DataSet
     from tustinnet.data.experiment import Experiment
-    from tustinnet.evaluate.bands import Band, Of
+    from tustinnet.evaluate.bands import Band, BandAsked
     from tustinnet.evaluate.scores import Score
     from tustinnet.fitting.recipe import Recipe
     from tustinnet.fitting.task import Member, Origin
@@ -180,30 +179,6 @@ def judged_records(
     return records, default_start(records, needing) if start is None else start
 
 
-def alternatives_of(path: Path, model: "Model", header: dict[str, Any]) -> "Sequence[Model]":
-    """Models that the records of a file's model would allow as well.
-
-    Args:
-        path: the file.
-        model: its model.
-        header: its header.
-
-    Raises:
-        InputError: a model that does not know its own errors.
-    """
-    from tustinnet.errors import InputError
-    from tustinnet.families.family import family_of
-
-    found = family_of(model).alternatives(model, header)
-    if not found:
-        raise InputError(
-            path, "a model without members or errors of its parameters: nothing says how sure it "
-            "is", "a committee, or an identified system",
-            "put several seeds or folds together (tustinnet committee)",
-        )  # fmt: skip
-    return found
-
-
 def bands_of(
     path: Path, model: "Model", records: "Sequence[Experiment]", scores: "Sequence[Score]",
     asked: "BandAsked",
@@ -220,40 +195,23 @@ def bands_of(
     Raises:
         InputError: a model that was not calibrated, or from another start or horizon.
     """
-    from tustinnet.evaluate.bands import Calibration, band_of, guesses
+    from tustinnet.evaluate.bands import Calibration, alternatives_of, bands_around
     from tustinnet.store.model_file import read_header
 
     header = read_header(path)
-    others = alternatives_of(path, model, header)
+    others = alternatives_of(model, header, path)
     calibration = Calibration.from_header(header, path)
-    start, horizon = scores[0].start, scores[0].horizon
-    calibration.require(asked.level, start, horizon)
-    own = [score.simulated for score in scores]
-    made = guesses(model, others, records, start, horizon=horizon, own=own)
-    return [band_of(calibration, guess, asked.level, asked.of) for guess in made]
+    return bands_around(calibration, asked, model, others, records, scores)
 
 
-@dataclass(frozen=True)
-class BandAsked:
-    """The bands that options ask for.
-
-    Attributes:
-        level: the share that is to lie inside.
-        of: of what: `time` or `record`.
-    """
-
-    level: float
-    of: "Of"
-
-
-def band_asked(level: float | None, *, whole: bool) -> BandAsked | None:
+def band_asked(level: float | None, *, whole: bool) -> "BandAsked | None":
     """What `--band` and `--whole-records` ask for.
 
     Raises:
         InputError: no share; whole records without a band.
     """
     from tustinnet.errors import InputError
-    from tustinnet.evaluate.bands import require_share
+    from tustinnet.evaluate.bands import BandAsked, require_share
 
     if level is None:
         if whole:

@@ -15,7 +15,8 @@ from jaxtyping import Bool, Float
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
-from tustinnet.evaluate.scores import free_run
+from tustinnet.evaluate.scores import Score, free_run
+from tustinnet.families.family import family_of
 from tustinnet.models.contract import Model
 from tustinnet.signals.transients import rest_thresholds, settling_index
 from tustinnet.simulate.starts import start_named
@@ -83,6 +84,19 @@ class Part:
         """Times of the spread that hold a share of the time, or as much as is known."""
         place = math.ceil(level * (len(_GRID) + 1) - _ROUNDING) - 1
         return self.factors[min(place, len(self.factors) - 1)]
+
+
+@dataclass(frozen=True)
+class BandAsked:
+    """Which band.
+
+    Attributes:
+        level: the share that is to lie inside.
+        of: of what: `time` or `record`.
+    """
+
+    level: float
+    of: Of = "time"
 
 
 @dataclass(frozen=True)
@@ -212,6 +226,56 @@ def band_of(of: Calibration, guess: Guess, level: float, share: Of = "time") -> 
     half = of.half(guess, level, share)
     low, high = guess.simulated - half, guess.simulated + half
     return Band(level, share, low, high, guess, of)
+
+
+def alternatives_of(model: Model, header: Mapping[str, Any], where: object) -> Sequence[Model]:
+    """Models that the records of a model would allow as well.
+
+    Args:
+        model: the model.
+        header: what its file says.
+        where: what errors name.
+
+    Raises:
+        InputError: a model that does not know its own errors.
+    """
+    found = family_of(model).alternatives(model, dict(header))
+    if not found:
+        raise InputError(
+            where, "a model without members or errors of its parameters: nothing says how sure it "
+            "is", "a committee, or an identified system",
+            "put several seeds or folds together (tustinnet committee)",
+        )  # fmt: skip
+    return found
+
+
+def bands_around(
+    calibration: Calibration,
+    asked: BandAsked,
+    model: Model,
+    alternatives: Sequence[Model],
+    experiments: Sequence[Experiment],
+    scores: Sequence[Score],
+) -> list[Band]:
+    """The bands around free runs that are known.
+
+    Args:
+        calibration: what bands are made of.
+        asked: which ones.
+        model: the model.
+        alternatives: see `alternatives_of`.
+        experiments: the records.
+        scores: their free runs.
+
+    Raises:
+        InputError: a level for which there are too few calibration records, another start or
+            horizon than those calibrated.
+    """
+    start, horizon = scores[0].start, scores[0].horizon
+    calibration.require(asked.level, start, horizon)
+    own = [score.simulated for score in scores]
+    made = guesses(model, alternatives, experiments, start, horizon=horizon, own=own)
+    return [band_of(calibration, guess, asked.level, asked.of) for guess in made]
 
 
 def guesses(

@@ -14,9 +14,8 @@ from jaxtyping import Float
 from tustinnet.data.experiment import LARGEST, Experiment
 from tustinnet.data.proposals import Proposal
 from tustinnet.errors import InputError
-from tustinnet.evaluate.bands import guesses
+from tustinnet.evaluate.bands import alternatives_of, guesses
 from tustinnet.evaluate.scores import simulated
-from tustinnet.families.family import family_of
 from tustinnet.fitting.shooting.information import information, space_of
 from tustinnet.models.contract import Model, require_float64, with_dtype
 from tustinnet.models.integrate import Discretised
@@ -189,13 +188,7 @@ def _differing(
     model: Model, header: Mapping[str, Any], records: Sequence[Experiment], horizon: float | None
 ) -> list[Promise]:
     """How much the members' free runs differ."""
-    others = family_of(model).alternatives(model, dict(header))
-    if not others:
-        raise InputError(
-            "next-record", "a model without members or errors of its parameters",
-            "a committee, or an identified system", "put several seeds or folds together "
-            "(tustinnet committee)",
-        )  # fmt: skip
+    others = alternatives_of(model, header, "next-record")
     found = []
     for guess in guesses(model, others, records, "file", horizon=horizon) if records else ():
         each = np.sqrt(np.mean(guess.spread**2, axis=0))

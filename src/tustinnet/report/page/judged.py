@@ -10,11 +10,10 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.evaluate.ahead import rmse_ahead
 from tustinnet.evaluate.bands import KEY as BANDS
-from tustinnet.evaluate.bands import Band, Calibration, band_of, guesses
+from tustinnet.evaluate.bands import Band, BandAsked, Calibration, alternatives_of, bands_around
 from tustinnet.evaluate.energy import energy_along
 from tustinnet.evaluate.residuals import ResidualReport, residual_reports
 from tustinnet.evaluate.scores import Score, evaluate
-from tustinnet.families.family import family_of
 from tustinnet.report.page.subject import Subject
 from tustinnet.simulate.range import Left, Range
 from tustinnet.simulate.starts import start_named
@@ -99,13 +98,9 @@ def _bands(subject: Subject, records: Sequence[Experiment], scores: Sequence[Sco
     if BANDS not in subject.header:
         return []
     calibration = Calibration.from_header(subject.header, subject.label)
-    level = min(_LEVEL, calibration.most)
-    start, horizon = scores[0].start, scores[0].horizon
-    calibration.require(level, start, horizon)
-    others = family_of(subject.model).alternatives(subject.model, dict(subject.header))
-    own = [score.simulated for score in scores]
-    made = guesses(subject.model, others, records, start, horizon=horizon, own=own)
-    return [band_of(calibration, guess, level) for guess in made]
+    asked = BandAsked(min(_LEVEL, calibration.most))
+    others = alternatives_of(subject.model, subject.header, subject.label)
+    return bands_around(calibration, asked, subject.model, others, records, scores)
 
 
 def _energies(
