@@ -9,12 +9,13 @@ SEED ?= 0
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo reproduce test test-browser check torture bench clean
+.PHONY: help install demo reproduce docs test test-browser check torture bench clean
 
 help:
 	@echo "make install     the package and its command in .venv"
 	@echo "make demo        the whole job on a simulated twin, offline, less than 4 minutes (DEMO=$(DEMO))"
 	@echo "make reproduce   the paper's results (DATA=FOLDER OUT=$(OUT) SEEDS=$(SEEDS))"
+	@echo "make docs        the documentation as pages, its tutorials run (results/docs/site/index.html)"
 	@echo "make bench       speed against PyTorch, plain JAX and scipy (DATA=FOLDER; 'bench' extra)"
 	@echo "make test        linter, type checker, layers, tests"
 	@echo "make test-browser  the report in Chromium, which has to be installed ('browser' extra)"
@@ -27,6 +28,9 @@ demo: .venv/installed
 
 reproduce: .venv/installed
 	$(BIN)/tustinnet reproduce --data $(DATA) --out $(OUT) --seeds $(SEEDS)
+
+docs: .venv/installed-docs
+	$(BIN)/python docs/make.py
 
 # linter, types and layers run beside the tests, and say something only where they fail
 test: .venv/installed-dev
@@ -44,7 +48,7 @@ check: .venv/installed-dev
 	$(BIN)/basedpyright
 	$(BIN)/lint-imports
 
-# stops by itself; results/torture.json has what was found, docs/reliability.md says what is tried
+# stops by itself; results/torture.json has what was found, docs/explanation/reliability.md says what is tried
 torture: .venv/installed-dev
 	$(BIN)/python -m tests.torture --minutes $(MINUTES) --seed $(SEED)
 
@@ -68,6 +72,10 @@ bench: .venv/installed-bench
 
 .venv/installed-dev: .venv/installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+.venv/installed-docs: .venv/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
 	@touch $@
 
 clean:

@@ -1,8 +1,8 @@
 """EMPS with friction that depends on the direction of travel.
 
 As emps.py, but friction at speed, viscous and quadratic, differs between the two directions: that
-is most of what a single coefficient and a constant force leave (docs/accuracy.md). Use it with the
-card emps_cut.toml:
+is most of what a single coefficient and a constant force leave (docs/explanation/accuracy.md). Use
+it with the card emps_cut.toml:
 
     tustinnet fit FOLDER --card examples/emps_cut.toml \
         --system examples/emps_directions.py --out my-emps

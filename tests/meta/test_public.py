@@ -55,7 +55,7 @@ def test_the_readmes_card_is_valid():
     from tustinnet.data.card import Card
     from tustinnet.data.declaration import declare
 
-    for page in ("README.md", "docs/data.md"):
+    for page in ("README.md", "docs/reference/data.md"):
         text = (ROOT / page).read_text(encoding="utf-8")
         cards = [
             c for c in re.findall(r"```toml\n(.*?)```", text, flags=re.S) if "coordinates" in c
@@ -107,7 +107,7 @@ def test_other_measured_systems_load_with_the_example_cards(real_data, card, fil
 
 
 def test_links_in_the_pages_lead_somewhere():
-    for page in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]:
+    for page in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]:
         for target in re.findall(r"\]\(([^)]+)\)", page.read_text(encoding="utf-8")):
             if "://" not in target:
                 file, _, heading = target.partition("#")

@@ -1,4 +1,7 @@
-"""A campaign of kills, damaged inputs, faults and load: `make torture`, docs/reliability.md."""
+"""A campaign of kills, damaged inputs, faults and load: `make torture`.
+
+docs/explanation/reliability.md says what is tried.
+"""
 
 import os
 import sys

@@ -112,7 +112,7 @@ def locate(data: str | Path, card: str | Path | None = None) -> tuple[Path, Card
         path,
         f"no {CARD_NAME} and no data set of the catalog in this folder",
         "a data card that says what the columns mean",
-        "write one (docs/data.md shows how) or give --card FILE",
+        "write one (docs/reference/data.md shows how) or give --card FILE",
     )
 
 

@@ -21,7 +21,7 @@ from tustinnet.registry import SYSTEMS
 ATTRIBUTE = "SYSTEM"  # what a system file calls its system
 _FUNCTIONS = ("kinetic", "potential", "dissipation", "input_map")
 _LONGEST_CHAIN = 20  # of errors; they may be causes of one another
-_REMEDY = "docs/systems.md shows a whole file"
+_REMEDY = "docs/reference/systems.md shows a whole file"
 
 
 @dataclass(frozen=True)

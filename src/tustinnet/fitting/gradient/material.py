@@ -226,6 +226,6 @@ def window_account(experiments: Sequence[Experiment], recipe: WindowRecipe) -> s
     if of.fast:
         account += (
             f"; {of.period:.0f} samples a period are few: see `velocity` and `linear` in "
-            "docs/training.md"
+            "docs/reference/training.md"
         )
     return account

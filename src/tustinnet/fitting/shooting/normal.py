@@ -2,7 +2,8 @@
 
 This is the package's second loop over time. It carries the derivatives by all parameters along,
 adds up their products sample by sample, so that no derivative is kept, and takes as many steps as
-it is told, which `simulate.rollout` does not; docs/identification.md has what that is worth.
+it is told, which `simulate.rollout` does not; docs/explanation/identification.md has what that is
+worth.
 """
 
 from collections.abc import Callable
