@@ -2,8 +2,10 @@
 
 import io
 import math
+import time
 from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
 from rich.console import Console
@@ -12,7 +14,7 @@ from swinging import SWING, data_set, records
 import tustinnet as tn
 from tustinnet.evaluate.scores import Score
 from tustinnet.fitting.gradient.plan import plan
-from tustinnet.fitting.listener import EpochReport, Iteration
+from tustinnet.fitting.listener import EpochReport, Iteration, Listener
 from tustinnet.fitting.task import Member, make_task
 from tustinnet.report.figures import (
     ahead_figure,
@@ -21,7 +23,7 @@ from tustinnet.report.figures import (
     training_figure,
     write_figure,
 )
-from tustinnet.report.progress import FitProgress, TimeLeft
+from tustinnet.report.progress import FitProgress, duration
 from tustinnet.report.tables import Table, number, numbers
 
 
@@ -111,15 +113,38 @@ def test_progress_shows_loss_validation_rate_and_time_left(pendulum, small_recip
         for word in ("9/9", "loss 0.4", "rmse 0.200", "rate 5.0e-04", "back to the last good"):
             assert word in text, text
         assert ("\x1b[" in text) is terminal
-        assert "left" not in text  # one call tells nothing of how long the others take
+        assert "left" not in text  # all is done
+        assert ("compiling, 0 s" in text) is terminal
 
 
-def test_time_left_is_told_when_two_calls_have_ended():
-    left = TimeLeft(100)
-    for call, now in enumerate((10.0, 12.0)):
-        assert [left(5 * call + k, now + 1e-4 * k) for k in range(1, 6)] == [""] * 5
-    assert left(11, 14.0) == ", 36 s left"
-    assert left(100, 20.0) == ""
+def test_time_left_is_told_from_the_first_epoch_with_what_later_stages_need_to_compile(
+    pendulum, small_recipe
+):
+    prepared = plan(make_task(pendulum, small_recipe))
+    first, second = prepared.stages
+    works = [s.windows.rows.shape[1] * s.windows.length for s in prepared.stages]
+    out = io.StringIO()
+    console = Console(file=out, force_terminal=True, width=160)
+    with FitProgress(console) as progress:
+        told = progress.follow(prepared).epoch
+        told(EpochReport("first", 1, 0.5, 0.2, 1e-3, 0.2, seconds=2.0, compiling=7.0))
+    rest = 2.0 * (first.recipe.epochs - 1 + second.recipe.epochs * works[1] / works[0])
+    assert f", {rest + 7:.0f} s left" in out.getvalue()
+
+
+def test_durations_are_told_in_units_of_their_size():
+    assert [duration(s) for s in (7.4, 99, 150, 9000)] == ["7 s", "99 s", "2 min", "2.5 h"]
+
+
+def test_a_training_tells_how_long_epochs_take_apart_from_compiling(pendulum, small_recipe):
+    reports = []
+    begun = time.perf_counter()
+    jax.clear_caches()
+    tn.fit(pendulum, small_recipe, listener=Listener(epoch=reports.append))
+    spent = time.perf_counter() - begun
+    assert all(r.seconds > 0 for r in reports)
+    compiled = sum(r.compiling for r in reports if r.epoch == 1)
+    assert 0 < compiled < compiled + sum(r.seconds for r in reports) < spent
 
 
 def test_progress_shows_three_digits_of_small_motion(pendulum, small_recipe):

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from tustinnet.cli import options, terminal
+from tustinnet.cli import completion, options, terminal
 
 
 def cross_validate(
@@ -18,6 +18,7 @@ def cross_validate(
         str | None,
         typer.Option(
             metavar="RECIPE",
+            autocompletion=completion.recipe,
             help="How the physics that a network corrects is identified in every fold. Default: "
             "best-grey.",
         ),
@@ -26,7 +27,11 @@ def cross_validate(
     seeds: options.Seeds = None,
     start: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="Start of the free runs; may be repeated."),
+        typer.Option(
+            metavar="NAME",
+            autocompletion=completion.start,
+            help="Start of the free runs; may be repeated.",
+        ),
     ] = None,
     card: options.Card = None,
     strict: options.Strict = False,

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from tustinnet.cli import options, terminal
+from tustinnet.cli import completion, options, terminal
 
 
 def export(
@@ -14,6 +14,7 @@ def export(
         str,
         typer.Option(
             metavar="TARGET,..",
+            autocompletion=completion.target,
             help="c, fmu, casadi, onnx, js, stablehlo or mat; several, separated by commas, or "
             "all: each in a folder of its own.",
         ),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tustinnet.cli import options, terminal
+from tustinnet.cli import completion, options, terminal
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -32,6 +32,7 @@ def fit(
         str | None,
         typer.Option(
             metavar="NAME|FILE",
+            autocompletion=completion.plan,
             help="Without a recipe: which candidates are tried, a TOML file. Default: usual.",
         ),
     ] = None,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tustinnet.cli import options, terminal
+from tustinnet.cli import completion, options, terminal
 
 if TYPE_CHECKING:
     from tustinnet.evaluate.folds import Question
@@ -19,17 +19,13 @@ class Values(StrEnum):
     nominal = "nominal"
 
 
-Network = Annotated[
-    str | None, typer.Option(metavar="NAME|FILE", help="The network. Default: standard.")
-]
-Physics = Annotated[
-    str | None,
-    typer.Option(metavar="RECIPE", help="With a system: its recipe. Default: best-grey."),
-]
-Hybrid = Annotated[
-    str | None,
-    typer.Option(metavar="RECIPE", help="With a system: what corrects it. Default: hybrid."),
-]
+def _recipe(help: str) -> Any:
+    return typer.Option(metavar="NAME|FILE", autocompletion=completion.recipe, help=help)
+
+
+Network = Annotated[str | None, _recipe("The network. Default: standard.")]
+Physics = Annotated[str | None, _recipe("With a system: its recipe. Default: best-grey.")]
+Hybrid = Annotated[str | None, _recipe("With a system: what corrects it. Default: hybrid.")]
 Twin = Annotated[
     Values | None,
     typer.Option(

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from tustinnet.cli import terminal
+from tustinnet.cli import about, terminal
 from tustinnet.cli.calibrate import calibrate
 from tustinnet.cli.committee import committee
 from tustinnet.cli.compare import compare
@@ -26,8 +26,6 @@ from tustinnet.errors import InputError
 
 app = typer.Typer(
     name="tustinnet",
-    no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # loading rich would double the time that --help takes
 )
@@ -39,24 +37,26 @@ for verb in _VERBS:
     app.command()(terminal.interruptible()(verb))
 
 
-def _version(asked: bool) -> None:
-    if asked:
-        from importlib.metadata import version
-
-        typer.echo(f"tustinnet {version('tustinnet')}")
-        raise typer.Exit
-
-
-@app.callback()
+@app.callback(invoke_without_command=True)
 def tustinnet(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", help="With --version: of all that computes, and devices.")
     ] = False,
 ) -> None:
     """From logs of a mechanical system to a model that simulates it.
 
     Exit codes: 0 done, 1 failed (one line says why), 2 wrong usage.
     """
+    if verbose and not version:
+        raise InputError("--verbose", "means nothing by itself", "--version --verbose")
+    if version:
+        for line in about.versions() if verbose else (about.version(),):
+            typer.echo(line)
+        raise typer.Exit
+    if context.invoked_subcommand is None:
+        typer.echo(about.STEPS, nl=False)
 
 
 def run(arguments: list[str] | None = None) -> None:

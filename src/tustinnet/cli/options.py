@@ -6,6 +6,8 @@ from typing import Annotated
 
 import typer
 
+from tustinnet.cli import completion
+
 
 class Hardware(StrEnum):
     """What computes."""
@@ -35,6 +37,7 @@ System = Annotated[
     str | None,
     typer.Option(
         metavar="NAME|FILE.py",
+        autocompletion=completion.system,
         help="Physical system: qube-servo2, qube-servo2-naive, qube-servo2-memory, "
         "qube-servo2-rubbing, duffing, or a Python file with SYSTEM (it is run).",
     ),
@@ -43,6 +46,7 @@ Recipe = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
+        autocompletion=completion.recipe,
         help="A packaged recipe, or a TOML file; its [model] kind says what is fitted. Default: "
         "standard, with --system grey, with --physics best-hybrid.",
     ),
@@ -59,12 +63,18 @@ Set = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")]
 Split = Annotated[
-    str | None, typer.Option(metavar="NAME", help="train, validation or test; all by default.")
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        autocompletion=completion.split,
+        help="train, validation or test; all by default.",
+    ),
 ]
 Start = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
+        autocompletion=completion.start,
         help="Start of the free runs: file (first row as stored), derived-6 (parabola through "
         "6 samples), model-20 (from which the model explains 20 samples best) or warm-up-20 "
         "(internal states follow 20 samples). Default: a warm-up where the model needs one, else "

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tustinnet.cli import options, terminal
+from tustinnet.cli import completion, options, terminal
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,6 +35,7 @@ def report(
         list[str] | None,
         typer.Option(
             metavar="NAME|FILE.py",
+            autocompletion=completion.system,
             help="System that models are of, found by name and by what it computes, or whose links "
             "draw the mechanism; may be repeated.",
         ),

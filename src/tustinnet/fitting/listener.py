@@ -18,6 +18,8 @@ class EpochReport:
         best: the lowest figure of the stage so far.
         event: a sentence when something happened, else empty.
         member: which of those that train together.
+        seconds: what an epoch of all members took in this compiled call, without compiling.
+        compiling: seconds until the call began to compute.
     """
 
     stage: str
@@ -28,6 +30,8 @@ class EpochReport:
     best: float
     event: str = ""
     member: int = 0
+    seconds: float = 0.0
+    compiling: float = 0.0
 
 
 @dataclass(frozen=True)

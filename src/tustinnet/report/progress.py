@@ -7,7 +7,9 @@ from types import TracebackType
 from typing import Self
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn
+from rich.progress import Task as Bar
+from rich.text import Text
 
 from tustinnet.fitting.gradient.plan import Plan
 from tustinnet.fitting.listener import EpochReport, Iteration, Listener
@@ -16,7 +18,7 @@ from tustinnet.report.tables import number
 
 _WIDE = 110  # columns of a terminal that leave room for a longer bar
 _LINE_EVERY = 15.0  # seconds between two lines where there is no terminal
-_APART = 0.01  # seconds; epochs of one compiled call are reported closer together
+_COMPILING = "compiling"
 
 
 class FitProgress(AbstractContextManager["FitProgress"]):
@@ -37,7 +39,7 @@ class FitProgress(AbstractContextManager["FitProgress"]):
             self._bars = Progress(
                 TextColumn("{task.description}"),
                 BarColumn(bar_width=20 if console.width >= _WIDE else 4),
-                TextColumn("{task.fields[figures]}"),
+                _Figures(),
                 console=console,
             )
 
@@ -66,13 +68,22 @@ class FitProgress(AbstractContextManager["FitProgress"]):
         return Listener(iteration=_Identification(self._console, self._bars, name, self._quiet))
 
 
+class _Figures(ProgressColumn):
+    """What is known of a fit; while nothing is, and where no end is known, for how long it runs."""
+
+    def render(self, task: Bar) -> Text:
+        figures = task.fields["figures"]
+        timed = figures == _COMPILING or task.total is None
+        return Text(f"{figures}, {task.elapsed or 0:.0f} s" if timed else figures)
+
+
 class _Identification:
     """A line that changes on a terminal, a line a stage elsewhere."""
 
     def __init__(self, console: Console, bars: Progress | None, label: str, quiet: bool) -> None:
         self._console, self._bars, self._label, self._quiet = console, bars, label, quiet
         self._stage = ""
-        self._task = bars.add_task(label, total=None, figures="compiling") if bars else None
+        self._task = bars.add_task(label, total=None, figures=_COMPILING) if bars else None
 
     def __call__(self, iteration: Iteration) -> None:
         told = f"{iteration.stage}, iteration {iteration.number}, cost {iteration.cost:.4g}"
@@ -108,10 +119,10 @@ class _Trainings:
         self._more = f" and {len(self._names) - 1} more" if len(self._names) > 1 else ""
         self._name = self._names[0] + self._more
         self._task = (
-            bars.add_task(self._name, total=self._total, figures="compiling") if bars else None
+            bars.add_task(self._name, total=self._total, figures=_COMPILING) if bars else None
         )
         self._last = time.monotonic()
-        self._left = TimeLeft(self._total)
+        self._compiling = 0.0  # seconds, of the last stage that was compiled
         self._scale = max(float(e.q.std(axis=0).max()) for e in plan.task.folds[0].roles.train)
         self._reached = [0] * len(self._names)
         self._lowest = [math.inf] * len(self._names)
@@ -124,7 +135,7 @@ class _Trainings:
         self._lowest[m] = report.best
         done = min(self._reached)
         now = time.monotonic()
-        left = self._left(done, now)
+        left = self._left(report, done)
         epoch = self._epochs_before[stage] + report.epoch
         # three digits of what is a tenth of the motion
         rmse, lowest = (
@@ -146,33 +157,20 @@ class _Trainings:
             highlight=False, soft_wrap=True,
         )  # fmt: skip
 
-
-class TimeLeft:
-    """How long it will take, as far as it is known.
-
-    A compiled call does several epochs and compiles when it is the first: what it took tells only
-    when two calls have ended, and nothing is said before.
-
-    Args:
-        total: work to do.
-    """
-
-    def __init__(self, total: int) -> None:
-        self._total = total
-        self._heard, self._done = -math.inf, 0
-        self._first: tuple[float, int] | None = None  # when the first call ended, and its work
-        self._ended = self._rate = 0.0
-
-    def __call__(self, done: int, now: float) -> str:
-        """What to say once so much is done."""
-        if now - self._heard > _APART:
-            if self._first is None and self._done:
-                self._first = self._ended, self._done
-            elif self._first is not None and self._ended > self._first[0]:
-                self._rate = (self._done - self._first[1]) / (self._ended - self._first[0])
-            self._ended = now
-        self._heard, self._done = now, done
-        if not self._rate > 0 or done >= self._total:
+    def _left(self, report: EpochReport, done: int) -> str:
+        """How long it will take at the pace of this call, stages to come compiled like the last."""
+        self._compiling = report.compiling or self._compiling
+        if done >= self._total or not report.seconds:
             return ""
-        left = (self._total - done) / self._rate
-        return f", {left:.0f} s left" if left < 100 else f", {left / 60:.0f} min left"
+        to_come = sum(before > self._before[report.stage] for before in self._before.values())
+        left = (self._total - done) / self._work[report.stage] * report.seconds
+        return f", {duration(left + to_come * self._compiling)} left"
+
+
+def duration(seconds: float) -> str:
+    """Seconds as a person says them, to two digits or so."""
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    if seconds < 6000:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h"

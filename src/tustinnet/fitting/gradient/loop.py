@@ -7,6 +7,7 @@ from dataclasses import replace
 import jax
 import numpy as np
 
+from tustinnet.fitting.gradient.compiling import last_compiled
 from tustinnet.fitting.gradient.epoch import ROLLBACK_FACTOR, ROLLBACKS, compiled_epochs
 from tustinnet.fitting.gradient.plan import Plan
 from tustinnet.fitting.gradient.state import (
@@ -79,8 +80,11 @@ def _run_stage(
         begun = time.perf_counter()
         state, told = run(state)
         told = jax.tree.map(np.asarray, told)
-        spent = (time.perf_counter() - begun) / sum(not p.outcome for p in progress)
-        reports = [r for m in range(len(progress)) for r in _reports(stage, told, m)]
+        ended = time.perf_counter()
+        spent = (ended - begun) / sum(not p.outcome for p in progress)
+        computing = max(begun, last_compiled())
+        pace = (ended - computing) / len(told.epoch), computing - begun
+        reports = [r for m in range(len(progress)) for r in _reports(stage, told, m, pace)]
         progress = _went_on(index, state, progress, reports, spent)
         # epoch by epoch, members side by side, as they happened
         for report in sorted(reports, key=lambda r: r.epoch):
@@ -122,8 +126,10 @@ def _is_due(stage: Stage, progress: Progress) -> bool:
     return not progress.outcome and progress.epoch < stage.recipe.epochs and not stalled
 
 
-def _reports(stage: Stage, told: EpochFigures, member: int) -> list[EpochReport]:
-    """The epochs that a member did in a compiled call."""
+def _reports(
+    stage: Stage, told: EpochFigures, member: int, pace: tuple[float, float]
+) -> list[EpochReport]:
+    """The epochs that a member did in a compiled call of such seconds an epoch, and before them."""
     figures = [
         EpochFigures(*(field[turn, member] for field in told)) for turn in range(len(told.epoch))
     ]
@@ -137,6 +143,8 @@ def _reports(stage: Stage, told: EpochFigures, member: int) -> list[EpochReport]
             best=float(f.best),
             event=_note(stage, f) if f.finite else _event(stage, f),
             member=member,
+            seconds=pace[0],
+            compiling=pace[1],
         )
         for f in figures
         if f.active
