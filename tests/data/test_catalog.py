@@ -135,7 +135,8 @@ def test_a_folder_of_a_published_data_set_needs_no_card(
 
 
 def test_a_folder_without_a_card_is_refused_with_what_to_do(tmp_path: Path) -> None:
-    with pytest.raises(tn.InputError, match=r"no dataset\.toml.*docs/data\.md.*--card FILE"):
+    told = r"no dataset\.toml.*docs/reference/data\.md.*--card FILE"
+    with pytest.raises(tn.InputError, match=told):
         tn.load(tmp_path)
 
 

@@ -11,7 +11,10 @@ from tustinnet.cli import completion, options, terminal
 def cross_validate(
     data: options.Data,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where folds.json goes.")],
-    recipe: options.Recipe = None,
+    recipe: Annotated[
+        str | None,
+        options.recipe("standard, with --system grey, with --physics best-hybrid"),
+    ] = None,
     changes: options.Set = None,
     system: options.System = None,
     physics: Annotated[

@@ -22,7 +22,12 @@ if TYPE_CHECKING:
 def fit(
     data: options.Data,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the run is kept.")],
-    recipe: options.Recipe = None,
+    recipe: Annotated[
+        str | None,
+        options.recipe(
+            "several are tried (--plan); with --physics best-hybrid, with --from the model's own"
+        ),
+    ] = None,
     changes: options.Set = None,
     seeds: options.Seeds = None,
     physics: options.Physics = None,

@@ -2,7 +2,7 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -42,15 +42,16 @@ System = Annotated[
         "qube-servo2-rubbing, duffing, or a Python file with SYSTEM (it is run).",
     ),
 ]
-Recipe = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME",
-        autocompletion=completion.recipe,
-        help="A packaged recipe, or a TOML file; its [model] kind says what is fitted. Default: "
-        "standard, with --system grey, with --physics best-hybrid.",
-    ),
-]
+_RECIPE = "A packaged recipe, or a TOML file; its [model] kind says what is fitted. Default: "
+
+
+def recipe(default: str) -> Any:
+    """The option of a recipe, with what is taken where it is left out."""
+    return typer.Option(
+        metavar="NAME|FILE", autocompletion=completion.recipe, help=f"{_RECIPE}{default}."
+    )
+
+
 Set = Annotated[
     list[str] | None,
     typer.Option(
