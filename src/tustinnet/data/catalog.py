@@ -84,7 +84,7 @@ def load(data: str | Path, card: str | Path | None = None) -> DataSet:
         card: a data card for the folder `data`, where it has none of its own.
 
     Raises:
-        InputError: nothing usable there; the message says what was looked for.
+        InputError: no data set there; the message says what was looked for.
     """
     folder, declared = locate(data, card)
     return load_folder(folder, declared)

@@ -139,7 +139,10 @@ def from_arrays(
         dt: sampling period [s].
         coordinates: the columns of `q`, as `Coordinate`s or as `{name: "angular" or "linear"}`.
         inputs: the columns of `u`, as `Input`s or, under a zero-order hold, as `{name: unit}`.
-        record: `t`, `v`, `v_measured`, `name`, `split` and `groups`, see `RecordFields`.
+        record: further fields of the record by keyword. `t`: timestamps [s], multiples of `dt` by
+            default. `v`: velocities, shaped like `q`. `v_measured`: whether a sensor measured them,
+            by default yes. `name`, by default `experiment`. `split`: `train`, `validation`, `test`
+            or None. `groups`: what the record was made with, as `{"payload": "1kg"}`.
 
     Raises:
         InputError: shapes that do not fit, numbers that are not finite, timestamps whose median

@@ -253,19 +253,19 @@ class Experiment(HasChannels):
 
     @property
     def held_inputs(self) -> Float[np.ndarray, "steps n_u"]:
-        """What acts on the system from each sample to the next, on the mean, (n - 1, n_u)."""
+        """Mean of the inputs between each sample and the next, (n - 1, n_u)."""
         return self.excitation().mean
 
     def excitation(self, inputs: Sequence[Input] | None = None) -> Excitation:
-        """The inputs at the samples and between them.
+        """The inputs as a function of time: at the samples and between them.
 
         Args:
-            inputs: those of the model that they drive. Its delays count, and its holds where the
-                record says none; by default the record's own.
+            inputs: the inputs of the model to be simulated. Its delays are used, and its holds
+                where the record says none. By default the record's own.
 
         Raises:
-            InputError: an input whose hold nobody says; a record too short to interpolate a
-                band-limited input, or shorter than a delay.
+            InputError: an input whose hold or delay is unknown; a record too short to interpolate
+                a band-limited input, or shorter than a delay.
         """
         said = self.inputs if inputs is None else acting(self.inputs, inputs)
         self._require_holds(said, _SIMULATING)
@@ -284,7 +284,7 @@ class Experiment(HasChannels):
         return excitation(self.u, holds, delays)
 
     def driving(self, inputs: Sequence[Input]) -> "Experiment":
-        """The record with the holds and delays of the inputs that a model has."""
+        """The same record with the holds and delays of a model's inputs."""
         said = acting(self.inputs, inputs)
         return replace(self, channels=replace(self.channels, inputs=said))
 

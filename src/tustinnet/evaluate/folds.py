@@ -186,7 +186,7 @@ def make_question(
     seeds: Sequence[int] | None = None,
     starts: Sequence[str] = (),
 ) -> Question:
-    """What a cross-validation is asked, checked.
+    """What `cross_validate` is to do, checked.
 
     Args:
         recipe: what is fitted.
@@ -194,10 +194,13 @@ def make_question(
         physics: the recipe that identifies what a network corrects; `best-grey` by default.
         folds: how many.
         seeds: those of every fold; 0 by default.
-        starts: where free runs start, see `Question`.
+        starts: where free runs start; by default the usual start, and `model-20`.
+
+    Returns:
+        The question that `cross_validate` takes.
 
     Raises:
-        InputError: something is given that the recipe has no use for, or something is missing.
+        InputError: an argument that means nothing to the recipe, or one that it needs is missing.
     """
     chosen = read_recipe(recipe)
     family = chosen.family
@@ -245,8 +248,11 @@ def cross_validate(data: DataSet, asked: Question, tell: Tell = lambda task: SIL
     Args:
         data: the records; the folds do not respect splits, but `test` stays out.
         asked: what to fit, how often.
-        tell: given the plan of trainings that run together, or the task of an identification,
-            returns who is told while it goes on.
+        tell: given what is fitted together, the plan of trainings or the task of an
+            identification, returns a `Listener`. By default nobody is told.
+
+    Returns:
+        The score of every record for every seed; `summary` has means and standard errors.
 
     Raises:
         InputError: too few records; see also `fit`.

@@ -37,8 +37,9 @@ def casadi_step(model: Model) -> "Function":
         model: a model that steps from sample to sample.
 
     Returns:
-        The function: x, (n_x,), and u, (n_u,), to x_next, (n_x,). Where a step depends on inputs at
-        several samples, u has those of all: at the sample itself, after it, before it.
+        A function of `x`, (n_x,), and `u`, (n_u,), that gives `x_next`, (n_x,). Where a step
+        depends on inputs at several samples, `u` has all of them: at the sample itself, after it,
+        before it.
 
     Raises:
         InputError: CasADi is not installed, or the model uses what no target can say.

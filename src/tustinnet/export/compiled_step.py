@@ -14,16 +14,17 @@ Vector = Float[np.ndarray, " _"]
 def compiled_step(model: Model) -> Callable[[Vector, Vector], Vector]:
     """A function that steps a model, compiled before it returns; NumPy in and out.
 
-    Of a Tustin-Net `numpy_step` is as fast and needs no JAX. JAX usually computes beside the
-    program that calls it, which costs a control loop more than the step itself (28 us instead
-    of 10): start the program with `JAX_CPU_ENABLE_ASYNC_DISPATCH=false`.
+    For a Tustin-Net, `numpy_step` is as fast and needs no JAX. By default JAX computes in another
+    thread than the program that calls it. In a control loop this costs more than the step itself
+    (28 us instead of 10); `JAX_CPU_ENABLE_ASYNC_DISPATCH=false` in the environment avoids it.
 
     Args:
-        model: the model; of a continuous one the discretised form. Its values are built in.
+        model: the model, discretised if it is a continuous one. Later changes of its values have
+            no effect.
 
     Returns:
-        `step(x, u) -> x`, arrays of (n_x,) and (n_u,) in, (n_x,) out. What a model is driven by
-        between two samples (straight lines) is held at `u`.
+        `step(x, u) -> x`, arrays of (n_x,) and (n_u,) in, (n_x,) out. Inputs are held at `u` until
+        the next sample, also where the model knows straight lines between samples.
     """
     folded = model.folded()
     size = np.zeros(model.state_size), np.zeros(model.channels.n_u)

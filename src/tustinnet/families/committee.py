@@ -136,7 +136,7 @@ class Committee(Model):
         return _together([member.folded() for member in self.members], self.weights)
 
     def seen(self, inputs: Excitation) -> Seen:
-        """What drives the members: where not all are alike, the rows of each kind of them."""
+        """What the members are given; where not all are alike, the rows of each kind of them."""
         each = [of.member().seen(inputs) for of in self.alike]
         if len(each) == 1:
             return each[0]

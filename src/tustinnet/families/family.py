@@ -184,7 +184,7 @@ class Family(ABC):
         return None
 
     def alternatives(self, model: Any, header: Header) -> Sequence[Model]:
-        """Models that its records would allow as well; how they differ says how sure it is.
+        """Other models that its records allow as well; their differences say how sure it is.
 
         Args:
             model: the model.

@@ -32,7 +32,7 @@ def fit(
         seed: initial weights, windows and shuffling follow from it; an identification has none.
         physics: a model to correct, as an identification gives it; it stays as it is.
         system: the system whose parameters are identified, its name or its file.
-        listener: who is told while it goes on.
+        listener: functions that are called while the fit goes on, see `Listener`.
 
     Returns:
         The model and how it came about. A training that diverged returns the best weights it
@@ -57,8 +57,8 @@ def fit_many(
 ) -> list[FitResult]:
     """Trains a recipe from several seeds, at several rates, as one batched program.
 
-    Each training keeps its own rate, best weights and returns to the last good state; one that
-    diverges does not touch the others.
+    Each training has its own learning rate and its own best weights. One that diverges does not
+    disturb the others.
 
     Args:
         data: as for `fit`.
@@ -67,10 +67,11 @@ def fit_many(
         rates: factors of the recipe's rates, by default those that it names; every seed is
             trained with each.
         physics: as for `fit`.
-        listener: who is told while training goes on.
+        listener: as for `fit`.
 
     Returns:
-        As `fit` does, for each seed and within it for each rate.
+        One result, as `fit` returns it, for each seed and rate: all rates of the first seed, then
+        those of the next.
 
     Raises:
         InputError: no seed, a rate that is not positive; see `fit`.

@@ -205,7 +205,7 @@ class FitResult:
         horizon: how long they lasted at most [s], None where they were whole records.
         validation_rmse: mean free-run RMSE over the validation records [rad or m], or None.
         seconds: time spent, compilation included; of fits that ran together an equal share.
-        details: what this way of fitting tells, plain values, under one word: `training` has
+        details: plain values under one key that names the way of fitting: `training` has
             `windows`, `window_lengths`, `epochs` of each stage and `kept_epoch`, the epoch of the
             last one whose weights the model has; `identification` has the estimates.
         findings: what one should know before using the model, in plain language.

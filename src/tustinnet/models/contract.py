@@ -78,7 +78,7 @@ class Model(_Stateful):
         )  # fmt: skip
 
     def seen(self, inputs: Excitation) -> Seen:
-        """What each step of a record is driven by, of its inputs: here the mean of the period."""
+        """What each step is given of a record's inputs; by default the mean over the period."""
         return inputs.mean
 
     @property

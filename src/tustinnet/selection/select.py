@@ -72,16 +72,21 @@ def select_model(
 ) -> Choice:
     """Tries the candidates of a plan on folds of records, and makes the best one into one model.
 
-    Successive halving, then committees of what is left. The chosen model of a family with weights
-    is a committee of its models of all folds; a system is identified once more from all records.
+    Candidates are compared by successive halving; committees of those that are left are tried
+    last. Where the chosen family has weights, the model is a committee of the models of all folds.
+    Where it has parameters, they are identified once more from all records.
 
     Args:
         data: the records; those of the split `test` take part in nothing.
-        folder: where everything goes.
+        folder: where models, tables and logs are written.
         asked: the plan, the system, the budget; by default the usual plan, no system, no limit.
-        earlier: what to do with a selection that is there; `resume` does no job twice.
-        reporter: who is told; by default nobody.
-        executor: given what all jobs share, who does them; by default this process.
+        earlier: what to do with a selection that is in the folder: `refuse`, `resume` (jobs that
+            are done are kept) or `discard`.
+        reporter: functions that are called while it goes on; by default nobody is told.
+        executor: where the jobs are done, as `cluster` gives it; by default in this process.
+
+    Returns:
+        The model, the table of candidates, and sentences on what was chosen and why.
 
     Raises:
         InputError: a plan that does not fit, records too few or too short, a budget in which no

@@ -30,16 +30,19 @@ class Drive(eqx.Module):
 
 
 def drive_of(model: Model, experiment: Experiment, *, timestamps: bool = False) -> Drive:
-    """What drives the free run of a record.
+    """What a model is given at every step of a record's free run.
 
     Args:
-        model: who is to simulate it; what happens between samples and its delays are the model's
-            where the record does not say.
+        model: the model to be simulated. Its holds and delays are used where the record does not
+            say them.
         experiment: the record.
         timestamps: whether to step from timestamp to timestamp instead of by the sampling period.
 
+    Returns:
+        The inputs as the steps of the model take them.
+
     Raises:
-        InputError: see `Experiment.excitation`.
+        InputError: an input whose hold or delay is unknown; a record too short for its hold.
     """
     seen = model.seen(experiment.excitation(model.channels.inputs))
     return Drive(seen, np.diff(experiment.t) if timestamps else None)

@@ -62,6 +62,9 @@ def kalman_filter(
         x0: the state at the first sample before its positions are known, (n_x,).
         noise: standard deviations of the start, of the steps, of the measurement.
 
+    Returns:
+        The estimated states and their standard deviations, after each sample's positions are known.
+
     Raises:
         InputError: another system's record; shapes that the model does not have; a standard
             deviation that is negative or not finite; no noise at a position that is measured.

@@ -37,13 +37,13 @@ def rollout(
         model: the model.
         x0: initial state [q, v, z], (n_x,).
         u: a `Drive`, as `drive_of` makes it of a record; or inputs of which `u[k]` acts from
-            sample k to sample k+1, (steps, n_u); or what else the model's steps take.
+            sample k to sample k+1, (steps, n_u); or an array of what the model's steps take.
         measured: positions and velocities [q, v] of the first samples, (known, 2 n_q), which take
             the place of the model's own before it steps on; so internal states follow a record.
 
     Returns:
-        (steps + 1, n_x); the first row is `x0`. The row of a measured sample is still what the
-        model said of it.
+        The states, (steps + 1, n_x); the first row is `x0`. Rows of measured samples hold what the
+        model predicted there.
     """
     start, n_x, n_u = jnp.asarray(x0), model.state_size, model.channels.n_u
     shape = np.shape(u.u if isinstance(u, Drive) else u)

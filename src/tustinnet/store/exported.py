@@ -69,10 +69,13 @@ def export_model(
         to: a target (`c`, `fmu`, `casadi`, `onnx`, `js`, `stablehlo`, `mat`), several, or `all`;
             by name, or as `targets_of` makes it with an operating point.
         out: the folder; of several targets each gets a folder of its name in it.
-        file: the model's file, which says what the card tells of data and scores, and where the
-            training records lie.
-        groups: of models with values by group those to take, as `{"payload": "1kg"}`.
+        file: the model's file. From it the card takes data and scores, and the check takes the
+            range of the training records.
+        groups: for models with values by group: which to take, as `{"payload": "1kg"}`.
         overwrite: whether an export that is there may be replaced.
+
+    Returns:
+        What was written, one for each target.
 
     Raises:
         InputError: a target that is not known or whose packages are missing; a folder that holds

@@ -64,7 +64,7 @@ def identify(
         begin: where the search starts, by name, besides what the recipe says; the nominal values
             for those not given.
         fixed: parameters to fix at a value, besides those that the recipe and the system fix.
-        told: who is told of every iteration.
+        told: called with every iteration.
 
     Returns:
         The model, its parameters with errors and correlations, and what there is to say of them.
