@@ -63,7 +63,8 @@ def at(tab: Page, time: float) -> Image.Image:
     plots = shot(tab, "#plots-run")
     whole = tab.locator("#plots-run").bounding_box()
     last = tab.locator("#plots-run > *").nth(COORDINATES - 1).bounding_box()
-    assert whole and last
+    if not (whole and last):
+        raise SystemExit("the page shows no plots")
     plots = plots.crop((0, 0, plots.width, round(last["y"] + last["height"] - whole["y"])))
     picture = Image.new("RGB", (mechanism.width + plots.width, plots.height))
     picture.paste(mechanism, (0, (plots.height - mechanism.height) // 2))

@@ -45,6 +45,7 @@ def cart(**keys: Any) -> CoordinateCard:
             "measured",
         ),
         ({"format": {"delimeter": ";"}}, "format.delimeter", "delimiter"),
+        ({"splits": {"train": ["a.csv"], "valid": ["b.csv"]}}, "splits.valid", "validation"),
     ],
 )
 def test_an_unknown_key_is_refused_with_the_nearest_known_one(

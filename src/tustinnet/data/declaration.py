@@ -140,6 +140,14 @@ def read_packaged(
     )
 
 
+_OF_A_KEY = "[key]"  # where pydantic says that not a value but its key is wrong
+
+
+def _names(error: Any) -> list[str]:
+    """The keys that a table may have whose keys are names."""
+    return re.findall(r"'([^']*)'", str(error.get("ctx", {}).get("expected", "")))
+
+
 def declare(content: dict[str, Any], kind: type[Declared], where: object) -> Declared:
     """Validates a mapping as a declaration; `where` names it in errors."""
     require_plain(content, where)
@@ -151,8 +159,12 @@ def declare(content: dict[str, Any], kind: type[Declared], where: object) -> Dec
         first = next((e for e in found if e["type"] == "extra_forbidden"), found[0])
         location = [str(part) for part in first["loc"]]
         key = ".".join(location) or "the file"
-        if first["type"] == "extra_forbidden":
-            known = _known_keys(kind, first["loc"][:-1])
+        named = location[-1:] == [_OF_A_KEY]  # a table whose keys are names
+        if named:
+            location = location[:-1]
+            key = ".".join(location)
+        if named or first["type"] == "extra_forbidden":
+            known = _names(first) if named else _known_keys(kind, first["loc"][:-1])
             near = difflib.get_close_matches(location[-1], known, n=1)
             hint = f"did you mean '{near[0]}'?" if near else f"known keys: {', '.join(known)}"
             raise InputError(f"{where}, {key}", "unknown key", "", hint) from None

@@ -77,7 +77,7 @@ def described(system: LagrangianSystem, found: Found, seconds: float) -> Identif
         *found.remarks,
         *_about_horizons(found),
         *_about_disagreements(found.disagreements),
-        *_about_bounds(estimates),
+        *_about_bounds(estimates, multiple),
         *_about_stretches(spoilt),
         *([] if diverged else _about_condition(space, certain)),
         _about_errors(certain, lag, multiple, len(records)) if fitted.why == "converged" else "",
@@ -277,12 +277,17 @@ def _about_disagreements(disagreements: Sequence[Disagreement]) -> list[str]:
     return told
 
 
-def _about_bounds(estimates: Sequence[Estimate]) -> list[str]:
+def _about_bounds(estimates: Sequence[Estimate], multiple: float | None) -> list[str]:
+    cause = (
+        "the records do not tell it, or the range is wrong"
+        if _at_the_count(multiple)
+        else "the model lacks something, or the range is wrong"
+    )
     return [
         f"'{e.name}' is 0, the lower end of its range: the records show nothing of it"
         if e.bound == "lower" and e.lower == 0
-        else f"'{e.name}' stands at the {e.bound} end of its range ({e.value:.4g} {e.unit}): the "
-        "model lacks something, or the range is wrong"
+        else f"'{e.name}' stands at the {e.bound} end of its range ({e.value:.4g} {e.unit}): "
+        f"{cause}"
         for e in estimates
         if e.bound
     ]
@@ -302,12 +307,17 @@ def _about_condition(space: Space, certain: Uncertainty) -> list[str]:
     ]
 
 
+def _at_the_count(multiple: float | None) -> bool:
+    """Whether residuals are so small that the encoders show no more."""
+    return multiple is not None and multiple < _AT_THE_COUNT
+
+
 def _about_errors(
     certain: Uncertainty, lag: np.ndarray, multiple: float | None, records: int
 ) -> str:
     strongest = float(lag[np.argmax(np.abs(lag))])
     correlated = abs(strongest) > _CORRELATED
-    if multiple is not None and multiple < _AT_THE_COUNT:
+    if _at_the_count(multiple):
         return "residuals are no larger than the encoders' quantisation: nothing is missing"
     size = f"{multiple:.0f} times the encoders' quantisation and " if multiple else ""
     if correlated:
