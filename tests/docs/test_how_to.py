@@ -10,6 +10,7 @@ import sys
 import textwrap
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -53,7 +54,7 @@ def place(made, tmp_path, monkeypatch):
         sys.modules.pop(name, None)
 
 
-def typed(program: str, capsys) -> tuple[str, dict[str, object]]:
+def typed(program: str, capsys) -> tuple[str, dict[str, Any]]:
     """What a program prints when it is run in this process, and its names."""
     Path("typed.py").write_text(program)
     names = runpy.run_path("typed.py")
