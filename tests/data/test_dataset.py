@@ -175,7 +175,7 @@ def test_wrapped_angles_are_unwrapped_and_lengths_are_not() -> None:
     e = tn.from_arrays(q, dt=0.1, coordinates={"angle": "angular", "slide": "linear"})
     np.testing.assert_allclose(e.q[:, 0], [3.0, 2 * np.pi - 3.0, 2 * np.pi - 2.0])
     np.testing.assert_array_equal(e.q[:, 1], q[:, 1])
-    assert e.notes == ("angle: unwrapped (1 jumps)",)
+    assert e.notes == ("angle: unwrapped (1 jump)",)
 
 
 @pytest.mark.usefixtures("unchecked")

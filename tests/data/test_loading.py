@@ -419,7 +419,7 @@ def test_irregular_times_are_resampled_where_the_card_says_so(gap: Path) -> None
     np.testing.assert_allclose(e.t, np.arange(45) * DT, atol=1e-12)
     np.testing.assert_allclose(e.q[:, 0], np.sin(3 * e.t), atol=1e-4)
     assert "resampled onto a grid of 0.01 s" in e.notes[0]
-    assert "1 gaps interpolated" in e.notes[0]
+    assert "1 gap interpolated" in e.notes[0]
 
 
 @pytest.mark.parametrize("wild", [1e9, 1e18, 1e99])

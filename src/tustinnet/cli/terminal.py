@@ -167,9 +167,17 @@ def prepare_jax(device: str | None = None) -> None:
     jax.config.update("jax_enable_x64", True)
     if "JAX_NUM_CPU_DEVICES" not in os.environ:
         jax.config.update("jax_num_cpu_devices", cores())
-    if device is not None:
-        from tustinnet.errors import InputError
+    from tustinnet.errors import InputError
 
+    try:
+        jax.devices()
+    except (RuntimeError, AssertionError):  # the second is what it says of some that are absent
+        wanted = os.environ.get("JAX_PLATFORMS", "")
+        raise InputError(
+            f"JAX_PLATFORMS={wanted}", "JAX sees no such device", "a device that JAX sees",
+            "unset the variable, or install JAX for your GPU: pip install 'jax[cuda13]'",
+        ) from None  # fmt: skip
+    if device is not None:
         try:
             jax.config.update("jax_default_device", jax.devices(device)[0])
         except RuntimeError:

@@ -34,7 +34,7 @@ def unwrap_angles(
     for j, name in names.items():
         q[:, j], jumps = resampling.unwrap_angle(q[:, j])
         if len(jumps):
-            notes.append(f"{name}: unwrapped ({len(jumps)} jumps)")
+            notes.append(f"{name}: unwrapped ({len(jumps)} jump{'s' * (len(jumps) > 1)})")
     return q, tuple(notes)
 
 

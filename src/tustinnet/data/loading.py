@@ -363,5 +363,6 @@ def _judge_times(e: Experiment, card: Card, where: object, pick: _Picker) -> Exp
     resampling.require_short_grid(e.t, e.dt, pick.place)
     gridded = e.resample(e.dt)
     gaps = len(gridded.recording.gaps) if gridded.recording else 0
-    note = f"resampled onto a grid of {e.dt:g} s" + (f", {gaps} gaps interpolated" if gaps else "")
+    filled = f", {gaps} gap{'s' * (gaps > 1)} interpolated" if gaps else ""
+    note = f"resampled onto a grid of {e.dt:g} s{filled}"
     return replace(gridded, notes=(*e.notes, note))

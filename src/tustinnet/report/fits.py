@@ -100,7 +100,11 @@ def judged_table(run: Run) -> Table:
 def fitted_table(run: Run) -> Table:
     """What the best model of a run leaves of each training record."""
     found = run.best.result.identification
-    begin = f"free runs, start '{run.start}'" if found is None else "from the initial states found"
+    begin = (
+        f"free runs, start '{run.start}'{over(run.best.scores[0].horizon)}"
+        if found is None
+        else "from the initial states found"
+    )
     return _by_record(run.fitted, f"train, {begin}")
 
 

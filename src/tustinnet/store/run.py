@@ -110,7 +110,10 @@ class Run:
             return result.identification.rmse
         if self.roles.judging is self.roles.train:
             return rmse_by_record(self.best.scores)
-        return rmse_by_record(evaluate(result.model, self.roles.train, result.start))
+        horizon = within(result.horizon, self.roles.train)
+        return rmse_by_record(
+            evaluate(result.model, self.roles.train, result.start, horizon=horizon)
+        )
 
     @cached_property
     def _cloud(self) -> Cloud | None:

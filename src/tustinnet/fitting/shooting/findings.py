@@ -17,6 +17,7 @@ from tustinnet.models.lagrangian import LagrangianSystem
 
 _POOR_CONDITION = 1e3
 _AT_THE_COUNT = 1.5  # times the rms error of rounding to counts
+_EXACT = 1e-6  # of the motion: what records without counts show no more of
 _LITTLE = 0.5  # of the weight of residuals that count in full
 _TOLD = 5  # stretches that are told in a sentence
 _MOST_NAMED = 12
@@ -238,13 +239,17 @@ def _estimates(found_by: Found) -> tuple[Estimate, ...]:
 
 
 def _residuals(found: Found) -> tuple[Float[np.ndarray, " n_y"], float | None]:
-    """Correlation from sample to sample, and the size in encoder noise where counts are known."""
+    """Correlation from sample to sample, and the size in encoder noise where that is known.
+
+    Of records without counts it is 0 where the model fits them exactly.
+    """
     errors = [np.nan_to_num(x, posinf=0.0, neginf=0.0) for x in found.fitted.normal.error]
     lag = lag_correlation(errors)
     counts = found.records[0].channels.resolution
-    if not np.all(counts > 0):
-        return lag, None
     sizes = np.sqrt(np.mean(np.concatenate(errors)[:, : len(counts)] ** 2, axis=0))
+    if not np.all(counts > 0):
+        motion = np.concatenate([e.q for e in found.records]).std(axis=0)
+        return lag, 0.0 if np.all(sizes < _EXACT * motion) else None
     return lag, float(np.max(sizes / (counts / np.sqrt(12))))
 
 
@@ -318,7 +323,8 @@ def _about_errors(
     strongest = float(lag[np.argmax(np.abs(lag))])
     correlated = abs(strongest) > _CORRELATED
     if _at_the_count(multiple):
-        return "residuals are no larger than the encoders' quantisation: nothing is missing"
+        least = "the encoders' quantisation" if multiple else "a millionth of the motion"
+        return f"residuals are no larger than {least}: nothing is missing"
     size = f"{multiple:.0f} times the encoders' quantisation and " if multiple else ""
     if correlated:
         told = (
