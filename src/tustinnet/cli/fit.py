@@ -43,7 +43,7 @@ def fit(
     ] = None,
     budget: Annotated[
         str | None,
-        typer.Option(metavar="TIME", help="Without a recipe: time limit, e.g. 10min."),
+        typer.Option(metavar="TIME", help="Without a recipe: time limit, as 10min. Default: none."),
     ] = None,
     cluster: Annotated[
         str | None,
