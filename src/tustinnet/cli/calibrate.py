@@ -11,7 +11,9 @@ from tustinnet.cli import options, terminal
 def calibrate(
     model: options.Model,
     data: options.Data,
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Where the model with bands goes.")],
+    out: Annotated[
+        Path, typer.Option(metavar="FILE", help="File for the calibrated model (.safetensors).")
+    ],
     split: options.Split = None,
     start: options.Start = None,
     horizon: options.Horizon = None,
@@ -20,7 +22,10 @@ def calibrate(
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> None:
-    """Learn from records that the model was not made from how far its free runs can be trusted."""
+    """Give a model bands around its free runs.
+
+    The width of the bands follows from the errors on records that were not used to fit the model.
+    """
     terminal.prepare_jax()
     from tustinnet.cli.request import judged_records, model_of
     from tustinnet.errors import InputError

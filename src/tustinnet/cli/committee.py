@@ -14,15 +14,19 @@ if TYPE_CHECKING:
 
 def committee(
     models: options.Models,
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Where the model goes.")],
+    out: Annotated[
+        Path, typer.Option(metavar="FILE", help="File for the new model (.safetensors).")
+    ],
     weights: Annotated[
         str | None,
-        typer.Option(metavar="A,B,..", help="What each model counts; by default all the same."),
+        typer.Option(
+            metavar="A,B,..", help="Weight of each model in the average. Default: all equal."
+        ),
     ] = None,
     system: options.System = None,
     overwrite: options.Overwrite = False,
 ) -> None:
-    """Put models together as one that averages their accelerations at every step."""
+    """Combine models into one that averages their accelerations."""
     terminal.prepare_jax()
     from tustinnet.errors import InputError
     from tustinnet.families.committee import committee as put_together

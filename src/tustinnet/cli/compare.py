@@ -22,18 +22,21 @@ def compare(
         list[str] | None,
         typer.Option(
             metavar="FILE.py",
-            help="File of a system that models are of, found by name and by what it computes; "
+            help="System file of some of the models; each model is matched with its file; "
             "may be repeated.",
         ),
     ] = None,
     figures: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Draw every record with all free runs.")
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Folder for figures: every record with the free runs of all models."
+        ),
     ] = None,
     band: options.Band = None,
     whole_records: options.WholeRecords = False,
     json: options.Json = False,
 ) -> None:
-    """Compare the free runs of several models: one table, one overlay a record."""
+    """Compare the free runs of several models in a table and figures."""
     terminal.prepare_jax()
     from tustinnet.cli.request import band_asked, bands_of, judged_records, kept_system
     from tustinnet.errors import InputError

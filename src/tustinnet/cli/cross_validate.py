@@ -10,10 +10,10 @@ from tustinnet.cli import completion, options, terminal
 
 def cross_validate(
     data: options.Data,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where folds.json goes.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for folds.json and folds.md.")],
     recipe: Annotated[
         str | None,
-        options.recipe("standard, with --system grey, with --physics best-hybrid"),
+        options.recipe("standard; with --system: grey; with --physics: best-hybrid"),
     ] = None,
     changes: options.Set = None,
     system: options.System = None,
@@ -22,18 +22,19 @@ def cross_validate(
         typer.Option(
             metavar="RECIPE",
             autocompletion=completion.recipe,
-            help="How the physics that a network corrects is identified in every fold. Default: "
+            help="For a hybrid: recipe that identifies the physics, again in every fold. Default: "
             "best-grey.",
         ),
     ] = None,
-    folds: Annotated[int, typer.Option(min=3, metavar="N", help="How many folds.")] = 5,
+    folds: Annotated[int, typer.Option(min=3, metavar="N", help="Number of folds.")] = 5,
     seeds: options.Seeds = None,
     start: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME",
             autocompletion=completion.start,
-            help="Start of the free runs; may be repeated.",
+            help="Initial states of the free runs, as for evaluate; may be repeated. Default: the "
+            "default of evaluate, and model-20.",
         ),
     ] = None,
     card: options.Card = None,
@@ -43,7 +44,11 @@ def cross_validate(
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Score a recipe on every record by models that never saw it: mean and standard error."""
+    """Score a recipe by cross-validation over the records.
+
+    Every record is scored by models that were fitted without it. Records of the split test are
+    left out.
+    """
     terminal.prepare_jax(device)
     from tustinnet.cli.request import loaded, recipe_of, seeds_of, tell_still
     from tustinnet.evaluate.folds import cross_validate, make_question, taking_part

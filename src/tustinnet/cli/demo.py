@@ -22,17 +22,17 @@ _DRAWN = ("twin_fall_test1", "twin_noise_test2")
 
 
 def demo(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where records, models, figures go.")],
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the twin.")] = 0,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for records, models, figures.")],
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the simulated logs.")] = 0,
     overwrite: options.Overwrite = False,
     device: options.Device = None,
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Make a twin of a rotary pendulum, log it, choose a model, compare free runs.
+    """Try it without data: simulate a pendulum, fit, compare.
 
-    The twin is simulated from Lagrange's equations, so it favours Lagrangian models: the table
-    shows how the command works, not how accurate the models are on an apparatus.
+    The logs are simulated from Lagrange's equations, which favours grey boxes: the table shows
+    how the command works, not how accurate the models are on a real device.
     """
     terminal.prepare_jax(device)
     from tustinnet.cli.inspect import time_table

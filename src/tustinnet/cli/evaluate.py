@@ -30,16 +30,21 @@ def evaluate(
     system: options.System = None,
     ahead: Annotated[
         int | None,
-        typer.Option(min=1, metavar="K", help="Also the k-step-ahead RMSE for k = 1..K."),
+        typer.Option(
+            min=1, metavar="K", help="Also score predictions k steps ahead, for k = 1..K."
+        ),
     ] = None,
     figures: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Draw every free run into this folder.")
+        Path | None, typer.Option(metavar="DIR", help="Folder for a figure of every free run.")
     ] = None,
     band: options.Band = None,
     whole_records: options.WholeRecords = False,
     json: options.Json = False,
 ) -> None:
-    """Score free runs: RMSE, per coordinate, NRMSE, fit in percent, k steps ahead."""
+    """Score the free runs of a model: RMSE, NRMSE, fit in percent.
+
+    A free run begins at an initial state (--start) and then uses only the logged inputs.
+    """
     terminal.prepare_jax()
     from tustinnet.cli.request import band_asked, bands_of, judged_records, model_of
     from tustinnet.evaluate.ahead import rmse_ahead

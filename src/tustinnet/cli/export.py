@@ -16,22 +16,23 @@ def export(
             metavar="TARGET,..",
             autocompletion=completion.target,
             help="c, fmu, casadi, onnx, js, stablehlo or mat; several, separated by commas, or "
-            "all: each in a folder of its own.",
+            "all. Several targets get a folder each.",
         ),
     ],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the files go.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files.")],
     group: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME=VALUE",
-            help="Of a model with values by group, which to take; may be repeated.",
+            help="For a model with values by group: the group to export, e.g. payload=1kg; may be "
+            "repeated.",
         ),
     ] = None,
     at: Annotated[
         str | None,
         typer.Option(
             metavar="NAME=VALUE,..",
-            help="Of mat: states and inputs of the operating point, 0 where they are not named.",
+            help="For mat: operating point of the linearisation, e.g. alpha=0.1. Default: 0.",
         ),
     ] = None,
     system: options.System = None,

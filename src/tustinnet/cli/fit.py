@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 def fit(
     data: options.Data,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the run is kept.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the model and all results.")],
     recipe: Annotated[
         str | None,
         options.recipe(
-            "several are tried (--plan); with --physics best-hybrid, with --from the model's own"
+            "tries several (--plan); with --physics: best-hybrid; with --from: the model's"
         ),
     ] = None,
     changes: options.Set = None,
@@ -38,19 +38,19 @@ def fit(
         typer.Option(
             metavar="NAME|FILE",
             autocompletion=completion.plan,
-            help="Without a recipe: which candidates are tried, a TOML file. Default: usual.",
+            help="Without a recipe: the recipes that are tried, a TOML file. Default: usual.",
         ),
     ] = None,
     budget: Annotated[
         str | None,
-        typer.Option(metavar="TIME", help="Without a recipe: how long it may take, e.g. 10min."),
+        typer.Option(metavar="TIME", help="Without a recipe: time limit, as 10min. Default: none."),
     ] = None,
     cluster: Annotated[
         str | None,
         typer.Option(
             metavar="auto|ADDRESS",
-            help="Without a recipe: fit on the machines of a Ray cluster, HOST:PORT of its head; "
-            "auto is the one that RAY_ADDRESS names, else this machine.",
+            help="Without a recipe: use a Ray cluster, given as HOST:PORT of its head node. auto: "
+            "the cluster in RAY_ADDRESS, else this machine.",
         ),
     ] = None,
     card: options.Card = None,
@@ -61,7 +61,7 @@ def fit(
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Find the best model that the records allow, or fit one as a recipe says."""
+    """Fit a model: try several recipes and keep the best, or fit one."""
     _require_cores(cluster, device)
     terminal.prepare_jax(device)
     from tustinnet.cli.request import loaded

@@ -18,8 +18,8 @@ def inspect(
         str,
         typer.Argument(
             metavar="DATA",
-            help="Folder with dataset.toml, a data card, a name of the catalog (qube-servo2), or "
-            "a single file of columns, for which a card is drafted.",
+            help="Folder of logs with its data card dataset.toml, a data card, the name of known "
+            "data (qube-servo2), or a single file of columns, for which a card is drafted.",
         ),
     ],
     card: options.Card = None,
@@ -30,7 +30,7 @@ def inspect(
         Path | None, typer.Option(metavar="FILE", help="Draw the records (.png, .svg, .pdf).")
     ] = None,
 ) -> None:
-    """Look at the records: time base, encoders, inputs, rest, suspicious rows."""
+    """Check the records: sampling, encoders, inputs, suspicious rows."""
     import dataclasses
     import itertools
 

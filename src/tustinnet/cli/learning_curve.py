@@ -23,27 +23,32 @@ def _recipe(help: str) -> Any:
     return typer.Option(metavar="NAME|FILE", autocompletion=completion.recipe, help=help)
 
 
-Network = Annotated[str | None, _recipe("The network. Default: standard.")]
-Physics = Annotated[str | None, _recipe("With a system: its recipe. Default: best-grey.")]
-Hybrid = Annotated[str | None, _recipe("With a system: what corrects it. Default: hybrid.")]
+Network = Annotated[str | None, _recipe("Recipe of the network. Default: standard.")]
+Physics = Annotated[
+    str | None, _recipe("With --system: recipe of the grey box. Default: best-grey.")
+]
+Hybrid = Annotated[str | None, _recipe("With --system: recipe of the hybrid. Default: hybrid.")]
 Twin = Annotated[
     Values | None,
     typer.Option(
-        help="With a system: whose values the simulated records have on which a network is "
-        "pre-trained; those identified from the same records by default."
+        help="With --system: a network is pre-trained on simulated records. This chooses the "
+        "parameters of that simulation. Default: identified, from the same records."
     ),
 ]
 
 
 def learning_curve(
     data: options.Data,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where table and figure go.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for table and figure.")],
     records: Annotated[
         str | None,
-        typer.Option(metavar="A,B,..", help="Numbers of records. Default: 2,4,8,.. and all."),
+        typer.Option(
+            metavar="A,B,..", help="Numbers of records to fit to. Default: 2,4,8,.. and all."
+        ),
     ] = None,
     draws: Annotated[
-        int, typer.Option(min=2, max=100, metavar="K", help="How often records are drawn.")
+        int,
+        typer.Option(min=2, max=100, metavar="K", help="Number of random draws of the records."),
     ] = 3,
     recipe: Network = None,
     system: options.System = None,
@@ -58,7 +63,10 @@ def learning_curve(
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Find out how many records are enough: accuracy on records left out, against their number."""
+    """Find out how many records are enough.
+
+    Models are fitted to more and more records and scored on records that were left out.
+    """
     terminal.prepare_jax(device)
     from tustinnet.cli.request import loaded, tell_still
     from tustinnet.evaluate.folds import taking_part

@@ -42,12 +42,15 @@ def tustinnet(
     context: typer.Context,
     version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
     verbose: Annotated[
-        bool, typer.Option("--verbose", help="With --version: of all that computes, and devices.")
+        bool,
+        typer.Option(
+            "--verbose", help="With --version: also versions of dependencies, and devices."
+        ),
     ] = False,
 ) -> None:
     """From logs of a mechanical system to a model that simulates it.
 
-    Exit codes: 0 done, 1 failed (one line says why), 2 wrong usage.
+    Exit codes: 0 success, 1 failure (one line says why), 2 wrong usage.
     """
     if verbose and not version:
         raise InputError("--verbose", "means nothing by itself", "--version --verbose")

@@ -15,19 +15,25 @@ if TYPE_CHECKING:
 def next_record(
     model: options.Model,
     proposals: Annotated[
-        Path, typer.Argument(metavar="PROPOSALS", help="TOML file: inputs and releases.")
+        Path, typer.Argument(metavar="PROPOSALS", help="TOML file of records that could be made.")
     ],
     horizon: Annotated[
         float | None,
         typer.Option(
             metavar="SECONDS",
-            help="Of a committee: compare the members over so long. Default: whole records.",
+            help="For a committee: compare members over segments of this length. Default: whole "
+            "records.",
         ),
     ] = None,
     system: options.System = None,
     json: options.Json = False,
 ) -> None:
-    """Rank proposed records by what they would tell: the first one should be recorded next."""
+    """Rank proposed records by how much a model would gain.
+
+    PROPOSALS has tables [[proposals]] with name, start (initial values by coordinate), and either
+    seconds (without inputs) or inputs (a file with a column for each input). The first record of
+    the ranking should be recorded next.
+    """
     terminal.prepare_jax()
     from tustinnet.cli.request import model_of
     from tustinnet.data.proposals import read_proposals

@@ -17,13 +17,15 @@ class Hardware(StrEnum):
 
 
 Device = Annotated[
-    Hardware | None, typer.Option(help="What computes; by default what JAX prefers.")
+    Hardware | None,
+    typer.Option(help="Processor to compute on. Default: a GPU that JAX can use, else cpu."),
 ]
 Data = Annotated[
     str,
     typer.Argument(
         metavar="DATA",
-        help="Folder with dataset.toml, a data card, or a name of the catalog (qube-servo2).",
+        help="Folder of logs with its data card dataset.toml, a data card, or the name of known "
+        "data (qube-servo2).",
     ),
 ]
 Model = Annotated[Path, typer.Argument(metavar="MODEL", help="Model file (.safetensors).")]
@@ -31,18 +33,19 @@ Models = Annotated[
     list[Path], typer.Argument(metavar="MODEL...", help="Model files (.safetensors).")
 ]
 Card = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Data card for a folder that has none.")
+    Path | None, typer.Option(metavar="FILE", help="Data card, where DATA is a folder without one.")
 ]
 System = Annotated[
     str | None,
     typer.Option(
         metavar="NAME|FILE.py",
         autocompletion=completion.system,
-        help="Physical system: qube-servo2, qube-servo2-naive, qube-servo2-memory, "
-        "qube-servo2-rubbing, duffing, or a Python file with SYSTEM (it is run).",
+        help="System, that is equations of motion: qube-servo2, qube-servo2-naive, "
+        "qube-servo2-memory, qube-servo2-rubbing, duffing, or a Python file that defines SYSTEM "
+        "(the file is executed).",
     ),
 ]
-_RECIPE = "A packaged recipe, or a TOML file; its [model] kind says what is fitted. Default: "
+_RECIPE = "How the model is built and fitted: a packaged recipe, or a TOML file. Default: "
 
 
 def recipe(default: str) -> Any:
@@ -58,17 +61,17 @@ Set = Annotated[
         "--set",
         metavar="KEY=VALUE",
         help="Change a key of the recipe, e.g. model.hidden=[64,64], stages.*.epochs=50, "
-        "search.loss=state, model.fixed.mass=0.4; repeatable.",
+        "search.loss=state, model.fixed.mass=0.4. May be repeated.",
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Do not show progress.")]
 Split = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
         autocompletion=completion.split,
-        help="train, validation or test; all by default.",
+        help="Records to use: train, validation or test. Default: all.",
     ),
 ]
 Start = Annotated[
@@ -76,51 +79,63 @@ Start = Annotated[
     typer.Option(
         metavar="NAME",
         autocompletion=completion.start,
-        help="Start of the free runs: file (first row as stored), derived-6 (parabola through "
-        "6 samples), model-20 (from which the model explains 20 samples best) or warm-up-20 "
-        "(internal states follow 20 samples). Default: a warm-up where the model needs one, else "
-        "file where velocities are stored, else derived-6.",
+        help="Initial states of the free runs: file (first row of the record), derived-6 (parabola "
+        "through the first 6 samples), model-20 (state with which the model fits the first 20 "
+        "samples best) or warm-up-20 (the model first follows 20 measured samples); other numbers "
+        "of samples are possible. Default: warm-up-N where the model needs it, else file where "
+        "records have velocity columns, else model-20 for oscillations with fewer than 20 samples "
+        "per period, else derived-6.",
     ),
 ]
 Horizon = Annotated[
     float | None,
     typer.Option(
         metavar="SECONDS",
-        help="Cut records end to end into segments of this length, each with a start of its own; "
-        "for unstable systems under control. Default: whole records.",
+        help="Cut records into segments of this length and estimate an initial state for each; for "
+        "unstable systems under control. Default: whole records.",
     ),
 ]
-Strict = Annotated[
-    bool, typer.Option("--strict", help="Refuse records in which something looks wrong.")
-]
+Strict = Annotated[bool, typer.Option("--strict", help="Refuse records with suspicious rows.")]
 Physics = Annotated[
     Path | None,
-    typer.Option(metavar="MODEL", help="A model whose accelerations a network corrects."),
+    typer.Option(
+        metavar="MODEL", help="Model file: a network is trained to correct this model (hybrid)."
+    ),
 ]
 Origin = Annotated[
     Path | None,
     typer.Option(
         "--from",
         metavar="MODEL",
-        help="A fitted model to begin with, by default with the recipe that it was fitted by: for "
-        "few records of another device.",
+        help="Fitted model whose weights or parameters the fit begins with, for instance for few "
+        "records of another device.",
     ),
 ]
-Resume = Annotated[bool, typer.Option("--resume", help="Go on from the checkpoints in --out.")]
+Resume = Annotated[
+    bool, typer.Option("--resume", help="Continue the training from the checkpoints in --out.")
+]
 Overwrite = Annotated[
-    bool, typer.Option("--overwrite", help="Replace what is there already in --out.")
+    bool, typer.Option("--overwrite", help="Replace the earlier results in --out.")
 ]
 Seeds = Annotated[
     str | None,
-    typer.Option(metavar="K|A,B,..", help="How many seeds, from 0 on, or which; all at once."),
+    typer.Option(
+        metavar="K|A,B,..",
+        help="Number of seeds (8: seeds 0 to 7) or a list (4,7); all train together. Default: 1.",
+    ),
 ]
 Band = Annotated[
     float | None,
     typer.Option(
         metavar="LEVEL",
-        help="Bands that hold this share of the time, as 0.9, of a model that was calibrated.",
+        help="Add bands around the free runs that contain the true motion for this share of the "
+        "time, e.g. 0.9. Needs a model made by calibrate.",
     ),
 ]
 WholeRecords = Annotated[
-    bool, typer.Option("--whole-records", help="With --band: hold this share of whole records.")
+    bool,
+    typer.Option(
+        "--whole-records",
+        help="With --band: contain this share of the records over their whole length.",
+    ),
 ]

@@ -26,7 +26,7 @@ def report(
         ),
     ],
     data: options.Data,
-    out: Annotated[Path, typer.Option(metavar="FILE.html", help="Where the report goes.")],
+    out: Annotated[Path, typer.Option(metavar="FILE.html", help="File for the report.")],
     split: options.Split = None,
     start: options.Start = None,
     horizon: options.Horizon = None,
@@ -36,13 +36,13 @@ def report(
         typer.Option(
             metavar="NAME|FILE.py",
             autocompletion=completion.system,
-            help="System that models are of, found by name and by what it computes, or whose links "
-            "draw the mechanism; may be repeated.",
+            help="System of some of the models, or a system whose links draw the mechanism; may be "
+            "repeated.",
         ),
     ] = None,
     overwrite: options.Overwrite = False,
 ) -> None:
-    """Write one HTML page of models on records: motion, errors, a playground."""
+    """Write an HTML page about a model: animation, scores, errors."""
     terminal.prepare_jax()
     from tustinnet.cli.request import judged_records, kept_system
     from tustinnet.report.page.subject import model_file, subjects_of

@@ -21,19 +21,21 @@ _Data = Annotated[
     str,
     typer.Option(
         metavar="DIR",
-        help="Folder of the Qube-Servo 2 data; 'qube-servo2' looks in TUSTINNET_DATA, then in "
-        "the cache, then downloads.",
+        help="Folder of the Qube-Servo 2 data. 'qube-servo2' looks in the folder TUSTINNET_DATA, "
+        "then in the cache, then downloads.",
     ),
 ]
 _Split = Annotated[
     str | None, typer.Option(metavar="NAME", help="test or validation. Default: test if present.")
 ]
 _Seeds = Annotated[
-    int, typer.Option(min=1, metavar="K", help="How many seeds to train; all at once.")
+    int, typer.Option(min=1, metavar="K", help="Number of seeds; all train together.")
 ]
-_Experiment = Annotated[str | None, typer.Option(metavar="NAME", help="Record of the figures.")]
+_Experiment = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Record that the figures show.")
+]
 _Anew = Annotated[
-    bool, typer.Option("--overwrite", help="Train anew instead of going on in --out.")
+    bool, typer.Option("--overwrite", help="Train again instead of continuing in --out.")
 ]
 _Models = Annotated[
     list[str] | None,
@@ -48,14 +50,14 @@ _Models = Annotated[
 _Keep = Annotated[
     Keep | None,
     typer.Option(
-        help="Which epoch's weights are kept: of the lowest validation free run (the default), "
-        "validation loss, or training loss (as the paper's public code does).",
+        help="Keep the weights with the lowest RMSE of the validation free runs, validation loss, "
+        "or training loss (as the paper's public code does). Default: as each recipe says.",
     ),
 ]
 
 
 def reproduce(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where tables, figures, models go.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for tables, figures, models.")],
     data: _Data = "qube-servo2",
     split: _Split = None,
     seeds: _Seeds = 1,
@@ -67,9 +69,9 @@ def reproduce(
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Reproduce Table 1 and the five figures of the paper.
+    """Reproduce Table 1 and the figures of the publication.
 
-    Trainings that are in --out already are gone on with, finished ones are taken as they are.
+    Trainings that are already in --out are continued; finished ones are used as they are.
     """
     terminal.prepare_jax(device)
     from tustinnet.data.catalog import QUBE_SERVO2, locate

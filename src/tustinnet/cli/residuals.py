@@ -21,7 +21,9 @@ def residuals(
     split: options.Split = None,
     start: options.Start = None,
     horizon: options.Horizon = None,
-    lags: Annotated[int, typer.Option(min=1, metavar="L", help="Largest lag in samples.")] = 50,
+    lags: Annotated[
+        int, typer.Option(min=1, metavar="L", help="Largest lag of the correlations, in samples.")
+    ] = 50,
     card: options.Card = None,
     system: options.System = None,
     figure: Annotated[
@@ -29,7 +31,11 @@ def residuals(
     ] = None,
     json: options.Json = False,
 ) -> None:
-    """Test the free-run residuals: whiteness, correlation with the inputs, 99 % bounds."""
+    """Test the residuals of free runs.
+
+    Their autocorrelation (whiteness) and their correlation with the inputs are compared with
+    99 % bounds.
+    """
     terminal.prepare_jax()
     from tustinnet.cli.request import judged_records, model_of
     from tustinnet.evaluate.residuals import residual_reports

@@ -10,7 +10,7 @@ _LONGEST_LINE = 1000  # characters
 
 
 def show(model: options.Model, json: options.Json = False) -> None:
-    """Print a model file's header: structure or parameters, data, scores."""
+    """Print what a model file contains: structure, parameters, scores."""
     from tustinnet.errors import printable, refusing
     from tustinnet.store.model_file import shown
 

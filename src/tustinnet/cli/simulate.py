@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 def simulate(
     model: options.Model,
     data: options.Data,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the simulations go, as CSV.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the simulations, as CSV.")],
     split: options.Split = None,
     experiment: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="Only this record; may be repeated.")
@@ -27,7 +27,10 @@ def simulate(
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> None:
-    """Simulate records from their start with only the input; one CSV file each."""
+    """Simulate records as free runs; one CSV file for each.
+
+    A free run begins at an initial state (--start) and then uses only the logged inputs.
+    """
     terminal.prepare_jax()
     from tustinnet.cli.request import band_asked, bands_of, model_of
     from tustinnet.data.catalog import locate
