@@ -30,8 +30,8 @@ class EpochReport:
     best: float
     event: str = ""
     member: int = 0
-    seconds: float = 0.0
-    compiling: float = 0.0
+    seconds: float = field(default=0.0, compare=False)
+    compiling: float = field(default=0.0, compare=False)
 
 
 @dataclass(frozen=True)
