@@ -370,7 +370,7 @@ plt.show()
 # colleagues.
 
 # %% language="bash"
-# tustinnet report trusted.safetensors linear/model.safetensors LATER --split test --out report.html
+# tustinnet report trusted.safetensors LATER --split test --out report.html
 
 # %% [markdown]
 # ## What you have now
