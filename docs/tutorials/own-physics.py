@@ -98,7 +98,7 @@ for number, (angle, largest) in enumerate([(0, 4), (0, 3), (1.2, 0), (0, 4), (-0
 for number, (angle, largest) in enumerate([(0, 4), (1.0, 3)]):
     log(f"check{number + 1}", angle, largest)
 
-with open("LOGS/dataset.toml", "w") as card:
+with Path("LOGS/dataset.toml").open("w") as card:
     print(
         """
 name = "cart"
@@ -204,7 +204,7 @@ SYSTEM = tn.LagrangianSystem(
     ),
 )
 '''
-with open("cart.py", "w") as file:
+with Path("cart.py").open("w") as file:
     print(SYSTEM, file=file)
 
 # %% [markdown]
@@ -258,7 +258,7 @@ with open("cart.py", "w") as file:
 # measurements) and the acceleration that the model would have. Their difference times the mass
 # matrix is the missing force. We draw it against the speed of the cart.
 
-# %% alt="The missing force over the cart's speed: a step at zero speed, then falling lines"
+# %% alt="The missing force over the cart's speed: a step down at zero speed, rising lines beside it"
 
 
 def identified(run: str) -> dict[str, float]:
@@ -287,10 +287,11 @@ axes.grid(alpha=0.3)
 plt.show()
 
 # %% [markdown]
-# A cloud without a shape would be good. This one has a shape: the missing force jumps when the
-# speed changes its sign, and it always acts against the motion. That is dry (Coulomb) friction.
-# The slope to both sides is the viscous friction, which was made too large to make up for it.
-# (Points far away from the others are samples at which the voltage jumps.)
+# A cloud without a shape, about zero, would be good. This one has a shape: the missing force jumps
+# by 0.8 N where the speed changes its sign. For slow motion it acts against the motion, with 0.4 N
+# either way. That is dry (Coulomb) friction. For fast motion it grows into the direction of the
+# motion, because the search made the viscous friction too large to make up for what it did not
+# know. (Points far away from the others are samples at which the voltage jumps.)
 #
 # Other shapes tell other things: a slope against the speed is viscous friction, a slope against
 # the position is a spring, a loop is a force with memory.
@@ -318,10 +319,8 @@ account = json.loads(Path("rubbing/summary.json").read_text())["identification"]
 print("parameter          true      found   std. error   95 % interval")
 for e in account["estimates"]:
     true = TRUE.get(e["name"], DRY)
-    low, high = e["interval"]
-    print(
-        f"{e['name']:14} {true:8.4g} {e['value']:10.5g} {e['error']:12.2g}   {low:.5g} .. {high:.5g}"
-    )
+    interval = "{:.5g} .. {:.5g}".format(*e["interval"])
+    print(f"{e['name']:14} {true:8.4g} {e['value']:10.5g} {e['error']:12.2g}   {interval}")
 
 # %% [markdown]
 # All values are right to within one per cent, the dry friction of 0.4 N too. A 95 % interval is
@@ -352,9 +351,9 @@ Image("compared/check2.png")
 
 # %% [markdown]
 # The model with dry friction follows the measurement for 6 s, from the first samples and the
-# voltage alone. The one without it is many times worse. A more flexible model is not always
-# better: on new records an unnecessary force helps nothing, and its parameter comes out as zero
-# within its error. Then leave it out.
+# voltage alone. The one without it is many times worse. A force that the records do not show would
+# help nothing here. The program says so when the parameter of a friction ends at zero. Then leave
+# it out.
 #
 # ## What to do next
 #
