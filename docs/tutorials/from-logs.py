@@ -71,7 +71,7 @@ def log(file: Path, volts: np.ndarray, angle: float = 0.0) -> None:
             angle, speed = move(angle, speed, set_to, later - now)
 
 
-def steps(largest: float = 4.0) -> np.ndarray:
+def steps(largest: float = 3.0) -> np.ndarray:
     """A new voltage [V] every 0.2 to 0.9 s."""
     levels = [np.full(rng.integers(10, 45), rng.uniform(-largest, largest)) for _ in range(20)]
     return np.concatenate(levels)
@@ -154,13 +154,11 @@ def write_card(folder: str, splits: str) -> None:
     Path(folder, "dataset.toml").write_text(CARD + splits)
 
 
-write_card(
-    "LOGS",
-    """
+SPLITS = """
 train = ["steps[1-3].csv", "sweep[1-3].csv", "release[1-3].csv"]
 validation = ["*4.csv"]
-""",
-)
+"""
+write_card("LOGS", SPLITS)
 
 # %% [markdown]
 # ## Look before you fit
@@ -197,13 +195,7 @@ Image("records.png")
 # [inspect](../reference/data.md#inspect).)
 
 # %%
-write_card(
-    "LOGS",
-    """
-train = ["steps[1-3].csv", "sweep[13].csv", "release[1-3].csv"]
-validation = ["*4.csv"]
-""",
-)
+write_card("LOGS", SPLITS.replace("sweep[1-3]", "sweep[13]"))
 
 # %% [markdown]
 # ## Fit
@@ -225,8 +217,8 @@ validation = ["*4.csv"]
 # %% [markdown]
 # The number that counts is `mean RMSE`, the root mean square error of **free runs**. In a free run
 # the model gets the state at the beginning of the record and the voltage, and nothing else. So an
-# error at one sample stays in all later ones. Errors are about 0.02 rad, or one degree, while the
-# arm swings by up to 2 rad.
+# error at one sample stays in all later ones. Here the errors are about one degree (0.017 rad),
+# while the arm swings by one or two radians.
 #
 # * The three seeds agree. A bad sign would be a seed that is several times worse than another:
 #   then train longer, or record more.
@@ -275,9 +267,9 @@ Image("residuals.png")
 # %% [markdown]
 # The residuals are not white: the model still lacks something. That is usual for free runs,
 # because small errors of the acceleration add up. What matters is how much is left (`RMS`, about
-# 0.015 rad, ten encoder counts) and whether it depends on the input (right). Here the correlation
-# with the motor stays within its band. Bars outside the band at positive lags would be a bad sign:
-# the input's effect is not all modelled, for instance because it acts later than the card says.
+# one degree) and whether it depends on the input (right). Here the correlation with the motor
+# stays within its band. Bars outside the band at positive lags would be a bad sign: the input's
+# effect is not all modelled, for instance because it acts later than the card says.
 #
 # ## New records
 #
@@ -321,7 +313,7 @@ Image("checked/steps4.png")
 # * `inside` says how much of the time the measurement was within the band. The promise is 80 % on
 #   average over many records like these. Three judges are few: the column `95 % interval` says how
 #   little they prove. Much less than 80 % on many records would be a bad sign.
-# * `width` is how far the band reaches from its lower to its upper edge. We asked for 80 % because
+# * `width` is how wide the band is, from its lower to its upper edge. We asked for 80 % because
 #   nine calibration records can promise 90 % at most, and a band at that limit is as wide as the
 #   worst of the nine demands.
 #
@@ -330,13 +322,13 @@ Image("checked/steps4.png")
 #
 # ## Where trust ends
 #
-# The bench never had more than 4 V. What if it gets more? We log one record whose voltage grows to
-# 8 V, and simulate it.
+# The bench never had more than 3 V. What if it gets more? We log one record whose voltage grows to
+# 7 V, and simulate it.
 
 # %%
 Path("STRONG").mkdir()
 volts = steps()
-log(Path("STRONG/strong.csv"), np.linspace(0.5, 2.0, len(volts)) * volts)
+log(Path("STRONG/strong.csv"), np.linspace(0.5, 2.5, len(volts)) * volts)
 write_card("STRONG", 'test = ["strong.csv"]')
 
 # %% language="bash"
@@ -361,7 +353,8 @@ plt.show()
 
 # %% [markdown]
 # A band is a promise for records like those of the calibration. Outside of what was recorded
-# nobody promised anything. If your controller needs such motions, record them and train again.
+# nobody promised anything, even where the model does well for a while. If your controller needs
+# such motions, record them and train again.
 #
 # ## The report
 #

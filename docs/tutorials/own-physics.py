@@ -258,7 +258,7 @@ with Path("cart.py").open("w") as file:
 # measurements) and the acceleration that the model would have. Their difference times the mass
 # matrix is the missing force. We draw it against the speed of the cart.
 
-# %% alt="The missing force over the cart's speed: a step down at zero speed, rising lines beside it"
+# %% alt="The missing force over the cart's speed: down a step at zero speed, else rising"
 
 
 def identified(run: str) -> dict[str, float]:
