@@ -139,7 +139,9 @@ def run(script: Path, folder: Path):  # noqa: ANN201
     if data := os.environ.get("TUSTINNET_DATA"):
         env["TUSTINNET_DATA"] = str(Path(data).resolve())  # the tutorial runs elsewhere
     quiet = ["--log-level=40"]
-    client = NotebookClient(book, timeout=600, resources=resources, extra_arguments=quiet)
+    client = NotebookClient(
+        book, timeout=600, resources=resources, extra_arguments=quiet, coalesce_streams=True
+    )
     return client.execute(env=env)
 
 

@@ -55,10 +55,10 @@ print("training records:", ", ".join(e.name for e in train))
 # There are two kinds of records. In a *fall* the pendulum is let go near upright and no voltage is applied. In
 # a record with *white noise* (`wN`) it hangs at first, and the voltage takes random values.
 #
-# A fall ends in rest, and most of its samples hold little motion. The paper's Algorithm 1 therefore needs the
-# sample at which the transient ends. The paper calls it k_bar; `inspect_experiment` detects it.
+# A fall ends in rest. The paper's Algorithm 1 needs the sample at which the transient before it ends. The
+# paper calls it k_bar; `tn.inspect_experiment` detects it.
 
-# %% alt="Two training records. In the fall, theta and alpha swing and come to rest; a line marks the end of the transient after about five seconds. Under white noise both angles move to the end of the record."
+# %% alt="Two training records. In the fall, theta and alpha swing and come to rest; a line marks the end of the transient after seven of eight seconds. Under white noise both angles move to the end of the record."
 fall, noise = data["fall1"], data["wN_3V_1"]
 figure, panels = plt.subplots(
     3, 2, figsize=(8, 4.6), sharex="col", sharey="row", layout="constrained"
@@ -82,16 +82,16 @@ plt.show()
 # ## Velocities from positions
 #
 # The encoders give positions only. The paper takes velocities from the five-point stencil, which at sample k
-# is `(q[k-2] - 8 q[k-1] + 8 q[k+1] - q[k+2]) / (12 dt)`. The published files hold such velocities, with rows of
-# zeros at both ends, where the stencil has no neighbours.
+# is `(q[k-2] - 8 q[k-1] + 8 q[k+1] - q[k+2]) / (12 dt)`. The published files hold such velocities, with
+# rows of zeros at both ends, where the stencil has no neighbours. `velocities("stencil")` takes the slope of a
+# parabola there.
 
 # %% alt="The first 0.4 seconds of alpha in the fall: the positions fall smoothly; the stored velocity starts with three zeros and then jumps to the stencil, which begins at minus 3.5 radians per second."
 stencil, stored = fall.velocities("stencil"), fall.velocities("file")
 inside = slice(3, -2)
 print(f"largest difference inside the record: {abs(stencil - stored)[inside].max():.0e} rad/s")
-print(
-    f"first row of the file: alpha at {stored[0, 1]:.1f} rad/s, by the stencil {stencil[0, 1]:.1f}"
-)
+row = f"alpha at {stored[0, 1]:.1f} rad/s, by the stencil {stencil[0, 1]:.1f}"
+print("first row of the file:", row)
 
 figure, (above, below) = plt.subplots(2, 1, figsize=(7, 3.6), sharex=True, layout="constrained")
 first = slice(0, 40)
@@ -188,8 +188,8 @@ print(f"{standard.told('windows')[0]} windows, mean RMSE {standard.validation_rm
 # %% [markdown]
 # ## Section 3.2: Algorithm 1
 #
-# Windows from all over the records are mostly windows near rest. The paper fears that a network spends its
-# effort there, and proposes transfer learning in three steps:
+# Many windows from all over the records lie near rest. A network may then fit the rest well and the motion
+# badly. The paper's remedy is transfer learning in three steps:
 #
 # 1. *pre-training* on windows that begin before k_bar, in the transient;
 # 2. *freezing* the weights of the hidden layers;
@@ -204,8 +204,8 @@ pretrained = tn.fit(data, recipe.model_copy(update={"stages": recipe.stages[:1]}
 transfer = tn.fit(data, recipe, seed=0)
 for stage, result in zip(recipe.stages, (pretrained, transfer), strict=True):
     w = stage.windows
-    print(f"{stage.name}: {w.count} windows of {w.length} samples that begin before {w.until},")
-    print(f"    {stage.frozen_layers} layers frozen, mean RMSE {result.validation_rmse:.3f} rad")
+    print(f"{stage.name}: {w.count} windows of {w.length} samples,", end=" ")
+    print(f"{stage.frozen_layers} layers frozen, mean RMSE {result.validation_rmse:.3f} rad")
 
 # %% [markdown]
 # Did the freezing work? The next cell compares the weights before and after fine-tuning.
@@ -214,14 +214,13 @@ for stage, result in zip(recipe.stages, (pretrained, transfer), strict=True):
 before, after = pretrained.model.network, transfer.model.network
 layers = zip((*before.hidden, before.output), (*after.hidden, after.output), strict=True)
 for name, (old, new) in zip(("hidden 1", "hidden 2", "output"), layers, strict=True):
-    print(
-        f"{name}: {old.weight.shape} weights, changed by at most {abs(new.weight - old.weight).max():.4f}"
-    )
+    change = abs(new.weight - old.weight).max()
+    print(f"{name}: {new.weight.size} weights, changed by at most {change:.4f}")
 
 # %% [markdown]
 # ## Section 4.2: free runs of both networks
 
-# %% alt="Free runs of the same validation fall by the two networks. Both follow the fall and its swings, less closely than the grey box with spring, and come to rest near the measured angles."
+# %% alt="Free runs of the same validation fall by the two networks. Both swing and come to rest, but fall out of step with the measured swings, and theta is wrong in the first two seconds."
 scores["standard"] = tn.evaluate(standard.model, validation, "file")
 scores["Algorithm 1"] = tn.evaluate(transfer.model, validation, "file")
 draw(data["fallVal3"], {"standard": "tab:green", "Algorithm 1": "tab:red"})
@@ -232,8 +231,7 @@ draw(data["fallVal3"], {"standard": "tab:green", "Algorithm 1": "tab:red"})
 # This is the paper's Table 1 for the six validation records, RMSE in rad.
 
 # %%
-names = [e.name.replace("fallVal", "fall") for e in validation]
-print(f"{'':14}", *(f"{n:>11}" for n in names), f"{'mean':>7}")
+print(f"{'':14}", *(f"{e.name:>11}" for e in validation), f"{'mean':>7}")
 for name, found in scores.items():
     print(f"{name:14}", *(f"{s.rmse:11.3f}" for s in found), f"{tn.mean_rmse(found):7.3f}")
 
