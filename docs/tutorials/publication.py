@@ -15,12 +15,13 @@
 # * look at the recordings and derive the velocities that they do not contain;
 # * identify the paper's grey box, with and without the spring of the encoder's cable;
 # * train two Tustin-Nets, one in the standard way and one by the paper's Algorithm 1;
-# * simulate records that took no part in any of this, and compare with what the paper reports.
+# * simulate records that were not trained on, and compare with what the paper reports.
 #
 # `tustinnet reproduce` does the same in full and draws the paper's figures.
 # [The publication](../explanation/paper.md) has those results, and every difference between the paper, its
 # public code and this package.
 #
+# %% [markdown]
 # ## Section 2.1: the apparatus and its records
 #
 # ![The Qube-Servo 2: a motor turns an arm, and a pendulum hangs at the arm's end](../images/figure1.png)
@@ -228,7 +229,8 @@ draw(data["fallVal3"], {"standard": "tab:green", "Algorithm 1": "tab:red"})
 # %% [markdown]
 # ## Section 4.3: the table
 #
-# This is the paper's Table 1 for the six validation records, RMSE in rad.
+# This is the paper's Table 1 for the six validation records, RMSE in rad. No model was fitted to them, but
+# they chose the epoch whose weights each network keeps.
 
 # %%
 print(f"{'':14}", *(f"{e.name:>11}" for e in validation), f"{'mean':>7}")
