@@ -162,7 +162,7 @@ problem.set_initial(x[1, :], np.linspace(np.pi, 0, STEPS + 1))
 problem.solver("ipopt", {"print_time": False}, {"print_level": 0, "sb": "yes"})
 solved = problem.solve()
 planned, voltages = solved.value(x).T, solved.value(v)
-print(f"planned with at most {abs(voltages).max():.1f} V,", solved.stats()["return_status"])
+print(f"planned with at most {abs(voltages).max():.1f} V: {solved.stats()['return_status']}")
 
 # %% [markdown]
 # ## The controller
@@ -268,7 +268,7 @@ plt.show()
 # How good is the filter's velocity? The usual substitute is the difference of two readings over the period. The
 # next figure shows the errors of both.
 
-# %% alt="Errors of the velocity of alpha. That of the difference of readings reaches one radian per second during the swing and scatters by some tenths afterwards. That of the filter stays within a few tenths and scatters less."
+# %% alt="Errors of the velocity of alpha. That of the difference of readings reaches almost two radians per second during the swing and scatters by some tenths afterwards. That of the filter stays below half a radian per second and scatters less."
 true, read, estimated, _ = with_feedback
 difference = np.diff(read, axis=0, prepend=read[:1]) / 0.01
 errors = {"difference of readings": difference - true[:, 2:], "filter": (estimated - true)[:, 2:]}

@@ -147,7 +147,7 @@ for name, found in scores.items():
     print(f"{name:15} mean RMSE over 6 validation records: {tn.mean_rmse(found):.3f} rad")
 
 
-# %% alt="Free runs of a validation fall. With the spring, theta swings back as measured. Without it, theta stays where the first swing left it. Both follow alpha for the first seconds."
+# %% alt="Free runs of a validation fall. With the spring, theta swings back as measured. Without it, theta stays near where it was let go. Both follow alpha for the first seconds."
 def draw(record, colours):
     """Draws what was measured in one record, and the free runs of the models that have a colour."""
     figure, panels = plt.subplots(2, 1, figsize=(7, 4.2), sharex=True, layout="constrained")
