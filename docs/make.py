@@ -28,6 +28,10 @@ PAGE = """{% extends 'markdown/index.md.j2' %}
 ![{{ cell.metadata['alt'] }}]({{ output.metadata.filenames['image/png'] | path2url }})
 {% endblock data_png %}
 """
+# what a tutorial that could not be run says below its title
+LACKING = """!!! note
+    This page shows no results. It needs the recordings `{data}`, and the variable `TUSTINNET_DATA`,
+    which names their folder, was not set when the page was made."""
 BESIDE = f"{Path(sys.executable).parent}{os.pathsep}{os.environ.get('PATH', '')}"
 
 
@@ -75,15 +79,22 @@ def tutorials(pages: Path, kept: Path, *, executed: bool) -> None:
 
 
 def tutorial(script: Path, pages: Path, kept: Path, state: str | None) -> None:
-    """Writes a tutorial as a page: run, unless the state of the sources is `None`."""
+    """Writes a tutorial as a page: run, unless the state of the sources is `None`.
+
+    One whose recordings are not at hand is not run either, and says so.
+    """
     import nbformat
     from nbconvert import MarkdownExporter
     from nbconvert.writers import FilesWriter
 
     name = f"{script.stem}-{hashlib.sha256(script.read_bytes()).hexdigest()[:12]}-{state}.ipynb"
     notebook = kept / name
+    book = read(script)
     if state is None:
-        book = read(script)
+        pass
+    elif data := lacking(book):
+        print(f"not running {script.relative_to(ROOT)}: TUSTINNET_DATA does not name {data}")
+        book.cells.insert(1, nbformat.v4.new_markdown_cell(LACKING.format(data=data)))
     elif notebook.is_file():
         book = nbformat.read(notebook, as_version=4)
     else:
@@ -103,6 +114,14 @@ def read(script: Path):  # noqa: ANN201 - a notebook has no useful type
     return jupytext.read(script)
 
 
+def lacking(book) -> str | None:  # noqa: ANN001
+    """The recordings that a tutorial needs and that are not at hand, if there are any.
+
+    A tutorial names them in its header, as `data: qube-servo2` below `jupyter:`.
+    """
+    return None if os.environ.get("TUSTINNET_DATA") else book.metadata.get("data")
+
+
 def run(script: Path, folder: Path):  # noqa: ANN201
     """Runs a tutorial in an empty folder and gives the notebook with what it printed and drew.
 
@@ -116,9 +135,13 @@ def run(script: Path, folder: Path):  # noqa: ANN201
     book = read(script)
     resources = {"metadata": {"path": str(folder)}}
     # shell cells find the command that belongs to this Python
-    env = os.environ | {"PATH": BESIDE, "COLUMNS": "100"}
+    env = os.environ | {"PATH": BESIDE, "COLUMNS": "100", "TTY_COMPATIBLE": "0"}
+    if data := os.environ.get("TUSTINNET_DATA"):
+        env["TUSTINNET_DATA"] = str(Path(data).resolve())  # the tutorial runs elsewhere
     quiet = ["--log-level=40"]
-    client = NotebookClient(book, timeout=600, resources=resources, extra_arguments=quiet)
+    client = NotebookClient(
+        book, timeout=600, resources=resources, extra_arguments=quiet, coalesce_streams=True
+    )
     return client.execute(env=env)
 
 

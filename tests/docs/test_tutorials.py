@@ -1,0 +1,55 @@
+"""Every tutorial runs to its end, and every picture in it has words."""
+
+import importlib.util
+import shutil
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("jupytext")
+pytest.importorskip("nbclient")
+pytest.importorskip("ipykernel")
+
+DOCS = Path(__file__).parents[2] / "docs"
+SCRIPTS = sorted((DOCS / "tutorials").glob("*.py"))
+
+_spec = importlib.util.spec_from_file_location("make_documentation", DOCS / "make.py")
+assert _spec is not None
+assert _spec.loader is not None
+make = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(make)
+
+
+def marked(script):
+    """A tutorial as a parameter; `real` where its header names recordings."""
+    needs = make.read(script).metadata.get("data")
+    return pytest.param(script, id=script.stem, marks=pytest.mark.real if needs else ())
+
+
+@pytest.mark.parametrize("script", [marked(script) for script in SCRIPTS])
+def test_a_tutorial_runs_to_its_end(script, tmp_path, monkeypatch, request):
+    if "cc -" in script.read_text(encoding="utf-8") and shutil.which("cc") is None:
+        pytest.skip("no C compiler (cc)")
+    if make.lacking(make.read(script)):
+        monkeypatch.setenv("TUSTINNET_DATA", str(request.getfixturevalue("real_data")))
+    # compiled as for readers: what the tests set compiles faster, but trains much slower
+    monkeypatch.delenv("XLA_FLAGS", raising=False)
+    book = make.run(script, tmp_path / "run")
+    assert not make.lacking(book)
+    code = [cell for cell in book.cells if cell.cell_type == "code"]
+    assert all(cell.execution_count for cell in code)
+    drawn = [c for c in code if any("image/png" in o.get("data", {}) for o in c.outputs)]
+    assert drawn
+    assert all(len(cell.metadata.get("alt", "")) > 20 for cell in drawn)
+
+
+def test_a_tutorial_without_its_recordings_is_not_run_and_says_so(tmp_path, monkeypatch):
+    monkeypatch.setattr(make, "run", None)  # would fail
+    script = DOCS / "tutorials" / "publication.py"
+    make.tutorial(script, tmp_path, tmp_path, "state")
+    page = (tmp_path / "publication.md").read_text(encoding="utf-8")
+    title, _, rest = page.partition("\n")
+    assert title.startswith("# ")
+    note = rest.index("!!! note")
+    assert note < rest.index("## ")  # before the first section
+    assert "TUSTINNET_DATA" in rest[note : rest.index("## ")]
