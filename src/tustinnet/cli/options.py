@@ -99,6 +99,7 @@ Resume = Annotated[bool, typer.Option("--resume", help="Go on from the checkpoin
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace what is there already in --out.")
 ]
+NoReport = Annotated[bool, typer.Option("--no-report", help="Write no report.html.")]
 Seeds = Annotated[
     str | None,
     typer.Option(metavar="K|A,B,..", help="How many seeds, from 0 on, or which; all at once."),

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from tustinnet.errors import InputError
+from tustinnet.evaluate.scores import Score
 from tustinnet.models.contract import Model
 from tustinnet.store.log import LOG, read_log
 from tustinnet.store.model_file import shown
@@ -25,6 +26,7 @@ class Subject:
         file: its file, if it is in one.
         told: what its family tells of the file, as words and what they say.
         histories: its training logs, by the member that was trained.
+        scores: its free runs of the records, none where they are not known yet.
     """
 
     label: str
@@ -33,6 +35,7 @@ class Subject:
     file: Path | None = None
     told: Sequence[tuple[str, str]] = ()
     histories: Mapping[str, History] = field(default_factory=dict)
+    scores: Sequence[Score] = ()
 
 
 def model_file(path: Path) -> Path:

@@ -33,13 +33,15 @@ class Asked:
         start: where the free runs start, None for the usual start.
         horizon: how long they last at most [s], None for whole records.
         links: how the mechanism is drawn where no model says it.
-        command: what makes the report again.
+        command: what makes the report again, of all records.
+        whole: how many records those given were taken from, None where they are all.
     """
 
     start: str | None = None
     horizon: float | None = None
     links: tuple[Link, ...] = ()
     command: str = ""
+    whole: int | None = None
 
 
 def write_report(
@@ -125,7 +127,8 @@ def _context(
         "title": told.what_it_is(first.subject),
         "about": (first.subject.header.get("data") or {}).get("name", ""),
         "described": told.described(channels),
-        "verdict": told.verdict(first, records),
+        "verdict": told.verdict(first, records, asked.whole),
+        "left_out": told.left_out(first.subject, records),
         "models": [of.subject.label for of in found],
         "records": [e.name for e in records],
         "channels": channels,
@@ -141,6 +144,9 @@ def _context(
         "versions": told.versions(),
         "command": asked.command,
         "thinning": thinning,
+        "some": asked.whole is not None and asked.whole > len(records),
+        "whole": asked.whole,
+        "every": max(of.every for of in found),
         "has": {
             "residuals": any(of.residuals for of in found),
             "crossed": any(len(r.cross) for of in found for r in of.residuals),
