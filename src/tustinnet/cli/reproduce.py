@@ -2,11 +2,18 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tustinnet.cli import options, terminal
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from tustinnet.cli.leave_report import Leaving
+    from tustinnet.data.experiment import Experiment
+    from tustinnet.reproduce.table1 import Row
 
 
 class Keep(StrEnum):
@@ -64,14 +71,16 @@ def reproduce(
     experiment: _Experiment = None,
     overwrite: _Anew = False,
     device: options.Device = None,
+    no_report: options.NoReport = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Reproduce Table 1 and the five figures of the paper.
+    """Reproduce Table 1 and the five figures of the paper, with a report of the best models.
 
     Trainings that are in --out already are gone on with, finished ones are taken as they are.
     """
     terminal.prepare_jax(device)
+    from tustinnet.cli.leave_report import Leaving
     from tustinnet.data.catalog import QUBE_SERVO2, locate
     from tustinnet.data.loading import load_folder
     from tustinnet.errors import InputError
@@ -112,7 +121,27 @@ def reproduce(
         terminal.print_json(content)
     else:
         terminal.print_tables(table)
-    told.print(f"written to {out}: table1.json, table1.md, table1.tex and {len(written)} figures")
+    page = _page(rows, list(records.split(scored)), out, Leaving(data, wanted=not no_report))
+    told.print(
+        f"written to {out}: table1.json, table1.md, table1.tex and {len(written)} figures{page}"
+    )
+
+
+def _page(
+    rows: "Sequence[Row]", records: "Sequence[Experiment]", out: Path, leaving: "Leaving"
+) -> str:
+    """Writes the report of the best models; returns where it is, as the last line says it."""
+    from tustinnet.reproduce.page import report_of_rows, reported
+    from tustinnet.store.run import REPORT
+
+    best = reported(rows)
+    given = {"--split": records[0].split, "--start": best[0].start}
+    files = [row.file for row in best if row.file is not None]
+    return leaving.report(
+        files, out / REPORT,
+        lambda command: report_of_rows(best, records, out / REPORT, command if files else ""),
+        given,
+    )  # fmt: skip
 
 
 def _remarks(folder: Path, remark: str, runs: Path, *, overwrite: bool) -> list[str]:

@@ -22,7 +22,7 @@ from tustinnet.store.files import require_new, write_into
 from tustinnet.store.model_file import load_model
 
 _LARGEST, _REST = 1_000_000, 250_000  # bytes of a page, and of it what is no signal and no model
-_MOST = 5  # models; more lines than that nobody tells apart
+MOST = 5  # models; more lines than that nobody tells apart
 
 
 @dataclass(frozen=True)
@@ -86,8 +86,8 @@ def written(
     subjects: Sequence[Subject], records: Sequence[Experiment], path: Path, asked: Asked
 ) -> Path:
     """Writes the report of some models, see `write_report`."""
-    if not 0 < len(subjects) <= _MOST:
-        raise InputError("report", f"{len(subjects)} models", f"1 to {_MOST}")
+    if not 0 < len(subjects) <= MOST:
+        raise InputError("report", f"{len(subjects)} models", f"1 to {MOST}")
     if not records:
         raise InputError("report", "no records", "at least one")
     for of in subjects:
