@@ -2,7 +2,7 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     from tustinnet.cli.leave_report import Leaving
     from tustinnet.data.experiment import Experiment
+    from tustinnet.report.tables import Table
     from tustinnet.reproduce.table1 import Row
 
 
@@ -86,7 +87,7 @@ def reproduce(
     from tustinnet.errors import InputError
     from tustinnet.report.progress import FitProgress
     from tustinnet.reproduce import figures, table1
-    from tustinnet.store.files import owned, to_json, write_into
+    from tustinnet.store.files import owned
 
     told = terminal.messages()
     folder, card = locate(data)
@@ -112,10 +113,7 @@ def reproduce(
             records, folder, ask, out / "runs",
             lambda name: lambda prepared: progress.follow(prepared, name),
         )  # fmt: skip
-    content, table = table1.as_json(rows, scored), table1.as_table(rows, scored)
-    write_into(out, "table1.json", to_json(content))
-    write_into(out, "table1.md", table.markdown())
-    write_into(out, "table1.tex", table.latex())
+    content, table = _write(rows, scored, out)
     written = figures.draw(records, rows, scored, drawn, out)
     if json:
         terminal.print_json(content)
@@ -142,6 +140,18 @@ def _page(
         lambda command: report_of_rows(best, records, out / REPORT, command if files else ""),
         given,
     )  # fmt: skip
+
+
+def _write(rows: "Sequence[Row]", scored: str, out: Path) -> "tuple[dict[str, Any], Table]":
+    """Writes the table in three forms; returns it for programs and for people."""
+    from tustinnet.reproduce import table1
+    from tustinnet.store.files import to_json, write_into
+
+    content, table = table1.as_json(rows, scored), table1.as_table(rows, scored)
+    write_into(out, "table1.json", to_json(content))
+    write_into(out, "table1.md", table.markdown())
+    write_into(out, "table1.tex", table.latex())
+    return content, table
 
 
 def _remarks(folder: Path, remark: str, runs: Path, *, overwrite: bool) -> list[str]:
