@@ -82,20 +82,13 @@ def reproduce(
     """
     terminal.prepare_jax(device)
     from tustinnet.cli.leave_report import Leaving
-    from tustinnet.data.catalog import QUBE_SERVO2, locate
     from tustinnet.data.loading import load_folder
-    from tustinnet.errors import InputError
     from tustinnet.report.progress import FitProgress
     from tustinnet.reproduce import figures, table1
     from tustinnet.store.files import owned
 
     told = terminal.messages()
-    folder, card = locate(data)
-    if not QUBE_SERVO2.is_in(folder):
-        raise InputError(
-            folder, "not the Qube-Servo 2 data", "a folder with train/fall1Velocity.csv, ...",
-            "use `tustinnet fit` for your own records",
-        )  # fmt: skip
+    folder, card = _located(data)
     records = load_folder(folder, card)
     scored = table1.choose_split(records, split)
     chosen, remark = table1.choose_models(models or (), folder)
@@ -103,7 +96,8 @@ def reproduce(
     told.print(f"data: {folder}; scoring the {scored} split, start '{table1.START}'")
     for line in _remarks(folder, remark, out / "runs", overwrite=overwrite):
         told.print(line)
-    ask = table1.Ask(chosen, scored, seeds, None if keep is None else keep.value, overwrite)
+    kept = None if keep is None else keep.value
+    ask = table1.Ask(chosen, scored, seeds, kept, overwrite)
     with (
         owned(out),
         FitProgress(told, quiet=quiet) as progress,
@@ -123,6 +117,20 @@ def reproduce(
     told.print(
         f"written to {out}: table1.json, table1.md, table1.tex and {len(written)} figures{page}"
     )
+
+
+def _located(data: str) -> tuple[Path, Path | None]:
+    """The folder of the Qube-Servo 2 data and its card."""
+    from tustinnet.data.catalog import QUBE_SERVO2, locate
+    from tustinnet.errors import InputError
+
+    folder, card = locate(data)
+    if not QUBE_SERVO2.is_in(folder):
+        raise InputError(
+            folder, "not the Qube-Servo 2 data", "a folder with train/fall1Velocity.csv, ...",
+            "use `tustinnet fit` for your own records",
+        )  # fmt: skip
+    return folder, card
 
 
 def _page(
