@@ -4,8 +4,11 @@ import base64
 import hashlib
 import json
 import re
+import shutil
+import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +23,7 @@ from tustinnet.errors import InputError
 from tustinnet.evaluate.energy import energy_along
 from tustinnet.report.page import content
 from tustinnet.report.page.signals import bounded, kept, packed
+from tustinnet.simulate.range import Range, cloud_of
 
 HOSTILE = '"><img src=x onerror=alert(1)>'
 UNIT = "</script><script>alert(2)</script>"
@@ -240,3 +244,64 @@ def test_points_are_as_many_as_have_room():
     assert (few.points, few.records) == (2000, 0)
     tight = content.thinning_of([], judging(200), 30_000)
     assert (tight.points, tight.records) == (100, 20)
+
+
+JUDGING = """
+const { range, cloud, angular, states, inputs } = JSON.parse(process.argv[1]);
+const n = angular.length;
+console.log(JSON.stringify(states.map((x, k) => {
+  const { by, together } = leaving(range, cloud, angular, x.slice(0, n), x.slice(n), inputs[k]);
+  return [by.length > 0, together];
+})));
+"""
+
+
+def test_a_page_knows_what_was_recorded_as_the_package_does():
+    if shutil.which("node") is None:
+        pytest.skip("node is not installed")
+    generator = np.random.default_rng(0)
+    coordinates = [tn.Coordinate("arm", "angular"), tn.Coordinate("cart", "linear"),
+                   tn.Coordinate("tip", "angular")]  # fmt: skip
+    records = []
+    for i in range(4):  # turning on one way, the cart and the input tied to the tip
+        t = 0.02 * np.arange(150)
+        tip = np.sin((2 + i / 50) * t)
+        q = np.stack([2 * t + i / 20, 0.3 * tip, tip], axis=1)
+        records.append(tn.from_arrays(
+            q, 2 * tip, v=np.gradient(q, t, axis=0), dt=0.02, name=f"r{i}",
+            coordinates=coordinates, inputs=[tn.Input("motor", "V")],
+        ))  # fmt: skip
+    channels = records[0].channels
+    every = np.concatenate([np.concatenate([e.measured_states(), e.u], axis=1) for e in records])
+    ends = np.stack([every.min(axis=0), every.max(axis=0)], axis=1)
+    cloud = cloud_of(channels, records)
+    assert cloud is not None
+    known = Range(ends[:6], ends[6:], cloud)
+    # beyond the ends, near what was recorded, and each from another sample
+    span, mixed = np.ptp(ends, axis=1), generator.permuted(every, axis=0)[:100]
+    far = ends.mean(axis=1) + span * generator.uniform(-0.8, 0.8, (50, 7))
+    near = every[::10][:50] + 0.02 * span * generator.normal(size=(50, 7))
+    drawn = np.concatenate([far, near, mixed])
+    drawn[0, 4] = np.inf
+    states, inputs = drawn[:, :6], drawn[:, 6:]
+    left = [known.left(channels, x[None], u[None]) for x, u in zip(states, inputs, strict=True)]
+    content = {
+        "range": {"q": known.states[:3].tolist(), "v": known.states[3:].tolist(),
+                  "u": known.inputs.tolist()},
+        "cloud": {"points": cloud.points.tolist(), "spread": cloud.spread.tolist(),
+                  "reach": cloud.reach},
+        "angular": channels.angular.tolist(),
+        "states": np.where(np.isfinite(states), states, 1e308).tolist(), "inputs": inputs.tolist(),
+    }  # fmt: skip
+    source = resources.files("tustinnet.report.page").joinpath("assets/range.js").read_text()
+    done = subprocess.run(
+        ["node", "--eval", source + JUDGING, json.dumps(content)],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    found = json.loads(done.stdout)
+    assert [any(of) for of in found] == [of is not None for of in left]
+    # each by itself, together only, not at all: all three happen
+    kinds = ["by" if by else "together" if together else "" for by, together in found]
+    assert min(kinds.count(kind) for kind in ("by", "together", "")) > 20
+    said = ["" if of is None else "by" if of.what else "together" for of in left]
+    assert kinds == said

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import tustinnet as tn
-from tustinnet.simulate.range import range_of
+from tustinnet.simulate.range import Range, range_of
 from tustinnet.systems.qube_servo2 import SYSTEM
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -264,6 +264,20 @@ def test_the_playground_says_where_it_leaves_what_was_recorded(browser, models, 
     tn.save(models["nominal"], tmp_path / "known.safetensors", range=known)
     file = tn.write_report([tmp_path / "known.safetensors"], records, tmp_path / "report.html")
     found = Opened(browser, file, reduced_motion="reduce")
+    drawn = np.random.default_rng(0).uniform(-1, 1, (200, 5)) * [2, 4, 12, 25, 5]
+    states, inputs = drawn[:, :4], drawn[:, 4:]
+    header = tn.read_header(tmp_path / "known.safetensors")
+    read = Range.from_header(header, models["nominal"])
+    assert read is not None
+    left = [
+        read.left(models["nominal"].channels, x[None], u[None]) is not None
+        for x, u in zip(states, inputs, strict=True)
+    ]
+    told = found.page.evaluate(
+        "([x, u]) => isOutside(0, x, u)", [states.tolist(), inputs.tolist()]
+    )  # fmt: skip
+    assert told == left
+    assert 10 < sum(left) < 190
     said = found.page.locator("#toy-state")
     assert said.inner_text() == "Within what was recorded."
     for _ in range(4):

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from tustinnet.cli.leave_report import Leaving
+    from tustinnet.data.card import Card
     from tustinnet.data.experiment import Experiment
     from tustinnet.report.tables import Table
     from tustinnet.reproduce.table1 import Row
@@ -119,7 +120,7 @@ def reproduce(
     )
 
 
-def _located(data: str) -> tuple[Path, Path | None]:
+def _located(data: str) -> "tuple[Path, Card]":
     """The folder of the Qube-Servo 2 data and its card."""
     from tustinnet.data.catalog import QUBE_SERVO2, locate
     from tustinnet.errors import InputError

@@ -83,7 +83,7 @@ def content_of(
         ],
         "models": [_model(of) for of in found],
         "records": [_record(i, e, found, points) for i, e in enumerate(records)],
-        "range": _range(found, c),
+        **_ranges(found, c),
     }
 
 
@@ -166,24 +166,28 @@ def _packed(columns: np.ndarray) -> list[dict[str, Any]]:
     return [packed(column) for column in columns.T]
 
 
-def _range(found: Sequence[Judged], channels: Channels) -> dict[str, Any] | None:
-    """Where the training records of the first model lie: ends, and points of its cloud."""
-    known = next((of.range for of in found if of.range is not None), None)
-    if known is None:
-        return None
-    ends = {
-        "q": known.states[channels.position].tolist(),
-        "v": known.states[channels.velocity].tolist(),
-    }
-    return ends | ({} if known.cloud is None else _points(known.cloud, channels))
+def _ranges(found: Sequence[Judged], channels: Channels) -> dict[str, Any]:
+    """Where the training records of each model lie: ends, and clouds, which models may share."""
+    ranges: list[dict[str, Any] | None] = []
+    clouds: list[dict[str, Any]] = []
+    for of in found:
+        if (known := of.range) is None:
+            ranges.append(None)
+            continue
+        cloud = None if known.cloud is None else _cloud(known.cloud)
+        if cloud is not None and cloud not in clouds:
+            clouds.append(cloud)
+        ranges.append({
+            "q": known.states[channels.position].tolist(),
+            "v": known.states[channels.velocity].tolist(),
+            "u": known.inputs.tolist(),
+            "cloud": None if cloud is None else clouds.index(cloud),
+        })  # fmt: skip
+    return {"ranges": ranges, "clouds": clouds}
 
 
-def _points(cloud: Cloud, channels: Channels) -> dict[str, Any]:
-    """Positions and velocities of a cloud, see `tustinnet.simulate.range.features`."""
-    values, angles = cloud.points * cloud.spread, channels.angular
-    n_linear, n_angular, n_q = int((~angles).sum()), int(angles.sum()), channels.n_q
-    ends = np.cumsum([n_linear, n_angular, n_angular, n_q])
-    linear, sine, cosine, velocity, _ = np.split(values, ends, axis=1)
-    q = np.empty((len(values), n_q))
-    q[:, ~angles], q[:, angles] = linear, np.arctan2(sine, cosine)
-    return {"points": {"q": _packed(q), "v": _packed(velocity)}}
+def _cloud(cloud: Cloud) -> dict[str, Any]:
+    """See `tustinnet.simulate.range.Cloud`."""
+    return {
+        "points": cloud.points.tolist(), "spread": cloud.spread.tolist(), "reach": cloud.reach,
+    }  # fmt: skip

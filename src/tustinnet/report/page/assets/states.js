@@ -9,16 +9,28 @@ function ticksOf(low, high, most = 5) {
   return found.map((x) => Math.round(x / step) * step);
 }
 
+// Position and velocity of a coordinate at the points of a cloud, see `featuresOf`.
+function pointsOf(cloud, j) {
+  if (!cloud) return null;
+  const angular = data.coordinates.map((of) => of.kind === "angular");
+  const n = angular.length, angles = angular.filter(Boolean).length;
+  const before = angular.slice(0, j).filter((is) => is === angular[j]).length;
+  const value = (point, i) => point[i] * cloud.spread[i];
+  const sine = n - angles + before;
+  return {
+    q: cloud.points.map((p) => (angular[j] ? Math.atan2(value(p, sine), value(p, sine + angles)) : value(p, before))),
+    v: cloud.points.map((p) => value(p, n + angles + j)),
+  };
+}
+
 function stateChart(host, j) {
   const c = data.coordinates[j], angular = c.kind === "angular";
   const canvas = host.appendChild(element("canvas", {
     class: "states", role: "img", "aria-label": `${c.name} and its velocity in the chosen record`,
   }));
-  const points = data.range?.points && {
-    q: unpacked(data.range.points.q[j]), v: unpacked(data.range.points.v[j]),
-  };
+  const range = data.ranges.find(Boolean), points = pointsOf(data.clouds[range?.cloud], j);
   const packed = (key) => data.records.map((r) => [r[key][j].low, r[key][j].high]);
-  const frame = data.range && { q: data.range.q[j], v: data.range.v[j] };
+  const frame = range && { q: range.q[j], v: range.v[j] };
   const pad = ([low, high]) => [low - 0.06 * (high - low), high + 0.06 * (high - low)];
   // in the middle of a turn is where an angle is most
   const most = data.records.map((r) => unpacked(r.q[j])).flat().reduce((sum, q) => sum + Math.cos(q), 0);
