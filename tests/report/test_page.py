@@ -16,11 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import write_folder
+from scipy.spatial.transform import Rotation
 from swinging import SWING, TRUTH, falls
 
 import tustinnet as tn
 from tustinnet.errors import InputError
 from tustinnet.evaluate.energy import energy_along
+from tustinnet.models.kinematics import carriers
 from tustinnet.report.page import content
 from tustinnet.report.page.signals import bounded, kept, packed
 from tustinnet.simulate.range import Range, cloud_of
@@ -213,7 +215,9 @@ def test_energy_is_that_of_the_equations():
     [
         ({"axis": (0, 0, 0)}, "an axis of length 0"),
         ({"reach": (0, 0)}, "3 numbers"),
+        ({"at": (0, 0, np.inf)}, "3 numbers"),
         ({"coordinate": "elbow"}, "a link of the coordinate 'elbow'"),
+        ({"parent": "angle"}, "the link of 'angle' on 'angle'; expected base"),
     ],
 )
 def test_links_that_cannot_be_drawn_are_refused(change, told):
@@ -305,3 +309,59 @@ def test_a_page_knows_what_was_recorded_as_the_package_does():
     assert min(kinds.count(kind) for kind in ("by", "together", "")) > 20
     said = ["" if of is None else "by" if of.what else "together" for of in left]
     assert kinds == said
+
+
+# a cart with an arm of two links and a pendulum beside it, and a crank on the base
+TREE = (
+    tn.Link("cart", (1, 0, 0), (0, 0, 0)),
+    tn.Link("arm", (0, -1, 0), (0, 0, -0.4)),
+    tn.Link("hand", (0, 0, 1), (0.2, 0, 0)),
+    tn.Link("tail", (0, -1, 0), (0, 0, -0.3), parent="cart", at=(-0.1, 0, 0)),
+    tn.Link("crank", (0, 2, 0), (0.5, 0, 0), parent="base", at=(1, 0, -1)),
+)
+PLACED = """
+const TURN = 2 * Math.PI, endsOf = () => [0, 1];
+const placed = ({ links, coordinates, q }) =>
+  new Linkage(links, coordinates, coordinates.map(() => [-1, 1])).places(q);
+"""
+
+
+def test_a_tree_of_links_is_placed_as_its_frames_say():
+    if shutil.which("node") is None:
+        pytest.skip("node is not installed")
+    names = [link.coordinate for link in TREE]
+    assert carriers(TREE) == [None, 0, 1, 0, None]
+    kinds = ["linear", *["angular"] * 4]
+    cart, arm, hand, tail, crank = q = [0.3, 0.5, -0.7, 1.1, 2.0]
+    content = {
+        "links": [
+            {"coordinate": names.index(of.coordinate), "axis": of.axis, "reach": of.reach,
+             "parent": parent, "at": of.at}
+            for of, parent in zip(TREE, carriers(TREE), strict=True)
+        ],
+        "coordinates": [{"kind": kind} for kind in kinds], "q": q,
+    }  # fmt: skip
+    source = resources.files("tustinnet.report.page").joinpath("assets/linkage.js").read_text()
+    call = "console.log(JSON.stringify(placed(JSON.parse(process.argv[1]))));"
+    done = subprocess.run(
+        ["node", "--eval", PLACED + source + call, json.dumps(content)],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    found = json.loads(done.stdout)
+
+    def about(axis: list[int], angle: float) -> np.ndarray:
+        return Rotation.from_rotvec(angle * np.array(axis, float)).as_matrix()
+
+    first = np.array([cart, 0, 0])
+    hung = first - np.array([0.1, 0, 0])
+    elbow = first + about([0, -1, 0], arm) @ [0, 0, -0.4]
+    expected = [
+        (first, first),
+        (first, elbow),
+        (elbow, elbow + about([0, -1, 0], arm) @ about([0, 0, 1], hand) @ [0.2, 0, 0]),
+        (hung, hung + about([0, -1, 0], tail) @ [0, 0, -0.3]),
+        (np.array([1, 0, -1]), [1, 0, -1] + about([0, 1, 0], crank) @ [0.5, 0, 0]),
+    ]
+    for of, (begin, end) in zip(found, expected, strict=True):
+        np.testing.assert_allclose(of["begin"], begin, atol=1e-12)
+        np.testing.assert_allclose(of["end"], end, atol=1e-12)

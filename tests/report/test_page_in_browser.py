@@ -298,3 +298,26 @@ def test_models_without_links_have_dials(browser, models, records, tmp_path):
     assert len(drawn(found.page, "stage")) > 3000
     assert found.told == []
     found.context.close()
+
+
+def test_links_that_form_a_tree_are_drawn_and_dragged(browser, models, records, tmp_path):
+    links = (
+        tn.Link("theta", (0, -1, 0), (0, 0, -0.2)),
+        tn.Link("alpha", (0, -1, 0), (0, 0, -0.2), parent="base", at=(0.3, 0, 0)),
+    )
+    values = {k: jnp.asarray(v) for k, v in SYSTEM.nominal().items()}
+    model = tn.discretise(replace(SYSTEM, links=links).model(values), DT, 2)
+    file = tn.write_report({"tree": model}, records[:1], tmp_path / "report.html")
+    found = Opened(browser, file, reduced_motion="reduce")
+    page = found.page
+    places = page.evaluate("Object.keys(JSON.parse(document.getElementById('data').textContent)"
+                           ".links[1]).sort().join()")  # fmt: skip
+    assert places == "at,axis,coordinate,parent,reach"
+    before = drawn(page, "stage")
+    page.get_by_label("Time in the record").fill("1")
+    assert drawn(page, "stage") != before
+    before = drawn(page, "toy")
+    page.get_by_role("slider", name="alpha [rad]").fill("1.0")
+    assert drawn(page, "toy") != before
+    assert found.told == []
+    found.context.close()

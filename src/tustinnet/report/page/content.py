@@ -9,7 +9,7 @@ import numpy as np
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment
 from tustinnet.evaluate.bands import Band
-from tustinnet.models.kinematics import Link
+from tustinnet.models.kinematics import Link, carriers
 from tustinnet.report.page.judged import Judged
 from tustinnet.report.page.signals import bounded, kept, packed
 from tustinnet.report.page.subject import History
@@ -78,8 +78,14 @@ def content_of(
             {"name": i.name, "unit": i.unit, "limits": i.limits, "hold": i.hold} for i in c.inputs
         ],
         "links": [
-            {"coordinate": names.index(link.coordinate), "axis": link.axis, "reach": link.reach}
-            for link in links
+            {
+                "coordinate": names.index(link.coordinate),
+                "axis": link.axis,
+                "reach": link.reach,
+                "parent": parent,
+                "at": link.at,
+            }
+            for link, parent in zip(links, carriers(links), strict=True)
         ],
         "models": [_model(of) for of in found],
         "records": [_record(i, e, found, points) for i, e in enumerate(records)],

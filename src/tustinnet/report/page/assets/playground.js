@@ -132,7 +132,7 @@ function beginPlayground() {
     acting = toy.u.map((x, i) => (i === 0 && held ? toy.inputEnds[0][held > 0 ? 1 : 0] : x));
     while (owed >= period && performance.now() - from < 1000 * FRAME) { toy.step(acting); owed -= period; }
     if (owed >= period) owed = 0; // slower than time
-    if (trail.push(toy.q) > 40) trail.shift();
+    if (trail.push(mechanism.ends(toy.q)) > 40) trail.shift();
     draw();
     requestAnimationFrame(tickToy);
   };
