@@ -43,7 +43,7 @@ def demo(
     """
     terminal.prepare_jax(device)
     from tustinnet.cli.inspect import time_table
-    from tustinnet.cli.leave_report import Leaving
+    from tustinnet.cli.leave_report import Leaving, require_left
     from tustinnet.data.catalog import load
     from tustinnet.data.inspection import inspect_experiment
     from tustinnet.report.figures import inspection_figure, write_figure
@@ -80,9 +80,10 @@ def demo(
     if not no_report:
         _say(told, quiet, f"5/5 the report, motion and playground in one page: {page}")
     report = _page(scored, data, page, Leaving(str(logs), wanted=not no_report))
-    _say(told, quiet, f"written to {out}: {table_file.name}, {', '.join(figures)}{report}")
+    _say(told, quiet, f"written to {out}: {table_file.name}, {', '.join(figures)}{report or ''}")
     _say(told, quiet, f"look again: tustinnet inspect {logs}; tustinnet show {out / _CHOICE}/"
                       f"model.safetensors; {out / _CHOICE / 'figures'}")  # fmt: skip
+    require_left(report)
 
 
 def _say(told: "Console", quiet: bool, line: str) -> None:
@@ -118,7 +119,7 @@ def _fitted(
     return found
 
 
-def _page(scored: "list[Subject]", data: "DataSet", page: Path, leaving: "Leaving") -> str:
+def _page(scored: "list[Subject]", data: "DataSet", page: Path, leaving: "Leaving") -> str | None:
     """Writes the report of the chosen model and those beside it; returns where it is."""
     from tustinnet.report.page.fitted import report_of_scored
 

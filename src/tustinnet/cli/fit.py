@@ -93,6 +93,7 @@ def _fit_recipe(
     quiet: bool,
 ) -> None:
     """Fits one recipe: `asked` has its name, changes, seeds, physics to correct, origin."""
+    from tustinnet.cli.leave_report import require_left
     from tustinnet.cli.request import (
         begun_with,
         kept_system,
@@ -137,8 +138,9 @@ def _fit_recipe(
     if json:
         terminal.print_json(run.summary())
     else:
-        _print(run, out, page)
+        _print(run, out, page or "")
     _tell_unfinished(run, told)
+    require_left(page)
 
 
 def _require_meaning(
@@ -210,7 +212,7 @@ def _earlier(*, resume: bool, overwrite: bool) -> "Earlier":
     return "resume" if resume else "discard" if overwrite else "refuse"
 
 
-def _page(run: "Run", leaving: "Leaving") -> str:
+def _page(run: "Run", leaving: "Leaving") -> str | None:
     """Writes the report of the best model; returns where it is, as the line of files says it."""
     from tustinnet.report.page.fitted import report_of_run
     from tustinnet.store.run import REPORT

@@ -5,6 +5,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import typer
+
 from tustinnet.cli import terminal
 
 
@@ -38,7 +40,7 @@ class Leaving:
     def report(
         self, models: Sequence[Path], out: Path, write: Callable[[str], Path],
         given: Mapping[str, object],
-    ) -> str:  # fmt: skip
+    ) -> str | None:  # fmt: skip
         """Writes the report of what was fitted. Whatever goes wrong then, the fit is not lost.
 
         Args:
@@ -48,7 +50,8 @@ class Leaving:
             given: the options of that command; those that are None are left out.
 
         Returns:
-            Where it is, for the line that names the files; empty where there is none.
+            Where it is, for the line that names the files; empty where none is wanted, None where
+            it could not be written: then the command ends with `require_left`.
         """
         from tustinnet.errors import InputError, brief
 
@@ -60,5 +63,11 @@ class Leaving:
         except Exception as error:
             why = str(error) if isinstance(error, InputError) else brief(error)
             terminal.messages().print(f"error: no report ({why}); all else is kept, try: {command}")
-            return ""
+            return None
         return f"   report: {path}"
+
+
+def require_left(page: str | None) -> None:
+    """Ends with exit code 1 where the report could not be written, when all else is done."""
+    if page is None:
+        raise typer.Exit(1)

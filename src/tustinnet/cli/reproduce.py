@@ -82,7 +82,7 @@ def reproduce(
     Trainings that are in --out already are gone on with, finished ones are taken as they are.
     """
     terminal.prepare_jax(device)
-    from tustinnet.cli.leave_report import Leaving
+    from tustinnet.cli.leave_report import Leaving, require_left
     from tustinnet.data.loading import load_folder
     from tustinnet.report.progress import FitProgress
     from tustinnet.reproduce import figures, table1
@@ -115,9 +115,9 @@ def reproduce(
     else:
         terminal.print_tables(table)
     page = _page(rows, list(records.split(scored)), out, Leaving(data, wanted=not no_report))
-    told.print(
-        f"written to {out}: table1.json, table1.md, table1.tex and {len(written)} figures{page}"
-    )
+    files = f"table1.json, table1.md, table1.tex and {len(written)} figures{page or ''}"
+    told.print(f"written to {out}: {files}")
+    require_left(page)
 
 
 def _located(data: str) -> "tuple[Path, Card]":
@@ -136,7 +136,7 @@ def _located(data: str) -> "tuple[Path, Card]":
 
 def _page(
     rows: "Sequence[Row]", records: "Sequence[Experiment]", out: Path, leaving: "Leaving"
-) -> str:
+) -> str | None:
     """Writes the report of the best models; returns where it is, as the last line says it."""
     from tustinnet.reproduce.page import report_of_rows, reported
     from tustinnet.store.run import REPORT

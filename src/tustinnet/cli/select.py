@@ -52,6 +52,7 @@ def select(
 
     `asked` has the plan, the budget, and the cluster whose machines do the jobs.
     """
+    from tustinnet.cli.leave_report import require_left
     from tustinnet.report.progress import FitProgress
     from tustinnet.selection.cluster import cluster
     from tustinnet.selection.plan import USUAL, read_plan
@@ -74,10 +75,11 @@ def select(
     if json:
         terminal.print_json(choice.as_plain())
     else:
-        print_choice(choice, page)
+        print_choice(choice, page or "")
+    require_left(page)
 
 
-def _page(choice: "Choice", leaving: "Leaving") -> str:
+def _page(choice: "Choice", leaving: "Leaving") -> str | None:
     """Writes the report of the chosen model; returns where it is, as the line of files says it."""
     from tustinnet.report.page.fitted import report_of_choice
     from tustinnet.store.run import REPORT

@@ -1,5 +1,6 @@
 """The numbers of a report as plain values, which the page draws."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,6 +10,7 @@ import numpy as np
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment
 from tustinnet.evaluate.bands import Band
+from tustinnet.families.family import family_of
 from tustinnet.models.kinematics import Link, carriers
 from tustinnet.report.page.judged import Judged
 from tustinnet.report.page.signals import bounded, kept, packed
@@ -111,7 +113,37 @@ def _model(of: Judged) -> dict[str, Any]:
             }
             for r in of.residuals
         ],
+        "search": _searched(of),
         "training": [_curve(name, lines) for name, lines in of.subject.histories.items()],
+    }
+
+
+def _searched(of: Judged) -> dict[str, Any] | None:
+    """Costs by iteration of every stage, and the parameters that moved, at the ends of stages."""
+    lines = of.subject.search
+    ended = [line for line in lines if "parameters" in line]
+    if not ended:
+        return None
+    costs: list[list[float]] = [[]]
+    for line in lines:
+        if "parameters" in line:
+            costs.append([])
+        else:
+            costs[-1].append(math.nan if line["cost"] is None else line["cost"])
+    names = [name for name in ended[0]["parameters"] if all(name in s["parameters"] for s in ended)]
+    values = {name: [stage["parameters"][name] for stage in ended] for name in names}
+    known = family_of(of.subject.model).parameters(of.subject.model)
+    units = {name: unit for name, unit, _ in known}
+    return {
+        "stages": [
+            {"name": stage["stage"], "cost": cost or [stage["cost"]]}
+            for stage, cost in zip(ended, costs, strict=False)
+        ],
+        "parameters": [
+            {"name": name, "unit": units.get(name, ""), "values": each}
+            for name, each in values.items()
+            if len(set(each)) > 1
+        ],
     }
 
 

@@ -170,6 +170,20 @@ def parameters_of(subject: Subject) -> Parameters | None:
     return Parameters(subject.label, title, table, [*places, *[None] * len(fixed)])
 
 
+def stages_table(found: Sequence[Judged]) -> Table:
+    """The stages of every identification, and how they ended."""
+    rows = []
+    for of in found:
+        ended = [line for line in of.subject.search if "parameters" in line]
+        rows += [
+            [of.subject.label, f"{i}: {stage['stage']}", str(stage["iterations"]),
+             "–" if stage["cost"] is None else f"{stage['cost']:.4g}", stage["why"]]
+            for i, stage in enumerate(ended, 1)
+        ]  # fmt: skip
+    columns = ["model", "stage", "iterations", "cost", "ended"]
+    return Table(columns, rows)
+
+
 def notes_of(found: Sequence[Judged], records: Sequence[Experiment]) -> list[str]:
     """What one should know before believing it."""
     notes = []
