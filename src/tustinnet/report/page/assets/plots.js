@@ -48,6 +48,12 @@ class Plot {
     plots.add(this);
     this.watch = new ResizeObserver(() => this.fit());
     this.watch.observe(this.frame);
+    this.seen = true;
+    this.look = new IntersectionObserver((all) => {
+      this.seen = all.at(-1).isIntersecting;
+      if (this.seen) this.mark(clock.time, true);
+    });
+    if (timed) this.look.observe(this.frame);
   }
 
   make() {
@@ -114,6 +120,7 @@ class Plot {
   remove() {
     this.drawn?.destroy();
     this.watch.disconnect();
+    this.look.disconnect();
     this.frame.remove();
     plots.delete(this);
   }
@@ -146,9 +153,10 @@ class Plot {
   // The line for now; values in the legend now and then, which costs more.
   mark(time, values) {
     if (!this.drawn || !this.now) return;
-    const left = this.drawn.valToPos(time, "x");
+    const left = this.drawn.valToPos(time, "x"), { bbox } = this.drawn;
     this.now.style.transform = `translateX(${left}px)`;
-    this.now.hidden = !(left >= 0 && left <= this.drawn.over.clientWidth);
+    const hidden = !(left >= 0 && left <= bbox.width / uPlot.pxRatio);
+    if (this.now.hidden !== hidden) this.now.hidden = hidden;
     if (values && this.drawn.cursor.left < 0)
       this.drawn.setLegend({ idx: placeIn(this.drawn.data[0], time) });
   }
@@ -196,9 +204,9 @@ function beginPlots() {
   clock.choosers.add(() => { zoomed = WHOLE; for (const plot of plots) if (plot.timed) plot.make(); });
   let last = 0;
   clock.listeners.add((time) => {
-    const due = !clock.playing || performance.now() - last > 120;
+    const due = !clock.playing || performance.now() - last > SELDOM;
     if (due) last = performance.now();
-    for (const plot of plots) if (plot.timed) plot.mark(time, due);
+    for (const plot of plots) if (plot.timed && plot.seen) plot.mark(time, due);
   });
   for (const box of document.querySelectorAll(".shown")) box.addEventListener("change", all);
   $("zoom-in").addEventListener("click", () => zoomBy(0.5));

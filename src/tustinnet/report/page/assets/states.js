@@ -39,13 +39,8 @@ function stateChart(host, j) {
     .map(([x, k]) => [x, k ? `${k < 0 ? "\u2212" : ""}${{ 0.5: "\u03c0/2", 1: "\u03c0", 1.5: "3\u03c0/2", 2: "2\u03c0" }[Math.abs(k)]}` : "0"]);
   const qs = pad(angular ? [middle - Math.PI, middle + Math.PI] : endsOf([...packed("q"), ...(frame ? [frame.q] : [])]));
   const vs = pad(endsOf([...packed("v"), ...(frame ? [frame.v] : [])]));
-  const draw = () => {
-    const { context, width, height } = sharp(canvas);
-    if (!width) return;
-    const left = 46, bottom = height - 34, right = width - 8, top = 8;
-    const px = (q) => left + ((q - qs[0]) / (qs[1] - qs[0] || 1)) * (right - left);
-    const py = (v) => bottom - ((v - vs[0]) / (vs[1] - vs[0] || 1)) * (bottom - top);
-    const place = (q) => px(angular ? middle + wrapped(q - middle) : q);
+  // what stays while time goes on
+  const drawStill = (context, width, height, { left, right, top, bottom, px, py, place }) => {
     context.font = "11px system-ui, sans-serif";
     context.strokeStyle = colours.line;
     context.fillStyle = colours.quiet;
@@ -91,7 +86,26 @@ function stateChart(host, j) {
       before = turn;
     });
     context.stroke();
-    const now = at(of.t, [of.q[j], of.v[j]], clock.time);
+  };
+  const still = document.createElement("canvas");
+  let drawn = "";
+  const draw = () => {
+    const { context, width, height } = sharp(canvas);
+    if (!width) return;
+    const left = 46, bottom = height - 34, right = width - 8, top = 8;
+    const px = (q) => left + ((q - qs[0]) / (qs[1] - qs[0] || 1)) * (right - left);
+    const py = (v) => bottom - ((v - vs[0]) / (vs[1] - vs[0] || 1)) * (bottom - top);
+    const place = (q) => px(angular ? middle + wrapped(q - middle) : q);
+    const wanted_ = [clock.record, canvas.width, canvas.height, colours.ink].join();
+    if (drawn !== wanted_) {
+      drawn = wanted_;
+      [still.width, still.height] = [canvas.width, canvas.height];
+      const under = still.getContext("2d");
+      under.setTransform(context.getTransform());
+      drawStill(under, width, height, { left, right, top, bottom, px, py, place });
+    }
+    context.drawImage(still, 0, 0, width, height);
+    const of = recordAt(clock.record), now = at(of.t, [of.q[j], of.v[j]], clock.time);
     context.fillStyle = colours.ink;
     context.strokeStyle = colours.paper;
     context.lineWidth = 2;
