@@ -614,6 +614,10 @@ def test_the_demo_does_the_whole_job_and_says_twin_everywhere(
     table = json.loads((out / "twin_table.json").read_text())
     means = {name: m["mean"] for name, m in table["models"].items()}
     assert means["physics (chosen)"] < means["network"]
+    page = (out / "twin_report.html").read_text(encoding="utf-8")
+    assert "2 test records that it was not fitted to" in page
+    assert [page.count(f"Show {name}") for name in means] == [1, 1]
+    assert f"report: {out / 'twin_report.html'}" in err
     assert len(means) == 2
     scored = json.loads((out / "twin_choice" / "summary.json").read_text())
     assert not any(

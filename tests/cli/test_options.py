@@ -44,6 +44,9 @@ _SELECTED = "cli/test_choosing.py::test_a_folder_of_logs_and_a_system_become_one
 _STRICT = f"{HERE}::test_strict_refuses_what_looks_wrong"
 _INSPECTED = f"{VERBS}::test_inspect_as_json_with_a_figure"
 
+_LEFT = "cli/test_leave_report.py"
+_NO_REPORT = f"{_LEFT}::test_a_fit_leaves_a_report_of_the_validation_records"
+
 _BANDED = "cli/test_bands_verb.py::test_a_calibrated_model_simulates_and_is_judged_with_bands"
 _PAGE = "cli/test_report_verb.py::test_a_run_is_reported_as_its_options_say"
 _DRAWN = "cli/test_report_verb.py::test_a_system_with_links_draws_a_network"
@@ -61,7 +64,7 @@ SHOWN = {
     "demo": {
         "--out": f"{GREY}::test_the_demo_does_the_whole_job_and_says_twin_everywhere",
         "--seed": _DEMO, "--overwrite": _DEMO, "--device": _DEVICE, "--json": _PRINTED,
-        "--quiet": _PRINTED,
+        "--quiet": _PRINTED, "--no-report": f"{_LEFT}::test_the_demo_and_the_table_leave_a_report",
     },
     "inspect": {
         "--card": _CARD, "--split": _NAMES, "--json": _INSPECTED, "--figure": _INSPECTED,
@@ -78,6 +81,7 @@ SHOWN = {
         "--plan": _SELECTED, "--budget": _SELECTED,
         "--cluster": "cli/test_choosing.py::test_what_cannot_be_asked_is_one_line",
         "--card": _CARD, "--device": _DEVICE, "--quiet": _QUIET, "--strict": _STRICT,
+        "--no-report": _NO_REPORT,
     },
     "cross-validate": {
         "--out": _FOLD, "--recipe": _FOLD, "--seeds": _FOLD, "--start": _FOLD,
@@ -146,6 +150,7 @@ SHOWN = {
         "--json": _REPRODUCED, "--quiet": _QUIET, "--device": _DEVICE,
         "--split": _ASKED, "--seeds": _ASKED, "--keep": _ASKED, "--experiment": _ASKED,
         "--overwrite": _ASKED,
+        "--no-report": f"{_LEFT}::test_the_demo_and_the_table_leave_a_report",
     },
 }  # fmt: skip
 
@@ -347,7 +352,7 @@ def test_the_demo_is_quiet_and_prints_json(pendulum, tmp_path, monkeypatch, caps
     monkeypatch.setattr(demo, "_fitted", fitted)
     _, table, progress = tustinnet(capsys, "demo", "--out", tmp_path / "loud")
     assert "Time: period" in table
-    assert "1/4 twin" in progress
+    assert "1/5 twin" in progress
     command = ("demo", "--out", tmp_path / "out", "--json", "--quiet")
     assert tustinnet(capsys, *command) == (1, "", "error: stopped: here\n")
 

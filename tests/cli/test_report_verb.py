@@ -71,7 +71,7 @@ def test_a_system_with_links_draws_a_network(run_folder, folder, tmp_path, capsy
     assert not page.exists()
     assert tustinnet(capsys, *command)[0] == 0
     assert numbers_in(page)["links"] == [
-        {"coordinate": 0, "axis": [0, -1, 0], "reach": [0, 0, -0.3]}
+        {"coordinate": 0, "axis": [0, -1, 0], "reach": [0, 0, -0.3], "parent": None, "at": None}
     ]
 
 
@@ -101,3 +101,27 @@ def test_parameters_have_both_errors_and_calibrated_models_bands(place, tmp_path
     assert text.count('class="place"') == 2 * 3
     assert tustinnet(capsys, *command, "--overwrite", "--horizon", 1)[0] == 0
     assert "no bands: --band: start" in page.read_text(encoding="utf-8")
+
+
+def test_an_identification_shows_its_stages_and_the_way_of_its_parameters(identified):  # noqa: F811
+    page = identified / "report.html"  # left by the fit
+    (of,) = numbers_in(page)["models"]
+    lines = [json.loads(line) for line in (identified / "log.jsonl").read_text().splitlines()]
+    ends = [line for line in lines if "parameters" in line]
+    assert [stage["name"] for stage in of["search"]["stages"]] == [end["stage"] for end in ends]
+    costs = [cost for stage in of["search"]["stages"] for cost in stage["cost"]]
+    assert costs == [line["cost"] for line in lines if "iteration" in line]
+    ways = {p["name"]: p for p in of["search"]["parameters"]}
+    assert "inertia" not in ways  # fixed: it never moves
+    assert ways["gravity"]["unit"]
+    assert ways["gravity"]["values"] == [end["parameters"]["gravity"] for end in ends]
+    text = page.read_text(encoding="utf-8")
+    assert "1: first values" in text
+    assert 'id="plots-parameters"' in text
+
+
+def test_a_network_has_no_stages_of_an_identification(run_folder, folder, tmp_path, capsys):
+    page = tmp_path / "report.html"
+    assert tustinnet(capsys, "report", run_folder, folder, "--out", page)[0] == 0
+    assert [of["search"] for of in numbers_in(page)["models"]] == [None]
+    assert "plots-search" not in page.read_text(encoding="utf-8").split("</main>")[0]

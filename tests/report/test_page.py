@@ -4,8 +4,11 @@ import base64
 import hashlib
 import json
 import re
+import shutil
+import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +16,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import write_folder
+from scipy.spatial.transform import Rotation
 from swinging import SWING, TRUTH, falls
 
 import tustinnet as tn
 from tustinnet.errors import InputError
 from tustinnet.evaluate.energy import energy_along
+from tustinnet.models.kinematics import carriers
 from tustinnet.report.page import content
 from tustinnet.report.page.signals import bounded, kept, packed
+from tustinnet.simulate.range import Range, cloud_of
 
 HOSTILE = '"><img src=x onerror=alert(1)>'
 UNIT = "</script><script>alert(2)</script>"
@@ -209,7 +215,9 @@ def test_energy_is_that_of_the_equations():
     [
         ({"axis": (0, 0, 0)}, "an axis of length 0"),
         ({"reach": (0, 0)}, "3 numbers"),
+        ({"at": (0, 0, np.inf)}, "3 numbers"),
         ({"coordinate": "elbow"}, "a link of the coordinate 'elbow'"),
+        ({"parent": "angle"}, "the link of 'angle' on 'angle'; expected base"),
     ],
 )
 def test_links_that_cannot_be_drawn_are_refused(change, told):
@@ -240,3 +248,120 @@ def test_points_are_as_many_as_have_room():
     assert (few.points, few.records) == (2000, 0)
     tight = content.thinning_of([], judging(200), 30_000)
     assert (tight.points, tight.records) == (100, 20)
+
+
+JUDGING = """
+const { range, cloud, angular, states, inputs } = JSON.parse(process.argv[1]);
+const n = angular.length;
+console.log(JSON.stringify(states.map((x, k) => {
+  const { by, together } = leaving(range, cloud, angular, x.slice(0, n), x.slice(n), inputs[k]);
+  return [by.length > 0, together];
+})));
+"""
+
+
+def test_a_page_knows_what_was_recorded_as_the_package_does():
+    if shutil.which("node") is None:
+        pytest.skip("node is not installed")
+    generator = np.random.default_rng(0)
+    coordinates = [tn.Coordinate("arm", "angular"), tn.Coordinate("cart", "linear"),
+                   tn.Coordinate("tip", "angular")]  # fmt: skip
+    records = []
+    for i in range(4):  # turning on one way, the cart and the input tied to the tip
+        t = 0.02 * np.arange(150)
+        tip = np.sin((2 + i / 50) * t)
+        q = np.stack([2 * t + i / 20, 0.3 * tip, tip], axis=1)
+        records.append(tn.from_arrays(
+            q, 2 * tip, v=np.gradient(q, t, axis=0), dt=0.02, name=f"r{i}",
+            coordinates=coordinates, inputs=[tn.Input("motor", "V")],
+        ))  # fmt: skip
+    channels = records[0].channels
+    every = np.concatenate([np.concatenate([e.measured_states(), e.u], axis=1) for e in records])
+    ends = np.stack([every.min(axis=0), every.max(axis=0)], axis=1)
+    cloud = cloud_of(channels, records)
+    assert cloud is not None
+    known = Range(ends[:6], ends[6:], cloud)
+    # beyond the ends, near what was recorded, and each from another sample
+    span, mixed = np.ptp(ends, axis=1), generator.permuted(every, axis=0)[:100]
+    far = ends.mean(axis=1) + span * generator.uniform(-0.8, 0.8, (50, 7))
+    near = every[::10][:50] + 0.02 * span * generator.normal(size=(50, 7))
+    drawn = np.concatenate([far, near, mixed])
+    drawn[0, 4] = np.inf
+    states, inputs = drawn[:, :6], drawn[:, 6:]
+    left = [known.left(channels, x[None], u[None]) for x, u in zip(states, inputs, strict=True)]
+    content = {
+        "range": {"q": known.states[:3].tolist(), "v": known.states[3:].tolist(),
+                  "u": known.inputs.tolist()},
+        "cloud": {"points": cloud.points.tolist(), "spread": cloud.spread.tolist(),
+                  "reach": cloud.reach},
+        "angular": channels.angular.tolist(),
+        "states": np.where(np.isfinite(states), states, 1e308).tolist(), "inputs": inputs.tolist(),
+    }  # fmt: skip
+    source = resources.files("tustinnet.report.page").joinpath("assets/range.js").read_text()
+    done = subprocess.run(
+        ["node", "--eval", source + JUDGING, json.dumps(content)],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    found = json.loads(done.stdout)
+    assert [any(of) for of in found] == [of is not None for of in left]
+    # each by itself, together only, not at all: all three happen
+    kinds = ["by" if by else "together" if together else "" for by, together in found]
+    assert min(kinds.count(kind) for kind in ("by", "together", "")) > 20
+    said = ["" if of is None else "by" if of.what else "together" for of in left]
+    assert kinds == said
+
+
+# a cart with an arm of two links and a pendulum beside it, and a crank on the base
+TREE = (
+    tn.Link("cart", (1, 0, 0), (0, 0, 0)),
+    tn.Link("arm", (0, -1, 0), (0, 0, -0.4)),
+    tn.Link("hand", (0, 0, 1), (0.2, 0, 0)),
+    tn.Link("tail", (0, -1, 0), (0, 0, -0.3), parent="cart", at=(-0.1, 0, 0)),
+    tn.Link("crank", (0, 2, 0), (0.5, 0, 0), parent="base", at=(1, 0, -1)),
+)
+PLACED = """
+const TURN = 2 * Math.PI, endsOf = () => [0, 1];
+const placed = ({ links, coordinates, q }) =>
+  new Linkage(links, coordinates, coordinates.map(() => [-1, 1])).places(q);
+"""
+
+
+def test_a_tree_of_links_is_placed_as_its_frames_say():
+    if shutil.which("node") is None:
+        pytest.skip("node is not installed")
+    names = [link.coordinate for link in TREE]
+    assert carriers(TREE) == [None, 0, 1, 0, None]
+    kinds = ["linear", *["angular"] * 4]
+    cart, arm, hand, tail, crank = q = [0.3, 0.5, -0.7, 1.1, 2.0]
+    content = {
+        "links": [
+            {"coordinate": names.index(of.coordinate), "axis": of.axis, "reach": of.reach,
+             "parent": parent, "at": of.at}
+            for of, parent in zip(TREE, carriers(TREE), strict=True)
+        ],
+        "coordinates": [{"kind": kind} for kind in kinds], "q": q,
+    }  # fmt: skip
+    source = resources.files("tustinnet.report.page").joinpath("assets/linkage.js").read_text()
+    call = "console.log(JSON.stringify(placed(JSON.parse(process.argv[1]))));"
+    done = subprocess.run(
+        ["node", "--eval", PLACED + source + call, json.dumps(content)],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    found = json.loads(done.stdout)
+
+    def about(axis: list[int], angle: float) -> np.ndarray:
+        return Rotation.from_rotvec(angle * np.array(axis, float)).as_matrix()
+
+    first = np.array([cart, 0, 0])
+    hung = first - np.array([0.1, 0, 0])
+    elbow = first + about([0, -1, 0], arm) @ [0, 0, -0.4]
+    expected = [
+        (first, first),
+        (first, elbow),
+        (elbow, elbow + about([0, -1, 0], arm) @ about([0, 0, 1], hand) @ [0.2, 0, 0]),
+        (hung, hung + about([0, -1, 0], tail) @ [0, 0, -0.3]),
+        (np.array([1, 0, -1]), [1, 0, -1] + about([0, 1, 0], crank) @ [0.5, 0, 0]),
+    ]
+    for of, (begin, end) in zip(found, expected, strict=True):
+        np.testing.assert_allclose(of["begin"], begin, atol=1e-12)
+        np.testing.assert_allclose(of["end"], end, atol=1e-12)

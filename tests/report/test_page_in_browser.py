@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import tustinnet as tn
-from tustinnet.simulate.range import range_of
+from tustinnet.simulate.range import Range, range_of
 from tustinnet.systems.qube_servo2 import SYSTEM
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -264,6 +264,20 @@ def test_the_playground_says_where_it_leaves_what_was_recorded(browser, models, 
     tn.save(models["nominal"], tmp_path / "known.safetensors", range=known)
     file = tn.write_report([tmp_path / "known.safetensors"], records, tmp_path / "report.html")
     found = Opened(browser, file, reduced_motion="reduce")
+    drawn = np.random.default_rng(0).uniform(-1, 1, (200, 5)) * [2, 4, 12, 25, 5]
+    states, inputs = drawn[:, :4], drawn[:, 4:]
+    header = tn.read_header(tmp_path / "known.safetensors")
+    read = Range.from_header(header, models["nominal"])
+    assert read is not None
+    left = [
+        read.left(models["nominal"].channels, x[None], u[None]) is not None
+        for x, u in zip(states, inputs, strict=True)
+    ]
+    told = found.page.evaluate(
+        "([x, u]) => isOutside(0, x, u)", [states.tolist(), inputs.tolist()]
+    )  # fmt: skip
+    assert told == left
+    assert 10 < sum(left) < 190
     said = found.page.locator("#toy-state")
     assert said.inner_text() == "Within what was recorded."
     for _ in range(4):
@@ -282,5 +296,28 @@ def test_models_without_links_have_dials(browser, models, records, tmp_path):
     file = tn.write_report({"bare": model}, records[:1], tmp_path / "report.html")
     found = Opened(browser, file, reduced_motion="reduce")
     assert len(drawn(found.page, "stage")) > 3000
+    assert found.told == []
+    found.context.close()
+
+
+def test_links_that_form_a_tree_are_drawn_and_dragged(browser, models, records, tmp_path):
+    links = (
+        tn.Link("theta", (0, -1, 0), (0, 0, -0.2)),
+        tn.Link("alpha", (0, -1, 0), (0, 0, -0.2), parent="base", at=(0.3, 0, 0)),
+    )
+    values = {k: jnp.asarray(v) for k, v in SYSTEM.nominal().items()}
+    model = tn.discretise(replace(SYSTEM, links=links).model(values), DT, 2)
+    file = tn.write_report({"tree": model}, records[:1], tmp_path / "report.html")
+    found = Opened(browser, file, reduced_motion="reduce")
+    page = found.page
+    places = page.evaluate("Object.keys(JSON.parse(document.getElementById('data').textContent)"
+                           ".links[1]).sort().join()")  # fmt: skip
+    assert places == "at,axis,coordinate,parent,reach"
+    before = drawn(page, "stage")
+    page.get_by_label("Time in the record").fill("1")
+    assert drawn(page, "stage") != before
+    before = drawn(page, "toy")
+    page.get_by_role("slider", name="alpha [rad]").fill("1.0")
+    assert drawn(page, "toy") != before
     assert found.told == []
     found.context.close()

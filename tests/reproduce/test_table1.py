@@ -91,7 +91,7 @@ def test_the_papers_means_are_those_it_reports():
 
 def test_several_seeds_get_a_row_with_their_median_and_range(layout):
     row = authors_rows(layout, "test")[0]
-    rows = [table1.Row("tustin-transfer", seed, "r", row.scores) for seed in (0, 1, 2)]
+    rows = [table1.Row("tustin-transfer", seed, "r", row.scores, row.what) for seed in (0, 1, 2)]
     last = table1.as_table(rows, "test").rows[-1]
     assert last[0] == "tustin-transfer, median of 3 seeds"
     assert last[-1].count("..") == 1
@@ -172,6 +172,10 @@ def test_reproduce_writes_tables_and_figures_and_trains_on_no_test_record(
     assert row["train_seconds"] > 0
     model = tn.read_header(out / "runs" / "tustin-transfer" / "model.safetensors")
     assert "test" not in {record["split"] for record in model["data"]["records"]}
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "Show tustin-transfer" in page
+    assert "test records that it was not fitted to" in page
+    assert f"report: {out / 'report.html'}" in captured.err
     for name in ("table1.md", "table1.tex", "free_run_fallTest4.png", "free_run_fallTest4.svg"):
         assert (out / name).is_file()
 

@@ -14,9 +14,9 @@ import pytest
 import safetensors.numpy
 
 import tustinnet as tn
-from tustinnet.fitting.listener import Listener
+from tustinnet.fitting.listener import Iteration, Listener, SearchedStage
 from tustinnet.fitting.task import Member, make_task
-from tustinnet.store.log import read_log
+from tustinnet.store.log import SearchLog, read_log, read_search
 from tustinnet.store.run import MODEL, Earlier, Run, run_task
 
 
@@ -225,3 +225,27 @@ def test_killed_at_any_moment_and_resumed_it_ends_with_the_same_bits(
     assert whole.wait(120) == 0
     assert arrays(Path(out[0]) / MODEL) == arrays(Path(out[1]) / MODEL)
     assert log.read_text() == (Path(out[0]) / "seed-0" / "log.jsonl").read_text()
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        "{", "5", '{"stage": "a"}',
+        '{"stage": 1, "iteration": 1, "cost": 1.0, "damping": 0.0, "initial": ""}',
+        '{"stage": "a", "initial": "", "iterations": 1, "cost": 1.0, "why": "limit", '
+        '"parameters": {"mass": "heavy"}}',
+    ],
+)  # fmt: skip
+def test_the_log_of_an_identification_is_read_up_to_its_damage(tmp_path, bad):
+    log = SearchLog(tmp_path)
+    log.iteration(Iteration("first values", 1, float("nan"), 0.0))
+    log.stage(SearchedStage("first values", "", 1, 0.5, "converged", {"mass": 2.0}))
+    log.close()
+    assert read_log(tmp_path) == []
+    whole = read_search(tmp_path)
+    assert [line.get("cost") for line in whole] == [None, 0.5]
+    assert whole[1]["parameters"] == {"mass": 2.0}
+    with (tmp_path / "log.jsonl").open("a") as file:
+        file.write(bad + "\n")
+    assert read_search(tmp_path) == whole
+    assert read_search(tmp_path / "nowhere") == []

@@ -1,5 +1,6 @@
 """`tustinnet demo`: the whole main job on simulated records, offline."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -8,16 +9,21 @@ import typer
 from tustinnet.cli import options, terminal
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rich.console import Console
 
+    from tustinnet.cli.leave_report import Leaving
     from tustinnet.data.dataset import DataSet
     from tustinnet.evaluate.scores import Score
+    from tustinnet.report.page.subject import Subject
     from tustinnet.report.tables import Table
 
 # what is tried, with a system that lacks the cable's relaxation and dry friction; at most so long
 _PLAN, _SYSTEM, _SECONDS = "quick", "qube-servo2", 150.0
 _CHOICE = "twin_choice"
 _START = "derived-6"  # the twin moves when its records begin, and `file` would say it does not
+_REPORTED = 3  # models: the chosen one, and two beside it
 _DRAWN = ("twin_fall_test1", "twin_noise_test2")
 
 
@@ -26,16 +32,18 @@ def demo(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the simulated logs.")] = 0,
     overwrite: options.Overwrite = False,
     device: options.Device = None,
+    no_report: options.NoReport = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Try it without data: simulate a pendulum, fit, compare.
+    """Try it without data: simulate a pendulum, fit, compare, report.
 
     The logs are simulated from Lagrange's equations, which favours grey boxes: the table shows
     how the command works, not how accurate the models are on a real device.
     """
     terminal.prepare_jax(device)
     from tustinnet.cli.inspect import time_table
+    from tustinnet.cli.leave_report import Leaving, require_left
     from tustinnet.data.catalog import load
     from tustinnet.data.inspection import inspect_experiment
     from tustinnet.report.figures import inspection_figure, write_figure
@@ -45,32 +53,37 @@ def demo(
 
     told = terminal.messages()
     table_file, logs = out / "twin_table.md", out / "twin"
-    require_new([table_file, logs], overwrite=overwrite)
+    page = out / "twin_report.html"
+    require_new([table_file, logs, *([] if no_report else [page])], overwrite=overwrite)
     require_writable_folder(out)
-    _say(told, quiet, f"1/4 twin of the Qube-Servo 2, simulated and logged: {logs}")
+    _say(told, quiet, f"1/5 twin of the Qube-Servo 2, simulated and logged: {logs}")
     records = qube_servo2_twin.twin(seed)
     write_data_set(records, logs, "Simulated twin of the Qube-Servo 2", overwrite=overwrite)
     data = load(logs)
-    _say(told, quiet, f"2/4 looking at the {len(data)} records: {out / 'twin_records.png'}")
+    _say(told, quiet, f"2/5 looking at the {len(data)} records: {out / 'twin_records.png'}")
     training = list(data.split("train"))
     reports = [inspect_experiment(e) for e in training]
     write_figure(inspection_figure(training, reports), out, "twin_records.png")
     if not json:
         terminal.print_tables(time_table(reports))
-    _say(told, quiet, f"3/4 choosing a model in at most {_SECONDS:.0f} s: {out / _CHOICE}")
+    _say(told, quiet, f"3/5 choosing a model in at most {_SECONDS:.0f} s: {out / _CHOICE}")
     earlier = "discard" if overwrite else "refuse"
-    scores = _fitted(data, out, told, quiet=quiet, json=json, earlier=earlier)
-    _say(told, quiet, f"4/4 free runs of the {len(data.split('test'))} test records")
+    scored = _fitted(data, out, told, quiet=quiet, json=json, earlier=earlier)
+    scores = {of.label: of.scores for of in scored}
+    _say(told, quiet, f"4/5 free runs of the {len(data.split('test'))} test records")
     content = _write(data, scores, out)
     figures = _draw(data, scores, out)
     if json:
         terminal.print_json(content)
     else:
         terminal.print_tables(_table(scores))
-    _say(told, quiet, f"written to {out}: {table_file.name}, {', '.join(figures)}")
+    if not no_report:
+        _say(told, quiet, f"5/5 the report, motion and playground in one page: {page}")
+    report = _page(scored, data, page, Leaving(str(logs), wanted=not no_report))
+    _say(told, quiet, f"written to {out}: {table_file.name}, {', '.join(figures)}{report or ''}")
     _say(told, quiet, f"look again: tustinnet inspect {logs}; tustinnet show {out / _CHOICE}/"
-                      f"model.safetensors; tustinnet report {out / _CHOICE} {logs} --split test "
-                      f"--out {out / 'report.html'}; {out / _CHOICE / 'figures'}")  # fmt: skip
+                      f"model.safetensors; {out / _CHOICE / 'figures'}")  # fmt: skip
+    require_left(report)
 
 
 def _say(told: "Console", quiet: bool, line: str) -> None:
@@ -80,10 +93,11 @@ def _say(told: "Console", quiet: bool, line: str) -> None:
 
 def _fitted(
     data: "DataSet", out: Path, told: "Console", *, quiet: bool, json: bool, earlier: Any
-) -> "dict[str, list[Score]]":
+) -> "list[Subject]":
     """Chooses a model, and scores it and those beside it; the test records took part in nothing."""
     from tustinnet.cli.select import draw_choice, print_choice, told_by
     from tustinnet.evaluate.scores import evaluate
+    from tustinnet.report.page.subject import subjects_of
     from tustinnet.report.progress import FitProgress
     from tustinnet.selection.jobs import loaded
     from tustinnet.selection.select import Asked, select_model
@@ -95,15 +109,29 @@ def _fitted(
     if not json:
         print_choice(choice)
     tests = list(data.split("test"))
-    scores = {f"{choice.best} (chosen)": evaluate(choice.model, tests, _START)}
-    for name in choice.made:
-        if name != choice.best:
-            model = loaded(choice.file(name), choice.at)
-            scores[name] = evaluate(model, tests, _START)
-    return scores
+    found = []
+    for name in [choice.best, *(name for name in choice.made if name != choice.best)]:
+        chosen = name == choice.best
+        model = choice.model if chosen else loaded(choice.file(name), choice.at)
+        (of,) = subjects_of([choice.at.folder / choice.file(name)], [model])
+        label = f"{name} (chosen)" if chosen else name
+        found.append(replace(of, label=label, scores=evaluate(model, tests, _START)))
+    return found
 
 
-def _write(data: "DataSet", scores: "dict[str, list[Score]]", out: Path) -> dict[str, Any]:
+def _page(scored: "list[Subject]", data: "DataSet", page: Path, leaving: "Leaving") -> str | None:
+    """Writes the report of the chosen model and those beside it; returns where it is."""
+    from tustinnet.report.page.fitted import report_of_scored
+
+    some, tests = scored[:_REPORTED], list(data.split("test"))
+    files = [of.file for of in some if of.file is not None]
+    given = {"--split": "test", "--start": _START}
+    return leaving.report(
+        files, page, lambda command: report_of_scored(some, tests, page, command), given
+    )
+
+
+def _write(data: "DataSet", scores: "dict[str, Sequence[Score]]", out: Path) -> dict[str, Any]:
     from tustinnet.evaluate.scores import mean_rmse, rmse_by_record
     from tustinnet.store.files import to_json, write_into
 
@@ -119,7 +147,7 @@ def _write(data: "DataSet", scores: "dict[str, list[Score]]", out: Path) -> dict
     return content
 
 
-def _table(scores: "dict[str, list[Score]]") -> "Table":
+def _table(scores: "dict[str, Sequence[Score]]") -> "Table":
     from tustinnet.evaluate.scores import mean_rmse
     from tustinnet.report.tables import Table, number
 
@@ -134,7 +162,7 @@ def _table(scores: "dict[str, list[Score]]") -> "Table":
     return Table(["model", *names, "mean"], rows, title=title)
 
 
-def _draw(data: "DataSet", scores: "dict[str, list[Score]]", out: Path) -> list[str]:
+def _draw(data: "DataSet", scores: "dict[str, Sequence[Score]]", out: Path) -> list[str]:
     from tustinnet.report.figures import free_run_figure, write_figure
 
     written = []

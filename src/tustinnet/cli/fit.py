@@ -12,6 +12,7 @@ from tustinnet.cli import completion, options, terminal
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from tustinnet.cli.leave_report import Leaving
     from tustinnet.data.dataset import DataSet
     from tustinnet.fitting.recipe import Recipe
     from tustinnet.fitting.task import Task
@@ -58,12 +59,14 @@ def fit(
     device: options.Device = None,
     resume: options.Resume = False,
     overwrite: options.Overwrite = False,
+    no_report: options.NoReport = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
     """Fit a model: try several recipes and keep the best, or fit one."""
     _require_cores(cluster, device)
     terminal.prepare_jax(device)
+    from tustinnet.cli.leave_report import Leaving
     from tustinnet.cli.request import loaded
     from tustinnet.cli.select import select
     from tustinnet.systems.files import find_system
@@ -75,12 +78,13 @@ def fit(
     earlier = _earlier(resume=resume, overwrite=overwrite)
     given = None if system is None else find_system(system)
     load = partial(loaded, data, card, out, terminal.messages(), strict=strict)
+    leaving = Leaving(data, card, wanted=not no_report)
     if selects:
         asked = plan, budget, cluster
-        select(load, out, asked, given, earlier, json=json, quiet=quiet)
+        select(load, out, asked, given, earlier, leaving, json=json, quiet=quiet)
         return
     what = recipe, changes, seeds, physics, origin
-    _fit_recipe(load, out, what, given, earlier, json=json, quiet=quiet)
+    _fit_recipe(load, out, what, given, earlier, leaving, json=json, quiet=quiet)
 
 
 def _fit_recipe(
@@ -89,11 +93,13 @@ def _fit_recipe(
     asked: tuple[str | None, list[str] | None, str | None, Path | None, Path | None],
     given: "SystemFile | str | None",
     earlier: "Earlier",
+    leaving: "Leaving",
     *,
     json: bool,
     quiet: bool,
 ) -> None:
     """Fits one recipe: `asked` has its name, changes, seeds, physics to correct, origin."""
+    from tustinnet.cli.leave_report import require_left
     from tustinnet.cli.request import (
         begun_with,
         kept_system,
@@ -134,11 +140,13 @@ def _fit_recipe(
     if file is not None:
         terminal.remember_trust(file)
     _draw(run, records)
+    page = _page(run, leaving)
     if json:
         terminal.print_json(run.summary())
     else:
-        _print(run, out)
+        _print(run, out, page or "")
     _tell_unfinished(run, told)
+    require_left(page)
 
 
 def _require_meaning(
@@ -210,7 +218,20 @@ def _earlier(*, resume: bool, overwrite: bool) -> "Earlier":
     return "resume" if resume else "discard" if overwrite else "refuse"
 
 
-def _print(run: "Run", out: Path) -> None:
+def _page(run: "Run", leaving: "Leaving") -> str | None:
+    """Writes the report of the best model; returns where it is, as the line of files says it."""
+    from tustinnet.report.page.fitted import report_of_run
+    from tustinnet.store.run import REPORT
+
+    score, folder = run.best.scores[0], run.folder
+    split = run.judged if run.roles.judging[0].split else None
+    given = {"--split": split, "--start": score.start, "--horizon": score.horizon}
+    return leaving.report(
+        [folder], folder / REPORT, lambda command: report_of_run(run, command), given
+    )
+
+
+def _print(run: "Run", out: Path, page: str) -> None:
     """Tables and sentences: members of a training, parameters of an identification."""
     from tustinnet.report.fits import fitted_table, judged_table, members_table, parameter_table
 
@@ -229,7 +250,7 @@ def _print(run: "Run", out: Path) -> None:
             f"{found.substeps} Runge-Kutta steps a period"
         )
         typer.echo(f"{found.outcome}; {found.seconds:.1f} s")
-    typer.echo(f"model: {out / 'model.safetensors'}   figures: {out / 'figures'}")
+    typer.echo(f"model: {out / 'model.safetensors'}   figures: {out / 'figures'}{page}")
 
 
 def _draw(run: "Run", data: "DataSet") -> None:

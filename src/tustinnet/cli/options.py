@@ -117,6 +117,7 @@ Resume = Annotated[
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace the earlier results in --out.")
 ]
+NoReport = Annotated[bool, typer.Option("--no-report", help="Write no report.html.")]
 Seeds = Annotated[
     str | None,
     typer.Option(

@@ -1,6 +1,5 @@
 """`tustinnet report`: models on records as one page."""
 
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -44,6 +43,7 @@ def report(
 ) -> None:
     """Write an HTML page about a model: animation, scores, errors."""
     terminal.prepare_jax()
+    from tustinnet.cli.leave_report import report_command
     from tustinnet.cli.request import judged_records, kept_system
     from tustinnet.report.page.subject import model_file, subjects_of
     from tustinnet.report.page.write import Asked, written
@@ -61,7 +61,7 @@ def report(
     drawing = [of for of, is_in in zip(given, named, strict=True) if not is_in]
     links = _links(drawing, loaded, loaded[0].coordinates)
     records, begin = judged_records(data, card, split, start, loaded)
-    command = _command(models, data, out, {
+    command = report_command(models, data, out, {
         "--split": split, "--start": start, "--horizon": horizon, "--card": card,
     }, system or [])  # fmt: skip
     asked = Asked(begin, horizon, links, command)
@@ -96,15 +96,3 @@ def _links(
                 "model has links",
             )  # fmt: skip
     return found[0].links if found else ()
-
-
-def _command(
-    models: list[Path], data: str, out: Path, given: dict[str, object], systems: list[str]
-) -> str:
-    """What was typed, as it is typed again."""
-    words = ["tustinnet", "report", *map(str, models), data, "--out", str(out)]
-    for name, value in given.items():
-        words += [] if value is None else [name, str(value)]
-    for name in systems:
-        words += ["--system", name]
-    return shlex.join(words)

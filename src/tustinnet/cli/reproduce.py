@@ -2,11 +2,20 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tustinnet.cli import options, terminal
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from tustinnet.cli.leave_report import Leaving
+    from tustinnet.data.card import Card
+    from tustinnet.data.experiment import Experiment
+    from tustinnet.report.tables import Table
+    from tustinnet.reproduce.table1 import Row
 
 
 class Keep(StrEnum):
@@ -66,28 +75,23 @@ def reproduce(
     experiment: _Experiment = None,
     overwrite: _Anew = False,
     device: options.Device = None,
+    no_report: options.NoReport = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Reproduce Table 1 and the figures of the publication.
+    """Reproduce Table 1 and the figures of the publication, with a report.
 
     Trainings that are already in --out are continued; finished ones are used as they are.
     """
     terminal.prepare_jax(device)
-    from tustinnet.data.catalog import QUBE_SERVO2, locate
+    from tustinnet.cli.leave_report import Leaving, require_left
     from tustinnet.data.loading import load_folder
-    from tustinnet.errors import InputError
     from tustinnet.report.progress import FitProgress
     from tustinnet.reproduce import figures, table1
-    from tustinnet.store.files import owned, to_json, write_into
+    from tustinnet.store.files import owned
 
     told = terminal.messages()
-    folder, card = locate(data)
-    if not QUBE_SERVO2.is_in(folder):
-        raise InputError(
-            folder, "not the Qube-Servo 2 data", "a folder with train/fall1Velocity.csv, ...",
-            "use `tustinnet fit` for your own records",
-        )  # fmt: skip
+    folder, card = _located(data)
     records = load_folder(folder, card)
     scored = table1.choose_split(records, split)
     chosen, remark = table1.choose_models(models or (), folder)
@@ -95,7 +99,8 @@ def reproduce(
     told.print(f"data: {folder}; scoring the {scored} split, start '{table1.START}'")
     for line in _remarks(folder, remark, out / "runs", overwrite=overwrite):
         told.print(line)
-    ask = table1.Ask(chosen, scored, seeds, None if keep is None else keep.value, overwrite)
+    kept = None if keep is None else keep.value
+    ask = table1.Ask(chosen, scored, seeds, kept, overwrite)
     with (
         owned(out),
         FitProgress(told, quiet=quiet) as progress,
@@ -105,16 +110,59 @@ def reproduce(
             records, folder, ask, out / "runs",
             lambda name: lambda prepared: progress.follow(prepared, name),
         )  # fmt: skip
-    content, table = table1.as_json(rows, scored), table1.as_table(rows, scored)
-    write_into(out, "table1.json", to_json(content))
-    write_into(out, "table1.md", table.markdown())
-    write_into(out, "table1.tex", table.latex())
+    content, table = _write(rows, scored, out)
     written = figures.draw(records, rows, scored, drawn, out)
     if json:
         terminal.print_json(content)
     else:
         terminal.print_tables(table)
-    told.print(f"written to {out}: table1.json, table1.md, table1.tex and {len(written)} figures")
+    page = _page(rows, list(records.split(scored)), out, Leaving(data, wanted=not no_report))
+    files = f"table1.json, table1.md, table1.tex and {len(written)} figures{page or ''}"
+    told.print(f"written to {out}: {files}")
+    require_left(page)
+
+
+def _located(data: str) -> "tuple[Path, Card]":
+    """The folder of the Qube-Servo 2 data and its card."""
+    from tustinnet.data.catalog import QUBE_SERVO2, locate
+    from tustinnet.errors import InputError
+
+    folder, card = locate(data)
+    if not QUBE_SERVO2.is_in(folder):
+        raise InputError(
+            folder, "not the Qube-Servo 2 data", "a folder with train/fall1Velocity.csv, ...",
+            "use `tustinnet fit` for your own records",
+        )  # fmt: skip
+    return folder, card
+
+
+def _page(
+    rows: "Sequence[Row]", records: "Sequence[Experiment]", out: Path, leaving: "Leaving"
+) -> str | None:
+    """Writes the report of the best models; returns where it is, as the last line says it."""
+    from tustinnet.reproduce.page import report_of_rows, reported
+    from tustinnet.store.run import REPORT
+
+    best = reported(rows)
+    given = {"--split": records[0].split, "--start": best[0].start}
+    files = [row.file for row in best if row.file is not None]
+    return leaving.report(
+        files, out / REPORT,
+        lambda command: report_of_rows(best, records, out / REPORT, command if files else ""),
+        given,
+    )  # fmt: skip
+
+
+def _write(rows: "Sequence[Row]", scored: str, out: Path) -> "tuple[dict[str, Any], Table]":
+    """Writes the table in three forms; returns it for programs and for people."""
+    from tustinnet.reproduce import table1
+    from tustinnet.store.files import to_json, write_into
+
+    content, table = table1.as_json(rows, scored), table1.as_table(rows, scored)
+    write_into(out, "table1.json", to_json(content))
+    write_into(out, "table1.md", table.markdown())
+    write_into(out, "table1.tex", table.latex())
+    return content, table
 
 
 def _remarks(folder: Path, remark: str, runs: Path, *, overwrite: bool) -> list[str]:

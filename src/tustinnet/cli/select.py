@@ -12,6 +12,7 @@ import typer
 from tustinnet.cli import terminal
 
 if TYPE_CHECKING:
+    from tustinnet.cli.leave_report import Leaving
     from tustinnet.data.dataset import DataSet
     from tustinnet.report.progress import FitProgress
     from tustinnet.selection.choice import Choice
@@ -42,6 +43,7 @@ def select(
     asked: tuple[str | None, str | None, str | None],
     system: "SystemFile | str | None",
     earlier: "Earlier",
+    leaving: "Leaving",
     *,
     json: bool,
     quiet: bool,
@@ -50,6 +52,7 @@ def select(
 
     `asked` has the plan, the budget, and the cluster whose machines do the jobs.
     """
+    from tustinnet.cli.leave_report import require_left
     from tustinnet.report.progress import FitProgress
     from tustinnet.selection.cluster import cluster
     from tustinnet.selection.plan import USUAL, read_plan
@@ -68,10 +71,24 @@ def select(
     if choice.at.system_file is not None:
         terminal.remember_trust(choice.at.system_file)
     draw_choice(choice)
+    page = _page(choice, leaving)
     if json:
         terminal.print_json(choice.as_plain())
     else:
-        print_choice(choice)
+        print_choice(choice, page or "")
+    require_left(page)
+
+
+def _page(choice: "Choice", leaving: "Leaving") -> str | None:
+    """Writes the report of the chosen model; returns where it is, as the line of files says it."""
+    from tustinnet.report.page.fitted import report_of_choice
+    from tustinnet.store.run import REPORT
+
+    folder, start = choice.at.folder, choice.standing(choice.best).starts[0]
+    given = {"--start": start, "--horizon": choice.at.judging.horizon}
+    return leaving.report(
+        [folder], folder / REPORT, lambda command: report_of_choice(choice, command), given
+    )
 
 
 def told_by(progress: "FitProgress", *, quiet: bool) -> "Reporter":
@@ -99,7 +116,7 @@ def draw_choice(choice: "Choice") -> None:
         write_figure(free_run_figure(choice.at.data[name], runs), folder, f"figures/{name}.png")
 
 
-def print_choice(choice: "Choice") -> None:
+def print_choice(choice: "Choice", page: str = "") -> None:
     """The table of candidates, and what there is to say of the choice."""
     from tustinnet.report.selection import candidates_table
 
@@ -109,5 +126,5 @@ def print_choice(choice: "Choice") -> None:
         typer.echo(f"* {sentence}")
     typer.echo(
         f"model: {out / 'model.safetensors'}   table: {out / 'candidates.md'}   "
-        f"figures: {out / 'figures'}   {choice.seconds:.0f} s"
+        f"figures: {out / 'figures'}{page}   {choice.seconds:.0f} s"
     )

@@ -20,8 +20,11 @@ def rmse_ahead(
     experiments: Sequence[Experiment],
     horizon: int,
     velocity: VelocitySource = "auto",
+    every: int = 1,
 ) -> Float[np.ndarray, " horizon"]:
     """k-step-ahead RMSE against k, for every k from every sample that has k samples after it.
+
+    A part of the samples, evenly spread, gives nearly the same in a part of the time.
 
     Internal states begin as the record up to the sample led to them; samples that a model's
     warm-up needs are not started from.
@@ -31,6 +34,7 @@ def rmse_ahead(
         experiments: the records.
         horizon: largest k, less than the longest record's length.
         velocity: where the velocities at the starting samples come from.
+        every: of how many samples one is started from.
 
     Returns:
         RMSE of the positions' 2-norm for k = 1..horizon [rad or m].
@@ -47,7 +51,7 @@ def rmse_ahead(
         require_fit(model, e)
     squares, count = np.zeros(horizon), np.zeros(horizon)
     along = states_along(evaluated, experiments, velocity)
-    begins = [np.arange(evaluated.warm_up, len(e) - 1) for e in experiments]
+    begins = [np.arange(evaluated.warm_up, len(e) - 1, every) for e in experiments]
     # as many at once everywhere, so that one compiled program serves records of all lengths
     size = max(1, min(_STEPS_AT_ONCE // horizon, max(map(len, begins))))
     for e, states, mine in zip(experiments, along, begins, strict=True):

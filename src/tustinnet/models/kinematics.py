@@ -1,4 +1,4 @@
-"""How a mechanism is drawn: a serial chain of rigid links."""
+"""How a mechanism is drawn: a tree of rigid links."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,44 +8,72 @@ import numpy as np
 from tustinnet.channels import Coordinate
 from tustinnet.errors import InputError
 
+BASE = "base"  # the parent of links that nothing carries
+
 Vector3 = tuple[int | float, ...]
 
 
 @dataclass(frozen=True)
 class Link:
-    """A rigid link of a serial chain, with the joint at its beginning.
+    """A rigid link with the joint at its beginning.
 
-    The first joint is at the origin, each other one at the end of the link before. x points to the
-    right, y away from the viewer, z up.
+    Links are listed after those that carry them. Without a parent each is carried by the link
+    before, so that they form a chain; the first one stands on the base. x points to the right,
+    y away from the viewer, z up.
 
     Attributes:
         coordinate: the coordinate of the joint: an angular one turns the link about the axis, a
             linear one slides it along the axis.
-        axis: the joint's axis in the frame of the link before, 3 numbers of
+        axis: the joint's axis in the frame of what carries it, 3 numbers of
             any length but 0.
         reach: from the joint to the link's end in its own frame, 3 numbers [m].
+        parent: the coordinate of the link that carries it, or `base`; None for the link before.
+        at: where the joint is at 0 in the frame of what carries it, 3 numbers [m]; None for the end
+            of the link that carries it, on the base for the origin.
     """
 
     coordinate: str
     axis: Vector3
     reach: Vector3
+    parent: str | None = None
+    at: Vector3 | None = None
 
     def __post_init__(self) -> None:
-        for name in ("axis", "reach"):
+        for name in ("axis", "reach", "at"):
             vector = getattr(self, name)
-            if len(vector) != 3 or not np.isfinite(vector).all():
+            if vector is not None and (len(vector) != 3 or not np.isfinite(vector).all()):
                 raise InputError(f"link of '{self.coordinate}'", f"{name} {vector}", "3 numbers")
         if not any(self.axis):
             raise InputError(f"link of '{self.coordinate}'", "an axis of length 0", "a direction")
 
 
 def require_links(links: Sequence[Link], coordinates: Sequence[Coordinate], where: str) -> None:
-    """Raises unless every link moves by one of some coordinates, each by another one."""
+    """Raises unless every link moves by one of some coordinates, each by another one.
+
+    And unless a link before it carries it, or the base.
+    """
     known = [c.name for c in coordinates]
     moved = [link.coordinate for link in links]
-    for name in moved:
+    for i, link in enumerate(links):
+        name = link.coordinate
         if name not in known or moved.count(name) > 1:
             raise InputError(
                 where, f"a link of the coordinate '{name}'",
                 f"one link each of {', '.join(known)}, at most",
             )  # fmt: skip
+        if link.parent not in (None, BASE, *moved[:i]):
+            raise InputError(
+                where, f"the link of '{name}' on '{link.parent}'",
+                f"{', '.join([*moved[:i], BASE])}", "list a link after the one that carries it",
+            )  # fmt: skip
+
+
+def carriers(links: Sequence[Link]) -> list[int | None]:
+    """The place of the link that carries each link, None where it stands on the base."""
+    places = {link.coordinate: i for i, link in enumerate(links)}
+    return [
+        (i - 1 if i else None) if link.parent is None
+        else None if link.parent == BASE
+        else places[link.parent]
+        for i, link in enumerate(links)
+    ]  # fmt: skip

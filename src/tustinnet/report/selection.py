@@ -8,12 +8,11 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.evaluate.scores import Score, evaluate
 from tustinnet.report.figures import COLOURS, house_style
+from tustinnet.report.some import some_of
 from tustinnet.report.tables import Table, number, scale_of
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.jobs import loaded
 from tustinnet.selection.ranking import Standing, paired
-
-_DRAWN = 6  # records whose free runs are drawn
 
 
 def candidates_table(choice: Choice) -> Table:
@@ -105,10 +104,7 @@ def free_runs(choice: Choice) -> dict[str, dict[str, Score]]:
     largest part. At most 6 records: the worst, and others down to the best.
     """
     labels = dict.fromkeys([_largest(choice, choice.best), _largest(choice, choice.simplest)])
-    worst_first = sorted(choice.standing(choice.best).rmse().items(), key=lambda item: -item[1])
-    step = max(1, (len(worst_first) - 1) / (_DRAWN - 1)) if len(worst_first) > _DRAWN else 1
-    places = {round(i * step) for i in range(_DRAWN)}
-    wanted = {name for i, (name, _) in enumerate(worst_first) if i in places}
+    wanted = some_of(choice.standing(choice.best).rmse())
     found: dict[str, dict[str, Score]] = {}
     for label in labels:
         for models in choice.standing(label).folds.values():

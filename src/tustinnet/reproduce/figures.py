@@ -61,7 +61,7 @@ def draw(data: DataSet, rows: Sequence[Row], split: str, chosen: str, folder: Pa
     Euler-Lagrange model with and without spring, Figure 4 standard training with Algorithm 1,
     Figure 5 the Euler-Lagrange model with Algorithm 1; each where both models are there.
     """
-    shown = _median_rows(rows)
+    shown = median_rows(rows)
     written = _both(mechanism_figure(), folder / "figure1")
     written += _both(architecture_figure(), folder / "figure2")
     for e in data.split(split):
@@ -75,7 +75,8 @@ def draw(data: DataSet, rows: Sequence[Row], split: str, chosen: str, folder: Pa
     return written
 
 
-def _median_rows(rows: Sequence[Row]) -> dict[str, Row]:
+def median_rows(rows: Sequence[Row]) -> dict[str, Row]:
+    """Of each model the row with the median mean RMSE."""
     by_model: dict[str, list[Row]] = {}
     for row in rows:
         by_model.setdefault(row.model, []).append(row)

@@ -11,6 +11,7 @@ from tustinnet.errors import InputError
 from tustinnet.evaluate.scores import Score, evaluate, mean_rmse, rmse_by_record
 from tustinnet.fitting.recipe import Criterion, Recipe, TrainingRecipe, read_recipe
 from tustinnet.fitting.task import Member, make_task
+from tustinnet.models.contract import Model
 from tustinnet.report.tables import Table, number
 from tustinnet.reproduce.published import (
     AUTHORS_ROWS,
@@ -18,7 +19,7 @@ from tustinnet.reproduce.published import (
     WEIGHTS_FOLDER,
     load_authors_weights,
 )
-from tustinnet.store.run import Run, Tell, run_task
+from tustinnet.store.run import MODEL, Run, Tell, run_task
 
 START = "file"  # Table 1 starts from the first row as it is stored
 
@@ -69,6 +70,8 @@ class Row:
         seed: the seed it was trained from, None for published weights and identified models.
         recipe: what it was trained by, None for published weights; of identified models the system.
         scores: per record.
+        what: the model itself.
+        file: its file, None of published weights.
         train_seconds: time of the training, or None.
         windows: windows of each stage, or None.
         epochs: epochs of each stage, or None.
@@ -78,6 +81,8 @@ class Row:
     seed: int | None
     recipe: str | None
     scores: tuple[Score, ...]
+    what: Model
+    file: Path | None = None
     train_seconds: float | None = None
     windows: Sequence[int] | None = None
     epochs: Sequence[int] | None = None
@@ -183,7 +188,7 @@ def build_rows(
         if name == AUTHORS:
             for row, stem in AUTHORS_ROWS.items():
                 model = load_authors_weights(folder / WEIGHTS_FOLDER / f"{stem}.npz", data)
-                rows.append(Row(row, None, None, tuple(evaluate(model, judged, START))))
+                rows.append(Row(row, None, None, tuple(evaluate(model, judged, START)), model))
             continue
         for run in run_of(name).members:
             result, trains = run.result, run.result.recipe.family.trains
@@ -195,6 +200,8 @@ def build_rows(
                     seed=result.seed if trains else None,
                     recipe=result.recipe.name if trains else FITTED[name].system,
                     scores=tuple(evaluate(result.model, judged, start)),
+                    what=result.model,
+                    file=run.folder / MODEL,
                     train_seconds=result.seconds,
                     windows=result.told("windows"),
                     epochs=result.told("epochs"),

@@ -18,7 +18,7 @@ from tustinnet.selection.ranking import Standing, ranked, simplest
 from tustinnet.store.kept_system import CANDIDATES
 from tustinnet.store.run import Tell, fit_in
 
-_WHOLE = "all-records"  # the folder of an identification from all records
+WHOLE = "all-records"  # the folder of an identification from all records
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ def _from_all_records(
         return None
     records = tuple(taking_part(at.data))
     task = Task(recipe, (Fold(Roles(records, ())),), system=at.loaded_system, brief=True)
-    folder = at.folder / CANDIDATES / standing.name / _WHOLE
+    folder = at.folder / CANDIDATES / standing.name / WHOLE
     job = Job(standing.name, recipe, fold=0)
     try:
         result = fit_in(folder, task, at.clock.within(tell(job)), resume=False)[0]

@@ -26,7 +26,7 @@ from tustinnet.simulate.starts import start_named
 from tustinnet.store.files import owned, require_new, to_json, write_into
 from tustinnet.store.kept_system import CANDIDATES, keep, require_room
 from tustinnet.store.model_file import save
-from tustinnet.store.run import MODEL, SUMMARY, Earlier, Tell
+from tustinnet.store.run import MODEL, REPORT, SUMMARY, Earlier, Tell
 from tustinnet.systems.files import AnySystem
 
 _TENTH = 0.1  # of a record, a horizon where no fit chose one
@@ -196,7 +196,7 @@ def _make_room(at: Workplace, earlier: Earlier) -> None:
         )  # fmt: skip
     if earlier != "discard":
         require_room(at.system_file, at.folder)
-    files = [at.folder / MODEL, at.folder / SUMMARY]
+    files = [at.folder / name for name in (MODEL, SUMMARY, REPORT)]
     require_new(files, overwrite=earlier != "refuse")
     for path in files:
         path.unlink(missing_ok=True)

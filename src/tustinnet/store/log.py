@@ -2,7 +2,7 @@
 
 import dataclasses
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,35 @@ def read_log(folder: Path) -> list[dict[str, Any]]:
     return _sound(content)
 
 
+def read_search(folder: Path) -> list[dict[str, Any]]:
+    """The log of an identification, up to where it is damaged: iterations, and ends of stages."""
+    try:
+        content = (folder / LOG).read_bytes()
+    except OSError:
+        return []
+    found = []
+    for entry in _entries(content):
+        if not any(_has(entry, types) for types in (_ITERATION, _STAGE)):
+            break
+        if not all(_is_number(value) for value in entry.get("parameters", {}).values()):
+            break
+        found.append(entry)
+    return found
+
+
+_ITERATION: dict[str, Any] = {
+    "stage": str, "iteration": int, "cost": float | None, "damping": float | None, "initial": str,
+}  # fmt: skip
+_STAGE: dict[str, Any] = {
+    "stage": str, "initial": str, "iterations": int, "cost": float | None, "why": str,
+    "parameters": dict,
+}  # fmt: skip
+
+
+def _is_number(value: object) -> bool:
+    return value is None or isinstance(value, int | float)
+
+
 # a line has what is reported of an epoch; numbers that are not finite are null. Each member has a
 # log of its own, and how long it took is not what a resumed run would find again
 _LEFT_OUT = ("member", "seconds", "compiling")
@@ -37,19 +66,30 @@ _TYPES: dict[str, Any] = {
 def _sound(content: bytes) -> list[dict[str, Any]]:
     """The epochs of a log up to the first line that is none."""
     found = []
+    for entry in _entries(content):
+        if not _has(entry, _TYPES) or not _follows(entry, found):
+            break
+        found.append(entry)
+    return found
+
+
+def _entries(content: bytes) -> Iterator[dict[str, Any]]:
+    """The mappings of a log, a line each, up to the first line that is none."""
     for line in content.decode("utf-8", "replace").split("\n"):
         try:
             entry = json.loads(line)
         except (ValueError, RecursionError):
-            break
-        if not isinstance(entry, dict) or entry.keys() != _TYPES.keys():
-            break
-        if not all(isinstance(entry[key], kind) for key, kind in _TYPES.items()):
-            break
-        if not _follows(entry, found):
-            break
-        found.append(entry)
-    return found
+            return
+        if not isinstance(entry, dict):
+            return
+        yield entry
+
+
+def _has(entry: Mapping[str, Any], types: Mapping[str, Any]) -> bool:
+    """Whether a line has just these keys, with values of these kinds."""
+    return entry.keys() == types.keys() and all(
+        isinstance(entry[key], kind) for key, kind in types.items()
+    )
 
 
 def _follows(entry: Mapping[str, Any], before: Sequence[Mapping[str, Any]]) -> bool:

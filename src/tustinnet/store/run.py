@@ -3,6 +3,7 @@
 folder/model.safetensors              the model, of several members the best one's
 folder/summary.json                   the account: every member and the spread
 folder/system.py                      a copy of the system's file, where one was given
+folder/report.html                    the page of it, written by the command when all else is there
 folder/log.jsonl                      of identifications: one line an iteration and a stage
 folder/seed-0/model.safetensors       of trainings: the best weights of that seed
 folder/seed-0/log.jsonl               one line an epoch
@@ -47,6 +48,7 @@ from tustinnet.systems.files import SystemFile
 
 MODEL = "model.safetensors"
 SUMMARY = "summary.json"
+REPORT = "report.html"  # written by rooms above this one; discarded here with the rest
 _CHECKPOINT = "checkpoint.safetensors"
 
 Earlier = Literal["refuse", "resume", "discard"]  # what is done with a run that is there
@@ -262,6 +264,7 @@ def _make_room(folder: Path, earlier: Earlier, *, trains: bool) -> None:
             "--resume", "an identification is not resumed", "a training", "leave the option out"
         )
     if earlier == "resume":
+        (folder / REPORT).unlink(missing_ok=True)  # of the model as it was
         return
     places = sorted(place for place in folder.glob("seed-*") if (place / LOG).exists())
     if earlier == "discard":
@@ -273,7 +276,8 @@ def _make_room(folder: Path, earlier: Earlier, *, trains: bool) -> None:
             "a new folder",
             "add --resume to go on with it, --overwrite to discard it, or choose another --out",
         )
-    require_new([folder / MODEL, folder / SUMMARY, folder / LOG], overwrite=earlier == "discard")
+    files = [folder / name for name in (MODEL, SUMMARY, LOG, REPORT)]
+    require_new(files, overwrite=earlier == "discard")
 
 
 def _discard(folder: Path, seed_folders: Sequence[Path]) -> None:
@@ -283,7 +287,7 @@ def _discard(folder: Path, seed_folders: Sequence[Path]) -> None:
             (place / name).unlink(missing_ok=True)
         if not any(place.iterdir()):
             place.rmdir()
-    for name in (MODEL, SUMMARY, LOG):
+    for name in (MODEL, SUMMARY, LOG, REPORT):
         (folder / name).unlink(missing_ok=True)
 
 

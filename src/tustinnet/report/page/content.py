@@ -1,5 +1,6 @@
 """The numbers of a report as plain values, which the page draws."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,7 +10,8 @@ import numpy as np
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment
 from tustinnet.evaluate.bands import Band
-from tustinnet.models.kinematics import Link
+from tustinnet.families.family import family_of
+from tustinnet.models.kinematics import Link, carriers
 from tustinnet.report.page.judged import Judged
 from tustinnet.report.page.signals import bounded, kept, packed
 from tustinnet.report.page.subject import History
@@ -78,12 +80,18 @@ def content_of(
             {"name": i.name, "unit": i.unit, "limits": i.limits, "hold": i.hold} for i in c.inputs
         ],
         "links": [
-            {"coordinate": names.index(link.coordinate), "axis": link.axis, "reach": link.reach}
-            for link in links
+            {
+                "coordinate": names.index(link.coordinate),
+                "axis": link.axis,
+                "reach": link.reach,
+                "parent": parent,
+                "at": link.at,
+            }
+            for link, parent in zip(links, carriers(links), strict=True)
         ],
         "models": [_model(of) for of in found],
         "records": [_record(i, e, found, points) for i, e in enumerate(records)],
-        "range": _range(found, c),
+        **_ranges(found, c),
     }
 
 
@@ -105,7 +113,37 @@ def _model(of: Judged) -> dict[str, Any]:
             }
             for r in of.residuals
         ],
+        "search": _searched(of),
         "training": [_curve(name, lines) for name, lines in of.subject.histories.items()],
+    }
+
+
+def _searched(of: Judged) -> dict[str, Any] | None:
+    """Costs by iteration of every stage, and the parameters that moved, at the ends of stages."""
+    lines = of.subject.search
+    ended = [line for line in lines if "parameters" in line]
+    if not ended:
+        return None
+    costs: list[list[float]] = [[]]
+    for line in lines:
+        if "parameters" in line:
+            costs.append([])
+        else:
+            costs[-1].append(math.nan if line["cost"] is None else line["cost"])
+    names = [name for name in ended[0]["parameters"] if all(name in s["parameters"] for s in ended)]
+    values = {name: [stage["parameters"][name] for stage in ended] for name in names}
+    known = family_of(of.subject.model).parameters(of.subject.model)
+    units = {name: unit for name, unit, _ in known}
+    return {
+        "stages": [
+            {"name": stage["stage"], "cost": cost or [stage["cost"]]}
+            for stage, cost in zip(ended, costs, strict=False)
+        ],
+        "parameters": [
+            {"name": name, "unit": units.get(name, ""), "values": each}
+            for name, each in values.items()
+            if len(set(each)) > 1
+        ],
     }
 
 
@@ -166,24 +204,28 @@ def _packed(columns: np.ndarray) -> list[dict[str, Any]]:
     return [packed(column) for column in columns.T]
 
 
-def _range(found: Sequence[Judged], channels: Channels) -> dict[str, Any] | None:
-    """Where the training records of the first model lie: ends, and points of its cloud."""
-    known = next((of.range for of in found if of.range is not None), None)
-    if known is None:
-        return None
-    ends = {
-        "q": known.states[channels.position].tolist(),
-        "v": known.states[channels.velocity].tolist(),
-    }
-    return ends | ({} if known.cloud is None else _points(known.cloud, channels))
+def _ranges(found: Sequence[Judged], channels: Channels) -> dict[str, Any]:
+    """Where the training records of each model lie: ends, and clouds, which models may share."""
+    ranges: list[dict[str, Any] | None] = []
+    clouds: list[dict[str, Any]] = []
+    for of in found:
+        if (known := of.range) is None:
+            ranges.append(None)
+            continue
+        cloud = None if known.cloud is None else _cloud(known.cloud)
+        if cloud is not None and cloud not in clouds:
+            clouds.append(cloud)
+        ranges.append({
+            "q": known.states[channels.position].tolist(),
+            "v": known.states[channels.velocity].tolist(),
+            "u": known.inputs.tolist(),
+            "cloud": None if cloud is None else clouds.index(cloud),
+        })  # fmt: skip
+    return {"ranges": ranges, "clouds": clouds}
 
 
-def _points(cloud: Cloud, channels: Channels) -> dict[str, Any]:
-    """Positions and velocities of a cloud, see `tustinnet.simulate.range.features`."""
-    values, angles = cloud.points * cloud.spread, channels.angular
-    n_linear, n_angular, n_q = int((~angles).sum()), int(angles.sum()), channels.n_q
-    ends = np.cumsum([n_linear, n_angular, n_angular, n_q])
-    linear, sine, cosine, velocity, _ = np.split(values, ends, axis=1)
-    q = np.empty((len(values), n_q))
-    q[:, ~angles], q[:, angles] = linear, np.arctan2(sine, cosine)
-    return {"points": {"q": _packed(q), "v": _packed(velocity)}}
+def _cloud(cloud: Cloud) -> dict[str, Any]:
+    """See `tustinnet.simulate.range.Cloud`."""
+    return {
+        "points": cloud.points.tolist(), "spread": cloud.spread.tolist(), "reach": cloud.reach,
+    }  # fmt: skip

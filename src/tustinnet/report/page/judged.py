@@ -19,6 +19,7 @@ from tustinnet.simulate.range import Left, Range
 from tustinnet.simulate.starts import start_named
 
 _STEPS = 100  # ahead
+_BEGUN = 1500  # predictions at most: more make no other curve, and take seconds
 _LAGS = 50
 _LEVEL = 0.9  # of bands, where there are enough calibration records
 
@@ -35,6 +36,7 @@ class Judged:
         range: where its training records lie, None where nobody knows.
         left: where free runs leave that.
         ahead: RMSE by steps ahead, empty where no record is long enough [rad or m].
+        every: of how many samples one was predicted from.
         residuals: by coordinate, none where a free run diverges.
         bands: around the free runs, none of a model without.
         energies: at measured and at simulated states [J], None of a model without equations.
@@ -46,6 +48,7 @@ class Judged:
     range: Range | None
     left: Sequence[Left | None]
     ahead: Float[np.ndarray, " horizon"]
+    every: int
     residuals: Sequence[ResidualReport]
     bands: Sequence[Band]
     energies: tuple[Energies, Energies] | None
@@ -55,7 +58,7 @@ class Judged:
 def judged(
     subject: Subject, records: Sequence[Experiment], start: str, horizon: float | None
 ) -> Judged:
-    """Judges a model by records; the free runs are computed once.
+    """Judges a model by records; the free runs are computed once, or known already.
 
     Args:
         subject: the model.
@@ -67,7 +70,7 @@ def judged(
         InputError: see `evaluate`.
     """
     model, notes = subject.model, []
-    scores = evaluate(model, records, start, horizon=horizon)
+    scores = subject.scores or evaluate(model, records, start, horizon=horizon)
     runs = [score.simulated for score in scores]
     known = Range.from_header(dict(subject.header), model) if subject.header else None
     left = [
@@ -86,9 +89,10 @@ def judged(
     except InputError as error:
         notes.append(f"no bands: {error}")
     steps = min(_STEPS, max(map(len, records)) - model.warm_up - 1)
-    ahead = rmse_ahead(model, records, steps) if steps > 0 else np.zeros(0)
+    every = -(-sum(map(len, records)) // _BEGUN)
+    ahead = rmse_ahead(model, records, steps, every=every) if steps > 0 else np.zeros(0)
     return Judged(
-        subject, scores, known, left, ahead, residuals, bands,
+        subject, scores, known, left, ahead, every, residuals, bands,
         _energies(subject, records, runs), tuple(notes),
     )  # fmt: skip
 

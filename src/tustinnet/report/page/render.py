@@ -16,8 +16,8 @@ from tustinnet.store.files import finite
 _PACKAGE = "tustinnet.report.page"
 # in the order in which they build on one another
 _SCRIPTS = (
-    "data.js", "theme.js", "clock.js", "chain.js", "dials.js", "stage.js", "plots.js", "charts.js",
-    "states.js", "playground.js", "main.js",
+    "data.js", "theme.js", "clock.js", "linkage.js", "dials.js", "stage.js", "plots.js",
+    "charts.js", "range.js", "states.js", "playground.js", "main.js",
 )  # fmt: skip
 _ENDS = re.compile(r"</(script|style)|<!--", re.IGNORECASE)
 _BEGIN = "globalThis.exported = [];"

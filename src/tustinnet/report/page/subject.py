@@ -6,8 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from tustinnet.errors import InputError
+from tustinnet.evaluate.scores import Score
 from tustinnet.models.contract import Model
-from tustinnet.store.log import LOG, read_log
+from tustinnet.selection.ending import WHOLE
+from tustinnet.store.kept_system import CANDIDATES
+from tustinnet.store.log import LOG, read_log, read_search
 from tustinnet.store.model_file import shown
 from tustinnet.store.run import MODEL
 
@@ -25,6 +28,8 @@ class Subject:
         file: its file, if it is in one.
         told: what its family tells of the file, as words and what they say.
         histories: its training logs, by the member that was trained.
+        search: the log of its identification, none of a model that was not identified.
+        scores: its free runs of the records, none where they are not known yet.
     """
 
     label: str
@@ -33,6 +38,8 @@ class Subject:
     file: Path | None = None
     told: Sequence[tuple[str, str]] = ()
     histories: Mapping[str, History] = field(default_factory=dict)
+    search: History = ()
+    scores: Sequence[Score] = ()
 
 
 def model_file(path: Path) -> Path:
@@ -61,15 +68,34 @@ def subjects_of(files: Sequence[Path], models: Sequence[Model]) -> list[Subject]
     found = []
     for label, file, model in zip(short_labels(files), files, models, strict=True):
         header, told = shown(file)
-        found.append(Subject(label, model, header, file, told, _histories(file.parent)))
+        folder = _made_in(file.parent, header)
+        found.append(Subject(label, model, header, file, told, _histories(folder), _search(folder)))
     return found
 
 
+def _made_in(folder: Path, header: Mapping[str, Any]) -> Path:
+    """The folder that has the logs of a model: of a selection that of the chosen candidate."""
+    chosen = (header.get("selection") or {}).get("chosen")
+    if not isinstance(chosen, str) or Path(chosen).name != chosen:
+        return folder
+    below = folder / CANDIDATES / chosen
+    return below if below.is_dir() else folder
+
+
 def _histories(folder: Path) -> dict[str, History]:
-    """The training logs of a run, or of one of its members."""
-    places = [folder, *sorted(log.parent for log in folder.glob(f"seed-*/{LOG}"))]
-    logs = {place.name if place != folder else "": read_log(place) for place in places}
+    """The training logs of a run, of one of its members, or of a candidate's folds."""
+    places = {"": folder}
+    places |= {log.parent.name: log.parent for log in sorted(folder.glob(f"seed-*/{LOG}"))}
+    for log in sorted(folder.glob(f"fold-*/seed-*/{LOG}")):
+        fold = log.parent.parent.name.split("-seed")[0]
+        places[f"{fold}-{log.parent.name}"] = log.parent
+    logs = {name: read_log(place) for name, place in places.items()}
     return {name: lines for name, lines in logs.items() if lines}
+
+
+def _search(folder: Path) -> History:
+    """The log of an identification, of a candidate that from all records."""
+    return read_search(folder) or read_search(folder / WHOLE)
 
 
 def short_labels(files: Sequence[Path]) -> list[str]:

@@ -19,6 +19,7 @@ from tustinnet.report.leaving import left_words
 from tustinnet.report.page.judged import Judged
 from tustinnet.report.page.subject import Subject
 from tustinnet.report.tables import Table, number, numbers
+from tustinnet.selection.jobs import LEFT_OUT
 from tustinnet.simulate.horizon import over
 from tustinnet.store.model_file import package_versions, records_in
 
@@ -56,8 +57,14 @@ def described(channels: Channels) -> str:
     return f"{driven}, in steps of {channels.dt * 1e3:g} ms."
 
 
-def verdict(of: Judged, records: Sequence[Experiment]) -> str:
-    """How good a model is, and on which records, in one sentence."""
+def verdict(of: Judged, records: Sequence[Experiment], whole: int | None = None) -> str:
+    """How good a model is, and on which records, in one sentence.
+
+    Args:
+        of: the model.
+        records: the records that judged it.
+        whole: how many records these were taken from, None where they are all.
+    """
     unit, scores = records[0].channels.unit, of.scores
     worst, best = max(scores, key=lambda s: s.rmse), min(scores, key=lambda s: s.rmse)
     mean, high, low = numbers([mean_rmse(scores), worst.rmse, best.rmse])
@@ -65,15 +72,35 @@ def verdict(of: Judged, records: Sequence[Experiment]) -> str:
     begin = "Simulated from its start alone" + over(scores[0].horizon)
     return (
         f"{begin}, it is off by {mean} {unit} {'on average over' if scores[1:] else 'on'} "
-        f"{_records(of.subject, records)}{spread}."
+        f"{_records(of.subject, records, whole)}{spread}."
     )
 
 
-def _records(subject: Subject, records: Sequence[Experiment]) -> str:
+def left_out(subject: Subject, records: Sequence[Experiment]) -> str:
+    """What models of the same kind came to on records left out of their fits, where folds say it.
+
+    Of a model that was fitted to all of its records, nothing else tells how good it is elsewhere.
+    """
+    told = subject.header.get("scores") or {}
+    if told.get("split") != LEFT_OUT or not trained_on(subject, records):
+        return ""
+    with refusing(subject.label, "scores that are damaged", "those that `fit` writes"):
+        many, error = len(told["rmse"]), told.get("standard_error")
+        mean, spread = numbers([float(told["mean"]), float(error or 0.0)])
+        unit = told["unit"]
+    told_spread = f" ± {spread}" if error else ""
+    return (
+        f"To judge what it does on new records, `fit` left each of its {many} records out of "
+        f"models made in the same way: these are off by {mean}{told_spread} {unit} on average."
+    )
+
+
+def _records(subject: Subject, records: Sequence[Experiment], whole: int | None) -> str:
     """Which records, and whether the model was fitted to them."""
     splits = list(dict.fromkeys(e.split for e in records if e.split))
     kind = f"{' and '.join(splits)} " if splits else ""
-    many = f"{len(records)} {kind}record{'s' if records[1:] else ''}"
+    of = f"of {whole} " if whole is not None and whole > len(records) else ""
+    many = f"{len(records)} {of}{kind}record{'s' if records[1:] or of else ''}"
     if not subject.header.get("data") and not subject.header.get("files"):
         return many
     made = trained_on(subject, records)
@@ -141,6 +168,20 @@ def parameters_of(subject: Subject) -> Parameters | None:
     table = Table(ESTIMATE_COLUMNS, rows)
     title = f"standard errors from {source}, beside those of J'J"
     return Parameters(subject.label, title, table, [*places, *[None] * len(fixed)])
+
+
+def stages_table(found: Sequence[Judged]) -> Table:
+    """The stages of every identification, and how they ended."""
+    rows = []
+    for of in found:
+        ended = [line for line in of.subject.search if "parameters" in line]
+        rows += [
+            [of.subject.label, f"{i}: {stage['stage']}", str(stage["iterations"]),
+             "–" if stage["cost"] is None else f"{stage['cost']:.4g}", stage["why"]]
+            for i, stage in enumerate(ended, 1)
+        ]  # fmt: skip
+    columns = ["model", "stage", "iterations", "cost", "ended"]
+    return Table(columns, rows)
 
 
 def notes_of(found: Sequence[Judged], records: Sequence[Experiment]) -> list[str]:

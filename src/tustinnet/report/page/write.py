@@ -22,7 +22,7 @@ from tustinnet.store.files import require_new, write_into
 from tustinnet.store.model_file import load_model
 
 _LARGEST, _REST = 1_000_000, 250_000  # bytes of a page, and of it what is no signal and no model
-_MOST = 5  # models; more lines than that nobody tells apart
+MOST = 5  # models; more lines than that nobody tells apart
 
 
 @dataclass(frozen=True)
@@ -33,13 +33,15 @@ class Asked:
         start: where the free runs start, None for the usual start.
         horizon: how long they last at most [s], None for whole records.
         links: how the mechanism is drawn where no model says it.
-        command: what makes the report again.
+        command: what makes the report again, of all records.
+        whole: how many records those given were taken from, None where they are all.
     """
 
     start: str | None = None
     horizon: float | None = None
     links: tuple[Link, ...] = ()
     command: str = ""
+    whole: int | None = None
 
 
 def write_report(
@@ -84,8 +86,8 @@ def written(
     subjects: Sequence[Subject], records: Sequence[Experiment], path: Path, asked: Asked
 ) -> Path:
     """Writes the report of some models, see `write_report`."""
-    if not 0 < len(subjects) <= _MOST:
-        raise InputError("report", f"{len(subjects)} models", f"1 to {_MOST}")
+    if not 0 < len(subjects) <= MOST:
+        raise InputError("report", f"{len(subjects)} models", f"1 to {MOST}")
     if not records:
         raise InputError("report", "no records", "at least one")
     for of in subjects:
@@ -125,7 +127,8 @@ def _context(
         "title": told.what_it_is(first.subject),
         "about": (first.subject.header.get("data") or {}).get("name", ""),
         "described": told.described(channels),
-        "verdict": told.verdict(first, records),
+        "verdict": told.verdict(first, records, asked.whole),
+        "left_out": told.left_out(first.subject, records),
         "models": [of.subject.label for of in found],
         "records": [e.name for e in records],
         "channels": channels,
@@ -133,6 +136,7 @@ def _context(
         "scores": told.scores_table(found, records),
         "by_coordinate": told.coordinates_table(found, channels),
         "parameters": [of for of in parameters if of],
+        "stages": told.stages_table(found),
         "bands": told.about_bands(found),
         "notes": [*told.notes_of(found, records), *silent],
         "about_models": told.models_table(found, records),
@@ -141,11 +145,15 @@ def _context(
         "versions": told.versions(),
         "command": asked.command,
         "thinning": thinning,
+        "some": asked.whole is not None and asked.whole > len(records),
+        "whole": asked.whole,
+        "every": max(of.every for of in found),
         "has": {
             "residuals": any(of.residuals for of in found),
             "crossed": any(len(r.cross) for of in found for r in of.residuals),
             "ahead": any(len(of.ahead) for of in found),
             "energy": any(of.energies for of in found),
+            "search": any(of.subject.search for of in found),
             "training": any(of.subject.histories for of in found),
             "structure": any(of.subject.told for of in found),
             "range": any(of.range for of in found),

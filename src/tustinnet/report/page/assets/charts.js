@@ -104,3 +104,38 @@ function trainingCharts() {
     }, { height: 200, log: true });
   }
 }
+
+// An identification: the cost by iteration of all stages, and where the stages left the parameters.
+function searchCharts() {
+  const host = $("plots-search");
+  if (!host) return;
+  const searched = data.models.map((of, model) => ({ model, ...of.search })).filter((of) => of.stages);
+  const costs = searched.map(({ model, stages }) => {
+    const by = new Map(); // what each iteration came to, and its stage; nothing between stages
+    let done = 0;
+    for (const { name, cost } of stages) {
+      if (done) by.set(done + 0.5, [null, ""]);
+      for (const value of cost) by.set(++done, [value, name]);
+    }
+    return { model, by };
+  });
+  const x = [...new Set(costs.flatMap(({ by }) => [...by.keys()]))].sort((a, b) => a - b);
+  new Plot(host, "Cost by iteration of all stages", () => ({
+    x, xlabel: "iteration", y: "cost", whole: true,
+    lines: costs.map(({ model, by }) => lineOf(model, x.map((k) => by.get(k)?.[0]), {
+      dash: undefined, points: true,
+      told: (v, k) => (by.get(x[k])?.[1] ? `${told(v, 4)}, ${by.get(x[k])[1]}` : "\u2013"),
+    })),
+  }), { height: 200, log: true, legend: true });
+  const names = [...new Set(searched.flatMap((of) => of.parameters.map((p) => p.name)))];
+  for (const name of names) {
+    const of = searched.map(({ model, parameters }) => ({ model, ...parameters.find((p) => p.name === name) }))
+      .filter((p) => p.values);
+    const stages = Math.max(...of.map((p) => p.values.length)), { unit } = of[0];
+    const counted = Array.from({ length: stages }, (_, k) => k + 1);
+    new Plot($("plots-parameters"), `${name} after each stage`, () => ({
+      x: counted, xlabel: "stage", y: unit ? `${name} [${unit}]` : name, whole: true,
+      lines: of.map((p) => lineOf(p.model, counted.map((k) => p.values[k - 1] ?? null), { points: true })),
+    }), { height: 130, legend: false });
+  }
+}

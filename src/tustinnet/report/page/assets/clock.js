@@ -28,6 +28,8 @@ const clock = {
   },
 };
 
+const OFTEN = 50, SELDOM = 120; // ms between two changes of texts while it plays: each costs a layout
+
 function tick(now) {
   if (!clock.playing) return;
   const passed = clock.since === null ? 0 : (now - clock.since) / 1000;
@@ -58,7 +60,10 @@ function beginClock() {
     for (const out of document.querySelectorAll(".rmse"))
       out.textContent = `${told(of.runs[out.dataset.model].rmse)} ${data.unit}`;
   });
+  let last = 0;
   clock.listeners.add((now) => {
+    if (clock.playing && performance.now() - last < OFTEN) return;
+    last = performance.now();
     time.value = now;
     const text = `${now.toFixed(2)} s`;
     time.setAttribute("aria-valuetext", text);
@@ -67,4 +72,5 @@ function beginClock() {
 }
 
 // Which models are shown.
-const shown = () => [...document.querySelectorAll(".shown")].map((box) => box.checked);
+const boxes = [...document.querySelectorAll(".shown")];
+const shown = () => boxes.map((box) => box.checked);

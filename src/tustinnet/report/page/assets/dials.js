@@ -15,6 +15,8 @@ class Dials {
     }));
   }
 
+  ends() { return []; } // nothing leaves a trail
+
   draw(context, width, height, poses) {
     const places = this.places(width, height);
     for (const place of places) this.scale(context, place);

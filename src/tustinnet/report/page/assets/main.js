@@ -9,6 +9,7 @@ timeCharts();
 aheadChart();
 residualCharts();
 stateCharts();
+searchCharts();
 trainingCharts();
 beginPlots();
 beginPlayground();

@@ -1,6 +1,5 @@
 // The exported model, stepped here: dragged to a start, let go, pushed, driven.
 
-const MARGIN = 0.1; // of the recorded span, beyond which a value counts as outside
 const FRAME = 0.02; // s that stepping may take of a frame
 
 class Toy {
@@ -12,13 +11,9 @@ class Toy {
     // where nobody knows what was recorded, inputs go from -1 to 1
     this.inputEnds = inputs.map((_, i) => data.inputs[i].limits ?? range?.inputs[i] ?? [-1, 1])
       .map(([low, high]) => (high > low ? [low, high] : [low - 1, high + 1]));
-    // as in `tustinnet.simulate.range`: angles may turn on, all others stay near what was recorded
-    this.bounds = range && [...range.states.slice(0, 2 * n), ...range.inputs]
-      .map(([low, high], i) => {
-        if (i < n && data.coordinates[i].kind === "angular") return null;
-        const span = Math.max(high - low, 1e-9);
-        return [low - MARGIN * span, high + MARGIN * span];
-      });
+    this.range = data.ranges[model];
+    this.cloud = data.clouds[this.range?.cloud];
+    this.angular = data.coordinates.map((of) => of.kind === "angular");
     this.names = [...states.slice(0, 2 * n), ...inputs];
     this.speeds = Array.from({ length: n }, (_, j) => {
       const [low, high] = range ? range.states[n + j] : [-1, 1];
@@ -52,12 +47,17 @@ class Toy {
     this.state.x[2 * this.n - 1] += 0.4 * this.speeds[this.n - 1];
   }
 
-  // The names of what is outside of what was recorded.
-  outside() {
-    if (!this.bounds) return [];
-    const values = [...this.state.x.slice(0, 2 * this.n), ...this.u];
-    return this.names.filter((_, i) => this.bounds[i]
-      && !(values[i] >= this.bounds[i][0] && values[i] <= this.bounds[i][1]));
+  // What is outside of what was recorded while inputs act, in words; empty where nothing is.
+  outside(u) {
+    if (!this.range) return "";
+    const { by, together } = this.leaves(this.state.x, u);
+    if (by.length) return by.map((i) => this.names[i]).join(", ");
+    return together ? "positions, velocities and inputs that did not come together in any record" : "";
+  }
+
+  leaves(x, u) {
+    const [q, v] = [0, this.n].map((from) => Array.from(x.slice(from, from + this.n)));
+    return leaving(this.range, this.cloud, this.angular, q, v, u);
   }
 }
 
@@ -65,6 +65,15 @@ class Toy {
 globalThis.freeRun = (which, x0, inputs) => {
   const { init, step } = globalThis.exported[which], state = init(x0);
   return [Array.from(state.x), ...inputs.map((u) => Array.from(step(state, u).x))];
+};
+
+// For checks: whether states [q, v] under inputs are outside of what a model's records were.
+globalThis.isOutside = (model, states, inputs) => {
+  const toy = new Toy(model, globalThis.exported[data.exported.indexOf(model)]);
+  return states.map((x, k) => {
+    const { by, together } = toy.leaves(x, inputs[k]);
+    return by.length > 0 || together;
+  });
 };
 
 function beginPlayground() {
@@ -75,7 +84,7 @@ function beginPlayground() {
   toys.forEach((toy, k) =>
     choice.append(element("option", { value: k }, data.models[toy.model].label)));
   const mechanism = mechanismFor(true);
-  let toy = toys[0], running = false, since = null, owed = 0, taken = null, trail = [], held = 0;
+  let toy = toys[0], running = false, since = null, owed = 0, taken = null, trail = [], held = 0, acting = [];
   const begin = [...at(recordAt(0).t, recordAt(0).q, 0)];
 
   const slider = (host, name, [low, high], value, tell) => {
@@ -102,16 +111,16 @@ function beginPlayground() {
   const draw = () => {
     const { context, width, height } = sharp(canvas);
     if (!width) return;
-    const out = toy.outside(), finite = toy.q.every(Number.isFinite);
-    const lost = out.length > 0 || !finite;
+    const out = toy.outside(running ? acting : toy.u), finite = toy.q.every(Number.isFinite);
+    const lost = out !== "" || !finite;
     const colour = lost ? colours.grey : colourOf(toy.model);
     if (finite)
       mechanism.draw(context, width, height, [
         { q: toy.q, colour, width: 4.5, trail: data.links.length ? trail : [] }]);
     canvas.dataset.outside = lost;
     const text = !finite ? "The model has left all bounds."
-      : lost ? `Outside of what was recorded: ${out.join(", ")}.`
-        : toy.bounds ? "Within what was recorded." : "Nobody knows what was recorded.";
+      : lost ? `Outside of what was recorded: ${out}.`
+        : toy.range ? "Within what was recorded." : "Nobody knows what was recorded.";
     if (status.textContent !== text) status.textContent = text;
   };
 
@@ -120,10 +129,10 @@ function beginPlayground() {
     owed += since === null ? 0 : Math.min((now - since) / 1000, 0.1);
     since = now;
     const { period } = toy.module, from = performance.now();
-    const u = toy.u.map((x, i) => (i === 0 && held ? toy.inputEnds[0][held > 0 ? 1 : 0] : x));
-    while (owed >= period && performance.now() - from < 1000 * FRAME) { toy.step(u); owed -= period; }
+    acting = toy.u.map((x, i) => (i === 0 && held ? toy.inputEnds[0][held > 0 ? 1 : 0] : x));
+    while (owed >= period && performance.now() - from < 1000 * FRAME) { toy.step(acting); owed -= period; }
     if (owed >= period) owed = 0; // slower than time
-    if (trail.push(toy.q) > 40) trail.shift();
+    if (trail.push(mechanism.ends(toy.q)) > 40) trail.shift();
     draw();
     requestAnimationFrame(tickToy);
   };

@@ -21,6 +21,12 @@ function roomy(low, high, bound) {
   return [ends[0] - spare, ends[1] + spare];
 }
 
+// A number at an axis, where there is little room.
+function shortly(v) {
+  const text = told(v);
+  return text.length > 6 && v !== 0 && Math.abs(v) < 0.01 ? Number(v.toPrecision(3)).toExponential() : text;
+}
+
 // Powers of ten on an axis, few of them.
 function powers(u, i, low, high) {
   const [from, to] = [Math.ceil(Math.log10(low)), Math.floor(Math.log10(high))];
@@ -31,9 +37,10 @@ function powers(u, i, low, high) {
 
 class Plot {
   // of: what is drawn, made anew for each record: { x, lines: [{ label, values, colour, dash,
-  // width, model, stepped, bars }], bands: [{ low, high, colour }], y, xlabel, bound }
-  constructor(host, name, of, { timed = false, height = 150, log = false } = {}) {
-    Object.assign(this, { host, name, of, timed, height, log, drawn: null });
+  // width, model, stepped, bars, points, told }], bands: [{ low, high, colour }], y, xlabel, bound,
+  // last, whole }
+  constructor(host, name, of, { timed = false, height = 150, log = false, legend = null } = {}) {
+    Object.assign(this, { host, name, of, timed, height, log, legend, drawn: null });
     this.frame = host.appendChild(element("div", {
       class: "plot", tabindex: "0", role: "group", "aria-label": name,
     }));
@@ -41,6 +48,12 @@ class Plot {
     plots.add(this);
     this.watch = new ResizeObserver(() => this.fit());
     this.watch.observe(this.frame);
+    this.seen = true;
+    this.look = new IntersectionObserver((all) => {
+      this.seen = all.at(-1).isIntersecting;
+      if (this.seen) this.mark(clock.time, true);
+    });
+    if (timed) this.look.observe(this.frame);
   }
 
   make() {
@@ -50,7 +63,7 @@ class Plot {
     this.drawn = null;
     this.frame.replaceChildren();
     if (!told_) return;
-    const { x, lines, bands = [], y, xlabel = "time [s]", bound, last = true } = told_;
+    const { x, lines, bands = [], y, xlabel = "time [s]", bound, last = true, whole = false } = told_;
     const visible = shown();
     this.frame.append(element("p", { class: "what" }, y));
     const series = [{ label: xlabel, value: (u, v) => (v === null || v === undefined ? "\u2013" : String(Number(v.toFixed(3)))) }];
@@ -58,7 +71,8 @@ class Plot {
     for (const line of lines) {
       series.push({
         label: line.label, stroke: line.colour, width: line.width ?? 1.5, dash: line.dash,
-        points: { show: false }, value: (u, v) => told(v),
+        points: { show: Boolean(line.points), size: 4, fill: line.colour },
+        value: (u, v, i, k) => (line.told ? line.told(v, k) : told(v)),
         show: line.model === undefined || visible[line.model],
         paths: line.bars ? uPlot.paths.bars({ size: [0.7, 6], align: 0 })
           : line.stepped ? uPlot.paths.stepped({ align: 1 }) : undefined,
@@ -79,16 +93,17 @@ class Plot {
       width: Math.max(this.frame.clientWidth, 200), height: this.height, series, bands: shaded,
       cursor: { drag: { x: true, y: false, dist: 6 }, focus: { prox: 1e6 }, points: { size: 5 } },
       focus: { alpha: 1 },
-      legend: { show: lines.length > 1 || this.timed, live: true, markers: { width: 2, dash: (u, i) => (series[i].dash ? "dashed" : "solid") } },
+      legend: { show: this.legend ?? (lines.length > 1 || this.timed), live: true, markers: { width: 2, dash: (u, i) => (series[i].dash ? "dashed" : "solid") } },
       scales: {
         x: { time: false, ...(this.timed && zoomed.min !== null ? { range: [zoomed.min, zoomed.max] } : {}) },
         y: this.log ? { distr: 3 } : { range: (u, low, high) => roomy(low, high, bound) },
       },
-      axes: [last ? axis(xlabel, { size: 26, labelSize: 15, labelGap: 0, space: 60 }) : axis(undefined, { size: 24, space: 60 }),
-        axis(undefined, { size: 46, space: 26, ...(this.log ? { splits: powers } : {}), values: (u, ticks) => ticks.map((v) => (v === null ? "" : told(v))) })],
+      axes: [last ? axis(xlabel, { size: 26, labelSize: 15, labelGap: 0, space: whole ? 24 : 60,
+        ...(whole ? { incrs: [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000] } : {}) }) : axis(undefined, { size: 24, space: 60 }),
+        axis(undefined, { size: whole ? 54 : 46, space: 26, ...(this.log ? { splits: powers } : {}), values: (u, ticks) => ticks.map((v) => (v === null ? "" : shortly(v))) })],
       hooks: {
         drawAxes: bound ? [(u) => this.shade(u, bound)] : [],
-        ready: [(u) => { if (!this.timed && lines.length > 1) u.setLegend({ idx: x.length - 1 }); }],
+        ready: [(u) => { if (!this.timed && (this.legend ?? lines.length > 1)) u.setLegend({ idx: x.length - 1 }); }],
         setScale: [(u, scale) => this.scaled(u, scale)],
       },
     }, values, this.frame);
@@ -105,6 +120,7 @@ class Plot {
   remove() {
     this.drawn?.destroy();
     this.watch.disconnect();
+    this.look.disconnect();
     this.frame.remove();
     plots.delete(this);
   }
@@ -137,9 +153,10 @@ class Plot {
   // The line for now; values in the legend now and then, which costs more.
   mark(time, values) {
     if (!this.drawn || !this.now) return;
-    const left = this.drawn.valToPos(time, "x");
+    const left = this.drawn.valToPos(time, "x"), { bbox } = this.drawn;
     this.now.style.transform = `translateX(${left}px)`;
-    this.now.hidden = !(left >= 0 && left <= this.drawn.over.clientWidth);
+    const hidden = !(left >= 0 && left <= bbox.width / uPlot.pxRatio);
+    if (this.now.hidden !== hidden) this.now.hidden = hidden;
     if (values && this.drawn.cursor.left < 0)
       this.drawn.setLegend({ idx: placeIn(this.drawn.data[0], time) });
   }
@@ -187,9 +204,9 @@ function beginPlots() {
   clock.choosers.add(() => { zoomed = WHOLE; for (const plot of plots) if (plot.timed) plot.make(); });
   let last = 0;
   clock.listeners.add((time) => {
-    const due = !clock.playing || performance.now() - last > 120;
+    const due = !clock.playing || performance.now() - last > SELDOM;
     if (due) last = performance.now();
-    for (const plot of plots) if (plot.timed) plot.mark(time, due);
+    for (const plot of plots) if (plot.timed && plot.seen) plot.mark(time, due);
   });
   for (const box of document.querySelectorAll(".shown")) box.addEventListener("change", all);
   $("zoom-in").addEventListener("click", () => zoomBy(0.5));

@@ -9,16 +9,28 @@ function ticksOf(low, high, most = 5) {
   return found.map((x) => Math.round(x / step) * step);
 }
 
+// Position and velocity of a coordinate at the points of a cloud, see `featuresOf`.
+function pointsOf(cloud, j) {
+  if (!cloud) return null;
+  const angular = data.coordinates.map((of) => of.kind === "angular");
+  const n = angular.length, angles = angular.filter(Boolean).length;
+  const before = angular.slice(0, j).filter((is) => is === angular[j]).length;
+  const value = (point, i) => point[i] * cloud.spread[i];
+  const sine = n - angles + before;
+  return {
+    q: cloud.points.map((p) => (angular[j] ? Math.atan2(value(p, sine), value(p, sine + angles)) : value(p, before))),
+    v: cloud.points.map((p) => value(p, n + angles + j)),
+  };
+}
+
 function stateChart(host, j) {
   const c = data.coordinates[j], angular = c.kind === "angular";
   const canvas = host.appendChild(element("canvas", {
     class: "states", role: "img", "aria-label": `${c.name} and its velocity in the chosen record`,
   }));
-  const points = data.range?.points && {
-    q: unpacked(data.range.points.q[j]), v: unpacked(data.range.points.v[j]),
-  };
+  const range = data.ranges.find(Boolean), points = pointsOf(data.clouds[range?.cloud], j);
   const packed = (key) => data.records.map((r) => [r[key][j].low, r[key][j].high]);
-  const frame = data.range && { q: data.range.q[j], v: data.range.v[j] };
+  const frame = range && { q: range.q[j], v: range.v[j] };
   const pad = ([low, high]) => [low - 0.06 * (high - low), high + 0.06 * (high - low)];
   // in the middle of a turn is where an angle is most
   const most = data.records.map((r) => unpacked(r.q[j])).flat().reduce((sum, q) => sum + Math.cos(q), 0);
@@ -27,13 +39,8 @@ function stateChart(host, j) {
     .map(([x, k]) => [x, k ? `${k < 0 ? "\u2212" : ""}${{ 0.5: "\u03c0/2", 1: "\u03c0", 1.5: "3\u03c0/2", 2: "2\u03c0" }[Math.abs(k)]}` : "0"]);
   const qs = pad(angular ? [middle - Math.PI, middle + Math.PI] : endsOf([...packed("q"), ...(frame ? [frame.q] : [])]));
   const vs = pad(endsOf([...packed("v"), ...(frame ? [frame.v] : [])]));
-  const draw = () => {
-    const { context, width, height } = sharp(canvas);
-    if (!width) return;
-    const left = 46, bottom = height - 34, right = width - 8, top = 8;
-    const px = (q) => left + ((q - qs[0]) / (qs[1] - qs[0] || 1)) * (right - left);
-    const py = (v) => bottom - ((v - vs[0]) / (vs[1] - vs[0] || 1)) * (bottom - top);
-    const place = (q) => px(angular ? middle + wrapped(q - middle) : q);
+  // what stays while time goes on
+  const drawStill = (context, width, height, { left, right, top, bottom, px, py, place }) => {
     context.font = "11px system-ui, sans-serif";
     context.strokeStyle = colours.line;
     context.fillStyle = colours.quiet;
@@ -79,7 +86,26 @@ function stateChart(host, j) {
       before = turn;
     });
     context.stroke();
-    const now = at(of.t, [of.q[j], of.v[j]], clock.time);
+  };
+  const still = document.createElement("canvas");
+  let drawn = "";
+  const draw = () => {
+    const { context, width, height } = sharp(canvas);
+    if (!width) return;
+    const left = 46, bottom = height - 34, right = width - 8, top = 8;
+    const px = (q) => left + ((q - qs[0]) / (qs[1] - qs[0] || 1)) * (right - left);
+    const py = (v) => bottom - ((v - vs[0]) / (vs[1] - vs[0] || 1)) * (bottom - top);
+    const place = (q) => px(angular ? middle + wrapped(q - middle) : q);
+    const wanted_ = [clock.record, canvas.width, canvas.height, colours.ink].join();
+    if (drawn !== wanted_) {
+      drawn = wanted_;
+      [still.width, still.height] = [canvas.width, canvas.height];
+      const under = still.getContext("2d");
+      under.setTransform(context.getTransform());
+      drawStill(under, width, height, { left, right, top, bottom, px, py, place });
+    }
+    context.drawImage(still, 0, 0, width, height);
+    const of = recordAt(clock.record), now = at(of.t, [of.q[j], of.v[j]], clock.time);
     context.fillStyle = colours.ink;
     context.strokeStyle = colours.paper;
     context.lineWidth = 2;

@@ -41,9 +41,21 @@ addEventListener("afterprint", () => {
   setTheme(before);
 });
 
+const sizes = new WeakMap(); // of canvases: to ask for one while things move costs a layout
+const watchSizes = new ResizeObserver((all) => {
+  for (const { target, contentRect: { width, height } } of all)
+    sizes.set(target, [Math.round(width), Math.round(height)]);
+});
+
+function sizeOf(canvas) {
+  if (!sizes.has(canvas)) watchSizes.observe(canvas);
+  else if (clock.playing) return sizes.get(canvas);
+  return [canvas.clientWidth, canvas.clientHeight];
+}
+
 // A canvas that is as sharp as the screen, and its size in CSS pixels.
 function sharp(canvas) {
-  const { clientWidth: width, clientHeight: height } = canvas, scale = devicePixelRatio || 1;
+  const [width, height] = sizeOf(canvas), scale = devicePixelRatio || 1;
   if (canvas.width !== Math.round(width * scale) || canvas.height !== Math.round(height * scale)) {
     canvas.width = Math.round(width * scale);
     canvas.height = Math.round(height * scale);

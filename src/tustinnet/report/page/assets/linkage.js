@@ -1,4 +1,4 @@
-// A mechanism as a chain of rigid links in perspective.
+// A mechanism as a tree of rigid links in perspective, see `tustinnet.models.kinematics`.
 
 const add = (a, b) => a.map((x, i) => x + b[i]);
 const scaled = (a, k) => a.map((x) => k * x);
@@ -9,6 +9,10 @@ const cross = (a, b) => [
 const lengthOf = (a) => Math.hypot(...a);
 const unitOf = (a) => scaled(a, 1 / lengthOf(a));
 
+// A rotation is three vectors: where it takes those of the axes.
+const STILL = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
+const carried = ([x, y, z], v) => [0, 1, 2].map((i) => x[i] * v[0] + y[i] * v[1] + z[i] * v[2]);
+
 // A vector turned about an axis of length 1 (Rodrigues).
 function turned(v, axis, angle) {
   const c = Math.cos(angle), s = Math.sin(angle), along = dot(axis, v) * (1 - c);
@@ -16,30 +20,60 @@ function turned(v, axis, angle) {
   return v.map((x, i) => x * c + side[i] * s + axis[i] * along);
 }
 
-const SPARE = 0.4; // rad, beyond what an angle reaches
+// Whether a point lies on the line from the origin to another one.
+function between(point, end) {
+  const share = Math.min(Math.max(dot(point, end) / (dot(end, end) || 1), 0), 1);
+  return lengthOf(add(point, scaled(end, -share))) < 1e-6;
+}
 
-class Chain {
+function line(context, from, to) {
+  context.beginPath();
+  context.moveTo(from[0], from[1]);
+  context.lineTo(to[0], to[1]);
+  context.stroke();
+}
+
+const SPARE = 0.4; // rad, beyond what an angle reaches
+const STEPS = 8; // in which a trail fades
+
+class Linkage {
   // ends: of each coordinate, what records reach; whole: room for turns beyond that
   constructor(links, coordinates, ends, whole = false) {
     this.coordinates = coordinates;
-    this.links = links.map((of) => ({ ...of, axis: unitOf(of.axis),
-      slides: coordinates[of.coordinate].kind === "linear" }));
     this.travel = ends;
     this.swept = ends.map(([low, high], i) => (coordinates[i].kind === "linear" ? [low, high]
       : whole || high - low > TURN - 2 * SPARE ? [0, TURN] : [low - SPARE, high + SPARE]));
-    const reach = this.links.reduce((sum, of) => sum + lengthOf(of.reach), 0);
+    this.links = links.map((of) => ({ ...of, axis: unitOf(of.axis), long: lengthOf(of.reach) > 0,
+      slides: coordinates[of.coordinate].kind === "linear" }));
+    this.links.forEach((of) => {
+      of.origin = of.at ?? (of.parent === null ? [0, 0, 0] : links[of.parent].reach);
+      of.branch = of.parent !== null && of.at && !between(of.at, links[of.parent].reach);
+    });
+    this.roots = this.links.filter((of) => of.parent === null);
+    const parents = new Set(links.map((of) => of.parent));
+    this.tips = [...links.keys()].filter((i) => !parents.has(i));
+    this.look(ends);
+    this.box = this.reached();
+  }
+
+  // From where it is looked at, and how large it is.
+  look(ends) {
     const slides = this.links.filter((of) => of.slides);
-    const span = slides.map((of) => ends[of.coordinate][1] - ends[of.coordinate][0]);
-    this.size = Math.max(reach, 0.6 * Math.max(0, ...span), 1e-6);
+    const span = slides.map((of) => ends[of.coordinate][1] - ends[of.coordinate][0]), far = [];
+    this.links.forEach((of, i) => {
+      far[i] = (of.parent === null ? 0 : far[of.parent]) + lengthOf(of.origin);
+    });
+    const reach = this.links.map((of, i) => far[i] + lengthOf(of.reach));
+    this.size = Math.max(...reach, 0.6 * Math.max(0, ...span), 1e-6);
     // what only moves in the plane of the screen is looked at from straight ahead
     this.flat = this.links.every((of) => (of.slides ? Math.abs(of.axis[1]) < 1e-6
-      : Math.abs(of.axis[1]) > 1 - 1e-6) && Math.abs(of.reach[1]) < 1e-9);
+      : Math.abs(of.axis[1]) > 1 - 1e-6) && Math.abs(of.reach[1]) + Math.abs(of.origin[1]) < 1e-9);
     this.azimuth = this.flat ? 0 : 0.5;
     this.elevation = this.flat ? 0 : 0.36;
-    this.middle = slides.map((of, i) => scaled(of.axis,
-      (ends[of.coordinate][0] + ends[of.coordinate][1]) / 2)).reduce(add, [0, 0, 0]);
-    this.upright = !this.flat && !this.links[0].slides && Math.abs(this.links[0].axis[2]) > 0.9;
-    this.box = this.reached();
+    const begin = scaled(this.roots.map((of) => of.origin).reduce(add), 1 / this.roots.length);
+    this.middle = slides.map((of) => scaled(of.axis,
+      (ends[of.coordinate][0] + ends[of.coordinate][1]) / 2)).reduce(add, begin);
+    this.towers = this.flat ? [] : this.roots.filter((of) => !of.slides && Math.abs(of.axis[2]) > 0.9);
   }
 
   // The smallest box of the screen that all positions fit into, at a scale of 1: [low, high] each.
@@ -55,9 +89,9 @@ class Chain {
         rest = Math.floor(rest / turns[i]);
         q[of.coordinate] = low + ((high - low) * step) / (turns[i] - 1 || 1);
       });
-      for (const joint of this.joints(q)) points.push(see(joint));
+      for (const { origin, begin, end } of this.places(q)) points.push(see(origin), see(begin), see(end));
     }
-    if (this.upright) points.push(see([0, 0, -1.2 * lengthOf(this.links[0].reach)]));
+    for (const of of this.towers) points.push(see(add(of.origin, [0, 0, -1.2 * this.around(of)])));
     const spare = 0.08 * this.size;
     return [0, 1].map((i) => {
       const [low, high] = endsOf([points.map((p) => p[i])]);
@@ -65,19 +99,29 @@ class Chain {
     });
   }
 
-  // The joints, from the first one to the chain's end.
-  joints(q) {
-    let place = [0, 0, 0];
-    const places = [], turns = [];
-    const carried = (v) => turns.reduceRight((of, [axis, angle]) => turned(of, axis, angle), v);
+  // How far a link reaches around its joint.
+  around(link) { return lengthOf(link.reach) || 0.3 * this.size; }
+
+  // Of every link where it is: the place of its joint at 0, its beginning, its end; its rotation and
+  // that of what carries it.
+  places(q) {
+    const found = [];
     for (const link of this.links) {
-      const value = q[link.coordinate];
-      if (link.slides) place = add(place, scaled(carried(link.axis), value));
-      places.push(place);
-      if (!link.slides) turns.push([link.axis, value]);
-      place = add(place, carried(link.reach));
+      const under = link.parent === null ? null : found[link.parent], value = q[link.coordinate];
+      const before = under ? under.rotation : STILL;
+      const origin = under ? add(under.begin, carried(before, link.origin)) : link.origin;
+      const begin = link.slides ? add(origin, scaled(carried(before, link.axis), value)) : origin;
+      const rotation = link.slides ? before
+        : STILL.map((axis) => carried(before, turned(axis, link.axis, value)));
+      found.push({ origin, begin, before, rotation, end: add(begin, carried(rotation, link.reach)) });
     }
-    return [...places, place];
+    return found;
+  }
+
+  // Where the tips of all branches are.
+  ends(q) {
+    const places = this.places(q);
+    return this.tips.map((i) => places[i].end);
   }
 
   // Where points are on a screen of some size, and how large things are there.
@@ -113,39 +157,43 @@ class Chain {
   ground(context, see) {
     context.save();
     context.strokeStyle = colours.line;
-    context.fillStyle = faint(colours.line, 0.35);
     context.lineWidth = 1;
-    if (this.upright) {
-      const around = lengthOf(this.links[0].reach), floor = -1.2 * around;
-      context.setLineDash([2, 5]);
-      context.beginPath();
-      for (let i = 0; i <= 48; i++) {
-        const a = (TURN * i) / 48, p = see([around * Math.cos(a), around * Math.sin(a), 0]);
-        if (i) context.lineTo(p[0], p[1]); else context.moveTo(p[0], p[1]);
+    for (const of of this.towers) this.tower(context, see, of);
+    for (const of of this.roots) {
+      if (of.slides) this.rail(context, see, of, of.origin, STILL, 3);
+      else if (!this.towers.includes(of)) {
+        const [x, y] = see(of.origin);
+        context.strokeStyle = colours.grey;
+        context.lineWidth = 1;
+        line(context, [x - 26, y], [x + 26, y]);
+        for (let i = -24; i <= 24; i += 8) line(context, [x + i, y], [x + i + 7, y - 7]);
       }
-      context.stroke();
-      context.setLineDash([]);
-      this.block(context, see, 0.42 * around, floor, -0.1 * around);
-    }
-    for (const link of this.links.filter((of) => of.slides).slice(0, 1)) {
-      const [low, high] = this.travel[link.coordinate], spare = 0.12 * (high - low) + 0.05 * this.size;
-      const rail = [low - spare, high + spare].map((x) => see(scaled(link.axis, x)));
-      context.lineWidth = 3;
-      context.beginPath();
-      context.moveTo(rail[0][0], rail[0][1]);
-      context.lineTo(rail[1][0], rail[1][1]);
-      context.stroke();
-    }
-    if (!this.upright && !this.links[0].slides) {
-      const [x, y] = see([0, 0, 0]);
-      context.strokeStyle = colours.grey;
-      context.beginPath();
-      context.moveTo(x - 26, y);
-      context.lineTo(x + 26, y);
-      for (let i = -24; i <= 24; i += 8) { context.moveTo(x + i, y); context.lineTo(x + i + 7, y - 7); }
-      context.stroke();
     }
     context.restore();
+  }
+
+  // What a link slides along, in the frame of what carries it.
+  rail(context, see, link, origin, rotation, width) {
+    const [low, high] = this.travel[link.coordinate], spare = 0.12 * (high - low) + 0.05 * this.size;
+    const axis = carried(rotation, link.axis);
+    context.lineWidth = width;
+    line(context, ...[low - spare, high + spare].map((x) => see(add(origin, scaled(axis, x)))));
+  }
+
+  // The circle that a link runs around an upright joint, on its housing.
+  tower(context, see, link) {
+    const around = this.around(link);
+    context.setLineDash([2, 5]);
+    context.beginPath();
+    for (let i = 0; i <= 48; i++) {
+      const a = (TURN * i) / 48;
+      const p = see(add(link.origin, [around * Math.cos(a), around * Math.sin(a), 0]));
+      if (i) context.lineTo(p[0], p[1]); else context.moveTo(p[0], p[1]);
+    }
+    context.stroke();
+    context.setLineDash([]);
+    const on = (point) => see(add(link.origin, point));
+    this.block(context, on, 0.42 * around, -1.2 * around, -0.1 * around);
   }
 
   // A housing below the first joint.
@@ -186,18 +234,23 @@ class Chain {
     context.lineJoin = "round";
     this.trail(context, see, trail, colour);
     context.strokeStyle = colour;
-    const joints = this.joints(q).map(see);
+    const places = this.places(q);
+    this.links.forEach((link, i) => {
+      if (link.slides && link.parent !== null) {
+        context.globalAlpha = 0.35;
+        this.rail(context, see, link, places[i].origin, places[i].before, 1.5);
+        context.globalAlpha = 1;
+      }
+    });
     context.lineWidth = width;
     context.setLineDash(dash);
-    for (let i = 0; i + 1 < joints.length; i++) {
-      context.beginPath();
-      context.moveTo(joints[i][0], joints[i][1]);
-      context.lineTo(joints[i + 1][0], joints[i + 1][1]);
-      context.stroke();
-    }
+    this.links.forEach((link, i) => {
+      if (link.branch) line(context, see(places[link.parent].begin), see(places[i].origin));
+      if (link.long) line(context, see(places[i].begin), see(places[i].end));
+    });
     context.setLineDash([]);
     this.links.forEach((link, i) => {
-      const [x, y, k] = joints[i], half = link.slides ? 20 * k : (width + 1.5) * k;
+      const [x, y, k] = see(places[i].begin), half = link.slides ? 20 * k : (width + 1.5) * k;
       context.fillStyle = colours.paper;
       context.lineWidth = Math.min(width, 2);
       context.beginPath();
@@ -206,38 +259,43 @@ class Chain {
       context.fill();
       context.stroke();
     });
-    const end = joints[joints.length - 1], last = this.links[this.links.length - 1];
-    if (lengthOf(last.reach) > 0) {
-      context.fillStyle = colour;
+    context.fillStyle = colour;
+    for (const i of this.tips.filter((tip) => this.links[tip].long)) {
+      const [x, y, k] = see(places[i].end);
       context.beginPath();
-      context.arc(end[0], end[1], (width + 2) * end[2], 0, TURN);
+      context.arc(x, y, (width + 2) * k, 0, TURN);
       context.fill();
     }
     context.restore();
   }
 
-  // Where the end was, fading.
+  // Where the tips were, fading: a line in steps, as each costs a stroke.
   trail(context, see, trail, colour) {
     if (trail.length < 2) return;
-    const points = trail.map((q) => see(this.joints(q)[this.links.length]));
     context.lineWidth = 1.5;
     context.setLineDash([]);
-    for (let i = 1; i < points.length; i++) {
-      context.strokeStyle = faint(colour, (0.45 * i) / points.length);
-      context.beginPath();
-      context.moveTo(points[i - 1][0], points[i - 1][1]);
-      context.lineTo(points[i][0], points[i][1]);
-      context.stroke();
-    }
+    const steps = Math.min(STEPS, trail.length - 1);
+    this.tips.forEach((_, tip) => {
+      const points = trail.map((ends) => see(ends[tip]));
+      for (let k = 0; k < steps; k++) {
+        const [from, to] = [k, k + 1].map((i) => Math.round((i * (points.length - 1)) / steps));
+        context.strokeStyle = faint(colour, (0.45 * (k + 0.5)) / steps);
+        context.beginPath();
+        context.moveTo(points[from][0], points[from][1]);
+        for (let i = from + 1; i <= to; i++) context.lineTo(points[i][0], points[i][1]);
+        context.stroke();
+      }
+    });
   }
 
   // The coordinate whose link is nearest to a point of the screen; null where none is near.
   near(q, x, y, width, height) {
-    const joints = this.joints(q).map(this.camera(width, height));
+    const see = this.camera(width, height);
+    const places = this.places(q).map(({ begin, end }) => [see(begin), see(end)]);
     let best = null, least = 28;
     this.links.forEach((link, i) => {
       for (let s = link.slides ? 0 : 0.25; s <= 1; s += 0.125) {
-        const [px, py] = [0, 1].map((k) => joints[i][k] + s * (joints[i + 1][k] - joints[i][k]));
+        const [px, py] = [0, 1].map((k) => places[i][0][k] + s * (places[i][1][k] - places[i][0][k]));
         const away = Math.hypot(px - x, py - y);
         if (away < least) { least = away; best = { coordinate: link.coordinate, link: i, share: s }; }
       }
@@ -250,9 +308,8 @@ class Chain {
     const see = this.camera(width, height), moved = [...q];
     const where = (value) => {
       moved[taken.coordinate] = value;
-      const joints = this.joints(moved).map(see);
-      return [0, 1].map((k) => joints[taken.link][k]
-        + taken.share * (joints[taken.link + 1][k] - joints[taken.link][k]));
+      const { begin, end } = this.places(moved)[taken.link], [from, to] = [see(begin), see(end)];
+      return [0, 1].map((k) => from[k] + taken.share * (to[k] - from[k]));
     };
     const slides = this.links[taken.link].slides, most = slides ? this.size : 0.6;
     let value = q[taken.coordinate];
