@@ -240,7 +240,7 @@ for name, found in scores.items():
 
 # %% [markdown]
 # What the paper reports, and what trainings of full length give here
-# ([measured](../explanation/paper.md#our-trainings) with five seeds, medians):
+# ([measured](../explanation/paper.md#the-trainings-repeated) with five seeds, medians):
 #
 # | mean RMSE in rad | paper, its 8 test records | here in full, 6 validation records |
 # |---|---|---|
@@ -254,7 +254,7 @@ for name, found in scores.items():
 # other windows, Algorithm 1 is ahead: 0.159 against 0.193.
 #
 # `tustinnet reproduce` makes the whole comparison, with several seeds and all figures.
-# [Our trainings](../explanation/paper.md#our-trainings) has the commands and how long they take.
+# [The trainings repeated](../explanation/paper.md#the-trainings-repeated) has the commands and how long they take.
 #
 # ## Where to go from here
 #

@@ -11,6 +11,16 @@ if TYPE_CHECKING:
     from tustinnet.evaluate.scores import Score
 
 
+_Systems = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="FILE.py",
+        help="System file of some of the models; each model is matched with its file; "
+        "may be repeated.",
+    ),
+]
+
+
 def compare(
     models: options.Models,
     data: options.Data,
@@ -18,14 +28,7 @@ def compare(
     start: options.Start = None,
     horizon: options.Horizon = None,
     card: options.Card = None,
-    system: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="FILE.py",
-            help="System file of some of the models; each model is matched with its file; "
-            "may be repeated.",
-        ),
-    ] = None,
+    system: _Systems = None,
     figures: Annotated[
         Path | None,
         typer.Option(

@@ -7,6 +7,27 @@ import typer
 
 from tustinnet.cli import completion, options, terminal
 
+_Physics = Annotated[
+    str | None,
+    typer.Option(
+        metavar="RECIPE",
+        autocompletion=completion.recipe,
+        help="For a hybrid: recipe that identifies the physics, again in every fold. Default: "
+        "best-grey.",
+    ),
+]
+
+
+_Starts = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME",
+        autocompletion=completion.start,
+        help="Initial states of the free runs, as for evaluate; may be repeated. Default: the "
+        "default of evaluate, and model-20.",
+    ),
+]
+
 
 def cross_validate(
     data: options.Data,
@@ -17,26 +38,10 @@ def cross_validate(
     ] = None,
     changes: options.Set = None,
     system: options.System = None,
-    physics: Annotated[
-        str | None,
-        typer.Option(
-            metavar="RECIPE",
-            autocompletion=completion.recipe,
-            help="For a hybrid: recipe that identifies the physics, again in every fold. Default: "
-            "best-grey.",
-        ),
-    ] = None,
+    physics: _Physics = None,
     folds: Annotated[int, typer.Option(min=3, metavar="N", help="Number of folds.")] = 5,
     seeds: options.Seeds = None,
-    start: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            autocompletion=completion.start,
-            help="Initial states of the free runs, as for evaluate; may be repeated. Default: the "
-            "default of evaluate, and model-20.",
-        ),
-    ] = None,
+    start: _Starts = None,
     card: options.Card = None,
     strict: options.Strict = False,
     device: options.Device = None,

@@ -20,6 +20,12 @@ if TYPE_CHECKING:
     from tustinnet.report.tables import Table
 
 
+_Ahead = Annotated[
+    int | None,
+    typer.Option(min=1, metavar="K", help="Also score predictions k steps ahead, for k = 1..K."),
+]
+
+
 def evaluate(
     model: options.Model,
     data: options.Data,
@@ -28,12 +34,7 @@ def evaluate(
     horizon: options.Horizon = None,
     card: options.Card = None,
     system: options.System = None,
-    ahead: Annotated[
-        int | None,
-        typer.Option(
-            min=1, metavar="K", help="Also score predictions k steps ahead, for k = 1..K."
-        ),
-    ] = None,
+    ahead: _Ahead = None,
     figures: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for a figure of every free run.")
     ] = None,

@@ -20,6 +20,26 @@ if TYPE_CHECKING:
     from tustinnet.systems.files import SystemFile
 
 
+_Plan = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME|FILE",
+        autocompletion=completion.plan,
+        help="Without a recipe: the recipes that are tried, a TOML file. Default: usual.",
+    ),
+]
+
+
+_Cluster = Annotated[
+    str | None,
+    typer.Option(
+        metavar="auto|ADDRESS",
+        help="Without a recipe: use a Ray cluster, given as HOST:PORT of its head node. auto: "
+        "the cluster in RAY_ADDRESS, else this machine.",
+    ),
+]
+
+
 def fit(
     data: options.Data,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the model and all results.")],
@@ -34,26 +54,12 @@ def fit(
     physics: options.Physics = None,
     origin: options.Origin = None,
     system: options.System = None,
-    plan: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME|FILE",
-            autocompletion=completion.plan,
-            help="Without a recipe: the recipes that are tried, a TOML file. Default: usual.",
-        ),
-    ] = None,
+    plan: _Plan = None,
     budget: Annotated[
         str | None,
         typer.Option(metavar="TIME", help="Without a recipe: time limit, as 10min. Default: none."),
     ] = None,
-    cluster: Annotated[
-        str | None,
-        typer.Option(
-            metavar="auto|ADDRESS",
-            help="Without a recipe: use a Ray cluster, given as HOST:PORT of its head node. auto: "
-            "the cluster in RAY_ADDRESS, else this machine.",
-        ),
-    ] = None,
+    cluster: _Cluster = None,
     card: options.Card = None,
     strict: options.Strict = False,
     device: options.Device = None,

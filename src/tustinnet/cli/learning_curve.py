@@ -37,15 +37,16 @@ Twin = Annotated[
 ]
 
 
+Records = Annotated[
+    str | None,
+    typer.Option(metavar="A,B,..", help="Numbers of records to fit to. Default: 2,4,8,.. and all."),
+]
+
+
 def learning_curve(
     data: options.Data,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for table and figure.")],
-    records: Annotated[
-        str | None,
-        typer.Option(
-            metavar="A,B,..", help="Numbers of records to fit to. Default: 2,4,8,.. and all."
-        ),
-    ] = None,
+    records: Records = None,
     draws: Annotated[
         int,
         typer.Option(min=2, max=100, metavar="K", help="Number of random draws of the records."),

@@ -11,14 +11,17 @@ if TYPE_CHECKING:
     from tustinnet.report.tables import Table
 
 
+_Records = Annotated[
+    list[str] | None, typer.Option(metavar="NAME", help="Only this record; may be repeated.")
+]
+
+
 def simulate(
     model: options.Model,
     data: options.Data,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the simulations, as CSV.")],
     split: options.Split = None,
-    experiment: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="Only this record; may be repeated.")
-    ] = None,
+    experiment: _Records = None,
     start: options.Start = None,
     band: options.Band = None,
     whole_records: options.WholeRecords = False,
