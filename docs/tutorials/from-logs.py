@@ -316,6 +316,8 @@ Image("checked/steps4.png")
 # * `width` is how wide the band is, from its lower to its upper edge. We asked for 80 % because
 #   nine calibration records can promise 90 % at most, and a band at that limit is as wide as the
 #   worst of the nine demands.
+# * Bands are made apart for the time in which the arm moves and for the time after it has come to
+#   rest.
 #
 # How bands are made, and what exactly they promise, is in [How far a model can be
 # trusted](../explanation/trust.md).
@@ -340,7 +342,7 @@ write_card("STRONG", 'test = ["strong.csv"]')
 # measurement for that note, so it also comes when you plan a motion. `simulate` writes a CSV file
 # with the free run and the edges of the band. Let us draw it.
 
-# %% alt="The voltage grows: free run and measurement agree at first, then they part"
+# %% alt="The voltage grows: the free run follows, and its band opens after seven seconds"
 run = np.genfromtxt("simulated/strong.csv", delimiter=",", names=True)
 since = run["time"] - run["time"][0]
 figure, axes = plt.subplots(figsize=(9, 3), layout="constrained")
@@ -352,9 +354,10 @@ axes.legend(frameon=False)
 plt.show()
 
 # %% [markdown]
-# A band is a promise for records like those of the calibration. Outside of what was recorded
-# nobody promised anything, even where the model does well for a while. If your controller needs
-# such motions, record them and train again.
+# Where the arm moves faster than it ever did, the band opens: the three networks disagree about
+# what they have never seen. The measurement may stay inside, as it does for most of this record,
+# but nobody promised that. A band is a promise for records like those of the calibration. If your
+# controller needs stronger motions, record them and train again.
 #
 # ## The report
 #
