@@ -15,9 +15,9 @@
 # 5. judge the model on records that were used for nothing before, with bands around its free runs,
 # 6. ask for a motion that nobody recorded, and write a report.
 #
-# The whole page takes about a minute on two cores. It is a notebook: you can run the same commands
-# in a terminal. Words such as *free run* are explained where they appear first, and in the
-# [glossary](../reference/glossary.md).
+# The whole page takes one to two minutes on two cores. It is a notebook: you can run the same
+# commands in a terminal. Words such as *free run* are explained where they appear first, and in
+# the [glossary](../reference/glossary.md).
 
 # %% [markdown]
 # ## The logs

@@ -14,7 +14,7 @@
 # 4. find a force that the file lacks, and add it,
 # 5. compare the models on records that were used for nothing before.
 #
-# The page takes about a minute on two cores.
+# The page takes one to two minutes on two cores.
 #
 # ## The records
 #
