@@ -245,7 +245,7 @@ Image("network/figures/training.png")
 # tustinnet compare network/model.safetensors linear/model.safetensors LOGS \
 #     --split validation --figures compared
 
-# %% alt="The network's free run lies on the measurement, the linear model is far off"
+# %% alt="The network's free run lies on the measurement, the linear model swings too far"
 Image("compared/steps4.png")
 
 # %% [markdown]
@@ -268,8 +268,9 @@ Image("residuals.png")
 # The residuals are not white: the model still lacks something. That is usual for free runs,
 # because small errors of the acceleration add up. What matters is how much is left (`RMS`, about
 # one degree) and whether it depends on the input (right). Here the correlation with the motor
-# stays within its band. Bars outside the band at positive lags would be a bad sign: the input's
-# effect is not all modelled, for instance because it acts later than the card says.
+# stays within its band at lags from 0 on. Bars outside the band there would be a bad sign: the
+# input's effect is not all modelled, for instance because it acts later than the card says. Bars
+# at negative lags say nothing against the model of the input.
 #
 # ## New records
 #
