@@ -15,9 +15,9 @@
 # 5. judge the model on records that were used for nothing before, with bands around its free runs,
 # 6. ask for a motion that nobody recorded, and write a report.
 #
-# The whole page takes about a minute on two cores. It is a notebook: you can run the same commands
-# in a terminal. Words such as *free run* are explained where they appear first, and in the
-# [glossary](../reference/glossary.md).
+# The whole page takes one to two minutes on two cores. It is a notebook: you can run the same
+# commands in a terminal. Words such as *free run* are explained where they appear first, and in
+# the [glossary](../reference/glossary.md).
 
 # %% [markdown]
 # ## The logs
@@ -245,7 +245,7 @@ Image("network/figures/training.png")
 # tustinnet compare network/model.safetensors linear/model.safetensors LOGS \
 #     --split validation --figures compared
 
-# %% alt="The network's free run lies on the measurement, the linear model is far off"
+# %% alt="The network's free run lies on the measurement, the linear model swings too far"
 Image("compared/steps4.png")
 
 # %% [markdown]
@@ -268,8 +268,9 @@ Image("residuals.png")
 # The residuals are not white: the model still lacks something. That is usual for free runs,
 # because small errors of the acceleration add up. What matters is how much is left (`RMS`, about
 # one degree) and whether it depends on the input (right). Here the correlation with the motor
-# stays within its band. Bars outside the band at positive lags would be a bad sign: the input's
-# effect is not all modelled, for instance because it acts later than the card says.
+# stays within its band at lags from 0 on. Bars outside the band there would be a bad sign: the
+# input's effect is not all modelled, for instance because it acts later than the card says. Bars
+# at negative lags say nothing against the model of the input.
 #
 # ## New records
 #
@@ -316,6 +317,8 @@ Image("checked/steps4.png")
 # * `width` is how wide the band is, from its lower to its upper edge. We asked for 80 % because
 #   nine calibration records can promise 90 % at most, and a band at that limit is as wide as the
 #   worst of the nine demands.
+# * Bands are made apart for the time in which the arm moves and for the time after it has come to
+#   rest.
 #
 # How bands are made, and what exactly they promise, is in [How far a model can be
 # trusted](../explanation/trust.md).
@@ -340,7 +343,7 @@ write_card("STRONG", 'test = ["strong.csv"]')
 # measurement for that note, so it also comes when you plan a motion. `simulate` writes a CSV file
 # with the free run and the edges of the band. Let us draw it.
 
-# %% alt="The voltage grows: free run and measurement agree at first, then they part"
+# %% alt="The voltage grows: the free run follows, and its band opens after seven seconds"
 run = np.genfromtxt("simulated/strong.csv", delimiter=",", names=True)
 since = run["time"] - run["time"][0]
 figure, axes = plt.subplots(figsize=(9, 3), layout="constrained")
@@ -352,9 +355,10 @@ axes.legend(frameon=False)
 plt.show()
 
 # %% [markdown]
-# A band is a promise for records like those of the calibration. Outside of what was recorded
-# nobody promised anything, even where the model does well for a while. If your controller needs
-# such motions, record them and train again.
+# Where the arm moves faster than it ever did, the band opens: the three networks disagree about
+# what they have never seen. The measurement may stay inside, as it does for most of this record,
+# but nobody promised that. A band is a promise for records like those of the calibration. If your
+# controller needs stronger motions, record them and train again.
 #
 # ## The report
 #
