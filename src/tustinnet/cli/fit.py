@@ -150,7 +150,7 @@ def _fit_recipe(
     if json:
         terminal.print_json(run.summary())
     else:
-        _print(run, out, page or "")
+        _print(run, leaving.data, page or "")
     _tell_unfinished(run, told)
     require_left(page)
 
@@ -237,9 +237,10 @@ def _page(run: "Run", leaving: "Leaving") -> str | None:
     )
 
 
-def _print(run: "Run", out: Path, page: str) -> None:
+def _print(run: "Run", data: str, page: str) -> None:
     """Tables and sentences: members of a training, parameters of an identification."""
     from tustinnet.report.fits import fitted_table, judged_table, members_table, parameter_table
+    from tustinnet.report.summary import fit_summary
 
     found = run.best.result.identification
     if found is None:
@@ -256,6 +257,9 @@ def _print(run: "Run", out: Path, page: str) -> None:
             f"{found.substeps} Runge-Kutta steps a period"
         )
         typer.echo(f"{found.outcome}; {found.seconds:.1f} s")
+    for sentence in fit_summary(run, data):
+        typer.echo(sentence)
+    out = run.folder
     typer.echo(f"model: {out / 'model.safetensors'}   figures: {out / 'figures'}{page}")
 
 

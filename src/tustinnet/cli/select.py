@@ -54,9 +54,11 @@ def select(
     """
     from tustinnet.cli.leave_report import require_left
     from tustinnet.report.progress import FitProgress
+    from tustinnet.report.summary import next_steps
     from tustinnet.selection.cluster import cluster
     from tustinnet.selection.plan import USUAL, read_plan
     from tustinnet.selection.select import Asked, select_model
+    from tustinnet.store.run import MODEL
 
     plan, budget, machines = asked
     wanted = Asked(read_plan(plan or USUAL), system, seconds_of(budget))
@@ -76,6 +78,7 @@ def select(
         terminal.print_json(choice.as_plain())
     else:
         print_choice(choice, page or "")
+        typer.echo(f"next: {next_steps(choice.at.folder / MODEL, leaving.data)}")
     require_left(page)
 
 
