@@ -135,7 +135,7 @@ def run(script: Path, folder: Path):  # noqa: ANN201
     book = read(script)
     resources = {"metadata": {"path": str(folder)}}
     # shell cells find the command that belongs to this Python
-    env = os.environ | {"PATH": BESIDE, "COLUMNS": "100", "TTY_COMPATIBLE": "0"}
+    env = os.environ | {"PATH": BESIDE, "COLUMNS": "110", "TTY_COMPATIBLE": "0"}
     if data := os.environ.get("TUSTINNET_DATA"):
         env["TUSTINNET_DATA"] = str(Path(data).resolve())  # the tutorial runs elsewhere
     quiet = ["--log-level=40"]
