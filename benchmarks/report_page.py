@@ -65,7 +65,7 @@ def opened(given: argparse.Namespace) -> dict[str, Any]:
     from playwright.sync_api import sync_playwright
 
     chromium = shutil.which("chromium") or shutil.which("chromium-browser")
-    first, rates = [], []
+    first, rates, busy = [], [], []
     with sync_playwright() as running:
         browser = running.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
         for _ in range(given.rounds):
@@ -76,19 +76,30 @@ def opened(given: argparse.Namespace) -> dict[str, Any]:
             marks = page.evaluate("performance.getEntriesByName('first-frame')[0].startTime")
             first.append(marks / 1000)
             page.wait_for_timeout(500)
+            measured = page.context.new_cdp_session(page)
+            measured.send("Performance.enable")
+            before = _seconds(measured)
             rates.append(page.evaluate(
                 """async (seconds) => {
                   const [from, before] = [performance.now(), globalThis.frames_];
                   await new Promise((done) => setTimeout(done, 1000 * seconds));
                   return (globalThis.frames_ - before) / ((performance.now() - from) / 1000);
                 }""", SECONDS))  # fmt: skip
+            busy.append(1000 * (_seconds(measured) - before) / (rates[-1] * SECONDS))
             page.close()
         browser.close()
     return {
         "rounds": given.rounds,
         "first frame": [round(x, 3) for x in (median(first), min(first), max(first))],
         "frames a second": [round(x, 1) for x in (median(rates), min(rates), max(rates))],
+        "ms of work a frame": [round(x, 1) for x in (median(busy), min(busy), max(busy))],
     }
+
+
+def _seconds(session: Any) -> float:
+    """What the page's own thread has worked so far."""
+    found = session.send("Performance.getMetrics")["metrics"]
+    return next(of["value"] for of in found if of["name"] == "TaskDuration")
 
 
 def main() -> None:

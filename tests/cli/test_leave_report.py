@@ -109,7 +109,8 @@ def test_a_chosen_model_says_what_folds_say_of_it(folder, tmp_path, capsys):
     assert f"report: {page}" in printed
     text = said(page)
     assert "5 train and validation records, all of which it was fitted to" in text
-    assert "left each of its 5 records out of models made in the same way: these are off" in text
+    assert "not fitted to, models made in the same way are off by 0.0" in text
+    assert "on average (5 records, on folds)" in text
     assert tustinnet(capsys, *verb, "--overwrite", "--no-report", "--quiet")[0] == 0
     assert not page.exists()
 

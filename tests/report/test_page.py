@@ -22,8 +22,10 @@ from swinging import SWING, TRUTH, falls
 import tustinnet as tn
 from tustinnet.errors import InputError
 from tustinnet.evaluate.energy import energy_along
+from tustinnet.export.javascript import MODULE, TARGET
+from tustinnet.export.source import source_of
 from tustinnet.models.kinematics import carriers
-from tustinnet.report.page import content
+from tustinnet.report.page import content, write
 from tustinnet.report.page.signals import bounded, kept, packed
 from tustinnet.simulate.range import Range, cloud_of
 
@@ -365,3 +367,16 @@ def test_a_tree_of_links_is_placed_as_its_frames_say():
     for of, (begin, end) in zip(found, expected, strict=True):
         np.testing.assert_allclose(of["begin"], begin, atol=1e-12)
         np.testing.assert_allclose(of["end"], end, atol=1e-12)
+
+
+def test_models_that_would_fill_the_page_stay_out_of_the_playground(
+    trained_once, pendulum, tmp_path, monkeypatch
+):
+    model = tn.load_model(trained_once / "model.safetensors")
+    size = len(str(TARGET.files(source_of(model, None))[MODULE]))
+    monkeypatch.setattr(write, "_MODULES", int(1.5 * size))
+    given = {"first": model, "second": model}
+    file = tn.write_report(given, pendulum[0], tmp_path / "report.html", start="derived-6")
+    text = file.read_text(encoding="utf-8")
+    assert numbers_in(text)["exported"] == [0]
+    assert "second: not in the playground: its size: " in text

@@ -174,7 +174,8 @@ def test_reproduce_writes_tables_and_figures_and_trains_on_no_test_record(
     assert "test" not in {record["split"] for record in model["data"]["records"]}
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "Show tustin-transfer" in page
-    assert "test records that it was not fitted to" in page
+    assert "it is off by " in page
+    assert "6 of 8 test records" in page
     assert f"report: {out / 'report.html'}" in captured.err
     for name in ("table1.md", "table1.tex", "free_run_fallTest4.png", "free_run_fallTest4.svg"):
         assert (out / name).is_file()

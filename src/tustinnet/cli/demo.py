@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _PLAN, _SYSTEM, _SECONDS = "quick", "qube-servo2", 150.0
 _CHOICE = "twin_choice"
 _START = "derived-6"  # the twin moves when its records begin, and `file` would say it does not
-_REPORTED = 3  # models: the chosen one, and two beside it
+_REPORTED = 2  # models: the chosen one and one beside it; each takes seconds
 _DRAWN = ("twin_fall_test1", "twin_noise_test2")
 
 

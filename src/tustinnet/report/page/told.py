@@ -84,14 +84,19 @@ def left_out(subject: Subject, records: Sequence[Experiment]) -> str:
     told = subject.header.get("scores") or {}
     if told.get("split") != LEFT_OUT or not trained_on(subject, records):
         return ""
+    if told.get("mean") is None:
+        return (
+            "Models made in the same way leave all bounds on some records that they were not "
+            "fitted to."
+        )
     with refusing(subject.label, "scores that are damaged", "those that `fit` writes"):
-        many, error = len(told["rmse"]), told.get("standard_error")
-        mean, spread = numbers([float(told["mean"]), float(error or 0.0)])
-        unit = told["unit"]
-    told_spread = f" ± {spread}" if error else ""
+        mean, error = float(told["mean"]), told.get("standard_error")
+        spread = f" ± {error:.2g}" if error else ""
+        off = f"{number(mean)}{spread} {told['unit']}"
+        many = len(told["rmse"])
     return (
-        f"To judge what it does on new records, `fit` left each of its {many} records out of "
-        f"models made in the same way: these are off by {mean}{told_spread} {unit} on average."
+        "On records that they were not fitted to, models made in the same way are off by "
+        f"{off} on average ({many} records, on folds)."
     )
 
 

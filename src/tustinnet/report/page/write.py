@@ -22,6 +22,7 @@ from tustinnet.store.files import require_new, write_into
 from tustinnet.store.model_file import load_model
 
 _LARGEST, _REST = 1_000_000, 250_000  # bytes of a page, and of it what is no signal and no model
+_MODULES = 650_000  # bytes of all models in the playground, which leaves signals their room
 MOST = 5  # models; more lines than that nobody tells apart
 
 
@@ -175,11 +176,16 @@ def _modules(
     found: Sequence[Judged], records: Sequence[Experiment]
 ) -> tuple[dict[int, str], list[str]]:
     """The models as JavaScript by their place, and why others are not among them."""
-    modules, silent = {}, []
+    modules: dict[int, str] = {}
+    silent = []
     for i, of in enumerate(found):
         try:
             source = source_of(of.subject.model.of(records[0]), of.range)
-            modules[i] = str(TARGET.files(source)[MODULE])
+            text = str(TARGET.files(source)[MODULE])
+            if len(text) + sum(map(len, modules.values())) > _MODULES:
+                size = f"{len(text) / 1000:.0f} kB"
+                raise InputError("its size", size, "room beside the others in a page of 1 MB")
+            modules[i] = text
         except InputError as error:
             silent.append(f"{of.subject.label}: not in the playground: {error}")
     return modules, silent

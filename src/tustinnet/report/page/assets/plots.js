@@ -206,7 +206,7 @@ function beginPlots() {
   clock.listeners.add((time) => {
     const due = !clock.playing || performance.now() - last > SELDOM;
     if (due) last = performance.now();
-    for (const plot of plots) if (plot.timed && plot.seen) plot.mark(time, due);
+    for (const plot of plots) if (plot.timed && (plot.seen || !clock.playing)) plot.mark(time, due);
   });
   for (const box of document.querySelectorAll(".shown")) box.addEventListener("change", all);
   $("zoom-in").addEventListener("click", () => zoomBy(0.5));
