@@ -221,6 +221,10 @@ with Path("cart.py").open("w") as file:
 # simulation that gets only the initial state and the voltage. The start `derived-6` means that the
 # initial state is computed from the first six samples
 # ([Starts](../reference/evaluation.md#where-a-free-run-starts)).
+#
+# The table `train, from the initial states found` has the error that the search minimised. Here it
+# has no unit: where some coordinates are angles and others lengths, the search divides each by its
+# spread in the records. So its numbers cannot be compared with those of the free runs.
 
 # %% language="bash"
 # tustinnet fit LOGS --recipe grey --system cart.py --out first --quiet
