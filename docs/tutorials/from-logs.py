@@ -2,9 +2,9 @@
 # # From logs to a trusted model
 #
 # You have a folder of CSV files from a test bench. You want a model that simulates the bench, and
-# you want to know how far you can trust it. This tutorial goes the whole way on a small example:
-# an arm with a weight at its end, driven by a motor. An encoder counts the angle, the logger
-# writes a row every 20 ms.
+# you want to know how far you can trust it. This tutorial shows all steps on a small example: an
+# arm with a weight at its end, driven by a motor. An encoder measures the angle. The logger writes
+# a row every 20 ms.
 #
 # You will
 #
@@ -12,23 +12,26 @@
 # 2. look at the records before you fit anything,
 # 3. train three networks and read what `fit` says,
 # 4. compare with a simple model and test the residuals,
-# 5. judge the model on records that were used for nothing before, with bands around its free runs,
-# 6. ask for a motion that nobody recorded, and write a report.
+# 5. test the model on new records, with [bands](../reference/glossary.md#band) around its
+#    simulations,
+# 6. simulate a motion outside of what was recorded, and write a report.
 #
-# The whole page takes one to two minutes on two cores. It is a notebook: you can run the same
-# commands in a terminal. Words such as *free run* are explained where they appear first, and in
-# the [glossary](../reference/glossary.md).
+# The commands of this page take one to two minutes on two cores. The page is a notebook with Python
+# cells and shell commands. You can also type the shell commands in a terminal. Start in an empty
+# folder: all files are written there. Other terms are in the
+# [glossary](../reference/glossary.md).
 
 # %% [markdown]
 # ## The logs
 #
 # We have no bench here, so the next cell simulates one and writes what a lab logger would write.
-# If you have logs of your own, skip it.
+# If you have logs of your own, you need only its imports.
 #
-# The logger wakes up every 20 ms, up to 0.4 ms early or late. It writes the time, reads the
-# encoder (4096 counts a turn; the counter shows 512 when the arm hangs straight down) and sets a
-# new voltage, which stays until the next row. There are three kinds of records: voltage steps,
-# sweeps, and releases by hand without voltage. No two are equally long.
+# The logger writes a row every 20 ms, up to 0.4 ms early or late. In each row it writes the time,
+# reads the encoder and sets a new voltage, which stays until the next row. The encoder has 4096
+# counts a turn and shows 512 when the arm hangs straight down. Each file is one
+# [record](../reference/glossary.md#record), that is one experiment. There are three kinds: voltage
+# steps, sine sweeps, and releases by hand without voltage. Their lengths differ.
 
 # %%
 import csv
@@ -112,14 +115,15 @@ lose_counts(Path("LOGS/sweep2.csv"), 300, row=120)  # as if somebody touched the
 # %% [markdown]
 # ## The data card
 #
-# A file `dataset.toml` in the folder says what the columns mean. Nothing is guessed, because a
-# wrong unit would give a wrong model without an error. You need no velocity column: velocities are
+# A file `dataset.toml` in the folder says what the columns mean. This file is the
+# [data card](../reference/glossary.md#data-card). The package guesses nothing, because a wrong unit
+# would give a wrong model without an error message. You need no velocity column: velocities are
 # computed from the positions.
 #
 # * `hold = "zero-order"` says that the voltage stays as it is until the next row.
 # * `[splits]` says what each record is for. Records under `train` are trained on. Records under
-#   `validation` are not trained on, but they choose which weights are kept. Put records of every
-#   kind into both.
+#   `validation` are not trained on. The error on them decides which weights of the network are
+#   kept. Put records of every kind into both.
 #
 # All keys are in [the reference](../reference/data.md#the-data-card).
 
@@ -167,21 +171,23 @@ write_card("LOGS", SPLITS)
 # tustinnet inspect LOGS --figure records.png
 
 # %% [markdown]
-# Read the first table from left to right:
+# The most important columns are:
 #
-# * `dt` and `log` agree, and the jitter of 0.3 ms is small against 20 ms. A bad sign would be
-#   another period than you declared, or `gaps`. The command refuses intervals that are more than 5
-#   % off and says what to do.
+# * `dt` is the declared sampling period, `log` the one found in the file. They agree. The jitter of
+#   about 0.3 ms is small against 20 ms. A bad sign would be another period than you declared, or
+#   `gaps`. The command refuses intervals that are more than 5 % off and says what to do.
 # * `rest` is the share of time near a standstill. Records that mostly stand still teach little.
 # * In the second table, compare `range` with what you know of the machine. An angle of 90 rad
 #   would mean that degrees were declared as radians. `count` is the encoder count found in the
 #   data: 2 pi / 4096 = 0.00153.
-# * `saturated` is the share of time at an end of the input's range. Much of it means that the
+# * `saturated` is the share of time at an end of the input's range. A large share means that the
 #   logged voltage may not be what the motor received.
 #
-# Then come sentences. The line `suspicious` is a bad sign: the angle of `sweep2` jumps within one
-# sample. The line about `hold` is a reminder: the voltage jumps, so it matters what it does
-# between two rows. We know that our logger holds it.
+# [The reference](../reference/data.md#of-a-data-set) explains the other columns.
+#
+# Below the tables are two messages. `suspicious` is a bad sign: the angle of `sweep2` jumps within
+# one sample. `hold` is a reminder: the voltage changes fast, so it matters what it does between two
+# rows. We know that our logger keeps it constant, as `hold = "zero-order"` says.
 #
 # Now look at the curves.
 
@@ -189,10 +195,13 @@ write_card("LOGS", SPLITS)
 Image("records.png")
 
 # %% [markdown]
-# After 2.4 s, `sweep2` drops by half a radian and stays there. No arm does that: the encoder lost
-# counts. We leave the record out. The others look as they should: the releases decay to zero, and
-# the arm answers every step of the voltage. (Red and green mark where a record comes to rest; see
-# [inspect](../reference/data.md#inspect).)
+# After about 2.4 s, the angle of `sweep2` drops by almost half a radian from one sample to the next.
+# Afterwards the arm swings about a wrong zero. No real arm can move like that: the encoder lost
+# counts. We leave the record out. The other records look right: the releases decay to zero, and the
+# arm responds to the voltage steps. A red line and a green band mark where a release comes to rest;
+# see [inspect](../reference/data.md#of-a-data-set).
+#
+# The next cell writes the card again, without `sweep2` in the split `train`.
 
 # %%
 write_card("LOGS", SPLITS.replace("sweep[1-3]", "sweep[13]"))
@@ -200,44 +209,55 @@ write_card("LOGS", SPLITS.replace("sweep[1-3]", "sweep[13]"))
 # %% [markdown]
 # ## Fit
 #
-# `fit` without a recipe tries several kinds of models within the minutes that you give (`--budget
-# 10min`), and chooses one ([Choosing a model](../explanation/choosing.md)). Take that for your own
-# logs. Here we train one kind, a [Tustin-Net](../reference/glossary.md), so that this page stays
-# short. It is a small neural network for the acceleration. Positions follow from velocities by the
-# trapezoidal rule, so the network need not learn that.
+# A [recipe](../reference/glossary.md#recipe) says how a model is built and trained. `fit` without a
+# recipe tries several kinds of models within the time that you give (`--budget 10min`), and chooses
+# one ([Choosing a model](../explanation/choosing.md)). Use that for your own logs. To save time, we
+# train only one kind here, a [Tustin-Net](../reference/glossary.md#tustin-net). It is a small neural
+# network for the acceleration. Positions follow from velocities by the trapezoidal rule, so the
+# network need not learn that.
 #
-# The recipe `standard` is made for unknown logs. We change four of its numbers to save time: fewer
-# epochs, fewer windows, smaller layers, larger steps. Three seeds train at once. Each begins with
-# other random weights.
+# The recipe `standard` is made for logs of any mechanism. `--set` changes a setting of the recipe. We
+# change four to save time: smaller layers, fewer epochs, fewer
+# [windows](../reference/glossary.md#window) (short parts of the records to train on) and a larger
+# learning rate. `--seeds 3` trains three networks at once, each from other random initial weights.
+# `--quiet` hides the progress.
 
 # %% language="bash"
 # tustinnet fit LOGS --recipe standard --seeds 3 --out network --quiet --set model.hidden=[32,32] \
 #     --set stages.0.epochs=60 --set stages.0.windows.count=800 --set stages.0.rate=2e-3
 
 # %% [markdown]
-# The number that counts is `mean RMSE`, the root mean square error of **free runs**. In a free run
-# the model gets the state at the beginning of the record and the voltage, and nothing else. So an
-# error at one sample stays in all later ones. Here the errors are about one degree (0.017 rad),
-# while the arm swings by one or two radians.
+# The most important number is `mean RMSE`, the root mean square error of **free runs** of the
+# validation records. In a free run the model gets only the state at the beginning of the record and
+# the voltage. Errors accumulate, because the simulation is never corrected by measurements. Here the
+# errors are about one degree (0.017 rad), while the arm swings by one or two radians. The start
+# `derived-6` means that the initial state is computed from the first six samples
+# ([Starts](../reference/evaluation.md#where-a-free-run-starts)).
 #
-# * The three seeds agree. A bad sign would be a seed that is several times worse than another:
-#   then train longer, or record more.
+# * The errors of the three seeds are similar. A bad sign would be a seed that is several times worse
+#   than another: then train longer, or record more.
 # * Training records and validation records have errors of the same size. Validation errors that
-#   are several times larger would mean that the network learnt the training records by heart.
+#   are several times larger would be a sign of
+#   [overfitting](../reference/glossary.md#overfitting).
 # * `kept` is the epoch whose weights were kept. If it is among the last ones, `fit` says so and
 #   tells you to train longer. Do that with your own logs.
+#
+# `network/model.safetensors` is the network of the best seed. The folders `network/seed-0`, `seed-1`
+# and `seed-2` have all three.
 
-# %% alt="Training loss and validation error of three seeds fall together over 60 epochs"
+# %% alt="Training loss and validation error of three seeds fall over 60 epochs; the rate is constant"
 Image("network/figures/training.png")
 
 # %% [markdown]
-# Both curves should fall together and become flat. A bad sign is a validation error that rises
-# while the training loss still falls. Dots mark the epochs that were kept.
+# The training loss (top) and the validation error (middle) should both fall and become flat. A bad
+# sign is a validation error that rises while the training loss still falls. Dots mark the epochs
+# that were kept; the figure counts epochs from 0. Below is the learning rate.
 #
 # ## Compare with something simple
 #
-# Is a network needed at all? A linear state-space model answers that. It is trained on the same
-# records.
+# Is a network needed at all? To find out, we train a linear state-space model on the same records.
+# Then `compare` shows both. What the first command prints goes to the file `linear.txt`; we do not
+# need it here.
 
 # %% language="bash"
 # tustinnet fit LOGS --recipe standard --out linear --quiet --set 'model={kind="linear"}' \
@@ -249,14 +269,16 @@ Image("network/figures/training.png")
 Image("compared/steps4.png")
 
 # %% [markdown]
-# The linear model is many times worse, since gravity acts by the sine of the angle. If both were
-# equally good, you would take the linear one. If both were bad, look for what the records do not
-# show: an input that was not logged, a wrong sign, play in a gear.
+# The errors of the linear model are 6 to 13 times as large. The torque of gravity depends on the
+# sine of the angle, and a linear model cannot have a sine. If both models were equally good, you
+# would take the linear one. If both were bad, you would look for faults of the records or of the
+# bench: an input that was not logged, a wrong sign, play in a gear.
 #
-# ## What is left?
+# ## Test the residuals
 #
-# **Residuals** are what was measured minus what was simulated. If the model had everything, only
-# the noise of the encoder would be left, and one sample would say nothing about the next.
+# **Residuals** are the measurement minus the simulation. With a perfect model only the quantisation
+# of the encoder would be left. The residuals would then be
+# [white](../reference/glossary.md#whiteness): not correlated from sample to sample.
 
 # %% language="bash"
 # tustinnet residuals network/model.safetensors LOGS --split validation --figure residuals.png
@@ -266,38 +288,41 @@ Image("residuals.png")
 
 # %% [markdown]
 # The residuals are not white: the model still lacks something. That is usual for free runs,
-# because small errors of the acceleration add up. What matters is how much is left (`RMS`, about
-# one degree) and whether it depends on the input (right). Here the correlation with the motor
-# stays within its band at lags from 0 on. Bars outside the band there would be a bad sign: the
-# input's effect is not all modelled, for instance because it acts later than the card says. Bars
-# at negative lags say nothing against the model of the input.
+# because small errors of the acceleration accumulate. Two things matter more.
+#
+# * How large are the residuals? The `RMS` is about 0.012 rad, less than one degree.
+# * Do they depend on the input? See the right panel. At lags from 0 on, all bars are inside the
+#   shaded range. That is what `outside, motor` counts. Bars outside would be a bad sign: the model
+#   would lack a part of the input's effect, for instance a delay. Bars at negative lags do not count
+#   against the model of the input.
 #
 # ## New records
 #
-# The validation records chose the epochs, so their scores are a little too good. A judgement needs
-# records that were used for nothing before. We go back to the bench.
+# The validation records decided which epoch is kept, so the errors on them are a little too small. A
+# fair test needs records that were not used before. We simulate twelve new ones.
 #
-# Nine of the new records will tell how large the errors are (*calibration*). Three are the judges.
-# In this folder the split `validation` is for calibration.
+# From nine of them we estimate how large the errors of free runs are. This is called *calibration*.
+# Three are for the test. In this folder the split `validation` is for calibration.
 
 # %%
 session(Path("LATER"), 4)
 write_card("LATER", 'validation = ["*[1-3].csv"]\ntest = ["*4.csv"]\n')
 
 # %% [markdown]
-# A single network does not know how sure it is. Three do: where their free runs differ, the
-# records did not tell them what to do. `committee` puts them together as one model that averages
-# their accelerations. `calibrate` then compares free runs with the nine records and stores how far
-# off they were. It would refuse records that the model was made from.
+# A single network gives no measure of its uncertainty. Three networks do: their free runs differ
+# most where the training records determine the motion poorly. `committee` combines them into one
+# model that averages their accelerations. `calibrate` then simulates the nine records and stores in
+# the model how large the errors were. It refuses records that the model was trained on.
 
 # %% language="bash"
 # tustinnet committee network/seed-*/model.safetensors --out committee.safetensors
 # tustinnet calibrate committee.safetensors LATER --split validation --out trusted.safetensors
 
 # %% [markdown]
-# ## The judgement
+# ## The test
 #
-# Now, once, the three records that nobody has looked at.
+# Now we evaluate the model on the three test records. `--band 0.8` asks for a band that contains the
+# measurement for 80 % of the time.
 
 # %% language="bash"
 # tustinnet evaluate trusted.safetensors LATER --split test --band 0.8 --figures checked
@@ -307,26 +332,27 @@ Image("checked/steps4.png")
 
 # %% [markdown]
 # * `fit [%]` is 100 for a perfect free run and 0 for one that is no better than the mean of the
-#   record. Well above 90 here, over the whole record, from the first samples alone.
-# * The errors are about those of the validation records. A bad sign would be new records that are
-#   several times worse: then the bench has changed, or the validation records were too much like
-#   the training records.
-# * `inside` says how much of the time the measurement was within the band. The promise is 80 % on
-#   average over many records like these. Three judges are few: the column `95 % interval` says how
-#   little they prove. Much less than 80 % on many records would be a bad sign.
-# * `width` is how wide the band is, from its lower to its upper edge. We asked for 80 % because
-#   nine calibration records can promise 90 % at most, and a band at that limit is as wide as the
-#   worst of the nine demands.
-# * Bands are made apart for the time in which the arm moves and for the time after it has come to
-#   rest.
+#   record. Here it is about 93 to 95. Each free run lasts for the whole record.
+# * The errors are about as large as those of the validation records. A bad sign would be new records
+#   whose errors are several times larger. Then the bench has changed, or the validation records were
+#   too similar to the training records.
+# * `inside` is the share of time in which the measurement was within the band. The promise is 80 %
+#   on average over many records like these. Three test records are too few to check it: the column
+#   `95 % interval` is wide. Much less than 80 % on many records would be a bad sign.
+# * `moving` and `rest` are scored separately. Only one of the three test records comes to rest.
+# * `width` is the distance from the lower to the upper edge of the band.
+#
+# We asked for 80 % because nine calibration records can promise 90 % at most. A band at that limit
+# must cover the worst of the nine records, so it is wide.
 #
 # How bands are made, and what exactly they promise, is in [How far a model can be
-# trusted](../explanation/trust.md).
+# trusted](../explanation/trust.md). The other columns are in
+# [Scores](../reference/evaluation.md#scores).
 #
-# ## Where trust ends
+# ## Outside of the records
 #
-# The bench never had more than 3 V. What if it gets more? We log one record whose voltage grows to
-# 7 V, and simulate it.
+# In all records the voltage was at most 3 V. What if the motor gets more? We log one record with
+# steps of up to about 7 V, and simulate it.
 
 # %%
 Path("STRONG").mkdir()
@@ -339,9 +365,9 @@ write_card("STRONG", 'test = ["strong.csv"]')
 # head -1 simulated/strong.csv
 
 # %% [markdown]
-# The note says when the free run leaves what the model was made from, and by what. You need no
-# measurement for that note, so it also comes when you plan a motion. `simulate` writes a CSV file
-# with the free run and the edges of the band. Let us draw it.
+# The note says when the free run leaves the range of the training records, and in which quantity. It
+# needs no measurement, so you also get it for a motion that you only plan. `simulate` writes a CSV
+# file with the free run and the edges of the band. The next cell draws it.
 
 # %% alt="The voltage grows: the free run follows, and its band opens after seven seconds"
 run = np.genfromtxt("simulated/strong.csv", delimiter=",", names=True)
@@ -355,16 +381,17 @@ axes.legend(frameon=False)
 plt.show()
 
 # %% [markdown]
-# Where the arm moves faster than it ever did, the band opens: the three networks disagree about
-# what they have never seen. The measurement may stay inside, as it does for most of this record,
-# but nobody promised that. A band is a promise for records like those of the calibration. If your
-# controller needs stronger motions, record them and train again.
+# The band becomes wide where the motion is larger than in any training record. The three networks
+# were not trained on such motions, so their free runs differ. The measurement stays inside for much
+# of this record, but that is not guaranteed. The promise of a band holds only for records like the
+# calibration records. If your controller needs larger motions, record them and train again.
 #
 # ## The report
 #
-# One HTML file shows it all: the arm moving, measured and simulated; free runs, errors and bands;
-# a playground in which you drag the arm and drive the motor. It needs no server; send it to your
-# colleagues.
+# One HTML file shows the results: an animation of the measured and the simulated arm, the free runs,
+# their errors and bands. In its [playground](../reference/glossary.md#playground) the model runs in
+# the browser: drag the arm, or set the voltage of the motor. The file needs no server, so you can
+# send it to colleagues.
 
 # %% language="bash"
 # tustinnet report trusted.safetensors LATER --split test --out report.html
@@ -372,9 +399,10 @@ plt.show()
 # %% [markdown]
 # ## What you have now
 #
-# `trusted.safetensors` is one file with three networks, their units, and their bands. You know
+# `trusted.safetensors` is one file with three networks, the units of their channels, and the
+# calibration of the bands. You know
 #
-# * that its free runs were off by a degree or two on records that nobody had used,
+# * that its free runs have an RMSE of about one degree on records that were not used before,
 # * how much better that is than a linear model,
 # * how wide its bands are, and for which motions they hold.
 #
@@ -384,4 +412,5 @@ plt.show()
 #   physics](own-physics.md).
 # * To use the model in C, Simulink or an optimiser: [Into the controller](into-the-controller.md).
 # * How many records are enough: [How much to record](../explanation/data-needs.md).
-# * Jitter above 5 %, gaps, angles that wrap, reversed signs: [how-to guides](../how-to/index.md).
+# * If your logs have more jitter than 5 %, gaps, angles that wrap or reversed signs: [how-to
+#   guides](../how-to/index.md).

@@ -1,26 +1,29 @@
 # %% [markdown]
 # # Into the controller
 #
-# A model is fitted. Now it leaves Python: into a microcontroller as C, into Simulink as an FMU, into an optimiser
-# as a CasADi function. In this tutorial all three come together. An optimiser plans how a pendulum swings up. A
-# feedback law follows the plan, and a Kalman filter in C tells it the state from noisy encoders.
+# You have a fitted model and want to use it outside of Python: as C code on a microcontroller, as an FMU in Simulink,
+# or as a CasADi function in an optimiser. This tutorial makes these three exports and controls a pendulum with two of
+# them. An optimiser plans how the pendulum swings up (CasADi). A feedback law follows the plan, and a Kalman filter
+# estimates the state from noisy encoders (C).
 #
 # You will
 #
-# 1. fit a grey box to logs and export it to C, FMU and CasADi with one command;
-# 2. compile the C and compare its free run with the model's own;
-# 3. run the FMU and see how Simulink takes it;
+# 1. fit a [grey box](../reference/glossary.md#grey-box) to logs and export it to C, FMU and CasADi with one command;
+# 2. compile the C code and compare its [free run](../reference/glossary.md#free-run) with that of the model in Python;
+# 3. run the FMU and see how to use it in Simulink;
 # 4. plan the swing-up with CasADi;
-# 5. let the C filter and a feedback law carry the plan out on a device that is not quite as the model says.
+# 5. follow the plan with the C filter and a feedback law, on a device that differs a little from the model.
 #
-# It needs a C compiler (`cc`) and the extras `fmu` and `casadi`: `pip install 'tustinnet[fmu,casadi]'`.
+# You need a C compiler (`cc`) and the extras `fmu` and `casadi`: `pip install 'tustinnet[fmu,casadi]'`. The page is a
+# notebook with Python cells and shell commands. Start in an empty folder: all files are written there.
 
 # %% [markdown]
 # ## A model to export
 #
-# We have no bench here. Its stand-in is the package's *twin*: a simulated rotary pendulum (Quanser Qube-Servo 2)
-# with encoders. A motor turns an arm by the angle `theta`; at the arm's end a pendulum swings by `alpha`, which is
-# 0 upright and pi hanging. The next cell writes six of the twin's records for training and one for the test.
+# We have no bench here. Instead we use the package's [twin](../reference/systems.md#the-twin): a simulated rotary
+# pendulum (Quanser Qube-Servo 2) with encoders. A motor turns an arm by the angle `theta`. At the arm's end a
+# pendulum swings by `alpha`, which is 0 upright and pi hanging. The input is the motor's voltage. The next cell writes
+# six of the twin's records for training and one for the test.
 
 # %%
 import ctypes
@@ -46,9 +49,10 @@ for split in ("train", "test"):
     print(f"{split}:", ", ".join(path.stem for path in sorted(Path("logs", split).iterdir())))
 
 # %% [markdown]
-# The model is a grey box: the equations of motion of `qube-servo2`, with parameters identified from the logs. The
-# twin also has dry friction and a cable with memory, which these equations lack. So model and device differ, as
-# they do on a bench.
+# The model is a grey box: the equations of motion of the packaged system `qube-servo2`, with parameters identified
+# from the logs. The twin also has dry friction and a cable whose force has
+# [memory](../reference/glossary.md#memory). The equations lack both. So the model differs from the device, as it does
+# on a real bench. What `fit` prints goes to the file `fit.txt`.
 
 # %% language="bash"
 # tustinnet fit logs --recipe grey --system qube-servo2 --out pendulum > fit.txt 2>&1
@@ -60,8 +64,9 @@ record = tn.load("logs")["twin_noise_test2"]
 print(f"free run of the test record, {len(record) * record.dt:.0f} s: RMSE {score.rmse:.3f} rad")
 
 # %% [markdown]
-# One command writes all three exports, each into a folder of its own. It runs every export at 200 random states and
-# inputs and compares it with the model. The last column is the largest difference.
+# One command writes all three exports, each into a folder of its own. It also checks them: it computes a step of every
+# export at 200 random states and inputs and compares the result with the model. The last column is the largest
+# difference, as the title of the table says it: relative to 1 + the size of the state.
 
 # %% language="bash"
 # tustinnet export pendulum/model.safetensors --to c,fmu,casadi --out out
@@ -69,15 +74,17 @@ print(f"free run of the test record, {len(record) * record.dt:.0f} s: RMSE {scor
 # %% [markdown]
 # ## C
 #
-# `model.c` is plain C99. It allocates nothing and needs only the mathematics library. `model.h` has the whole
-# interface. These are its lines on stepping:
+# `model.c` is plain C99. It allocates no memory and needs only the mathematics library. `model.h` declares all
+# functions. These are its lines about a step of the model:
 
 # %% language="bash"
 # grep -A 13 "^typedef struct model_state" out/c/model.h
 
 # %% [markdown]
-# On a microcontroller you add `model.c` and `estimate.c` to the firmware. Here we make a shared library of them
-# and call it from Python by `ctypes`.
+# For a microcontroller you add `model.c` and `estimate.c` to the firmware. Here we make a shared library of them
+# and call it from Python with `ctypes`. The next cell simulates the test record with the C code and with the model. The
+# start `derived-6` means that the [initial state](../reference/evaluation.md#where-a-free-run-starts) is computed from
+# the first six samples.
 
 # %% language="bash"
 # cc -std=c99 -O2 -fPIC -shared out/c/model.c out/c/estimate.c -lm -o model.so
@@ -104,13 +111,14 @@ own = np.asarray(tn.rollout(model, x0, u))
 print(f"largest difference over {len(u)} steps: {abs(np.array(in_c) - own).max():.0e}")
 
 # %% [markdown]
-# The C code makes the same free run as the model. With `-DMODEL_FLOAT` it computes in single precision, for
-# processors that have nothing else.
+# The C code gives the same free run as the model, up to rounding. If you compile it with `-DMODEL_FLOAT`, it computes in
+# single precision, for processors without double precision.
 #
 # ## FMU
 #
-# An FMU is a model in a file that simulators exchange. `model-fmi2.fmu` and `model-fmi3.fmu` hold the same C code,
-# as sources and as a binary for this machine. `fmpy` runs them in Python:
+# An FMU (Functional Mock-up Unit) is a file with a model that many simulators can import. `model-fmi2.fmu` and
+# `model-fmi3.fmu` are for versions 2 and 3 of the standard FMI. Both contain the same C code, as sources and as a
+# binary for this machine. `fmpy` runs them in Python:
 
 # %%
 times = record.dt * np.arange(len(u))
@@ -133,17 +141,17 @@ for j, name in enumerate(("theta", "alpha")):
 # 1. Add the block *FMU* (FMU Import) to your model and choose `model-fmi2.fmu` in its dialogue.
 # 2. The block has the input `voltage` and the outputs `theta`, `alpha`, `der_theta` and `der_alpha`. The start values
 #    of the outputs are parameters of the block.
-# 3. Set its communication step size to the model's period, here 0.01 s, or to a whole multiple. Other steps are
-#    refused with a message.
+# 3. Set its communication step size to the model's sampling period, here 0.01 s, or to a whole multiple. The FMU
+#    refuses other steps with a message.
 #
-# Simulink was not at hand when this was written: the FMU is checked by fmpy. The binary in it is for Linux on
+# The FMU was checked with fmpy. These steps have not been tried in Simulink. The binary of this page is for Linux on
 # x86-64. For another machine [build one from the sources](../reference/export.md#fmu).
 #
 # ## CasADi: a plan for the swing-up
 #
 # `step.casadi` is one step of the model as a function with exact derivatives. CasADi loads it without tustinnet.
-# The plan is an optimal control problem: 1.5 s from hanging to standing, with as little voltage as possible, at
-# most 10 V, and with the arm within 2 rad.
+# The plan is the solution of an optimal control problem. The pendulum moves from hanging to upright in 1.5 s. The sum of
+# the squared voltages is minimised. The voltage stays within 10 V and the arm within 2 rad, in both directions.
 
 # %%
 step = casadi.Function.load("out/casadi/step.casadi")
@@ -167,10 +175,12 @@ print(f"planned with at most {abs(voltages).max():.1f} V: {solved.stats()['retur
 # %% [markdown]
 # ## The controller
 #
-# The plan alone is not enough: upright is unstable, and model and device differ. Two things are added.
+# The planned voltages alone are not enough: the upright equilibrium is unstable, and the device differs from the
+# model. Two things are added.
 #
-# *Feedback.* A linear quadratic regulator along the plan gives for every sample a gain on the distance from it.
-# `model_linearise` of the C export gives the derivatives that it needs. After the plan the pendulum is held for 1.5 s.
+# *Feedback.* A time-varying linear quadratic regulator (LQR) gives for every sample a vector of gains. The gains multiply
+# the difference between the state and the plan. `model_linearise` of the C export gives the linearisation that the
+# regulator needs. After the plan the pendulum is held upright for another 1.5 s.
 
 # %%
 HOLD = 150
@@ -197,12 +207,14 @@ gains = np.array(gains[:499:-1])[:, 0]
 print(f"gains upright: {np.round(gains[-1], 1)}")
 
 # %% [markdown]
-# *Estimation.* Feedback needs velocities, and encoders do not measure them. `estimate.c` is an extended Kalman
-# filter over the model. Its settings are standard deviations: of the first state, of what the model misses in one
-# step, of a reading. The largest part of what this model misses is in the velocities.
+# *Estimation.* Feedback needs velocities, and encoders do not measure them. `estimate.c` is an extended Kalman filter
+# for the model. Its settings are three sets of standard deviations: of the initial state (`start` in the next cell), of
+# the model's error in one step (`process`), and of the encoders' readings (`noise`). The model's error in one step is
+# mainly an error of the velocities, so these have the largest values in `process`.
 #
-# The device is the twin, simulated in fine steps. Its encoders round to 2048 counts a turn, and we add noise of
-# 1 mrad to each reading. In your firmware the loop below is C: `model_estimate_correct`, the feedback law,
+# The device is the twin, simulated with 10 integration steps in a sampling period. Its encoders have 2048 counts a turn,
+# and we add noise with a standard deviation of 1 mrad to each reading. On a microcontroller you would write the loop
+# below in C. In each sampling period it calls `model_estimate_correct`, computes the feedback law, and calls
 # `model_estimate_predict`.
 
 
@@ -262,11 +274,11 @@ panels[0].legend(frameon=False, ncols=3)
 plt.show()
 
 # %% [markdown]
-# The plan's voltage alone does not hold the device: it follows the plan for most of the swing and then falls.
-# With feedback it stands.
+# With the planned voltage alone, the pendulum follows the plan for about the first second and then falls. With
+# feedback it stays upright.
 #
-# How good is the filter's velocity? The usual substitute is the difference of two readings over the period. The
-# next figure shows the errors of both.
+# How accurate are the velocities of the filter? A simple alternative is the difference of two readings, divided by
+# the sampling period. The next figure shows the errors of both.
 
 # %% alt="Errors of the velocity of alpha. That of the difference of readings reaches almost two radians per second during the swing and scatters by some tenths afterwards. That of the filter stays below half a radian per second and scatters less."
 true, read, estimated, _ = with_feedback
@@ -284,9 +296,12 @@ axes.legend(frameon=False)
 plt.show()
 
 # %% [markdown]
+# The RMSE of the filter's velocities is about a third of that of the differences.
+#
 # ## Where to go from here
 #
-# * Tune the filter on records of your device with `tn.kalman_filter`, the same filter in Python.
-# * [Exports](../reference/export.md): what a step is given, speed and memory on a Cortex-M7, ONNX, JavaScript,
+# * Tune the filter on records of your device with `tn.kalman_filter`, the same filter in Python
+#   ([Simulation](../reference/python.md#simulation)).
+# * [Exports](../reference/export.md): the arguments of a step, speed and memory on a Cortex-M7, ONNX, JavaScript,
 #   matrices for MATLAB.
-# * [The publication retraced](publication.md): the apparatus that this twin stands for.
+# * [The publication retraced](publication.md): measurements of the apparatus that this twin simulates.

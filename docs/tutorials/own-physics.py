@@ -1,30 +1,33 @@
 # %% [markdown]
 # # Your own physics
 #
-# You know the equations of your mechanism, or at least its energies. Then you need no network: the
-# program finds the parameters, says how sure it is of each, and tells you when something is
-# missing. Such a model is a *grey box*.
+# You know the equations of your mechanism, or at least its energies. Then you need no network. The
+# program finds the parameters and their standard errors, and tells you when the model lacks
+# something. Such a model is a *grey box*.
 #
 # The mechanism of this tutorial is a cart between two springs. A motor pulls the cart, and a rod
 # hangs from it like a pendulum. You will
 #
-# 1. write its energies in a file of 50 lines,
-# 2. identify the parameters, and learn that one of them cannot be found from these records,
-# 3. mend that with a kitchen scale,
+# 1. write its energies in a file of about 50 lines,
+# 2. identify the parameters, and see that these records determine most of them only up to a common
+#    factor,
+# 3. measure a mass, which determines this factor,
 # 4. find a force that the file lacks, and add it,
-# 5. compare the models on records that were used for nothing before.
+# 5. compare the models on two records that were not used to fit them.
 #
-# The page takes one to two minutes on two cores.
+# The commands of this page take one to two minutes on two cores. The page is a notebook with Python
+# cells and shell commands. Start in an empty folder: all files are written there.
 #
 # ## The records
 #
 # We simulate the cart with equations that were derived by hand and with another integrator than
-# the package's. So the program gets no help from us. The true values stand in `TRUE`; on a real
-# cart nobody would know them. The rails also have dry friction, `DRY`. Let us forget that for a
-# while.
+# the package's. So the records do not depend on the code that we use to fit them. The true
+# parameters are in `TRUE`; on a real cart nobody would know them. The rails also have dry friction,
+# `DRY`. Our first model leaves it out on purpose.
 #
-# Each record lasts 6 s. An encoder rounds the position of the cart to 0.05 mm, another one rounds
-# the angle to 4096 counts a turn. Velocities are not logged.
+# Each record lasts 6 s. One encoder measures the position of the cart in counts of 0.05 mm, another
+# one the angle with 4096 counts a turn. Velocities are not logged. The last part of the cell writes
+# the [data card](../reference/glossary.md#data-card), the file that says what the columns mean.
 
 # %%
 import json
@@ -140,14 +143,15 @@ test = ["check*.csv"]
 #
 # ## The system file
 #
-# Write the kinetic energy, the potential energy, what opposes the motion, and what the motor does.
-# Nobody derives equations of motion: the program does that by automatic differentiation.
+# Write functions for the kinetic energy, the potential energy, the friction and the force of the
+# motor. You need not derive equations of motion: the program derives them from the energies by
+# automatic differentiation.
 #
 # * `q` has the positions, `v` the velocities, in the order of `coordinates`. `p` has the
 #   parameters by name.
 # * Names, kinds and units are those of the data card.
-# * A parameter has a unit, a first guess, and the range in which it is searched for. Here all
-#   guesses are off, by a fifth to a factor of two and a half.
+# * A parameter has a name, a unit, a first guess, and the lower and upper limit of the search. Here
+#   all guesses are wrong: one is a fifth too small, the others are 1.5 to 2.5 times the true value.
 # * `links` say how the mechanism is drawn in a [report](../reference/report.md). They change no
 #   result.
 
@@ -208,61 +212,74 @@ with Path("cart.py").open("w") as file:
     print(SYSTEM, file=file)
 
 # %% [markdown]
-# All that such a file may contain is in [Systems](../reference/systems.md).
+# [Systems](../reference/systems.md) describes everything that such a file may contain.
 #
 # ## First attempt
 #
-# The recipe `grey` searches for the parameters with which free runs of the training records are
-# closest to the measurements. A free run is a simulation from the first state with nothing but the
-# voltage.
+# The recipe `grey` searches for the parameters with which simulations of the training records are
+# closest to the measurements. The table `train free runs` then scores the result. A *free run* is a
+# simulation that gets only the initial state and the voltage. The start `derived-6` means that the
+# initial state is computed from the first six samples
+# ([Starts](../reference/evaluation.md#where-a-free-run-starts)).
+#
+# The table `train, from the initial states found` has the error that the search minimised. Here it
+# has no unit: where some coordinates are angles and others lengths, the search divides each by its
+# spread in the records. So its numbers cannot be compared with those of the free runs.
 
 # %% language="bash"
 # tustinnet fit LOGS --recipe grey --system cart.py --out first --quiet
 
 # %% [markdown]
-# Read the sentences at the end first.
+# Read the messages that begin with `*` first.
 #
 # **"only ratios of ... can be identified"**: if you multiply all masses, the stiffness, the
-# friction and the motor's gain by two, the motion stays the same. So the records cannot tell these
-# parameters apart. The program found that out, fixed one of them at its first guess and went on.
-# The others are then wrong by the same factor: compare `stiffness` with the true 40 N/m. Their
-# small errors hold only if the guess that was fixed is right.
+# friction and the motor's gain by two, the motion stays the same. So the records determine only the
+# ratios of these parameters. The program found that out. It fixed one of them, `cart_mass`, at its
+# first guess of 1 kg and identified the others. The true mass is half of that, so most of the others
+# are about twice too large: compare `stiffness` with the true 40 N/m. Their standard errors hold only
+# if the fixed guess is right.
 #
-# `centre` is not in the list. It follows from how fast the rod swings, whatever its mass is.
+# `centre` is not in the list. It follows from the frequency at which the rod swings, which does not
+# depend on the rod's mass.
+#
+# The second message says that the model lacks something. We come back to it below.
 #
 # ## Fix a mass
 #
-# Something must set the scale of the forces: a mass or a motor's constant. We unhook the rod and
-# put it on a kitchen scale: 0.200 kg. In your own file you would write `tn.Parameter("rod_mass",
-# "kg", 0.2, 0.02, 2.0, fixed=True)`. An option does the same:
+# One of these parameters must be measured in another way: a mass or the motor's gain. We unhook the
+# rod and weigh it: 0.200 kg. In your own file you would write `tn.Parameter("rod_mass", "kg", 0.2,
+# 0.02, 2.0, fixed=True)`. The option `--set` does the same:
 
 # %% language="bash"
 # tustinnet fit LOGS --recipe grey --system cart.py --out weighed --quiet \
 #     --set model.fixed.rod_mass=0.2
 
 # %% [markdown]
-# The sentence about ratios is gone, and every parameter has its own scale. But the model is bad,
-# and three things say so:
+# The message about ratios is gone: now all parameters can be identified. But the model is bad. Three
+# things show it:
 #
-# * Free runs are off by 0.07 rad, about 50 counts of the encoder.
+# * The free runs have a mean RMSE of about 0.07. (It combines the position in m and the angle in rad.
+#   Most of it is the angle: about 40 counts of its encoder.)
 # * "residuals are ... times the encoders' quantisation and alike from sample to sample: something
-#   is not modelled". Residuals are what was measured minus what was simulated. If the model lacked
-#   nothing, only rounding would be left.
-# * The two kinds of errors differ several times. `error of J'J` is the usual formula; it holds for
-#   a model that lacks nothing. `std. error` comes from how the records disagree. The program says
-#   which one to trust.
+#   is not modelled". Residuals are the differences between measurement and simulation. With a
+#   perfect model only the quantisation would be left.
+# * The two kinds of standard errors differ by a factor of 4 to 12. [`error of
+#   J'J`](../reference/glossary.md#jj) is the usual formula, as in MATLAB; it holds only for a model
+#   that lacks nothing. `std. error` is computed from the differences between the records. The
+#   program says which one to trust.
 #
-# No error can repair a model that lacks something: `cart_damping` is found as twice the true
-# value, and its 95 % interval does not hold the truth. So look for the reason first, and believe
-# the values later.
+# But standard errors do not show how wrong a model is that lacks something. Here the identified
+# `cart_damping` is twice the true value, and its 95 % interval does not contain the true value. So
+# find out what is missing before you trust the values.
 #
 # ## What is missing?
 #
-# Look at the force that the model lacks. At each sample we know the acceleration (from the
-# measurements) and the acceleration that the model would have. Their difference times the mass
-# matrix is the missing force. We draw it against the speed of the cart.
+# We compute the force that the model lacks. At each sample we know the measured acceleration (by
+# differences of the positions) and the acceleration that the model gives. Their difference times the
+# [mass matrix](../reference/glossary.md#mass-matrix) is the missing force. We draw it over the speed
+# of the cart.
 
-# %% alt="The missing force over the cart's speed: down a step at zero speed, else rising"
+# %% alt="The missing force over the cart's speed: it rises, with a step down at zero speed"
 
 
 def identified(run: str) -> dict[str, float]:
@@ -291,32 +308,35 @@ axes.grid(alpha=0.3)
 plt.show()
 
 # %% [markdown]
-# A cloud without a shape, about zero, would be good. This one has a shape: the missing force jumps
-# by 0.8 N where the speed changes its sign. For slow motion it acts against the motion, with 0.4 N
-# either way. That is dry (Coulomb) friction. For fast motion it grows into the direction of the
-# motion, because the search made the viscous friction too large to make up for what it did not
-# know. (Points far away from the others are samples at which the voltage jumps.)
+# If nothing were missing, the points would scatter about zero. Here they do not. Where the speed
+# changes its sign, the missing force jumps by about 0.8 N. At low speed it acts against the motion,
+# with about 0.4 N in both directions. That is dry (Coulomb) friction. At high speed the missing force
+# acts in the direction of the motion. The reason is the identified viscous friction: it is too large,
+# because it stands in for the dry friction. (Points far away from the others are samples at which the
+# voltage jumps.)
 #
-# Other shapes tell other things: a slope against the speed is viscous friction, a slope against
-# the position is a spring, a loop is a force with memory.
+# Other shapes have other causes. A falling line over the speed is viscous friction. A falling line
+# over the position is a spring. A loop is a force with
+# [memory](../reference/glossary.md#memory).
 #
 # ## Add the force
 #
-# You need not change the file to try a force. `model.forces` adds one that the package has, here
-# dry friction of the coordinate `x` ([all of
-# them](../explanation/identification.md#forces-that-are-missing)).
+# You can try a force without changing the file. The setting `model.forces` adds a force of the
+# package by its name, here dry friction of the coordinate `x`. The names are in [Recipes and
+# training](../reference/training.md#forces-that-are-missing).
 
 # %% language="bash"
 # tustinnet fit LOGS --recipe grey --system cart.py --out rubbing --quiet \
 #     --set model.fixed.rod_mass=0.2 --set 'model.forces=["coulomb:x"]'
 
 # %% [markdown]
-# Free runs are now off by a few thousandths of a radian, and errors of the parameters are below
-# one per cent. What is left is still a few counts of the encoders: the model turns the sign of the
-# dry friction within a speed of its own (`x.smooth_speed`), the simulated bench within another
-# one. That is a matter of how friction is described, and no model of it is exact.
+# The RMSE of the free runs is now a few thousandths instead of 0.07, and the standard errors of the
+# parameters are below one per cent. The message about the residuals is still there, with 9 instead of
+# 657. One difference remains: near standstill the dry friction changes its sign over a small range of
+# speeds. This range is about 0.008 m/s in the model (`x.smooth_speed`) and 0.01 m/s in the simulated
+# cart.
 #
-# On this page we know the truth:
+# On this page we know the true values:
 
 # %%
 account = json.loads(Path("rubbing/summary.json").read_text())["identification"]
@@ -327,14 +347,14 @@ for e in account["estimates"]:
     print(f"{e['name']:14} {true:8.4g} {e['value']:10.5g} {e['error']:12.2g}   {interval}")
 
 # %% [markdown]
-# All values are right to within one per cent, the dry friction of 0.4 N too. A 95 % interval is
-# allowed to miss once in twenty times. Intervals that are far off would be a bad sign: then
-# something else is missing.
+# All values are right to within one per cent, also the dry friction of 0.4 N. A 95 % interval misses
+# the true value once in twenty cases. If many intervals missed it by far, something else would be
+# missing.
 #
-# On a real mechanism you have no such table. Then ask: are the values plausible? Does one of them
-# lie at an end of its range (the result says so)? Do the records agree?
+# On a real mechanism you have no such table. Then ask three questions. Are the values plausible? Is
+# one of them at an end of its range (the result says so)? Do the records agree with one another?
 #
-# When you are content, write the force into the file, so that it has a name and a range of your
+# When you are satisfied, write the force into the file, so that it has a name and a range of your
 # choice:
 #
 # ```python
@@ -344,11 +364,11 @@ for e in account["estimates"]:
 #     return viscous + jnp.stack([forces.coulomb(v[0], p["dry"], 0.01), 0.0])
 # ```
 #
-# and among the parameters `tn.Parameter("dry", "N", 0.4, 0.01, 5.0)`.
+# Add to the parameters: `tn.Parameter("dry", "N", 0.4, 0.01, 5.0)`.
 #
-# ## The judgement
+# ## Test on new records
 #
-# Two records, `check1` and `check2`, were used for nothing so far.
+# Two records, `check1` and `check2`, were not used so far. The card has them in the split `test`.
 
 # %% language="bash"
 # tustinnet compare weighed/model.safetensors rubbing/model.safetensors LOGS \
@@ -358,20 +378,22 @@ for e in account["estimates"]:
 Image("compared/check2.png")
 
 # %% [markdown]
-# The model with dry friction follows the measurement for 6 s, from the first samples and the
-# voltage alone. The one without it is many times worse. A force that the records do not show would
-# help nothing here. The program says so when the parameter of a friction ends at zero. Then leave
-# it out.
+# The model with dry friction follows the measurement for all 6 s. The errors of the model without it
+# are about 20 times as large.
+#
+# If you add a force that the mechanism does not have, the errors on new records do not get smaller.
+# Where a friction is identified as zero, the program says so. Leave such forces out.
 #
 # ## What to do next
 #
-# * If something small remains that you cannot name, let a network learn it on top of your physics:
-#   `tustinnet fit LOGS --recipe best-hybrid --physics rubbing/model.safetensors --system cart.py
-#   --out hybrid` ([Recipes and training](../reference/training.md#recipes)).
+# * If an error remains whose cause you do not find, train a network that corrects your model (a
+#   [hybrid](../reference/glossary.md#hybrid)): `tustinnet fit LOGS --recipe best-hybrid --physics
+#   rubbing/model.safetensors --system cart.py --out hybrid`. Put some records into a split
+#   `validation` first ([Recipes and training](../reference/training.md#hybrids)).
 # * Bring the model into a controller, a simulator or an optimiser: [Into the
 #   controller](into-the-controller.md), [Exports](../reference/export.md).
-# * Put bands around its free runs: [Trust](../explanation/trust.md).
-# * Sensors with a wrong zero or gain, delays, spoilt samples, records under control:
+# * Put [bands](../reference/glossary.md#band) around its free runs: [Trust](../explanation/trust.md).
+# * Sensors with a wrong zero or gain, delays, wrong samples, records in closed loop:
 #   [Identification](../explanation/identification.md).
 # * A payload that changes between records:
 #   [Systems](../reference/systems.md#parameters-that-change-between-records).

@@ -7,14 +7,17 @@
 # # The publication retraced on its data
 #
 # tustinnet began with one publication: S. van Esch, F. Bonassi, T. B. Schön, *Accounts of using the
-# Tustin-Net architecture on a rotary inverted pendulum*. This tutorial follows it section by section on its
-# own recordings. It is made to run in about a minute, so its networks are trained for a tenth of the epochs.
+# Tustin-Net architecture on a rotary inverted pendulum* ([where to find it](../explanation/paper.md)). These pages
+# also call it the paper. This tutorial repeats its main steps with the measurements that its authors published. To
+# run in about a minute, it trains its networks for only a tenth of the paper's epochs.
 #
 # You will
 #
-# * look at the recordings and derive the velocities that they do not contain;
-# * identify the paper's grey box, with and without the spring of the encoder's cable;
-# * train two Tustin-Nets, one in the standard way and one by the paper's Algorithm 1;
+# * look at the records and compute velocities from the measured positions;
+# * identify the paper's [grey box](../reference/glossary.md#grey-box), with and without the spring of the encoder's
+#   cable;
+# * train two [Tustin-Nets](../reference/glossary.md#tustin-net), one in the standard way and one by the paper's
+#   Algorithm 1, a training in two steps;
 # * simulate records that were not trained on, and compare with what the paper reports.
 #
 # `tustinnet reproduce` does the same in full and draws the paper's figures.
@@ -31,8 +34,9 @@
 # motor's voltage is the only input. A cable leads from the pendulum's encoder to the base: it acts on the arm
 # like a weak spring.
 #
-# `tn.load("qube-servo2")` looks for the recordings in the folder that `TUSTINNET_DATA` names. Without that
-# variable it downloads them once (see [Data](../reference/data.md#the-qube-servo-2-data)).
+# `tn.load("qube-servo2")` looks for the records in the folder that the environment variable `TUSTINNET_DATA`
+# names. Without that variable it downloads them once (see
+# [Data](../reference/data.md#the-qube-servo-2-data)).
 
 # %%
 import jax
@@ -56,8 +60,8 @@ print("training records:", ", ".join(e.name for e in train))
 # There are two kinds of records. In a *fall* the pendulum is let go near upright and no voltage is applied. In
 # a record with *white noise* (`wN`) it hangs at first, and the voltage takes random values.
 #
-# A fall ends in rest. The paper's Algorithm 1 needs the sample at which the transient before it ends. The
-# paper calls it k_bar; `tn.inspect_experiment` detects it.
+# At the end of a fall the pendulum is at rest. The motion before that is the transient. The paper's Algorithm 1
+# needs the sample at which the transient ends, which the paper calls k_bar. `tn.inspect_experiment` finds it.
 
 # %% alt="Two training records. In the fall, theta and alpha swing and come to rest; a line marks the end of the transient after seven of eight seconds. Under white noise both angles move to the end of the record."
 fall, noise = data["fall1"], data["wN_3V_1"]
@@ -108,18 +112,21 @@ below.legend(frameon=False)
 plt.show()
 
 # %% [markdown]
-# The zeros matter. The paper starts its free runs at the first row of the file, where the velocities are 0
-# though the pendulum moves already. This tutorial does the same (`start="file"`), to be comparable. For models
-# of your own, [another start](../reference/evaluation.md#where-a-free-run-starts) is better.
+# The zeros have an effect on the errors below. The paper starts its [free
+# runs](../reference/glossary.md#free-run) (simulations that use no measured motion after the start) at the first
+# row of the file. There the velocities are 0, although the pendulum already moves. This tutorial does the same, with
+# the start `"file"`, so that its errors can be compared with the paper's. For models of your own, [another
+# start](../reference/evaluation.md#where-a-free-run-starts) is better.
 #
 # ## Section 2.2: the grey box
 #
-# The paper's first model comes from the Euler-Lagrange equations. Kinetic and potential energy, damping and
-# the motor's torque are written down; some of their parameters have to be identified. The system
-# `qube-servo2` is this model. `qube-servo2-naive` is the same without the cable's spring.
+# The paper's first model comes from the Euler-Lagrange equations. The kinetic and the potential energy, the
+# damping and the motor's torque are known formulas; some of their parameters have to be identified. The package
+# has this model as the system `qube-servo2`. `qube-servo2-naive` is the same without the cable's spring.
 #
 # `tn.fit` searches for the parameters with the lowest simulation error on the training records, as the paper
-# does. To save time we take every second one, 8 of 15.
+# does. To save time we use every second training record, 8 of 15. The next cell prints each parameter with its
+# standard error.
 
 # %%
 fewer = tn.DataSet("fewer", (*train[::2], *validation))
@@ -129,15 +136,16 @@ for e in spring.identification.estimates:
     print(f"{e.name:17} {e.value:9.2e} {e.unit:12} {told}")
 
 # %% [markdown]
-# Most standard errors are a few per cent. That of the cable's quadratic term is nearly half of its value: these
-# records hardly tell it from 0. Two parameters end at the limit of their range. That is a sign of physics that
-# the equations lack: [Identification](../explanation/identification.md) says which.
+# Most standard errors are about 3 to 10 % of the value. That of the cable's quadratic term is nearly half of its
+# value: from these records it is hardly clear that the term is not 0. Two parameters are at the limit of their
+# range. That is a sign that the equations lack some physics; see
+# [Identification](../explanation/identification.md#what-the-result-says).
 #
 # ## Section 4.1: is the spring needed?
 #
-# The paper's Figure 3 compares free runs of the two grey boxes. A *free run* gets the first state and the
-# input, and nothing else. Its error is the *RMSE*: the root of the mean over all samples of the squared error
-# of both angles together.
+# The paper's Figure 3 compares free runs of the two grey boxes. A free run gets only the first state and the
+# input. Its error is the *RMSE*: the squared errors of both angles are added at each sample, and the RMSE is the
+# root of the mean of these sums.
 
 # %%
 naive = tn.fit(fewer, system="qube-servo2-naive")
@@ -167,20 +175,21 @@ def draw(record, colours):
 draw(data["fallVal3"], {"with spring": "tab:orange", "without spring": "tab:purple"})
 
 # %% [markdown]
-# The paper reports 0.067 rad with the spring and 0.966 rad without it, on one of its test records. The
-# finding is the same here: without the spring the model cannot bring the arm back.
+# The paper reports 0.067 rad with the spring and 0.966 rad without it, on one of its test records. Here, too, the
+# error without the spring is several times larger: nothing in this model pulls the arm back to `theta` = 0.
 #
 # ## Section 3.1: the Tustin-Net
 #
 # ![One step of the Tustin-Net: a network gives the velocity's increment, the trapezoidal rule the position](../images/figure2.png)
 #
-# A Tustin-Net needs no equations of motion. A feedforward network reads the sines and cosines of the angles,
-# the velocities and the input, and gives the change of the velocities in one step. The positions follow from the
-# velocities by the trapezoidal (Tustin) rule, which is built in and is not learnt.
+# A Tustin-Net needs no equations of motion. The inputs of its feedforward network are the sines and cosines of the
+# angles, the velocities and the voltage. Its output is the change of the velocities in one step. The positions
+# follow from the velocities by the trapezoidal (Tustin) rule, which is built in and is not learnt.
 #
-# *Standard training* simulates short windows from all over the records and compares positions. The recipe
-# `paper-standard` has the paper's settings: two hidden layers of 100 units and windows of 50 samples. It asks
-# for 200 epochs; here are 20.
+# *Standard training* simulates short parts of the records ([windows](../reference/glossary.md#window)) and compares
+# the positions with the measured ones. The windows come from all parts of the records. The
+# [recipe](../reference/glossary.md#recipe) `paper-standard` has the paper's settings: two hidden layers of 100 units
+# and windows of 50 samples. It has 200 epochs; here we train for 20.
 
 # %%
 recipe = tn.read_recipe("paper-standard", ["stages.0.epochs=20"])
@@ -190,15 +199,16 @@ print(f"{standard.told('windows')[0]} windows, mean RMSE {standard.validation_rm
 # %% [markdown]
 # ## Section 3.2: Algorithm 1
 #
-# Many windows from all over the records lie near rest. A network may then fit the rest well and the motion
-# badly. The paper's remedy is transfer learning in three steps:
+# In many of these windows the pendulum is almost at rest. A network may then learn the state of rest well and the
+# motion badly. To prevent this, the paper uses transfer learning in three steps:
 #
 # 1. *pre-training* on windows that begin before k_bar, in the transient;
 # 2. *freezing* the weights of the hidden layers;
 # 3. *fine-tuning* the output layer on longer windows from the whole records.
 #
-# Both stages compare velocities too. The recipe `paper-transfer` has the paper's settings, 300 and 120 epochs;
-# here are 30 and 12. The recipe of the first stage alone gives the network before fine-tuning.
+# Pre-training and fine-tuning are the two stages of the recipe `paper-transfer`. Both compare velocities as well as
+# positions. The recipe has the paper's 300 and 120 epochs; here we train for 30 and 12. We also train with the
+# first stage alone, to have the network before fine-tuning.
 
 # %%
 recipe = tn.read_recipe("paper-transfer", ["stages.0.epochs=30", "stages.1.epochs=12"])
@@ -210,7 +220,8 @@ for stage, result in zip(recipe.stages, (pretrained, transfer), strict=True):
     print(f"{stage.frozen_layers} layers frozen, mean RMSE {result.validation_rmse:.3f} rad")
 
 # %% [markdown]
-# Did the freezing work? The next cell compares the weights before and after fine-tuning.
+# After 12 epochs, fine-tuning has not made the mean RMSE smaller. Did the freezing work? The next cell compares the
+# weights before and after fine-tuning.
 
 # %%
 before, after = pretrained.model.network, transfer.model.network
@@ -230,8 +241,8 @@ draw(data["fallVal3"], {"standard": "tab:green", "Algorithm 1": "tab:red"})
 # %% [markdown]
 # ## Section 4.3: the table
 #
-# This is the paper's Table 1 for the six validation records, RMSE in rad. No model was fitted to them, but
-# they chose the epoch whose weights each network keeps.
+# The next table is like the paper's Table 1, but for the six validation records; RMSE in rad. No model was fitted to
+# these records. But the error on them decided which epoch's weights each network keeps.
 
 # %%
 print(f"{'':14}", *(f"{e.name:>11}" for e in validation), f"{'mean':>7}")
@@ -239,25 +250,26 @@ for name, found in scores.items():
     print(f"{name:14}", *(f"{s.rmse:11.3f}" for s in found), f"{tn.mean_rmse(found):7.3f}")
 
 # %% [markdown]
-# What the paper reports, and what trainings of full length give here
-# ([measured](../explanation/paper.md#the-trainings-repeated) with five seeds, medians):
+# The following table has the paper's results, and those of this package with all training records and all epochs.
+# For the networks they are [medians of five seeds](../explanation/paper.md#the-trainings-repeated).
 #
-# | mean RMSE in rad | paper, its 8 test records | here in full, 6 validation records |
+# | mean RMSE in rad | paper, its 8 test records | this package, 6 validation records |
 # |---|---|---|
 # | Euler-Lagrange with spring | 0.171 | 0.157 |
 # | Tustin-Net, standard training | 0.261 | 0.180 |
 # | Tustin-Net, Algorithm 1 | 0.128 | 0.184 |
 #
-# The grey box of this tutorial comes near that of all records. The networks do not: a tenth of the epochs is
-# too little to say which training is better. In full, the spread over seeds is as large as the difference
-# between the two methods. With the choices of the authors' public code, which freezes one layer less and takes
-# other windows, Algorithm 1 is ahead: 0.159 against 0.193.
+# The grey box of this tutorial, made from 8 records, is almost as good as that from all records. The networks of
+# this tutorial are clearly worse than those of full training: a tenth of the epochs is too little to say which
+# training is better. With all epochs, the two methods differ by less than the seeds of one method do. The authors'
+# public code freezes one layer less than the paper says and takes other windows. With its settings, Algorithm 1
+# has the smaller error: 0.159 against 0.193.
 #
-# `tustinnet reproduce` makes the whole comparison, with several seeds and all figures.
+# `tustinnet reproduce` makes the full comparison, with several seeds and all figures.
 # [The trainings repeated](../explanation/paper.md#the-trainings-repeated) has the commands and how long they take.
 #
 # ## Where to go from here
 #
 # * [The publication](../explanation/paper.md): each equation and where it is in the package, all results.
-# * [Accuracy](../explanation/accuracy.md): models of the same recordings with half of these errors.
+# * [Accuracy](../explanation/accuracy.md): models with smaller errors on the same records.
 # * [Your own physics](own-physics.md): write the energies of your own system.
