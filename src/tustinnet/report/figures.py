@@ -26,6 +26,7 @@ from tustinnet.store.files import write_into
 MEASURED = "#111111"
 INPUT = "#5b7fa6"
 COLOURS = ("#c0392b", "#e08e0b", "#2e8b57", "#7d3c98", "#5d6d7e")
+_LINEAR_BELOW = 3  # values that differ by a smaller factor are drawn on a linear axis
 _DASHES = ("-.", "--", ":", (0, (6, 1, 1, 1, 1, 1)), "--")
 _LEGEND_WIDTH = 118  # characters of a legend that fit below a figure, 7 of a column for its line
 _BINS = 1200  # along a line of a figure, more than it has pixels
@@ -178,14 +179,17 @@ def training_figure(histories: Mapping[str, Sequence[Mapping[str, Any]]]) -> Fig
             for i, (name, lines) in enumerate(histories.items()):
                 values = np.array([e[key] for e in lines], dtype=float)  # None becomes NaN
                 colour = COLOURS[i % len(COLOURS)]
-                axes.plot(values, color=colour, linewidth=0.9, label=name)
+                epochs = np.arange(1, len(values) + 1)
+                axes.plot(epochs, values, color=colour, linewidth=0.9, label=name)
                 kept = _kept_epoch(lines)
-                axes.plot(kept, values[kept], "o", color=colour, markersize=5, clip_on=False)
+                axes.plot(kept + 1, values[kept], "o", color=colour, markersize=5, clip_on=False)
             axes.set_ylabel(label)
-            if any(np.isfinite(line.get_ydata()).any() for line in axes.lines):
+            drawn = np.concatenate([np.asarray(line.get_ydata(), float) for line in axes.lines])
+            drawn = drawn[np.isfinite(drawn)]
+            if drawn.size and drawn.min() > 0 and drawn.max() > _LINEAR_BELOW * drawn.min():
                 axes.set_yscale("log")
             for begin in _stage_begins(next(iter(histories.values()))):
-                axes.axvline(begin - 0.5, color="0.6", linewidth=0.8, linestyle=":")
+                axes.axvline(begin + 0.5, color="0.6", linewidth=0.8, linestyle=":")
         panels[-1].set_xlabel("epoch (all stages)")
         if len(histories) > 1:
             panels[0].legend(ncols=5, loc="upper right")

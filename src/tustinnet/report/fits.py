@@ -103,9 +103,15 @@ def fitted_table(run: Run) -> Table:
     begin = (
         f"free runs, start '{run.start}'{over(run.best.scores[0].horizon)}"
         if found is None
-        else "from the initial states found"
+        else "from the initial states found" + _scaled(run)
     )
     return _by_record(run.fitted, f"train, {begin}")
+
+
+def _scaled(run: Run) -> str:
+    """What an identification measures by, where its coordinates are angles and lengths."""
+    kinds = {c.kind for c in run.roles.train[0].channels.coordinates}
+    return ", each coordinate over its spread" if len(kinds) > 1 else ""
 
 
 def _by_record(rmse: Mapping[str, float], title: str) -> Table:
