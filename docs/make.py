@@ -71,10 +71,10 @@ def command_line(page: Path) -> None:
 def tutorials(pages: Path, kept: Path, *, executed: bool) -> None:
     """Writes the tutorials as pages, all at once; one whose program did not change is kept."""
     kept.mkdir(parents=True, exist_ok=True)
-    state = source_digest()
+    state = source_digest() if executed else None
     scripts = sorted((DOCS / "tutorials").glob("*.py"))
     with ThreadPoolExecutor() as pool:
-        for _ in pool.map(lambda s: tutorial(s, pages, kept, state if executed else None), scripts):
+        for _ in pool.map(lambda s: tutorial(s, pages, kept, state), scripts):
             pass
 
 

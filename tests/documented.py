@@ -14,6 +14,11 @@ def section(heading: str, page: str = "reference/export.md") -> str:
     return found.group(1)
 
 
+def anchor(heading: str) -> str:
+    """How links name a heading."""
+    return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+
+
 def blocks(heading: str, language: str, page: str = "reference/export.md") -> list[str]:
     """What stands in a section as code of a language, block by block."""
     return re.findall(rf"^```{language}\n(.*?)^```", section(heading, page), flags=re.M | re.S)

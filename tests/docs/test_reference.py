@@ -7,6 +7,7 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+from documented import DOCS, anchor
 
 import tustinnet as tn
 from tustinnet.data import card
@@ -14,7 +15,6 @@ from tustinnet.data.declaration import Declaration
 from tustinnet.fitting import recipe
 from tustinnet.registry import FAMILIES
 
-DOCS = Path(__file__).parents[2] / "docs"
 REFERENCE = DOCS / "reference"
 CARDS = (
     card.Card,
@@ -94,11 +94,6 @@ def test_the_recipes_on_the_page_are_valid(block):
 
 def terms() -> list[str]:
     return re.findall(r"^### (.*)$", page("glossary.md"), flags=re.M)
-
-
-def anchor(term: str) -> str:
-    """How links name a heading."""
-    return re.sub(r"[^\w\- ]", "", term.lower()).replace(" ", "-")
 
 
 def links() -> Iterator[tuple[Path, str]]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from documented import anchor
 
 import tustinnet as tn
 
@@ -128,7 +129,7 @@ def made_pages() -> set[Path]:
 def headings(page: Path) -> list[str]:
     """The headings of a page as links name them."""
     found = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), flags=re.M)
-    return [re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in found]
+    return [anchor(title) for title in found]
 
 
 def test_every_dependency_is_pinned():

@@ -55,12 +55,11 @@ def calibrate(
     copy_with(model, out, **{KEY: found.as_header()})
     if copy is not None:
         keep(copy, out.parent)
-    promised = len(records) / (len(records) + 1)
     if json:
         terminal.print_json({"file": str(out), "start": begin, "records": found.records,
-                             "highest_level": promised})  # fmt: skip
+                             "highest_level": found.most})  # fmt: skip
         return
     terminal.messages().print(
         f"{out}: bands from {len(records)} records, start '{begin}'; they can promise at most "
-        f"{100 * promised:.1f} %"
+        f"{100 * found.most:.1f} %"
     )

@@ -13,16 +13,16 @@ def _of(names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:
 
 
 def _recipes() -> Iterable[str]:
-    from tustinnet.data.declaration import packaged_names
+    from tustinnet.data.declaration import packaged
     from tustinnet.registry import RECIPE_HOMES
 
-    return [name for home in RECIPE_HOMES for name in packaged_names(home)]
+    return packaged(RECIPE_HOMES)
 
 
 def _plans() -> Iterable[str]:
-    from tustinnet.data.declaration import packaged_names
+    from tustinnet.data.declaration import packaged
 
-    return packaged_names("tustinnet.selection", "plan")
+    return packaged(["tustinnet.selection"], "plan")
 
 
 def _systems() -> Iterable[str]:

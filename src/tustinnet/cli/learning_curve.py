@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tustinnet.cli import completion, options, terminal
+from tustinnet.cli import options, terminal
 
 if TYPE_CHECKING:
     from tustinnet.evaluate.folds import Question
@@ -19,15 +19,11 @@ class Values(StrEnum):
     nominal = "nominal"
 
 
-def _recipe(help: str) -> Any:
-    return typer.Option(metavar="NAME|FILE", autocompletion=completion.recipe, help=help)
-
-
-Network = Annotated[str | None, _recipe("Recipe of the network. Default: standard.")]
+Network = Annotated[str | None, options.recipe("standard", "Recipe of the network.")]
 Physics = Annotated[
-    str | None, _recipe("With --system: recipe of the grey box. Default: best-grey.")
+    str | None, options.recipe("best-grey", "With --system: recipe of the grey box.")
 ]
-Hybrid = Annotated[str | None, _recipe("With --system: recipe of the hybrid. Default: hybrid.")]
+Hybrid = Annotated[str | None, options.recipe("hybrid", "With --system: recipe of the hybrid.")]
 Twin = Annotated[
     Values | None,
     typer.Option(

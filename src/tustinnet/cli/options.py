@@ -45,13 +45,15 @@ System = Annotated[
         "(the file is executed).",
     ),
 ]
-_RECIPE = "How the model is built and fitted: a packaged recipe, or a TOML file. Default: "
+_RECIPE = "How the model is built and fitted: a packaged recipe, or a TOML file."
 
 
-def recipe(default: str) -> Any:
+def recipe(default: str, what: str = _RECIPE) -> Any:
     """The option of a recipe, with what is taken where it is left out."""
     return typer.Option(
-        metavar="NAME|FILE", autocompletion=completion.recipe, help=f"{_RECIPE}{default}."
+        metavar="NAME|FILE",
+        autocompletion=completion.recipe,
+        help=f"{what} Default: {default}.",
     )
 
 

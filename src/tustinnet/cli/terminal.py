@@ -167,24 +167,11 @@ def prepare_jax(device: str | None = None) -> None:
     jax.config.update("jax_enable_x64", True)
     if "JAX_NUM_CPU_DEVICES" not in os.environ:
         jax.config.update("jax_num_cpu_devices", cores())
-    from tustinnet.errors import InputError
-
-    try:
-        jax.devices()
-    except (RuntimeError, AssertionError):  # the second is what it says of some that are absent
-        wanted = os.environ.get("JAX_PLATFORMS", "")
-        raise InputError(
-            f"JAX_PLATFORMS={wanted}", "JAX sees no such device", "a device that JAX sees",
-            "unset the variable, or install JAX for your GPU: pip install 'jax[cuda13]'",
-        ) from None  # fmt: skip
+    platforms = os.environ.get("JAX_PLATFORMS", "")
+    _first_device(None, f"JAX_PLATFORMS={platforms}", "unset the variable")
     if device is not None:
-        try:
-            jax.config.update("jax_default_device", jax.devices(device)[0])
-        except RuntimeError:
-            raise InputError(
-                f"--device {device}", "JAX sees none", "a device that JAX sees",
-                "leave the option out, or install JAX for your GPU: pip install 'jax[cuda13]'",
-            ) from None  # fmt: skip
+        first = _first_device(device, f"--device {device}", "leave the option out")
+        jax.config.update("jax_default_device", first)
     if os.environ.get("JAX_COMPILATION_CACHE_DIR"):
         return
     import platformdirs
@@ -198,3 +185,18 @@ def prepare_jax(device: str | None = None) -> None:
         jax.config.update("jax_compilation_cache_dir", str(kept))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+def _first_device(kind: str | None, asked: str, undo: str) -> Any:
+    """The first device of a kind, of any kind where none is given; an error names who asked."""
+    import jax
+
+    from tustinnet.errors import InputError
+
+    try:
+        return jax.devices(kind)[0]
+    except (RuntimeError, AssertionError):  # the second is what it says of some that are absent
+        raise InputError(
+            asked, "JAX sees none", "a device that JAX sees",
+            f"{undo}, or install JAX for your GPU: pip install 'jax[cuda13]'",
+        ) from None  # fmt: skip

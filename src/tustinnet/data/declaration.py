@@ -107,12 +107,19 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise ValueError(_NESTED) from None
 
 
-def packaged_names(package: str, what: str = "recipe") -> list[str]:
-    """Names of the declarations in the folder `recipes`, or of another kind, of a package."""
-    folder = resources.files(package) / f"{what}s"
-    return sorted(
-        f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml")
-    )
+def packaged(packages: Sequence[str], what: str = "recipe") -> dict[str, str]:
+    """The declarations in the folders `recipes`, or of another kind, of packages.
+
+    Returns:
+        Their names in order, and the package of each.
+    """
+    found = {
+        file.name.removesuffix(".toml"): package
+        for package in packages
+        for file in (resources.files(package) / f"{what}s").iterdir()
+        if file.name.endswith(".toml")
+    }
+    return dict(sorted(found.items()))
 
 
 def read_packaged(
@@ -126,7 +133,7 @@ def read_packaged(
     Raises:
         InputError: none of that name.
     """
-    known = {found: home for home in packages for found in packaged_names(home, what)}
+    known = packaged(packages, what)
     if str(name) in known:
         place = resources.files(known[str(name)]) / f"{what}s" / f"{name}.toml"
         with resources.as_file(place) as path:
@@ -136,7 +143,7 @@ def read_packaged(
     raise InputError(
         what,
         f"no {what} '{name}'",
-        f"one of {', '.join(sorted(known))}, or a file ending in .toml",
+        f"one of {', '.join(known)}, or a file ending in .toml",
     )
 
 

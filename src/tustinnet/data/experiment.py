@@ -186,9 +186,10 @@ class Experiment(HasChannels):
                 samples; the message names the longest interval. An input whose hold is `unknown`.
         """
         self._require_holds(self.inputs, "resampling")
-        if not 0 < dt < self.t[-1] - self.t[0]:
-            span = self.t[-1] - self.t[0]
-            raise InputError(self.name, f"period {dt} s", f"more than 0 and less than {span:g} s")
+        if not 0 < dt < self.seconds:
+            raise InputError(
+                self.name, f"period {dt} s", f"more than 0 and less than {self.seconds:g} s"
+            )
         resampling.require_short_grid(self.t, dt, lambda k: f"{self.name}, sample {k}")
         grid = resampling.regular_grid(self.t, dt)
         k_bar = None
@@ -247,6 +248,11 @@ class Experiment(HasChannels):
         return tuple(kept)
 
     @property
+    def seconds(self) -> float:
+        """From the first sample to the last [s]."""
+        return float(self.t[-1] - self.t[0])
+
+    @property
     def forced(self) -> bool:
         """Whether an input changes during the record."""
         return bool(np.ptp(self.u, axis=0).any()) if self.u.size else False
@@ -274,8 +280,8 @@ class Experiment(HasChannels):
         for i, hold, delay in zip(said, holds, delays, strict=True):
             where = f"{self.name}, input '{i.name}'"
             if abs(delay) >= len(self) - 1:
-                span = self.t[-1] - self.t[0]
-                raise InputError(where, f"a delay of {i.delay:g} s", f"less than its {span:g} s")
+                own = f"less than its {self.seconds:g} s"
+                raise InputError(where, f"a delay of {i.delay:g} s", own)
             if hold == "band-limited" and len(self) <= HALF:
                 raise InputError(
                     where, f"hold 'band-limited' and {len(self)} samples", f"more than {HALF}",

@@ -138,7 +138,7 @@ def inspect_experiment(experiment: Experiment) -> ExperimentReport:
         name=e.name,
         split=e.split,
         samples=len(e),
-        seconds=float(e.t[-1] - e.t[0]),
+        seconds=e.seconds,
         dt=e.dt,
         recording=recording,
         forced=e.forced,

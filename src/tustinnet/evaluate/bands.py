@@ -145,7 +145,7 @@ class Calibration:
     @property
     def most(self) -> float:
         """The highest level that so many calibration records can promise."""
-        return len(self.records) / (len(self.records) + 1)
+        return most_of(len(self.records))
 
     def half(self, guess: Guess, level: float, of: Of = "time") -> Float[np.ndarray, "n n_q"]:
         """Half the width of the band of a free run, (n, n_q) [rad or m].
@@ -203,6 +203,11 @@ def _over(horizon: float | None) -> str:
     return ", whole records" if horizon is None else f", horizon {horizon:g} s"
 
 
+def most_of(records: int) -> float:
+    """The highest level that so many calibration records can promise: n of them n / (n + 1)."""
+    return records / (records + 1)
+
+
 def require_share(level: float) -> None:
     """Raises unless a level is a share."""
     if not 0 < level < 1:
@@ -210,13 +215,13 @@ def require_share(level: float) -> None:
 
 
 def require_level(level: float, records: int) -> None:
-    """Raises unless so many calibration records can promise a level: n of them n / (n + 1)."""
+    """Raises unless so many calibration records can promise a level."""
     require_share(level)
-    if level > records / (records + 1) + _ROUNDING:
+    if level > most_of(records) + _ROUNDING:
         needed = math.ceil(level / (1 - level) - _ROUNDING)
         raise InputError(
             f"a band of {100 * level:g} %", f"{records} calibration records, which cannot promise "
-            f"more than {100 * records / (records + 1):.1f} %", f"{needed} records or more",
+            f"more than {100 * most_of(records):.1f} %", f"{needed} records or more",
             "calibrate with more records, or ask for less",
         )  # fmt: skip
 
@@ -384,7 +389,7 @@ def _of_coordinate(
 def _part(errors: Sequence[np.ndarray], spreads: Sequence[np.ndarray]) -> Part:
     """Floor and factors of the time; the floor is that with the narrowest band."""
     scale = math.sqrt(np.mean([np.mean(e**2) for e in errors])) or _LEAST
-    level = min(_USUAL, len(errors) / (len(errors) + 1))
+    level = min(_USUAL, most_of(len(errors)))
     tried = []
     for share in _FLOORS:
         part = Part(share * scale, _factors(errors, spreads, share * scale), ())

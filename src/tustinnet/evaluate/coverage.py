@@ -71,8 +71,7 @@ def crps_of(experiment: Experiment, band: Band) -> Float[np.ndarray, "n n_q"]:
     does not matter.
     """
     calibration, guess = band.calibration, band.guess
-    n = len(calibration.records)
-    levels = [level for level in _TENTHS.tolist() if level <= n / (n + 1)]
+    levels = [level for level in _TENTHS.tolist() if level <= calibration.most]
     halves = np.stack([calibration.half(guess, level) for level in levels], axis=-1)
     middle = guess.simulated[..., None]
     quantiles = np.concatenate([middle - halves[..., ::-1], middle, middle + halves], axis=-1)

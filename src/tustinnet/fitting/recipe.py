@@ -19,7 +19,7 @@ from tustinnet.data.declaration import (
     Name,
     Sentence,
     declare,
-    packaged_names,
+    packaged,
     parse_toml,
     read_packaged,
     require_plain,
@@ -332,7 +332,7 @@ def recipe_type(family: Family) -> type[Recipe]:
 
 def packaged_recipes() -> list[str]:
     """Names of the recipes that come with the package."""
-    return sorted(name for home in RECIPE_HOMES for name in packaged_names(home))
+    return list(packaged(RECIPE_HOMES))
 
 
 def read_recipe(

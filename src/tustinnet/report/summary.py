@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tustinnet.evaluate.scores import Score
+from tustinnet.evaluate.scores import Score, mean_rmse
 from tustinnet.fitting.recipe import TrainingRecipe
 from tustinnet.report.progress import duration
 from tustinnet.report.tables import number
@@ -16,7 +16,7 @@ from tustinnet.store.run import MODEL, Run
 def fit_summary(run: Run, data: str) -> tuple[str, ...]:
     """Sentences on a run whose records are those of `data`, as the user named it."""
     records = run.roles.train
-    motion = sum(float(e.t[-1] - e.t[0]) for e in records)
+    motion = sum(e.seconds for e in records)
     spent = sum(of.result.seconds for of in run.members)
     done = (
         f"fitted: {run.best.result.recipe.name}, to {len(records)} records with "
@@ -47,7 +47,7 @@ def _how_good(run: Run) -> str:
     diverged = f"; {len(scores) - len(sound)} diverge" if len(sound) < len(scores) else ""
     return (
         f"free runs{over(scores[0].horizon)} of {_which(run, sound)} are off by "
-        f"{number(float(np.mean([s.rmse for s in sound])))} {channels.unit} (mean RMSE): {told} "
+        f"{number(mean_rmse(sound))} {channels.unit} (mean RMSE): {told} "
         f"standard deviation{diverged}{_honest(run)}"
     )
 

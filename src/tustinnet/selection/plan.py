@@ -12,7 +12,7 @@ from tustinnet.data.declaration import (
     Name,
     Sentence,
     declare,
-    packaged_names,
+    packaged,
     read_packaged,
 )
 from tustinnet.errors import InputError
@@ -148,7 +148,7 @@ def _require_known(names: Sequence[str], known: Sequence[str], who: str) -> None
 
 def packaged_plans() -> list[str]:
     """Names of the plans that come with the package."""
-    return packaged_names(_HOME, _PLAN)
+    return list(packaged([_HOME], _PLAN))
 
 
 def read_plan(which: "str | Path | SelectionPlan") -> SelectionPlan:

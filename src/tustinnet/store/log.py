@@ -17,21 +17,26 @@ DAMAGED = "log.damaged.jsonl"
 
 def read_log(folder: Path) -> list[dict[str, Any]]:
     """The training log of a member's folder, a mapping an epoch, up to where it is damaged."""
+    return _sound(_content(folder))
+
+
+def _content(folder: Path) -> bytes:
+    """A folder's log, empty where there is none."""
     try:
-        content = (folder / LOG).read_bytes()
+        return (folder / LOG).read_bytes()
     except OSError:
-        return []
-    return _sound(content)
+        return b""
+
+
+def is_end(entry: Mapping[str, Any]) -> bool:
+    """Whether a line of an identification's log is the end of a stage, not an iteration."""
+    return "parameters" in entry
 
 
 def read_search(folder: Path) -> list[dict[str, Any]]:
     """The log of an identification, up to where it is damaged: iterations, and ends of stages."""
-    try:
-        content = (folder / LOG).read_bytes()
-    except OSError:
-        return []
     found = []
-    for entry in _entries(content):
+    for entry in _entries(_content(folder)):
         if not any(_has(entry, types) for types in (_ITERATION, _STAGE)):
             break
         if not all(_is_number(value) for value in entry.get("parameters", {}).values()):

@@ -123,7 +123,7 @@ def _scales(
     model = system.model({name: jnp.asarray(x) for name, x in values.items()})
     acting = _acting(model, *map(jnp.asarray, (q, np.concatenate(v), u, a)))
     force = np.max([_size(np.asarray(x)) for x in acting], axis=0)
-    dt, longest = experiments[0].dt, max(float(e.t[-1] - e.t[0]) for e in experiments)
+    dt, longest = experiments[0].dt, max(e.seconds for e in experiments)
     each = zip(force, _size(q), np.std(q, axis=0), _size(np.concatenate(v)), strict=True)
     return [Scale(*map(float, of), dt=dt, longest=longest) for of in each]
 

@@ -16,6 +16,7 @@ from tustinnet.report.page.judged import Judged
 from tustinnet.report.page.signals import bounded, kept, packed
 from tustinnet.report.page.subject import History
 from tustinnet.simulate.range import Cloud
+from tustinnet.store.log import is_end
 
 # points of a signal that are tried, the most that a screen shows first
 _POINTS = (2000, 1700, 1400, 1200, 1000, 850, 700, 600, 500, 400, 300, 200, 150, 100)
@@ -121,12 +122,12 @@ def _model(of: Judged) -> dict[str, Any]:
 def _searched(of: Judged) -> dict[str, Any] | None:
     """Costs by iteration of every stage, and the parameters that moved, at the ends of stages."""
     lines = of.subject.search
-    ended = [line for line in lines if "parameters" in line]
+    ended = of.subject.stages
     if not ended:
         return None
     costs: list[list[float]] = [[]]
     for line in lines:
-        if "parameters" in line:
+        if is_end(line):
             costs.append([])
         else:
             costs[-1].append(math.nan if line["cost"] is None else line["cost"])

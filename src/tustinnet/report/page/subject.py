@@ -10,7 +10,7 @@ from tustinnet.evaluate.scores import Score
 from tustinnet.models.contract import Model
 from tustinnet.selection.ending import WHOLE
 from tustinnet.store.kept_system import CANDIDATES
-from tustinnet.store.log import LOG, read_log, read_search
+from tustinnet.store.log import LOG, is_end, read_log, read_search
 from tustinnet.store.model_file import shown
 from tustinnet.store.run import MODEL
 
@@ -40,6 +40,11 @@ class Subject:
     histories: Mapping[str, History] = field(default_factory=dict)
     search: History = ()
     scores: Sequence[Score] = ()
+
+    @property
+    def stages(self) -> list[Mapping[str, Any]]:
+        """The ends of the stages of its identification, with the parameters there."""
+        return [line for line in self.search if is_end(line)]
 
 
 def model_file(path: Path) -> Path:

@@ -3,7 +3,6 @@
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -179,11 +178,10 @@ def stages_table(found: Sequence[Judged]) -> Table:
     """The stages of every identification, and how they ended."""
     rows = []
     for of in found:
-        ended = [line for line in of.subject.search if "parameters" in line]
         rows += [
             [of.subject.label, f"{i}: {stage['stage']}", str(stage["iterations"]),
              "–" if stage["cost"] is None else f"{stage['cost']:.4g}", stage["why"]]
-            for i, stage in enumerate(ended, 1)
+            for i, stage in enumerate(of.subject.stages, 1)
         ]  # fmt: skip
     columns = ["model", "stage", "iterations", "cost", "ended"]
     return Table(columns, rows)
@@ -235,7 +233,7 @@ def records_table(found: Sequence[Judged], records: Sequence[Experiment]) -> Tab
     made = {of.subject.label: trained_on(of.subject, records) for of in found}
     rows = [
         [
-            e.name, e.split or "–", str(len(e)), f"{e.t[-1] - e.t[0]:.4g}",
+            e.name, e.split or "–", str(len(e)), f"{e.seconds:.4g}",
             ", ".join(label for label, names in made.items() if e.name in names) or "–",
             e.sha256[:_SHOWN] or "–",
         ]
@@ -265,8 +263,3 @@ def _article(word: str) -> str:
 
 def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:_SHOWN]
-
-
-def plain(table: Table) -> dict[str, Any]:
-    """A table for a template."""
-    return {"columns": table.columns, "rows": table.rows, "title": table.title}

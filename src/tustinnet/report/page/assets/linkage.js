@@ -26,10 +26,14 @@ function between(point, end) {
   return lengthOf(add(point, scaled(end, -share))) < 1e-6;
 }
 
-function line(context, from, to) {
+// A path through points of the screen.
+function path(context, points) {
   context.beginPath();
-  context.moveTo(from[0], from[1]);
-  context.lineTo(to[0], to[1]);
+  for (const [x, y] of points) context.lineTo(x, y); // the first one moves there
+}
+
+function line(context, ...points) {
+  path(context, points);
   context.stroke();
 }
 
@@ -184,13 +188,10 @@ class Linkage {
   tower(context, see, link) {
     const around = this.around(link);
     context.setLineDash([2, 5]);
-    context.beginPath();
-    for (let i = 0; i <= 48; i++) {
+    line(context, ...Array.from({ length: 49 }, (_, i) => {
       const a = (TURN * i) / 48;
-      const p = see(add(link.origin, [around * Math.cos(a), around * Math.sin(a), 0]));
-      if (i) context.lineTo(p[0], p[1]); else context.moveTo(p[0], p[1]);
-    }
-    context.stroke();
+      return see(add(link.origin, [around * Math.cos(a), around * Math.sin(a), 0]));
+    }));
     context.setLineDash([]);
     const on = (point) => see(add(link.origin, point));
     this.block(context, on, 0.42 * around, -1.2 * around, -0.1 * around);
@@ -205,11 +206,7 @@ class Linkage {
       [[-1, -1, high], [1, -1, high], [1, 1, high], [-1, 1, high]],
     ];
     faces.forEach((corners, i) => {
-      context.beginPath();
-      corners.forEach(([x, y, z], k) => {
-        const p = at(x, y, z);
-        if (k) context.lineTo(p[0], p[1]); else context.moveTo(p[0], p[1]);
-      });
+      path(context, corners.map(([x, y, z]) => at(x, y, z)));
       context.closePath();
       context.fillStyle = colours.paper;
       context.fill();
@@ -217,13 +214,9 @@ class Linkage {
       context.fill();
       context.stroke();
     });
-    const [a, b] = [see([0, 0, high]), see([0, 0, 0])];
     context.lineWidth = 5;
     context.strokeStyle = faint(colours.ink, 0.25);
-    context.beginPath();
-    context.moveTo(a[0], a[1]);
-    context.lineTo(b[0], b[1]);
-    context.stroke();
+    line(context, see([0, 0, high]), see([0, 0, 0]));
     context.lineWidth = 1;
     context.strokeStyle = colours.line;
   }
@@ -280,10 +273,7 @@ class Linkage {
       for (let k = 0; k < steps; k++) {
         const [from, to] = [k, k + 1].map((i) => Math.round((i * (points.length - 1)) / steps));
         context.strokeStyle = faint(colour, (0.45 * (k + 0.5)) / steps);
-        context.beginPath();
-        context.moveTo(points[from][0], points[from][1]);
-        for (let i = from + 1; i <= to; i++) context.lineTo(points[i][0], points[i][1]);
-        context.stroke();
+        line(context, ...points.slice(from, to + 1));
       }
     });
   }
