@@ -65,6 +65,7 @@ FAMILIES: Registry[Any] = Registry(
         "neural-ode": "tustinnet.families.neural_ode:FAMILY",
         "linear": "tustinnet.families.linear:FAMILY",
         "committee": "tustinnet.families.committee:FAMILY",
+        "encoded": "tustinnet.families.encoded:FAMILY",
     },
 )
 USUAL = next(iter(FAMILIES.places))  # the kind of a recipe that names none

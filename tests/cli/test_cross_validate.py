@@ -72,6 +72,9 @@ def test_a_system_is_identified_anew_in_every_fold(folder, tmp_path, out, capsys
         (["--recipe", "standard", "--set", "search.loss=state"], ["search", "unknown key"]),
         (["--recipe", "standard", "--folds", "9"], ["--folds", "9 folds of 5 records", "3 to 5"]),
         (["--recipe", "standard", "--start", "zero"], ["unknown start 'zero'"]),
+        (["--cluster", "127.0.0.1"], ["cluster 127.0.0.1", "no address", "HOST:PORT"]),
+        (["--cluster", "127.0.0.1:1"], ["127.0.0.1:1: does not answer", "ray start --head"]),
+        (["--cluster", "auto", "--device", "gpu"], ["--device gpu", "jobs on a cluster"]),
     ],
     ids=lambda part: " ".join(part),
 )

@@ -86,6 +86,7 @@ SHOWN = {
     "cross-validate": {
         "--out": _FOLD, "--recipe": _FOLD, "--seeds": _FOLD, "--start": _FOLD,
         "--overwrite": _FOLD, "--json": _FOLD,
+        "--cluster": f"{FOLDS}::test_what_cannot_be_asked_is_one_line",
         "--set": f"{FOLDS}::test_a_system_is_identified_anew_in_every_fold",
         "--system": f"{FOLDS}::test_a_system_is_identified_anew_in_every_fold",
         "--folds": f"{FOLDS}::test_what_cannot_be_asked_is_one_line",

@@ -1,10 +1,14 @@
 """The losses of the paper."""
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tustinnet.fitting.residual import Residual
+import tustinnet as tn
+from tustinnet.fitting.recipe import SearchRecipe, StageRecipe
+from tustinnet.fitting.residual import Residual, residual_of
 
 
 def loss(difference: list[list[float]], kind: str) -> float:
@@ -35,3 +39,52 @@ def test_velocities_count_in_the_state_loss_only():
 
 def test_the_loss_is_the_mean_over_the_steps_and_leaves_out_the_given_start():
     assert loss([[0.0, 3.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0]], "state") == pytest.approx(4.5)
+
+
+def stretched(factor: float) -> tn.DataSet:
+    """Records of a mass on a spring, in another size."""
+    made = []
+    for seed, split in enumerate(("train", "train", "validation")):
+        u = np.random.default_rng(seed).normal(size=(160, 1))
+        q = np.zeros((160, 1))
+        for k in range(2, 160):
+            q[k] = 1.8 * q[k - 1] - 0.9 * q[k - 2] + 0.01 * u[k - 1]
+        made.append(
+            tn.from_arrays(
+                factor * q, u, dt=0.02, name=f"spring{seed}", split=split,
+                coordinates=[tn.Coordinate("x", "linear")], inputs=[tn.Input("force", "N")],
+            )
+        )  # fmt: skip
+    return tn.DataSet("spring", tuple(made))
+
+
+@pytest.mark.parametrize("scaled", [False, True])
+def test_a_training_goes_the_same_way_whatever_the_size_of_the_system(scaled):
+    recipe = {
+        "name": "sizes",
+        "model": {"kind": "tustin-net", "hidden": [8]},
+        "stages": [
+            {
+                "name": "one", "windows": {"draw": "strided", "length": 20, "step": 5},
+                "rate": 1e-2, "epochs": 5, "batch": 16, "clip": 0.05, "scaled": scaled,
+            }
+        ],
+    }  # fmt: skip
+    # from a stage of metres to one of micrometres; powers of two, so that not even rounding differs
+    large, small = (tn.fit(stretched(f), recipe) for f in (1.0, 2.0**-20))
+    nets: list[Any] = [of.model for of in (large, small)]
+    for one, other in zip(*(net.network.hidden for net in nets), strict=True):
+        np.testing.assert_array_equal(one.weight, other.weight)
+    assert large.validation_rmse == pytest.approx(2.0**20 * (small.validation_rmse or 0), rel=1e-6)
+
+
+def test_a_training_counts_lengths_in_their_spread_an_identification_in_metres():
+    records = list(stretched(1.0))[:2]
+    spread = np.sqrt(np.mean([e.q.var() for e in records]))
+    stage = {
+        "name": "one", "windows": {"draw": "strided", "length": 20, "step": 5}, "rate": 1e-2,
+        "epochs": 5, "batch": 16,
+    }  # fmt: skip
+    unit = residual_of(StageRecipe.model_validate(stage), records).unit
+    assert unit[0] == unit[1] == 2.0 ** round(np.log2(spread))
+    assert residual_of(SearchRecipe(), records).unit == (1.0,)

@@ -13,13 +13,16 @@ from pathlib import Path
 
 import pytest
 from safetensors.numpy import load_file
-from small_selection import PLAN, plan_in, swings
+from small_selection import NETWORK, PLAN, plan_in, swings
 from swinging import SWING
 
+from tustinnet.data.declaration import parse_toml
 from tustinnet.errors import InputError
+from tustinnet.evaluate.folds import cross_validate, make_question
 from tustinnet.fitting.recipe import read_recipe
 from tustinnet.selection import cluster as room
 from tustinnet.selection.cluster import _work, cluster, perform_here, versions
+from tustinnet.selection.cross_validation import cross_validate_by_jobs
 from tustinnet.selection.jobs import Job, Judging, Workplace
 from tustinnet.selection.select import Asked, Reporter, select_model
 from tustinnet.systems.files import SystemFile
@@ -96,6 +99,19 @@ def test_a_selection_with_a_killed_worker_comes_to_what_one_process_comes_to(mac
         for name, array in arrays.items():
             assert (found[path][name] == array).all(), (path, name)
     assert len(list((tmp_path / "there").rglob(".*"))) == 1  # the mark, until the workers end
+
+
+@with_ray
+def test_a_cross_validation_comes_to_what_one_process_comes_to(machine, tmp_path):
+    workers, said = machine
+    recipe = read_recipe(parse_toml(NETWORK), ["stages.*.epochs=5"])
+    asked = make_question(recipe, folds=3, seeds=(0, 1))
+    here, there = (
+        cross_validate(swings(), asked),
+        cross_validate_by_jobs(swings(), asked, tmp_path, workers),
+    )
+    assert sorted(there.scores, key=str) == sorted(here.scores, key=str)
+    assert sum(line.startswith("recipe, fold") and "done on" in line for line in said) == 3
 
 
 @with_ray

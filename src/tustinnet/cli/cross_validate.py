@@ -1,11 +1,15 @@
 """`tustinnet cross-validate`: a recipe on records that its models never saw."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tustinnet.cli import completion, options, terminal
+
+if TYPE_CHECKING:
+    from tustinnet.data.dataset import DataSet
+    from tustinnet.evaluate.folds import Question, Validated
 
 _Physics = Annotated[
     str | None,
@@ -42,6 +46,7 @@ def cross_validate(
     folds: Annotated[int, typer.Option(min=3, metavar="N", help="Number of folds.")] = 5,
     seeds: options.Seeds = None,
     start: _Starts = None,
+    cluster: Annotated[str | None, options.cluster("Fit each fold as a job of its own on")] = None,
     card: options.Card = None,
     strict: options.Strict = False,
     device: options.Device = None,
@@ -54,11 +59,14 @@ def cross_validate(
     Every record is scored by models that were fitted without it. Records of the split test are
     left out.
     """
+    from tustinnet.cli.request import loaded, recipe_of, require_cores, seeds_of, tell_still
+
+    require_cores(cluster, device)
     terminal.prepare_jax(device)
-    from tustinnet.cli.request import loaded, recipe_of, seeds_of, tell_still
     from tustinnet.evaluate.folds import cross_validate, make_question, taking_part
     from tustinnet.report.fits import folds_table
     from tustinnet.report.progress import FitProgress
+    from tustinnet.selection.cross_validation import discard_jobs
     from tustinnet.store.files import owned, require_new, to_json, write_into
 
     chosen = recipe_of(recipe, changes, system=system, physics=physics)
@@ -71,7 +79,12 @@ def cross_validate(
     records = loaded(data, card, out, told, strict=strict)
     tell_still(taking_part(records), told)
     with owned(out), FitProgress(told, quiet=quiet) as progress:
-        found = cross_validate(records, asked, progress.follow)
+        if cluster is None:
+            found = cross_validate(records, asked, progress.follow)
+        else:
+            if overwrite:
+                discard_jobs(out)
+            found = _by_jobs(records, asked, (out, cluster), system, quiet=quiet)
         table = folds_table(found)
         write_into(out, file.name, to_json(found.as_plain()))
         write_into(out, "folds.md", table.markdown())
@@ -80,3 +93,25 @@ def cross_validate(
     else:
         terminal.print_tables(table)
     told.print(f"written: {file}, {out / 'folds.md'}")
+
+
+def _by_jobs(
+    records: "DataSet",
+    asked: "Question",
+    at: tuple[Path, str],
+    system: str | None,
+    *,
+    quiet: bool,
+) -> "Validated":
+    """Validates by jobs below a folder, on a cluster: `at` has both."""
+    from tustinnet.selection.cluster import cluster
+    from tustinnet.selection.cross_validation import cross_validate_by_jobs
+    from tustinnet.systems.files import find_system
+
+    folder, address = at
+    named = None if system is None else find_system(system)
+    with (
+        terminal.interruptible("the same command goes on with the folds that are done"),
+        cluster(address, (lambda _: None) if quiet else terminal.messages().print) as executor,
+    ):
+        return cross_validate_by_jobs(records, asked, folder, executor, named)

@@ -30,16 +30,6 @@ _Plan = Annotated[
 ]
 
 
-_Cluster = Annotated[
-    str | None,
-    typer.Option(
-        metavar="auto|ADDRESS",
-        help="Without a recipe: use a Ray cluster, given as HOST:PORT of its head node. auto: "
-        "the cluster in RAY_ADDRESS, else this machine.",
-    ),
-]
-
-
 def fit(
     data: options.Data,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the model and all results.")],
@@ -59,7 +49,7 @@ def fit(
         str | None,
         typer.Option(metavar="TIME", help="Without a recipe: time limit, as 10min. Default: none."),
     ] = None,
-    cluster: _Cluster = None,
+    cluster: Annotated[str | None, options.cluster("Without a recipe: use")] = None,
     card: options.Card = None,
     strict: options.Strict = False,
     device: options.Device = None,
@@ -70,10 +60,11 @@ def fit(
     quiet: options.Quiet = False,
 ) -> None:
     """Fit a model: try several recipes and keep the best, or fit one."""
-    _require_cores(cluster, device)
+    from tustinnet.cli.request import loaded, require_cores
+
+    require_cores(cluster, device)
     terminal.prepare_jax(device)
     from tustinnet.cli.leave_report import Leaving
-    from tustinnet.cli.request import loaded
     from tustinnet.cli.select import select
     from tustinnet.systems.files import find_system
 
@@ -176,15 +167,6 @@ def _require_apart(out: Path, origin: Path | None) -> None:
 
     if origin is not None and out.resolve() in origin.resolve().parents:
         raise InputError(out, f"the folder of {origin}, which --from names", "another folder")
-
-
-def _require_cores(cluster: str | None, device: options.Hardware | None) -> None:
-    """Raises where jobs of a cluster are to compute on something else."""
-    from tustinnet.errors import InputError
-
-    if cluster is not None and device not in (None, options.Hardware.cpu):
-        raise InputError(f"--device {device.value}", "means nothing to jobs on a cluster",
-                         "cpu", "leave the option out")  # fmt: skip
 
 
 def _tell_unfinished(run: "Run", told: "Console") -> None:

@@ -46,6 +46,10 @@ System = Annotated[
     ),
 ]
 _RECIPE = "How the model is built and fitted: a packaged recipe, or a TOML file."
+_CLUSTER = (
+    "a Ray cluster, given as HOST:PORT of its head node. auto: the cluster in RAY_ADDRESS, else "
+    "this machine."
+)
 
 
 def recipe(default: str, what: str = _RECIPE) -> Any:
@@ -55,6 +59,11 @@ def recipe(default: str, what: str = _RECIPE) -> Any:
         autocompletion=completion.recipe,
         help=f"{what} Default: {default}.",
     )
+
+
+def cluster(use: str) -> Any:
+    """The option that names a cluster, with what it is used for."""
+    return typer.Option(metavar="auto|ADDRESS", help=f"{use} {_CLUSTER}")
 
 
 Set = Annotated[
@@ -83,8 +92,9 @@ Start = Annotated[
         autocompletion=completion.start,
         help="Initial states of the free runs: file (first row of the record), derived-6 (parabola "
         "through the first 6 samples), model-20 (state with which the model fits the first 20 "
-        "samples best) or warm-up-20 (the model first follows 20 measured samples); other numbers "
-        "of samples are possible. Default: warm-up-N where the model needs it, else file where "
+        "samples best), warm-up-20 (the model first follows 20 measured samples) or encoder-20 "
+        "(the model's encoder estimates it); other numbers of samples are possible. Default: "
+        "encoder-N or warm-up-N where the model has an encoder or needs a warm-up, else file where "
         "records have velocity columns, else model-20 for oscillations with fewer than 20 samples "
         "per period, else derived-6.",
     ),

@@ -9,6 +9,7 @@ from tustinnet.cli import terminal
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from tustinnet.cli.options import Hardware
     from tustinnet.data.dataset import DataSet
     from tustinnet.data.experiment import Experiment
     from tustinnet.evaluate.bands import Band, BandAsked
@@ -19,6 +20,15 @@ if TYPE_CHECKING:
     from tustinnet.systems.files import AnySystem, SystemFile
 
 _MOST_SEEDS, _LARGEST_SEED = 1000, 2**32 - 1
+
+
+def require_cores(cluster: str | None, device: "Hardware | None") -> None:
+    """Raises where jobs of a cluster are to compute on something else."""
+    from tustinnet.errors import InputError
+
+    if cluster is not None and device is not None and device.value != "cpu":
+        raise InputError(f"--device {device.value}", "means nothing to jobs on a cluster",
+                         "cpu", "leave the option out")  # fmt: skip
 
 
 def recipe_of(
@@ -175,8 +185,7 @@ def judged_records(
 
     found = load(data, card)
     records = list(found if split is None else found.split(split))
-    needing = max(models, key=lambda model: model.warm_up)
-    return records, default_start(records, needing) if start is None else start
+    return records, default_start(records, *models) if start is None else start
 
 
 def bands_of(

@@ -258,10 +258,7 @@ def cross_validate(data: DataSet, asked: Question, tell: Tell = lambda task: SIL
         InputError: too few records; see also `fit`.
     """
     deals, recipe = dealt(data, asked.folds), asked.recipe
-    known = taking_part(data)
-    # before anything is fitted
-    for start in asked.starts or (default_start(known), f"model-{FITTED}"):
-        horizon_samples(horizon_of(recipe), known, start_named(start))
+    starts_asked(data, asked)  # before anything is fitted
     physics = [None] * len(deals) if asked.physics is None else _physics(deals, asked, tell)
     folds = tuple(Fold(used_by(d.roles, recipe), p) for d, p in zip(deals, physics, strict=True))
     own = None if asked.physics else asked.system
@@ -271,7 +268,13 @@ def cross_validate(data: DataSet, asked: Question, tell: Tell = lambda task: SIL
     for group in groups_alike(task):
         results += fitted(task.of(group), tell)
     results.sort(key=lambda r: members.index(r.member))
-    scores = [s for r in results for s in _scores(r, deals[r.member.fold].scored, data, asked)]
+    scores = [
+        score
+        for r in results
+        for score in fold_scores(
+            r.model, (r.member.fold, r.seed), r.horizon, deals[r.member.fold].scored, data, asked
+        )
+    ]
     return Validated(
         recipe=recipe.name,
         unit=data.channels.unit,
@@ -279,6 +282,19 @@ def cross_validate(data: DataSet, asked: Question, tell: Tell = lambda task: SIL
         outcomes={f"fold {r.member.fold}, seed {r.seed}": r.outcome for r in results},
         seconds=sum(r.seconds for r in results),
     )
+
+
+def starts_asked(data: DataSet, asked: Question) -> tuple[str, ...]:
+    """Where the free runs start that judge, of models without a start of their own.
+
+    Raises:
+        InputError: a horizon of the recipe that is too short for one of them, or too long.
+    """
+    known = taking_part(data)
+    starts = asked.starts or (default_start(known), f"model-{FITTED}")
+    for start in starts:
+        horizon_samples(horizon_of(asked.recipe), known, start_named(start))
+    return starts
 
 
 def used_by(of: Roles, recipe: Recipe) -> Roles:
@@ -306,19 +322,31 @@ def fitted(task: Task, tell: Tell) -> list[FitResult]:
     return train_plan(prepared, tell(prepared))
 
 
-def _scores(
-    result: FitResult, scored: Sequence[Experiment], data: DataSet, asked: Question
+def fold_scores(
+    model: Model,
+    by: tuple[int, int],
+    horizon: float | None,
+    scored: Sequence[Experiment],
+    data: DataSet,
+    asked: Question,
 ) -> list[FoldScore]:
-    usual = default_start(list(data), result.model)
-    starts = dict.fromkeys(asked.starts or (usual, f"model-{FITTED}"))
-    horizon = within(result.horizon, scored)
+    """The scores of the records of a fold.
+
+    Args:
+        model: a model that was not fitted to them.
+        by: the fold and the seed.
+        horizon: over how long its fit compared [s], None for whole records.
+        scored: the records.
+        data: all records.
+        asked: where free runs start.
+    """
+    usual = default_start(list(data), model)
+    within_reach = within(horizon, scored)
     by_start = {
-        start: rmse_by_record(evaluate(result.model, scored, start_named(start), horizon=horizon))
-        for start in starts
+        start: rmse_by_record(evaluate(model, scored, start_named(start), horizon=within_reach))
+        for start in dict.fromkeys(asked.starts or (usual, f"model-{FITTED}"))
     }
+    fold, seed = by
     return [
-        FoldScore(
-            e.name, result.member.fold, result.seed, {s: of[e.name] for s, of in by_start.items()}
-        )
-        for e in scored
+        FoldScore(e.name, fold, seed, {s: of[e.name] for s, of in by_start.items()}) for e in scored
     ]

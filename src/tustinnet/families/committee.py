@@ -195,7 +195,8 @@ def committee(models: Sequence[Model], weights: Weights | None = None) -> Commit
     Models that are alike, as those of several folds and seeds of one recipe, run as one program.
 
     Args:
-        models: models of the same coordinates, inputs and period, of any families.
+        models: models of the same coordinates, inputs and period, of any families; encoders are
+            left out, because each tells the state of its own model only.
         weights: what each counts, numbers from 0 on; they are divided by their sum. By default all
             count the same.
 
@@ -203,9 +204,9 @@ def committee(models: Sequence[Model], weights: Weights | None = None) -> Commit
         InputError: no models, one that is a committee itself, or of other channels; weights of
             which there are not as many, that are negative, not finite or all 0.
     """
-    models = list(models)
     for i, model in enumerate(models, 1):
         _require_member(model, models[0], f"model {i} of the committee")
+    models = [model.dynamics for model in models]
     given = np.ones(len(models)) if weights is None else np.asarray(weights, np.float64)
     with np.errstate(over="ignore"):
         total = given.sum()
@@ -259,7 +260,7 @@ class CommitteeFamily(Family):
 
     kind = "committee"
     hyper = Hyper
-    fitted = False
+    instead = "fit models of other kinds, then put them together with `tustinnet committee`"
     model = Committee
 
     def parts(self, header: Header) -> Sequence[Header]:

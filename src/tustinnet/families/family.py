@@ -54,8 +54,8 @@ class Family(ABC):
         hyper: what the table `[model]` of a recipe may say.
         stage: keys of a training stage beside those that all families know.
         trains: whether it has weights that are trained; else parameters that are identified.
-        fitted: whether a recipe fits its models; else they are put together of models that are
-            fitted already.
+        instead: what to do instead of naming it in a recipe, of kinds whose models are made of
+            others; empty where a recipe may name it.
         needs: what has to be given beside a recipe, a `system` or the `physics` to correct.
         correctable: whether a network may correct its models.
         model: the class of its models, or of what is stepped in them.
@@ -65,7 +65,7 @@ class Family(ABC):
     hyper: ClassVar[type[Hyper]]
     stage: ClassVar[type[StageKeys]] = StageKeys
     trains: ClassVar[bool] = True
-    fitted: ClassVar[bool] = True
+    instead: ClassVar[str] = ""
     needs: ClassVar[frozenset[Given]] = frozenset()
     correctable: ClassVar[bool] = False
     model: ClassVar[type]

@@ -366,18 +366,14 @@ def read_recipe(
     if not isinstance(table, dict):
         raise InputError(f"{where}, model", f"{table!r}", 'a table with `kind = "..."`')
     kind = str(table.get("kind", USUAL))
-    if kind not in FAMILIES:
-        known = ", ".join(FAMILIES.names())
-        raise InputError(f"{where}, model.kind", f"no kind of model '{kind}'", f"one of {known}")
-    family = FAMILIES[kind]
-    if not family.fitted:
-        known = ", ".join(name for name in FAMILIES.names() if FAMILIES[name].fitted)
-        raise InputError(
-            f"{where}, model.kind", f"kind '{kind}', which is made of models that are fitted",
-            f"one of {known}", "fit models of these kinds, then put them together",
-        )  # fmt: skip
+    known = [name for name in FAMILIES.names() if not FAMILIES[name].instead]
+    if kind not in known:
+        exists = kind in FAMILIES
+        what = f"kind '{kind}', made of other models" if exists else f"no kind of model '{kind}'"
+        instead = FAMILIES[kind].instead if exists else ""
+        raise InputError(f"{where}, model.kind", what, f"one of {', '.join(known)}", instead)
     content["model"] = {"kind": kind, **table}
-    return declare(content, recipe_type(family), where)
+    return declare(content, recipe_type(FAMILIES[kind]), where)
 
 
 def _require_once(changes: Sequence[str]) -> None:

@@ -77,6 +77,10 @@ def residual_of(recipe: StageRecipe | SearchRecipe, experiments: Sequence[Experi
     where coordinates are of different kinds each position is measured by its spread. Not scaled,
     all channels count in SI units.
 
+    A training counts lengths in their spread, rounded to a power of two: else its rate, its clip
+    and Adam's epsilon would mean something else for a stage of 0.1 mm than for one of 1 m. (Not so
+    angles: their radian means the same everywhere.) The rounding lets folds share a program.
+
     Args:
         recipe: the keys `loss`, `periodic` and `scaled` of it.
         experiments: the training records.
@@ -85,11 +89,13 @@ def residual_of(recipe: StageRecipe | SearchRecipe, experiments: Sequence[Experi
     angular = tuple(bool(a) and recipe.periodic for a in channels.angular)
     state = recipe.loss == "state"
     periodic = (*angular, *([False] * channels.n_q if state else []))
-    if not recipe.scaled:
-        return Residual(periodic, (1.0,) * len(periodic))
     span = np.where(moves_in(experiments), _spread([e.q.var(axis=0) for e in experiments]), 0.0)
+    length = ~channels.angular & (span > 0) & isinstance(recipe, StageRecipe)
+    plain = np.where(length, 2.0 ** np.round(np.log2(np.where(length, span, 1.0))), _NOTHING)
+    if not recipe.scaled:
+        return Residual(periodic, tuple(np.tile(plain, 2 if state else 1).tolist()))
     mixed = len({c.kind for c in channels.coordinates}) > 1
-    position = np.where(span > 0, span, _NOTHING) if mixed else np.ones(channels.n_q)
+    position = np.where(span > 0, span, _NOTHING) if mixed else plain
     if not state:
         return Residual(periodic, tuple(position.tolist()))
     speed = _spread([np.mean(e.velocities() ** 2, axis=0) for e in experiments])

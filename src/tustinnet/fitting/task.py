@@ -123,8 +123,8 @@ def make_task(
     chosen = read_recipe(usual if recipe is None else recipe)
     family = chosen.family
     if origin is not None:
-        family.require_own(origin.model)
-        given["physics"] = physics = physics or family.corrected(origin.model)
+        family.require_own(origin.model.dynamics)
+        given["physics"] = physics = physics or family.corrected(origin.model.dynamics)
     if system is None and "system" in family.needs:
         given["system"] = system = getattr(chosen.model, "system", None)
     for what, thing in given.items():

@@ -222,7 +222,7 @@ def _listened(
         def one(x: State, now: _Course, slots: list[Array]) -> tuple[State, list[Array]]:
             ears = [_Ear(*of) for of in zip(layers, transposed, slots, strict=True)]
             following = _advanced(rebuilt(ears, rest), x, now)
-            return following, [jnp.stack(ear.heard) for ear in ears]
+            return following, [ear.all_heard() for ear in ears]
 
         following, heard = jax.vmap(one)(x, *now)
         return following, (following, heard)
@@ -256,6 +256,11 @@ class _Ear:
     def __init__(self, layer: Affine, transposed: Array, slots: Array) -> None:
         self._layer, self._transposed, self._slots = layer, transposed, slots
         self.heard: list[Array] = []
+
+    def all_heard(self) -> Array:
+        """What went in at each call; layers of an encoder have no part in a step."""
+        nothing = jnp.zeros((0, len(self._transposed)), self._transposed.dtype)
+        return jnp.stack(self.heard) if self.heard else nothing
 
     def __call__(self, z: Array) -> Array:
         slot = self._slots[len(self.heard)]

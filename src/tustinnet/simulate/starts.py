@@ -7,9 +7,11 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -38,6 +40,7 @@ class Start(ABC):
     """
 
     pattern: ClassVar[str]
+    usual: ClassVar[int] = 1  # samples, where the name says none
 
     samples: int
 
@@ -172,11 +175,59 @@ class WarmUp(Start):
         return jnp.concatenate([jnp.asarray(known)[:, -1].astype(run.dtype), internal], axis=1)
 
 
-STARTS: tuple[type[Start], ...] = (Stored, Derived, Fitted, WarmUp)
+class Encoder(Start):
+    """`encoder-N`: the model's encoder says the state at the last of the first N samples.
+
+    The run begins there. For models that were trained with this start.
+    """
+
+    pattern: ClassVar[str] = r"encoder(?:-(\d+))?"
+    usual: ClassVar[int] = FITTED
+
+    @property
+    def name(self) -> str:
+        """`encoder-N`."""
+        return f"encoder-{self.samples}"
+
+    @property
+    def first(self) -> int:
+        """The last of the N samples."""
+        return self.samples - 1
+
+    @property
+    def fitted(self) -> int:
+        """All N."""
+        return self.samples
+
+    def material(self, model: Model, experiments: Sequence[Experiment]) -> Any:
+        """Positions of the first N samples, and the inputs."""
+        known = None if model.encoder is None else model.encoder.samples
+        if known != self.samples:
+            has = f"a model with an encoder of {known} samples" if known else "a model without one"
+            usual = f"use the start 'encoder-{known}'" if known else "use the start 'model-20'"
+            raise InputError(
+                "start", f"'{self.name}' for {has}", f"a model trained with `start = "
+                f'"{self.name}"`', usual,
+            )  # fmt: skip
+        for e in experiments:
+            _require_samples(e, self.name, self.samples, FEWEST, "the encoder")
+        q = np.stack([e.q[: self.samples] for e in experiments])
+        return q, drives_of(model, experiments, slice(self.samples)).u
+
+    def states(self, model: Model, material: Any) -> Float[Array, "records n_x"]:
+        """What the encoder says."""
+        assert model.encoder is not None
+        q, u = (jnp.asarray(a) for a in material)
+        return jax.vmap(partial(model.encoder, model.channels))(q, u)
+
+
+STARTS: tuple[type[Start], ...] = (Stored, Derived, Fitted, WarmUp, Encoder)
 
 
 def start_named(name: str) -> Start:
-    """A start by its name: `file`, `derived-6`, `model-20`, `warm-up-20`, any number in its place.
+    """A start by its name: `file`, `derived-6`, `model-20`, `warm-up-20`, `encoder-20`.
+
+    Any number may stand in its place; `encoder` is `encoder-20`.
 
     Raises:
         InputError: no such start.
@@ -184,23 +235,30 @@ def start_named(name: str) -> Start:
     for kind in STARTS:
         match = re.fullmatch(kind.pattern, name)
         if match:
-            return kind(int(match[1]) if match.groups() else 1)
+            number = match[1] if match.groups() else None
+            return kind(kind.usual if number is None else int(number))
     raise InputError(
         "start",
         f"unknown start '{name}'",
-        "'file', 'derived-N' such as derived-6, 'model-N' such as model-20, or 'warm-up-N'",
+        "'file', 'derived-N' such as derived-6, 'model-N' such as model-20, 'warm-up-N' or "
+        "'encoder-N'",
     )
 
 
-def default_start(experiments: Sequence[Experiment], model: Model | None = None) -> str:
-    """The start that is used where nobody names one.
+def default_start(experiments: Sequence[Experiment], *models: Model) -> str:
+    """The start that is used where nobody names one, the same for all of some models.
 
-    A warm-up for models that need one; else `file` where every record stores velocities; else
-    `derived-6`, or `model-20` where a coordinate swings with few samples in a period: a parabola
-    through 6 samples is then far from the motion.
+    The encoder, where every model has one of as many samples; a warm-up where a model needs one;
+    else `file` where every record stores velocities; else `derived-6`, or `model-20` where a
+    coordinate swings with few samples in a period: a parabola through 6 samples is then far from
+    the motion.
     """
-    if model is not None and model.warm_up:
-        return WarmUp(model.warm_up).name
+    encoders = {model.encoder.samples if model.encoder else 0 for model in models}
+    if len(encoders) == 1 and max(encoders):
+        return Encoder(max(encoders)).name
+    warm_up = max((model.warm_up for model in models), default=0)
+    if warm_up:
+        return WarmUp(warm_up).name
     if all(e.v is not None for e in experiments):
         return "file"
     long = min(map(len, experiments)) >= 2 * FITTED

@@ -58,7 +58,7 @@ def test_no_window_crosses_from_one_record_into_the_next(pendulum, recipe):
 
 def test_a_warm_up_before_a_window_stays_within_its_record(pendulum):
     recipe = WindowRecipe(draw="strided", length=30, step=1)
-    windows, length = stage_windows(list(pendulum), recipe, generator(), warm_up=20)
+    windows, length = stage_windows(list(pendulum), recipe, generator(), lead=20)
     assert length == 30
     for record, first in windows.tolist():
         assert first + 20 + length < len(pendulum[record])

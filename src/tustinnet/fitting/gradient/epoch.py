@@ -44,13 +44,13 @@ class WindowLoss:
     Attributes:
         residual: what is compared.
         length: steps in a window that are.
-        warm_up: steps before them that internal states need.
+        lead: steps before them, see `StageWindows`.
         regulariser: what the model's family adds to the loss at every step, if anything.
     """
 
     residual: Residual
     length: int
-    warm_up: int = 0
+    lead: int = 0
     regulariser: Regulariser | None = None
 
 
@@ -101,7 +101,7 @@ def compiled_epochs(prepared: Plan, stage: Stage) -> EpochsFunction:
     program = _Program(
         # the name and the number of epochs make no other program
         recipe=recipe.model_copy(update={"name": "", "epochs": 1, "rate": 1.0}),
-        loss=WindowLoss(stage.residual, windows.length, windows.warm_up, stage.regulariser),
+        loss=WindowLoss(stage.residual, windows.length, windows.lead, stage.regulariser),
         watched=stage.watched is not None and validation is not None,
         trainable=tuple(jax.tree.leaves(stage.trainable)),
         keep=_possible(recipe.keep, stage, validation),
@@ -345,7 +345,7 @@ def gathered(
     loss: WindowLoss,
 ) -> tuple[Float[Array, "batch samples n"], Float[Array, "batch steps *drive"]]:
     """The recorded states and the inputs of windows that begin at these rows."""
-    steps = loss.warm_up + loss.length
+    steps = loss.lead + loss.length
 
     def window(row: Array) -> tuple[Array, Array]:
         cut = jax.lax.dynamic_slice_in_dim
@@ -372,19 +372,21 @@ def window_losses(
         loss: what is compared.
     """
     # a stem is folded once a batch, not applied at every step; its gradient passes the fold
-    simulator, of = model.folded(), model.channels
-    blank = ((0, 0), (0, model.state_size - target.shape[-1]))
-    begin, measured = jnp.pad(target[:, 0], blank), None
-    if loss.warm_up:
-        measured = target[:, : loss.warm_up + 1, of.measured]
-    simulated = rollouts(simulator, begin, u, measured)
-    compared = slice(loss.warm_up, None)
+    simulator, encoder, of = model.folded().dynamics, model.encoder, model.channels
+    lead, compared = target[:, : loss.lead + 1], slice(loss.lead, None)
+    if encoder is not None:
+        begin = jax.vmap(partial(encoder, of))(lead[..., of.position], u[:, : loss.lead])
+        simulated = rollouts(simulator, begin, u[:, compared])
+    else:
+        blank = ((0, 0), (0, model.state_size - target.shape[-1]))
+        measured = lead[..., of.measured] if loss.lead else None
+        simulated = rollouts(simulator, jnp.pad(target[:, 0], blank), u, measured)[:, compared]
     losses = jax.vmap(loss.residual.window_loss)(
-        simulated[:, compared, of.measured], target[:, compared, of.measured]
+        simulated[..., of.measured], target[:, compared, of.measured]
     )
     if loss.regulariser is not None:
         added = jax.vmap(jax.vmap(partial(loss.regulariser, simulator)))
-        losses += jnp.mean(added(simulated[:, :-1], u), axis=1)
+        losses += jnp.mean(added(simulated[:, :-1], u[:, compared]), axis=1)
     return losses
 
 

@@ -69,12 +69,18 @@ class StageWindows:
         rows: the row of `Records` at which each window begins, (count,); of several members
             that train together (members, count).
         length: steps in a window that are compared.
-        warm_up: steps before them that internal states need.
+        lead: steps before them from which the state at their beginning follows: the warm-up of
+            internal states, or what an encoder sees.
     """
 
     rows: Int[np.ndarray, "*members count"]
     length: int
-    warm_up: int = 0
+    lead: int = 0
+
+
+def lead_of(model: Model) -> int:
+    """The samples before those compared in a window, see `StageWindows`."""
+    return model.warm_up if model.encoder is None else model.encoder.samples - 1
 
 
 class Pool:
@@ -102,9 +108,9 @@ class Pool:
     def internal_states(
         self, model: Model, velocity: VelocitySource
     ) -> Float[np.ndarray, "rows n_z"]:
-        """The states with which windows begin; none for models that warm up in every window."""
+        """The states with which windows begin; none where every window has a lead."""
         rows = sum(len(e) for e in self.experiments)
-        if model.warm_up or not model.internal:
+        if lead_of(model) or not model.internal:
             return np.zeros((rows, 0), np.float32)
         along = states_along(model, self.experiments, velocity)
         return np.concatenate(along)[:, model.channels.internal].astype(np.float32)
@@ -145,7 +151,7 @@ def stage_windows(
     experiments: Sequence[Experiment],
     recipe: WindowRecipe,
     generator: np.random.Generator,
-    warm_up: int = 0,
+    lead: int = 0,
 ) -> tuple[Int[np.ndarray, "count 2"], int]:
     """Draws the windows of a stage: (record, first sample) of each, and their length.
 
@@ -153,7 +159,7 @@ def stage_windows(
         InputError: a record is not longer than a window, or no window fits.
     """
     length = adapted_length(experiments, recipe.length) if recipe.adapt else recipe.length
-    reach, shortest = length + warm_up, min(experiments, key=len)
+    reach, shortest = length + lead, min(experiments, key=len)
     if len(shortest) <= reach:
         raise InputError(
             shortest.name,

@@ -13,6 +13,8 @@ from jaxtyping import Array, Float, Int, Key
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
+from tustinnet.families.encoded import EncodedModel, with_encoder
+from tustinnet.families.family import family_of
 from tustinnet.fitting.gradient.layout import lay_out_devices
 from tustinnet.fitting.gradient.material import (
     Pool,
@@ -21,6 +23,7 @@ from tustinnet.fitting.gradient.material import (
     ValidationRuns,
     adapted_length,
     draw,
+    lead_of,
     stage_windows,
     validation_runs,
 )
@@ -32,7 +35,7 @@ from tustinnet.fitting.task import Fold, Member, Task
 from tustinnet.models.contract import Model, with_dtype
 from tustinnet.simulate.batches import batches
 from tustinnet.simulate.horizon import horizon_samples, within
-from tustinnet.simulate.starts import Start, default_start, start_named
+from tustinnet.simulate.starts import Encoder, Start, default_start, start_named
 
 
 @dataclass(frozen=True)
@@ -118,7 +121,8 @@ def plan(task: Task, devices: Sequence[Any] | None = None) -> Plan:
         for f in used
     }
     given = tuple(
-        _begun(task, m.fold, make[m.fold](key)) for m, (key, _) in zip(members, keys, strict=True)
+        _begun(task, m.fold, make[m.fold](key), key)
+        for m, (key, _) in zip(members, keys, strict=True)
     )
     single = [with_dtype(model, np.float32) for model in given]
     require_alike(single)
@@ -148,10 +152,23 @@ def plan(task: Task, devices: Sequence[Any] | None = None) -> Plan:
     )
 
 
-def _begun(task: Task, fold: int, built: Model) -> Model:
-    """A model as it was built, or with the weights of the one that its fold begins with."""
-    origin = task.folds[fold].origin
-    return built if origin is None else task.recipe.family.begun(built, origin.model)
+def _begun(task: Task, fold: int, built: Model, key: Key[Array, ""]) -> Model:
+    """A model as it was built, or with the weights of the one that its fold begins with.
+
+    With an encoder, where free runs start by one.
+    """
+    recipe, origin = task.recipe, task.folds[fold].origin
+    assert isinstance(recipe, TrainingRecipe)
+    if origin is not None:
+        built = recipe.family.begun(built, origin.model.dynamics)
+    start = None if recipe.start is None else start_named(recipe.start)
+    if not isinstance(start, Encoder):
+        return built
+    known = None if origin is None else origin.model.encoder
+    if known is not None and known.samples == start.samples:
+        return EncodedModel(built, known)
+    train = task.folds[fold].roles.train
+    return with_encoder(built, train, recipe.velocity, start.samples, key)
 
 
 def _shared_physics(fold: Fold) -> Model | None:
@@ -222,12 +239,12 @@ def _peers(task: Task) -> list[Roles]:
 def _plan_stage(index: int, task: Task, model: Model, pool: Pool, peers: Sequence[Roles]) -> Stage:
     """The stage with the windows of every member drawn."""
     assert isinstance(task.recipe, TrainingRecipe)
-    family, warm_up, recipe = task.recipe.family, model.warm_up, task.recipe.stages[index]
+    lead, recipe = lead_of(model), task.recipe.stages[index]
     roles = [task.folds[m.fold].roles for m in task.members]
     drawn, lengths = [], set()
     for seed, of in _drawing(task, peers):
         generator = np.random.default_rng([seed, index])
-        windows, length = stage_windows(of.train, recipe.windows, generator, warm_up)
+        windows, length = stage_windows(of.train, recipe.windows, generator, lead)
         drawn.append(pool.rows(windows, of.train))
         lengths.add(length)
     if len(lengths) > 1:
@@ -239,19 +256,19 @@ def _plan_stage(index: int, task: Task, model: Model, pool: Pool, peers: Sequenc
         for seed, of in _drawing(task, peers):
             generator = np.random.default_rng([seed, index, 1])
             if of.validation:
-                windows = draw(of.validation, recipe.windows, length + warm_up, generator)
+                windows = draw(of.validation, recipe.windows, length + lead, generator)
                 found.append(pool.rows(windows, of.validation))
         if len(found) == len(drawn) and all(len(rows) for rows in found):
-            watched = StageWindows(_side_by_side(found, len(roles)), length, warm_up)
+            watched = StageWindows(_side_by_side(found, len(roles)), length, lead)
     residuals = {residual_of(recipe, of.train) for of in roles}
     if len(residuals) > 1:
         raise InputError(f"stage '{recipe.name}'", "residuals of different units", "one unit")
     return Stage(
         recipe=recipe,
-        windows=StageWindows(_side_by_side(drawn, len(roles)), length, warm_up),
-        trainable=family.trainable(model, recipe),
+        windows=StageWindows(_side_by_side(drawn, len(roles)), length, lead),
+        trainable=family_of(model).trainable(model, recipe),
         residual=residuals.pop(),
-        regulariser=family.regulariser(recipe),
+        regulariser=task.recipe.family.regulariser(recipe),
         watched=watched,
     )
 

@@ -94,8 +94,8 @@ def written(
     for of in subjects:
         for e in records:
             require_fit(of.model, e)
-    needing = max((of.model for of in subjects), key=lambda model: model.warm_up)
-    start = default_start(records, needing) if asked.start is None else asked.start
+    models = [of.model for of in subjects]
+    start = default_start(records, *models) if asked.start is None else asked.start
     found = [judged(of, records, start, asked.horizon) for of in subjects]
     write_into(path.parent, path.name, page_of(found, records, asked))
     return path

@@ -1,0 +1,84 @@
+"""Cross-validation by jobs comes to what it comes to in one piece."""
+
+from dataclasses import replace
+
+import pytest
+from small_selection import GREY, HYBRID, NETWORK, swings
+from swinging import SWING
+
+import tustinnet as tn
+from tustinnet.data.declaration import parse_toml
+from tustinnet.evaluate.folds import Question, cross_validate, make_question
+from tustinnet.fitting.listener import SILENT
+from tustinnet.selection.cross_validation import cross_validate_by_jobs, discard_jobs
+from tustinnet.selection.executors import InProcess
+from tustinnet.selection.jobs import Job, Workplace
+
+
+def here(at: Workplace) -> InProcess:
+    return InProcess(at, lambda job: lambda prepared: SILENT)
+
+
+class Counting(InProcess):
+    """In this process; counts the jobs that were not done before."""
+
+    def __init__(self, at: Workplace) -> None:
+        self.fitted: list[tuple[str, int]] = []
+
+        def tell(job: Job):
+            def begun(prepared):
+                self.fitted.append((job.candidate, job.fold))
+                return SILENT
+
+            return begun
+
+        super().__init__(at, tell)
+
+
+def asked(kind: str) -> Question:
+    brief = ["stages.*.epochs=5"]
+    if kind == "network":
+        network = tn.read_recipe(parse_toml(NETWORK), brief)
+        return make_question(network, folds=3, seeds=(2, 5), starts=("derived-6", "model-10"))
+    hybrid = tn.read_recipe(parse_toml(HYBRID), brief)
+    grey = tn.read_recipe(parse_toml(GREY))
+    return make_question(hybrid, system=SWING, physics=grey, folds=3)
+
+
+@pytest.mark.parametrize("kind", ["network", "hybrid"])
+def test_scores_are_those_of_one_piece_and_jobs_that_are_done_are_kept(kind, tmp_path):
+    question, made = asked(kind), []
+
+    def executor(at: Workplace) -> Counting:
+        made.append(Counting(at))
+        return made[-1]
+
+    whole = cross_validate(swings(), question)
+    system = SWING if kind == "hybrid" else None
+    found = [
+        cross_validate_by_jobs(swings(), question, tmp_path, executor, system) for _ in range(2)
+    ]
+    for of in found:
+        assert of.outcomes == whole.outcomes
+        assert (of.recipe, of.unit) == (whole.recipe, whole.unit)
+        assert sorted(of.scores, key=str) == sorted(whole.scores, key=str)
+    folds = [("recipe", fold) for fold in range(3)]
+    physics = [("physics", fold) for fold in range(3)] if kind == "hybrid" else []
+    assert [of.fitted for of in made] == [physics + folds, []]
+    discard_jobs(tmp_path)
+    cross_validate_by_jobs(swings(), question, tmp_path, executor, system)
+    assert made[-1].fitted == physics + folds
+
+
+def test_a_job_that_fails_is_told_with_its_fold(tmp_path):
+    short = tn.DataSet("short", tuple(e[:18] for e in swings()))
+    with pytest.raises(tn.InputError, match=r"fold 0: .*18 samples; expected more than a window"):
+        cross_validate_by_jobs(short, asked("network"), tmp_path, here)
+
+
+def test_a_horizon_that_no_record_has_is_refused_before_anything_is_fitted(tmp_path):
+    question = asked("network")
+    far = question.recipe.model_copy(update={"horizon": 100.0})
+    with pytest.raises(tn.InputError, match="horizon"):
+        cross_validate_by_jobs(swings(), replace(question, recipe=far), tmp_path, here)
+    assert not list(tmp_path.iterdir())
