@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from every_family import network
-from swinging import CART, records, simulated, voltage
+from swinging import CART, CREEPING, DT, records, simulated, swing_model, voltage
 
 import tustinnet as tn
 from tustinnet.families.encoded import EncodedModel, with_encoder
@@ -87,6 +87,20 @@ def test_its_scores_in_training_are_those_of_an_evaluation():
     scores = tn.evaluate(found.model, list(data().split("validation")), found.start)
     assert tn.mean_rmse(scores) == pytest.approx(found.validation_rmse, rel=1e-4)
     assert scores[0].start == f"encoder-{SAMPLES}"
+
+
+def test_a_hybrid_has_one_too():
+    known = tn.discretise(swing_model({"gravity": 1.2}, CREEPING), DT)
+    correction = {"kind": "hybrid", "correction": {"kind": "tustin-net", "hidden": [4]}}
+    found = tn.fit(data(), recipe(correction), physics=known)
+    model: Any = found.model
+    assert isinstance(model.dynamics, tn.HybridModel)
+    assert model.internal == ("creep",)
+    assert np.isfinite(found.validation_rmse or np.inf)
+    # the physics is not trained, the rest is
+    for a, b in zip(jax.tree.leaves(model.dynamics.physics), jax.tree.leaves(known), strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert np.abs(model.encoder.output.weight).max() > 1e-4
 
 
 def test_untrained_it_says_velocities_better_than_a_parabola_and_positions_as_measured():
@@ -189,6 +203,9 @@ def test_records_that_are_too_short():
         tn.evaluate(encoded(), [coarse(1)[:8]], "encoder-10")
     with pytest.raises(tn.InputError, match="more than a window of 209 steps"):
         tn.fit(data(), recipe(KINDS["tustin-net"], "encoder-200"))
+    for start in ("encoder-0", "encoder-2", "encoder-201"):
+        with pytest.raises(tn.InputError, match=rf"'{start}'; expected 3 to 200 samples"):
+            tn.fit(data(), recipe(KINDS["tustin-net"], start))
 
 
 def test_kinds_that_cannot_be_named_in_a_recipe():

@@ -12,6 +12,7 @@ from jaxtyping import Array, PRNGKeyArray, PyTree
 
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment, VelocitySource
+from tustinnet.errors import InputError
 from tustinnet.families.family import (
     Arrays,
     Family,
@@ -31,6 +32,7 @@ from tustinnet.registry import FAMILIES
 from tustinnet.signals.excitation import Excitation
 from tustinnet.simulate.along import states_along
 from tustinnet.simulate.drive import drive_of
+from tustinnet.simulate.fitted_start import FEWEST
 
 _HIDDEN = 32  # units
 _EXAMPLES = 5000  # samples at which the linear map is found, at most
@@ -113,12 +115,19 @@ def with_encoder(
 
     Args:
         model: the model.
-        experiments: the training records, longer than so many samples.
+        experiments: the training records.
         velocity: where their velocities come from.
         samples: how many samples the encoder sees.
         key: the source of the network's weights.
+
+    Raises:
+        InputError: fewer than 3 samples, or more than every record has.
     """
-    of = model.channels
+    of, longest = model.channels, max(map(len, experiments))
+    if not FEWEST <= samples <= longest:
+        raise InputError(
+            "start", f"'encoder-{samples}'", f"{FEWEST} to {longest} samples, the longest record's"
+        )
     long = [e for e in experiments if len(e) >= samples]
     states = states_along(model, long, velocity)
     every = max(1, sum(len(e) - samples + 1 for e in long) // _EXAMPLES)
