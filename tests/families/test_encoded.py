@@ -187,7 +187,11 @@ def test_a_training_goes_on_with_it():
 @pytest.mark.parametrize(
     ("model", "start", "message"),
     [
-        (network(0), "encoder", r"'encoder-20' for a model without one.*use the start 'model-20'"),
+        (
+            network(0),
+            "encoder",
+            r"for a model without encoder.*use the start 'model-20'",
+        ),
         (encoded(), "encoder", r"with an encoder of 10 samples.*use the start 'encoder-10'"),
         (encoded(), "encoder-2", r"'encoder-2' for a model with an encoder of 10"),
         (encoded(), "encoder-", r"unknown start 'encoder-'"),
@@ -199,19 +203,24 @@ def test_starts_that_it_does_not_have(model, start, message):
 
 
 def test_records_that_are_too_short():
-    with pytest.raises(tn.InputError, match=r"coarse1.*encoder-10.*3 to 8 samples"):
+    with pytest.raises(
+        tn.InputError, match=r"coarse1: 8 samples; expected at least 10 for the start 'encoder-10'"
+    ):
         tn.evaluate(encoded(), [coarse(1)[:8]], "encoder-10")
-    with pytest.raises(tn.InputError, match="more than a window of 209 steps"):
-        tn.fit(data(), recipe(KINDS["tustin-net"], "encoder-200"))
-    for start in ("encoder-0", "encoder-2", "encoder-201"):
-        with pytest.raises(tn.InputError, match=rf"'{start}'; expected 3 to 200 samples"):
+    with pytest.raises(tn.InputError, match=r"a window of 208 steps, 198 of them before.*start"):
+        tn.fit(data(), recipe(KINDS["tustin-net"], "encoder-199"))
+    short = tn.DataSet("coarse", (*list(data())[:3], replace(coarse(4)[:8], split="validation")))
+    with pytest.raises(tn.InputError, match=r"coarse4: 8 samples; expected at least 10"):
+        tn.fit(short, recipe(KINDS["tustin-net"]))
+    for start in ("encoder-0", "encoder-2", "encoder-200"):
+        with pytest.raises(tn.InputError, match=rf"'{start}'; expected at least 3 samples, and"):
             tn.fit(data(), recipe(KINDS["tustin-net"], start))
 
 
 def test_kinds_that_cannot_be_named_in_a_recipe():
     with pytest.raises(tn.InputError, match=r'made of other models.*say `start = "encoder-20"`'):
         tn.read_recipe("standard", ["model.kind=encoded"])
-    with pytest.raises(tn.InputError, match="a start that is fitted"):
+    with pytest.raises(tn.InputError, match="a start that needs a model"):
         tn.read_recipe("grey", ["search.initial=encoder-20"])
 
 

@@ -79,7 +79,7 @@ def test_a_recipe_says_what_is_fixed_and_where_the_search_begins():
         ("tolerance = 0", r"search\.tolerance: .*greater than 0"),
         ("substeps = 0", r"search\.substeps: .*greater than 0"),
         ('initial = "guessed"', "unknown start 'guessed'"),
-        ('initial = "model-20"', r"a start that is fitted; choose, anchored"),
+        ('initial = "model-20"', r"a start that needs a model; expected choose, anchored"),
         ('[[stages]]\nname = "first"', "stages: unknown key"),
     ],
 )

@@ -10,7 +10,7 @@ import tustinnet as tn
 from tustinnet.data.declaration import parse_toml
 from tustinnet.evaluate.folds import Question, cross_validate, make_question
 from tustinnet.fitting.listener import SILENT
-from tustinnet.selection.cross_validation import cross_validate_by_jobs, discard_jobs
+from tustinnet.selection.cross_validation import cross_validate_by_jobs, forget
 from tustinnet.selection.executors import InProcess
 from tustinnet.selection.jobs import Job, Workplace
 
@@ -65,7 +65,9 @@ def test_scores_are_those_of_one_piece_and_jobs_that_are_done_are_kept(kind, tmp
     folds = [("recipe", fold) for fold in range(3)]
     physics = [("physics", fold) for fold in range(3)] if kind == "hybrid" else []
     assert [of.fitted for of in made] == [physics + folds, []]
-    discard_jobs(tmp_path)
+    (tmp_path / "folds.json").touch()
+    forget(tmp_path, ["folds.json", "folds.md"], jobs=True)
+    assert not (tmp_path / "folds.json").exists()
     cross_validate_by_jobs(swings(), question, tmp_path, executor, system)
     assert made[-1].fitted == physics + folds
 

@@ -1,5 +1,7 @@
 """`tustinnet cross-validate`: a recipe on records that its models never saw."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -8,8 +10,10 @@ import typer
 from tustinnet.cli import completion, options, terminal
 
 if TYPE_CHECKING:
-    from tustinnet.data.dataset import DataSet
-    from tustinnet.evaluate.folds import Question, Validated
+    from tustinnet.selection.executors import Executor
+    from tustinnet.selection.jobs import Workplace
+
+_FILE, _TABLE = "folds.json", "folds.md"
 
 _Physics = Annotated[
     str | None,
@@ -66,52 +70,45 @@ def cross_validate(
     from tustinnet.evaluate.folds import cross_validate, make_question, taking_part
     from tustinnet.report.fits import folds_table
     from tustinnet.report.progress import FitProgress
-    from tustinnet.selection.cross_validation import discard_jobs
+    from tustinnet.selection.cross_validation import cross_validate_by_jobs, forget
     from tustinnet.store.files import owned, require_new, to_json, write_into
+    from tustinnet.systems.files import find_system
 
-    chosen = recipe_of(recipe, changes, system=system, physics=physics)
     asked = make_question(
-        chosen, system=system, physics=physics, folds=folds,
-        seeds=None if seeds is None else seeds_of(seeds), starts=start or (),
+        recipe_of(recipe, changes, system=system, physics=physics), system=system, physics=physics,
+        folds=folds, seeds=None if seeds is None else seeds_of(seeds), starts=start or (),
     )  # fmt: skip
-    told, file = terminal.messages(), out / "folds.json"
-    require_new([file], overwrite=overwrite)
+    told = terminal.messages()
+    require_new([out / _FILE], overwrite=overwrite)
     records = loaded(data, card, out, told, strict=strict)
     tell_still(taking_part(records), told)
-    with owned(out), FitProgress(told, quiet=quiet) as progress:
-        if cluster is None:
-            found = cross_validate(records, asked, progress.follow)
+    with _joined(cluster, quiet=quiet) as by, owned(out), FitProgress(told, quiet=quiet) as bars:
+        if by is None:
+            found = cross_validate(records, asked, bars.follow)
         else:
-            if overwrite:
-                discard_jobs(out)
-            found = _by_jobs(records, asked, (out, cluster), system, quiet=quiet)
+            forget(out, (_FILE, _TABLE), jobs=overwrite)
+            found = cross_validate_by_jobs(records, asked, out, by, system and find_system(system))
         table = folds_table(found)
-        write_into(out, file.name, to_json(found.as_plain()))
-        write_into(out, "folds.md", table.markdown())
+        write_into(out, _FILE, to_json(found.as_plain()))
+        write_into(out, _TABLE, table.markdown())
     if json:
         terminal.print_json(found.as_plain())
     else:
         terminal.print_tables(table)
-    told.print(f"written: {file}, {out / 'folds.md'}")
+    told.print(f"written: {out / _FILE}, {out / _TABLE}")
 
 
-def _by_jobs(
-    records: "DataSet",
-    asked: "Question",
-    at: tuple[Path, str],
-    system: str | None,
-    *,
-    quiet: bool,
-) -> "Validated":
-    """Validates by jobs below a folder, on a cluster: `at` has both."""
+@contextmanager
+def _joined(
+    address: str | None, *, quiet: bool
+) -> "Iterator[Callable[[Workplace], Executor] | None]":
+    """The machines of a cluster, None where none is asked for."""
+    if address is None:
+        yield None
+        return
     from tustinnet.selection.cluster import cluster
-    from tustinnet.selection.cross_validation import cross_validate_by_jobs
-    from tustinnet.systems.files import find_system
 
-    folder, address = at
-    named = None if system is None else find_system(system)
-    with (
-        terminal.interruptible("the same command goes on with the folds that are done"),
-        cluster(address, (lambda _: None) if quiet else terminal.messages().print) as executor,
-    ):
-        return cross_validate_by_jobs(records, asked, folder, executor, named)
+    say = (lambda sentence: None) if quiet else terminal.messages().print
+    goes_on = "the same command, without --overwrite, goes on with the folds that are done"
+    with terminal.interruptible(goes_on), cluster(address, say) as executor:
+        yield executor

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, PRNGKeyArray, PyTree
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment, VelocitySource
@@ -124,22 +124,12 @@ def with_encoder(
         InputError: fewer than 3 samples, or more than every record has.
     """
     of, longest = model.channels, max(map(len, experiments))
-    if not FEWEST <= samples <= longest:
+    if not FEWEST <= samples < longest:
         raise InputError(
-            "start", f"'encoder-{samples}'", f"{FEWEST} to {longest} samples, the longest record's"
-        )
-    long = [e for e in experiments if len(e) >= samples]
-    states = states_along(model, long, velocity)
-    every = max(1, sum(len(e) - samples + 1 for e in long) // _EXAMPLES)
-    look = jax.vmap(lambda q, u: encoder_features(of, q, u))
-    seen, wanted = [], []
-    for e, x in zip(long, states, strict=True):
-        last = np.arange(samples - 1, len(e), every)
-        rows = last[:, None] + np.arange(1 - samples, 1)
-        u = np.asarray(drive_of(model, e).u)
-        seen.append(np.asarray(look(e.q[rows], u[rows[:, :-1]])))
-        wanted.append(x[last])
-    phi, x = np.concatenate(seen), np.concatenate(wanted)
+            "start", f"'encoder-{samples}'",
+            f"at least {FEWEST} samples, and fewer than the longest record's {longest}",
+        )  # fmt: skip
+    phi, x = _examples(model, experiments, velocity, samples)
     offset, scale = phi.mean(axis=0), phi.std(axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     unit = root_mean_square(x)
@@ -162,6 +152,23 @@ def with_encoder(
         samples=samples,
     )
     return EncodedModel(model, encoder)
+
+
+def _examples(
+    model: Model, experiments: Sequence[Experiment], velocity: VelocitySource, samples: int
+) -> tuple[Float[np.ndarray, "examples n_phi"], Float[np.ndarray, "examples n_x"]]:
+    """What an encoder sees along records, and the states that it should say."""
+    long = [e for e in experiments if len(e) >= samples]
+    every = max(1, sum(len(e) - samples + 1 for e in long) // _EXAMPLES)
+    look = jax.vmap(lambda q, u: encoder_features(model.channels, q, u))
+    seen, wanted = [], []
+    for e, x in zip(long, states_along(model, long, velocity), strict=True):
+        last = np.arange(samples - 1, len(e), every)
+        rows = last[:, None] + np.arange(1 - samples, 1)
+        u = np.asarray(drive_of(model, e).u)
+        seen.append(np.asarray(look(e.q[rows], u[rows[:, :-1]])))
+        wanted.append(x[last])
+    return np.concatenate(seen), np.concatenate(wanted)
 
 
 class EncodedFamily(Family):

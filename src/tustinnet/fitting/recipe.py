@@ -197,7 +197,10 @@ class SearchRecipe(Declaration):
     @classmethod
     def _known(cls, initial: str) -> str:
         if initial not in ("choose", "anchored", "unanchored") and start_named(initial).fitted:
-            raise ValueError("a start that is fitted; choose, anchored, unanchored or derived-6")
+            raise ValueError(
+                "a start that needs a model; expected choose, anchored, unanchored, or a start "
+                "without one: file, derived-6"
+            )
         return initial
 
 

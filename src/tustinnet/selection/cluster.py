@@ -142,7 +142,8 @@ class _Workers:
             if not isinstance(found, JobResult):
                 raise InputError(f"worker on {host}", *found)
             if found.ended == "done":
-                self._say(f"{_named(of.job)}: done on {host} in {found.seconds:.1f} s")
+                told = f"done on {host} in {found.seconds:.1f} s"
+                self._say(f"{_named(of.job)}: {'was done before' if found.earlier else told}")
             return found
 
     def close(self) -> None:

@@ -65,9 +65,14 @@ def cross_validate_by_jobs(
     )
 
 
-def discard_jobs(folder: Path) -> None:
-    """Forgets the jobs that are done below a folder."""
-    for name in (_PHYSICS, _RECIPE):
+def forget(folder: Path, results: Sequence[str], *, jobs: bool) -> None:
+    """Removes the results of an earlier validation by name, and perhaps the scores of its jobs.
+
+    What is interrupted then leaves no results of another validation.
+    """
+    for name in results:
+        (folder / name).unlink(missing_ok=True)
+    for name in (_PHYSICS, _RECIPE) if jobs else ():
         for path in (folder / CANDIDATES / name).glob(f"*/{SCORES}"):
             path.unlink()
 

@@ -116,6 +116,7 @@ class JobResult:
         scores: of every seed, where it was.
         why: what went wrong, where it was not.
         needs: how long it would have taken [s], as far as that is known, where time was up.
+        earlier: whether it was found done.
     """
 
     __pydantic_config__ = ConfigDict(extra="forbid")
@@ -127,6 +128,7 @@ class JobResult:
     scores: tuple[SeedScore, ...] = ()
     why: str = ""
     needs: float | None = None
+    earlier: bool = False
 
 
 _RESULT = TypeAdapter(JobResult)
@@ -199,7 +201,7 @@ def perform(job: Job, at: Workplace, tell: Tell) -> JobResult:
     except InputError as error:
         spent = time.monotonic() - begun
         return JobResult(job.candidate, job.fold, spent, "failed", why=str(error))
-    told = _RESULT.dump_python(found, mode="json")
+    told = _RESULT.dump_python(replace(found, earlier=False), mode="json")
     content = {"fit": of, "judging": asdict(at.judging), "result": told}
     write_into(at.folder, f"{job.folder}/{SCORES}", to_json(content))
     return found
@@ -241,6 +243,7 @@ def _done_before(job: Job, at: Workplace, of: str) -> JobResult | None:
         return None
     if not all((at.folder / s.model).is_file() for s in found.scores):
         return None
+    found = replace(found, earlier=True)
     if before == asdict(at.judging):
         return found
     names = list(next(iter(found.scores[0].rmse.values())))

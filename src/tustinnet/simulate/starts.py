@@ -203,14 +203,18 @@ class Encoder(Start):
         """Positions of the first N samples, and the inputs."""
         known = None if model.encoder is None else model.encoder.samples
         if known != self.samples:
-            has = f"a model with an encoder of {known} samples" if known else "a model without one"
+            has = f"with an encoder of {known} samples" if known else "without encoder"
             usual = f"use the start 'encoder-{known}'" if known else "use the start 'model-20'"
             raise InputError(
-                "start", f"'{self.name}' for {has}", f"a model trained with `start = "
+                "start", f"'{self.name}' for a model {has}", f"a model trained with `start = "
                 f'"{self.name}"`', usual,
             )  # fmt: skip
         for e in experiments:
-            _require_samples(e, self.name, self.samples, FEWEST, "the encoder")
+            if len(e) < self.samples:
+                raise InputError(
+                    e.name, f"{len(e)} samples", f"at least {self.samples} for the start "
+                    f"'{self.name}'", "leave the record out, or take another start",
+                )  # fmt: skip
         q = np.stack([e.q[: self.samples] for e in experiments])
         return q, drives_of(model, experiments, slice(self.samples)).u
 

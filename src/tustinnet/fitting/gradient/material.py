@@ -135,11 +135,12 @@ def validation_runs(
     filled = [piece for of in cut for piece in [*of, *of[:1] * (most - len(of))]]
     counted = [1.0 / (len(e) - start.first) * (i < len(of))
                for e, of in zip(experiments, cut, strict=True) for i in range(most)]  # fmt: skip
+    material = start.material(model, filled)
     tails = [piece[start.first :] for piece in filled]
     u = drives_of(model, filled, slice(start.first, None)).u
     q = stacked([e.q for e in tails])
     weight = stacked([np.full(len(e), w) for e, w in zip(tails, counted, strict=True)])
-    arrays = (start.material(model, filled), u, q, weight)
+    arrays = (material, u, q, weight)
 
     def by_record(a: Array | np.ndarray) -> Array:
         return jnp.asarray(a, jnp.float32).reshape(len(cut), most, *np.shape(a)[1:])
@@ -161,11 +162,13 @@ def stage_windows(
     length = adapted_length(experiments, recipe.length) if recipe.adapt else recipe.length
     reach, shortest = length + lead, min(experiments, key=len)
     if len(shortest) <= reach:
+        before = f", {lead} of them before what is compared" if lead else ""
+        shorter = " or what its start needs" if lead else ""
         raise InputError(
             shortest.name,
             f"{len(shortest)} samples",
-            f"more than a window of {reach} steps",
-            "leave the record out, or shorten `length` in the recipe",
+            f"more than a window of {reach} steps{before}",
+            f"leave the record out, or shorten `length`{shorter} in the recipe",
         )
     windows = draw(experiments, recipe, reach, generator)
     if not len(windows):
