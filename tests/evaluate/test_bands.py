@@ -114,3 +114,52 @@ def test_a_free_run_that_is_not_finite_is_refused():
     bad = Guess(guess.record, guess.simulated * np.inf, guess.spread, guess.moving, 0)
     with pytest.raises(InputError, match="calibrate over a horizon"):
         calibrated([bad, guess], [e, e], "file")
+
+
+def test_rest_has_a_band_of_its_own_where_only_some_records_come_to_rest():
+    def of(seeds: range) -> tuple[list[Guess], list[tn.Experiment]]:
+        pairs = [made(seed, n_rest=200 if seed % 2 else 0) for seed in seeds]
+        for guess, _ in pairs:  # a tenth of the error is left at rest, the alternatives agree
+            guess.simulated[~guess.moving] = 0.0 * guess.simulated[~guess.moving]
+            guess.spread[~guess.moving] = 0.0
+        still = [
+            tn.from_arrays(
+                np.where(g.moving[:, None], e.q, 1e-4 * np.sin(np.arange(N)[:, None])), dt=0.01,
+                coordinates=[TOLD], name=e.name,
+            )
+            for g, e in pairs
+        ]  # fmt: skip
+        return [g for g, _ in pairs], still
+
+    calibration = calibrated(*of(range(30)), "file")
+    (moving,), (resting,) = calibration.moving, calibration.resting
+    assert resting.knows(0.9)
+    assert not resting.knows(0.95)  # 15 records come to rest
+    assert moving.knows(0.95)
+    tried, known = of(range(101, 121, 2))
+    bands = [band_of(calibration, guess, 0.9) for guess in tried]
+    _, rest = covered(known, bands)
+    assert 0.85 < rest.inside < 0.97
+    assert rest.width < 5 * rest.rmse
+    # at a level that they cannot promise, what holds for motion holds for them
+    half = calibration.half(tried[0], 0.96)[~tried[0].moving, 0]
+    np.testing.assert_allclose(half, moving.factor(0.96, "time") * moving.floor)
+
+
+def test_a_width_follows_the_root_of_the_spread():
+    calibration = calibrated(*some(range(30)), "file")
+    (moving,) = calibration.moving
+    assert moving.unit is not None
+    assert moving.floor == pytest.approx(0.2 * moving.unit)
+    widths = moving.width(np.array([0.0, moving.unit, 100 * moving.unit]))
+    np.testing.assert_allclose(widths / moving.unit, [0.2, 1.04**0.5, 100.04**0.5])
+
+
+def test_bands_of_files_from_before_are_as_they_were():
+    calibration = calibrated(*some(range(9)), "file")
+    header = calibration.as_header()
+    for part in (*header["moving"], *header["resting"]):
+        del part["unit"]
+    (part,) = Calibration.from_header({"bands": header}, "model").moving
+    spread = np.array([0.0, 0.1])
+    np.testing.assert_allclose(part.width(spread), np.hypot(spread, part.floor))

@@ -1,8 +1,9 @@
 """Bands around free runs: how far the truth may be, learnt from records that trained nothing.
 
-A band is as wide as the alternatives of a model differ, or at least as a floor says, times a
-factor. The factor is what it takes to hold the errors on the calibration records (split conformal
-prediction): of each coordinate apart, and apart of motion and of rest.
+A band is as wide as the root of how far the alternatives of a model differ, or at least as a floor
+says, times a factor. The root, because alternatives differ more from record to record, and from
+time to time, than errors do. The factor is what it takes to hold the errors on the calibration
+records (split conformal prediction): of each coordinate apart, and apart of motion and of rest.
 """
 
 import math
@@ -22,9 +23,8 @@ from tustinnet.signals.transients import rest_thresholds, settling_index
 from tustinnet.simulate.starts import start_named
 
 KEY = "bands"  # in headers of model files
-_FLOORS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0)  # of the errors' root mean square
+_FLOOR = 0.2  # of the errors' root mean square
 _GRID = np.arange(1, 1000) / 1000  # levels that factors are kept for
-_USUAL = 0.8  # level at which a floor is chosen
 _FEWEST = 2  # samples of every record for a part of its own
 _LEAST = 1e-12  # floor of records without any error [rad or m]
 _ROUNDING = 1e-9
@@ -56,21 +56,24 @@ class Part:
 
     Attributes:
         floor: the least that stands for a spread [rad or m].
-        factors: times of the spread at levels 0.001, 0.002, ... that hold that share of the time;
+        factors: times of the width at levels 0.001, 0.002, ... that hold that share of the time;
             as far as the number of records allows.
-        records: times of the spread that hold all of each calibration record, in rising order.
+        records: times of the width that hold all of each calibration record, in rising order.
+        unit: a spread of which the root is as wide as itself [rad or m]; None in files from before
+            roots were taken.
     """
 
     floor: float
     factors: tuple[float, ...]
     records: tuple[float, ...]
+    unit: float | None = None
 
     def width(self, spread: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """The spread, or the floor [rad or m]; smooth between."""
-        return np.sqrt(spread**2 + self.floor**2)
+        """The root of the spread, or the floor [rad or m]; smooth between."""
+        return np.sqrt((spread if self.unit is None else self.unit) * spread + self.floor**2)
 
     def factor(self, level: float, of: Of) -> float:
-        """What a band of a level is times the spread.
+        """What a band of a level is times the width.
 
         Raises:
             InputError: too few records for this level.
@@ -80,10 +83,13 @@ class Part:
             return self.records[math.ceil(level * (len(self.records) + 1) - _ROUNDING) - 1]
         return self.of_time(level)
 
+    def knows(self, level: float) -> bool:
+        """Whether its records say what holds a share of the time."""
+        return _place(level) < len(self.factors)
+
     def of_time(self, level: float) -> float:
-        """Times of the spread that hold a share of the time, or as much as is known."""
-        place = math.ceil(level * (len(_GRID) + 1) - _ROUNDING) - 1
-        return self.factors[min(place, len(self.factors) - 1)]
+        """Times of the width that hold a share of the time, or as much as is known."""
+        return self.factors[min(_place(level), len(self.factors) - 1)]
 
 
 @dataclass(frozen=True)
@@ -133,7 +139,8 @@ class Calibration:
         horizon: how long they lasted at most [s], None for whole records.
         records: the calibration records.
         moving: of each coordinate, while something moves.
-        resting: of each coordinate, after that; the same where too few records come to rest.
+        resting: of each coordinate, after that, from the records that come to rest. Where these
+            are too few for a level, what holds for motion holds for rest.
     """
 
     start: str
@@ -161,7 +168,8 @@ class Calibration:
         """
         half = np.empty_like(guess.simulated)
         for j, (moving, resting) in enumerate(zip(self.moving, self.resting, strict=True)):
-            for part, where in ((moving, guess.moving), (resting, ~guess.moving)):
+            still = resting if of == "record" or resting.knows(level) else moving
+            for part, where in ((moving, guess.moving), (still, ~guess.moving)):
                 half[where, j] = part.factor(level, of) * part.width(guess.spread[where, j])
         return half
 
@@ -192,11 +200,18 @@ class Calibration:
                 where, "a model without bands", "one that was calibrated", "tustinnet calibrate"
             )
         parts = {
-            key: tuple(Part(p["floor"], tuple(p["factors"]), tuple(p["records"]))
-                       for p in told[key])
+            key: tuple(
+                Part(p["floor"], tuple(p["factors"]), tuple(p["records"]), p.get("unit"))
+                for p in told[key]
+            )
             for key in ("moving", "resting")
-        }  # fmt: skip
+        }
         return cls(told["start"], told["horizon"], tuple(told["records"]), **parts)
+
+
+def _place(level: float) -> int:
+    """Which of a part's factors is that of a level."""
+    return math.ceil(level * (len(_GRID) + 1) - _ROUNDING) - 1
 
 
 def _over(horizon: float | None) -> str:
@@ -373,10 +388,10 @@ def _of_coordinate(
     parts = []
     for rest in (False, True):
         where = [w & (g.moving != rest) for g, w in zip(made, after, strict=True)]
-        if min(w.sum() for w in where) < _FEWEST:
-            where = after  # of some records too little: no parts apart
-        parts.append(_part(*([x[w] for x, w in zip(of, where, strict=True)]
-                             for of in (errors, spreads))))  # fmt: skip
+        there = [i for i, w in enumerate(where) if w.sum() >= _FEWEST]
+        if len(there) < (2 if rest else len(made)):
+            where, there = after, range(len(made))  # too little: no part of its own
+        parts.append(_part(*([of[i][where[i]] for i in there] for of in (errors, spreads))))
     # a record is either inside as a whole or not: one factor for both parts
     whole = []
     for g, w, error, spread in zip(made, after, errors, spreads, strict=True):
@@ -387,22 +402,9 @@ def _of_coordinate(
 
 
 def _part(errors: Sequence[np.ndarray], spreads: Sequence[np.ndarray]) -> Part:
-    """Floor and factors of the time; the floor is that with the narrowest band."""
+    """The widths, and times of these that hold 0.1, 0.2, ... % of the time."""
     scale = math.sqrt(np.mean([np.mean(e**2) for e in errors])) or _LEAST
-    level = min(_USUAL, most_of(len(errors)))
-    tried = []
-    for share in _FLOORS:
-        part = Part(share * scale, _factors(errors, spreads, share * scale), ())
-        mean = np.mean([np.mean(part.width(s)) for s in spreads])
-        tried.append((part.of_time(level) * mean, part))
-    return min(tried, key=lambda of: of[0])[1]
-
-
-def _factors(
-    errors: Sequence[np.ndarray], spreads: Sequence[np.ndarray], floor: float
-) -> tuple[float, ...]:
-    """Times of the widths that hold 0.1, 0.2, ... % of the time."""
-    bare, n = Part(floor, (), ()), len(errors)
+    bare, n = Part(_FLOOR * scale, (), (), scale), len(errors)
     ratios = [e / bare.width(s) for e, s in zip(errors, spreads, strict=True)]
     every = np.concatenate(ratios)
     # each record counts the same, however long; one more is taken to lie outside
@@ -411,4 +413,4 @@ def _factors(
     reached = np.cumsum(weights[order]) / (n + 1)
     levels = _GRID[: math.floor(n / (n + 1) * (len(_GRID) + 1) + _ROUNDING)]
     places = np.minimum(np.searchsorted(reached, levels - _ROUNDING), len(every) - 1)
-    return tuple(every[order][places].tolist())
+    return replace(bare, factors=tuple(every[order][places].tolist()))
