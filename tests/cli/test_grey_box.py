@@ -465,7 +465,10 @@ GREY = ["--recipe", "grey", "--system", "{}"]
             ["--set", "'model.fixed.gain' twice"],
         ),
         ([*GREY, "--set", "search.initial=here"], ["search.initial", "unknown start"]),
-        ([*GREY, "--set", "search.initial=model-20"], ["search.initial", "needs a model", "derived-6"]),
+        (
+            [*GREY, "--set", "search.initial=model-20"],
+            ["search.initial", "needs a model", "derived-6"],
+        ),
         ([*GREY, "--set", "search.method=newton"], ["search.method", "'l-bfgs'", "'newton'"]),
         ([*GREY, "--set", "search.los=state"], ["search.los", "did you mean 'loss'?"]),
         ([*GREY, "--set", "stages.0.epochs=3"], ["recipe 'grey', stages", "unknown key"]),

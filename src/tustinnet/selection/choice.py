@@ -123,10 +123,14 @@ class Choice:
         name = min(than, key=lambda other: than[other].mean)
         mean, error = than[name].mean, than[name].standard_error
         word = "clearly" if mean > 2 * error else "not clearly"
-        return (
-            f"{word} better than the next, {name}: by {mean:.2g} ± {error:.2g} {self.unit} on "
-            f"{than[name].records} records"
+        count = than[name].records
+        # one record has no standard error
+        on = (
+            f"± {error:.2g} {self.unit} on {count} records"
+            if count > 1
+            else f"{self.unit} on one record"
         )
+        return f"{word} better than the next, {name}: by {mean:.2g} {on}"
 
     def header(self, name: str, final: Final) -> dict[str, Any]:
         """What the model file of a candidate or committee says beside the model."""
