@@ -108,7 +108,9 @@ def _joined(
         return
     from tustinnet.selection.cluster import cluster
 
-    say = (lambda sentence: None) if quiet else terminal.messages().print
     goes_on = "the same command, without --overwrite, goes on with the folds that are done"
-    with terminal.interruptible(goes_on), cluster(address, say) as executor:
+    with (
+        terminal.interruptible(goes_on),
+        cluster(address, terminal.teller(quiet=quiet)) as executor,
+    ):
         yield executor

@@ -102,8 +102,7 @@ def told_by(progress: "FitProgress", *, quiet: bool) -> "Reporter":
         label = f"{job.candidate}, fold {job.fold}"
         return lambda prepared: progress.follow(prepared, label=label)
 
-    say = (lambda sentence: None) if quiet else terminal.messages().print
-    return Reporter(say, tell)
+    return Reporter(terminal.teller(quiet=quiet), tell)
 
 
 def draw_choice(choice: "Choice") -> None:

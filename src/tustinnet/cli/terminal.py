@@ -4,7 +4,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -26,6 +26,11 @@ def messages() -> "Console":
     from rich.console import Console
 
     return Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
+
+
+def teller(*, quiet: bool) -> Callable[[str], None]:
+    """Who is told sentences while something goes on; nobody where it is to be quiet."""
+    return (lambda sentence: None) if quiet else messages().print
 
 
 def print_json(content: Any) -> None:

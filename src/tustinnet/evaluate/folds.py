@@ -291,10 +291,15 @@ def starts_asked(data: DataSet, asked: Question) -> tuple[str, ...]:
         InputError: a horizon of the recipe that is too short for one of them, or too long.
     """
     known = taking_part(data)
-    starts = asked.starts or (default_start(known), f"model-{FITTED}")
+    starts = _starts(asked, known)
     for start in starts:
         horizon_samples(horizon_of(asked.recipe), known, start_named(start))
     return starts
+
+
+def _starts(asked: Question, records: Sequence[Experiment], *models: Model) -> tuple[str, ...]:
+    """The starts that are asked for, else the usual one and `model-20`."""
+    return asked.starts or (default_start(records, *models), f"model-{FITTED}")
 
 
 def used_by(of: Roles, recipe: Recipe) -> Roles:
@@ -340,11 +345,10 @@ def fold_scores(
         data: all records.
         asked: where free runs start.
     """
-    usual = default_start(list(data), model)
     within_reach = within(horizon, scored)
     by_start = {
         start: rmse_by_record(evaluate(model, scored, start_named(start), horizon=within_reach))
-        for start in dict.fromkeys(asked.starts or (usual, f"model-{FITTED}"))
+        for start in dict.fromkeys(_starts(asked, list(data), model))
     }
     fold, seed = by
     return [

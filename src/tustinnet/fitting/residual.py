@@ -75,7 +75,7 @@ def residual_of(recipe: StageRecipe | SearchRecipe, experiments: Sequence[Experi
 
     Scaled, each velocity counts in the unit in which it spreads as much as its position does, and
     where coordinates are of different kinds each position is measured by its spread. Not scaled,
-    all channels count in SI units.
+    all channels count in SI units, but for lengths in a training.
 
     A training counts lengths in their spread, rounded to a power of two: else its rate, its clip
     and Adam's epsilon would mean something else for a stage of 0.1 mm than for one of 1 m. (Not so

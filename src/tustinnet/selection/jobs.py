@@ -201,7 +201,7 @@ def perform(job: Job, at: Workplace, tell: Tell) -> JobResult:
     except InputError as error:
         spent = time.monotonic() - begun
         return JobResult(job.candidate, job.fold, spent, "failed", why=str(error))
-    told = _RESULT.dump_python(replace(found, earlier=False), mode="json")
+    told = _RESULT.dump_python(found, mode="json", exclude={"earlier"})
     content = {"fit": of, "judging": asdict(at.judging), "result": told}
     write_into(at.folder, f"{job.folder}/{SCORES}", to_json(content))
     return found

@@ -133,7 +133,21 @@ class Fitted(Start):
         return model_starts(model, *material)
 
 
-class WarmUp(Start):
+class _AfterSamples(Start):
+    """A start that uses N samples and begins the free run at the last of them."""
+
+    @property
+    def first(self) -> int:
+        """The last of the N samples."""
+        return self.samples - 1
+
+    @property
+    def fitted(self) -> int:
+        """All N."""
+        return self.samples
+
+
+class WarmUp(_AfterSamples):
     """`warm-up-N`: internal states follow the first N samples; the run begins at the last of them.
 
     Positions and velocities there are those of the parabola through the 6 samples up to it, so
@@ -146,16 +160,6 @@ class WarmUp(Start):
     def name(self) -> str:
         """`warm-up-N`."""
         return f"warm-up-{self.samples}"
-
-    @property
-    def first(self) -> int:
-        """The last of the N samples."""
-        return self.samples - 1
-
-    @property
-    def fitted(self) -> int:
-        """All N."""
-        return self.samples
 
     def material(self, model: Model, experiments: Sequence[Experiment]) -> Any:
         """Positions and velocities along the first N samples, and the inputs."""
@@ -175,7 +179,7 @@ class WarmUp(Start):
         return jnp.concatenate([jnp.asarray(known)[:, -1].astype(run.dtype), internal], axis=1)
 
 
-class Encoder(Start):
+class Encoder(_AfterSamples):
     """`encoder-N`: the model's encoder says the state at the last of the first N samples.
 
     The run begins there. For models that were trained with this start.
@@ -188,16 +192,6 @@ class Encoder(Start):
     def name(self) -> str:
         """`encoder-N`."""
         return f"encoder-{self.samples}"
-
-    @property
-    def first(self) -> int:
-        """The last of the N samples."""
-        return self.samples - 1
-
-    @property
-    def fitted(self) -> int:
-        """All N."""
-        return self.samples
 
     def material(self, model: Model, experiments: Sequence[Experiment]) -> Any:
         """Positions of the first N samples, and the inputs."""
