@@ -48,6 +48,10 @@ corrects = ["grey"]
 name = "both"
 of = ["network", "hybrid"]
 
+[[committees]]
+name = "best two averaged"
+best = 2
+
 [[rounds]]
 folds = 1
 keep = 1.0

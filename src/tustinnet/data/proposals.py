@@ -1,6 +1,7 @@
 """Proposed records: inputs and releases that somebody could make next, in a TOML file."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import Annotated
 
@@ -28,12 +29,14 @@ class Proposal:
         q: positions at its beginning, (n_q,) [rad or m].
         v: velocities there, (n_q,).
         u: inputs, a row a sample, (n, n_u).
+        groups: what it would be made with, as `{"payload": "1kg"}`.
     """
 
     name: str
     q: Float[np.ndarray, " n_q"]
     v: Float[np.ndarray, " n_q"]
     u: Float[np.ndarray, "n n_u"]
+    groups: Mapping[str, str] = field(default_factory=dict)
 
 
 class _Declared(Declaration):
@@ -45,12 +48,14 @@ class _Declared(Declaration):
             those not given.
         seconds: how long it takes, without inputs.
         inputs: or a file of inputs, a column each with its name, a row a sample.
+        groups: what it would be made with, as `{ payload = "1kg" }`.
     """
 
     name: Name
     start: dict[str, Annotated[float, Field(ge=-_FAR, le=_FAR)]] = Field(default_factory=dict)
     seconds: float | None = Field(default=None, gt=0, le=_LONGEST)
     inputs: Text | None = None
+    groups: dict[Name, Name] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _one_way(self) -> "_Declared":
@@ -90,7 +95,7 @@ def _read(of: _Declared, path: Path, channels: Channels) -> Proposal:
         raise InputError(f"{where}, start", f"no coordinate '{unknown[0]}'",
                          f"some of {', '.join(known)}, as in the model")  # fmt: skip
     q, v = (np.array([of.start.get(n + more, 0.0) for n in names]) for more in ("", _RATE))
-    return Proposal(of.name, q, v, _inputs(of, where, path.parent, channels))
+    return Proposal(of.name, q, v, _inputs(of, where, path.parent, channels), of.groups)
 
 
 def _inputs(of: _Declared, where: str, folder: Path, channels: Channels) -> np.ndarray:

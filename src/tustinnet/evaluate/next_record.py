@@ -18,6 +18,7 @@ from tustinnet.evaluate.bands import alternatives_of, guesses
 from tustinnet.evaluate.scores import simulated
 from tustinnet.fitting.shooting.information import information, space_of
 from tustinnet.models.contract import Model, require_float64, with_dtype
+from tustinnet.models.groups import of_groups
 from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.simulate.drive import drives_of
@@ -111,12 +112,13 @@ def ranked(
 def _imagined(model: Model, proposals: Sequence[Proposal]) -> dict[str, Experiment | None]:
     """What the model says would be recorded, None where it runs away."""
     of, found = model.channels, {}
-    simulator = with_dtype(model, np.float64).folded()
     for p in proposals:
         n = len(p.u)
+        chosen = of_groups(model, p.groups, p.name)
+        simulator = with_dtype(chosen, np.float64).folded()
         blank = Experiment(
             name=p.name, t=np.arange(n) * of.dt, q=np.zeros((n, of.n_q)), u=p.u, channels=of,
-            v=np.zeros((n, of.n_q)), v_measured=True,
+            v=np.zeros((n, of.n_q)), v_measured=True, groups=tuple(p.groups.items()),
         )  # fmt: skip
         x0 = np.concatenate([p.q, p.v, np.zeros(len(model.internal))])[None]
         x = np.asarray(simulated(simulator, x0, drives_of(simulator, [blank])))[0]
@@ -139,9 +141,6 @@ def _shrinking(
     if not kept:
         raise InputError("next-record", "a model whose parameters have no errors",
                          "one whose parameters have some", "fit it to more records")  # fmt: skip
-    if continuous.groups:
-        raise InputError("next-record", "a model with values by group", "one of a single group",
-                         "identify it from the records of one group")  # fmt: skip
     estimates = [told["estimates"][i] for i in kept]
     names = [e["name"] for e in estimates]
     space = space_of(continuous.system, values, names)

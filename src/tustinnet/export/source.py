@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.channels import Channels
-from tustinnet.data.dataset import from_arrays
 from tustinnet.errors import InputError
 from tustinnet.export.program import Program
 from tustinnet.export.reading import read
 from tustinnet.families.family import family_of
 from tustinnet.models.contract import Model, require_float64, with_dtype
+from tustinnet.models.groups import of_groups
 from tustinnet.signals.excitation import Excitation, Held, excitation
 from tustinnet.simulate.linearise import with_slopes
 from tustinnet.simulate.range import Range
@@ -207,7 +207,7 @@ def source_of(
     """
     require_stepping(model)
     # in double precision, as it is evaluated: folding in single would round once more
-    chosen = with_dtype(_of_groups(model, groups or {}), np.float64)
+    chosen = with_dtype(of_groups(model, groups or {}, "export"), np.float64)
     return Source(chosen.folded(), range, about or {})
 
 
@@ -223,33 +223,6 @@ def require_stepping(model: object) -> None:
             "export", f"a {type(model).__name__} in continuous time",
             "a model that steps from sample to sample", "make it discrete (discretise)",
         )  # fmt: skip
-
-
-def _of_groups(model: Model, groups: Mapping[str, str]) -> Model:
-    """The model of a record with these groups, all of which it needs."""
-
-    def chosen(given: Mapping[str, str]) -> Model:
-        record = from_arrays(
-            np.zeros((2, model.channels.n_q)), np.zeros((2, model.channels.n_u)), dt=model.dt,
-            coordinates=model.coordinates, inputs=model.inputs, name="export", groups=given,
-        )  # fmt: skip
-        return model.of(record)
-
-    def answers(given: Mapping[str, str]) -> bool:
-        try:
-            chosen(given)
-        except InputError:
-            return False
-        return True
-
-    found = chosen(groups)
-    for name in groups:
-        if answers({other: value for other, value in groups.items() if other != name}):
-            raise InputError(
-                "export", f"group '{name}', which nothing in the model is per",
-                "groups that its values are by", "leave it out",
-            )  # fmt: skip
-    return found
 
 
 def seen_by(model: Model) -> Seen:

@@ -90,7 +90,7 @@ def known_group(
     if value is None:
         raise InputError(
             where, f"no group '{p.per}', which '{p.name}' is per", told,
-            f'in the card, give the record `groups = {{ {p.per} = "..." }}`; '
+            f'in the card (or the proposal), give the record `groups = {{ {p.per} = "..." }}`; '
             f"of an export add --group {p.per}=...",
         )  # fmt: skip
     if value not in known:

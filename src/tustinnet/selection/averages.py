@@ -10,7 +10,6 @@ from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.families.committee import committee
 from tustinnet.models.contract import Model
 from tustinnet.selection.jobs import SeedScore, Workplace, judged, loaded
-from tustinnet.selection.plan import Average
 from tustinnet.selection.ranking import Standing
 
 _PARTS = 4  # shares are multiples of one over this
@@ -32,14 +31,14 @@ class Judged:
     shares: Mapping[str, float]
 
 
-def judge_average(of: Average, members: Sequence[Standing], at: Workplace) -> Judged | None:
+def judge_average(name: str, members: Sequence[Standing], at: Workplace) -> Judged | None:
     """Judges a committee on the folds that all of its candidates have.
 
     In every fold its members are the candidates' models of that fold, none of which has seen the
     records that it is scored on. Seeds of a candidate count the same.
 
     Args:
-        of: the committee.
+        name: what the committee is called.
         members: the standings of its candidates.
         at: where the models are, and how they are compared.
 
@@ -57,12 +56,12 @@ def judge_average(of: Average, members: Sequence[Standing], at: Workplace) -> Ju
         return None
     scores = {}
     for fold, by_shares in found.items():
-        others = [f for f in found if f != fold] or [fold]
-        chosen = _best(found, others)
-        scores[fold] = (SeedScore(0, "", "", None, by_shares[chosen]),)
-    best = tried[_best(found, list(found))]
+        others = [f for f in found if f != fold]
+        scores[fold] = (SeedScore(0, "", "", None, by_shares[_best(found, others)]),)
+    # one fold alone would choose on what it is judged on
+    best = tried[_best(found, list(found) if len(found) > 1 else [])]
     named = {s.name: share for s, share in zip(members, best, strict=True)}
-    return Judged(Standing(of.name, scores, sum(s.seconds for s in members)), named)
+    return Judged(Standing(name, scores, sum(s.seconds for s in members)), named)
 
 
 def weights_of(models: Sequence[Sequence[SeedScore]], shares: Sequence[float]) -> list[float]:
@@ -93,7 +92,9 @@ def as_one(members: Sequence[Model], weights: Sequence[float]) -> Model:
 
 
 def _best(found: Mapping[int, Sequence[Mapping[str, _ByRecord]]], folds: Sequence[int]) -> int:
-    """The shares with the lowest mean RMSE over the records of some folds; equal ones if level."""
+    """The shares with the lowest mean RMSE over the records of some folds; equal ones of none."""
+    if not folds:
+        return 0
     count = len(next(iter(found.values())))
     means = []
     for i in range(count):

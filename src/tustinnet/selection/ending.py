@@ -13,7 +13,7 @@ from tustinnet.models.contract import Model
 from tustinnet.selection.averages import Judged, judge_average, weights_of
 from tustinnet.selection.clock import OutOfTime
 from tustinnet.selection.jobs import Job, SeedScore, Workplace, loaded
-from tustinnet.selection.plan import Average, SelectionPlan
+from tustinnet.selection.plan import SelectionPlan
 from tustinnet.selection.ranking import Standing, ranked, simplest
 from tustinnet.store.kept_system import CANDIDATES
 from tustinnet.store.run import Tell, fit_in
@@ -77,23 +77,29 @@ def judge_averages(
 ) -> dict[str, Judged]:
     """Judges the committees of a plan whose candidates are left, and those of several seeds."""
     by_name = {s.name: s for s in left}
-    wanted = [
-        Average(name=f"{s.name}, seeds averaged", of=(s.name,))
+    wanted: dict[str, tuple[str, ...]] = {
+        f"{s.name}, seeds averaged": (s.name,)
         for s in left
         if any(len(models) > 1 for models in s.folds.values())
-    ]
-    wanted += [a for a in plan.committees if by_name.keys() >= set(a.of)]
+    }
+    chosen = {average.name for average in plan.committees if average.best is not None}
+    for average in plan.committees:
+        members = average.among(list(by_name))
+        if members and members not in wanted.values():
+            wanted[average.name] = members
     found = {}
-    for average in wanted:
+    for name, members in wanted.items():
         try:
-            judged = judge_average(average, [by_name[name] for name in average.of], at)
+            judged = judge_average(name, [by_name[of] for of in members], at)
         except InputError as error:
-            say(f"{average.name}: left out, {error}")
+            say(f"{name}: left out, {error}")
             continue
         if judged is None:
-            say(f"{average.name}: not judged, no time was left for it")
+            say(f"{name}: not judged, no time was left for it")
+        elif name in chosen and 1.0 in judged.shares.values():
+            say(f"{name}: left out, one of them alone is as good")
         else:
-            found[average.name] = judged
+            found[name] = judged
     return found
 
 

@@ -21,6 +21,7 @@ from tustinnet.simulate.starts import start_named
 
 USUAL = "usual"  # the plan where nobody names one
 _MOST_FOLDS, _MOST_SEEDS, _MANY = 100, 100, 100
+_MOST_AVERAGED = 6  # kinds of models; more have hundreds of shares to try
 _HOME, _PLAN = "tustinnet.selection", "plan"  # packaged plans are in its folder `plans`
 
 
@@ -61,11 +62,25 @@ class Average(Declaration):
 
     Attributes:
         name: what it is called.
-        of: the candidates, each with all of its seeds.
+        of: the candidates, each with all of its seeds; or
+        best: how many of the candidates that are left after the last round, the best first.
     """
 
     name: Name
-    of: tuple[str, ...] = Field(min_length=1, max_length=_MANY)
+    of: tuple[str, ...] = Field(default=(), max_length=_MANY)
+    best: int | None = Field(default=None, ge=2, le=_MOST_AVERAGED)
+
+    @model_validator(mode="after")
+    def _one_way(self) -> "Average":
+        if bool(self.of) == (self.best is not None):
+            raise ValueError("either `of`, the candidates by name, or `best`, how many")
+        return self
+
+    def among(self, left: Sequence[str]) -> tuple[str, ...]:
+        """Its candidates among those that are left, the best first; none where one is missing."""
+        if self.best is not None:
+            return tuple(left[: self.best]) if len(left) > 1 else ()
+        return self.of if set(self.of) <= set(left) else ()
 
 
 class Round(Declaration):

@@ -31,7 +31,8 @@ from tustinnet.systems.files import AnySystem
 
 _TENTH = 0.1  # of a record, a horizon where no fit chose one
 _STARTS = 3  # a horizon is at least as many times as long as what a start is fitted to
-_RESERVE = 0.12  # share of the budget for committees, the last fit and the files
+_ENDING = 0.12  # share of the budget for committees, the last fit and bands
+_FILES = 0.08  # and for figures and the report, which come after the selection
 
 
 @dataclass(frozen=True)
@@ -99,8 +100,9 @@ def select_model(
     candidates, lacking = _taking_part(plan, wanted, records)
     notes = (*([cut] if cut else []), *lacking)
     judging = Judging(min(plan.folds, len(records)), plan.start, plan.horizon)
-    end = None if wanted.budget is None else begun + wanted.budget
-    clock = Clock(end and end - _RESERVE * (wanted.budget or 0.0))
+    budget = wanted.budget or 0.0
+    end = None if wanted.budget is None else begun + (1 - _FILES) * budget
+    clock = Clock(end and end - _ENDING * budget)
     at = Workplace(where, records, judging, wanted.system, clock, earlier == "resume")
     for note in notes:
         told.say(note)
@@ -210,7 +212,8 @@ def _nothing(halving: Halving, budget: float | None) -> InputError:
     if short is not None and short.needs is not None:
         return InputError(
             "--budget", f"{budget:g} s: no candidate was fitted in it",
-            f"the cheapest, {short.candidate}, needs about {short.needs / (1 - _RESERVE):.0f} s",
+            f"the cheapest, {short.candidate}, needs about "
+            f"{short.needs / (1 - _ENDING - _FILES):.0f} s",
             "what was begun stays: add --resume to go on",
         )  # fmt: skip
     why = "; ".join(f"{s.name}: {s.why}" for s in halving.standings.values() if s.why)

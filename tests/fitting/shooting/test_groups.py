@@ -10,6 +10,10 @@ import pytest
 from swinging import DT, SWING, changed, data_set
 
 import tustinnet as tn
+from tustinnet.data.proposals import Proposal
+from tustinnet.evaluate.bands import alternatives_of
+from tustinnet.evaluate.next_record import ranked
+from tustinnet.fitting.shooting.information import information, space_of
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 
 MASSES = {"1kg": 0.21, "2kg": 0.42}
@@ -168,3 +172,49 @@ def test_a_network_is_not_trained_on_physics_that_differ():
 def test_what_contradicts_itself_in_a_parameter_is_refused(changes, told):
     with pytest.raises(tn.InputError, match=told):
         changed("mass", PER, **changes)
+
+
+def swing(**groups: str) -> Proposal:
+    pushed = 5 * np.sin(np.arange(100) / 3)[:, None]
+    name = f"with {groups.get('payload', 'nothing')}"
+    return Proposal(name, np.array([1.0]), np.zeros(1), pushed, groups)
+
+
+def what_would_tell(*proposals: Proposal) -> dict[str, float]:
+    found = found_per_payload()
+    header = {"identification": found.as_plain()}
+    assert alternatives_of(found.model, header, "the model")
+    return {of.name: of.value for of in ranked(found.model, header, proposals).promises}
+
+
+def test_a_proposed_record_is_ranked_with_the_mass_that_it_is_made_with():
+    both = what_would_tell(swing(payload="1kg"), swing(payload="2kg"))
+    assert min(both.values()) > 0.01
+    # whatever else is proposed
+    alone = what_would_tell(swing(payload="2kg"))
+    assert alone["with 2kg"] == pytest.approx(both["with 2kg"], rel=1e-9)
+    assert both["with 1kg"] != pytest.approx(both["with 2kg"], rel=1e-3)
+
+
+def test_a_record_informs_of_the_value_of_its_own_group_alone():
+    values = {e.name: e.value for e in found_per_payload().estimates} | {"gain": GAIN}
+    space = space_of(PER, values, ["mass[1kg]", "mass[2kg]", "damping"])
+    records = [e for e in both() if e.group("payload") == "2kg"]
+    of_one, of_two = (space.names.index(f"mass[{payload}]") for payload in ("1kg", "2kg"))
+    for matrix in information(space, PER, values, records, 2, 0.005):
+        assert matrix[of_one, of_one] == 0
+        assert matrix[of_two, of_two] > 1
+
+
+@pytest.mark.parametrize(
+    ("groups", "told"),
+    [
+        ({}, "no group 'payload', which 'mass' is per; expected one of 1kg, 2kg"),
+        ({"payload": "3kg"}, "payload '3kg', for which 'mass' has no value"),
+        ({"payload": "1kg", "colour": "red"}, "group 'colour', which nothing in the model is per"),
+    ],
+)
+def test_a_proposed_record_of_unknown_groups_is_refused(groups, told):
+    with pytest.raises(tn.InputError, match="with") as error:
+        what_would_tell(swing(**groups))
+    assert told in str(error.value)

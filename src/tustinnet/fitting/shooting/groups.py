@@ -1,7 +1,7 @@
 """Parameters that have a value for each group of records, and which record needs which."""
 
 from collections.abc import Mapping, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Int
@@ -30,6 +30,15 @@ def expanded(system: LagrangianSystem, experiments: Sequence[Experiment]) -> tup
             known_group(p, {}, sorted({v for v in values if v}), _where(experiments, values))
         found += [p.at(value) for value in sorted({v for v in values if v})]
     return tuple(found)
+
+
+def known_by(system: LagrangianSystem, values: Mapping[str, Any]) -> tuple[Parameter, ...]:
+    """The parameters of a system; of those per group one for each value of it that some have."""
+    return tuple(
+        one
+        for p in system.parameters
+        for one in ([p] if p.per is None else map(p.at, p.by_group(values)))
+    )
 
 
 def _where(experiments: Sequence[Experiment], values: Sequence[str | None]) -> str:

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.fitting.recipe import SearchRecipe
+from tustinnet.fitting.shooting.groups import known_by, picks
 from tustinnet.fitting.shooting.least_squares import anchored, eliminated
 from tustinnet.fitting.shooting.normal import normal_products
 from tustinnet.fitting.shooting.problem import Problem
@@ -16,9 +17,13 @@ from tustinnet.models.lagrangian import LagrangianSystem
 
 
 def space_of(system: LagrangianSystem, values: Mapping[str, float], names: Sequence[str]) -> Space:
-    """The coordinates in which some of a system's parameters are searched."""
+    """The coordinates in which some of a system's parameters are searched.
+
+    Of a parameter per group there is one for each value of the group that `values` knows.
+    """
     fixed = {name: x for name, x in values.items() if name not in names}
-    return make_space(system, {name: values[name] for name in names}, fixed)
+    there = {name: values[name] for name in names}
+    return make_space(system, there, fixed, known_by(system, values))
 
 
 def information(
@@ -49,7 +54,9 @@ def information(
     x0 = segments.x0.copy()
     x0[:, records[0].channels.measured] = [np.concatenate([e.q[0], e.velocities()[0]])
                                            for e in records]  # fmt: skip
-    segments = replace(segments, x0=x0)
+    # the groups of the values, of which the records may have only some
+    pick = picks(system, known_by(system, values), records)
+    segments = replace(segments, x0=x0, pick=pick)
     found = normal_products(
         problem.shape(space), space, space.vector(values), x0, segments, substeps
     )
