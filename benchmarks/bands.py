@@ -1,13 +1,19 @@
 """How many of the records that were used for nothing lie inside the bands of a model.
 
     python benchmarks/bands.py DATA [--recipe best-grey] [--system qube-servo2-rubbing]
+    python benchmarks/bands.py DATA --run RUN --of hybrid,tustin-net
 
 Each of five folds is left out. The others are dealt into three folds again: models of these give
 the free runs that calibrate, a model of all others the bands that are tried on the fold left out.
+
+With `--run`, the folder of a `fit` without a recipe, nothing is fitted: the models of some
+candidates in each fold are put together as a committee, with equal shares for the candidates.
+Bands of a fold are calibrated on the free runs of the other folds, each by its own models.
 """
 
 import argparse
 import json
+import re
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -42,18 +48,13 @@ def guessed(result: FitResult, records: Any, start: str) -> list[Guess]:
     return guesses(result.model, others, records, start)
 
 
-def main() -> None:
-    """Reads the arguments, fits, prints."""
-    asked = argparse.ArgumentParser()
-    asked.add_argument("data")
-    asked.add_argument("--recipe", default="best-grey")
-    asked.add_argument("--system", default="qube-servo2-rubbing")
-    asked.add_argument("--start", default="model-20")
-    asked.add_argument("--out", type=Path, default=Path("results/bands.json"))
-    given = asked.parse_args()
-    data, recipe = tn.load(given.data), tn.read_recipe(given.recipe)
-    system = tn.load_system(given.system)
-    deals, rows = dealt(data), []
+Tried = tuple[list[Guess], list[tn.Experiment], list[Guess], list[tn.Experiment]]
+
+
+def by_fits(given: argparse.Namespace, data: DataSet) -> list[Tried]:
+    """Per fold: free runs that calibrate, their records, free runs that are tried, theirs."""
+    recipe, system = tn.read_recipe(given.recipe), tn.load_system(given.system)
+    deals = dealt(data)
     inner: list[tuple[int, Any]] = []
     folds: list[Fold] = []
     for k, deal in enumerate(deals):
@@ -63,9 +64,7 @@ def main() -> None:
         for d in dealt(DataSet(data.name, tuple(others)), INNER):
             inner.append((k, d.scored))
             folds.append(Fold(Roles(tuple(d.roles.all), ())))
-    bands: dict[str, list[Band]] = {"time": [], "record": []}
-    scored_all: list[tn.Experiment] = []
-    results = fitted(folds, recipe, system, 1)
+    results, found = fitted(folds, recipe, system, 1), []
     for k, deal in enumerate(deals):
         of_fold = [(r, s) for r, (f, s) in zip(results, inner, strict=True) if f == k]
         made, records = [], []
@@ -73,13 +72,54 @@ def main() -> None:
             if scored is not None:
                 made += guessed(result, scored, given.start)
                 records += scored
-        calibration = calibrated(made, records, given.start)
         final = next(r for r, s in of_fold if s is None)
-        tried = guessed(final, deal.scored, given.start)
-        n = len(records)
+        found.append((made, records, guessed(final, deal.scored, given.start), list(deal.scored)))
+    return found
+
+
+def by_committees(given: argparse.Namespace, data: DataSet) -> list[Tried]:
+    """The same of committees of a selection's candidates."""
+    wanted = given.of.split(",")
+    told = json.loads((given.run / "summary.json").read_text())["candidates"]
+    files = {c["name"]: c["models"] for c in told if c["name"] in wanted}
+    each: list[tuple[list[Guess], list[tn.Experiment]]] = []
+    for k, deal in enumerate(dealt(data)):
+        models, weights = [], []
+        for name in wanted:
+            there = [given.run / f for f in files[name] if re.search(rf"fold-{k}-seeds", f)]
+            models += [tn.load_model(f) for f in there]
+            weights += [1 / len(wanted) / len(there)] * len(there)
+        together = tn.committee(models, weights)
+        others = family_of(together).alternatives(together, {})
+        each.append((guesses(together, others, deal.scored, given.start), list(deal.scored)))
+    found = []
+    for k, (tried, scored) in enumerate(each):
+        rest = [of for i, of in enumerate(each) if i != k]
+        made, records = ([x for pair in rest for x in pair[j]] for j in (0, 1))
+        found.append((made, records, tried, scored))
+    return found
+
+
+def main() -> None:
+    """Reads the arguments, fits, prints."""
+    asked = argparse.ArgumentParser()
+    asked.add_argument("data")
+    asked.add_argument("--recipe", default="best-grey")
+    asked.add_argument("--system", default="qube-servo2-rubbing")
+    asked.add_argument("--start", default="model-20")
+    asked.add_argument("--run", type=Path)
+    asked.add_argument("--of", default="hybrid,tustin-net")
+    asked.add_argument("--out", type=Path, default=Path("results/bands.json"))
+    given = asked.parse_args()
+    data = tn.load(given.data)
+    bands: dict[str, list[Band]] = {"time": [], "record": []}
+    scored_all: list[tn.Experiment] = []
+    for made, records, tried, scored in (by_committees if given.run else by_fits)(given, data):
+        calibration, n = calibrated(made, records, given.start), len(records)
         bands["time"] += [band_of(calibration, g, 0.9) for g in tried]
         bands["record"] += [band_of(calibration, g, n / (n + 1), "record") for g in tried]
-        scored_all += deal.scored
+        scored_all += scored
+    rows = []
     for of, some in bands.items():
         shares = covered(scored_all, some)
         rows += [{"of": of, "level": some[0].level, **asdict(share)} for share in shares]

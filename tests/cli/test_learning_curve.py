@@ -17,9 +17,11 @@ from tustinnet.evaluate import learning
 from tustinnet.evaluate.learning import (
     CurveQuestion,
     LearningCurve,
+    Place,
     Point,
     make_curve_question,
     places_of,
+    trained,
 )
 from tustinnet.fitting.recipe import read_recipe
 from tustinnet.report.figures import write_figure
@@ -163,6 +165,18 @@ def test_what_is_scored_was_used_for_nothing_and_draws_are_nested():
         assert not place.roles(read_recipe("best-grey")).validation
     first, second = places[0], places[1]
     assert second.records[:2] == first.records
+
+
+def test_few_records_take_no_windows_from_the_points_with_more(recipes):
+    records = tuple(record(f"r{k}", 60, k, "train") for k in range(8))
+    few, many = (Place(0, n, records[:n], ()) for n in (1, 8))
+    recipe = read_recipe(recipes.network, ["stages.0.windows.count=200"])
+    (alone,) = trained([many], recipe)
+    _, beside = trained([few, many], recipe)
+    assert isinstance(alone, tn.FitResult)
+    assert isinstance(beside, tn.FitResult)
+    x, u = jnp.array([0.3, -0.2]), jnp.zeros(1)
+    np.testing.assert_array_equal(alone.model.step(x, u), beside.model.step(x, u))
 
 
 def curve_of(*draws) -> LearningCurve:

@@ -310,7 +310,10 @@ def trained(
     origins: Sequence[Origin | None] = (),
     tell: Tell = lambda task: SILENT,
 ) -> list[Maybe]:
-    """A network for every place, trained together where they can be.
+    """A network for every place, those of as many records trained together where they can be.
+
+    Those of fewer records have fewer windows, and what trains together has as many windows as the
+    one with the fewest.
 
     Args:
         places: the records of each.
@@ -321,22 +324,22 @@ def trained(
     """
     given = physics or origins
     can = [i for i in range(len(places)) if not given or given[i] is not None]
-    folds = tuple(
-        Fold(
-            places[i].roles(recipe),
-            physics[i] if physics else None,
-            origins[i] if origins else None,
-        )
-        for i in can
-    )
-    members = tuple(Member(places[i].draw, fold=f) for f, i in enumerate(can))
     found: list[Maybe] = ["no physics to begin with"] * len(places)
-    if not members:
-        return found
-    task = Task(recipe, folds, members, brief=True)
-    for group in groups_alike(task):
-        for result in fitted(task.of(group), tell):
-            found[can[result.member.fold]] = result
+    for size in dict.fromkeys(places[i].size for i in can):
+        these = [i for i in can if places[i].size == size]
+        folds = tuple(
+            Fold(
+                places[i].roles(recipe),
+                physics[i] if physics else None,
+                origins[i] if origins else None,
+            )
+            for i in these
+        )
+        members = tuple(Member(places[i].draw, fold=f) for f, i in enumerate(these))
+        task = Task(recipe, folds, members, brief=True)
+        for group in groups_alike(task):
+            for result in fitted(task.of(group), tell):
+                found[these[result.member.fold]] = result
     return found
 
 
