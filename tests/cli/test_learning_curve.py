@@ -23,7 +23,7 @@ from tustinnet.evaluate.learning import (
     places_of,
     trained,
 )
-from tustinnet.fitting.recipe import read_recipe
+from tustinnet.fitting.recipe import Recipe, read_recipe
 from tustinnet.report.figures import write_figure
 from tustinnet.report.learning import learning_figure
 from tustinnet.store.data_set_folder import write_data_set
@@ -167,16 +167,28 @@ def test_what_is_scored_was_used_for_nothing_and_draws_are_nested():
     assert second.records[:2] == first.records
 
 
+def network_of(place: Place, recipe: Recipe, *beside: Place) -> np.ndarray:
+    """A step of the network of a place, trained with others beside."""
+    result = trained([*beside, place], recipe)[-1]
+    assert isinstance(result, tn.FitResult)
+    return np.asarray(result.model.step(jnp.array([0.3, -0.2]), jnp.zeros(1)))
+
+
 def test_few_records_take_no_windows_from_the_points_with_more(recipes):
     records = tuple(record(f"r{k}", 60, k, "train") for k in range(8))
     few, many = (Place(0, n, records[:n], ()) for n in (1, 8))
     recipe = read_recipe(recipes.network, ["stages.0.windows.count=200"])
-    (alone,) = trained([many], recipe)
-    _, beside = trained([few, many], recipe)
-    assert isinstance(alone, tn.FitResult)
-    assert isinstance(beside, tn.FitResult)
-    x, u = jnp.array([0.3, -0.2]), jnp.zeros(1)
-    np.testing.assert_array_equal(alone.model.step(x, u), beside.model.step(x, u))
+    np.testing.assert_array_equal(network_of(many, recipe), network_of(many, recipe, few))
+
+
+def test_records_of_two_devices_may_share_their_names(recipes):
+    one, other = (
+        Place(d, 2, tuple(record(f"r{k}", 60, 10 * d + k, "train") for k in range(2)), ())
+        for d in range(2)
+    )
+    recipe = read_recipe(recipes.network)
+    beside = network_of(other, recipe, one)
+    np.testing.assert_allclose(network_of(other, recipe), beside, rtol=1e-4)
 
 
 def curve_of(*draws) -> LearningCurve:

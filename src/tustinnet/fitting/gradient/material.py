@@ -1,6 +1,6 @@
 """What members are trained on: records laid end to end, windows and free runs as indices."""
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -83,6 +83,11 @@ def lead_of(model: Model) -> int:
     return model.warm_up if model.encoder is None else model.encoder.samples - 1
 
 
+def sameness(e: Experiment) -> Hashable:
+    """What is equal where two records are the same: records of two devices may share a name."""
+    return e.name, e.q.tobytes(), e.u.tobytes()
+
+
 class Pool:
     """The records that any member has a use for, once each.
 
@@ -91,12 +96,11 @@ class Pool:
     """
 
     def __init__(self, experiments: Sequence[Experiment]) -> None:
-        self.experiments = tuple({e.name: e for e in experiments}.values())
-        names = [e.name for e in self.experiments]
+        known = {sameness(e): e for e in experiments}
+        self.experiments = tuple(known.values())
         lengths = [len(e) for e in self.experiments]
         begins = np.concatenate([[0], np.cumsum(lengths)[:-1]]).astype(int)
-        self.place = {name: i for i, name in enumerate(names)}
-        self.begin = dict(zip(names, begins.tolist(), strict=True))
+        self._begin = dict(zip(known, begins.tolist(), strict=True))
 
     def records(self, model: Model, velocity: VelocitySource) -> Records:
         """The records laid end to end."""
@@ -117,7 +121,7 @@ class Pool:
 
     def rows(self, windows: Int[np.ndarray, "count 2"], of: Sequence[Experiment]) -> np.ndarray:
         """The rows at which windows (record, first sample) of some of the records begin."""
-        begins = np.array([self.begin[e.name] for e in of], dtype=int)
+        begins = np.array([self._begin[sameness(e)] for e in of], dtype=int)
         return begins[windows[:, 0]] + windows[:, 1]
 
 

@@ -24,6 +24,7 @@ from tustinnet.fitting.gradient.material import (
     adapted_length,
     draw,
     lead_of,
+    sameness,
     stage_windows,
     validation_runs,
 )
@@ -297,13 +298,14 @@ def _validation(
         nothing = jnp.zeros((len(mine), 0))
         return None, nothing.astype(jnp.int32), nothing
     theirs = [of.validation for of in peers]
-    every: tuple[Experiment, ...] = tuple({e.name: e for of in theirs for e in of}.values())
-    place = {e.name: i for i, e in enumerate(every)}
+    known = {sameness(e): e for of in theirs for e in of}
+    every: tuple[Experiment, ...] = tuple(known.values())
+    place = {same: i for i, same in enumerate(known)}
     most = max(map(len, theirs))
     chosen = np.zeros((len(mine), most), np.int32)
     counted = np.zeros((len(mine), most), np.float32)
     for m, of in enumerate(mine):
-        chosen[m, : len(of)] = [place[e.name] for e in of]
+        chosen[m, : len(of)] = [place[sameness(e)] for e in of]
         counted[m, : len(of)] = 1.0
     assert isinstance(task.recipe, TrainingRecipe)
     horizon = within(task.recipe.horizon, every)
