@@ -200,9 +200,10 @@ def test_no_member_sees_the_records_that_it_is_scored_on(done, pendulum):
         assert prepared.task.folds[member.fold].roles == deal.roles
         rows = prepared.stages[0].windows.rows[m]
         own = {
-            row: e.name for e in deal.roles.train
-            for row in range(pool.begin[e.name], pool.begin[e.name] + len(e) - length)
-        }  # fmt: skip
+            int(pool.rows(np.array([[i, k]]), deal.roles.train)[0]): e.name
+            for i, e in enumerate(deal.roles.train)
+            for k in range(len(e) - length)
+        }
         assert {own[row] for row in rows.tolist()} == set(names(deal.roles.train))
         assert prepared.validation is not None
         counted = np.asarray(prepared.chosen[m])[np.asarray(prepared.counted[m]) > 0]
