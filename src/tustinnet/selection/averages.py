@@ -12,7 +12,8 @@ from tustinnet.models.contract import Model
 from tustinnet.selection.jobs import SeedScore, Workplace, judged, loaded
 from tustinnet.selection.ranking import Standing
 
-_PARTS = 4  # shares are multiples of one over this
+_PARTS = 4  # shares of two are multiples of one over this
+_COARSE = 2  # of more than two: free runs of many members take long
 
 Shares = tuple[float, ...]  # of each candidate of a committee
 _ByRecord = Mapping[str, float]
@@ -47,21 +48,46 @@ def judge_average(name: str, members: Sequence[Standing], at: Workplace) -> Judg
     """
     folds = sorted(set.intersection(*(set(s.folds) for s in members)))
     tried = _compositions(len(members))
-    found: dict[int, list[dict[str, dict[str, float]]]] = {}
+    begun: dict[int, _OfFold] = {}
+    found: dict[int, list[_ByRecord]] = {}
     for fold in folds:
         if at.clock.left <= 0:
             break
-        found[fold] = _of_fold([s.folds[fold] for s in members], tried, at)
+        begun[fold] = of_fold = _OfFold([s.folds[fold] for s in members], at)
+        found[fold] = [of_fold.judging(shares) for shares in tried]
     if not found:
         return None
     scores = {}
-    for fold, by_shares in found.items():
-        others = [f for f in found if f != fold]
-        scores[fold] = (SeedScore(0, "", "", None, by_shares[_best(found, others)]),)
+    for fold, of_fold in begun.items():
+        chosen = tried[_best(found, [f for f in found if f != fold])]
+        scores[fold] = (SeedScore(0, "", "", None, of_fold.by_start(chosen)),)
     # one fold alone would choose on what it is judged on
     best = tried[_best(found, list(found) if len(found) > 1 else [])]
     named = {s.name: share for s, share in zip(members, best, strict=True)}
     return Judged(Standing(name, scores, sum(s.seconds for s in members)), named)
+
+
+class _OfFold:
+    """The models of some candidates in a fold, put together with one share or another.
+
+    Args:
+        models: of each candidate.
+        at: where they are, and how they are compared.
+    """
+
+    def __init__(self, models: Sequence[Sequence[SeedScore]], at: Workplace) -> None:
+        self._models, self._at = models, at
+        self._members = [loaded(model.model, at) for of in models for model in of]
+        self._names = list(next(iter(models[0][0].rmse.values())))
+
+    def by_start(self, shares: Shares, starts: int | None = None) -> dict[str, dict[str, float]]:
+        """RMSE of the records left out, by start: of the first so many, or of all."""
+        together = as_one(self._members, weights_of(self._models, shares))
+        return judged(together, self._at, self._names, starts)
+
+    def judging(self, shares: Shares) -> _ByRecord:
+        """RMSE of the records left out, from the start that judges."""
+        return next(iter(self.by_start(shares, 1).values()))
 
 
 def weights_of(models: Sequence[Sequence[SeedScore]], shares: Sequence[float]) -> list[float]:
@@ -71,19 +97,11 @@ def weights_of(models: Sequence[Sequence[SeedScore]], shares: Sequence[float]) -
 
 def _compositions(count: int) -> list[Shares]:
     """The shares that are tried, equal ones first."""
-    parts = [p for p in itertools.product(range(_PARTS + 1), repeat=count) if sum(p) == _PARTS]
-    tried = [tuple(part / _PARTS for part in p) for p in parts]
+    most = _PARTS if count <= 2 else _COARSE
+    parts = [p for p in itertools.product(range(most + 1), repeat=count) if sum(p) == most]
+    tried = [tuple(part / most for part in p) for p in parts]
     equal = tuple(1 / count for _ in range(count))
     return [equal, *(shares for shares in tried if shares != equal)]
-
-
-def _of_fold(
-    models: Sequence[Sequence[SeedScore]], tried: Sequence[Shares], at: Workplace
-) -> list[dict[str, dict[str, float]]]:
-    """RMSE of the records left out, by start, for each of the shares."""
-    members = [loaded(model.model, at) for of in models for model in of]
-    names = list(next(iter(models[0][0].rmse.values())))
-    return [judged(as_one(members, weights_of(models, shares)), at, names) for shares in tried]
 
 
 def as_one(members: Sequence[Model], weights: Sequence[float]) -> Model:
@@ -91,13 +109,13 @@ def as_one(members: Sequence[Model], weights: Sequence[float]) -> Model:
     return members[0] if len(members) == 1 else committee(members, weights)
 
 
-def _best(found: Mapping[int, Sequence[Mapping[str, _ByRecord]]], folds: Sequence[int]) -> int:
+def _best(found: Mapping[int, Sequence[_ByRecord]], folds: Sequence[int]) -> int:
     """The shares with the lowest mean RMSE over the records of some folds; equal ones of none."""
     if not folds:
         return 0
     count = len(next(iter(found.values())))
     means = []
     for i in range(count):
-        values = [x for f in folds for x in next(iter(found[f][i].values())).values()]
+        values = [x for f in folds for x in found[f][i].values()]
         means.append(mean_and_error(values)[0])
     return int(np.argmin(np.where(np.isfinite(means), means, np.inf)))

@@ -283,14 +283,16 @@ def starts_of(model: Model, at: Workplace) -> tuple[str, ...]:
     return (usual,) if model.warm_up else tuple(dict.fromkeys((at.judging.start, usual)))
 
 
-def judged(model: Model, at: Workplace, names: Sequence[str]) -> dict[str, dict[str, float]]:
-    """RMSE of some records by start; that which judges comes first.
+def judged(
+    model: Model, at: Workplace, names: Sequence[str], starts: int | None = None
+) -> dict[str, dict[str, float]]:
+    """RMSE of some records by start, of the first so many or of all; that which judges comes first.
 
     All records run, whoever is asked for, so that models that are alike share a program.
     """
     known = taking_part(at.data)
     found = {}
-    for start in starts_of(model, at):
+    for start in starts_of(model, at)[:starts]:
         of = rmse_by_record(evaluate(model, known, start, horizon=at.judging.horizon))
         found[start] = {name: of[name] for name in names}
     return found
