@@ -112,10 +112,13 @@ def ranked(
 def _imagined(model: Model, proposals: Sequence[Proposal]) -> dict[str, Experiment | None]:
     """What the model says would be recorded, None where it runs away."""
     of, found = model.channels, {}
+    simulators: dict[frozenset[tuple[str, str]], Model] = {}
     for p in proposals:
-        n = len(p.u)
-        chosen = of_groups(model, p.groups, p.name)
-        simulator = with_dtype(chosen, np.float64).folded()
+        n, groups = len(p.u), frozenset(p.groups.items())
+        if groups not in simulators:
+            chosen = of_groups(model, p.groups, p.name)
+            simulators[groups] = with_dtype(chosen, np.float64).folded()
+        simulator = simulators[groups]
         blank = Experiment(
             name=p.name, t=np.arange(n) * of.dt, q=np.zeros((n, of.n_q)), u=p.u, channels=of,
             v=np.zeros((n, of.n_q)), v_measured=True, groups=tuple(p.groups.items()),
