@@ -16,7 +16,7 @@ _PARTS = 4  # shares of two are multiples of one over this
 _COARSE = 2  # of more than two: free runs of many members take long
 
 Shares = tuple[float, ...]  # of each candidate of a committee
-_ByRecord = Mapping[str, float]
+_ByStart = dict[str, dict[str, float]]  # RMSE of records by start, first the one that judges
 
 
 @dataclass(frozen=True)
@@ -49,18 +49,19 @@ def judge_average(name: str, members: Sequence[Standing], at: Workplace) -> Judg
     folds = sorted(set.intersection(*(set(s.folds) for s in members)))
     tried = _compositions(len(members))
     begun: dict[int, _OfFold] = {}
-    found: dict[int, list[_ByRecord]] = {}
+    found: dict[int, list[_ByStart]] = {}
     for fold in folds:
         if at.clock.left <= 0:
             break
         begun[fold] = of_fold = _OfFold([s.folds[fold] for s in members], at)
-        found[fold] = [of_fold.judging(shares) for shares in tried]
+        found[fold] = [of_fold.by_start(shares, slice(1)) for shares in tried]
     if not found:
         return None
     scores = {}
     for fold, of_fold in begun.items():
-        chosen = tried[_best(found, [f for f in found if f != fold])]
-        scores[fold] = (SeedScore(0, "", "", None, of_fold.by_start(chosen)),)
+        i = _best(found, [f for f in found if f != fold])
+        rmse = found[fold][i] | of_fold.by_start(tried[i], slice(1, None))
+        scores[fold] = (SeedScore(0, "", "", None, rmse),)
     # one fold alone would choose on what it is judged on
     best = tried[_best(found, list(found) if len(found) > 1 else [])]
     named = {s.name: share for s, share in zip(members, best, strict=True)}
@@ -80,14 +81,10 @@ class _OfFold:
         self._members = [loaded(model.model, at) for of in models for model in of]
         self._names = list(next(iter(models[0][0].rmse.values())))
 
-    def by_start(self, shares: Shares, starts: int | None = None) -> dict[str, dict[str, float]]:
-        """RMSE of the records left out, by start: of the first so many, or of all."""
+    def by_start(self, shares: Shares, starts: slice) -> _ByStart:
+        """RMSE of the records left out, by start, from some starts; the first one judges."""
         together = as_one(self._members, weights_of(self._models, shares))
         return judged(together, self._at, self._names, starts)
-
-    def judging(self, shares: Shares) -> _ByRecord:
-        """RMSE of the records left out, from the start that judges."""
-        return next(iter(self.by_start(shares, 1).values()))
 
 
 def weights_of(models: Sequence[Sequence[SeedScore]], shares: Sequence[float]) -> list[float]:
@@ -109,13 +106,13 @@ def as_one(members: Sequence[Model], weights: Sequence[float]) -> Model:
     return members[0] if len(members) == 1 else committee(members, weights)
 
 
-def _best(found: Mapping[int, Sequence[_ByRecord]], folds: Sequence[int]) -> int:
+def _best(found: Mapping[int, Sequence[_ByStart]], folds: Sequence[int]) -> int:
     """The shares with the lowest mean RMSE over the records of some folds; equal ones of none."""
     if not folds:
         return 0
     count = len(next(iter(found.values())))
     means = []
     for i in range(count):
-        values = [x for f in folds for x in found[f][i].values()]
+        values = [x for f in folds for x in next(iter(found[f][i].values())).values()]
         means.append(mean_and_error(values)[0])
     return int(np.argmin(np.where(np.isfinite(means), means, np.inf)))

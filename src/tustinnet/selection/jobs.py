@@ -36,6 +36,7 @@ from tustinnet.store.run import MODEL, Tell, fit_in
 from tustinnet.systems.files import AnySystem, SystemFile, load_system
 
 SCORES = "scores.json"
+_EVERY = slice(None)
 LEFT_OUT = "left out"  # where files name a split: records that a model was not fitted to
 
 Ended = Literal["done", "out of time", "failed"]
@@ -284,15 +285,15 @@ def starts_of(model: Model, at: Workplace) -> tuple[str, ...]:
 
 
 def judged(
-    model: Model, at: Workplace, names: Sequence[str], starts: int | None = None
+    model: Model, at: Workplace, names: Sequence[str], starts: slice = _EVERY
 ) -> dict[str, dict[str, float]]:
-    """RMSE of some records by start, of the first so many or of all; that which judges comes first.
+    """RMSE of some records by start, of all starts or some; that which judges comes first.
 
     All records run, whoever is asked for, so that models that are alike share a program.
     """
     known = taking_part(at.data)
     found = {}
-    for start in starts_of(model, at)[:starts]:
+    for start in starts_of(model, at)[starts]:
         of = rmse_by_record(evaluate(model, known, start, horizon=at.judging.horizon))
         found[start] = {name: of[name] for name in names}
     return found
