@@ -2,7 +2,6 @@
 
     python benchmarks/accuracy.py split FOLDER MODEL [MODEL ...]
     python benchmarks/accuracy.py variants FOLDER [--start START ...]
-    python benchmarks/accuracy.py following FOLDER SYSTEM [--loss position]
 
 `split` runs free over the validation records and tells the error by coordinate, by time and by
 start; of a grey-box model also by cause: how much of it one parameter takes away that is chosen
@@ -10,15 +9,11 @@ anew for every record.
 
 `variants` cross-validates `best-grey` with every piece of physics in `grey_variants.py`, and with
 the input shifted by half a sample. Recipes are cross-validated by `tustinnet cross-validate`.
-
-`following` does it with an identification whose initial states are those of `model-20`, see
-`following.py`, and tells the difference to `best-grey`, record by record.
 """
 
 import argparse
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -27,11 +22,10 @@ jax.config.update("jax_num_cpu_devices", 2)
 jax.config.update("jax_enable_x64", True)
 
 import numpy as np
-from following import identified
 from grey_variants import SHIFTS, VARIANTS, shifted
 
 import tustinnet as tn
-from tustinnet.evaluate.folds import dealt, make_question
+from tustinnet.evaluate.folds import make_question
 from tustinnet.evaluate.scores import Score
 from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import LagrangianModel
@@ -54,27 +48,6 @@ def variants(args: argparse.Namespace) -> None:
             records, make_question("best-grey", system=system, starts=args.start)
         )
         print(f"{title}\n\n{folds_table(found).markdown()}", flush=True)
-
-
-def following(args: argparse.Namespace) -> None:
-    """Folds of `best-grey`, and of what it becomes where initial states are those of a start."""
-    scores: dict[str, list[list[float]]] = {start: [] for start in ("file", "model-20", "model-40")}
-    names: list[str] = []
-    for deal in dealt(tn.load(args.folder)):
-        records = [replace(e, split="train") for e in deal.roles.all]
-        usual = tn.identify(tn.DataSet("fold", tuple(records)), args.system, "best-grey").model
-        other = identified(usual, records, "model-20", args.loss)
-        names += [e.name for e in deal.scored]
-        for start, found in scores.items():
-            both = [tn.evaluate(model, deal.scored, start) for model in (usual, other)]
-            found += [[score.rmse for score in of] for of in zip(*both, strict=True)]
-    for start, found in scores.items():
-        each = np.array(found)
-        rows = [[name, *map(number, pair)] for name, pair in zip(names, each, strict=True)]
-        print(Table(["record", "best-grey", "following"], rows, title=start).markdown())
-        change = each[:, 1] - each[:, 0]
-        spread = np.std(change, ddof=1) / np.sqrt(len(change))
-        print(f"mean {each.mean(axis=0)}, difference {change.mean():.4f} +- {spread:.4f}\n")
 
 
 def split(args: argparse.Namespace) -> None:
@@ -133,7 +106,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     verbs = parser.add_subparsers(required=True)
     verb: Callable[[argparse.Namespace], None]
-    for verb in (split, variants, following):
+    for verb in (split, variants):
         sub = verbs.add_parser(verb.__name__)
         sub.add_argument("folder", type=Path)
         sub.set_defaults(verb=verb)
@@ -141,9 +114,6 @@ def main() -> None:
             sub.add_argument("models", nargs="+", type=Path)
         if verb is variants:
             sub.add_argument("--start", action="append", default=[])
-        if verb is following:
-            sub.add_argument("system")
-            sub.add_argument("--loss", default="position")
     args = parser.parse_args()
     args.verb(args)
 

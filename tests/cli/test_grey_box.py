@@ -466,8 +466,8 @@ GREY = ["--recipe", "grey", "--system", "{}"]
         ),
         ([*GREY, "--set", "search.initial=here"], ["search.initial", "unknown start"]),
         (
-            [*GREY, "--set", "search.initial=model-20"],
-            ["search.initial", "needs a model", "derived-6"],
+            [*GREY, "--set", "search.initial=warm-up-20"],
+            ["search.initial", "after the first sample", "model-20"],
         ),
         ([*GREY, "--set", "search.method=newton"], ["search.method", "'l-bfgs'", "'newton'"]),
         ([*GREY, "--set", "search.los=state"], ["search.los", "did you mean 'loss'?"]),

@@ -126,7 +126,7 @@ def test_a_change_that_cannot_be_made_is_refused_by_name(change, told):
         ("grey", "stages.0.epochs=3", "stages: unknown key"),
         ("grey", "search.los=state", "did you mean 'loss'"),
         ("grey", "model.hidden=[3]", r"model\.hidden: unknown key"),
-        ("grey", "search.initial=model-20", "a start that needs a model"),
+        ("grey", "search.initial=encoder-20", "a start after the first sample"),
         ("gru", "model.hidden=1000000", r"model\.hidden: .*less than or equal"),
         ("gru", "model.warm_up=1000000000", r"model\.warm_up: .*less than or equal"),
         ("linear", "model.internal=1000000", r"model\.internal: .*less than or equal"),

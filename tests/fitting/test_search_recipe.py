@@ -79,7 +79,12 @@ def test_a_recipe_says_what_is_fixed_and_where_the_search_begins():
         ("tolerance = 0", r"search\.tolerance: .*greater than 0"),
         ("substeps = 0", r"search\.substeps: .*greater than 0"),
         ('initial = "guessed"', "unknown start 'guessed'"),
-        ('initial = "model-20"', r"a start that needs a model; expected choose, anchored"),
+        ('initial = "warm-up-20"', r"a start after the first sample; expected choose, anchored"),
+        ('initial = "encoder"', r"a start after the first sample; expected choose, anchored"),
+        (
+            'initial = "model-20"\nmethod = "l-bfgs"',
+            r'"l-bfgs"` with `initial = "model-20"`.*use levenberg-marquardt',
+        ),
         ('[[stages]]\nname = "first"', "stages: unknown key"),
     ],
 )

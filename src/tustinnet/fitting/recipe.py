@@ -29,7 +29,7 @@ from tustinnet.errors import InputError, refusing
 from tustinnet.families.family import Family, Hyper
 from tustinnet.models.integrate import MOST_SUBSTEPS
 from tustinnet.registry import FAMILIES, RECIPE_HOMES, USUAL
-from tustinnet.simulate.starts import start_named
+from tustinnet.simulate.starts import Start, start_named
 
 Compared = Literal["position", "state"]
 Criterion = Literal["validation", "validation-loss", "training"]
@@ -161,7 +161,9 @@ class SearchRecipe(Declaration):
             searched for, positions kept near what the encoder read; `unanchored`: searched for
             freely, which lets a model with missing physics start where it fits; `choose`: both,
             and the better free run on the validation records decides (`anchored` without them);
-            or a start without a model (`file`, `derived-6`), which is then not searched for.
+            a start without a model (`file`, `derived-6`), which is then not searched for; or
+            `model-N`, the start of free runs: the state then follows from the parameters, and the
+            search takes five times as long.
         loss: what is compared, `position` (the paper) or `state`, velocities too.
         periodic: whether angles are compared by the periodic distance `2 (1 - cos e)`.
         scaled: whether velocities count in units in which they spread as their positions do, see
@@ -196,12 +198,32 @@ class SearchRecipe(Declaration):
     @field_validator("initial")
     @classmethod
     def _known(cls, initial: str) -> str:
-        if initial not in ("choose", "anchored", "unanchored") and start_named(initial).fitted:
+        if initial in ("choose", "anchored", "unanchored"):
+            return initial
+        start = start_named(initial)
+        if start.first:
             raise ValueError(
-                "a start that needs a model; expected choose, anchored, unanchored, or a start "
-                "without one: file, derived-6"
+                "a start after the first sample; expected choose, anchored, unanchored, or a start "
+                "at the first sample: file, derived-6, model-20"
             )
-        return initial
+        return start.name
+
+    @model_validator(mode="after")
+    def _can_follow(self) -> "SearchRecipe":
+        if self.follows and self.method == "l-bfgs":
+            raise ValueError(
+                f'`method = "l-bfgs"` with `initial = "{self.initial}"`, where no initial state is '
+                "searched for: use levenberg-marquardt"
+            )
+        return self
+
+    @property
+    def follows(self) -> Start | None:
+        """The start by which initial states follow from the parameters, if they do."""
+        if self.initial in ("choose", "anchored", "unanchored"):
+            return None
+        start = start_named(self.initial)
+        return start if start.fitted else None
 
 
 class Recipe(Declaration):

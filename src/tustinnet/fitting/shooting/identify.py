@@ -118,9 +118,7 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
         system, tuple(e.driving(acting) for e in records),
         tuple(e.driving(acting) for e in roles.validation), recipe.search, listener,
     )  # fmt: skip
-    if problem.delays and recipe.search.method == "l-bfgs":
-        late = ", ".join(f"'{name}'" for name in problem.delays)
-        raise InputError("search.method", f"'l-bfgs', and {late} is free", "levenberg-marquardt")
+    _require_delays(problem)
     space, first = _beginning(problem, recipe.model)
     values = {k: jnp.asarray(v, jnp.float64) for k, v in space.values(first).items()}
     for model, rows in batches(system.model(values), records):
@@ -154,6 +152,20 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
         weights=ended.weights,
     )
     return described(system, found, time.perf_counter() - begun)
+
+
+def _require_delays(problem: Problem) -> None:
+    """Delays can be searched for by derivatives of the inputs, which not every search has."""
+    if not problem.delays:
+        return
+    late = ", ".join(f"'{name}'" for name in problem.delays)
+    if problem.search.method == "l-bfgs":
+        raise InputError("search.method", f"'l-bfgs', and {late} is free", "levenberg-marquardt")
+    if problem.search.follows:
+        raise InputError(
+            "search.initial", f"'{problem.search.initial}', and {late} is free", "anchored",
+            "a start takes the inputs as they were recorded; fix the delay to use it",
+        )  # fmt: skip
 
 
 def _as_asked(

@@ -108,7 +108,8 @@ class Problem:
     def first(self) -> str:
         """How initial states are treated until the last stage."""
         chosen = self.search.initial
-        return "anchored" if chosen in ("choose", "unanchored") else chosen
+        free = chosen in ("choose", "unanchored") or self.search.follows
+        return "anchored" if free else chosen
 
     @cached_property
     def nominal(self) -> Discretised:
@@ -129,7 +130,7 @@ class Problem:
 
     def segments(self, length: int | None, initial: str, horizons: Mapping[str, int]) -> Segments:
         """The records cut for a stage: to a length, or those that have one to their horizon."""
-        searched = initial in ("anchored", "unanchored")
+        searched = initial in ("anchored", "unanchored") or bool(self.search.follows)
         how = Cut(
             residual=self.residual,
             length=length,
