@@ -18,7 +18,7 @@ FEWEST = 3  # samples that say something of a velocity
 _TURNS = 12  # Levenberg-Marquardt steps; from a parabola 3 or 4 are enough
 _FIRST_DAMPING = 1e-3
 _LEFT_OUT = (0.0, 0.25, 0.5)  # parts of the samples, from the first on
-_EXPLAINED = 3.0  # standard deviations (root mean square) that a model may leave
+_EXPLAINED = 2.5  # standard deviations (root mean square) that a model may leave
 _UNKNOWN_ERROR = 1e-3  # [rad or m], of positions whose resolution nobody declared
 
 
@@ -41,7 +41,7 @@ def model_starts(
 
     Minimises the squared position errors over the samples, each over the encoder's standard
     deviation; internal states are kept near the guess with a standard deviation of 1 in their
-    unit. Where that leaves more than 3 standard deviations (root mean square), something else
+    unit. Where that leaves more than 2.5 standard deviations (root mean square), something else
     still acted, as a rule the hand that let go: the first quarter of the samples is left out,
     then the first half. Where that does not help either, all samples count.
 
