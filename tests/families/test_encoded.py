@@ -220,7 +220,7 @@ def test_records_that_are_too_short():
 def test_kinds_that_cannot_be_named_in_a_recipe():
     with pytest.raises(tn.InputError, match=r'made of other models.*say `start = "encoder-20"`'):
         tn.read_recipe("standard", ["model.kind=encoded"])
-    with pytest.raises(tn.InputError, match="a start that needs a model"):
+    with pytest.raises(tn.InputError, match="a start after the first sample"):
         tn.read_recipe("grey", ["search.initial=encoder-20"])
 
 
