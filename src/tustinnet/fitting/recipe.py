@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, SerializeAsAny, create_model, field_validator, model_validator
 
@@ -162,8 +162,8 @@ class SearchRecipe(Declaration):
             freely, which lets a model with missing physics start where it fits; `choose`: both,
             and the better free run on the validation records decides (`anchored` without them);
             a start without a model (`file`, `derived-6`), which is then not searched for; or
-            `model-N`, the start of free runs: the state then follows from the parameters, and the
-            search takes five times as long.
+            `model-N`, the start of free runs: the state then follows from the parameters, and an
+            iteration takes several times as long.
         loss: what is compared, `position` (the paper) or `state`, velocities too.
         periodic: whether angles are compared by the periodic distance `2 (1 - cos e)`.
         scaled: whether velocities count in units in which they spread as their positions do, see
@@ -198,7 +198,7 @@ class SearchRecipe(Declaration):
     @field_validator("initial")
     @classmethod
     def _known(cls, initial: str) -> str:
-        if initial in ("choose", "anchored", "unanchored"):
+        if initial in get_args(Initial):
             return initial
         start = start_named(initial)
         if start.first:
@@ -220,7 +220,7 @@ class SearchRecipe(Declaration):
     @property
     def follows(self) -> Start | None:
         """The start by which initial states follow from the parameters, if they do."""
-        if self.initial in ("choose", "anchored", "unanchored"):
+        if self.initial in get_args(Initial):
             return None
         start = start_named(self.initial)
         return start if start.fitted else None

@@ -46,7 +46,7 @@ def cost_of(
     segments = problem.segments(None, START, horizons or {})
     cost = Cost(problem.shape(space), space, segments, prior(problem, state), state.substeps)
     assert search.follows is not None
-    return following(problem, state, cost, search.follows), vector
+    return following(problem, cost, search.follows), vector
 
 
 def read() -> list[tn.Experiment]:

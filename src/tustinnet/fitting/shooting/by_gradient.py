@@ -18,7 +18,6 @@ from tustinnet.fitting.shooting.least_squares import (
 )
 from tustinnet.fitting.shooting.normal import Normal, Shape
 from tustinnet.fitting.shooting.segments import Segments
-from tustinnet.fitting.shooting.space import Space
 from tustinnet.models.integrate import discretise
 from tustinnet.simulate.drive import Drive
 from tustinnet.simulate.rollout import rollout
@@ -138,12 +137,10 @@ def _squares(
 
     def total(point: tuple[Array, Array]) -> Array:
         vector, x0 = point
-        values = Space(shape.searched, fixed).values(vector)
 
         def one(x: Array, u: Drive, pick: Array) -> Array:
-            system = shape.system.model(shape.system.picked(values, pick))
             # the drive says how long each period is
-            return rollout(discretise(system, 1.0, substeps), x, u)
+            return rollout(discretise(shape.model(fixed, vector, pick), 1.0, substeps), x, u)
 
         x = jax.vmap(one)(x0, drive, picks)
         error = x[..., : target.shape[2]] - target

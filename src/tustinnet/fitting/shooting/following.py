@@ -7,17 +7,19 @@ not suit the other.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from tustinnet.channels import Input
 from tustinnet.data.experiment import Experiment
 from tustinnet.fitting.shooting.least_squares import Cost, Fitted
-from tustinnet.fitting.shooting.normal import Normal
-from tustinnet.fitting.shooting.problem import Problem, State
+from tustinnet.fitting.shooting.normal import Normal, Shape
+from tustinnet.fitting.shooting.problem import Problem
 from tustinnet.fitting.shooting.segments import Segments
 from tustinnet.models.integrate import discretise
 from tustinnet.simulate.starts import Start
@@ -51,63 +53,67 @@ class Following(Cost):
             px=np.zeros_like(n.px), xx=np.zeros_like(n.xx), gx=np.zeros_like(n.gx),
         )  # fmt: skip
 
-    def ended(self, fitted: Fitted) -> Fitted:
-        """Where a search ended, with the initial states that follow from its parameters."""
-        return replace(fitted, x0=self.begun(fitted.vector)[0])
+    def ended(self, fitted: Fitted) -> tuple[Fitted, Segments]:
+        """The same with the states that follow from the parameters; from here on they are given."""
+        x0 = self.begun(fitted.vector)[0]
+        given = np.zeros_like(x0)
+        return replace(fitted, x0=x0), replace(self.segments, x0=x0, searched=given)
 
 
-def following(problem: Problem, state: State, cost: Cost, start: Start) -> Following:
+def following(problem: Problem, cost: Cost, start: Start) -> Following:
     """A cost whose segments begin where a start says.
 
     Args:
         problem: the records.
-        state: where the search is.
         cost: the cost with initial states of its own.
         start: a start that needs a model.
 
     Raises:
         InputError: a segment with fewer samples than the start needs.
     """
-    whole = cost.segments
-    free = replace(whole, searched=np.ones_like(whole.x0), precision=np.zeros_like(whole.precision))
-    return Following(
-        cost.shape, cost.space, free, cost.prior, cost.substeps,
-        begun=_begun(problem, state, whole, start),
-    )  # fmt: skip
-
-
-def _begun(problem: Problem, state: State, segments: Segments, start: Start) -> Begun:
-    heads = _heads(problem.records, segments, start.samples)
-    inputs = problem.records[0].inputs
-    # segments whose records share the values of all groups share a model
-    _, kind = np.unique(segments.pick, axis=0, return_inverse=True)
-    alike = [np.flatnonzero(kind.ravel() == k) for k in range(int(kind.max()) + 1)]
-    materials = [start.material(problem.nominal, [heads[i] for i in rows]) for rows in alike]
-
-    def states(vector: Array, pick: Array, material: Any) -> Array:
-        values = problem.system.picked(state.space.values(vector), pick)
-        model = discretise(problem.system.model(values), problem.motion.dt, state.substeps,
-                           inputs=inputs)  # fmt: skip
-        return start.states(model, material)
-
-    found = jax.jit(lambda *at: (states(*at), jax.jacfwd(states)(*at)))
+    whole, shape, fixed = cost.segments, cost.shape, cost.space.fixed_arrays
+    material = start.material(problem.nominal, _heads(problem.records, whole, start.samples))
+    how = _How(start, problem.motion.dt, problem.records[0].inputs, cost.substeps)
 
     def begun(vector: Float[np.ndarray, " n_p"]) -> tuple[np.ndarray, np.ndarray]:
-        x0 = np.zeros_like(segments.x0)
-        by = np.zeros((*x0.shape, len(vector)))
-        for rows, material in zip(alike, materials, strict=True):
-            pick = jnp.asarray(segments.pick[rows[0]])
-            x0[rows], by[rows] = map(np.asarray, found(jnp.asarray(vector), pick, material))
-        return x0, by
+        found, by = _started(shape, how, fixed, vector, (whole.pick, material))
+        return np.asarray(found), np.asarray(by)
 
-    return begun
+    free = replace(whole, searched=np.ones_like(whole.x0), precision=np.zeros_like(whole.precision))
+    return Following(shape, cost.space, free, cost.prior, cost.substeps, begun=begun)
+
+
+class _How(NamedTuple):
+    """What the compiled program of the initial states is made for, beside a `Shape`."""
+
+    start: Start
+    dt: float
+    inputs: tuple[Input, ...]
+    substeps: int
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _started(
+    shape: Shape, how: _How, fixed: dict[str, Array], vector: Array, segments: tuple[Array, Any]
+) -> tuple[Array, Array]:
+    """Where segments begin, and the derivatives by the parameters."""
+
+    def one(vector: Array, pick: Array, material: Any) -> Array:
+        physics = shape.model(fixed, vector, pick)
+        model = discretise(physics, how.dt, how.substeps, inputs=how.inputs)
+        return how.start.states(model, jax.tree.map(lambda a: jnp.asarray(a)[None], material))[0]
+
+    def every(vector: Array) -> Array:
+        return jax.vmap(partial(one, vector))(*segments)
+
+    return every(vector), jax.jacfwd(every)(vector)
 
 
 def _heads(records: Sequence[Experiment], segments: Segments, samples: int) -> list[Experiment]:
     """The first samples of every segment."""
-    begins = np.cumsum([0, *(len(e) for e in records)])
-    found = []
-    for record, first, steps in zip(segments.record, segments.first, segments.steps, strict=True):
-        at = int(first - begins[record])
-        found.append(records[record][at : at + min(samples, int(steps) + 1)])
-    return found
+    first = segments.first - segments.first[segments.begins][segments.record]
+    counts = np.minimum(samples, segments.steps + 1)
+    return [
+        records[record][at : at + count]
+        for record, at, count in zip(segments.record, first, counts, strict=True)
+    ]

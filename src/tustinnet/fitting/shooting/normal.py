@@ -6,7 +6,7 @@ it is told, which `simulate.rollout` does not; docs/explanation/identification.m
 worth.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -44,6 +44,11 @@ class Shape:
     searched: tuple[Parameter, ...]
     residual: Residual
     lanes: int
+
+    def model(self, fixed: Mapping[str, Any], vector: Array, pick: Array) -> LagrangianModel:
+        """The equations of motion of a segment; can be compiled, and differentiated."""
+        values = Space(self.searched, fixed).values(vector)
+        return self.system.model(self.system.picked(values, pick))
 
 
 @dataclass(frozen=True)
@@ -210,9 +215,8 @@ def _advanced(
     count: tuple[Any, Any],
 ) -> tuple[_At, Array]:
     def advanced(at: _At, lane: _Lane) -> tuple[_At, Array]:
-        def model_of(p: Array) -> Any:
-            values = Space(shape.searched, fixed).values(p)
-            return shape.system.model(shape.system.picked(values, lane.pick))
+        def model_of(p: Array) -> LagrangianModel:
+            return shape.model(fixed, p, lane.pick)
 
         return _stretch(shape.residual, model_of, vector, (at, lane), count)
 
