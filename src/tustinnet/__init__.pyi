@@ -27,7 +27,7 @@ from .families.tustin_net import TustinNet as TustinNet
 from .fitting.fit import fit as fit
 from .fitting.fit import fit_many as fit_many
 from .fitting.recipe import Recipe as Recipe
-from .fitting.recipe import read_recipe as read_recipe
+from .fitting.recipe_reading import read_recipe as read_recipe
 from .fitting.report import Estimate as Estimate
 from .fitting.report import FitResult as FitResult
 from .fitting.report import Identification as Identification

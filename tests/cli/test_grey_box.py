@@ -18,7 +18,7 @@ import tustinnet as tn
 from tustinnet.cli import demo
 from tustinnet.cli.main import run
 from tustinnet.fitting.fit import fit_task
-from tustinnet.fitting.recipe import read_recipe
+from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.task import make_task
 from tustinnet.selection.plan import SelectionPlan
 from tustinnet.store.model_file import read_header

@@ -23,7 +23,8 @@ from tustinnet.evaluate.learning import (
     places_of,
     trained,
 )
-from tustinnet.fitting.recipe import Recipe, read_recipe
+from tustinnet.fitting.recipe import Recipe
+from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.report.figures import write_figure
 from tustinnet.report.learning import learning_figure
 from tustinnet.store.data_set_folder import write_data_set

@@ -120,6 +120,9 @@ def test_an_encoder_goes_with_its_model_and_stays_behind_elsewhere(
     assert code == 1
     assert "a model with an encoder of 10 samples" in err
     assert "use the start 'encoder-10'" in err
+    code, _, err = tustinnet(capsys, "compare", model, folder, "--start", "encoder")
+    assert (code, err.count("\n")) == (1, 1)
+    assert err.startswith(f"error: {model}: start: 'encoder-20'")
     # as part of a committee, and outside of Python, it is its dynamics
     both, members = tmp_path / "both.safetensors", sorted(out.glob("seed-*/model.safetensors"))
     code, _, err = tustinnet(capsys, "committee", *members, "--out", both)

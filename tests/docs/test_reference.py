@@ -12,7 +12,7 @@ from documented import DOCS, anchor
 import tustinnet as tn
 from tustinnet.data import card
 from tustinnet.data.declaration import Declaration
-from tustinnet.fitting import recipe
+from tustinnet.fitting import recipe, recipe_reading
 from tustinnet.registry import FAMILIES
 
 REFERENCE = DOCS / "reference"
@@ -82,7 +82,7 @@ def test_every_key_of_a_recipe_is_on_its_page():
     assert not keys - written(page("training.md"))
 
 
-@pytest.mark.parametrize("name", recipe.packaged_recipes())
+@pytest.mark.parametrize("name", recipe_reading.packaged_recipes())
 def test_every_packaged_recipe_is_on_the_page(name):
     assert f"`{name}`" in page("training.md")
 

@@ -12,7 +12,7 @@ from every_family import CHANNELS, every_family, hybrid, network, neural_ode, ph
 from swinging import CREEPING, DT, SWING, records, swing_model
 
 import tustinnet as tn
-from tustinnet.fitting.recipe import read_recipe
+from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.models.contract import with_dtype
 from tustinnet.models.parameters import Parameter
 from tustinnet.simulate.rollout import rollouts

@@ -10,7 +10,7 @@ from tustinnet.channels import Channels
 from tustinnet.families.family import family_of
 from tustinnet.families.gru import GRU, random_gru
 from tustinnet.families.neural_ode import NeuralODE
-from tustinnet.fitting.recipe import packaged_recipes
+from tustinnet.fitting.recipe_reading import packaged_recipes
 from tustinnet.fitting.task import Member, make_task
 from tustinnet.models.blocks import learn_scaling
 from tustinnet.simulate.along import states_along

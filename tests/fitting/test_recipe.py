@@ -6,7 +6,8 @@ import pytest
 
 import tustinnet as tn
 from tustinnet.families.tustin_net import TustinNetHyper
-from tustinnet.fitting.recipe import TrainingRecipe, packaged_recipes
+from tustinnet.fitting.recipe import TrainingRecipe
+from tustinnet.fitting.recipe_reading import packaged_recipes
 
 
 def test_the_packaged_recipes_are_there_and_valid():

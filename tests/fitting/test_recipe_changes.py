@@ -87,7 +87,7 @@ def test_values_are_read_as_toml_has_them():
         ("model.kind=tustin", "no kind of model 'tustin'; expected one of tustin-net"),
         ("model.scaling=metres", "no scaling 'metres'; known: records, published"),
         ("model=tustin-net", "expected a table with `kind"),
-        ("start=somewhere", "unknown start 'somewhere'"),
+        ("start=somewhere", ", start: unknown start 'somewhere'"),
         ("stages.0.rate=inf", r"stages\.0\.rate: .*finite"),
         ("stages.0.clip=inf", r"stages\.0\.clip: .*finite"),
         ("stages.0.clip=1e300", r"stages\.0\.clip: .*less than or equal"),

@@ -6,7 +6,8 @@ from typing import Any
 import pytest
 
 import tustinnet as tn
-from tustinnet.fitting.recipe import IdentificationRecipe, SearchRecipe, packaged_recipes
+from tustinnet.fitting.recipe import IdentificationRecipe, SearchRecipe
+from tustinnet.fitting.recipe_reading import packaged_recipes
 
 
 def search_of(which: str | Path | dict[str, Any], *changes: str) -> SearchRecipe:

@@ -19,7 +19,7 @@ from swinging import SWING
 from tustinnet.data.declaration import parse_toml
 from tustinnet.errors import InputError
 from tustinnet.evaluate.folds import cross_validate, make_question
-from tustinnet.fitting.recipe import read_recipe
+from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.selection import cluster as room
 from tustinnet.selection.cluster import _work, cluster, perform_here, versions
 from tustinnet.selection.cross_validation import cross_validate_by_jobs

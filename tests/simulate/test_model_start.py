@@ -123,11 +123,18 @@ def test_networks_and_training_start_there_too(pendulum, small_recipe):
         assert score.rmse_after == pytest.approx(np.sqrt(error[12:].mean()))
 
 
-@pytest.mark.parametrize("start", ["model-2", "model-21", "model-x"])
-def test_too_few_or_too_many_samples_are_refused(start):
+@pytest.mark.parametrize(
+    ("start", "told"),
+    [
+        ("model-2", "^start: 'model-2'; expected at least 3 samples for the fit$"),
+        ("model-21", "20 samples; expected at least 21 for the start 'model-21'"),
+        ("model-x", "unknown start 'model-x'"),
+    ],
+)
+def test_too_few_or_too_many_samples_are_refused(start, told):
     model = tn.discretise(grey_box(), DT)
     e = simulated(model, np.array([1.0, 2.0]))
-    with pytest.raises(tn.InputError, match="start"):
+    with pytest.raises(tn.InputError, match=told):
         start_states(model, [e], start)
 
 

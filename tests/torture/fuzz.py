@@ -24,7 +24,7 @@ from typing import Any
 
 import tustinnet as tn
 from tustinnet.cli.show import show
-from tustinnet.fitting.recipe import read_recipe
+from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.task import make_task
 from tustinnet.store.checkpoint import read_checkpoint
 from tustinnet.store.run import run_task

@@ -8,7 +8,9 @@ import typer
 from tustinnet.cli import options, terminal
 
 if TYPE_CHECKING:
+    from tustinnet.data.experiment import Experiment
     from tustinnet.evaluate.scores import Score
+    from tustinnet.models.contract import Model
 
 
 _Systems = Annotated[
@@ -43,7 +45,6 @@ def compare(
     terminal.prepare_jax()
     from tustinnet.cli.request import band_asked, bands_of, judged_records, kept_system
     from tustinnet.errors import InputError
-    from tustinnet.evaluate.scores import evaluate
     from tustinnet.report.comparison import comparison_table
     from tustinnet.report.figures import free_run_figure, write_figure
     from tustinnet.report.page.subject import labels
@@ -57,8 +58,8 @@ def compare(
     loaded = load_models(models, given, kept_system)
     records, begin = judged_records(data, card, split, start, loaded)
     scores = {
-        label: evaluate(model, records, begin, horizon=horizon)
-        for label, model in zip(labels(models), loaded, strict=True)
+        label: _scores(path, model, records, begin, horizon)
+        for label, path, model in zip(labels(models), models, loaded, strict=True)
     }
     if figures is not None:
         bands = {} if asked is None else {
@@ -75,6 +76,18 @@ def compare(
         terminal.print_json({"start": begin, "horizon": horizon, "models": content})
         return
     terminal.print_tables(comparison_table(records, scores, begin))
+
+
+def _scores(
+    path: Path, model: "Model", records: "list[Experiment]", start: str, horizon: float | None
+) -> "list[Score]":
+    from tustinnet.errors import InputError
+    from tustinnet.evaluate.scores import evaluate
+
+    try:
+        return evaluate(model, records, start, horizon=horizon)
+    except InputError as error:  # which of the models it was
+        raise InputError(path, str(error)) from error
 
 
 def _content(models: list[Path], scores: "dict[str, list[Score]]") -> dict[str, Any]:

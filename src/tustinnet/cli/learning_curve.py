@@ -115,7 +115,7 @@ def _with_system(
     """What a network corrects and is pre-trained by, where there is a system."""
     from tustinnet.errors import InputError
     from tustinnet.evaluate.folds import make_question
-    from tustinnet.fitting.recipe import read_recipe
+    from tustinnet.fitting.recipe_reading import read_recipe
     from tustinnet.systems.files import find_system
 
     if system is not None:

@@ -39,7 +39,7 @@ def recipe_of(
     physics: object,
 ) -> "Recipe":
     """The recipe that was asked for, or the usual one for what was given, with its changes."""
-    from tustinnet.fitting.recipe import read_recipe
+    from tustinnet.fitting.recipe_reading import read_recipe
     from tustinnet.fitting.task import usual_recipe
 
     usual = usual_recipe(system=system is not None, physics=physics is not None)

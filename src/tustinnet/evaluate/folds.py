@@ -16,7 +16,8 @@ from tustinnet.fitting.fit import fit_task
 from tustinnet.fitting.gradient.plan import groups_alike, plan
 from tustinnet.fitting.gradient.train import train_plan
 from tustinnet.fitting.listener import SILENT, Listener
-from tustinnet.fitting.recipe import Recipe, horizon_of, rates_of, read_recipe
+from tustinnet.fitting.recipe import Recipe, horizon_of, rates_of
+from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import AnyRecipe, Fold, Member, Task

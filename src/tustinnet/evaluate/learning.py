@@ -29,7 +29,8 @@ from tustinnet.evaluate.folds import (
 from tustinnet.evaluate.scores import evaluate, rmse_by_record
 from tustinnet.fitting.gradient.plan import groups_alike
 from tustinnet.fitting.listener import SILENT
-from tustinnet.fitting.recipe import Recipe, read_recipe
+from tustinnet.fitting.recipe import Recipe
+from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import AnyRecipe, Fold, Member, Origin, Task

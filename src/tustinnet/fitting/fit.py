@@ -6,7 +6,8 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.fitting.gradient.plan import plan
 from tustinnet.fitting.gradient.train import train_plan
 from tustinnet.fitting.listener import SILENT, Listener
-from tustinnet.fitting.recipe import rates_of, read_recipe
+from tustinnet.fitting.recipe import rates_of
+from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.shooting.identify import identify_task
 from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task, usual_recipe

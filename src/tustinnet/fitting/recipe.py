@@ -4,31 +4,19 @@ The table `[model]` names the kind of model. With it goes what other keys there 
 for kinds with weights, `search` for kinds with parameters.
 """
 
-import tomllib
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
-from copy import deepcopy
+from collections.abc import Mapping
 from functools import cache
-from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, SerializeAsAny, create_model, field_validator, model_validator
 
-from tustinnet.data.declaration import (
-    Declaration,
-    Name,
-    Sentence,
-    declare,
-    packaged,
-    parse_toml,
-    read_packaged,
-    require_plain,
-)
+from tustinnet.data.declaration import Declaration, Name, Sentence, declare
 from tustinnet.data.experiment import VelocitySource
-from tustinnet.errors import InputError, refusing
+from tustinnet.errors import InputError
 from tustinnet.families.family import Family, Hyper
 from tustinnet.models.integrate import MOST_SUBSTEPS
-from tustinnet.registry import FAMILIES, RECIPE_HOMES, USUAL
+from tustinnet.registry import FAMILIES, USUAL
 from tustinnet.simulate.starts import Start, start_named
 
 Compared = Literal["position", "state"]
@@ -200,7 +188,7 @@ class SearchRecipe(Declaration):
     def _known(cls, initial: str) -> str:
         if initial in get_args(Initial):
             return initial
-        start = start_named(initial)
+        start = start_named(initial, "")
         if start.first:
             raise ValueError(
                 "a start after the first sample; expected choose, anchored, unanchored, or a start "
@@ -251,7 +239,12 @@ class Recipe(Declaration):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled as data: the class of a recipe is made where it is first needed."""
-        return read_recipe, (self.model_dump(mode="json", exclude_unset=True),)
+        return declared, (self.content, f"recipe '{self.name}'")
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """What a file would say: without keys that were left out, lists instead of tuples."""
+        return self.model_dump(mode="json", exclude_unset=True)
 
 
 class TrainingRecipe(Recipe):
@@ -282,7 +275,7 @@ class TrainingRecipe(Recipe):
     @field_validator("start")
     @classmethod
     def _known(cls, start: str | None) -> str | None:
-        return start and start_named(start).name
+        return start and start_named(start, "").name
 
     @model_validator(mode="after")
     def _stages_fit(self) -> "TrainingRecipe":
@@ -355,38 +348,16 @@ def recipe_type(family: Family) -> type[Recipe]:
     )
 
 
-def packaged_recipes() -> list[str]:
-    """Names of the recipes that come with the package."""
-    return list(packaged(RECIPE_HOMES))
-
-
-def read_recipe(
-    which: "str | Path | Mapping[str, Any] | Recipe", changes: Sequence[str] = ()
-) -> Recipe:
-    """A packaged recipe by name, or a recipe from a TOML file, or from the same as a mapping.
+def declared(content: Mapping[str, Any], where: object) -> Recipe:
+    """The recipe that a mapping declares; without `kind` it is that of the usual family.
 
     Args:
-        which: the recipe.
-        changes: `KEY=VALUE`, the key with dots between tables, as `stages.0.epochs=20` or, in
-            all stages, `stages.*.epochs=20`; the value as TOML has it, text also without quotes.
+        content: what a file of a recipe says.
+        where: what is declared, for messages.
 
     Raises:
-        InputError: no such recipe; an unknown key, one that is changed twice, or a wrong value.
+        InputError: no such kind of model, an unknown key or a wrong value.
     """
-    _require_once(changes)
-    if isinstance(which, Recipe):
-        if not changes:
-            return which
-        # as a file would have it: without keys that were left out, lists that changes can reach
-        content = which.model_dump(mode="json", exclude_unset=True)
-        where = f"recipe '{which.name}'"
-    elif isinstance(which, Mapping):
-        require_plain(which, "recipe")
-        content, where = deepcopy(dict(which)), "recipe"
-    else:
-        content, where = read_packaged(which, RECIPE_HOMES)
-    for change in changes:
-        _change(content, change)
     table = content.get("model", {})
     if not isinstance(table, dict):
         raise InputError(f"{where}, model", f"{table!r}", 'a table with `kind = "..."`')
@@ -397,57 +368,5 @@ def read_recipe(
         what = f"kind '{kind}', made of other models" if exists else f"no kind of model '{kind}'"
         instead = FAMILIES[kind].instead if exists else ""
         raise InputError(f"{where}, model.kind", what, f"one of {', '.join(known)}", instead)
-    content["model"] = {"kind": kind, **table}
-    return declare(content, recipe_type(FAMILIES[kind]), where)
-
-
-def _require_once(changes: Sequence[str]) -> None:
-    keys = [change.partition("=")[0].strip() for change in changes]
-    for i, key in enumerate(keys):
-        if key in keys[:i]:
-            raise InputError("--set", f"'{key}' twice", "once")
-
-
-def _change(content: dict[str, Any], change: str) -> None:
-    """Puts the value of `KEY=VALUE` into the content of a recipe."""
-    key, equals, text = change.partition("=")
-    if not equals or not key.strip():
-        raise InputError("--set", f"'{change}'", "KEY=VALUE", "for instance stages.0.epochs=20")
-    *path, last = key.strip().split(".")
-    places: list[Any] = [content]
-    for part in path:
-        places = [found for place in places for found in _inside(place, part, change)]
-    for place in places:
-        if isinstance(place, list):
-            for index in _indices(place, last, change):
-                place[index] = _value(text)
-        else:
-            place[last] = _value(text)
-
-
-def _inside(place: Any, part: str, change: str) -> list[Any]:
-    if isinstance(place, list):
-        return [place[i] for i in _indices(place, part, change)]
-    if not isinstance(place.setdefault(part, {}), dict | list):
-        raise InputError("--set", f"'{change}': '{part}' is no table", "a key of a table")
-    return [place[part]]
-
-
-def _indices(place: Sequence[Any], part: str, change: str) -> Sequence[int]:
-    if part == "*":
-        return range(len(place))
-    if not part.isdigit() or int(part) >= len(place):
-        raise InputError(
-            "--set", f"'{change}': no place '{part}' in a list of {len(place)}",
-            f"a number from 0 to {len(place) - 1}, or * for all",
-        )  # fmt: skip
-    return [int(part)]
-
-
-def _value(text: str) -> Any:
-    with refusing("--set", f"'{text.strip()[:30]}'", "a value as TOML has it"):
-        try:
-            content = parse_toml(f"value = {text}")
-        except tomllib.TOMLDecodeError:
-            return text.strip()
-        return content["value"] if len(content) == 1 else text.strip()
+    complete = {**content, "model": {"kind": kind, **table}}
+    return declare(complete, recipe_type(FAMILIES[kind]), where)

@@ -8,7 +8,8 @@ from typing import Any
 from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
 from tustinnet.families.family import family_of
-from tustinnet.fitting.recipe import Recipe, rates_of, read_recipe
+from tustinnet.fitting.recipe import Recipe, rates_of
+from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.roles import Roles, roles
 from tustinnet.models.contract import Model, require_fit
 from tustinnet.models.lagrangian import LagrangianSystem

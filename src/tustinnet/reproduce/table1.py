@@ -9,7 +9,8 @@ from typing import Any
 from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
 from tustinnet.evaluate.scores import Score, evaluate, mean_rmse, rmse_by_record
-from tustinnet.fitting.recipe import Criterion, Recipe, TrainingRecipe, read_recipe
+from tustinnet.fitting.recipe import Criterion, Recipe, TrainingRecipe
+from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.task import Member, make_task
 from tustinnet.models.contract import Model
 from tustinnet.report.tables import Table, number

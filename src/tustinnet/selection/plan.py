@@ -16,7 +16,8 @@ from tustinnet.data.declaration import (
     read_packaged,
 )
 from tustinnet.errors import InputError
-from tustinnet.fitting.recipe import Horizon, Recipe, rates_of, read_recipe
+from tustinnet.fitting.recipe import Horizon, Recipe, rates_of
+from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.simulate.starts import start_named
 
 USUAL = "usual"  # the plan where nobody names one
@@ -124,7 +125,7 @@ class SelectionPlan(Declaration):
     @field_validator("start")
     @classmethod
     def _known(cls, start: str) -> str:
-        return start_named(start).name
+        return start_named(start, "").name
 
     @model_validator(mode="after")
     def _complete(self) -> "SelectionPlan":

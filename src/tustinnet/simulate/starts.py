@@ -204,11 +204,7 @@ class Encoder(_AfterSamples):
                 f'"{self.name}"`', usual,
             )  # fmt: skip
         for e in experiments:
-            if len(e) < self.samples:
-                raise InputError(
-                    e.name, f"{len(e)} samples", f"at least {self.samples} for the start "
-                    f"'{self.name}'", "leave the record out, or take another start",
-                )  # fmt: skip
+            _require_samples(e, self.name, self.samples, 1, "the encoder")
         q = np.stack([e.q[: self.samples] for e in experiments])
         return q, drives_of(model, experiments, slice(self.samples)).u
 
@@ -222,10 +218,14 @@ class Encoder(_AfterSamples):
 STARTS: tuple[type[Start], ...] = (Stored, Derived, Fitted, WarmUp, Encoder)
 
 
-def start_named(name: str) -> Start:
+def start_named(name: str, where: object = "start") -> Start:
     """A start by its name: `file`, `derived-6`, `model-20`, `warm-up-20`, `encoder-20`.
 
     Any number may stand in its place; `encoder` is `encoder-20`.
+
+    Args:
+        name: the name.
+        where: what names it, for messages; empty in a declaration, which says the key itself.
 
     Raises:
         InputError: no such start.
@@ -236,7 +236,7 @@ def start_named(name: str) -> Start:
             number = match[1] if match.groups() else None
             return kind(kind.usual if number is None else int(number))
     raise InputError(
-        "start",
+        where,
         f"unknown start '{name}'",
         "'file', 'derived-N' such as derived-6, 'model-N' such as model-20, 'warm-up-N' or "
         "'encoder-N'",
@@ -340,5 +340,10 @@ def _stored(e: Experiment) -> Float[np.ndarray, " n"]:
 
 
 def _require_samples(e: Experiment, name: str, samples: int, fewest: int, what: str) -> None:
-    if not fewest <= samples <= len(e):
-        raise InputError(e.name, f"start '{name}'", f"{fewest} to {len(e)} samples for {what}")
+    if samples < fewest:
+        raise InputError("start", f"'{name}'", f"at least {fewest} samples for {what}")
+    if samples > len(e):
+        raise InputError(
+            e.name, f"{len(e)} samples", f"at least {samples} for the start '{name}'",
+            "leave the record out, or take another start",
+        )  # fmt: skip

@@ -15,7 +15,8 @@ from tustinnet.data.inspection import transient_end
 from tustinnet.errors import InputError
 from tustinnet.families.family import Hyper
 from tustinnet.fitting.listener import Iteration, Listener
-from tustinnet.fitting.recipe import IdentificationRecipe, read_recipe
+from tustinnet.fitting.recipe import IdentificationRecipe
+from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.report import Disagreement, FitResult, Identification
 from tustinnet.fitting.shooting import inverse_dynamics
 from tustinnet.fitting.shooting.agreement import Agreement
@@ -119,6 +120,8 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
         tuple(e.driving(acting) for e in roles.validation), recipe.search, listener,
     )  # fmt: skip
     _require_delays(problem)
+    if begin := problem.search.follows:
+        begin.material(problem.nominal, problem.records)  # refuses short records before the search
     space, first = _beginning(problem, recipe.model)
     values = {k: jnp.asarray(v, jnp.float64) for k, v in space.values(first).items()}
     for model, rows in batches(system.model(values), records):

@@ -1,0 +1,97 @@
+"""Recipes read: packaged ones, TOML files and mappings, with single values changed."""
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+from tustinnet.data.declaration import packaged, parse_toml, read_packaged, require_plain
+from tustinnet.errors import InputError, refusing
+from tustinnet.fitting.recipe import Recipe, declared
+from tustinnet.registry import RECIPE_HOMES
+
+
+def packaged_recipes() -> list[str]:
+    """Names of the recipes that come with the package."""
+    return list(packaged(RECIPE_HOMES))
+
+
+def read_recipe(
+    which: "str | Path | Mapping[str, Any] | Recipe", changes: Sequence[str] = ()
+) -> Recipe:
+    """A packaged recipe by name, or a recipe from a TOML file, or from the same as a mapping.
+
+    Args:
+        which: the recipe.
+        changes: `KEY=VALUE`, the key with dots between tables, as `stages.0.epochs=20` or, in
+            all stages, `stages.*.epochs=20`; the value as TOML has it, text also without quotes.
+
+    Raises:
+        InputError: no such recipe; an unknown key, one that is changed twice, or a wrong value.
+    """
+    _require_once(changes)
+    if isinstance(which, Recipe):
+        if not changes:
+            return which
+        content, where = which.content, f"recipe '{which.name}'"
+    elif isinstance(which, Mapping):
+        require_plain(which, "recipe")
+        content, where = deepcopy(dict(which)), "recipe"
+    else:
+        content, where = read_packaged(which, RECIPE_HOMES)
+    for change in changes:
+        _change(content, change)
+    return declared(content, where)
+
+
+def _require_once(changes: Sequence[str]) -> None:
+    keys = [change.partition("=")[0].strip() for change in changes]
+    for i, key in enumerate(keys):
+        if key in keys[:i]:
+            raise InputError("--set", f"'{key}' twice", "once")
+
+
+def _change(content: dict[str, Any], change: str) -> None:
+    """Puts the value of `KEY=VALUE` into the content of a recipe."""
+    key, equals, text = change.partition("=")
+    if not equals or not key.strip():
+        raise InputError("--set", f"'{change}'", "KEY=VALUE", "for instance stages.0.epochs=20")
+    *path, last = key.strip().split(".")
+    places: list[Any] = [content]
+    for part in path:
+        places = [found for place in places for found in _inside(place, part, change)]
+    for place in places:
+        if isinstance(place, list):
+            for index in _indices(place, last, change):
+                place[index] = _value(text)
+        else:
+            place[last] = _value(text)
+
+
+def _inside(place: Any, part: str, change: str) -> list[Any]:
+    if isinstance(place, list):
+        return [place[i] for i in _indices(place, part, change)]
+    if not isinstance(place.setdefault(part, {}), dict | list):
+        raise InputError("--set", f"'{change}': '{part}' is no table", "a key of a table")
+    return [place[part]]
+
+
+def _indices(place: Sequence[Any], part: str, change: str) -> Sequence[int]:
+    if part == "*":
+        return range(len(place))
+    if not part.isdigit() or int(part) >= len(place):
+        raise InputError(
+            "--set", f"'{change}': no place '{part}' in a list of {len(place)}",
+            f"a number from 0 to {len(place) - 1}, or * for all",
+        )  # fmt: skip
+    return [int(part)]
+
+
+def _value(text: str) -> Any:
+    with refusing("--set", f"'{text.strip()[:30]}'", "a value as TOML has it"):
+        try:
+            content = parse_toml(f"value = {text}")
+        except tomllib.TOMLDecodeError:
+            return text.strip()
+        return content["value"] if len(content) == 1 else text.strip()
