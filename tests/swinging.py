@@ -31,6 +31,11 @@ SWING = LagrangianSystem(
     dissipation=lambda q, v, p: p["damping"] * v,
     input_map=lambda q, v, u, p: p["gain"] * u,
 )
+_CREEP = Memory(
+    ("creep",),
+    lambda q, v, z, p: v - p["relaxation"] * z,
+    lambda q, v, z, p: -p["stiffness"] * z,
+)
 CREEPING = replace(
     SWING,
     name="creeping swing",
@@ -41,11 +46,14 @@ CREEPING = replace(
         Parameter("relaxation", "1/s", 3.0, 0.1, 100.0),
     ),
     input_map=lambda q, v, u, p: p["gain"] * u + p["offset"],
-    memory=Memory(
-        ("creep",),
-        lambda q, v, z, p: v - p["relaxation"] * z,
-        lambda q, v, z, p: -p["stiffness"] * z,
-    ),
+    memory=_CREEP,
+)
+# the same after it was turned: it remembers a part of the angle at which a record begins
+TURNED = replace(
+    CREEPING,
+    name="turned swing",
+    parameters=(*CREEPING.parameters, Parameter("turned", "1", 0.3, 0.0, 1.5)),
+    memory=replace(_CREEP, initial=lambda q, v, p: p["turned"] * q),
 )
 # a cart with a pendulum: both kinds of coordinates, an inertia between them
 CART = LagrangianSystem(

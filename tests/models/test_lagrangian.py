@@ -349,6 +349,16 @@ def test_a_wound_cable_rubs_in_proportion_to_its_deflection():
     assert tn.load_system("qube-servo2-rubbing") is qube_servo2.RUBBING
 
 
+def test_a_turned_cable_begins_with_a_part_of_the_arms_angle():
+    turned = tn.load_system("qube-servo2-turned")
+    assert turned is qube_servo2.TURNED
+    values = {k: jnp.asarray(x) for k, x in turned.nominal().items()}
+    begun = turned.model(values | {"cable_turned": jnp.asarray(0.25)}).beginning(
+        jnp.array([2.0, 3.0, 0.1, 0.2])
+    )
+    np.testing.assert_allclose(begun, [2.0, 3.0, 0.1, 0.2, 0.5])
+
+
 def test_the_packaged_mass_matrix_is_positive_definite_at_all_corners_of_the_ranges():
     system = qube_servo2.SYSTEM
     names = [

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -123,7 +124,7 @@ def _imagined(model: Model, proposals: Sequence[Proposal]) -> dict[str, Experime
             name=p.name, t=np.arange(n) * of.dt, q=np.zeros((n, of.n_q)), u=p.u, channels=of,
             v=np.zeros((n, of.n_q)), v_measured=True, groups=tuple(p.groups.items()),
         )  # fmt: skip
-        x0 = np.concatenate([p.q, p.v, np.zeros(len(model.internal))])[None]
+        x0 = np.asarray(simulator.beginning(jnp.concatenate([p.q, p.v])))[None]
         x = np.asarray(simulated(simulator, x0, drives_of(simulator, [blank])))[0]
         sound = (np.abs(x) <= LARGEST).all()  # False of what is no number
         found[p.name] = replace(blank, q=x[:, of.position], v=x[:, of.velocity]) if sound else None

@@ -118,7 +118,7 @@ class Rules:
         return low + (np.clip(np.asarray(action, float), -1.0, 1.0) + 1) / 2 * (high - low)
 
     def stated(self, given: ArrayLike, where: str) -> Vector:
-        """A whole state, internal states 0 where they are not given.
+        """A whole state, internal states as the model expects where they are not given.
 
         Raises:
             InputError: another number of states, or one out of bounds.
@@ -130,6 +130,8 @@ class Rules:
                 where, f"{known.size} numbers", f"positions and velocities of {of.n_q} coordinates"
             )
         x[: known.size] = known
+        if known.size < len(x):
+            x = self.begun(x[None])[0]
         inside = (self.bounds[:, 0] <= x) & (x <= self.bounds[:, 1])
         if not inside[: known.size].all():
             first = int(np.argmin(inside))
@@ -138,6 +140,11 @@ class Rules:
                 where, f"{self.source.states[first]} = {x[first]:g}", f"{low:g} to {high:g}"
             )
         return x
+
+    def begun(self, x: Rows) -> Rows:
+        """States with the internal ones with which the model expects a record to begin."""
+        measured = jnp.asarray(x[:, self.source.channels.measured])
+        return np.asarray(jax.vmap(self.source.model.beginning)(measured), float)
 
     def starts(
         self, count: int, generator: np.random.Generator, options: Mapping[str, Any] | None = None
@@ -149,8 +156,7 @@ class Rules:
         low, high = self.range.states.T
         share = generator.uniform(0.0, 1.0, (count, self.source.n_x))
         if self.start is None:
-            x = low + share * (high - low)
-            x[:, self.source.channels.internal] = 0.0
+            x = self.begun(low + share * (high - low))
         else:
             x = self.stated(self.start, "start") + self.noise * self.width * (2 * share - 1)
         return np.clip(x, *self.bounds.T)

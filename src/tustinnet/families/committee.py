@@ -24,7 +24,7 @@ from tustinnet.families.family import (
     family_of,
     systems_in,
 )
-from tustinnet.models.contract import Drive, Model, Seen, State
+from tustinnet.models.contract import Drive, Internal, Model, Seen, State
 from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.registry import FAMILIES
 from tustinnet.signals.excitation import Excitation
@@ -106,6 +106,10 @@ class Committee(Model):
     def internal(self) -> tuple[str, ...]:
         """The internal states of all members, with the member's number from 1: `cable 1`."""
         return tuple(f"{z} {n}" for n, names in enumerate(self._internal, 1) for z in names)
+
+    def initial_internal(self, measured: Float[Array, " n_measured"]) -> Internal:
+        """Those of all members, one member after the other."""
+        return jnp.concatenate([member.initial_internal(measured) for member in self.members])
 
     @property
     def warm_up(self) -> int:

@@ -25,7 +25,7 @@ from tustinnet.families.family import (
     named_arrays,
 )
 from tustinnet.models.blocks import Affine, random_affine, root_mean_square
-from tustinnet.models.contract import Drive, Model, Seen, State
+from tustinnet.models.contract import Drive, Internal, Model, Seen, State
 from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.models.state_encoder import StateEncoder, encoder_features
 from tustinnet.registry import FAMILIES
@@ -73,6 +73,10 @@ class EncodedModel(Model):
     def internal(self) -> tuple[str, ...]:
         """Those of the model."""
         return self.model.internal
+
+    def initial_internal(self, measured: Float[Array, " n_measured"]) -> Internal:
+        """Those of the model."""
+        return self.model.initial_internal(measured)
 
     @property
     def warm_up(self) -> int:

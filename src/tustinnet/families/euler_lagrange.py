@@ -257,6 +257,10 @@ def _probed(model: LagrangianModel) -> Float[np.ndarray, "probes n_x"]:
     drawn = {k: _REACH[k] * generator.uniform(-1, 1, (_PROBES, n)) for k, n in sizes.items()}
     x = np.concatenate([drawn["q"], drawn["v"], drawn["z"]], axis=1)
     found = _derivatives(model, jnp.asarray(x), jnp.asarray(drawn["u"]))
+    memory = model.system.memory
+    if memory is not None and memory.initial is not None:
+        expected = jax.vmap(model.initial_internal)(jnp.asarray(x[:, of.measured]))
+        found = jnp.concatenate([found, expected], axis=1)
     return np.asarray(found, np.float64)
 
 
@@ -271,6 +275,13 @@ def _require_same(model: LagrangianModel, stored: np.ndarray | None, where: Path
             )
         return
     now = _probed(model)
+    if now.shape != stored.shape:
+        raise InputError(
+            where, f"the system '{model.system.name}' has changed since the model was identified: "
+            "its coordinates or internal states are others, or begin otherwise",
+            "the system as it was",
+            "identify it again, or give the file as it was then with --system FILE.py",
+        )  # fmt: skip
     both = np.isfinite(stored) & np.isfinite(now)
     unit = np.max(np.abs(stored), axis=0, where=np.isfinite(stored), initial=1e-12)
     off = np.where(both, np.abs(now - stored) / unit, np.isfinite(stored) != np.isfinite(now))
@@ -281,6 +292,7 @@ def _require_same(model: LagrangianModel, stored: np.ndarray | None, where: Path
             *(c.name for c in of.coordinates),
             *(c.name for c in of.coordinates),
             *model.internal,
+            *(f"{name} at a record's beginning" for name in model.internal),
         ]
         raise InputError(
             where,

@@ -30,6 +30,7 @@ from tustinnet.models.blocks import root_mean_square
 from tustinnet.models.contract import (
     AccelerationModel,
     Drive,
+    Internal,
     Model,
     Seen,
     State,
@@ -92,6 +93,11 @@ class HybridModel(Model):
     def warm_up(self) -> int:
         """The longer of both."""
         return max(self.physics.warm_up, self.correction.warm_up)
+
+    def initial_internal(self, measured: Float[Array, " n_measured"]) -> Internal:
+        """Those of the physics, then those of the correction."""
+        each = (of.initial_internal(measured) for of in (self.physics, self.correction))
+        return jnp.concatenate(list(each))
 
     def of(self, experiment: Experiment) -> "HybridModel":
         """The same with the physics of the record."""

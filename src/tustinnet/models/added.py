@@ -198,5 +198,12 @@ def _remembering(system: LagrangianSystem, added: Sequence[Placed]) -> Memory | 
             return found
         return jnp.asarray(system.memory.force(q, v, z[:n], p)) + found
 
+    def initial(q: Any, v: Any, p: Values) -> Any:
+        assert system.memory
+        assert system.memory.initial
+        own = jnp.asarray(system.memory.initial(q, v, p))
+        return jnp.concatenate([own, jnp.zeros(len(rates), own.dtype)])
+
     names = tuple(str(force) for force in added if LAWS[force.law].rate)
-    return Memory((*system.internal, *names), rate, force)
+    says = system.memory is not None and system.memory.initial is not None
+    return Memory((*system.internal, *names), rate, force, initial if says else None)

@@ -29,7 +29,7 @@ Coordinates = Float[Array, " n_q"]
 Own = TypeVar("Own")
 
 
-class _Stateful(HasChannels, eqx.Module):
+class Stateful(HasChannels, eqx.Module):
     """What discrete and continuous models have in common.
 
     Attributes:
@@ -47,6 +47,18 @@ class _Stateful(HasChannels, eqx.Module):
         """`n_x`: positions, velocities, internal states."""
         return 2 * self.channels.n_q + len(self.internal)
 
+    def initial_internal(self, measured: Float[Array, " n_measured"]) -> Internal:
+        """The internal states that are expected where a record begins, (n_z,); mostly 0.
+
+        Args:
+            measured: the record's first positions and velocities [q, v], (2 n_q,).
+        """
+        return jnp.zeros(len(self.internal), measured.dtype)
+
+    def beginning(self, measured: Float[Array, " n_measured"]) -> State:
+        """The state in which a record begins, by its first [q, v]; see `initial_internal`."""
+        return jnp.concatenate([measured, self.initial_internal(measured)])
+
     def of(self: Own, experiment: Experiment) -> Own:
         """The model that simulates a record: of values by group it takes the record's.
 
@@ -58,7 +70,7 @@ class _Stateful(HasChannels, eqx.Module):
         return self
 
 
-class Model(_Stateful):
+class Model(Stateful):
     """A model that steps from sample to sample; `Channels` has the layout of its state."""
 
     @abstractmethod
@@ -164,7 +176,7 @@ class AccelerationModel(_HasScaling, Model):
         return jnp.concatenate([q + self.dt * mean, v_next, remember(mean)])
 
 
-class ContinuousModel(_Stateful):
+class ContinuousModel(Stateful):
     """A model that says how fast the state changes; `discretise` makes it a discrete one."""
 
     @abstractmethod
@@ -172,7 +184,7 @@ class ContinuousModel(_Stateful):
         """`dx/dt` at a state under an input."""
 
 
-AnyModel = TypeVar("AnyModel", bound=_Stateful)
+AnyModel = TypeVar("AnyModel", bound=Stateful)
 
 
 def with_dtype(model: AnyModel, dtype: DTypeLike) -> AnyModel:

@@ -7,7 +7,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from tustinnet.channels import Channels, Input, acting
 from tustinnet.data.experiment import Experiment
@@ -16,6 +16,7 @@ from tustinnet.models.contract import (
     ContinuousModel,
     Drive,
     InputVector,
+    Internal,
     Model,
     Seen,
     State,
@@ -47,6 +48,10 @@ class FromContinuous(Model):
     def internal(self) -> tuple[str, ...]:
         """What the internal states of the continuous model are called."""
         return self.continuous.internal
+
+    def initial_internal(self, measured: Float[Array, " n_measured"]) -> Internal:
+        """Those of the continuous model."""
+        return self.continuous.initial_internal(measured)
 
     def of(self, experiment: Experiment) -> "FromContinuous":
         """The same with the values of the continuous model that the record has."""

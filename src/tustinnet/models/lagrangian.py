@@ -38,11 +38,14 @@ class Memory:
         names: what the internal states are called.
         rate: `dz/dt = rate(q, v, z, p)`, (n_z,).
         force: generalised force on the system, `force(q, v, z, p)`, (n_q,) [N m or N].
+        initial: the internal states that are expected where a record begins, `initial(q, v, p)`,
+            (n_z,): what a mechanism remembers of the time before. None for 0.
     """
 
     names: tuple[str, ...]
     rate: Callable[[Coordinates, Coordinates, Internal, Values], Any]
     force: Callable[[Coordinates, Coordinates, Internal, Values], Any]
+    initial: Callable[[Coordinates, Coordinates, Values], Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -168,6 +171,8 @@ class LagrangianSystem:
         if self.memory:
             wanted.append(("memory rate", self.memory.rate, (q, v, z, p), z.shape))
             wanted.append(("memory force", self.memory.force, (q, v, z, p), q.shape))
+            if self.memory.initial:
+                wanted.append(("memory initial", self.memory.initial, (q, v, p), z.shape))
         for name, function, arguments, shape in wanted:
             where = f"system '{self.name}', {name}"
             try:
@@ -310,6 +315,14 @@ class LagrangianModel(ContinuousModel):
         if self.system.memory is None:
             return jnp.zeros(0, x.dtype)
         return jnp.asarray(self.system.memory.rate(*self._parts(x), self.values))
+
+    def initial_internal(self, measured: Float[Array, " n_measured"]) -> Internal:
+        """Those that the system says, see `Memory`."""
+        memory, of = self.system.memory, self.channels
+        if memory is None or memory.initial is None:
+            return super().initial_internal(measured)
+        q, v = measured[of.position], measured[of.velocity]
+        return jnp.asarray(memory.initial(q, v, self.values), measured.dtype)
 
     def _parts(self, x: State) -> tuple[Coordinates, Coordinates, Internal]:
         of = self.channels

@@ -104,4 +104,9 @@ def _remembering(memory: Memory, motion: Callable[..., tuple[Any, Any, Any]]) ->
         at, speed, gain = motion(q, v, p)
         return jnp.asarray(memory.force(at, speed, z, p)) / gain
 
-    return Memory(memory.names, rate, force)
+    def initial(q: Any, v: Any, p: Values) -> Any:
+        at, speed, _ = motion(q, v, p)
+        assert memory.initial
+        return memory.initial(at, speed, p)
+
+    return Memory(memory.names, rate, force, memory.initial and initial)

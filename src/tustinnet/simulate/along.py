@@ -21,8 +21,8 @@ def states_along(
 ) -> list[Float[np.ndarray, "_ n_x"]]:
     """Of each record the states [q, v, z] along it, (n, n_x).
 
-    Internal states begin at 0 and step with the model, whose positions and velocities are put
-    back to the measured ones at every sample.
+    Internal states begin as the model expects and step with it; its positions and velocities are
+    put back to the measured ones at every sample.
 
     Args:
         model: the model.
@@ -49,7 +49,9 @@ def _internal(
 def followed(
     model: Model, known: Float[Array, "records n n_measured"], drive: Drive
 ) -> Float[Array, "records n n_x"]:
-    """What a model says of every sample from the measured one before it, internal states from 0.
+    """What a model says of every sample from the measured one before it.
+
+    Internal states begin as the model expects.
 
     Args:
         model: the model.
@@ -58,7 +60,6 @@ def followed(
     """
 
     def one(known: Array, drive: Drive) -> Array:
-        internal = jnp.zeros(len(model.internal), known.dtype)
-        return rollout(model, jnp.concatenate([known[0], internal]), drive, known)
+        return rollout(model, model.beginning(known[0]), drive, known)
 
     return jax.vmap(one)(known, drive)

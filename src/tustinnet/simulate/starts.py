@@ -68,8 +68,12 @@ class Start(ABC):
         """
 
     def states(self, model: Model, material: Any) -> Float[Array, "records n_x"]:
-        """The states; can be compiled, and differentiated by the model."""
-        return jnp.asarray(material)
+        """The states; can be compiled, and differentiated by the model.
+
+        Here of positions and velocities, (records, 2 n_q), with the internal states that the model
+        expects there.
+        """
+        return jax.vmap(model.beginning)(jnp.asarray(material))
 
 
 class Stored(Start):
@@ -83,8 +87,8 @@ class Stored(Start):
         return "file"
 
     def material(self, model: Model, experiments: Sequence[Experiment]) -> Any:
-        """The first rows, internal states at 0."""
-        return np.stack([padded(model, _stored(e)) for e in experiments])
+        """The first rows."""
+        return np.stack([_stored(e) for e in experiments])
 
 
 class Derived(Start):
@@ -98,10 +102,10 @@ class Derived(Start):
         return f"derived-{self.samples}"
 
     def material(self, model: Model, experiments: Sequence[Experiment]) -> Any:
-        """Values and slopes at the first sample, internal states at 0."""
+        """Values and slopes at the first sample."""
         for e in experiments:
             _require_samples(e, self.name, self.samples, _FEWEST_DERIVED, "the parabola")
-        return np.stack([padded(model, parabola(e, 0, self.samples)) for e in experiments])
+        return np.stack([parabola(e, 0, self.samples) for e in experiments])
 
 
 class Fitted(Start):
@@ -124,13 +128,14 @@ class Fitted(Start):
         for e in experiments:
             _require_samples(e, self.name, self.samples, FEWEST, "the fit")
         reach = min(self.samples, DERIVED)
-        guess = np.stack([padded(model, parabola(e, 0, reach)) for e in experiments])
+        guess = np.stack([parabola(e, 0, reach) for e in experiments])
         drive = drives_of(model, experiments, slice(self.samples))
         return guess, drive, np.stack([e.q[: self.samples] for e in experiments])
 
     def states(self, model: Model, material: Any) -> Float[Array, "records n_x"]:
         """Least squares through the model, see `model_starts`."""
-        return model_starts(model, *material)
+        guess, drive, q = material
+        return model_starts(model, super().states(model, guess), drive, q)
 
 
 class _AfterSamples(Start):
@@ -311,11 +316,6 @@ def initial_state(experiment: Experiment, start: str) -> Float[np.ndarray, " n_x
         return _stored(experiment)
     _require_samples(experiment, rule.name, rule.samples, _FEWEST_DERIVED, "the parabola")
     return parabola(experiment, 0, rule.samples)
-
-
-def padded(model: Model, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n_x"]:
-    """Positions and velocities with the model's internal states at 0."""
-    return np.concatenate([x, np.zeros(model.state_size - len(x))])
 
 
 def parabola(e: Experiment, k: int, samples: int) -> Float[np.ndarray, " n"]:

@@ -68,8 +68,8 @@ def load_system(which: AnySystem) -> LagrangianSystem:
 
     Args:
         which: a name (`qube-servo2`, `qube-servo2-naive`, `qube-servo2-memory`,
-            `qube-servo2-rubbing`, `duffing`), or a file, as `arm.py`; a system is returned as it
-            is.
+            `qube-servo2-rubbing`, `qube-servo2-turned`, `duffing`), or a file, as `arm.py`; a
+            system is returned as it is.
 
     Raises:
         InputError: no such name or file, a file that fails or has no `SYSTEM`. The functions of

@@ -70,9 +70,9 @@ def imitated(
 ) -> tuple[Experiment, ...]:
     """Records as a model would make them in the range of others.
 
-    Each begins near a state that one of them had, internal states at 0, and is driven by the
-    inputs of one of them, begun at another time. Runs that leave ten times the recorded range are
-    left out.
+    Each begins near a state that one of them had, internal states as the model expects, and is
+    driven by the inputs of one of them, begun at another time. Runs that leave ten times the
+    recorded range are left out.
 
     Args:
         model: the model, discretised: its period and integration steps are taken.
@@ -96,7 +96,8 @@ def imitated(
                                (begins.velocities(), channels.velocity, v)):  # fmt: skip
             x0[at] = of[row] + _NEAR * all_of.std(axis=0) * generator.normal(size=channels.n_q)
         u = np.roll(drives.u, int(generator.integers(len(drives))), axis=0)
-        runs.append(Run(f"simulated{i + 1}", "train", x0, u))
+        begin = np.asarray(model.beginning(jnp.asarray(x0[channels.measured])))
+        runs.append(Run(f"simulated{i + 1}", "train", begin, u))
     logger = Logger(model.dt, 0.0, counts=bool(channels.resolution.all()), substeps=model.substeps)
     made = log_runs(model.continuous, channels, runs, logger, generator)
     middle, reach = (q.max(axis=0) + q.min(axis=0)) / 2, _FAR * np.ptp(q, axis=0) + 1e-12

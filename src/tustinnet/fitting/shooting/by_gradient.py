@@ -17,7 +17,7 @@ from tustinnet.fitting.shooting.least_squares import (
     prior_deviation,
 )
 from tustinnet.fitting.shooting.normal import Normal, Shape
-from tustinnet.fitting.shooting.segments import Segments
+from tustinnet.fitting.shooting.segments import Segments, beginning
 from tustinnet.models.integrate import discretise
 from tustinnet.simulate.drive import Drive
 from tustinnet.simulate.rollout import rollout
@@ -115,13 +115,19 @@ class _Scaled:
         return float(total) / self.size, np.concatenate([gradient, shift]) * self.unit / self.size
 
 
-def _material(segments: Segments) -> tuple[Drive, np.ndarray, np.ndarray, np.ndarray]:
-    """What drives the segments, what they are compared with, the weights, the groups' values."""
+def _material(
+    segments: Segments,
+) -> tuple[Drive, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """What drives the segments, what they are compared with, the weights.
+
+    Last the groups' values, and which internal states are expected.
+    """
     drive, periods, target, weight = (
         segments.side_by_side(array)
         for array in (segments.drive, segments.periods, segments.target, segments.weight)
     )
-    return Drive(drive[:, :-1], periods[:, :-1]), target, weight, segments.pick
+    each = segments.pick, segments.expected
+    return Drive(drive[:, :-1], periods[:, :-1]), target, weight, each
 
 
 @partial(jax.jit, static_argnums=(0, 1))
@@ -130,19 +136,21 @@ def _squares(
     substeps: int,
     fixed: dict[str, Array],
     point: tuple[Array, Array],
-    material: tuple[Drive, Array, Array, Array],
+    material: tuple[Drive, Array, Array, tuple[Array, Array]],
 ) -> tuple[Array, tuple[Array, Array]]:
     """The sum of squared residuals, and its gradient by parameters and initial states."""
-    drive, target, weight, picks = material
+    drive, target, weight, (picks, expected) = material
 
     def total(point: tuple[Array, Array]) -> Array:
         vector, x0 = point
 
-        def one(x: Array, u: Drive, pick: Array) -> Array:
+        def one(x: Array, u: Drive, pick: Array, expected: Array) -> Array:
+            model = shape.model(fixed, vector, pick)
+            begin = beginning(model, x, expected)
             # the drive says how long each period is
-            return rollout(discretise(shape.model(fixed, vector, pick), 1.0, substeps), x, u)
+            return rollout(discretise(model, 1.0, substeps), begin, u)
 
-        x = jax.vmap(one)(x0, drive, picks)
+        x = jax.vmap(one)(x0, drive, picks, expected)
         error = x[..., : target.shape[2]] - target
         return jnp.sum((shape.residual.bent(error) * weight) ** 2)
 

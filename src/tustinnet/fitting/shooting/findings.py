@@ -3,13 +3,14 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.fitting.report import Disagreement, Estimate, Identification, Stretch
 from tustinnet.fitting.shooting.least_squares import Fitted
-from tustinnet.fitting.shooting.segments import Segments
+from tustinnet.fitting.shooting.segments import Segments, beginning
 from tustinnet.fitting.shooting.space import Space
 from tustinnet.fitting.shooting.uncertainty import Uncertainty, lag_correlation
 from tustinnet.models.integrate import Discretised
@@ -83,7 +84,6 @@ def described(system: LagrangianSystem, found: Found, seconds: float) -> Identif
         *([] if diverged else _about_condition(space, certain)),
         _about_errors(certain, lag, multiple, len(records)) if fitted.why == "converged" else "",
     ]
-    begins = found.segments.begins
     return Identification(
         system=system,
         model=found.model,
@@ -100,9 +100,7 @@ def described(system: LagrangianSystem, found: Found, seconds: float) -> Identif
         autocorrelation=tuple(lag.tolist()),
         disagreements=found.disagreements,
         initial=found.initial,
-        initial_states={
-            e.name: tuple(x.tolist()) for e, x in zip(records, fitted.x0[begins], strict=True)
-        },
+        initial_states=_initial_states(found),
         horizons=found.horizons,
         start=found.start,
         validation_rmse=found.validation_rmse,
@@ -111,6 +109,16 @@ def described(system: LagrangianSystem, found: Found, seconds: float) -> Identif
         seconds=seconds,
         downweighted=spoilt,
     )
+
+
+def _initial_states(found: Found) -> dict[str, tuple[float, ...]]:
+    """Of each record by name."""
+    segments, states = found.segments, {}
+    for e, row in zip(found.records, segments.begins, strict=True):
+        x0, expected = jnp.asarray(found.fitted.x0[row]), float(segments.expected[row])
+        x = beginning(found.model.of(e), x0, expected)
+        states[e.name] = tuple(np.asarray(x).tolist())
+    return states
 
 
 def _stretches(

@@ -56,8 +56,7 @@ class Following(Cost):
     def ended(self, fitted: Fitted) -> tuple[Fitted, Segments]:
         """The same with the states that follow from the parameters; from here on they are given."""
         x0 = self.begun(fitted.vector)[0]
-        given = np.zeros_like(x0)
-        return replace(fitted, x0=x0), replace(self.segments, x0=x0, searched=given)
+        return replace(fitted, x0=x0), self.segments.beginning_at(x0)
 
 
 def following(problem: Problem, cost: Cost, start: Start) -> Following:
@@ -79,7 +78,7 @@ def following(problem: Problem, cost: Cost, start: Start) -> Following:
         found, by = _started(shape, how, fixed, vector, (whole.pick, material))
         return np.asarray(found), np.asarray(by)
 
-    free = replace(whole, searched=np.ones_like(whole.x0), precision=np.zeros_like(whole.precision))
+    free = replace(whole.beginning_at(whole.x0), searched=np.ones_like(whole.x0))
     return Following(shape, cost.space, free, cost.prior, cost.substeps, begun=begun)
 
 

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, Int
 
 from tustinnet.cores import cores
 from tustinnet.fitting.residual import Residual
-from tustinnet.fitting.shooting.segments import Segments
+from tustinnet.fitting.shooting.segments import Segments, beginning
 from tustinnet.fitting.shooting.space import Space
 from tustinnet.models.integrate import between, runge_kutta_4
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Parameter
@@ -136,7 +136,7 @@ def normal_products(
     fixed = space.fixed_arrays
 
     def run(rows: Int[np.ndarray, " lanes"]) -> tuple[_Sums, list[np.ndarray]]:
-        at, errors = _begun(shape, len(vector), x0, segments, rows), []
+        at, errors = _begun(shape, fixed, vector, (x0, segments, rows)), []
         steps = segments.steps[rows]
         for begin in range(0, int(steps.max()), _STRETCH):
             lanes, ahead = _laid(segments, rows, begin, shape.lanes), int(steps.max()) - begin
@@ -166,18 +166,37 @@ def normal_products(
 
 
 def _begun(
-    shape: Shape, n_p: int, x0: np.ndarray, segments: Segments, rows: Int[np.ndarray, " lanes"]
+    shape: Shape,
+    fixed: dict[str, np.ndarray],
+    vector: Float[np.ndarray, " n_p"],
+    begins: tuple[np.ndarray, Segments, Int[np.ndarray, " lanes"]],
 ) -> _At:
     """Segments side by side before their first step; idle lanes repeat a sound state."""
+    x0, segments, rows = begins
     rows = np.resize(rows, shape.lanes)
-    n_x = x0.shape[1]
-    dx = np.zeros((shape.lanes, n_p + n_x, n_x))
-    dx[:, n_p:] = segments.searched[rows][:, :, None] * np.eye(n_x)
-    n_d = n_p + n_x
+    n_d = len(vector) + x0.shape[1]
     sums = _Sums(
         np.zeros((shape.lanes, n_d, n_d)), np.zeros((shape.lanes, n_d)), np.zeros(shape.lanes)
     )
-    return _At(x0[rows], dx, sums)
+    lanes = x0[rows], segments.expected[rows], segments.pick[rows]
+    x, by_parameter, by_state = _beginnings(shape, fixed, vector, lanes)
+    searched = segments.searched[rows][:, :, None] * np.swapaxes(by_state, 1, 2)
+    return _At(x, np.concatenate([np.swapaxes(by_parameter, 1, 2), searched], axis=1), sums)
+
+
+@partial(jax.jit, static_argnums=0)
+def _beginnings(
+    shape: Shape, fixed: Mapping[str, Any], vector: Array, lanes: tuple[Array, Array, Array]
+) -> tuple[Array, Array, Array]:
+    """The states in which segments begin, and their derivatives by parameters and by `x0`."""
+
+    def one(vector: Array, x0: Array, expected: Array, pick: Array) -> Array:
+        return beginning(shape.model(fixed, vector, pick), x0, expected)
+
+    every = (None, 0, 0, 0)
+    by_parameter, by_state = (jax.vmap(jax.jacfwd(one, i), every) for i in (0, 1))
+    at = vector, *lanes
+    return jax.vmap(one, every)(*at), by_parameter(*at), by_state(*at)
 
 
 def _laid(s: Segments, rows: Int[np.ndarray, " lanes"], begin: int, lanes: int) -> _Lane:

@@ -1,7 +1,7 @@
 """What a search is about, where it stands, and how it is judged."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import jax.numpy as jnp
@@ -215,7 +215,7 @@ def score(problem: Problem, state: State) -> float:
     runs = problem.free_runs(every)
     if start.fitted:
         model = model_of(problem, state)
-        runs = replace(runs, x0=start_states(model, every, start))
+        runs = runs.beginning_at(start_states(model, every, start))
     errors = errors_of(problem, state, runs, state.substeps)
     owner = np.repeat(np.arange(len(cut)), list(map(len, cut)))
     with np.errstate(over="ignore"):

@@ -4,16 +4,17 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.fitting.residual import Residual
-from tustinnet.models.contract import Model
+from tustinnet.models.contract import Model, State, Stateful
 from tustinnet.models.sensors import delayed, delays_among
 from tustinnet.signals.derivatives import polynomial_fit
 from tustinnet.signals.stacking import stacked
-from tustinnet.simulate.starts import initial_state, padded
+from tustinnet.simulate.starts import initial_state
 
 _LEAST_ERROR = 1e-9  # rad or m
 _DELAYED = 1e-3  # of a period: between two samples everything is smooth in a delay
@@ -30,6 +31,8 @@ class Segments:
     Attributes:
         x0: states at their beginnings, (n_s, n_x).
         searched: which of them are searched for, (n_s, n_x), 1 or 0.
+        expected: which begin with the internal states that the system expects there by its
+            parameters, (n_s,), 1 or 0; `x0` then has what is added to them.
         precision: 1 over the error of each as measured, 0 where nothing was, (n_s, n_x).
         steps: steps of each, (n_s,).
         first: row of the first sample of each, (n_s,).
@@ -47,6 +50,7 @@ class Segments:
 
     x0: Float[np.ndarray, "n_s n_x"]
     searched: Float[np.ndarray, "n_s n_x"]
+    expected: Float[np.ndarray, " n_s"]
     precision: Float[np.ndarray, "n_s n_x"]
     steps: Int[np.ndarray, " n_s"]
     first: Int[np.ndarray, " n_s"]
@@ -90,8 +94,15 @@ class Segments:
     def of(self, records: Collection[int]) -> "Segments":
         """The segments of some of the records, by index."""
         rows = np.flatnonzero(np.isin(self.record, list(records)))
-        own = ("x0", "searched", "precision", "steps", "first", "record", "share", "pick")
+        own = (
+            "x0", "searched", "expected", "precision", "steps", "first", "record", "share", "pick",
+        )  # fmt: skip
         return replace(self, **{name: getattr(self, name)[rows] for name in own})
+
+    def beginning_at(self, x0: Float[np.ndarray, "n_s n_x"]) -> "Segments":
+        """The same with given states at the beginnings, internal ones included."""
+        nowhere = np.zeros_like(x0)
+        return replace(self, x0=x0, searched=nowhere, expected=nowhere[:, 0], precision=nowhere)
 
 
 @dataclass(frozen=True)
@@ -163,6 +174,7 @@ def cut(
     return Segments(
         x0=x0,
         searched=searched,
+        expected=np.array([float(a == 0) for _, a, _ in pieces]),
         precision=precision,
         steps=np.array([b - a for _, a, b in pieces]),
         first=np.array([begins[i] + a for i, a, _ in pieces]),
@@ -179,6 +191,19 @@ def cut(
     )
 
 
+def beginning(model: Stateful, x0: State, expected: Array | float) -> State:
+    """The state in which a segment begins, (n_x,); can be compiled, and differentiated.
+
+    Args:
+        model: who simulates it.
+        x0: as `Segments` has it.
+        expected: whether the internal states that the model expects are added, 1 or 0.
+    """
+    of = model.channels
+    internal = x0[of.internal] + expected * model.initial_internal(x0[of.measured])
+    return jnp.concatenate([x0[of.measured], internal])
+
+
 def _beginnings(
     experiments: Sequence[Experiment],
     model: Model,
@@ -193,11 +218,11 @@ def _beginnings(
         e = experiments[i]
         if a == 0:
             begin = "derived-6" if how.start == "estimated" else how.start
-            x0[s] = padded(model, initial_state(e, begin))
+            x0[s, of.measured] = initial_state(e, begin)
             searched[s, of.measured] = float(how.start == "estimated")
-            searched[s, of.internal] = 0.0  # a record's internal states start at 0
+            searched[s, of.internal] = 0.0  # a record's internal states start where expected
         else:
-            x0[s] = padded(model, _local_state(e, a))
+            x0[s, of.measured] = _local_state(e, a)
         if how.anchored:
             precision[s, of.position] = searched[s, of.position] / _position_error(e, a)
     return x0, searched, precision

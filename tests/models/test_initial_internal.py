@@ -1,0 +1,116 @@
+"""Internal states that a model expects where a record begins."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from every_family import network
+from swinging import CREEPING, DT, TURNED, read_by_encoder, simulated, swing_model, voltage
+
+import tustinnet as tn
+from tustinnet.errors import InputError
+from tustinnet.families.encoded import with_encoder
+from tustinnet.models.added import with_forces
+from tustinnet.models.lagrangian import Memory
+from tustinnet.models.parameters import Parameter
+from tustinnet.models.sensors import calibrated
+from tustinnet.simulate.along import states_along
+from tustinnet.simulate.starts import start_states
+
+BEGIN = jnp.array([2.0, 0.5])
+
+
+def turned(share: float = 0.8) -> tn.Model:
+    return tn.discretise(swing_model({"turned": share}, TURNED), DT)
+
+
+def remembering(initial: Callable[..., Any] | None) -> Memory:
+    assert TURNED.memory
+    return replace(TURNED.memory, initial=initial)
+
+
+def record() -> tn.Experiment:
+    return simulated("turned", [2.0, 0.5, 1.6], voltage(120, 3), system=TURNED)
+
+
+def test_most_models_expect_zeros():
+    for model in (network(0), tn.discretise(swing_model(system=CREEPING), DT)):
+        assert not np.asarray(model.initial_internal(BEGIN)).any()
+        assert model.beginning(BEGIN).shape == (model.state_size,)
+
+
+def test_a_system_says_what_it_expects():
+    np.testing.assert_allclose(turned().beginning(BEGIN), [2.0, 0.5, 1.6])
+
+
+def test_a_wrong_shape_is_refused():
+    wrong = remembering(lambda q, v, p: jnp.zeros(2))
+    with pytest.raises(InputError, match=r"memory initial: returns shape \(2,\); expected \(1,\)"):
+        replace(TURNED, memory=wrong)
+
+
+@pytest.mark.parametrize("start", ["file", "derived-6"])
+def test_starts_begin_there(start):
+    states = start_states(turned(), [record()], start)
+    np.testing.assert_allclose(states[0, 2], 0.8 * states[0, 0], rtol=1e-12)
+
+
+def test_a_fitted_start_keeps_near_it():
+    e = read_by_encoder(record())
+    plain = tn.discretise(swing_model(system=CREEPING), DT)
+    near, far = (start_states(m, [e], "model-3")[0, 2] for m in (turned(), plain))
+    assert abs(near - 1.6) < 0.1 < abs(far - 1.6)
+
+
+def test_states_along_a_record_begin_there():
+    e = record()
+    found = states_along(turned(), [e])[0]
+    truth = np.asarray(
+        tn.rollout(
+            tn.discretise(swing_model(system=TURNED), DT, 8), np.array([2.0, 0.5, 1.6]), e.u[:-1]
+        )
+    )
+    np.testing.assert_allclose(found[:, 2], truth[:, 2], atol=1e-4)
+
+
+def test_models_of_models_say_what_their_parts_expect():
+    grey = turned()
+    hybrid = tn.HybridModel(grey, network(0))
+    np.testing.assert_allclose(hybrid.initial_internal(BEGIN), [1.6])
+    both = tn.committee([grey, hybrid, turned(0.5), network(1)])
+    np.testing.assert_allclose(both.beginning(BEGIN), [2.0, 0.5, 1.6, 1.6, 1.0])
+    encoded = with_encoder(grey, [record()], "stencil", 10, jax.random.key(0))
+    np.testing.assert_allclose(encoded.initial_internal(BEGIN), [1.6])
+
+
+def test_sensors_keep_it():
+    bias = Parameter("angle.bias", "rad", 0.5, -1.0, 1.0)
+    off = calibrated(TURNED, (bias,))
+    values = {k: jnp.asarray(x) for k, x in (off.nominal() | {"turned": 0.8}).items()}
+    # the true angle is what was read without the bias
+    np.testing.assert_allclose(off.model(values).initial_internal(BEGIN), [0.8 * 1.5])
+
+
+def test_added_forces_keep_it():
+    units = {"maxwell": "N m/rad", "relaxation": "1/s"}
+    needs = tuple(Parameter(f"angle.{n}", unit, 0.1, 0.0, 1.0) for n, unit in units.items())
+    more = with_forces(TURNED, ("maxwell",), needs)
+    values = {k: jnp.asarray(x) for k, x in (more.nominal() | {"turned": 0.8}).items()}
+    np.testing.assert_allclose(more.model(values).initial_internal(BEGIN), [1.6, 0.0])
+
+
+def test_a_file_tells_when_it_has_changed(tmp_path):
+    file = tmp_path / "model.safetensors"
+    tn.save(turned(), file)
+    loaded = tn.load_model(file, TURNED)
+    np.testing.assert_allclose(loaded.beginning(BEGIN), [2.0, 0.5, 1.6])
+    other = remembering(lambda q, v, p: 2 * p["turned"] * q)
+    with pytest.raises(InputError, match="'creep at a record's beginning' moves otherwise"):
+        tn.load_model(file, replace(TURNED, memory=other))
+    without = remembering(None)
+    with pytest.raises(InputError, match="or begin otherwise"):
+        tn.load_model(file, replace(TURNED, memory=without))
