@@ -11,9 +11,12 @@ from swinging import CREEPING, DT, SWING, TRUTH, swing_model
 import tustinnet as tn
 from tustinnet.families.hybrid import HybridModel
 from tustinnet.families.tustin_net import random_tustin_net
-from tustinnet.fitting.task import Member, make_task
+from tustinnet.fitting.gradient.plan import groups_alike
+from tustinnet.fitting.roles import Roles
+from tustinnet.fitting.task import Fold, Member, Task, make_task
 from tustinnet.models.blocks import Scaling
 from tustinnet.models.contract import with_dtype
+from tustinnet.models.integrate import Discretised
 from tustinnet.simulate.along import states_along
 from tustinnet.simulate.rollout import rollout, rollouts
 from tustinnet.store.run import run_task
@@ -235,3 +238,42 @@ def test_a_stronger_penalty_leaves_less_to_the_network(records):
         x = jnp.asarray(np.concatenate([e.q, e.velocities("file")], axis=1))
         efforts.append(float(jnp.mean(jax.vmap(result.model.effort)(x, jnp.asarray(e.u)))))
     assert efforts[1] < 0.1 * efforts[0]
+
+
+def test_the_physics_takes_no_more_steps_than_its_own_errors_are_worth(records):
+    fine = tn.discretise(swing_model(), DT, 8)
+    quick = {**RECIPE, "stages": [{**RECIPE["stages"][0], "epochs": 1}]}
+
+    def steps(**model: object) -> int:
+        recipe = {**quick, "model": {**RECIPE["model"], **model}}
+        found = tn.fit(records, recipe, physics=fine).model
+        assert isinstance(found, HybridModel)
+        assert isinstance(found.physics, Discretised)
+        return found.physics.substeps
+
+    assert steps() == 1
+    assert steps(substeps=3) == 3
+
+
+def test_substeps_mean_nothing_to_physics_that_is_not_integrated(records):
+    linear = tn.fit(records, tn.read_recipe("linear", ["stages.*.epochs=1"])).model
+    recipe = {**RECIPE, "model": {**RECIPE["model"], "substeps": 2}}
+    with pytest.raises(tn.InputError, match=r"model\.substeps: physics that is not integrated"):
+        tn.fit(records, recipe, physics=linear)
+
+
+def test_folds_whose_physics_takes_other_steps_train_apart(records):
+    near, far = (tn.discretise(swing_model({"gravity": g}), DT, 8) for g in (1.0, TRUTH["gravity"]))
+    every = list(records)
+    # the physics of the second fold is exact, so its integration must be as well
+    exact = [
+        dataclasses.replace(e, q=q[:, :1], v=q[:, 1:])
+        for e, q in zip(every, tn.free_run(far, every, "file"), strict=True)
+    ]
+    train, held = tuple(every[:2]), tuple(every[2:])
+    folds = (
+        Fold(Roles(train, held), physics=near),
+        Fold(Roles(tuple(exact[:2]), held), physics=far),
+    )
+    task = Task(tn.read_recipe(RECIPE), folds, (Member(0, fold=0), Member(0, fold=1)))
+    assert [len(group) for group in groups_alike(task)] == [1, 1]

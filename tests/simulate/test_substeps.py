@@ -1,11 +1,13 @@
 """How many integration steps a period needs."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import tustinnet as tn
-from tustinnet.simulate.substeps import PROBED_SECONDS, enough_substeps
+from tustinnet.simulate.substeps import PROBED_SECONDS, enough_substeps, fewest_substeps
 
 DT = 0.05
 SYSTEM = tn.LagrangianSystem(
@@ -77,3 +79,32 @@ def test_the_least_power_of_two_within_the_tolerance_is_chosen():
         error = 0.5 * n**-4.0
         assert enough_substeps(lambda m: np.array([0.5 * m**-4.0]), error * 1.01) == n
         assert enough_substeps(lambda m: np.array([0.5 * m**-4.0]), error * 0.99) == 2 * n
+
+
+def test_the_less_a_model_fits_the_fewer_steps_it_needs(swings):
+    fine = tn.discretise(MODEL, DT, 16)
+    wrong = tn.discretise(tn.LagrangianModel(SYSTEM, {"gravity": jnp.asarray(45.0)}), DT, 16)
+    exact = [
+        replace(e, q=x[:, :1], v=x[:, 1:])
+        for e, x in zip(swings, tn.free_run(fine, swings, "file"), strict=True)
+    ]
+    assert fewest_substeps(wrong, swings, 0.1) < fewest_substeps(fine, swings, 0.1)
+    assert fewest_substeps(fine, exact, 0.1) == 16  # nothing is missed that could hide anything
+
+
+@pytest.mark.parametrize("share", [0.3, 0.03, 0.003])
+def test_steps_change_positions_by_less_than_the_share(swings, share):
+    wrong = tn.discretise(tn.LagrangianModel(SYSTEM, {"gravity": jnp.asarray(55.0)}), DT, 16)
+    few = fewest_substeps(wrong, swings, share)
+    probed = [e[: round(PROBED_SECONDS / DT) + 1] for e in swings]
+    coarse, fine = (
+        np.concatenate([x[:, :1] for x in tn.free_run(m, probed, "file")])
+        for m in (replace(wrong, substeps=few), wrong)
+    )
+    missed = fine - np.concatenate([e.q for e in probed])
+    assert np.sqrt(np.mean((coarse - fine) ** 2)) <= share * np.sqrt(np.mean(missed**2))
+
+
+def test_records_too_short_to_start_in_say_nothing_of_steps(swings):
+    fine = tn.discretise(MODEL, DT, 16)
+    assert fewest_substeps(fine, [e[:4] for e in swings], 0.1) == 16

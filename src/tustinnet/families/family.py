@@ -149,6 +149,18 @@ class Family(ABC):
         """The physics that a model corrects, None of most."""
         return None
 
+    def stepped(
+        self, hyper: Any, physics: Model | None, experiments: Sequence[Experiment]
+    ) -> Model | None:
+        """The physics as models of this family step it; here as it is given.
+
+        Args:
+            hyper: the recipe's table `[model]`.
+            physics: the model that is corrected, if any.
+            experiments: the training records.
+        """
+        return physics
+
     def regulariser(self, stage: Any) -> Regulariser | None:
         """What a stage adds to the loss at every step, from model, state and input; None for none.
 

@@ -36,13 +36,16 @@ from tustinnet.models.contract import (
     State,
     require_fit,
 )
+from tustinnet.models.integrate import MOST_SUBSTEPS, Discretised
 from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.registry import FAMILIES, USUAL
 from tustinnet.signals.excitation import Excitation
 from tustinnet.signals.stacking import stacked
 from tustinnet.simulate.along import followed
 from tustinnet.simulate.drive import drives_of
+from tustinnet.simulate.substeps import fewest_substeps
 
+_HIDDEN = 0.1  # of the physics' error: what its integration may add
 _REST = 0.01  # a mean square of scaled velocities and inputs: a tenth of what is usual
 _PHYSICS, _CORRECTION = "physics", "correction"
 
@@ -63,7 +66,8 @@ class HybridModel(Model):
     holds (a free integrator), and equilibria stay where the physics has them.
 
     Attributes:
-        physics: the model that is corrected, as a rule a discretised Lagrangian system.
+        physics: the model that is corrected, as a rule a discretised Lagrangian system; often with
+            fewer integration steps than the model that was given, see `HybridHyper`.
         correction: whose accelerations correct it; its own trapezoidal step is not used.
         fades_at_rest: whether the correction does.
     """
@@ -171,10 +175,13 @@ class HybridHyper(Hyper):
     Attributes:
         correction: the network: the table `[model]` of a kind that says accelerations.
         fades_at_rest: whether the correction fades at standstill without input.
+        substeps: Runge-Kutta steps of the physics in a period; none for as few as change its free
+            runs by less than a tenth of what they miss.
     """
 
     correction: SerializeAsAny[Hyper] = Field(default_factory=lambda: _hyper({}))
     fades_at_rest: bool = False
+    substeps: int | None = Field(default=None, gt=0, le=MOST_SUBSTEPS)
 
     @field_validator("correction", mode="before")
     @classmethod
@@ -231,9 +238,8 @@ class HybridFamily(Family):
         physics: Model | None,
     ) -> Callable[[PRNGKeyArray], HybridModel]:
         """A correction that does not correct anything yet, in units of what the physics leaves."""
+        physics = self.stepped(hyper, physics, experiments)
         assert physics is not None
-        for e in experiments:
-            require_fit(physics, e)
         make = FAMILIES[hyper.correction.kind].builder(
             hyper.correction, experiments, velocity, None
         )
@@ -270,6 +276,20 @@ class HybridFamily(Family):
             )  # fmt: skip
         correction = family_of(built.correction).begun(built.correction, origin.correction)
         return replace(built, correction=cast(AccelerationModel, correction))
+
+    def stepped(
+        self, hyper: HybridHyper, physics: Model | None, experiments: Sequence[Experiment]
+    ) -> Model | None:
+        """With as many integration steps as a correction is worth."""
+        assert physics is not None
+        for e in experiments:
+            require_fit(physics, e)
+        if isinstance(physics, Discretised):
+            few = hyper.substeps or fewest_substeps(physics, experiments, _HIDDEN)
+            return replace(physics, substeps=few)
+        if hyper.substeps is not None:
+            raise InputError("model.substeps", "physics that is not integrated", "no `substeps`")
+        return physics
 
     def corrected(self, model: HybridModel) -> Model:
         """The physics."""

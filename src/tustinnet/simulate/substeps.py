@@ -1,7 +1,7 @@
 """How many integration steps a sampling period needs."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import equinox as eqx
 import jax
@@ -11,11 +11,11 @@ from jaxtyping import Array, Float
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.contract import ContinuousModel
-from tustinnet.models.integrate import discretise
-from tustinnet.simulate.batches import batches
+from tustinnet.models.integrate import Discretised, discretise
+from tustinnet.simulate.batches import batches, in_batches
 from tustinnet.simulate.drive import Drive, drives_of
 from tustinnet.simulate.rollout import rollout
-from tustinnet.simulate.starts import default_start, start_states
+from tustinnet.simulate.starts import DERIVED, default_start, start_states
 
 PROBED_SECONDS = 2.0  # of each record
 _MOST_SUBSTEPS = 64
@@ -39,11 +39,53 @@ def choose_substeps(
     """
     if not tolerance > 0:
         raise InputError("choose_substeps", f"tolerance {tolerance:g}", "a positive number")
-    steps = max(1, round(PROBED_SECONDS / experiments[0].dt))
-    probed = [e[: steps + 1] for e in experiments]
+    probed = _probed(experiments)
     return max(
         _enough(own, [probed[i] for i in rows], tolerance) for own, rows in batches(model, probed)
     )
+
+
+def fewest_substeps(model: Discretised, experiments: Sequence[Experiment], share: float) -> int:
+    """As few Runge-Kutta steps in a period as the errors of the model itself hide.
+
+    The first 2 s of every record are simulated with 1, 2, 4, ... substeps, until for every
+    coordinate the steps change the positions by less than a share of what the model misses (root
+    mean squares over all records).
+
+    Args:
+        model: the model, with as many steps as it needs to be exact.
+        experiments: records that show how wrong it is.
+        share: how much of its error integration may make.
+
+    Returns:
+        Fewer than the model has, or as many.
+    """
+    probed = [e for e in _probed(experiments) if len(e) >= DERIVED]
+    if not probed:
+        return model.substeps
+    start = default_start(probed)
+
+    def positions(substeps: int) -> np.ndarray:
+        def run(own: Discretised, some: Sequence[Experiment]) -> Iterator[np.ndarray]:
+            x0, drive = start_states(own, some, start), drives_of(own, some)
+            found = np.asarray(_positions(own.continuous, x0, drive, own.dt, substeps))
+            return (q[: len(e)] for q, e in zip(found, some, strict=True))
+
+        return np.concatenate(in_batches(model, probed, run))
+
+    exact, measured = positions(model.substeps), np.concatenate([e.q for e in probed])
+    allowed = share**2 * np.mean((exact - measured) ** 2, axis=0)
+    for doublings in range(math.ceil(math.log2(model.substeps))):
+        changed = np.mean((positions(2**doublings) - exact) ** 2, axis=0)
+        if (changed <= allowed).all():  # False of what is no number
+            return 2**doublings
+    return model.substeps
+
+
+def _probed(experiments: Sequence[Experiment]) -> list[Experiment]:
+    """The first 2 s of records."""
+    steps = max(1, round(PROBED_SECONDS / experiments[0].dt))
+    return [e[: steps + 1] for e in experiments]
 
 
 def _enough(model: ContinuousModel, probed: Sequence[Experiment], tolerance: float) -> int:

@@ -218,10 +218,11 @@ def _likeness(recipe: TrainingRecipe, fold: Fold) -> Any:
     """What must be the same for members to train as one program."""
     train = fold.roles.train
     windows = [s.windows for s in recipe.stages]
+    physics = recipe.family.stepped(recipe.model, fold.physics, train)
     return (
         tuple(adapted_length(train, w.length) if w.adapt else w.length for w in windows),
         tuple(residual_of(stage, train) for stage in recipe.stages),
-        jax.tree.structure(fold.physics),
+        jax.tree.structure(physics),
     )
 
 
