@@ -295,7 +295,8 @@ def test_a_horizon_is_told_with_scores_and_residuals(verb, run_folder, folder, c
     for wrong in (0.05, 100):
         code, out, err = tustinnet(capsys, *asked, "--horizon", wrong)
         assert (code, out) == (1, "")
-        assert err.startswith("error: horizon: ")
+        named = f"{asked[1]}: " if verb == "compare" else ""  # one of several models
+        assert err.startswith(f"error: {named}horizon: ")
 
 
 def test_residuals_tell_a_good_model_from_a_poor_one(

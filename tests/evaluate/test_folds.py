@@ -36,7 +36,7 @@ TINY: dict[str, Any] = {
          "epochs": 2, "batch": 16}
     ],
 }  # fmt: skip
-HYBRID = {**TINY, "model": {"kind": "hybrid", "correction": {"hidden": [4]}}}
+HYBRID = {**TINY, "model": {"kind": "hybrid", "correction": {"hidden": [4]}, "substeps": 1}}
 
 
 def names(experiments) -> list[str]:
