@@ -1,7 +1,7 @@
 """How many integration steps a sampling period needs."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
@@ -12,7 +12,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.contract import ContinuousModel
 from tustinnet.models.integrate import Discretised, discretise
-from tustinnet.simulate.batches import batches, in_batches
+from tustinnet.simulate.batches import batches
 from tustinnet.simulate.drive import Drive, drives_of
 from tustinnet.simulate.rollout import rollout
 from tustinnet.simulate.starts import DERIVED, default_start, start_states
@@ -65,15 +65,20 @@ def fewest_substeps(model: Discretised, experiments: Sequence[Experiment], share
         return model.substeps
     start = default_start(probed)
 
+    runs = []
+    for own, rows in batches(model, probed):
+        some = [probed[i] for i in rows]
+        runs.append((own, some, start_states(own, some, start), drives_of(own, some)))
+
     def positions(substeps: int) -> np.ndarray:
-        def run(own: Discretised, some: Sequence[Experiment]) -> Iterator[np.ndarray]:
-            x0, drive = start_states(own, some, start), drives_of(own, some)
-            found = np.asarray(_positions(own.continuous, x0, drive, own.dt, substeps))
-            return (q[: len(e)] for q, e in zip(found, some, strict=True))
+        found = []
+        for own, some, x0, drive in runs:
+            simulated = np.asarray(_positions(own.continuous, x0, drive, own.dt, substeps))
+            found += [q[: len(e)] for q, e in zip(simulated, some, strict=True)]
+        return np.concatenate(found)
 
-        return np.concatenate(in_batches(model, probed, run))
-
-    exact, measured = positions(model.substeps), np.concatenate([e.q for e in probed])
+    exact = positions(model.substeps)
+    measured = np.concatenate([e.q for _, some, _, _ in runs for e in some])
     allowed = share**2 * np.mean((exact - measured) ** 2, axis=0)
     for doublings in range(math.ceil(math.log2(model.substeps))):
         changed = np.mean((positions(2**doublings) - exact) ** 2, axis=0)
