@@ -18,7 +18,9 @@ FEWEST = 3  # samples that say something of a velocity
 _TURNS = 12  # Levenberg-Marquardt steps; from a parabola 3 or 4 are enough
 _FIRST_DAMPING = 1e-3
 _LEFT_OUT = (0.0, 0.25, 0.5)  # parts of the samples, from the first on
-_EXPLAINED = 2.5  # standard deviations (root mean square) that a model may leave
+_AS_WELL = 1.2  # times the residual variance of the fit to the last half
+_NOTHING = 0.01  # of the encoder's variance: no disturbance
+_EXPLAINED = 2.5  # standard deviations (root mean square) that a model may leave of the last half
 _UNKNOWN_ERROR = 1e-3  # [rad or m], of positions whose resolution nobody declared
 
 
@@ -41,9 +43,11 @@ def model_starts(
 
     Minimises the squared position errors over the samples, each over the encoder's standard
     deviation; internal states are kept near the guess with a standard deviation of 1 in their
-    unit. Where that leaves more than 2.5 standard deviations (root mean square), something else
-    still acted, as a rule the hand that let go: the first quarter of the samples is left out,
-    then the first half. Where that does not help either, all samples count.
+    unit. Three fits are made: to all samples, without the first quarter, without the first half.
+    The first that leaves no more than 1.2 times the residual variance of the last one is taken:
+    where it leaves more, something else still acted, as a rule the hand that let go. Where even
+    the last one leaves more than 2.5 standard deviations (root mean square), the fault is the
+    model's, and all samples count.
 
     Levenberg-Marquardt with exact derivatives. The result can be differentiated by the
     model's parameters: its last step is, at the solution, by the theorem of implicit functions
@@ -78,9 +82,10 @@ def _one(model: Model, weight: Array, guess: State, u: Drive, q: Array) -> State
         return _fitted(lambda x: _residuals(of, to, begin, drive, measured, x), begin)
 
     fits = jax.vmap(fitted)(to)
-    explained = fits.cost <= _EXPLAINED**2 * q.shape[1] * jnp.sum(kept, axis=1)
-    # the first that is explained; where none is, the fault is the model's and all samples count
-    chosen = jnp.argmax(explained)
+    # a coordinate's position and velocity bring two residuals to 0, whatever the model
+    variance = fits.cost / (q.shape[1] * jnp.maximum(jnp.sum(kept, axis=1) - 2, 1))
+    first = jnp.argmax(variance <= _AS_WELL * variance[-1] + _NOTHING)
+    chosen = jnp.where(variance[-1] <= _EXPLAINED**2, first, 0)
     solution = fits.x[chosen], fits.jacobian[chosen]
     return _with_derivative(solution, model, weights[chosen], guess, u, q)
 
