@@ -262,6 +262,9 @@ class TrainingRecipe(Recipe):
         rates: factors of the stages' rates; the command `fit` and `fit_many` train every seed
             with each.
         stages: at least one.
+        refine: whether the physics that is corrected is fitted once more after the stages: its
+            parameters, to free runs of the training records from `start`; `automatic`: where it
+            has some.
     """
 
     velocity: VelocitySource = "auto"
@@ -271,6 +274,7 @@ class TrainingRecipe(Recipe):
         default=(1.0,), min_length=1, max_length=_STAGES
     )
     stages: list[SerializeAsAny[StageRecipe]] = Field(min_length=1, max_length=_STAGES)
+    refine: bool | Literal["automatic"] = False
 
     @field_validator("start")
     @classmethod
@@ -284,6 +288,8 @@ class TrainingRecipe(Recipe):
             raise ValueError("two stages have the same name")
         if len(set(self.rates)) < len(self.rates):
             raise ValueError("two of the rates are the same")
+        if self.refine and "physics" not in self.family.needs:
+            raise ValueError(f"`refine` means nothing to kind '{self.family.kind}'")
         for stage in self.stages:
             try:
                 self.family.check(self.model, stage)

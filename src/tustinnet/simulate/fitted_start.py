@@ -17,10 +17,8 @@ from tustinnet.simulate.rollout import precision, rollout
 FEWEST = 3  # samples that say something of a velocity
 _TURNS = 12  # Levenberg-Marquardt steps; from a parabola 3 or 4 are enough
 _FIRST_DAMPING = 1e-3
-_LEFT_OUT = (0.0, 0.25, 0.5)  # parts of the samples, from the first on
-_AS_WELL = 1.2  # times the residual variance of the fit to the last half
-_NOTHING = 0.01  # of the encoder's variance: no disturbance
-_EXPLAINED = 2.5  # standard deviations (root mean square) that a model may leave of the last half
+_LEFT_OUT = 0.5  # of the samples, from the first on
+_EXPLAINED = 2.5  # standard deviations (root mean square) that a model may leave
 _UNKNOWN_ERROR = 1e-3  # [rad or m], of positions whose resolution nobody declared
 
 
@@ -43,11 +41,10 @@ def model_starts(
 
     Minimises the squared position errors over the samples, each over the encoder's standard
     deviation; internal states are kept near the guess with a standard deviation of 1 in their
-    unit. Three fits are made: to all samples, without the first quarter, without the first half.
-    The first that leaves no more than 1.2 times the residual variance of the last one is taken:
-    where it leaves more, something else still acted, as a rule the hand that let go. Where even
-    the last one leaves more than 2.5 standard deviations (root mean square), the fault is the
-    model's, and all samples count.
+    unit. The first half of the samples is left out: often something else still acts there, as a
+    rule the hand that lets go, and a model that is nearly right can take that for an internal
+    state. Where more than 2.5 standard deviations (root mean square) are left of the other half,
+    the fault is the model's, and all samples count.
 
     Levenberg-Marquardt with exact derivatives. The result can be differentiated by the
     model's parameters: its last step is, at the solution, by the theorem of implicit functions
@@ -71,7 +68,7 @@ def model_starts(
 
 def _one(model: Model, weight: Array, guess: State, u: Drive, q: Array) -> State:
     most = max(0, len(q) - FEWEST)  # fewer samples would be explained by any model
-    left_out = jnp.asarray([min(int(part * len(q)), most) for part in _LEFT_OUT])
+    left_out = jnp.asarray([min(int(_LEFT_OUT * len(q)), most), 0])
     kept = (jnp.arange(len(q)) >= left_out[:, None]).astype(guess.dtype)
     weights = kept[:, :, None] * weight
 
@@ -82,10 +79,8 @@ def _one(model: Model, weight: Array, guess: State, u: Drive, q: Array) -> State
         return _fitted(lambda x: _residuals(of, to, begin, drive, measured, x), begin)
 
     fits = jax.vmap(fitted)(to)
-    # a coordinate's position and velocity bring two residuals to 0, whatever the model
-    variance = fits.cost / (q.shape[1] * jnp.maximum(jnp.sum(kept, axis=1) - 2, 1))
-    first = jnp.argmax(variance <= _AS_WELL * variance[-1] + _NOTHING)
-    chosen = jnp.where(variance[-1] <= _EXPLAINED**2, first, 0)
+    explained = fits.cost[0] <= _EXPLAINED**2 * q.shape[1] * jnp.sum(kept[0])
+    chosen = jnp.where(explained, 0, 1)
     solution = fits.x[chosen], fits.jacobian[chosen]
     return _with_derivative(solution, model, weights[chosen], guess, u, q)
 

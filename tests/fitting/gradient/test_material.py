@@ -12,8 +12,8 @@ from tustinnet.fitting.gradient.material import (
     Pool,
     adapted_length,
     draw,
+    free_runs,
     stage_windows,
-    validation_runs,
     window_account,
 )
 from tustinnet.fitting.gradient.plan import plan
@@ -143,13 +143,13 @@ def test_windows_begin_with_internal_states_that_followed_their_record(pendulum)
 
 
 def test_validation_weights_sum_to_one_within_each_record(pendulum):
-    runs = validation_runs(model_of(pendulum), list(pendulum), start_named("derived-6"))
+    runs = free_runs(model_of(pendulum), list(pendulum), start_named("derived-6"))
     np.testing.assert_allclose(runs.weight.sum(axis=(1, 2)), 1.0, rtol=1e-5)
 
 
 def test_validation_runs_over_a_horizon_score_as_evaluation_does(pendulum):
     model, start = model_of(pendulum), start_named("derived-6")
-    runs = validation_runs(model, list(pendulum), start, 1.0)
+    runs = free_runs(model, list(pendulum), start, 1.0)
     np.testing.assert_allclose(runs.weight.sum(axis=(1, 2)), 1.0, rtol=1e-5)
     every = jnp.arange(len(pendulum))
     single = jax.tree.map(lambda a: a.astype(jnp.float32), model)

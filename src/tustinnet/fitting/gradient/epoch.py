@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from tustinnet.families.family import Regulariser
 from tustinnet.fitting.gradient.layout import MEMBERS, WINDOWS
-from tustinnet.fitting.gradient.material import Records, ValidationRuns
+from tustinnet.fitting.gradient.material import FreeRuns, Records
 from tustinnet.fitting.gradient.plan import Plan
 from tustinnet.fitting.gradient.plateau import after_epoch, decayed
 from tustinnet.fitting.gradient.state import (
@@ -83,7 +83,7 @@ class _Material(NamedTuple):
     own: _Own
     epochs: Int[Array, ""]
     records: Records
-    validation: ValidationRuns | None
+    validation: FreeRuns | None
 
 
 EpochsFunction = Callable[[TrainingState], tuple[TrainingState, EpochFigures]]
@@ -124,7 +124,7 @@ def compiled_epochs(prepared: Plan, stage: Stage) -> EpochsFunction:
     return lambda state: _run(jax.device_put(state, layout), material, program=program)
 
 
-def _possible(wanted: Kept, stage: Stage, validation: ValidationRuns | None) -> Criterion:
+def _possible(wanted: Kept, stage: Stage, validation: FreeRuns | None) -> Criterion:
     """The criterion, or the next one where there are no records or windows for it."""
     if validation is None or wanted == "last":
         return "training"
@@ -393,7 +393,7 @@ def window_losses(
 @eqx.filter_jit
 def validation_rmse(
     model: Model,
-    runs: ValidationRuns,
+    runs: FreeRuns,
     chosen: Int[Array, " runs"],
     counted: Float[Array, " runs"],
 ) -> Float[Array, ""]:

@@ -40,7 +40,7 @@ class Records(eqx.Module):
     u: Float[Array, "rows *drive"]
 
 
-class ValidationRuns(eqx.Module):
+class FreeRuns(eqx.Module):
     """Free runs to compare with, in float32.
 
     A record is one segment, or several end to end over a horizon; records with fewer than others
@@ -125,9 +125,9 @@ class Pool:
         return begins[windows[:, 0]] + windows[:, 1]
 
 
-def validation_runs(
+def free_runs(
     model: Model, experiments: Sequence[Experiment], start: Start, horizon: float | None = None
-) -> ValidationRuns:
+) -> FreeRuns:
     """Prepares the free runs of records from a start, over a horizon [s] or as a whole.
 
     Raises:
@@ -149,7 +149,7 @@ def validation_runs(
     def by_record(a: Array | np.ndarray) -> Array:
         return jnp.asarray(a, jnp.float32).reshape(len(cut), most, *np.shape(a)[1:])
 
-    return ValidationRuns(start, *jax.tree.map(by_record, arrays))
+    return FreeRuns(start, *jax.tree.map(by_record, arrays))
 
 
 def stage_windows(

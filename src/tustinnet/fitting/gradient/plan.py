@@ -17,17 +17,18 @@ from tustinnet.families.encoded import EncodedModel, with_encoder
 from tustinnet.families.family import family_of
 from tustinnet.fitting.gradient.layout import lay_out_devices
 from tustinnet.fitting.gradient.material import (
+    FreeRuns,
     Pool,
     Records,
     StageWindows,
-    ValidationRuns,
     adapted_length,
     draw,
+    free_runs,
     lead_of,
     sameness,
     stage_windows,
-    validation_runs,
 )
+from tustinnet.fitting.gradient.refinement import refines
 from tustinnet.fitting.gradient.state import Stage, TrainingState, begin_stage
 from tustinnet.fitting.recipe import TrainingRecipe
 from tustinnet.fitting.residual import residual_of
@@ -54,6 +55,7 @@ class Plan:
         chosen: which of these each member has, (members, runs).
         counted: 1 for each that counts, 0 for what fills up, (members, runs).
         start: where these start.
+        refine: whether the physics is fitted once more after the stages.
         keys: the sources of the shuffling, one a member.
         mesh: which device trains what.
     """
@@ -64,10 +66,11 @@ class Plan:
     stages: tuple[Stage, ...]
     records: Records
     internal: Float[Array, "members rows n_z"]
-    validation: ValidationRuns | None
+    validation: FreeRuns | None
     chosen: Int[Array, "members runs"]
     counted: Float[Array, "members runs"]
     start: str
+    refine: bool
     keys: Key[Array, " members"]
     mesh: Mesh
 
@@ -125,6 +128,7 @@ def plan(task: Task, devices: Sequence[Any] | None = None) -> Plan:
         _begun(task, m.fold, make[m.fold](key), key)
         for m, (key, _) in zip(members, keys, strict=True)
     )
+    refine = refines(given[0], recipe.refine, f"recipe '{recipe.name}'")
     single = [with_dtype(model, np.float32) for model in given]
     require_alike(single)
     pool = Pool([e for of in peers for e in of.all])
@@ -148,6 +152,7 @@ def plan(task: Task, devices: Sequence[Any] | None = None) -> Plan:
         chosen=chosen,
         counted=counted,
         start=named,
+        refine=refine,
         keys=jnp.stack([shuffling for _, shuffling in keys]),
         mesh=lay_out_devices(len(members), min(s.batch for s in recipe.stages), devices),
     )
@@ -292,7 +297,7 @@ def _side_by_side(rows: Sequence[np.ndarray], members: int) -> Int[np.ndarray, "
 
 def _validation(
     task: Task, model: Model, start: Start, peers: Sequence[Roles]
-) -> tuple[ValidationRuns | None, Int[Array, "members runs"], Float[Array, "members runs"]]:
+) -> tuple[FreeRuns | None, Int[Array, "members runs"], Float[Array, "members runs"]]:
     """The free runs that judge, which of them each member has, and what counts of these."""
     mine = [task.folds[m.fold].roles.validation for m in task.members]
     if not all(mine):
@@ -310,14 +315,14 @@ def _validation(
         counted[m, : len(of)] = 1.0
     assert isinstance(task.recipe, TrainingRecipe)
     horizon = within(task.recipe.horizon, every)
-    runs = validation_runs(model, every, start, horizon)
+    runs = free_runs(model, every, start, horizon)
     return runs, jnp.asarray(chosen), jnp.asarray(counted)
 
 
 def completed(prepared: Plan, member: int, trained: Model) -> Model:
     """A trained model whose arrays that never trained are those that were given, bit for bit.
 
-    Training is in single precision; physics that is corrected stays as it was.
+    Training is in single precision; it leaves physics that is corrected as it was.
     """
     ever = jax.tree.map(lambda *of: any(of), *(stage.trainable for stage in prepared.stages))
     new, _ = eqx.partition(trained, ever)
