@@ -38,12 +38,13 @@ def train_plan(
 def _result(
     prepared: Plan, best: Model, m: int, progress: Progress, listener: Listener
 ) -> FitResult:
-    begun = time.perf_counter()
     # off the devices that trained it: what comes now is one model's business
     trained = jax.tree.map(lambda a: jnp.asarray(np.asarray(a)[m]), best)
-    model, account = completed(prepared, m, trained).folded(), None
+    model, account, spent = completed(prepared, m, trained).folded(), None, 0.0
     if prepared.refine and progress.outcome == FINISHED:
+        begun = time.perf_counter()
         model, account = _refined(prepared, model, m, listener)
+        spent = time.perf_counter() - begun
         trained = with_dtype(model, np.float32)
     score = None
     if prepared.validation is not None:
@@ -64,7 +65,7 @@ def _result(
         sound=progress.outcome == FINISHED,
         start=prepared.start,
         validation_rmse=score,
-        seconds=progress.seconds + time.perf_counter() - begun,
+        seconds=progress.seconds + spent,
         details={"training": details},
         horizon=prepared.recipe.horizon,
         findings=ends(prepared, progress),
