@@ -274,7 +274,7 @@ class TrainingRecipe(Recipe):
         default=(1.0,), min_length=1, max_length=_STAGES
     )
     stages: list[SerializeAsAny[StageRecipe]] = Field(min_length=1, max_length=_STAGES)
-    refine: bool | Literal["automatic"] = False
+    refine: Literal[True, False, "automatic"] = False
 
     @field_validator("start")
     @classmethod

@@ -25,7 +25,7 @@ from tustinnet.simulate.rollout import rollout
 
 AnyModel = TypeVar("AnyModel", bound=Model)
 Told = Callable[[int, float, float], None]
-Asked = bool | Literal["automatic"]
+Asked = Literal[True, False, "automatic"]
 
 _ITERATIONS = 10
 _ENOUGH = 1e-3  # converged: gained by an iteration, of the cost
