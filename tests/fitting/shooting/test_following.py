@@ -25,8 +25,8 @@ from tustinnet.fitting.shooting.least_squares import Cost
 from tustinnet.fitting.shooting.problem import Problem, State, prior
 from tustinnet.fitting.shooting.space import make_space
 
-FOLLOWS = ("search.initial=model-10", "search.loss=position")
-START = "model-10"
+FOLLOWS = ("search.initial=model-20", "search.loss=position")
+START = "model-20"
 
 
 def recipe(*changes: str) -> IdentificationRecipe:
@@ -126,12 +126,12 @@ def test_parameters_per_group_have_their_own_states():
 
 def test_a_delay_that_is_searched_for_is_refused():
     with pytest.raises(
-        tn.InputError, match=r"search\.initial: 'model-10', and 'voltage.delay' is free"
+        tn.InputError, match=r"search\.initial: 'model-20', and 'voltage.delay' is free"
     ):
         tn.identify(data_set(read()), swing_model().system, recipe('model.free=["voltage.delay"]'))
 
 
 def test_records_shorter_than_the_start_are_refused():
     short = [read_by_encoder(e[:8]) for e in records()]
-    with pytest.raises(tn.InputError, match=r"start 'model-10'"):
+    with pytest.raises(tn.InputError, match=r"start 'model-20'"):
         tn.identify(data_set(short), swing_model().system, recipe())
