@@ -13,6 +13,7 @@ from tustinnet.families.hybrid import HybridModel
 from tustinnet.families.tustin_net import random_tustin_net
 from tustinnet.fitting.gradient.material import free_runs
 from tustinnet.fitting.gradient.refinement import refined, refines
+from tustinnet.fitting.gradient.train import unrefined
 from tustinnet.fitting.listener import Iteration, Listener
 from tustinnet.models.blocks import Scaling
 from tustinnet.models.contract import with_dtype
@@ -50,6 +51,7 @@ def test_parameters_that_free_runs_know_are_found():
     model, told = hybrid(gravity=1.1 * TRUTH["gravity"], damping=0.7 * TRUTH["damping"]), []
     found, account = refined(model, by_model(model), lambda *of: told.append(of))
     assert account.after < 0.1 * account.before
+    assert not unrefined(account)
     # the prior holds what it can
     for name in ("gravity", "damping"):
         assert account.values[name] == pytest.approx(TRUTH[name], rel=0.05)
@@ -82,6 +84,8 @@ def test_free_runs_that_leave_all_numbers_leave_the_model_as_it_is():
     assert account.iterations == 0
     assert not np.isfinite(account.before)
     assert found is wild
+    (told,) = unrefined(account)
+    assert "give the recipe a `horizon`" in told
 
 
 def test_a_recipe_that_refines_says_what_it_did():

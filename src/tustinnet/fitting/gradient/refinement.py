@@ -91,7 +91,8 @@ def refined(model: AnyModel, runs: FreeRuns, told: Told) -> tuple[AnyModel, Refi
         told: called with the number, the cost and the damping of every iteration.
 
     Returns:
-        The model, and what came of it. The model as it is where free runs end in infinity.
+        The model, and what came of it. The model as it is where some free run leaves all numbers,
+        or where nothing is left to explain.
     """
     searched = _searched(_equations(model))
     names = tuple(p.name for p in searched)
@@ -108,7 +109,7 @@ def refined(model: AnyModel, runs: FreeRuns, told: Told) -> tuple[AnyModel, Refi
     change, damping, count = np.zeros(len(names)), _DAMPING, 0
     now = at(change)
     scale = float(now.rmse.mean())
-    if not np.isfinite(scale):
+    if not 0 < scale < np.inf:
         return model, Refined(scale, scale, 0, dict(zip(names, map(float, first), strict=True)))
 
     def cost(of: _Runs, change: np.ndarray) -> float:

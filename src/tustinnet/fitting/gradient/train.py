@@ -68,7 +68,7 @@ def _result(
         seconds=progress.seconds + spent,
         details={"training": details},
         horizon=prepared.recipe.horizon,
-        findings=ends(prepared, progress),
+        findings=(*ends(prepared, progress), *unrefined(account)),
     )
 
 
@@ -84,6 +84,16 @@ def _refined(prepared: Plan, model: Model, m: int, listener: Listener) -> tuple[
         listener.iteration(Iteration(stage, number, rmse, damping))
 
     return refined(model, runs, told)
+
+
+def unrefined(account: Refined | None) -> tuple[str, ...]:
+    """What to say where the physics could not be refined."""
+    if account is None or np.isfinite(account.before):
+        return ()
+    return (
+        "the physics was not fitted once more: free runs of the training records leave the range "
+        "of numbers; give the recipe a `horizon`, or set refine = false",
+    )
 
 
 def ends(prepared: Plan, progress: Progress) -> tuple[str, ...]:
