@@ -20,6 +20,7 @@ from tustinnet.registry import FAMILIES, USUAL
 from tustinnet.simulate.starts import Start, start_named
 
 Compared = Literal["position", "state"]
+Refine = Literal[True, False, "automatic"]
 Criterion = Literal["validation", "validation-loss", "training"]
 Kept = Literal[Criterion, "last"]
 Robust = Literal["none", "huber", "student"]
@@ -274,7 +275,7 @@ class TrainingRecipe(Recipe):
         default=(1.0,), min_length=1, max_length=_STAGES
     )
     stages: list[SerializeAsAny[StageRecipe]] = Field(min_length=1, max_length=_STAGES)
-    refine: Literal[True, False, "automatic"] = False
+    refine: Refine = False
 
     @field_validator("start")
     @classmethod

@@ -1,4 +1,4 @@
-"""Physics that is corrected, fitted once more together with its correction.
+"""Physics that is corrected, fitted once more with its correction as it is.
 
 Windows teach a correction what the next second needs. Over whole records small errors of the
 physics add up that no window shows; a few parameters are enough to mend them, and too few to learn
@@ -8,7 +8,7 @@ the records by heart.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -19,13 +19,13 @@ from jaxtyping import Array, Float
 from tustinnet.errors import InputError
 from tustinnet.families.family import family_of
 from tustinnet.fitting.gradient.material import FreeRuns
+from tustinnet.fitting.recipe import Refine
 from tustinnet.models.contract import Model, require_float64
 from tustinnet.models.lagrangian import LagrangianModel, Parameter
 from tustinnet.simulate.rollout import rollout
 
 AnyModel = TypeVar("AnyModel", bound=Model)
 Told = Callable[[int, float, float], None]
-Asked = Literal[True, False, "automatic"]
 
 _ITERATIONS = 10
 _ENOUGH = 1e-3  # converged: gained by an iteration, of the cost
@@ -53,7 +53,7 @@ class Refined:
     values: dict[str, float]
 
 
-def refines(model: Model, asked: Asked, where: str) -> bool:
+def refines(model: Model, asked: Refine, where: str) -> bool:
     """Whether a model is refined, as a recipe asks for it.
 
     Raises:
@@ -88,17 +88,17 @@ def refined(model: AnyModel, runs: FreeRuns, told: Told) -> tuple[AnyModel, Refi
     Args:
         model: corrects equations of motion, see `refines`.
         runs: free runs of the training records.
-        told: called with the number, the cost and the damping of every iteration.
+        told: called with the number, the mean RMSE and the damping of every iteration.
 
     Returns:
         The model, and what came of it. The model as it is where some free run leaves all numbers,
         or where nothing is left to explain.
     """
-    searched = _searched(_equations(model))
+    equations = _equations(model)
+    searched = _searched(equations)
     names = tuple(p.name for p in searched)
     lower, upper = (np.array([getattr(p, end) for p in searched]) for end in ("lower", "upper"))
-    values = _equations(model).values
-    first = np.array([float(values[name]) for name in names])
+    first = np.array([float(equations.values[name]) for name in names])
     unit = np.maximum(np.abs(first), _LEAST * (upper - lower))
     low, high = (lower - first) / unit, (upper - first) / unit
 
@@ -109,8 +109,13 @@ def refined(model: AnyModel, runs: FreeRuns, told: Told) -> tuple[AnyModel, Refi
     change, damping, count = np.zeros(len(names)), _DAMPING, 0
     now = at(change)
     scale = float(now.rmse.mean())
+
+    def account() -> Refined:
+        values = dict(zip(names, (first + unit * change).tolist(), strict=True))
+        return Refined(scale, float(now.rmse.mean()), count, values)
+
     if not 0 < scale < np.inf:
-        return model, Refined(scale, scale, 0, dict(zip(names, map(float, first), strict=True)))
+        return model, account()
 
     def cost(of: _Runs, change: np.ndarray) -> float:
         return float(of.rmse.mean()) / scale + _KNOWN * float(change @ change)
@@ -128,11 +133,7 @@ def refined(model: AnyModel, runs: FreeRuns, told: Told) -> tuple[AnyModel, Refi
         told(count, float(now.rmse.mean()), damping)
         if gained < _ENOUGH * cost(now, change):
             break
-    found = first + unit * change
-    account = Refined(
-        scale, float(now.rmse.mean()), count, dict(zip(names, map(float, found), strict=True))
-    )
-    return _with_values(model, names, jnp.asarray(found)), account
+    return _with_values(model, names, jnp.asarray(first + unit * change)), account()
 
 
 class _Runs(NamedTuple):
