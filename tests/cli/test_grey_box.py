@@ -468,7 +468,7 @@ GREY = ["--recipe", "grey", "--system", "{}"]
         ([*GREY, "--set", "search.initial=here"], ["search.initial", "unknown start"]),
         (
             [*GREY, "--set", "search.initial=warm-up-20"],
-            ["search.initial", "after the first sample", "model-20"],
+            ["search.initial", "after the first sample", "derived-6"],
         ),
         ([*GREY, "--set", "search.method=newton"], ["search.method", "'l-bfgs'", "'newton'"]),
         ([*GREY, "--set", "search.los=state"], ["search.los", "did you mean 'loss'?"]),

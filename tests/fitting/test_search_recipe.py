@@ -38,10 +38,11 @@ def test_a_recipe_gives_the_values_it_names(tmp_path):
         "initial": "choose", "loss": "position", "periodic": False, "scaled": True,
         "times": "recorded", "part": "whole", "method": "levenberg-marquardt",
         "tolerance": 1e-5, "iterations": 50, "substeps": None, "horizon": None,
-        "robust": "none",
+        "robust": "none", "refine": None,
     }  # fmt: skip
     assert search_of("grey").model_dump() == usual
-    assert search_of("best-grey") == SearchRecipe(loss="state", initial="anchored")
+    best = SearchRecipe(loss="state", initial="anchored", refine="model-20")
+    assert search_of("best-grey") == best
     mine = written(tmp_path / "mine.toml", "iterations = 7\nperiodic = true")
     assert search_of(mine).model_dump() == usual | {"iterations": 7, "periodic": True}
 
@@ -54,9 +55,9 @@ def test_changes_are_those_of_the_recipe_and_of_nothing_else():
     assert content["search"] == {"loss": "state"}
     recipe = tn.read_recipe("best-grey", changes)
     assert isinstance(recipe, IdentificationRecipe)
-    assert recipe.search == expected
+    assert recipe.search == expected.model_copy(update={"refine": "model-20"})
     assert tn.read_recipe(recipe) is recipe
-    assert search_of("best-grey") == SearchRecipe(loss="state", initial="anchored")
+    assert search_of("best-grey").initial == "anchored"
 
 
 def test_a_recipe_says_what_is_fixed_and_where_the_search_begins():
@@ -82,10 +83,10 @@ def test_a_recipe_says_what_is_fixed_and_where_the_search_begins():
         ('initial = "guessed"', "unknown start 'guessed'"),
         ('initial = "warm-up-20"', r"a start after the first sample; expected choose, anchored"),
         ('initial = "encoder"', r"a start after the first sample; expected choose, anchored"),
-        (
-            'initial = "model-20"\nmethod = "l-bfgs"',
-            r'"l-bfgs"` with `initial = "model-20"`.*use levenberg-marquardt',
-        ),
+        ('initial = "model-20"', r"a start through the model; expected .*; `refine` fits the"),
+        ('refine = "guessed"', "unknown start 'guessed'"),
+        ('refine = "warm-up-20"', r"a start after the first sample; expected model-20, file"),
+        ("refine = true", r"search\.refine: .*string"),
         ('[[stages]]\nname = "first"', "stages: unknown key"),
     ],
 )

@@ -64,10 +64,13 @@ def _identified(header: dict[str, Any]) -> list[tuple[str, str]]:
     if found is None:
         return []
     lines = [("parameters", "")]
+    refined = (found.get("refined") or {}).get("values", {})
     for e in found["estimates"]:
         error = "" if e["error"] is None else f" +- {e['error']:.2g}"
         bound = f", at the {e['bound']} end of its range" if e["bound"] else ""
-        lines.append(("", f"{e['name']} {e['value']:.4g}{error} {e['unit']}{bound}"))
+        name = e["name"]
+        now = f"; in the model {refined[name]:.4g}" if name in refined else ""
+        lines.append(("", f"{name} {e['value']:.4g}{error} {e['unit']}{bound}{now}"))
     fixed = found.get("fixed", found.get("held", {}))  # files of format 1 say `held`
     lines += [("", f"{name} {value:.4g}, fixed") for name, value in fixed.items()]
     lines.append(("outcome", found["outcome"]))

@@ -177,28 +177,35 @@ class EulerLagrangeFamily(Family):
         return model.continuous
 
     def alternatives(self, model: Discretised, header: Header) -> Sequence[Model]:
-        """The same equations with parameters drawn from their errors, within their ranges."""
+        """The same equations with parameters drawn from their errors, within their ranges.
+
+        Around the values of the model, which may be refined.
+        """
         found = header.get("identification", {})
         estimates, correlation = found.get("estimates", ()), found.get("correlation")
         if correlation is None or not estimates:
             return ()
-        each = [[of[key] for of in estimates] for key in ("value", "error", "lower", "upper")]
-        values, errors, lower, upper = (np.array(x, float) for x in each)  # None becomes NaN
+        each = [[of[key] for of in estimates] for key in ("error", "lower", "upper")]
+        errors, lower, upper = (np.array(x, float) for x in each)  # None becomes NaN
         errors = np.nan_to_num(errors)
         shape = np.nan_to_num(np.array(correlation, float)) * np.outer(errors, errors)
+        continuous = model.continuous
+        assert isinstance(continuous, LagrangianModel)
+        known = continuous.values
+        values = [
+            float(known[n]) if (n := of["name"]) in known else of["value"] for of in estimates
+        ]
         drawn = np.random.default_rng(0).multivariate_normal(
             values, shape, _DRAWN, check_valid="ignore"
         )
-        continuous = model.continuous
-        assert isinstance(continuous, LagrangianModel)
-        names = [of["name"] for of in estimates if of["name"] in continuous.values]
+        names = [of["name"] for of in estimates if of["name"] in known]
         if len(names) < len(estimates):  # as a delay, which is no parameter of the equations
-            kept = np.array([of["name"] in continuous.values for of in estimates])
+            kept = np.array([of["name"] in known for of in estimates])
             drawn, lower, upper = drawn[:, kept], lower[kept], upper[kept]
         return [
             replace(model, continuous=LagrangianModel(
                 continuous.system,
-                continuous.values | dict(zip(names, map(jnp.asarray, of), strict=True)),
+                known | dict(zip(names, map(jnp.asarray, of), strict=True)),
             ))
             for of in np.clip(drawn, lower, upper)
         ]  # fmt: skip

@@ -31,8 +31,7 @@ def fit(
         recipe: a packaged recipe's name, a TOML file, the same as a mapping, or a `Recipe`; by
             default `standard`, with a `system` `grey`, with `physics` `best-hybrid`.
         seed: initial weights, windows and shuffling follow from it; an identification has none.
-        physics: a model to correct, as an identification gives it; its parameters only change where
-            the recipe says `refine`.
+        physics: a model to correct, as an identification gives it; it stays as it is.
         system: the system whose parameters are identified, its name or its file.
         listener: functions that are called while the fit goes on, see `Listener`.
 

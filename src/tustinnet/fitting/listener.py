@@ -41,7 +41,7 @@ class Iteration:
     Attributes:
         stage: what it is doing.
         number: iterations so far in the stage.
-        cost: sum over records of the mean squared residual; of a refinement their mean RMSE.
+        cost: sum over records of the mean squared residual.
         damping: Levenberg-Marquardt's.
         initial: how initial states are treated, empty where nothing is simulated.
     """
@@ -82,7 +82,7 @@ class Listener:
         epoch: of every epoch of every member.
         state: of a training's state and the members' progress, after every compiled call, which
             does several epochs, and at the ends of stages: all that a resumed run needs.
-        iteration: of every iteration of an identification or a refinement.
+        iteration: of every iteration of an identification.
         remark: of what is unusual, as a sentence.
         searched: of every stage of an identification, at its end.
     """

@@ -17,10 +17,9 @@ from tustinnet.errors import InputError
 from tustinnet.families.family import Family, Hyper
 from tustinnet.models.integrate import MOST_SUBSTEPS
 from tustinnet.registry import FAMILIES, USUAL
-from tustinnet.simulate.starts import Start, start_named
+from tustinnet.simulate.starts import start_named
 
 Compared = Literal["position", "state"]
-Refine = Literal[True, False, "automatic"]
 Criterion = Literal["validation", "validation-loss", "training"]
 Kept = Literal[Criterion, "last"]
 Robust = Literal["none", "huber", "student"]
@@ -149,10 +148,8 @@ class SearchRecipe(Declaration):
         initial: what is done with every record's initial state while identifying. `anchored`:
             searched for, positions kept near what the encoder read; `unanchored`: searched for
             freely, which lets a model with missing physics start where it fits; `choose`: both,
-            and the better free run on the validation records decides (`anchored` without them);
-            a start without a model (`file`, `derived-6`), which is then not searched for; or
-            `model-N`, the start of free runs: the state then follows from the parameters, and an
-            iteration takes several times as long.
+            and the better free run on the validation records decides (`anchored` without them); or
+            a start without a model (`file`, `derived-6`), which is then not searched for.
         loss: what is compared, `position` (the paper) or `state`, velocities too.
         periodic: whether angles are compared by the periodic distance `2 (1 - cos e)`.
         scaled: whether velocities count in units in which they spread as their positions do, see
@@ -169,6 +166,8 @@ class SearchRecipe(Declaration):
             for whole records, but for those along which errors grow without end.
         substeps: integration steps in a period; none to choose them from the error target, a
             quarter of an encoder count within 2 s.
+        refine: start of free runs to which the parameters are fitted once more after the search,
+            as `model-20`; none for the parameters as they were found.
     """
 
     initial: Initial | str = "choose"
@@ -183,6 +182,7 @@ class SearchRecipe(Declaration):
     iterations: Count = 50
     horizon: Horizon | None = None
     substeps: int | None = Field(default=None, gt=0, le=MOST_SUBSTEPS)
+    refine: str | None = None
 
     @field_validator("initial")
     @classmethod
@@ -190,29 +190,23 @@ class SearchRecipe(Declaration):
         if initial in get_args(Initial):
             return initial
         start = start_named(initial, "")
-        if start.first:
+        if start.first or start.fitted:
+            what = "after the first sample" if start.first else "through the model"
+            instead = "" if start.first else "; `refine` fits the parameters to free runs from it"
             raise ValueError(
-                "a start after the first sample; expected choose, anchored, unanchored, or a start "
-                "at the first sample: file, derived-6, model-20"
+                f"a start {what}; expected choose, anchored, unanchored, file or derived-6{instead}"
             )
         return start.name
 
-    @model_validator(mode="after")
-    def _can_follow(self) -> "SearchRecipe":
-        if self.follows and self.method == "l-bfgs":
-            raise ValueError(
-                f'`method = "l-bfgs"` with `initial = "{self.initial}"`, where no initial state is '
-                "searched for: use levenberg-marquardt"
-            )
-        return self
-
-    @property
-    def follows(self) -> Start | None:
-        """The start by which initial states follow from the parameters, if they do."""
-        if self.initial in get_args(Initial):
+    @field_validator("refine")
+    @classmethod
+    def _starts(cls, refine: str | None) -> str | None:
+        if refine is None:
             return None
-        start = start_named(self.initial)
-        return start if start.fitted else None
+        start = start_named(refine, "")
+        if start.first:
+            raise ValueError("a start after the first sample; expected model-20, file or derived-6")
+        return start.name
 
 
 class Recipe(Declaration):
@@ -263,9 +257,6 @@ class TrainingRecipe(Recipe):
         rates: factors of the stages' rates; the command `fit` and `fit_many` train every seed
             with each.
         stages: at least one.
-        refine: whether the physics that is corrected is fitted once more after the stages: its
-            parameters, to free runs of the training records from `start`; `automatic`: where it
-            has some.
     """
 
     velocity: VelocitySource = "auto"
@@ -275,7 +266,6 @@ class TrainingRecipe(Recipe):
         default=(1.0,), min_length=1, max_length=_STAGES
     )
     stages: list[SerializeAsAny[StageRecipe]] = Field(min_length=1, max_length=_STAGES)
-    refine: Refine = False
 
     @field_validator("start")
     @classmethod
@@ -289,8 +279,6 @@ class TrainingRecipe(Recipe):
             raise ValueError("two stages have the same name")
         if len(set(self.rates)) < len(self.rates):
             raise ValueError("two of the rates are the same")
-        if self.refine and "physics" not in self.family.needs:
-            raise ValueError(f"`refine` means nothing to kind '{self.family.kind}'")
         for stage in self.stages:
             try:
                 self.family.check(self.model, stage)

@@ -97,12 +97,29 @@ class Disagreement:
 
 
 @dataclass(frozen=True)
+class Refined:
+    """What fitting parameters once more to free runs came to.
+
+    Attributes:
+        before: mean free-run RMSE of the training records before it [rad or m].
+        after: the same after it.
+        iterations: how many steps were taken.
+        values: the parameters that were searched for, by name.
+    """
+
+    before: float
+    after: float
+    iterations: int
+    values: dict[str, float]
+
+
+@dataclass(frozen=True)
 class Identification:
     """What an identification found.
 
     Attributes:
         system: the system.
-        model: the model with the values found.
+        model: the model with the values found, or as `refined`.
         estimates: the parameters that were searched for.
         fixed: the parameters that were not, by name.
         correlation: of the estimates' errors, (n_p, n_p), NaN for those at a bound.
@@ -127,6 +144,8 @@ class Identification:
         iterations: of the last stage.
         seconds: time it took.
         downweighted: stretches that weigh less than half, where the search was robust.
+        refined: the values of the model and what they are worth, where a recipe asks for them to
+            be fitted once more; `estimates`, their errors and `rmse` are of the search before it.
     """
 
     system: LagrangianSystem
@@ -150,8 +169,9 @@ class Identification:
     validation_rmse: float | None
     substeps: int
     iterations: int
-    seconds: float
+    seconds: float = 0.0
     downweighted: tuple[Stretch, ...] = ()
+    refined: Refined | None = None
 
     @property
     def sound(self) -> bool:
@@ -165,7 +185,7 @@ class Identification:
 
     @property
     def values(self) -> dict[str, float]:
-        """All values by name, those fixed included."""
+        """All values found by the search, by name, those fixed included."""
         return dict(self.fixed) | {e.name: e.value for e in self.estimates}
 
     def as_plain(self) -> dict[str, Any]:
@@ -188,6 +208,7 @@ class Identification:
             "downweighted": [dataclasses.asdict(s) for s in self.downweighted],
             "disagreements": [dataclasses.asdict(d) for d in self.disagreements],
             "initial_states": {name: list(x) for name, x in self.initial_states.items()},
+            **({"refined": dataclasses.asdict(self.refined)} if self.refined else {}),
         }
 
 

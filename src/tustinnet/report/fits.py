@@ -1,7 +1,7 @@
 """Tables of fits: members of a training, parameters of an identification, folds."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from tustinnet.evaluate.folds import Validated
 from tustinnet.evaluate.scores import rmse_by_record
@@ -46,10 +46,20 @@ def parameter_table(result: Identification) -> Table:
     rows += [[name, f"{value:.4g}", result.system.parameter(name).unit, "fixed", "", "", ""]
              for name, value in result.fixed.items()]  # fmt: skip
     title = f"{result.system.name}; standard errors from {error_source(result.trust)}"
-    return Table(ESTIMATE_COLUMNS, rows, title=title)
+    return estimates_table(rows, result.refined and result.refined.values, title)
 
 
 ESTIMATE_COLUMNS = ("parameter", "value", "unit", "std. error", "95 %", "error of J'J", "range")
+
+
+def estimates_table(
+    rows: Sequence[Sequence[str]], refined: Mapping[str, float] | None, title: str = ""
+) -> Table:
+    """Rows of `ESTIMATE_COLUMNS`, and the values of the model where others than those found."""
+    if refined is None:
+        return Table(ESTIMATE_COLUMNS, rows, title)
+    told = [[*row, f"{refined[row[0]]:.4g}" if row[0] in refined else row[1]] for row in rows]
+    return Table((*ESTIMATE_COLUMNS, "in the model"), told, title)
 
 
 def estimate_cells(e: Estimate) -> list[str]:

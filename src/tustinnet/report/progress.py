@@ -3,12 +3,11 @@
 import math
 import time
 from contextlib import AbstractContextManager
-from dataclasses import replace
 from types import TracebackType
 from typing import Self
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, ProgressColumn, TaskID, TextColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn
 from rich.progress import Task as Bar
 from rich.text import Text
 
@@ -60,16 +59,13 @@ class FitProgress(AbstractContextManager["FitProgress"]):
 
     def follow(self, prepared: Plan | Task, label: str = "") -> Listener:
         """Who is to be told of fits that run together."""
-        name = label or prepared.recipe.name
-        searches = _Searches(self._console, self._bars, name, self._quiet)
         if isinstance(prepared, Plan):
-            told = Listener(
+            return Listener(
                 epoch=_Trainings(self._console, self._bars, prepared, label, self._quiet),
                 remark=self._console.print,
             )
-            return replace(told, iteration=searches) if prepared.refine else told
-        searches.show(_COMPILING)
-        return Listener(iteration=searches)
+        name = label or prepared.recipe.name
+        return Listener(iteration=_Identification(self._console, self._bars, name, self._quiet))
 
 
 class _Figures(ProgressColumn):
@@ -81,25 +77,19 @@ class _Figures(ProgressColumn):
         return Text(f"{figures}, {task.elapsed or 0:.0f} s" if timed else figures)
 
 
-class _Searches:
+class _Identification:
     """A line that changes on a terminal, a line a stage elsewhere."""
 
     def __init__(self, console: Console, bars: Progress | None, label: str, quiet: bool) -> None:
         self._console, self._bars, self._label, self._quiet = console, bars, label, quiet
         self._stage = ""
-        self._task: TaskID | None = None
-
-    def show(self, figures: str) -> None:
-        """Figures on the line, where there is a terminal."""
-        if self._bars and self._task is None:
-            self._task = self._bars.add_task(self._label, total=None, figures=figures)
-        if self._bars and self._task is not None:
-            self._bars.update(self._task, figures=figures)
+        self._task = bars.add_task(label, total=None, figures=_COMPILING) if bars else None
 
     def __call__(self, iteration: Iteration) -> None:
         told = f"{iteration.stage}, iteration {iteration.number}, cost {iteration.cost:.4g}"
-        self.show(told)
-        if not (self._bars or self._quiet) and iteration.stage != self._stage:
+        if self._bars and self._task is not None:
+            self._bars.update(self._task, figures=told)
+        elif not self._quiet and iteration.stage != self._stage:
             self._console.print(f"{self._label}: {told}", highlight=False, soft_wrap=True)
         self._stage = iteration.stage
 

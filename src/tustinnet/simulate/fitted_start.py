@@ -17,7 +17,8 @@ from tustinnet.simulate.rollout import precision, rollout
 FEWEST = 3  # samples that say something of a velocity
 _TURNS = 12  # Levenberg-Marquardt steps; from a parabola 3 or 4 are enough
 _FIRST_DAMPING = 1e-3
-_LEFT_OUT = 0.5  # of the samples, from the first on
+_RISING = 4  # power of its place among the samples with which one weighs
+_FEW = 5  # samples for each of these powers: what is left must say a velocity, too
 _EXPLAINED = 2.5  # standard deviations (root mean square) that a model may leave
 _UNKNOWN_ERROR = 1e-3  # [rad or m], of positions whose resolution nobody declared
 
@@ -41,10 +42,11 @@ def model_starts(
 
     Minimises the squared position errors over the samples, each over the encoder's standard
     deviation; internal states are kept near the guess with a standard deviation of 1 in their
-    unit. The first half of the samples is left out: often something else still acts there, as a
-    rule the hand that lets go, and a model that is nearly right can take that for an internal
-    state. Where more than 2.5 standard deviations (root mean square) are left of the other half,
-    the fault is the model's, and all samples count.
+    unit. Errors weigh the more, the later they are: that of the k-th of N samples (k/N)^4, or
+    (k/N)^(N/5) where there are fewer than 20. At first something else often still acts, as a rule
+    the hand that lets go, and a model that is nearly right can take that for an internal state.
+    Where more than 2.5 standard deviations (root mean square, weighed) are left, the fault is
+    the model's, and all samples weigh the same.
 
     Levenberg-Marquardt with exact derivatives. The result can be differentiated by the
     model's parameters: its last step is, at the solution, by the theorem of implicit functions
@@ -67,10 +69,9 @@ def model_starts(
 
 
 def _one(model: Model, weight: Array, guess: State, u: Drive, q: Array) -> State:
-    most = max(0, len(q) - FEWEST)  # fewer samples would be explained by any model
-    left_out = jnp.asarray([min(int(_LEFT_OUT * len(q)), most), 0])
-    kept = (jnp.arange(len(q)) >= left_out[:, None]).astype(guess.dtype)
-    weights = kept[:, :, None] * weight
+    places = jnp.arange(1, len(q) + 1) / len(q)
+    shares = jnp.stack([places ** min(_RISING, len(q) / _FEW), jnp.ones(len(q))])
+    weights = shares.astype(guess.dtype)[:, :, None] * weight
 
     # the search itself is not differentiated, only its solution
     of, to, begin, drive, measured = jax.lax.stop_gradient((model, weights, guess, u, q))
@@ -79,7 +80,7 @@ def _one(model: Model, weight: Array, guess: State, u: Drive, q: Array) -> State
         return _fitted(lambda x: _residuals(of, to, begin, drive, measured, x), begin)
 
     fits = jax.vmap(fitted)(to)
-    explained = fits.cost[0] <= _EXPLAINED**2 * q.shape[1] * jnp.sum(kept[0])
+    explained = fits.cost[0] <= _EXPLAINED**2 * q.shape[1] * jnp.sum(shares[0] ** 2)
     chosen = jnp.where(explained, 0, 1)
     solution = fits.x[chosen], fits.jacobian[chosen]
     return _with_derivative(solution, model, weights[chosen], guess, u, q)

@@ -355,7 +355,7 @@ def _train_together(
         told.state(of, progress)
 
     try:
-        return train_plan(prepared, replace(told, epoch=epoch, state=state), resumed)
+        return train_plan(prepared, Listener(epoch, state), resumed)
     except KeyboardInterrupt:  # also how SIGTERM and SIGHUP arrive
         keeps.flush()
         raise

@@ -7,12 +7,12 @@ import pytest
 import scipy.signal
 
 import tustinnet as tn
+from tustinnet.fitting.free_runs import free_runs
 from tustinnet.fitting.gradient.epoch import validation_rmse
 from tustinnet.fitting.gradient.material import (
     Pool,
     adapted_length,
     draw,
-    free_runs,
     stage_windows,
     window_account,
 )

@@ -15,8 +15,9 @@ from jax.sharding import PartitionSpec as Spec
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from tustinnet.families.family import Regulariser
+from tustinnet.fitting.free_runs import FreeRuns
 from tustinnet.fitting.gradient.layout import MEMBERS, WINDOWS
-from tustinnet.fitting.gradient.material import FreeRuns, Records
+from tustinnet.fitting.gradient.material import Records
 from tustinnet.fitting.gradient.plan import Plan
 from tustinnet.fitting.gradient.plateau import after_epoch, decayed
 from tustinnet.fitting.gradient.state import (

@@ -1,11 +1,9 @@
-"""What members are trained on: records laid end to end, windows and free runs as indices."""
+"""What members are trained on: records laid end to end, windows as indices."""
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -15,12 +13,9 @@ from tustinnet.data.inspection import scales_of, transient_end
 from tustinnet.errors import InputError
 from tustinnet.fitting.recipe import WindowRecipe
 from tustinnet.models.contract import Model
-from tustinnet.signals.stacking import stacked
 from tustinnet.signals.windows import random_windows, strided_windows
 from tustinnet.simulate.along import states_along
-from tustinnet.simulate.drive import drive_of, drives_of
-from tustinnet.simulate.horizon import horizon_samples, pieces
-from tustinnet.simulate.starts import Start
+from tustinnet.simulate.drive import drive_of
 
 _LONGEST = 4  # an adapted window is at most this many times the recipe's length
 _USUAL_SHARE = 4  # and at most the median record over this
@@ -38,27 +33,6 @@ class Records(eqx.Module):
 
     x: Float[Array, "rows n_measured"]
     u: Float[Array, "rows *drive"]
-
-
-class FreeRuns(eqx.Module):
-    """Free runs to compare with, in float32.
-
-    A record is one segment, or several end to end over a horizon; records with fewer than others
-    repeat their first, which then weighs nothing.
-
-    Attributes:
-        start: where they start.
-        material: what the start needs of the segments, arrays (records, segments, ...).
-        u: what drives them from the start on, (records, segments, steps, ...), 0 after the end.
-        q: measured positions from the start on, (records, segments, steps + 1, n_q).
-        weight: 1 / length of the record within a segment, else 0, (records, segments, steps + 1).
-    """
-
-    start: Start = eqx.field(static=True)
-    material: Any
-    u: Float[Array, "records segments steps *drive"]
-    q: Float[Array, "records segments samples n_q"]
-    weight: Float[Array, "records segments samples"]
 
 
 @dataclass(frozen=True)
@@ -123,33 +97,6 @@ class Pool:
         """The rows at which windows (record, first sample) of some of the records begin."""
         begins = np.array([self._begin[sameness(e)] for e in of], dtype=int)
         return begins[windows[:, 0]] + windows[:, 1]
-
-
-def free_runs(
-    model: Model, experiments: Sequence[Experiment], start: Start, horizon: float | None = None
-) -> FreeRuns:
-    """Prepares the free runs of records from a start, over a horizon [s] or as a whole.
-
-    Raises:
-        InputError: a horizon that is too short or too long, see `horizon_samples`.
-    """
-    samples = horizon_samples(horizon, experiments, start)
-    cut = [pieces(e, samples, start) for e in experiments]
-    most = max(map(len, cut))
-    filled = [piece for of in cut for piece in [*of, *of[:1] * (most - len(of))]]
-    counted = [1.0 / (len(e) - start.first) * (i < len(of))
-               for e, of in zip(experiments, cut, strict=True) for i in range(most)]  # fmt: skip
-    material = start.material(model, filled)
-    tails = [piece[start.first :] for piece in filled]
-    u = drives_of(model, filled, slice(start.first, None)).u
-    q = stacked([e.q for e in tails])
-    weight = stacked([np.full(len(e), w) for e, w in zip(tails, counted, strict=True)])
-    arrays = (material, u, q, weight)
-
-    def by_record(a: Array | np.ndarray) -> Array:
-        return jnp.asarray(a, jnp.float32).reshape(len(cut), most, *np.shape(a)[1:])
-
-    return FreeRuns(start, *jax.tree.map(by_record, arrays))
 
 
 def stage_windows(

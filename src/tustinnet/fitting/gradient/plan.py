@@ -15,20 +15,18 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.families.encoded import EncodedModel, with_encoder
 from tustinnet.families.family import family_of
+from tustinnet.fitting.free_runs import FreeRuns, free_runs
 from tustinnet.fitting.gradient.layout import lay_out_devices
 from tustinnet.fitting.gradient.material import (
-    FreeRuns,
     Pool,
     Records,
     StageWindows,
     adapted_length,
     draw,
-    free_runs,
     lead_of,
     sameness,
     stage_windows,
 )
-from tustinnet.fitting.gradient.refinement import refines
 from tustinnet.fitting.gradient.state import Stage, TrainingState, begin_stage
 from tustinnet.fitting.recipe import TrainingRecipe
 from tustinnet.fitting.residual import residual_of
@@ -55,7 +53,6 @@ class Plan:
         chosen: which of these each member has, (members, runs).
         counted: 1 for each that counts, 0 for what fills up, (members, runs).
         start: where these start.
-        refine: whether the physics is fitted once more after the stages.
         keys: the sources of the shuffling, one a member.
         mesh: which device trains what.
     """
@@ -70,7 +67,6 @@ class Plan:
     chosen: Int[Array, "members runs"]
     counted: Float[Array, "members runs"]
     start: str
-    refine: bool
     keys: Key[Array, " members"]
     mesh: Mesh
 
@@ -128,7 +124,6 @@ def plan(task: Task, devices: Sequence[Any] | None = None) -> Plan:
         _begun(task, m.fold, make[m.fold](key), key)
         for m, (key, _) in zip(members, keys, strict=True)
     )
-    refine = refines(given[0], recipe.refine, f"recipe '{recipe.name}'")
     single = [with_dtype(model, np.float32) for model in given]
     require_alike(single)
     pool = Pool([e for of in peers for e in of.all])
@@ -152,7 +147,6 @@ def plan(task: Task, devices: Sequence[Any] | None = None) -> Plan:
         chosen=chosen,
         counted=counted,
         start=named,
-        refine=refine,
         keys=jnp.stack([shuffling for _, shuffling in keys]),
         mesh=lay_out_devices(len(members), min(s.batch for s in recipe.stages), devices),
     )
@@ -322,7 +316,7 @@ def _validation(
 def completed(prepared: Plan, member: int, trained: Model) -> Model:
     """A trained model whose arrays that never trained are those that were given, bit for bit.
 
-    Training is in single precision; it leaves physics that is corrected as it was.
+    Training is in single precision; physics that is corrected stays as it was.
     """
     ever = jax.tree.map(lambda *of: any(of), *(stage.trainable for stage in prepared.stages))
     new, _ = eqx.partition(trained, ever)

@@ -64,7 +64,7 @@ class Found:
     weights: Float[np.ndarray, "n n_y"] | None = None
 
 
-def described(system: LagrangianSystem, found: Found, seconds: float) -> Identification:
+def described(system: LagrangianSystem, found: Found) -> Identification:
     """Puts the parts of an identification together and says what they mean."""
     fitted, space, certain, records = found.fitted, found.space, found.certain, found.records
     estimates = _estimates(found)
@@ -106,7 +106,6 @@ def described(system: LagrangianSystem, found: Found, seconds: float) -> Identif
         validation_rmse=found.validation_rmse,
         substeps=found.model.substeps,
         iterations=fitted.iterations,
-        seconds=seconds,
         downweighted=spoilt,
     )
 

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -26,6 +27,7 @@ from tustinnet.fitting.shooting.groups import spread
 from tustinnet.fitting.shooting.holds import search_with_holds
 from tustinnet.fitting.shooting.least_squares import prior_deviation
 from tustinnet.fitting.shooting.problem import Problem, State, model_of, prior, score
+from tustinnet.fitting.shooting.refining import with_refined
 from tustinnet.fitting.shooting.sensors import freed
 from tustinnet.fitting.shooting.space import Searched, Space, make_space
 from tustinnet.fitting.shooting.uncertainty import Uncertainty, uncertainty
@@ -120,8 +122,8 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
         tuple(e.driving(acting) for e in roles.validation), recipe.search, listener,
     )  # fmt: skip
     _require_delays(problem)
-    if begin := problem.search.follows:
-        begin.material(problem.nominal, problem.records)  # refuses short records before the search
+    if problem.refining:  # refuses short records before the search
+        problem.refining.material(problem.nominal, problem.records)
     space, first = _beginning(problem, recipe.model)
     values = {k: jnp.asarray(v, jnp.float64) for k, v in space.values(first).items()}
     for model, rows in batches(system.model(values), records):
@@ -154,7 +156,10 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
         validation_rmse=score(problem, ended) if problem.validation else None,
         weights=ended.weights,
     )
-    return described(system, found, time.perf_counter() - begun)
+    told = described(system, found)
+    if problem.refining:
+        told = with_refined(problem, ended, problem.refining, told)
+    return replace(told, seconds=time.perf_counter() - begun)
 
 
 def _require_delays(problem: Problem) -> None:
@@ -164,11 +169,6 @@ def _require_delays(problem: Problem) -> None:
     late = ", ".join(f"'{name}'" for name in problem.delays)
     if problem.search.method == "l-bfgs":
         raise InputError("search.method", f"'l-bfgs', and {late} is free", "levenberg-marquardt")
-    if problem.search.follows:
-        raise InputError(
-            "search.initial", f"'{problem.search.initial}', and {late} is free", "anchored",
-            "a start takes the inputs as they were recorded; fix the delay to use it",
-        )  # fmt: skip
 
 
 def _as_asked(

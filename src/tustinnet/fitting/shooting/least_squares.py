@@ -83,10 +83,6 @@ class Cost:
         found = normal_products(self.shape, self.space, vector, x0, of, self.substeps)
         return anchored(found, of, x0, self.prior.variance)
 
-    def ended(self, fitted: "Fitted") -> tuple["Fitted", Segments]:
-        """Where a search ended, and the segments as whatever comes after it needs them."""
-        return fitted, self.segments
-
     def value(self, normal: Normal, vector: Float[np.ndarray, " n_p"]) -> float:
         """The sum of squares, priors included."""
         deviation, _ = prior_deviation(self.prior, self.space, vector)

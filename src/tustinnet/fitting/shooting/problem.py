@@ -99,6 +99,11 @@ class Problem:
         samples = horizon_samples(self.search.horizon, every, self.start, "search.horizon")
         return None if samples is None else {e.name: samples for e in every if len(e) > samples}
 
+    @cached_property
+    def refining(self) -> Start | None:
+        """Where the free runs start to which the parameters are fitted once more, if they are."""
+        return start_named(self.search.refine) if self.search.refine else None
+
     @property
     def delays(self) -> tuple[str, ...]:
         """The delays of inputs that are searched for."""
@@ -108,8 +113,7 @@ class Problem:
     def first(self) -> str:
         """How initial states are treated until the last stage."""
         chosen = self.search.initial
-        free = chosen in ("choose", "unanchored") or self.search.follows
-        return "anchored" if free else chosen
+        return "anchored" if chosen in ("choose", "unanchored") else chosen
 
     @cached_property
     def nominal(self) -> Discretised:
@@ -130,7 +134,7 @@ class Problem:
 
     def segments(self, length: int | None, initial: str, horizons: Mapping[str, int]) -> Segments:
         """The records cut for a stage: to a length, or those that have one to their horizon."""
-        searched = initial in ("anchored", "unanchored") or bool(self.search.follows)
+        searched = initial in ("anchored", "unanchored")
         how = Cut(
             residual=self.residual,
             length=length,

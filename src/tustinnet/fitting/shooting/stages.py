@@ -16,7 +16,6 @@ from tustinnet.fitting.listener import Iteration, SearchedStage
 from tustinnet.fitting.residual import robust_weights
 from tustinnet.fitting.shooting import growth, inverse_dynamics
 from tustinnet.fitting.shooting.by_gradient import minimise_by_gradient
-from tustinnet.fitting.shooting.following import following
 from tustinnet.fitting.shooting.identifiability import confounded
 from tustinnet.fitting.shooting.least_squares import (
     Cost,
@@ -121,16 +120,12 @@ def _run(problem: Problem, state: State, stage: SearchStage) -> State:
         state.substeps if length is None else max(1, state.substeps // 2),
     )  # fmt: skip
 
-    begin = problem.search.follows
-    if begin and stage.initial == begin.name:
-        cost = following(problem, cost, begin)
     name = f"{_told(problem, state, length)}, {stage.initial} start"
 
     def told(iterations: int, value: float, damping: float) -> None:
         problem.listener.iteration(Iteration(name, iterations, value, damping, stage.initial))
 
-    found = _METHODS[problem.search.method](cost, state.vector, stage.limits, told)
-    fitted, segments = cost.ended(found)
+    fitted = _METHODS[problem.search.method](cost, state.vector, stage.limits, told)
     values = state.space.numbers(fitted.vector)
     problem.listener.searched(
         SearchedStage(name, stage.initial, fitted.iterations, fitted.cost, fitted.why, values)

@@ -13,7 +13,13 @@ from tustinnet.evaluate.scores import mean_rmse
 from tustinnet.families.family import family_of
 from tustinnet.fitting.report import Estimate
 from tustinnet.report.comparison import comparison_table
-from tustinnet.report.fits import ESTIMATE_COLUMNS, error_source, estimate_cells, place
+from tustinnet.report.fits import (
+    ESTIMATE_COLUMNS,
+    error_source,
+    estimate_cells,
+    estimates_table,
+    place,
+)
 from tustinnet.report.leaving import left_words
 from tustinnet.report.page.judged import Judged
 from tustinnet.report.page.subject import Subject
@@ -169,7 +175,7 @@ def parameters_of(subject: Subject) -> Parameters | None:
     for e in estimates:
         low, high = e.interval or (e.value, e.value)
         places.append((place(e, low), place(e, e.value), place(e, high)))
-    table = Table(ESTIMATE_COLUMNS, rows)
+    table = estimates_table(rows, (found.get("refined") or {}).get("values"))
     title = f"standard errors from {source}, beside those of J'J"
     return Parameters(subject.label, title, table, [*places, *[None] * len(fixed)])
 
