@@ -38,7 +38,7 @@ def test_a_recipe_gives_the_values_it_names(tmp_path):
         "initial": "choose", "loss": "position", "periodic": False, "scaled": True,
         "times": "recorded", "part": "whole", "method": "levenberg-marquardt",
         "tolerance": 1e-5, "iterations": 50, "substeps": None, "horizon": None,
-        "robust": "none", "refine": None,
+        "robust": "none", "refine": "none",
     }  # fmt: skip
     assert search_of("grey").model_dump() == usual
     best = SearchRecipe(loss="state", initial="anchored", refine="model-20")
@@ -83,9 +83,9 @@ def test_a_recipe_says_what_is_fixed_and_where_the_search_begins():
         ('initial = "guessed"', "unknown start 'guessed'"),
         ('initial = "warm-up-20"', r"a start after the first sample; expected choose, anchored"),
         ('initial = "encoder"', r"a start after the first sample; expected choose, anchored"),
-        ('initial = "model-20"', r"a start through the model; expected .*; `refine` fits the"),
+        ('initial = "model-20"', r"fitted through the model; expected .*; `refine` fits the"),
         ('refine = "guessed"', "unknown start 'guessed'"),
-        ('refine = "warm-up-20"', r"a start after the first sample; expected model-20, file"),
+        ('refine = "warm-up-20"', r"a start after the first sample; expected none, model-20, file"),
         ("refine = true", r"search\.refine: .*string"),
         ('[[stages]]\nname = "first"', "stages: unknown key"),
     ],

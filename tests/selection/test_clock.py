@@ -71,6 +71,17 @@ def test_the_first_call_of_a_stage_says_nothing_but_the_end_is_the_end(monkeypat
         watch(ran(5, stage=1))
 
 
+def test_time_that_is_up_in_the_first_call_is_told_after_the_second(monkeypatch):
+    """So that it can say how much longer it would have taken."""
+    clock, watch = Time(monkeypatch), Watch(Clock(30.0), plan((10, None), (20, None)))
+    clock.now = 40.0
+    watch(ran(5))
+    clock.now = 45.0
+    with pytest.raises(OutOfTime) as stop:
+        watch(ran(10))
+    assert stop.value.left == pytest.approx(20.0)
+
+
 def test_an_identification_ends_at_the_end(monkeypatch):
     clock, heard = Time(monkeypatch), []
     follow = Clock(10.0).within(lambda prepared: Listener(iteration=heard.append))

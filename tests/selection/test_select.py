@@ -148,7 +148,7 @@ def test_candidates_for_fast_records_are_left_out_of_slow_ones(tmp_path):
     said: list[str] = []
     asked = Asked(plan_in(tmp_path, both))
     select_model(swings(), tmp_path / "slow", asked, reporter=Reporter(said.append))
-    assert said[0] == "left out, for fast records: fast"
+    assert said[0] == "left out, only for fast records: fast"
     plan = read_plan(plan_in(tmp_path, both))
     t = np.arange(200)
     fast = tn.DataSet("fast", tuple(

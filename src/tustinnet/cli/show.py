@@ -81,7 +81,8 @@ def _scores(header: dict[str, Any]) -> list[tuple[str, str]]:
     lines, scores = [], header.get("scores")
     if scores:
         mean = "diverged" if scores["mean"] is None else f"{scores['mean']:.4g} {scores['unit']}"
-        told = f"{scores['split']} mean RMSE {mean}, start '{scores['start']}'"
+        split = "records left out" if scores["split"] == "left out" else scores["split"]
+        told = f"{split}, mean RMSE {mean}, start '{scores['start']}'"
         lines.append(("score", told))
         lines += [("", f"{name} {value:.4g}" if value is not None else f"{name} diverged")
                   for name, value in scores["rmse"].items()]  # fmt: skip

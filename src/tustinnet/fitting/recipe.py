@@ -167,7 +167,7 @@ class SearchRecipe(Declaration):
         substeps: integration steps in a period; none to choose them from the error target, a
             quarter of an encoder count within 2 s.
         refine: start of free runs to which the parameters are fitted once more after the search,
-            as `model-20`; none for the parameters as they were found.
+            as `model-20`; `none` for the parameters as they were found.
     """
 
     initial: Initial | str = "choose"
@@ -182,7 +182,7 @@ class SearchRecipe(Declaration):
     iterations: Count = 50
     horizon: Horizon | None = None
     substeps: int | None = Field(default=None, gt=0, le=MOST_SUBSTEPS)
-    refine: str | None = None
+    refine: str = "none"
 
     @field_validator("initial")
     @classmethod
@@ -191,7 +191,7 @@ class SearchRecipe(Declaration):
             return initial
         start = start_named(initial, "")
         if start.first or start.fitted:
-            what = "after the first sample" if start.first else "through the model"
+            what = "after the first sample" if start.first else "that is fitted through the model"
             instead = "" if start.first else "; `refine` fits the parameters to free runs from it"
             raise ValueError(
                 f"a start {what}; expected choose, anchored, unanchored, file or derived-6{instead}"
@@ -200,12 +200,14 @@ class SearchRecipe(Declaration):
 
     @field_validator("refine")
     @classmethod
-    def _starts(cls, refine: str | None) -> str | None:
-        if refine is None:
-            return None
+    def _starts(cls, refine: str) -> str:
+        if refine == "none":
+            return refine
         start = start_named(refine, "")
         if start.first:
-            raise ValueError("a start after the first sample; expected model-20, file or derived-6")
+            raise ValueError(
+                "a start after the first sample; expected none, model-20, file or derived-6"
+            )
         return start.name
 
 

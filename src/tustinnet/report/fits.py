@@ -46,6 +46,8 @@ def parameter_table(result: Identification) -> Table:
     rows += [[name, f"{value:.4g}", result.system.parameter(name).unit, "fixed", "", "", ""]
              for name, value in result.fixed.items()]  # fmt: skip
     title = f"{result.system.name}; standard errors from {error_source(result.trust)}"
+    if result.refined:
+        title += "; value: what the search found, in the model: fitted once more to free runs"
     return estimates_table(rows, result.refined and result.refined.values, title)
 
 
@@ -113,7 +115,9 @@ def fitted_table(run: Run) -> Table:
     begin = (
         f"free runs, start '{run.start}'{over(run.best.scores[0].horizon)}"
         if found is None
-        else "from the initial states found" + _scaled(run)
+        else "from the initial states found"
+        + (" by the search, with its values" if found.refined else "")
+        + _scaled(run)
     )
     return _by_record(run.fitted, f"train, {begin}")
 

@@ -3,6 +3,7 @@
 import math
 import time
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from types import TracebackType
 from typing import Self
 
@@ -115,7 +116,9 @@ class _Trainings:
             self._total += stage.recipe.epochs * self._work[name]
             self._epochs += stage.recipe.epochs
         called = label or plan.recipe.name
-        self._names = [f"{called}, {m.name.replace('-', ' ')}" for m in plan.members]
+        # a label says the fold
+        members = [replace(m, fold=0) if label else m for m in plan.members]
+        self._names = [f"{called}, {m.name.replace('-', ' ')}" for m in members]
         self._more = f" and {len(self._names) - 1} more" if len(self._names) > 1 else ""
         self._name = self._names[0] + self._more
         self._task = (

@@ -25,12 +25,15 @@ def candidates_table(choice: Choice) -> Table:
     rows = []
     for s in scored:
         than = paired(s, best)
+        scored_on = len(s.rmse())
         against = (
             "" if s is best else f"{_signed(than.mean, scale)} ± {_in(than.standard_error, scale)}"
         )
+        if against and than.records != scored_on:
+            against += f" (on {than.records})"
         means = [_plus_minus(mean, scale) for mean in told[s.name]]
         seeds = len({m.seed for m in s.models})
-        rows.append([s.name, *means, against, str(than.records), str(len(s.folds)), str(seeds),
+        rows.append([s.name, *means, against, str(scored_on), str(len(s.folds)), str(seeds),
                      f"{s.seconds:.0f}"])  # fmt: skip
     empty = [""] * (len(starts) + 4)
     rows += [

@@ -87,9 +87,10 @@ class Watch:
         slowest = min(progress, key=lambda p: (p.stage, p.epoch))
         now, before = time.monotonic(), self._ended
         self._ended = slowest.stage, slowest.epoch, now
-        left = 0.0
-        if before is not None and before[0] == slowest.stage and slowest.epoch > before[1]:
-            left = (now - before[2]) / (slowest.epoch - before[1]) * self._to_do(slowest)
+        if before is None or before[0] != slowest.stage:
+            return  # the next call says how long the rest takes, also where time is up
+        epochs = slowest.epoch - before[1]
+        left = (now - before[2]) / epochs * self._to_do(slowest) if epochs > 0 else 0.0
         if self._clock.left < left:
             raise OutOfTime(left or None)
 

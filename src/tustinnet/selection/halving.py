@@ -52,6 +52,7 @@ class Halving:
         self._folds, self._clock, self._told = at.judging.folds, at.clock, told
         self._begun_with = at.clock.left
         self._expected: dict[str, float] = {}  # seconds a seed takes on a fold
+        self._left_out = 0  # jobs of a round for which no time was left
         self.standings = {c.name: Standing(c.name) for c in candidates}
         self.cheapest: JobResult | None = None
         self.hopeless = False
@@ -62,6 +63,7 @@ class Halving:
         for number, of in enumerate(self.plan.rounds):
             ordered = self._by_rank(alive) if number else sorted(alive, key=lambda c: c.last)
             late = set() if number else {c.name for c in alive if c.last}
+            self._left_out = 0
             self._do(self._wanted(ordered, of), late, executor)
             found = ranked([self.standings[c.name] for c in alive])
             last = number + 1 == len(self.plan.rounds)
@@ -155,6 +157,7 @@ class Halving:
                 return self._leave(name, "nothing to correct: " + ", ".join(candidate.corrects))
             physics = corrected.folds[fold][0].model
         if not self._affordable(candidate, len(seeds)):
+            self._left_out += 1
             return self._leave(name, "no time was left for it")
         return Job(name, candidate.content, fold, seeds, physics)
 
@@ -196,3 +199,6 @@ class Halving:
         on = f"; {kept} go on" if number + 1 < rounds else ""
         figures = ", ".join(f"{name} {mean:.3g}" for name, mean in means)
         self._told(f"round {number + 1} of {rounds}, {folds}: {figures}{on}")
+        if self._left_out:
+            self._told(f"the budget ended this round early: no time was left for {self._left_out} "
+                       "of its fits")  # fmt: skip

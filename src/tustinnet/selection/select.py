@@ -167,7 +167,7 @@ def _taking_part(
     lacking: dict[str, str] = {}
     for c in plan.candidates:
         if c.when == other:
-            lacking[c.name] = f"for {other} records"
+            lacking[c.name] = f"only for {other} records"
         elif _of_system(c) and asked.system is None:
             lacking[c.name] = "for want of a system (--system)"
         elif c.corrects and lacking.keys() >= set(c.corrects):
@@ -217,4 +217,7 @@ def _nothing(halving: Halving, budget: float | None) -> InputError:
             "what was begun stays: add --resume to go on",
         )  # fmt: skip
     why = "; ".join(f"{s.name}: {s.why}" for s in halving.standings.values() if s.why)
-    return InputError("selection", f"no candidate could be fitted ({why})", "one that can")
+    return InputError(
+        "selection", f"no candidate could be fitted ({why})", "one that can",
+        "" if budget is None else "give more time: --budget",
+    )  # fmt: skip

@@ -169,7 +169,8 @@ def test_where_nothing_is_left_to_refine_it_says_so():
 
 def test_records_shorter_than_the_start_are_refused():
     short = [read_by_encoder(e[:8]) for e in records()]
-    with pytest.raises(tn.InputError, match=r"start 'model-20'"):
+    told = r"search\.refine: 'model-20', and record .* has 8 samples; .*search\.refine=none"
+    with pytest.raises(tn.InputError, match=told):
         tn.identify(data_set(short), SYSTEM, recipe())
 
 

@@ -122,8 +122,7 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
         tuple(e.driving(acting) for e in roles.validation), recipe.search, listener,
     )  # fmt: skip
     _require_delays(problem)
-    if problem.refining:  # refuses short records before the search
-        problem.refining.material(problem.nominal, problem.records)
+    _require_refinable(problem)
     space, first = _beginning(problem, recipe.model)
     values = {k: jnp.asarray(v, jnp.float64) for k, v in space.values(first).items()}
     for model, rows in batches(system.model(values), records):
@@ -169,6 +168,17 @@ def _require_delays(problem: Problem) -> None:
     late = ", ".join(f"'{name}'" for name in problem.delays)
     if problem.search.method == "l-bfgs":
         raise InputError("search.method", f"'l-bfgs', and {late} is free", "levenberg-marquardt")
+
+
+def _require_refinable(problem: Problem) -> None:
+    """Refuses, before the search, records that are too short for what comes after it."""
+    start, shortest = problem.refining, min(problem.records, key=len)
+    if start is not None and len(shortest) < start.samples:
+        raise InputError(
+            "search.refine", f"'{start.name}', and record '{shortest.name}' has {len(shortest)} "
+            "samples", f"records of at least {start.samples}",
+            "leave the record out, or say search.refine=none",
+        )  # fmt: skip
 
 
 def _as_asked(

@@ -102,7 +102,8 @@ class Problem:
     @cached_property
     def refining(self) -> Start | None:
         """Where the free runs start to which the parameters are fitted once more, if they are."""
-        return start_named(self.search.refine) if self.search.refine else None
+        named = self.search.refine
+        return None if named == "none" else start_named(named)
 
     @property
     def delays(self) -> tuple[str, ...]:
