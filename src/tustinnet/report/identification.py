@@ -22,6 +22,9 @@ def correlation_figure(result: Identification) -> Figure:
             left.plot(
                 place(e, e.value), i, "o", color=COLOURS[0] if e.bound else "#111111", zorder=3
             )
+            if result.refined and e.name in result.refined.values:
+                at = place(e, result.refined.values[e.name])
+                left.plot(at, i, "x", color="#111111", markersize=7, zorder=3)
         left.set_yticks(range(n), [e.name for e in estimates])
         left.set_xticks([0, 1], ["lower", "upper"])
         left.set_xlim(-0.05, 1.05)
@@ -30,11 +33,12 @@ def correlation_figure(result: Identification) -> Figure:
         left.set_title("value and 95 % interval", loc="left")
         drawn = right.imshow(result.correlation, vmin=-1, vmax=1, cmap="RdBu_r")
         right.set_xticks(range(n), [e.name for e in estimates], rotation=90)
-        right.set_yticks(range(n), [""] * n)
+        right.set_yticks(range(n), [e.name for e in estimates])
         right.grid(visible=False)
         right.set_title("correlation of the errors", loc="left")
+        cross = "; cross: in the model" if result.refined else ""
         left.set_xlabel(
-            "range, logarithmic where all of it is positive; red: at an end", fontsize=8
+            f"range, logarithmic where all of it is positive; red: at an end{cross}", fontsize=8
         )
         right.set_xlabel("blank: at an end of its range", fontsize=8)
         figure.suptitle(result.system.name, fontsize=9)
