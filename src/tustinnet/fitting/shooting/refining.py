@@ -27,7 +27,7 @@ from tustinnet.simulate.starts import Start
 
 _ITERATIONS = 10
 _ENOUGH = 1e-3  # converged: gained by an iteration, of the cost
-_KNOWN = 0.125  # what a parameter that doubles costs, of the mean RMSE
+_KNOWN = 2.0  # what a parameter that doubles costs: the mean RMSE of so many records
 _LEAST = 0.01  # of its range: the size of a parameter that is nearly 0
 _WELL = 0.25  # of the mean RMSE: below it a record counts by its square
 _AT_ONCE = 8  # records simulated side by side
@@ -131,7 +131,8 @@ def _refined(
 
     A record that no parameter explains then pulls no more than others. A parameter's change
     relative to its value has a prior, so that what the records do not say stays as it was
-    identified. Initial states follow from the parameters, as they do in the free runs that judge.
+    identified; the more records there are, the less it weighs. Initial states follow from the
+    parameters, as they do in the free runs that judge.
 
     Levenberg-Marquardt, each record's squares weighed by one over its RMSE.
 
@@ -143,14 +144,15 @@ def _refined(
                  for end in ("lower", "upper"))  # fmt: skip
     change, damping, count = np.zeros(len(searched)), _DAMPING, 0
     now = task.at(change)
-    scale = now.mean
+    scale, known = now.mean, _KNOWN / len(problem.records)
 
     def cost(of: _Runs, change: np.ndarray) -> float:
-        return of.mean / scale + _KNOWN * float(change @ change)
+        return of.mean / scale + known * float(change @ change)
 
     usable = 0 < scale < np.inf
     while usable and count < _ITERATIONS and damping < _MOST_DAMPING:
-        matrix, gradient = _normal(now, scale, change)
+        matrix, gradient = _normal(now, scale)
+        matrix, gradient = matrix + known * np.eye(len(change)), gradient + known * change
         step = np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), -gradient)
         tried = np.clip(change + step, low, high)
         there = task.at(tried)
@@ -181,12 +183,12 @@ class _Runs(NamedTuple):
         return float(np.mean(np.asarray(self.rmse)))
 
 
-def _normal(runs: _Runs, scale: float, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The Gauss-Newton matrix and the gradient of half the cost."""
+def _normal(runs: _Runs, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    """The Gauss-Newton matrix and the gradient of half the mean RMSE over the scale."""
     rmse = np.maximum(np.asarray(runs.rmse), _WELL * scale)
     weight = 1 / (2 * scale * rmse * len(rmse))
-    matrix = np.einsum("r,rij->ij", weight, runs.matrix) + _KNOWN * np.eye(len(change))
-    return matrix, np.einsum("r,ri->i", weight, runs.gradient) + _KNOWN * change
+    matrix = np.einsum("r,rij->ij", weight, runs.matrix)
+    return matrix, np.einsum("r,ri->i", weight, runs.gradient)
 
 
 @eqx.filter_jit
