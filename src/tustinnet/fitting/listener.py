@@ -41,7 +41,7 @@ class Iteration:
     Attributes:
         stage: what it is doing.
         number: iterations so far in the stage.
-        cost: sum over records of the mean squared residual.
+        cost: sum over records of the mean squared residual; of a refinement their mean RMSE.
         damping: Levenberg-Marquardt's.
         initial: how initial states are treated, empty where nothing is simulated.
     """

@@ -174,6 +174,14 @@ def test_records_shorter_than_the_start_are_refused():
         tn.identify(data_set(short), SYSTEM, recipe())
 
 
+def test_a_start_that_records_do_not_have_is_refused_before_the_search():
+    told: list[Iteration] = []
+    without = [replace(e, v=None) for e in records()]
+    with pytest.raises(tn.InputError, match="velocities"):
+        tn.identify(data_set(without), SYSTEM, recipe(refine="file"), told=told.append)
+    assert not told
+
+
 def test_bands_are_about_the_model():
     """What is drawn from the errors of the parameters lies about the refined values."""
     result = fit(data_set(creeping()), recipe(), system=SYSTEM, listener=Listener())

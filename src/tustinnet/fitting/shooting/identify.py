@@ -171,14 +171,17 @@ def _require_delays(problem: Problem) -> None:
 
 
 def _require_refinable(problem: Problem) -> None:
-    """Refuses, before the search, records that are too short for what comes after it."""
+    """Refuses, before the search, records without what is needed after it."""
     start, shortest = problem.refining, min(problem.records, key=len)
-    if start is not None and len(shortest) < start.samples:
+    if start is None:
+        return
+    if len(shortest) < start.samples:
         raise InputError(
             "search.refine", f"'{start.name}', and record '{shortest.name}' has {len(shortest)} "
             "samples", f"records of at least {start.samples}",
             "leave the record out, or say search.refine=none",
         )  # fmt: skip
+    start.material(problem.nominal, problem.records)  # as `file`, where no velocities are stored
 
 
 def _as_asked(
