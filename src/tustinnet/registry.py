@@ -87,6 +87,7 @@ SYSTEMS: Registry[Any] = Registry(
         "qube-servo2-rubbing": "tustinnet.systems.qube_servo2:RUBBING",
         "qube-servo2-turned": "tustinnet.systems.qube_servo2:TURNED",
         "duffing": "tustinnet.systems.duffing:SYSTEM",
+        "mechanism": "tustinnet.systems.mechanism:MECHANISM",
     },
 )
 TARGETS: Registry[Any] = Registry(

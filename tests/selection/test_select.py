@@ -334,3 +334,39 @@ def test_candidates_of_a_system_are_left_out_without_one(tmp_path):
     assert said[0] == "left out, for want of a system (--system): grey, hybrid"
     assert choice.best == "network"
     assert choice.sentences[-1] == said[0]
+
+
+MECHANISM = """
+name = "unknown"
+folds = 3
+start = "model-10"
+
+[[candidates]]
+name = "mechanism"
+recipe = "mechanism"
+set = ["search.refine=none", "search.substeps=1"]
+when = "no-system"
+
+[[candidates]]
+name = "hybrid"
+recipe = "hybrid.toml"
+corrects = ["mechanism"]
+
+[[rounds]]
+folds = 3
+"""
+
+
+def test_without_a_system_a_mechanism_is_found_and_corrected(tmp_path):
+    plan = plan_in(tmp_path, MECHANISM)
+    with pytest.raises(InputError, match=r"only without a system: mechanism, hybrid"):
+        select_model(swings(), tmp_path / "refused", Asked(plan, SWING))
+    choice = select_model(swings(), tmp_path / "run", Asked(plan))
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    of = {c["name"]: c for c in summary["candidates"]}
+    assert of["mechanism"]["starts"]["model-10"]["mean"] < 0.02
+    assert len(of["hybrid"]["folds"]) == 3
+    for name in ("mechanism", "hybrid"):
+        model = tn.load_model(tmp_path / "run" / of[name]["models"][0])
+        assert tn.evaluate(model, [swings()[0]], "model-10")[0].rmse < 0.1
+    assert tn.load_model(tmp_path / "run" / "model.safetensors").channels == choice.model.channels

@@ -23,6 +23,7 @@ _FEW_LEVELS = 10
 _STUCK_SHARE = 0.02
 _OTHER_COUNT = 0.01  # relative; an encoder count this far from the declared one is another
 _QUARTER, _OFTEN = np.pi / 2, 0.05  # an angle that moves so far a sample, so often, is none
+_AROUND = 1.5 * np.pi  # rad; a link that falls from upright ends short of a full turn
 _FAST, _FAST_SHARE = 0.1, 0.02  # of the sampling rate; of the power above it
 _FARTHEST, _STRONGEST = 1e6, 1e9  # rad or m, and of inputs: no mechanism has them
 
@@ -168,6 +169,16 @@ def scales_of(experiments: Sequence[Experiment]) -> dict[str, Timescales]:
         c.name: timescales([e.q[:, j] for e in experiments])
         for j, c in enumerate(experiments[0].coordinates)
         if moving[j]
+    }
+
+
+def turning_around(experiments: Sequence[Experiment]) -> set[str]:
+    """The angles that cover most of a turn in the records, by name: no spring holds them."""
+    q = np.concatenate([e.q for e in experiments])
+    return {
+        c.name
+        for c, span in zip(experiments[0].coordinates, np.ptp(q, axis=0), strict=True)
+        if c.kind == "angular" and span > _AROUND
     }
 
 

@@ -20,12 +20,12 @@ from tustinnet.fitting.recipe import Recipe, horizon_of, rates_of
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.roles import Roles
-from tustinnet.fitting.task import AnyRecipe, Fold, Member, Task
+from tustinnet.fitting.task import AnyRecipe, Fold, Member, Task, system_for
 from tustinnet.models.contract import Model
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.simulate.horizon import horizon_samples, within
 from tustinnet.simulate.starts import FITTED, default_start, start_named
-from tustinnet.systems.files import AnySystem, load_system
+from tustinnet.systems.files import AnySystem, MadeForRecords, to_identify
 
 FOLDS = 5
 
@@ -169,7 +169,7 @@ class Question:
 
     recipe: Recipe
     physics: Recipe | None = None
-    system: LagrangianSystem | None = None
+    system: LagrangianSystem | MadeForRecords | None = None
     folds: int = FOLDS
     seeds: tuple[int, ...] = (0,)
     starts: tuple[str, ...] = ()
@@ -223,15 +223,15 @@ def make_question(
             "a recipe whose models a network can correct",
         )  # fmt: skip
     wanted = "system" in identifying.family.needs
-    if system is None and wanted:
-        system = getattr(identifying.model, "system", None)
+    if system is None:
+        system = system_for(identifying, None)
     if (system is None) == wanted:
         found = "no system" if wanted else "a system, which means nothing to this recipe"
         raise InputError("--system", found, "a system for recipes that identify one")
     return Question(
         recipe=chosen,
         physics=identifying if corrects else None,
-        system=None if system is None else load_system(system),
+        system=None if system is None else to_identify(system),
         folds=folds,
         seeds=tuple(seeds or (0,)),
         starts=tuple(start_named(start).name for start in starts),

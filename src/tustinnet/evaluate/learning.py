@@ -36,8 +36,10 @@ from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import AnyRecipe, Fold, Member, Origin, Task
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import Discretised, discretise
+from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.simulate.horizon import within
 from tustinnet.simulate.starts import default_start, start_named
+from tustinnet.systems.files import MadeForRecords
 from tustinnet.systems.twin import imitated
 
 ENOUGH = 1.1  # times the error that the most records leave
@@ -104,7 +106,11 @@ def make_curve_question(
         )  # fmt: skip
     if (start := asked.get("start")) is not None:
         start_named(start)
-    return CurveQuestion(chosen, hybrid, tuple(sizes), **asked)
+    question = CurveQuestion(chosen, hybrid, tuple(sizes), **asked)
+    if question.twin == "nominal" and hybrid and isinstance(hybrid.system, MadeForRecords):
+        raise InputError("--twin", f"'nominal', of which '{hybrid.system.name}' has none",
+                         "'identified'")  # fmt: skip
+    return question
 
 
 @dataclass(frozen=True)
@@ -380,7 +386,7 @@ def _nominal(asked: CurveQuestion, place: Place) -> Discretised:
     """The system with its nominal values."""
     assert asked.hybrid is not None
     system, like = asked.hybrid.system, place.records[0]
-    assert system is not None
+    assert isinstance(system, LagrangianSystem)  # of others it was refused
     values = {name: jnp.asarray(x, jnp.float64) for name, x in system.nominal().items()}
     return discretise(system.model(values), like.dt, _SUBSTEPS, inputs=like.inputs)
 

@@ -27,7 +27,7 @@ from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Parameter
 from tustinnet.models.sensors import calibrated
 from tustinnet.registry import SYSTEMS
-from tustinnet.systems.files import load_system
+from tustinnet.systems.files import MadeForRecords, load_system
 
 _VALUES, _PROBED = "values", "probed"  # arrays: the parameters' values, derivatives at the probes
 _PROBES = 16
@@ -97,6 +97,9 @@ class EulerLagrangeFamily(Family):
             "parameters": names,
             "substeps": model.substeps,
         }
+        if _made(system.name):
+            others = {*needed(system), *system.sensors}
+            header["terms"] = _declared(system, [n for n in system.nominal() if n not in others])
         if system.added:
             header["forces"] = list(system.added)
             header["of_forces"] = _declared(system, needed(system))
@@ -119,11 +122,12 @@ class EulerLagrangeFamily(Family):
                 f"its file ({file})",
                 f"add --system {file} (in Python: load_model(path, system=...))",
             )
-        found = load_system(belongs["name"] if system is None else system)
+        found = _as_stored(header) if system is None else load_system(system)
         if found.name != belongs["name"]:
             raise InputError(
                 where, f"the system '{found.name}'", f"'{belongs['name']}', which the model is of"
             )
+        found = found.without([n for n in found.optional if n not in header["parameters"]])
         forces, of_forces, sensors = (
             header.get(key, ()) for key in ("forces", "of_forces", "sensors")
         )
@@ -224,6 +228,25 @@ class EulerLagrangeFamily(Family):
 
 
 FAMILY = EulerLagrangeFamily()
+
+
+def _made(name: str) -> MadeForRecords | None:
+    """What makes the packaged system of a name, where it is made for records."""
+    if name not in SYSTEMS:
+        return None
+    found = SYSTEMS[name]
+    return found if isinstance(found, MadeForRecords) else None
+
+
+def _as_stored(header: Header) -> LagrangianSystem:
+    """The packaged system that a file names, one that is made for records as it was for these."""
+    name = header["system"]["name"]
+    made = _made(name)
+    if made is None:
+        return load_system(name)
+    channels = Channels.from_header(header)
+    terms = [Parameter(*of) for of in header["terms"]]
+    return made.restored(channels.coordinates, channels.inputs, terms)
 
 
 def _declared(system: LagrangianSystem, names: Iterable[str]) -> list[list[Any]]:

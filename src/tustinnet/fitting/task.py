@@ -13,7 +13,7 @@ from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.roles import Roles, roles
 from tustinnet.models.contract import Model, require_fit
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.systems.files import AnySystem, load_system
+from tustinnet.systems.files import AnySystem, MadeForRecords, to_identify
 
 DEFAULT_RECIPE = "standard"
 _DEFAULT_FOR = {"system": "grey", "physics": "best-hybrid"}  # where one of them is given
@@ -86,7 +86,7 @@ class Task:
     recipe: Recipe
     folds: tuple[Fold, ...]
     members: tuple[Member, ...] = (Member(),)
-    system: LagrangianSystem | None = None
+    system: LagrangianSystem | MadeForRecords | None = None
     brief: bool = False
 
     def of(self, members: Sequence[Member]) -> "Task":
@@ -126,8 +126,8 @@ def make_task(
     if origin is not None:
         family.require_own(origin.model.dynamics)
         given["physics"] = physics = physics or family.corrected(origin.model.dynamics)
-    if system is None and "system" in family.needs:
-        given["system"] = system = getattr(chosen.model, "system", None)
+    if system is None:
+        given["system"] = system = system_for(chosen, None)
     for what, thing in given.items():
         kind = f"a recipe of kind '{family.kind}'"
         if thing is None and what in family.needs:
@@ -143,14 +143,26 @@ def make_task(
             "a model that a network can correct", "identify one with --system first",
         )  # fmt: skip
     _require_members(members, chosen)
-    found = None if system is None else load_system(system)
+    found = None if system is None else to_identify(system)
     if origin is not None:
         for e in data:
             require_fit(origin.model, e)
         if not family.trains:
-            table = family.beginning(chosen.model, origin.model, found)
+            known = found.of(list(data)) if isinstance(found, MadeForRecords) else found
+            table = family.beginning(chosen.model, origin.model, known)
             chosen = chosen.model_copy(update={"model": table})
     return Task(chosen, (Fold(roles(data), physics, origin),), tuple(members), found)
+
+
+def system_for(recipe: Recipe, given: AnySystem | None) -> LagrangianSystem | MadeForRecords | None:
+    """The system whose parameters a recipe identifies: what is given, or else what it names.
+
+    None for recipes that identify none, and where nobody says which.
+    """
+    if "system" not in recipe.family.needs:
+        return None
+    which = getattr(recipe.model, "system", None) if given is None else given
+    return None if which is None else to_identify(which)
 
 
 def usual_recipe(*, system: bool, physics: bool) -> str:

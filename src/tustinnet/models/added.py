@@ -32,6 +32,11 @@ class Law:
     rate: Callable[..., Any] | None = None
     pull: Callable[..., Any] | None = None
 
+    @property
+    def elastic(self) -> bool:
+        """Whether it is a spring, of which a coordinate that turns around has none."""
+        return self.energy is not None or self.rate is not None
+
 
 def _stribeck(v: Any, level: Any, more: Any, stribeck_speed: Any, speed: Any) -> Any:
     return forces.stribeck(v, level, level + more, stribeck_speed, speed)

@@ -1,7 +1,7 @@
 """Euler-Lagrange models: equations of motion from energies, by automatic differentiation."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -154,12 +154,23 @@ class LagrangianSystem:
                 found[p.name] = jnp.stack(list(options.values()))[pick[i].astype(int)]
         return found
 
+    @property
+    def optional(self) -> tuple[str, ...]:
+        """The parameters whose terms are left out unless records need them."""
+        return tuple(p.name for p in self.parameters if p.optional)
+
+    def without(self, names: Collection[str]) -> "LagrangianSystem":
+        """The system without some of its optional parameters."""
+        return replace(self, parameters=tuple(p for p in self.parameters if p.name not in names))
+
     def _require_shapes(self) -> None:
         """Every function must answer, with the shape that the equations of motion need."""
         q = v = jax.ShapeDtypeStruct((len(self.coordinates),), jnp.float32)
         u = jax.ShapeDtypeStruct((len(self.inputs),), jnp.float32)
         z = jax.ShapeDtypeStruct((len(self.internal),), jnp.float32)
-        p = {k: jax.ShapeDtypeStruct((), jnp.float32) for k in self.nominal()}
+        # without the optional ones first: a function that cannot do without one is told so
+        p = {x.name: jax.ShapeDtypeStruct((), jnp.float32) for x in self.parameters
+             if not x.optional}  # fmt: skip
         wanted: list[tuple[str, Callable[..., Any], tuple[Any, ...], tuple[int, ...]]]
         wanted = [("kinetic", self.kinetic, (q, v, p), ())]
         if self.potential:
@@ -178,6 +189,12 @@ class LagrangianSystem:
             try:
                 found = jax.eval_shape(lambda *a, f=function: jnp.asarray(f(*a)), *arguments)
             except KeyError as error:
+                if error.args[0] in self.optional:
+                    raise InputError(
+                        where, f"asks for the parameter {error}, which is optional",
+                        f"p.get({error}, 0.0)",
+                        "records that do not need the term are simulated without it",
+                    ) from error  # fmt: skip
                 raise InputError(
                     where,
                     f"asks for the parameter {error}",

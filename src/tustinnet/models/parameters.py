@@ -22,6 +22,8 @@ class Parameter:
         prior: standard deviation of what is known of it, about the nominal value, or None.
         per: the group of the records, as `payload`, for each value of which it has a value of its
             own; None where all records share one.
+        optional: whether the term that it scales is left out unless the records need it. The
+            functions of the system are then called without it, too: `p.get(name, 0.0)`.
     """
 
     name: str
@@ -32,6 +34,7 @@ class Parameter:
     fixed: bool = False
     prior: float | None = None
     per: str | None = None
+    optional: bool = False
 
     def __post_init__(self) -> None:
         if self.per is not None:
@@ -41,6 +44,12 @@ class Parameter:
                     f"parameter '{self.name}'", f"fixed, and one per {self.per}", "one of both",
                     "a recipe's `fixed` may hold the value of each",
                 )  # fmt: skip
+        if self.optional and (self.nominal or self.fixed or self.per is not None):
+            raise InputError(
+                f"parameter '{self.name}'",
+                "optional, and fixed, one per group or with another nominal value than 0",
+                "a nominal value of 0: without its term a system is as if it were 0",
+            )
         if not self.lower <= self.upper:
             raise InputError(
                 f"parameter '{self.name}'", f"range {self.lower:g}..{self.upper:g}", "lower first"

@@ -8,7 +8,7 @@ from tustinnet.errors import InputError
 from tustinnet.evaluate.folds import taking_part
 from tustinnet.families.committee import committee
 from tustinnet.fitting.roles import Roles
-from tustinnet.fitting.task import Fold, Task
+from tustinnet.fitting.task import Fold, Task, system_for
 from tustinnet.models.contract import Model
 from tustinnet.selection.averages import Judged, judge_average, weights_of
 from tustinnet.selection.clock import OutOfTime
@@ -150,7 +150,9 @@ def _from_all_records(
     if recipe.family.trains:
         return None
     records = tuple(taking_part(at.data))
-    task = Task(recipe, (Fold(Roles(records, ())),), system=at.loaded_system, brief=True)
+    task = Task(
+        recipe, (Fold(Roles(records, ())),), system=system_for(recipe, at.loaded_system), brief=True
+    )
     folder = at.folder / CANDIDATES / standing.name / WHOLE
     job = Job(standing.name, recipe, fold=0)
     try:

@@ -23,7 +23,7 @@ from tustinnet.evaluate.folds import Deal, dealt, taking_part, used_by
 from tustinnet.evaluate.scores import evaluate, rmse_by_record, scores_header
 from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.report import FitResult, data_header
-from tustinnet.fitting.task import Fold, Member, Task
+from tustinnet.fitting.task import Fold, Member, Task, system_for
 from tustinnet.models.contract import Model
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.selection.clock import Clock, OutOfTime
@@ -33,7 +33,7 @@ from tustinnet.store.files import require_writable_folder, sweep, to_json, write
 from tustinnet.store.kept_system import CANDIDATES, header_of
 from tustinnet.store.model_file import load_model, save, system_of
 from tustinnet.store.run import MODEL, Tell, fit_in
-from tustinnet.systems.files import AnySystem, SystemFile, load_system
+from tustinnet.systems.files import AnySystem, MadeForRecords, SystemFile, to_identify
 
 SCORES = "scores.json"
 _EVERY = slice(None)
@@ -143,7 +143,7 @@ class Workplace:
         folder: the run's folder.
         data: the records.
         judging: how candidates are compared.
-        system: the system that is identified, or None.
+        system: the system that is given, or None.
         clock: when time is up.
         resume: whether to go on from checkpoints of jobs that were begun.
     """
@@ -156,9 +156,9 @@ class Workplace:
     resume: bool = False
 
     @cached_property
-    def loaded_system(self) -> LagrangianSystem | None:
-        """The system, its file run once."""
-        return None if self.system is None else load_system(self.system)
+    def loaded_system(self) -> LagrangianSystem | MadeForRecords | None:
+        """The system that is given, its file run once."""
+        return None if self.system is None else to_identify(self.system)
 
     @cached_property
     def motion(self) -> float:
@@ -214,7 +214,7 @@ def _task(job: Job, at: Workplace) -> tuple[Task, Deal]:
     physics = None if job.physics is None else loaded(job.physics, at)
     folds = tuple(Fold(used_by(deal.roles, job.recipe), physics) for deal in deals)
     members = tuple(Member(seed, fold=job.fold) for seed in job.seeds)
-    own = at.loaded_system if "system" in job.recipe.family.needs else None
+    own = system_for(job.recipe, at.loaded_system)
     return Task(job.recipe, folds, members, own, brief=True), deals[job.fold]
 
 

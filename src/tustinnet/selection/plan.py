@@ -36,14 +36,15 @@ class Candidate(Declaration):
         corrects: candidates whose models are what a recipe that corrects physics corrects: in
             every fold the one of them that is best so far.
         when: `always`, or only for records that are `fast` or `slow`: where a coordinate has few
-            samples in a period of its strongest line, or none has.
+            samples in a period of its strongest line, or none has; or only where `no-system` is
+            given.
         last: whether it is tried for the first time after all others, where time is left; what
             corrects it does not wait for it then.
     """
 
     name: Name
     recipe: str
-    when: Literal["always", "fast", "slow"] = "always"
+    when: Literal["always", "fast", "slow", "no-system"] = "always"
     last: bool = False
     set: tuple[str, ...] = ()
     corrects: tuple[str, ...] = ()

@@ -12,6 +12,7 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.data.inspection import scales_of
 from tustinnet.errors import InputError
 from tustinnet.fitting.listener import Listener
+from tustinnet.fitting.task import system_for
 from tustinnet.selection.calibration import calibrated_on_folds
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.clock import Clock
@@ -159,7 +160,7 @@ def _taking_part(
     """The candidates for which everything is given, and sentences on those for which not."""
     if asked.budget is not None and not 0 < asked.budget < math.inf:
         raise InputError("--budget", f"{asked.budget:g} s", "a time above 0")
-    if asked.system is not None and not any(_of_system(c) for c in plan.candidates):
+    if asked.system is not None and not any(_identifies(c) for c in plan.candidates):
         raise InputError("--system", f"means nothing to the plan '{plan.name}'",
                          "a plan with a candidate that identifies a system")  # fmt: skip
     fast = any(scales.fast for scales in scales_of(list(records)).values())
@@ -168,7 +169,9 @@ def _taking_part(
     for c in plan.candidates:
         if c.when == other:
             lacking[c.name] = f"only for {other} records"
-        elif _of_system(c) and asked.system is None:
+        elif c.when == "no-system" and asked.system is not None:
+            lacking[c.name] = "only without a system"
+        elif _identifies(c) and (asked.system or system_for(c.content, None)) is None:
             lacking[c.name] = "for want of a system (--system)"
         elif c.corrects and lacking.keys() >= set(c.corrects):
             lacking[c.name] = lacking[c.corrects[0]]
@@ -180,7 +183,7 @@ def _taking_part(
     return found, told
 
 
-def _of_system(candidate: Candidate) -> bool:
+def _identifies(candidate: Candidate) -> bool:
     return "system" in candidate.content.family.needs
 
 

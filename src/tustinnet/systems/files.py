@@ -2,7 +2,8 @@
 
 import functools
 import hashlib
-from collections.abc import Callable, Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,9 +14,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from tustinnet.channels import Coordinate, Input
 from tustinnet.data.declaration import read_source
+from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError, brief, require_text
-from tustinnet.models.lagrangian import LagrangianSystem
+from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 from tustinnet.registry import SYSTEMS
 
 ATTRIBUTE = "SYSTEM"  # what a system file calls its system
@@ -42,7 +45,30 @@ class SystemFile:
         return hashlib.sha256(self.text.encode()).hexdigest()
 
 
-AnySystem = LagrangianSystem | SystemFile | str | Path
+class MadeForRecords(ABC):
+    """A packaged system that differs with the records: with their coordinates and inputs.
+
+    Attributes:
+        name: what it is called.
+    """
+
+    name: str
+
+    @abstractmethod
+    def of(self, records: Sequence[Experiment]) -> LagrangianSystem:
+        """The system to identify from some records."""
+
+    @abstractmethod
+    def restored(
+        self,
+        coordinates: Sequence[Coordinate],
+        inputs: Sequence[Input],
+        parameters: Sequence[Parameter],
+    ) -> LagrangianSystem:
+        """The system as it was, from its coordinates, its inputs and all parameters it had."""
+
+
+AnySystem = LagrangianSystem | MadeForRecords | SystemFile | str | Path
 
 
 def find_system(which: str | Path) -> SystemFile | str:
@@ -72,10 +98,22 @@ def load_system(which: AnySystem) -> LagrangianSystem:
             system is returned as it is.
 
     Raises:
-        InputError: no such name or file, a file that fails or has no `SYSTEM`. The functions of
-            a system from a file raise it, too, whatever happens in them.
+        InputError: no such name or file, a file that fails or has no `SYSTEM`, a system that is
+            made for records. The functions of a system from a file raise it, too, whatever
+            happens in them.
     """
-    if isinstance(which, LagrangianSystem):
+    found = to_identify(which)
+    if isinstance(found, MadeForRecords):
+        raise InputError(
+            f"system '{found.name}'", "made for the records that it is identified from",
+            "no --system", "a model file of it has all that is needed",
+        )  # fmt: skip
+    return found
+
+
+def to_identify(which: AnySystem) -> "LagrangianSystem | MadeForRecords":
+    """The same for an identification, which also takes a system that is made for its records."""
+    if isinstance(which, LagrangianSystem | MadeForRecords):
         return which
     found = which if isinstance(which, SystemFile) else find_system(which)
     if isinstance(found, str):

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from swinging import DT, SWING, TRUTH, changed, data_set, falls, read_by_encoder, records
+from swinging import CART, DT, SWING, TRUTH, changed, data_set, falls, read_by_encoder, records
 
 import tustinnet as tn
 from tustinnet.families.hybrid import HybridModel
@@ -180,6 +180,20 @@ def test_a_coordinate_that_never_moves_is_refused():
     still = [replace(e, q=0 * e.q, v=0 * e.velocities()) for e in falls()]
     with pytest.raises(tn.InputError, match="'coulomb:angle': 'angle' never moves"):
         with_added(SWING, ["coulomb"], still, {})
+
+
+def test_springs_of_no_coordinate_are_added_where_none_turns_around():
+    time = np.arange(0, 4, 0.01)
+    q = np.stack([0.3 * np.sin(2 * time), 3.0 * np.cos(3 * time)], axis=1)
+    e = tn.from_arrays(
+        q, np.sin(time)[:, None], dt=0.01, coordinates=CART.coordinates, inputs=CART.inputs
+    )
+    system = with_added(CART, ["coulomb", "cubic", "maxwell"], [e], {})
+    assert system.added == ("coulomb:x", "coulomb:angle", "cubic:x", "maxwell:x")
+    assert with_added(CART, ["cubic:angle"], [e], {}).added == ("cubic:angle",)
+    turned = replace(falls()[0], q=3 * falls()[0].q, v=None, v_measured=False)
+    with pytest.raises(tn.InputError, match="'spring': every coordinate turns around"):
+        with_added(SWING, ["spring"], [turned], {})
 
 
 def test_their_parameters_are_fixed_and_begun_like_any_other():

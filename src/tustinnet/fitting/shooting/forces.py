@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from tustinnet.channels import Coordinate
 from tustinnet.data.experiment import Experiment
+from tustinnet.data.inspection import turning_around
 from tustinnet.errors import InputError
 from tustinnet.models.added import LAWS, WHERE, Placed, placed, with_forces
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Parameter
@@ -61,14 +62,15 @@ def with_added(
 
     Args:
         system: the system.
-        names: `LAW` or `LAW:COORDINATE`, see `models.added.placed`.
+        names: `LAW` or `LAW:COORDINATE`, see `models.added.placed`. A spring that names no
+            coordinate is added at those that do not turn around.
         experiments: the training records.
         known: values of parameters that are better known than the nominal ones.
 
     Raises:
         InputError: what `models.added` refuses, and a coordinate that never moves.
     """
-    added = placed(system, names)
+    added = placed(system, _held(system, names, experiments))
     if not added:
         return system
     values = system.nominal()
@@ -84,6 +86,26 @@ def with_added(
             )  # fmt: skip
         found |= {p.name: p for p in _parameters(force, system.coordinates[i], scales[i])}
     return with_forces(system, tuple(map(str, added)), tuple(found.values()))
+
+
+def _held(
+    system: LagrangianSystem, names: Sequence[str], experiments: Sequence[Experiment]
+) -> list[str]:
+    """The names, with springs at no coordinate in particular placed at those that can have one."""
+    around = turning_around(experiments)
+    held = [c.name for c in system.coordinates if c.name not in around]
+    found: list[str] = []
+    for name in names:
+        if name in LAWS and LAWS[name].elastic:
+            if not held:
+                raise InputError(
+                    WHERE, f"'{name}': every coordinate turns around", "a coordinate with an end",
+                    f"name one, as {name}:COORDINATE, if a spring pulls at it all the same",
+                )  # fmt: skip
+            found += [f"{name}:{coordinate}" for coordinate in held]
+        else:
+            found.append(name)
+    return found
 
 
 def _parameters(force: Placed, of: Coordinate, scale: Scale) -> list[Parameter]:

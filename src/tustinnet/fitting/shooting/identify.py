@@ -30,13 +30,14 @@ from tustinnet.fitting.shooting.problem import Problem, State, model_of, prior, 
 from tustinnet.fitting.shooting.refining import with_refined
 from tustinnet.fitting.shooting.sensors import freed
 from tustinnet.fitting.shooting.space import Searched, Space, make_space
+from tustinnet.fitting.shooting.terms import with_needed
 from tustinnet.fitting.shooting.uncertainty import Uncertainty, uncertainty
 from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task
 from tustinnet.models.contract import require_float64
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
 from tustinnet.models.sensors import calibrated, delayed
 from tustinnet.simulate.batches import batches
-from tustinnet.systems.files import AnySystem
+from tustinnet.systems.files import AnySystem, MadeForRecords
 
 # what right signs leave of the momentum is a few hundredths, what wrong ones leave over a half
 _POORLY_EXPLAINED = 0.1
@@ -109,6 +110,7 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
     assert system is not None
     assert isinstance(recipe, IdentificationRecipe)
     records = list(roles.train)
+    system = system.of(records) if isinstance(system, MadeForRecords) else system
     system.channels.require_same(
         records[0].channels, records[0].name, f"the system '{system.name}'"
     )
@@ -130,7 +132,9 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
         _require_mass(model, sharing)
         _require_finite(model, sharing)
     begin_at = State(space, first, horizons=problem.asked or {})
+    problem, begin_at = with_needed(problem, begin_at)
     problem, ended, initial = search_with_holds(problem, begin_at)
+    system = problem.system
     reversed_signs: tuple[tuple[str, ...], ...] = ()
     if ended.unexplained > _POORLY_EXPLAINED:
         reversed_signs = inverse_dynamics.likely_reversals(

@@ -174,6 +174,7 @@ class State:
             name; validation records too.
         remarks: what there is to say.
         weights: what every squared residual weighs, (n, n_y); None while all weigh the same.
+        rough: whether its values come from simulations already, of short segments.
     """
 
     space: Space
@@ -186,6 +187,7 @@ class State:
     horizons: Mapping[str, int] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     weights: np.ndarray | None = None
+    rough: bool = False
 
     @property
     def horizon(self) -> int | None:

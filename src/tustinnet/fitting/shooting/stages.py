@@ -86,14 +86,14 @@ def _better(problem: Problem, rough: State) -> tuple[State, str]:
     """Anchored or not: the better free run on the validation records decides."""
     if not problem.validation:
         return rough, "anchored"
-    loose = _run(problem, rough, SearchStage("unanchored", Limits(1e-2, 15)))
+    loose = run(problem, rough, SearchStage("unanchored", Limits(1e-2, 15)))
     found = ((rough, "anchored"), (loose, "unanchored"))
     return min(found, key=lambda entry: score(problem, entry[0]))
 
 
 def _run_all(problem: Problem, state: State, stages: Sequence[SearchStage]) -> State:
     """The state after several stages; the better the values, the better the horizons."""
-    return reduce(lambda now, stage: _with_horizons(problem, _run(problem, now, stage)), stages,
+    return reduce(lambda now, stage: _with_horizons(problem, run(problem, now, stage)), stages,
                   state)  # fmt: skip
 
 
@@ -108,7 +108,7 @@ def _with_horizons(problem: Problem, state: State) -> State:
     return replace(state, horizons=found)
 
 
-def _run(problem: Problem, state: State, stage: SearchStage) -> State:
+def run(problem: Problem, state: State, stage: SearchStage) -> State:
     """The state after a stage."""
     length = stage.swings and stage.swings * problem.motion.length
     segments = problem.segments(length, stage.initial, state.horizons)
@@ -140,10 +140,10 @@ def _run(problem: Problem, state: State, stage: SearchStage) -> State:
 
 def _settled(problem: Problem, state: State, stage: SearchStage) -> State:
     """The state after the last stage, again with new weights until these change nothing."""
-    ended = _run(problem, state, stage)
+    ended = run(problem, state, stage)
     for _ in range(_REWEIGHTED if problem.search.robust != "none" else 0):
         before = ended.vector
-        ended = _run(problem, ended, stage)
+        ended = run(problem, ended, stage)
         moved = np.abs(ended.vector - before).max()
         if ended.fitted is None or ended.fitted.why == "diverged" or moved < _SETTLED:
             break
@@ -210,8 +210,15 @@ def _without_confounded(problem: Problem, state: State) -> State:
     )
 
 
+def begun_with(problem: Problem, state: State) -> State:
+    """The state with horizons and integration steps for the values that it has."""
+    return _chosen_substeps(problem, _with_horizons(problem, state))
+
+
 def _first_values(problem: Problem, state: State) -> State:
     """Least squares on the equations of motion, and what they leave of the worst record."""
+    if state.rough:
+        return begun_with(problem, state)
     found, shares = inverse_dynamics.first_values(
         problem.system, state.space, state.vector, problem.motion
     )
@@ -219,8 +226,7 @@ def _first_values(problem: Problem, state: State) -> State:
     name, values = "first values", state.space.numbers(found)
     problem.listener.iteration(Iteration(name, 1, left, 0.0))
     problem.listener.searched(SearchedStage(name, "", 1, left, "converged", values))
-    known = _with_horizons(problem, replace(state, vector=found, unexplained=left))
-    return _chosen_substeps(problem, known)
+    return begun_with(problem, replace(state, vector=found, unexplained=left))
 
 
 def _chosen_substeps(problem: Problem, state: State) -> State:

@@ -1,0 +1,316 @@
+"""A mechanism that nobody has written down: energies as short series, made for some records.
+
+Gravity, springs and inertias are sums of sines, cosines and powers of the coordinates. Which of
+the terms a machine has is for the identification to find out: terms that the records do not need
+are left out.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from tustinnet.channels import Coordinate, Input
+from tustinnet.data.experiment import Experiment
+from tustinnet.data.inspection import still, turning_around
+from tustinnet.errors import InputError
+from tustinnet.models import forces
+from tustinnet.models.blocks import root_mean_square
+from tustinnet.models.contract import Coordinates, InputVector, Internal
+from tustinnet.models.lagrangian import LagrangianSystem, Memory, Parameter, Scalar, Values
+from tustinnet.systems.files import MadeForRecords
+
+NAME = "mechanism"
+_MOST = 3  # coordinates; with more, terms are many and identification slow
+_SHARE = 0.5  # what is expected of a term of the inertia, as a share of the inertia
+_SHARES, _RATIOS = 5.0, (1e-6, 1e6)  # ranges of such a term, and of inertias to the first one
+_LARGEST = 10.0  # times the root mean square of the accelerations: no single term does more
+_POWERS = ("pull", "spring", "quadratic", "cubic")  # forces by the power of the coordinate, from 0
+_FAINT, _LEAST = 1e-3, 1e-6  # of the stiffest spring, where one that relaxes begins and ends
+_FASTEST = 4  # periods in which it has relaxed, at least
+_STEADY = 0.01  # share of it, where damping begins
+
+
+class Wave(NamedTuple):
+    """How inertia or height may depend on positions.
+
+    Attributes:
+        name: what it is called.
+        of: its value at positions.
+        rank: how special it is: 0 for what most mechanisms have.
+    """
+
+    name: str
+    of: Callable[[Any], Any]
+    rank: int
+
+
+Term = tuple[int, Parameter]  # how special, and what scales it
+
+
+class Mechanism(MadeForRecords):
+    """The system `mechanism`: one for every set of records, since it has their coordinates."""
+
+    name = NAME
+
+    def of(self, records: Sequence[Experiment]) -> LagrangianSystem:
+        """The system with every term that the motion of some records can say something of.
+
+        Ranges are those of the motion: no term accelerates more than 10 times what the records
+        do. Angles may feel gravity; springs act where a coordinate does not turn around.
+
+        Args:
+            records: at least one.
+
+        Raises:
+            InputError: more coordinates than 3, or one that never moves.
+        """
+        coordinates, inputs = records[0].coordinates, records[0].inputs
+        if len(coordinates) > _MOST:
+            raise InputError(
+                f"system '{NAME}'", f"{len(coordinates)} coordinates", f"{_MOST} at most",
+                "write the system down: docs/how-to/add-a-system.md",
+            )  # fmt: skip
+        if never := still(records):
+            raise InputError(
+                f"system '{NAME}', coordinate '{never[0]}'", "never moves in the records",
+                "a coordinate that moves", "leave it out of the data card",
+            )  # fmt: skip
+        v = [e.velocities() for e in records]
+        a = [np.gradient(x, e.dt, axis=0) for x, e in zip(v, records, strict=True)]
+        size, acting = (_sizes([getattr(e, name) for e in records]) for name in ("q", "u"))
+        speed, largest = _sizes(v), [_LARGEST * x for x in _sizes(a)]
+        found = [*_inertias(coordinates), *_heights(coordinates, largest)]
+        for k, c in enumerate(coordinates):
+            damping = largest[k] / speed[k]
+            viscous = Parameter(f"{c.name}.viscous", "1/s", _STEADY * damping, 0.0, damping)
+            found.append((0, viscous))
+            found += [
+                _either(0, f"{c.name}.by_{i.name}", f"{c.unit}/s^2/{i.unit}", largest[k] / x)
+                for i, x in zip(inputs, acting, strict=True)
+            ]
+            if c.name not in turning_around(records):
+                found += _springs(c, largest[k], size[k])
+                found += _relaxing(c, largest[k] / size[k], speed[k] / size[k], records)
+        # of terms that can stand for one another the later ones are left out
+        found.sort(key=lambda term: term[0])
+        return self.restored(coordinates, inputs, [parameter for _, parameter in found])
+
+    def restored(
+        self,
+        coordinates: Sequence[Coordinate],
+        inputs: Sequence[Input],
+        parameters: Sequence[Parameter],
+    ) -> LagrangianSystem:
+        """The system with some of its terms: those that have their parameter among those given.
+
+        Args:
+            coordinates: of the records.
+            inputs: of the records.
+            parameters: the inertia of each coordinate, and what other terms there are.
+        """
+        axes, acting = tuple(coordinates), tuple(inputs)
+        of = _functions(axes, acting)
+        names = {p.name for p in parameters}
+        relaxing = tuple(k for k, c in enumerate(axes) if f"{c.name}.maxwell" in names)
+        return LagrangianSystem(
+            NAME, axes, acting, tuple(parameters), of["kinetic"], of["potential"],
+            of["dissipation"], of["input_map"], _memory(axes, relaxing) if relaxing else None,
+        )  # fmt: skip
+
+
+MECHANISM = Mechanism()
+
+
+def _sizes(signals: Sequence[np.ndarray]) -> list[float]:
+    """The root mean square of each column, over all records."""
+    return [float(x) for x in root_mean_square(np.concatenate(signals))]
+
+
+def _either(rank: int, name: str, unit: str, most: float, prior: float | None = None) -> Term:
+    """A term that may be missing, and may have either sign."""
+    return rank, Parameter(name, unit, 0.0, -most, most, prior=prior, optional=True)
+
+
+def _inertias(coordinates: Sequence[Coordinate]) -> list[Term]:
+    """Inertias as shares: the first is the unit, so forces are accelerations."""
+    found: list[Term] = []
+    for i, c in enumerate(coordinates):
+        unit = {"rad": "kg m^2", "m": "kg"}.get(c.unit, f"J s^2/{c.unit}^2")
+        found.append((0, Parameter(f"{c.name}.inertia", unit, 1.0, *_RATIOS, fixed=i == 0)))
+        found += [
+            _either(wave.rank, f"{c.name}.inertia_{wave.name}", "1", _SHARES, _SHARE)
+            for wave in _of_inertia(coordinates, i)
+        ]
+        for j in range(i + 1, len(coordinates)):
+            pair = _pair(c, coordinates[j])
+            found.append(_either(0, pair, "1", _SHARES, _SHARE))
+            found += [
+                _either(wave.rank, f"{pair}_{wave.name}", "1", _SHARES, _SHARE)
+                for wave in _of_coupling(coordinates, i, j)
+            ]
+    return found
+
+
+def _heights(coordinates: Sequence[Coordinate], most: Sequence[float]) -> list[Term]:
+    """Gravity on angles, and on the sums of neighbours: links on links."""
+    return [
+        _either(wave.rank, f"{coordinates[k].name}.gravity_{wave.name}", "1/s^2", most[k])
+        for k, wave in _of_gravity(coordinates)
+    ]
+
+
+def _springs(of: Coordinate, most: float, size: float) -> list[Term]:
+    """A constant force, and springs up to a cubic one, of a coordinate."""
+    units = (f"{of.unit}/s^2", "1/s^2", f"1/(s^2 {of.unit})", f"1/(s^2 {of.unit}^2)")
+    ranks = (1, 0, 2, 1)  # one that differs between the sides is special
+    return [
+        _either(rank, f"{of.name}.{name}", unit, most / size**m)
+        for m, (rank, name, unit) in enumerate(zip(ranks, _POWERS, units, strict=True))
+    ]
+
+
+def _relaxing(
+    of: Coordinate, stiff: float, rate: float, records: Sequence[Experiment]
+) -> list[Term]:
+    """A spring that relaxes: not optional, because short segments do not show it."""
+    slowest, fastest = 1 / max(e.seconds for e in records), 1 / (_FASTEST * records[0].dt)
+    begin = min(max(rate, slowest), fastest)
+    return [
+        (0, Parameter(f"{of.name}.maxwell", "1/s^2", _FAINT * stiff, _LEAST * stiff, stiff)),
+        (0, Parameter(f"{of.name}.relaxation", "1/s", begin, slowest, fastest)),
+    ]
+
+
+def _pair(a: Coordinate, b: Coordinate) -> str:
+    return f"{a.name}.coupling_{b.name}"
+
+
+def _both(name: str, angle: Callable[[Any], Any], rank: int) -> list[Wave]:
+    """Cosine and sine of an angle; a sine is for angles that are not counted from an axis."""
+    return [
+        Wave(name.format("cos"), lambda q: jnp.cos(angle(q)), rank),
+        Wave(name.format("sin"), lambda q: jnp.sin(angle(q)), rank + 1),
+    ]
+
+
+def _waves(coordinates: Sequence[Coordinate], k: int, order: int) -> list[Wave]:
+    """Those of an angle, or of its double."""
+    if coordinates[k].kind != "angular":
+        return []
+    angle = f"{order}{coordinates[k].name}" if order > 1 else coordinates[k].name
+    return _both(f"{{}}_{angle}", lambda q: order * q[k], order - 1)
+
+
+def _of_inertia(coordinates: Sequence[Coordinate], i: int) -> list[Wave]:
+    """What the inertia of a coordinate may depend on: all other angles.
+
+    Those before it are special: coordinates are mostly listed from the base to the tip.
+    """
+    return [
+        wave._replace(rank=wave.rank + (k < i))
+        for k in range(len(coordinates))
+        for order in (1, 2)
+        for wave in (_waves(coordinates, k, order) if k != i else ())
+    ]
+
+
+def _of_coupling(coordinates: Sequence[Coordinate], i: int, j: int) -> list[Wave]:
+    """What the inertia that couples two coordinates may depend on: angles, and their difference."""
+    found = [wave for k in range(len(coordinates)) for wave in _waves(coordinates, k, 1)]
+    if coordinates[i].kind == coordinates[j].kind == "angular":
+        found += _both("{}_difference", lambda q: q[i] - q[j], 1)
+    return found
+
+
+def _of_gravity(coordinates: Sequence[Coordinate]) -> list[tuple[int, Wave]]:
+    """Heights: whose link rises, and how, by its angle or by its and the angle before."""
+    angular = [k for k, c in enumerate(coordinates) if c.kind == "angular"]
+    alone = [(k, wave) for k in angular for wave in _both("{}", lambda q, k=k: q[k], 0)]
+    return alone + [
+        (k, wave)
+        for before, k in pairwise(angular)
+        for wave in _both("{}_sum", lambda q, a=before, b=k: q[a] + q[b], 1)
+    ]
+
+
+@lru_cache(maxsize=64)  # so that equal systems serve the same compiled programs
+def _functions(
+    coordinates: tuple[Coordinate, ...], inputs: tuple[Input, ...]
+) -> dict[str, Callable[..., Any]]:
+    """Energies and forces; they have the terms whose parameters they are given."""
+    names = [c.name for c in coordinates]
+    n = len(names)
+
+    def share(begin: str, waves: Sequence[Wave], q: Coordinates, p: Values) -> Any:
+        each = ((f"{begin}_{wave.name}", wave) for wave in waves)
+        return sum(p[name] * wave.of(q) for name, wave in each if name in p)
+
+    def kinetic(q: Coordinates, v: Coordinates, p: Values) -> Scalar:
+        """Inertias that depend on the angles."""
+        unit = [p[f"{name}.inertia"] for name in names]
+        total = jnp.zeros((), v.dtype)
+        for i in range(n):
+            own = 1.0 + share(f"{names[i]}.inertia", _of_inertia(coordinates, i), q, p)
+            total = total + 0.5 * unit[i] * own * v[i] ** 2
+            for j in range(i + 1, n):
+                pair = _pair(coordinates[i], coordinates[j])
+                both = p.get(pair, 0.0) + share(pair, _of_coupling(coordinates, i, j), q, p)
+                total = total + jnp.sqrt(unit[i] * unit[j]) * both * v[i] * v[j]
+        return total
+
+    def potential(q: Coordinates, p: Values) -> Scalar:
+        """Gravity and springs."""
+        total = jnp.zeros((), q.dtype)
+        for k, wave in _of_gravity(coordinates):
+            if (of := f"{names[k]}.gravity_{wave.name}") in p:
+                total = total + p[f"{names[k]}.inertia"] * p[of] * wave.of(q)
+        for k, c in enumerate(names):
+            powers = enumerate(_POWERS, 1)
+            held = sum(p.get(f"{c}.{name}", 0.0) * q[k] ** m / m for m, name in powers)
+            total = total + p[f"{c}.inertia"] * held
+        return total
+
+    def dissipation(q: Coordinates, v: Coordinates, p: Values) -> Coordinates:
+        """Viscous friction; the voltage that a motor induces acts alike."""
+        return jnp.stack(
+            [p[f"{c}.inertia"] * p[f"{c}.viscous"] * v[k] for k, c in enumerate(names)]
+        )
+
+    def input_map(q: Coordinates, v: Coordinates, u: InputVector, p: Values) -> Coordinates:
+        """Every input at every coordinate."""
+        each = [
+            sum((p.get(f"{c}.by_{i.name}", 0.0) * u[m] for m, i in enumerate(inputs)), 0.0 * v[k])
+            for k, c in enumerate(names)
+        ]
+        return jnp.stack([p[f"{c}.inertia"] * a for c, a in zip(names, each, strict=True)])
+
+    return {
+        "kinetic": kinetic, "potential": potential, "dissipation": dissipation,
+        "input_map": input_map,
+    }  # fmt: skip
+
+
+@lru_cache(maxsize=64)
+def _memory(coordinates: tuple[Coordinate, ...], relaxing: tuple[int, ...]) -> Memory:
+    """The springs that relax, at some of the coordinates."""
+    names = [c.name for c in coordinates]
+
+    def rate(q: Coordinates, v: Coordinates, z: Internal, p: Values) -> Internal:
+        each = [
+            forces.maxwell_rate(v[k], x, p[f"{names[k]}.relaxation"])
+            for k, x in zip(relaxing, z, strict=True)
+        ]
+        return jnp.stack(each)
+
+    def force(q: Coordinates, v: Coordinates, z: Internal, p: Values) -> Coordinates:
+        each = [jnp.zeros_like(x) for x in v]
+        for k, x in zip(relaxing, z, strict=True):
+            stiffness = p[f"{names[k]}.inertia"] * p[f"{names[k]}.maxwell"]
+            each[k] = forces.maxwell_force(x, stiffness)
+        return jnp.stack(each)
+
+    return Memory(tuple(f"maxwell:{names[k]}" for k in relaxing), rate, force)

@@ -1,0 +1,110 @@
+"""The mechanism that nobody has written down."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from swinging import CART, noises, records
+
+import tustinnet as tn
+from tustinnet.models.lagrangian import Parameter
+from tustinnet.systems.mechanism import MECHANISM
+
+
+def cart_records(seconds: float = 4.0) -> list[tn.Experiment]:
+    """The cart moved by hand: positions and forces that it could have had."""
+    t = np.arange(0.0, seconds, 0.01)
+    q = np.stack([0.3 * np.sin(2 * t), 2.0 * np.cos(3 * t)], axis=1)
+    return [
+        tn.from_arrays(
+            q, np.sin(5 * t)[:, None], dt=0.01, name="moved",
+            coordinates=CART.coordinates, inputs=CART.inputs,
+        )
+    ]  # fmt: skip
+
+
+def test_it_has_the_terms_that_the_coordinates_can_have():
+    system = MECHANISM.of(cart_records())
+    names = set(system.nominal())
+    assert {"x.spring", "x.pull", "angle.gravity_cos", "x.coupling_angle_cos_angle"} <= names
+    assert not any(name.startswith("x.gravity") for name in names), "a slide does not turn"
+    assert "angle.inertia_cos_angle" not in names, "no inertia depends on its own angle"
+    assert "angle.spring" in names, "it moves by 4 rad only"
+    assert system.parameter("x.inertia").fixed
+    assert set(system.optional) == names - {
+        "x.inertia", "angle.inertia", "x.viscous", "angle.viscous", "x.maxwell", "x.relaxation",
+        "angle.maxwell", "angle.relaxation",
+    }  # fmt: skip
+
+
+def test_a_coordinate_that_turns_around_has_no_spring():
+    e = noises()[0]
+    turned = replace(e, q=np.linspace(0, 5, len(e))[:, None], v=None, v_measured=False)
+    assert "angle.spring" in MECHANISM.of([e]).nominal()
+    assert "angle.spring" not in MECHANISM.of([turned]).nominal()
+
+
+def test_with_the_right_values_it_moves_as_the_cart_does():
+    """`CART` divided by the cart's inertia of 2 kg."""
+    values = {
+        "x.inertia": 1.0, "angle.inertia": 1.0, "x.coupling_angle_cos_angle": 0.5,
+        "angle.gravity_cos": 0.5, "x.spring": 1.0, "x.viscous": 0.05, "angle.viscous": 0.05,
+        "x.by_force": 0.5, "x.maxwell": 0.0, "x.relaxation": 1.0, "angle.maxwell": 0.0,
+        "angle.relaxation": 1.0,
+    }  # fmt: skip
+    full = MECHANISM.of(cart_records())
+    system = full.without([name for name in full.optional if name not in values])
+    assert set(system.nominal()) == set(values)
+    arrays = {name: jnp.asarray(x) for name, x in values.items()}
+    zeros = {name: jnp.asarray(0.0) for name in full.optional}
+    cart = CART.model({"mass": jnp.asarray(1.0)})
+    for seed in range(5):
+        x, u = jnp.asarray(np.random.default_rng(seed).normal(size=6)), jnp.array([0.7])
+        wanted = cart.derivative(x[:4], u)
+        np.testing.assert_allclose(system.model(arrays).derivative(x, u)[:4], wanted, rtol=1e-5)
+        whole = full.model(zeros | arrays).derivative(x, u)[:4]
+        np.testing.assert_allclose(whole, wanted, rtol=1e-5, err_msg="with terms that are 0")
+
+
+def test_equal_systems_share_their_functions_so_that_programs_serve_again():
+    assert MECHANISM.of(records()) == MECHANISM.of(records())
+    assert hash(MECHANISM.of(records())) == hash(MECHANISM.of(records()))
+
+
+def test_what_nobody_could_identify_is_refused_by_name():
+    e = noises()[0]
+    still = replace(e, q=np.zeros_like(e.q), v=None, v_measured=False)
+    with pytest.raises(tn.InputError, match="'angle': never moves in the records"):
+        MECHANISM.of([still])
+    axes = [tn.Coordinate(f"q{k}", "angular") for k in range(4)]
+    four = tn.from_arrays(
+        np.random.default_rng(0).normal(size=(50, 4)), np.zeros((50, 1)), dt=0.01,
+        coordinates=axes, inputs=e.inputs,
+    )  # fmt: skip
+    with pytest.raises(tn.InputError, match="4 coordinates; expected 3 at most"):
+        MECHANISM.of([four])
+
+
+def test_it_is_no_system_to_give_beside_a_model():
+    with pytest.raises(tn.InputError, match="made for the records that it is identified from"):
+        tn.load_system("mechanism")
+
+
+def test_optional_parameters_belong_to_terms_that_can_be_left_out():
+    with pytest.raises(tn.InputError, match="optional, and fixed"):
+        Parameter("k", "N", 1.0, -2.0, 2.0, optional=True)
+    spring = Parameter("spring", "N/m", 0.0, -1.0, 1.0, optional=True)
+    with pytest.raises(tn.InputError, match=r"expected p.get\('spring', 0.0\)"):
+        replace(
+            CART, parameters=(*CART.parameters, spring),
+            potential=lambda q, p: p["spring"] * q[0] ** 2,
+        )  # fmt: skip
+    may = replace(
+        CART, parameters=(*CART.parameters, spring),
+        potential=lambda q, p: p.get("spring", 0.0) * q[0] ** 2,
+    )  # fmt: skip
+    assert may.optional == ("spring",)
+    assert may.without(["spring"]).optional == ()
+    assert not jax.tree.leaves(may.without(["spring"]).parameters[1:])
