@@ -62,6 +62,18 @@ def test_the_right_hold_is_found_and_told(hold):
         assert found.values[name] == pytest.approx(value, rel=0.01)
 
 
+def test_terms_nobody_needs_are_left_out_before_holds_are_tried():
+    asked = tn.DataSet("d", tuple(unsaid(logged("zero-order", seed)) for seed in range(2)))
+    found = tn.identify(asked, "mechanism", "mechanism")
+    assert found.model.inputs[0].hold == "zero-order"
+    values = {e.name: e.value for e in found.estimates}
+    # one that relaxes slowly is a spring, too
+    stiffness = values["x.spring"] + values["x.maxwell"]
+    assert stiffness == pytest.approx(TRUTH["stiffness"], rel=0.02)
+    assert values["x.by_force"] == pytest.approx(1.0, rel=0.02)
+    assert "x.cubic" not in values
+
+
 def test_other_kinds_of_models_refuse_what_nobody_knows():
     unknown = unsaid(logged("first-order", 0))
     with pytest.raises(tn.InputError, match=r"record0, input 'force': hold 'unknown'"):

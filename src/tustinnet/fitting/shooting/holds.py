@@ -7,6 +7,7 @@ import numpy as np
 
 from tustinnet.fitting.shooting.problem import Problem, State
 from tustinnet.fitting.shooting.stages import refined, search
+from tustinnet.fitting.shooting.terms import with_needed
 from tustinnet.signals.excitation import HALF, Held
 
 _FIRST = "first-order"  # between the others, so that both are near enough to go on from it
@@ -15,6 +16,8 @@ _ALIKE = 1.01  # root mean squares of errors that differ by less say nothing
 
 def search_with_holds(problem: Problem, begin: State) -> tuple[Problem, State, str]:
     """A search that also finds out the holds that the data card calls `unknown`.
+
+    Optional terms of the system that are not needed are left out before it.
 
     The whole search is done for straight lines; from what it found, the last stage is done again
     for every other hold, and the lowest cost over the training records decides. The holds of
@@ -25,9 +28,10 @@ def search_with_holds(problem: Problem, begin: State) -> tuple[Problem, State, s
         simulation error of every hold.
     """
     unknown = [i.name for i in problem.records[0].inputs if i.hold == "unknown"]
+    first, begin = with_needed(with_some_hold(problem), begin)
     if not unknown:
-        return problem, *search(problem, begin)
-    first = _with_hold(problem, _FIRST)
+        return first, *search(first, begin)
+    problem = replace(problem, system=first.system)
     found, initial = search(first, begin)
     tried = {_FIRST: (first, found)}
     holds: tuple[Held, ...] = get_args(Held)
@@ -41,6 +45,11 @@ def search_with_holds(problem: Problem, begin: State) -> tuple[Problem, State, s
     told = _told(unknown, best, {hold: _error(*of) for hold, of in tried.items()}, problem)
     ended = replace(ended, remarks=(*ended.remarks, told))
     return chosen, ended, initial
+
+
+def with_some_hold(problem: Problem) -> Problem:
+    """The problem with a hold where none is known yet, so that records can be simulated."""
+    return _with_hold(problem, _FIRST)
 
 
 def _with_hold(problem: Problem, hold: Held) -> Problem:

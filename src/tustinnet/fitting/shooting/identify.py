@@ -24,13 +24,12 @@ from tustinnet.fitting.shooting.agreement import Agreement
 from tustinnet.fitting.shooting.findings import Found, described
 from tustinnet.fitting.shooting.forces import with_added
 from tustinnet.fitting.shooting.groups import spread
-from tustinnet.fitting.shooting.holds import search_with_holds
+from tustinnet.fitting.shooting.holds import search_with_holds, with_some_hold
 from tustinnet.fitting.shooting.least_squares import prior_deviation
 from tustinnet.fitting.shooting.problem import Problem, State, model_of, prior, score
 from tustinnet.fitting.shooting.refining import with_refined
 from tustinnet.fitting.shooting.sensors import freed
 from tustinnet.fitting.shooting.space import Searched, Space, make_space
-from tustinnet.fitting.shooting.terms import with_needed
 from tustinnet.fitting.shooting.uncertainty import Uncertainty, uncertainty
 from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task
 from tustinnet.models.contract import require_float64
@@ -124,7 +123,7 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
         tuple(e.driving(acting) for e in roles.validation), recipe.search, listener,
     )  # fmt: skip
     _require_delays(problem)
-    _require_refinable(problem)
+    _require_refinable(with_some_hold(problem))
     space, first = _beginning(problem, recipe.model)
     values = {k: jnp.asarray(v, jnp.float64) for k, v in space.values(first).items()}
     for model, rows in batches(system.model(values), records):
@@ -132,7 +131,6 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
         _require_mass(model, sharing)
         _require_finite(model, sharing)
     begin_at = State(space, first, horizons=problem.asked or {})
-    problem, begin_at = with_needed(problem, begin_at)
     problem, ended, initial = search_with_holds(problem, begin_at)
     system = problem.system
     reversed_signs: tuple[tuple[str, ...], ...] = ()

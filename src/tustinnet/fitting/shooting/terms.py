@@ -16,7 +16,9 @@ _LIMITS = Limits(1e-2, 15)
 _NEEDED = 1e-2  # share of the cost by which it rises, at least, without a term that is needed
 _STEPS = (1e-2, 1e-1, 1.0)  # of it: terms that nobody would miss go first
 _WORSE = 1.2  # times the cost with all terms: too much was left out
-_LEAST = 1e-4  # of the curvature is added to it: the second-order model does not hold for far steps
+# of the largest term: a parameter that moves so far to make up for others costs as much as a term
+# that is needed; less where the second-order model did not hold so far
+_FAR = (10.0, 1.0, 0.1)
 
 
 def with_needed(problem: Problem, begin: State) -> tuple[Problem, State]:
@@ -53,15 +55,16 @@ def with_needed(problem: Problem, begin: State) -> tuple[Problem, State]:
             "values that stay finite", "give others in the recipe: model.begin",
         )  # fmt: skip
     fewer, found, most = problem, state, _WORSE * state.fitted.cost
-    while left_out := _not_needed(fewer, found):
-        trial, fitted = _without(fewer, found, *left_out)
-        if fitted.fitted is None or not fitted.fitted.cost <= most:
-            break
-        fewer, found = trial, fitted
+    for far in _FAR:
+        while left_out := _not_needed(fewer, found, far):
+            trial, fitted = _without(fewer, found, *left_out)
+            if fitted.fitted is None or not fitted.fitted.cost <= most:
+                break
+            fewer, found = trial, fitted
     kept, count = fewer.system.optional, len(problem.system.optional)
     told = (
-        f"optional terms: {len(kept)} of {count} kept ({', '.join(kept) or 'none'}); without each "
-        "other one the error hardly rises"
+        f"optional terms: {len(kept)} of {count} kept ({', '.join(kept) or 'none'}); without any "
+        "of the others the error hardly rises"
     )
     # the search begins anew from here: its stages cut the records for themselves
     return fewer, State(
@@ -86,7 +89,7 @@ def _without(
 
 
 def _not_needed(
-    problem: Problem, state: State
+    problem: Problem, state: State, far: float
 ) -> tuple[set[str], Float[np.ndarray, " n_p"]] | None:
     """The terms to leave out, and the vector that makes up for them; None where all are needed.
 
@@ -100,14 +103,16 @@ def _not_needed(
     matrix = eliminated(fitted.normal)[0].sum(axis=0)
     matrix += np.diag(known.weight * prior_deviation(known, space, fitted.vector)[1] ** 2)
     size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    matrix = matrix / np.outer(size, size) + _LEAST * np.eye(len(size))
     x, left, gone = fitted.vector * size, list(range(len(size))), set[str]()
+    optional = np.isin(space.names, problem.system.optional)
+    reach = far * (np.abs(x[optional]).max(initial=0.0) or 1.0)
+    matrix = matrix / np.outer(size, size) + _NEEDED * fitted.cost / reach**2 * np.eye(len(size))
     for share in _STEPS:
         while True:
             inverse = np.linalg.inv(matrix[np.ix_(left, left)])
             rises = x[left] ** 2 / np.diag(inverse)
             low = np.flatnonzero(rises < share * _NEEDED * fitted.cost)
-            can = [at for at in low if space.names[left[at]] in problem.system.optional]
+            can = [at for at in low if optional[left[at]]]
             if not can:
                 break
             at = can[-1]
