@@ -28,10 +28,10 @@ _MOST = 3  # coordinates; with more, terms are many and identification slow
 _SHARE = 0.5  # what is expected of a term of the inertia, as a share of the inertia
 _SHARES, _RATIOS = 5.0, (1e-6, 1e6)  # ranges of such a term, and of inertias to the first one
 _LARGEST = 10.0  # times the root mean square of the accelerations: no single term does more
+_STEADY = 0.01  # share of the largest damping, where it begins
 _POWERS = ("pull", "spring", "quadratic", "cubic")  # forces by the power of the coordinate, from 0
 _FAINT, _LEAST = 1e-3, 1e-6  # of the stiffest spring, where one that relaxes begins and ends
 _FASTEST = 4  # periods in which it has relaxed, at least
-_STEADY = 0.01  # share of it, where damping begins
 
 
 class Wave(NamedTuple):
@@ -84,6 +84,7 @@ class Mechanism(MadeForRecords):
         size, acting = (_sizes([getattr(e, name) for e in records]) for name in ("q", "u"))
         speed, largest = _sizes(v), [_LARGEST * x for x in _sizes(a)]
         found = [*_inertias(coordinates), *_heights(coordinates, largest)]
+        around = turning_around(records)
         for k, c in enumerate(coordinates):
             damping = largest[k] / speed[k]
             viscous = Parameter(f"{c.name}.viscous", "1/s", _STEADY * damping, 0.0, damping)
@@ -92,7 +93,7 @@ class Mechanism(MadeForRecords):
                 _either(0, f"{c.name}.by_{i.name}", f"{c.unit}/s^2/{i.unit}", largest[k] / x)
                 for i, x in zip(inputs, acting, strict=True)
             ]
-            if c.name not in turning_around(records):
+            if c.name not in around:
                 found += _springs(c, largest[k], size[k])
                 found += _relaxing(c, largest[k] / size[k], speed[k] / size[k], records)
         # of terms that can stand for one another the later ones are left out

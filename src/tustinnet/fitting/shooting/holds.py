@@ -27,7 +27,7 @@ def search_with_holds(problem: Problem, begin: State) -> tuple[Problem, State, s
         The problem with the holds found, and what `search` returns; the state's remarks tell the
         simulation error of every hold.
     """
-    unknown = [i.name for i in problem.records[0].inputs if i.hold == "unknown"]
+    unknown = _unknown(problem)
     first, begin = with_needed(with_some_hold(problem), begin)
     if not unknown:
         return first, *search(first, begin)
@@ -49,7 +49,11 @@ def search_with_holds(problem: Problem, begin: State) -> tuple[Problem, State, s
 
 def with_some_hold(problem: Problem) -> Problem:
     """The problem with a hold where none is known yet, so that records can be simulated."""
-    return _with_hold(problem, _FIRST)
+    return _with_hold(problem, _FIRST) if _unknown(problem) else problem
+
+
+def _unknown(problem: Problem) -> list[str]:
+    return [i.name for i in problem.records[0].inputs if i.hold == "unknown"]
 
 
 def _with_hold(problem: Problem, hold: Held) -> Problem:
