@@ -140,6 +140,20 @@ def read_by_encoder(e: tn.Experiment) -> tn.Experiment:
     )
 
 
+def driven_again(system: LagrangianSystem, values: dict[str, float]) -> list[tn.Experiment]:
+    """What another system does from the starts and voltages of the records, through encoders."""
+    model = tn.discretise(
+        system.model({k: jnp.asarray(x) for k, x in (system.nominal() | TRUTH | values).items()}),
+        DT, 8,
+    )  # fmt: skip
+    made = []
+    for e in records():
+        x0 = np.concatenate([e.q[0], e.velocities()[0], np.zeros(len(system.internal))])
+        x = np.asarray(tn.rollout(model, x0, e.u[:-1]))
+        made.append(read_by_encoder(replace(e, q=x[:, :1], v=x[:, 1:2])))
+    return made
+
+
 def noisy(e: tn.Experiment, size: float, seed: int) -> tn.Experiment:
     """The record with white noise on its positions."""
     noise = size * np.random.default_rng(seed).normal(size=e.q.shape)

@@ -21,13 +21,14 @@ BARE = LagrangianSystem(
 X, V, U = jnp.array([0.4, 0.9]), jnp.array([0.7, -1.1]), jnp.array([2.0])
 VALUES = {
     "coulomb": 0.3, "breakaway": 0.5, "stribeck_speed": 0.8, "smooth_speed": 0.1, "viscous": 0.2,
-    "spring": 1.5, "cubic": 2.5, "maxwell": 3.0, "relaxation": 4.0,
+    "rubbing": 0.7, "spring": 1.5, "cubic": 2.5, "maxwell": 3.0, "relaxation": 4.0, "turned": 0.2,
 }  # fmt: skip
 Z = 0.25  # deflection of a spring that relaxes
 AGAINST = {  # what each law does against the motion of the angle
     "coulomb": forces.coulomb(V[1], 0.3, 0.1),
     "stribeck": forces.stribeck(V[1], 0.3, 0.8, 0.8, 0.1),
     "viscous": 0.2 * V[1],
+    "rubbing": forces.coulomb(V[1], 0.7 * X[1], 0.1),
     "spring": 1.5 * X[1],
     "cubic": 2.5 * X[1] ** 3,
     "maxwell": 3.0 * Z,
@@ -89,6 +90,16 @@ def test_a_law_without_a_coordinate_is_one_at_each():
     ]  # fmt: skip
 
 
+def test_dry_frictions_of_a_coordinate_share_the_speed_at_which_they_turn():
+    system = added(SWING, "coulomb", "rubbing")
+    assert needed(system) == ("angle.coulomb", "angle.smooth_speed", "angle.rubbing")
+    both, each = nominal(system), [nominal(added(SWING, law)) for law in ("coulomb", "rubbing")]
+    x, u = jnp.array([0.9, 0.05]), jnp.array([1.0])
+    alone = nominal(SWING).acceleration(x, u)
+    wanted = sum(model.acceleration(x, u) - alone for model in each)
+    np.testing.assert_allclose(both.acceleration(x, u) - alone, wanted, rtol=1e-4)
+
+
 def test_without_forces_a_system_is_the_same_and_with_the_same_forces_one():
     assert with_forces(CART, (), ()) is CART
     assert added(CART, "cubic") is added(CART, "cubic")
@@ -97,7 +108,7 @@ def test_without_forces_a_system_is_the_same_and_with_the_same_forces_one():
 @pytest.mark.parametrize(
     ("names", "told"),
     [
-        (["glue"], "no force 'glue'; expected one of coulomb, stribeck, viscous, spring, cubic"),
+        (["glue"], "no force 'glue'; expected one of coulomb, stribeck, viscous, rubbing, spring"),
         (["cubic:tilt"], "'cubic:tilt': no coordinate 'tilt'; expected one of x, angle"),
         (["cubic:"], "'cubic:': no coordinate ''"),
         (["cubic", "cubic:x"], "'cubic:x' twice"),

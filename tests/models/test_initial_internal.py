@@ -96,11 +96,11 @@ def test_sensors_keep_it():
 
 
 def test_added_forces_keep_it():
-    units = {"maxwell": "N m/rad", "relaxation": "1/s"}
+    units = {"maxwell": "N m/rad", "relaxation": "1/s", "turned": "1"}
     needs = tuple(Parameter(f"angle.{n}", unit, 0.1, 0.0, 1.0) for n, unit in units.items())
     more = with_forces(TURNED, ("maxwell",), needs)
     values = {k: jnp.asarray(x) for k, x in (more.nominal() | {"turned": 0.8}).items()}
-    np.testing.assert_allclose(more.model(values).initial_internal(BEGIN), [1.6, 0.0])
+    np.testing.assert_allclose(more.model(values).initial_internal(BEGIN), [1.6, 0.1 * 2.0])
 
 
 def test_a_file_tells_when_it_has_changed(tmp_path):

@@ -12,6 +12,7 @@ from tustinnet.models import forces
 from tustinnet.models.lagrangian import LagrangianSystem, Memory, Parameter, Values
 
 WHERE = "model.forces"
+_SMOOTH = "smooth_speed"  # the dry frictions of a coordinate have one together
 
 
 @dataclass(frozen=True)
@@ -21,21 +22,25 @@ class Law:
     Attributes:
         needs: its parameters; that of the coordinate `theta` is called `theta.NEED`.
         friction: force against the motion, `friction(v, *values)` [N m or N].
+        rubbing: one that a deflection brings, `rubbing(q, v, *values)` [N m or N].
         energy: `energy(q, *values)` [J].
         rate: of its internal state, `rate(v, z, *values)`.
+        begun: that state where a record begins, `begun(q, *values)`.
         pull: what that state does to the coordinate, `pull(z, *values)` [N m or N].
     """
 
     needs: tuple[str, ...]
     friction: Callable[..., Any] | None = None
+    rubbing: Callable[..., Any] | None = None
     energy: Callable[..., Any] | None = None
     rate: Callable[..., Any] | None = None
+    begun: Callable[..., Any] | None = None
     pull: Callable[..., Any] | None = None
 
     @property
     def elastic(self) -> bool:
-        """Whether it is a spring, of which a coordinate that turns around has none."""
-        return self.energy is not None or self.rate is not None
+        """Whether it is of a deflection, which a coordinate that turns around has not."""
+        return any(part is not None for part in (self.rubbing, self.energy, self.rate))
 
 
 def _stribeck(v: Any, level: Any, more: Any, stribeck_speed: Any, speed: Any) -> Any:
@@ -43,17 +48,19 @@ def _stribeck(v: Any, level: Any, more: Any, stribeck_speed: Any, speed: Any) ->
 
 
 LAWS = {
-    "coulomb": Law(("coulomb", "smooth_speed"), friction=forces.coulomb),
+    "coulomb": Law(("coulomb", _SMOOTH), friction=forces.coulomb),
     "stribeck": Law(
-        ("coulomb", "breakaway", "stribeck_speed", "smooth_speed"), friction=_stribeck
+        ("coulomb", "breakaway", "stribeck_speed", _SMOOTH), friction=_stribeck
     ),
     "viscous": Law(("viscous",), friction=forces.viscous),
+    "rubbing": Law(("rubbing", _SMOOTH), rubbing=forces.rubbing),
     "spring": Law(("spring",), energy=forces.linear_spring),
     "cubic": Law(("cubic",), energy=forces.cubic_spring),
     "maxwell": Law(
-        ("maxwell", "relaxation"),
-        rate=lambda v, z, stiffness, relaxation: forces.maxwell_rate(v, z, relaxation),
-        pull=lambda z, stiffness, relaxation: forces.maxwell_force(z, stiffness),
+        ("maxwell", "relaxation", "turned"),
+        rate=lambda v, z, stiffness, relaxation, turned: forces.maxwell_rate(v, z, relaxation),
+        begun=lambda q, stiffness, relaxation, turned: turned * q,
+        pull=lambda z, stiffness, relaxation, turned: forces.maxwell_force(z, stiffness),
     ),
 }  # fmt: skip
 
@@ -108,7 +115,8 @@ def placed(system: LagrangianSystem, names: Sequence[str]) -> tuple[Placed, ...]
 
 def needed(system: LagrangianSystem) -> tuple[str, ...]:
     """The names of the parameters that a system's added forces brought."""
-    return tuple(name for force in placed(system, system.added) for name in force.needs)
+    added = placed(system, system.added)
+    return tuple(dict.fromkeys(name for force in added for name in force.needs))
 
 
 @lru_cache(maxsize=64)  # so that the same system serves the same compiled programs
@@ -132,10 +140,14 @@ def with_forces(
         return system
     added = placed(system, names)
     _require_new(system, added)
-    rubbing, elastic = _parts(system, added, "friction"), _parts(system, added, "energy")
+    friction, rubbing, elastic = (
+        _parts(system, added, part) for part in ("friction", "rubbing", "energy")
+    )
 
     def dissipation(q: Any, v: Any, p: Values) -> Any:
-        lost = _along(v, [(i, law(v[i], *(p[n] for n in needs))) for i, needs, law in rubbing])
+        dry = [(i, law(v[i], *(p[n] for n in needs))) for i, needs, law in friction]
+        wound = [(i, law(q[i], v[i], *(p[n] for n in needs))) for i, needs, law in rubbing]
+        lost = _along(v, [*dry, *wound])
         return lost + jnp.asarray(system.dissipation(q, v, p)) if system.dissipation else lost
 
     def potential(q: Any, p: Values) -> Any:
@@ -145,19 +157,23 @@ def with_forces(
     return replace(
         system,
         parameters=(*system.parameters, *parameters),
-        dissipation=dissipation if rubbing else system.dissipation,
+        dissipation=dissipation if friction or rubbing else system.dissipation,
         potential=potential if elastic else system.potential,
         memory=_remembering(system, added),
-        added=tuple(map(str, added)),
+        added=(*system.added, *map(str, added)),
     )
 
 
 def _require_new(system: LagrangianSystem, added: Sequence[Placed]) -> None:
     """Raises where a parameter or internal state has its name already."""
     known = dict.fromkeys(system.nominal(), f"the system '{system.name}'")
+    before = needed(system)
     for force in added:
         for name in force.needs:
-            if name in known:
+            shared = name.endswith(f".{_SMOOTH}") and (
+                name in before or name not in system.nominal()
+            )
+            if name in known and not shared:
                 raise InputError(
                     WHERE, f"'{force}' brings '{name}', which {known[name]} has already",
                     "forces that differ", "leave it out, or call the other one otherwise",
@@ -184,7 +200,7 @@ def _along(like: Any, acting: Sequence[tuple[int, Any]]) -> Any:
 
 def _remembering(system: LagrangianSystem, added: Sequence[Placed]) -> Memory | None:
     """The forces with memory that the system has, and behind them those that were added."""
-    rates, pulls = _parts(system, added, "rate"), _parts(system, added, "pull")
+    rates, pulls, begun = (_parts(system, added, part) for part in ("rate", "pull", "begun"))
     if not rates:
         return system.memory
     n = len(system.internal)
@@ -204,11 +220,12 @@ def _remembering(system: LagrangianSystem, added: Sequence[Placed]) -> Memory | 
         return jnp.asarray(system.memory.force(q, v, z[:n], p)) + found
 
     def initial(q: Any, v: Any, p: Values) -> Any:
-        assert system.memory
-        assert system.memory.initial
-        own = jnp.asarray(system.memory.initial(q, v, p))
-        return jnp.concatenate([own, jnp.zeros(len(rates), own.dtype)])
+        found = jnp.stack([law(q[i], *(p[m] for m in needs)) for i, needs, law in begun])
+        if system.memory is None:
+            return found
+        before = system.memory.initial
+        own = jnp.asarray(before(q, v, p)) if before else jnp.zeros(n, found.dtype)
+        return jnp.concatenate([own, found])
 
     names = tuple(str(force) for force in added if LAWS[force.law].rate)
-    says = system.memory is not None and system.memory.initial is not None
-    return Memory((*system.internal, *names), rate, force, initial if says else None)
+    return Memory((*system.internal, *names), rate, force, initial)

@@ -54,6 +54,20 @@ def stribeck(v: Value, level: Value, breakaway: Value, stribeck_speed: Value, sp
     return (level + (breakaway - level) * falling) * jnp.tanh(v / speed)
 
 
+def rubbing(q: Value, v: Value, growth: Value, speed: Value) -> Any:
+    """Dry friction that grows with the deflection: `g |q| tanh(v / w)` [N m or N].
+
+    A cable that is wound, or a seal that is squeezed, rubs the more the further it is turned.
+
+    Args:
+        q: deflection [rad or m].
+        v: velocity [rad/s or m/s].
+        growth: g, friction at speed for each unit of deflection [N m/rad or N/m].
+        speed: w, the speed at which 76 % of it are reached [rad/s or m/s].
+    """
+    return coulomb(v, growth * jnp.abs(q), speed)
+
+
 def linear_spring(q: Value, stiffness: Value) -> Any:
     """Energy `k q^2 / 2` [J]; force against the deflection `k q`.
 

@@ -24,6 +24,10 @@ class Parameter:
             own; None where all records share one.
         optional: whether the term that it scales is left out unless the records need it. The
             functions of the system are then called without it, too: `p.get(name, 0.0)`.
+        usual: values that an optional parameter has in most machines, as the ratio of two inertias
+            of one body: it is fixed there unless the records need another one.
+        brings: forces of `models.added` that come with its term, as `cubic:theta`, if the records
+            need it: a spring that is there may stiffen, rub and relax.
     """
 
     name: str
@@ -35,6 +39,8 @@ class Parameter:
     prior: float | None = None
     per: str | None = None
     optional: bool = False
+    usual: tuple[float, ...] = ()
+    brings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.per is not None:
@@ -50,6 +56,14 @@ class Parameter:
                 "optional, and fixed, one per group or with another nominal value than 0",
                 "a nominal value of 0: without its term a system is as if it were 0",
             )
+        if outside := [x for x in self.usual if not self.lower <= x <= self.upper or not x]:
+            raise InputError(
+                f"parameter '{self.name}'", f"the usual value {outside[0]:g}",
+                f"values within {self.lower:g}..{self.upper:g} beside 0",
+            )  # fmt: skip
+        if (self.usual or self.brings) and not self.optional:
+            what = "usual values" if self.usual else "forces that it brings"
+            raise InputError(f"parameter '{self.name}'", what, "an optional parameter")
         if not self.lower <= self.upper:
             raise InputError(
                 f"parameter '{self.name}'", f"range {self.lower:g}..{self.upper:g}", "lower first"

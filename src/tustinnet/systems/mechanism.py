@@ -6,6 +6,7 @@ are left out.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -17,10 +18,9 @@ from tustinnet.channels import Coordinate, Input
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.inspection import still, turning_around
 from tustinnet.errors import InputError
-from tustinnet.models import forces
 from tustinnet.models.blocks import root_mean_square
-from tustinnet.models.contract import Coordinates, InputVector, Internal
-from tustinnet.models.lagrangian import LagrangianSystem, Memory, Parameter, Scalar, Values
+from tustinnet.models.contract import Coordinates, InputVector
+from tustinnet.models.lagrangian import LagrangianSystem, Parameter, Scalar, Values
 from tustinnet.systems.files import MadeForRecords
 
 NAME = "mechanism"
@@ -29,9 +29,8 @@ _SHARE = 0.5  # what is expected of a term of the inertia, as a share of the ine
 _SHARES, _RATIOS = 5.0, (1e-6, 1e6)  # ranges of such a term, and of inertias to the first one
 _LARGEST = 10.0  # times the root mean square of the accelerations: no single term does more
 _STEADY = 0.01  # share of the largest damping, where it begins
-_POWERS = ("pull", "spring", "quadratic", "cubic")  # forces by the power of the coordinate, from 0
-_FAINT, _LEAST = 1e-3, 1e-6  # of the stiffest spring, where one that relaxes begins and ends
-_FASTEST = 4  # periods in which it has relaxed, at least
+_POWERS = ("pull", "spring", "quadratic")  # forces by the power of the coordinate, from 0
+_CABLE = ("cubic", "rubbing", "maxwell")  # what a spring may do beside
 
 
 class Wave(NamedTuple):
@@ -95,7 +94,6 @@ class Mechanism(MadeForRecords):
             ]
             if c.name not in around:
                 found += _springs(c, largest[k], size[k])
-                found += _relaxing(c, largest[k] / size[k], speed[k] / size[k], records)
         # of terms that can stand for one another the later ones are left out
         found.sort(key=lambda term: term[0])
         return self.restored(coordinates, inputs, [parameter for _, parameter in found])
@@ -115,11 +113,9 @@ class Mechanism(MadeForRecords):
         """
         axes, acting = tuple(coordinates), tuple(inputs)
         of = _functions(axes, acting)
-        names = {p.name for p in parameters}
-        relaxing = tuple(k for k, c in enumerate(axes) if f"{c.name}.maxwell" in names)
         return LagrangianSystem(
             NAME, axes, acting, tuple(parameters), of["kinetic"], of["potential"],
-            of["dissipation"], of["input_map"], _memory(axes, relaxing) if relaxing else None,
+            of["dissipation"], of["input_map"],
         )  # fmt: skip
 
 
@@ -136,6 +132,13 @@ def _either(rank: int, name: str, unit: str, most: float, prior: float | None = 
     return rank, Parameter(name, unit, 0.0, -most, most, prior=prior, optional=True)
 
 
+def _tied(rank: int, name: str) -> Term:
+    """One that is 1 between rigid links, if it is there; minus 1 where an axis is turned round."""
+    usual = (1.0, -1.0)
+    known = Parameter(name, "1", 0.0, -_SHARES, _SHARES, prior=1.0, optional=True, usual=usual)
+    return rank, known
+
+
 def _inertias(coordinates: Sequence[Coordinate]) -> list[Term]:
     """Inertias as shares: the first is the unit, so forces are accelerations."""
     found: list[Term] = []
@@ -146,9 +149,18 @@ def _inertias(coordinates: Sequence[Coordinate]) -> list[Term]:
             _either(wave.rank, f"{c.name}.inertia_{wave.name}", "1", _SHARES, _SHARE)
             for wave in _of_inertia(coordinates, i)
         ]
+        found += [
+            _tied(1 + (k < i), f"{c.name}.inertia_across_{other.name}")
+            for k, other in enumerate(coordinates)
+            if k != i and other.kind == "angular"
+        ]
         for j in range(i + 1, len(coordinates)):
             pair = _pair(c, coordinates[j])
-            found.append(_either(0, pair, "1", _SHARES, _SHARE))
+            if _both_turn(coordinates, i, j):
+                along = f"{c.name}.inertia_along_{coordinates[j].name}"
+                found += [_tied(0, pair), _tied(0, along)]
+            else:
+                found.append(_either(0, pair, "1", _SHARES, _SHARE))
             found += [
                 _either(wave.rank, f"{pair}_{wave.name}", "1", _SHARES, _SHARE)
                 for wave in _of_coupling(coordinates, i, j)
@@ -165,25 +177,15 @@ def _heights(coordinates: Sequence[Coordinate], most: Sequence[float]) -> list[T
 
 
 def _springs(of: Coordinate, most: float, size: float) -> list[Term]:
-    """A constant force, and springs up to a cubic one, of a coordinate."""
-    units = (f"{of.unit}/s^2", "1/s^2", f"1/(s^2 {of.unit})", f"1/(s^2 {of.unit}^2)")
-    ranks = (1, 0, 2, 1)  # one that differs between the sides is special
-    return [
+    """A constant force, a spring with all that it brings, and one that differs by sides."""
+    units = (f"{of.unit}/s^2", "1/s^2", f"1/(s^2 {of.unit})")
+    found = [
         _either(rank, f"{of.name}.{name}", unit, most / size**m)
-        for m, (rank, name, unit) in enumerate(zip(ranks, _POWERS, units, strict=True))
+        for m, (rank, name, unit) in enumerate(zip((1, 0, 2), _POWERS, units, strict=True))
     ]
-
-
-def _relaxing(
-    of: Coordinate, stiff: float, rate: float, records: Sequence[Experiment]
-) -> list[Term]:
-    """A spring that relaxes: not optional, because short segments do not show it."""
-    slowest, fastest = 1 / max(e.seconds for e in records), 1 / (_FASTEST * records[0].dt)
-    begin = min(max(rate, slowest), fastest)
-    return [
-        (0, Parameter(f"{of.name}.maxwell", "1/s^2", _FAINT * stiff, _LEAST * stiff, stiff)),
-        (0, Parameter(f"{of.name}.relaxation", "1/s", begin, slowest, fastest)),
-    ]
+    rank, spring = found[1]
+    found[1] = rank, replace(spring, brings=tuple(f"{law}:{of.name}" for law in _CABLE))
+    return found
 
 
 def _pair(a: Coordinate, b: Coordinate) -> str:
@@ -198,31 +200,43 @@ def _both(name: str, angle: Callable[[Any], Any], rank: int) -> list[Wave]:
     ]
 
 
-def _waves(coordinates: Sequence[Coordinate], k: int, order: int) -> list[Wave]:
-    """Those of an angle, or of its double."""
+def _waves(coordinates: Sequence[Coordinate], k: int) -> list[Wave]:
+    """Those of an angle."""
     if coordinates[k].kind != "angular":
         return []
-    angle = f"{order}{coordinates[k].name}" if order > 1 else coordinates[k].name
-    return _both(f"{{}}_{angle}", lambda q: order * q[k], order - 1)
+    return _both(f"{{}}_{coordinates[k].name}", lambda q: q[k], 0)
+
+
+def _both_turn(coordinates: Sequence[Coordinate], i: int, j: int) -> bool:
+    return coordinates[i].kind == coordinates[j].kind == "angular"
 
 
 def _of_inertia(coordinates: Sequence[Coordinate], i: int) -> list[Wave]:
-    """What the inertia of a coordinate may depend on: all other angles.
+    """What the inertia of a coordinate may depend on by itself: all other angles.
 
-    Those before it are special: coordinates are mostly listed from the base to the tip.
+    Those before it are special: coordinates are mostly listed from the base to the tip. That an
+    inertia depends on an angle and none couples them is special, too.
     """
-    return [
-        wave._replace(rank=wave.rank + (k < i))
-        for k in range(len(coordinates))
-        for order in (1, 2)
-        for wave in (_waves(coordinates, k, order) if k != i else ())
+    angular = [k for k, c in enumerate(coordinates) if c.kind == "angular" and k != i]
+    each = [
+        (k, wave)
+        for k in angular
+        for wave in (
+            *_waves(coordinates, k),
+            Wave(f"sin_2{coordinates[k].name}", lambda q, k=k: jnp.sin(2 * q[k]), 1),
+        )
     ]
+    return [wave._replace(rank=wave.rank + 1 + (k < i)) for k, wave in each]
 
 
 def _of_coupling(coordinates: Sequence[Coordinate], i: int, j: int) -> list[Wave]:
     """What the inertia that couples two coordinates may depend on: angles, and their difference."""
-    found = [wave for k in range(len(coordinates)) for wave in _waves(coordinates, k, 1)]
-    if coordinates[i].kind == coordinates[j].kind == "angular":
+    found = [
+        wave._replace(rank=wave.rank + (k != j))
+        for k in range(len(coordinates))
+        for wave in _waves(coordinates, k)
+    ]
+    if _both_turn(coordinates, i, j):
         found += _both("{}_difference", lambda q: q[i] - q[j], 1)
     return found
 
@@ -238,11 +252,8 @@ def _of_gravity(coordinates: Sequence[Coordinate]) -> list[tuple[int, Wave]]:
     ]
 
 
-@lru_cache(maxsize=64)  # so that equal systems serve the same compiled programs
-def _functions(
-    coordinates: tuple[Coordinate, ...], inputs: tuple[Input, ...]
-) -> dict[str, Callable[..., Any]]:
-    """Energies and forces; they have the terms whose parameters they are given."""
+def _kinetic(coordinates: tuple[Coordinate, ...]) -> Callable[..., Any]:
+    """The kinetic energy: inertias that depend on the angles."""
     names = [c.name for c in coordinates]
     n = len(names)
 
@@ -250,18 +261,41 @@ def _functions(
         each = ((f"{begin}_{wave.name}", wave) for wave in waves)
         return sum(p[name] * wave.of(q) for name, wave in each if name in p)
 
+    def own(i: int, q: Coordinates, p: Values) -> Any:
+        inertia = p[f"{names[i]}.inertia"]
+        total = inertia * (1.0 + share(f"{names[i]}.inertia", _of_inertia(coordinates, i), q, p))
+        for k in range(n):
+            if (across := f"{names[i]}.inertia_across_{names[k]}") in p:
+                total = total + p[f"{names[k]}.inertia"] * p[across] * jnp.sin(q[k]) ** 2
+        return total
+
+    def coupled(i: int, j: int, q: Coordinates, v: Coordinates, p: Values) -> Any:
+        first, second = p[f"{names[i]}.inertia"], p[f"{names[j]}.inertia"]
+        pair, mean = _pair(coordinates[i], coordinates[j]), jnp.sqrt(first * second)
+        steady = second if _both_turn(coordinates, i, j) else mean
+        both = steady * p.get(pair, 0.0)
+        both = both + mean * share(pair, _of_coupling(coordinates, i, j), q, p)
+        along = p.get(f"{names[i]}.inertia_along_{names[j]}", 0.0)
+        bent = mean * share(pair, _waves(coordinates, j), q, p)
+        return both * v[i] * v[j] + along * bent * v[i] ** 2
+
     def kinetic(q: Coordinates, v: Coordinates, p: Values) -> Scalar:
-        """Inertias that depend on the angles."""
-        unit = [p[f"{name}.inertia"] for name in names]
         total = jnp.zeros((), v.dtype)
         for i in range(n):
-            own = 1.0 + share(f"{names[i]}.inertia", _of_inertia(coordinates, i), q, p)
-            total = total + 0.5 * unit[i] * own * v[i] ** 2
+            total = total + 0.5 * own(i, q, p) * v[i] ** 2
             for j in range(i + 1, n):
-                pair = _pair(coordinates[i], coordinates[j])
-                both = p.get(pair, 0.0) + share(pair, _of_coupling(coordinates, i, j), q, p)
-                total = total + jnp.sqrt(unit[i] * unit[j]) * both * v[i] * v[j]
+                total = total + coupled(i, j, q, v, p)
         return total
+
+    return kinetic
+
+
+@lru_cache(maxsize=64)  # so that equal systems serve the same compiled programs
+def _functions(
+    coordinates: tuple[Coordinate, ...], inputs: tuple[Input, ...]
+) -> dict[str, Callable[..., Any]]:
+    """Energies and forces; they have the terms whose parameters they are given."""
+    names = [c.name for c in coordinates]
 
     def potential(q: Coordinates, p: Values) -> Scalar:
         """Gravity and springs."""
@@ -290,28 +324,6 @@ def _functions(
         return jnp.stack([p[f"{c}.inertia"] * a for c, a in zip(names, each, strict=True)])
 
     return {
-        "kinetic": kinetic, "potential": potential, "dissipation": dissipation,
+        "kinetic": _kinetic(coordinates), "potential": potential, "dissipation": dissipation,
         "input_map": input_map,
     }  # fmt: skip
-
-
-@lru_cache(maxsize=64)
-def _memory(coordinates: tuple[Coordinate, ...], relaxing: tuple[int, ...]) -> Memory:
-    """The springs that relax, at some of the coordinates."""
-    names = [c.name for c in coordinates]
-
-    def rate(q: Coordinates, v: Coordinates, z: Internal, p: Values) -> Internal:
-        each = [
-            forces.maxwell_rate(v[k], x, p[f"{names[k]}.relaxation"])
-            for k, x in zip(relaxing, z, strict=True)
-        ]
-        return jnp.stack(each)
-
-    def force(q: Coordinates, v: Coordinates, z: Internal, p: Values) -> Coordinates:
-        each = [jnp.zeros_like(x) for x in v]
-        for k, x in zip(relaxing, z, strict=True):
-            stiffness = p[f"{names[k]}.inertia"] * p[f"{names[k]}.maxwell"]
-            each[k] = forces.maxwell_force(x, stiffness)
-        return jnp.stack(each)
-
-    return Memory(tuple(f"maxwell:{names[k]}" for k in relaxing), rate, force)

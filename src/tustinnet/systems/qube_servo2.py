@@ -31,7 +31,6 @@ GRAVITY = 9.81  # m/s^2
 ARM = -1.0  # the sign of theta in the data, where the direction that a positive voltage drives is +
 SUPPLY = 15.0  # V
 SLOW = 0.1  # rad/s, width of the smoothed sign in the arm's Coulomb friction
-STRAIGHT = 0.01  # rad, width in which the size of a deflection is smooth
 
 
 def kinetic(q: Coordinates, v: Coordinates, p: Values) -> Scalar:
@@ -86,8 +85,7 @@ def damping_and_dry_friction(q: Coordinates, v: Coordinates, p: Values) -> Coord
 
 def damping_and_rubbing(q: Coordinates, v: Coordinates, p: Values) -> Coordinates:
     """The same, and dry friction that grows with the deflection: a cable that is wound rubs."""
-    wound = jnp.sqrt(q[0] ** 2 + STRAIGHT**2)
-    dry = forces.coulomb(v[0], p["cable_friction"] * wound, SLOW)
+    dry = forces.rubbing(q[0], v[0], p["cable_friction"], SLOW)
     return damping_and_dry_friction(q, v, p) + jnp.stack([dry, jnp.zeros_like(dry)])
 
 

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from swinging import CART, DT, SWING, TRUTH, changed, data_set, falls, read_by_encoder, records
+from swinging import CART, DT, SWING, TRUTH, changed, data_set, driven_again, falls, records
 
 import tustinnet as tn
 from tustinnet.families.hybrid import HybridModel
@@ -22,27 +22,13 @@ STRIBECK = {"angle.coulomb": 0.06, "angle.breakaway": 0.1, "angle.stribeck_speed
 RELAXING = {"angle.maxwell": 0.3, "angle.relaxation": 2.0}
 
 
-def simulated(system: LagrangianSystem, values: dict[str, float]) -> list[tn.Experiment]:
-    """The starts and voltages of the other records, through encoders."""
-    model = tn.discretise(
-        system.model({k: jnp.asarray(x) for k, x in (system.nominal() | TRUTH | values).items()}),
-        DT, 8,
-    )  # fmt: skip
-    made = []
-    for e in records():
-        x0 = np.concatenate([e.q[0], e.velocities()[0], np.zeros(len(system.internal))])
-        x = np.asarray(tn.rollout(model, x0, e.u[:-1]))
-        made.append(read_by_encoder(replace(e, q=x[:, :1], v=x[:, 1:2])))
-    return made
-
-
 def recipe(*forces: str, **fixed: float) -> tn.Recipe:
     table = {"kind": "euler-lagrange", "forces": list(forces), "fixed": fixed}
     return tn.read_recipe({"name": "forces", "model": table})
 
 
 def rubbed() -> list[tn.Experiment]:
-    return simulated(with_added(SWING, ["coulomb", "cubic"], records(), {}), RUBBED)
+    return driven_again(with_added(SWING, ["coulomb", "cubic"], records(), {}), RUBBED)
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +50,7 @@ def test_dry_friction_and_a_cubic_spring_are_found_with_the_parameters(found):
     ("force", "truth"), [("stribeck", STRIBECK), ("maxwell:angle", RELAXING)], ids=str
 )
 def test_other_laws_are_found_too(force, truth):
-    made = simulated(with_added(SWING, [force], records(), {}), truth)
+    made = driven_again(with_added(SWING, [force], records(), {}), truth)
     values = {e.name: e.value for e in tn.identify(data_set(made), KNOWN, recipe(force)).estimates}
     assert {name: values[name] for name in truth} == pytest.approx(truth, rel=0.1)
 
@@ -109,7 +95,7 @@ def test_a_hybrids_physics_keeps_its_forces_and_their_internal_states(tmp_path):
 
 
 def test_the_search_begins_at_the_plain_system():
-    forces = ["stribeck", "viscous", "spring", "cubic", "maxwell"]
+    forces = ["stribeck", "viscous", "rubbing", "spring", "cubic", "maxwell"]
     system = with_added(SWING, forces, records(), {})
     at, plain = (s.model({k: jnp.asarray(x) for k, x in s.nominal().items()})
                  for s in (system, SWING))  # fmt: skip
@@ -126,17 +112,14 @@ def test_ranges_grow_with_the_system_and_its_motion():
             for p in SWING.parameters
         ),
     )
-    forces = ["stribeck", "viscous", "spring", "cubic", "maxwell"]
+    forces = ["stribeck", "viscous", "rubbing", "spring", "cubic", "maxwell"]
     usual, large = (
         {p.name: p for p in with_added(s, forces, falls(), {}).parameters if "." in p.name}
         for s in (SWING, strong)
     )
+    same = {f"angle.{n}" for n in ("stribeck_speed", "smooth_speed", "relaxation", "turned")}
     for name, p in usual.items():
-        by = (
-            1.0
-            if name in ("angle.stribeck_speed", "angle.smooth_speed", "angle.relaxation")
-            else 1e6
-        )
+        by = 1.0 if name in same else 1e6
         assert large[name].upper == pytest.approx(by * p.upper)
         assert large[name].nominal == pytest.approx(by * p.nominal)
     slow = [

@@ -71,7 +71,7 @@ def test_terms_nobody_needs_are_left_out_before_holds_are_tried():
     stiffness = values["x.spring"] + values["x.maxwell"]
     assert stiffness == pytest.approx(TRUTH["stiffness"], rel=0.02)
     assert values["x.by_force"] == pytest.approx(1.0, rel=0.02)
-    assert "x.cubic" not in values
+    assert "x.quadratic" not in values
 
 
 def test_other_kinds_of_models_refuse_what_nobody_knows():

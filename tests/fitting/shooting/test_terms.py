@@ -3,9 +3,19 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from swinging import SWING, TILT, TRUTH, changed, data_set, read_by_encoder, records
+from swinging import (
+    SWING,
+    TILT,
+    TRUTH,
+    changed,
+    data_set,
+    driven_again,
+    read_by_encoder,
+    records,
+)
 
 import tustinnet as tn
+from tustinnet.fitting.shooting.forces import with_added
 from tustinnet.models.lagrangian import LagrangianModel, Parameter
 
 PULL = TRUTH["gravity"] / TRUTH["inertia"]  # 1/s^2
@@ -71,3 +81,66 @@ def test_terms_of_a_system_of_ones_own_may_be_optional_too():
     )  # fmt: skip
     assert not any("optional" in f for f in held.findings), "nobody asked for them"
     assert SWING.optional == ()
+
+
+def offering(*parameters: Parameter) -> tn.LagrangianSystem:
+    """The swing, with a spring that may be there and an inertia that may have grown."""
+    base = changed("gain", nominal=TRUTH["gain"], fixed=True)
+    return tn.LagrangianSystem(
+        "offering", base.coordinates, base.inputs, (*base.parameters, *parameters),
+        lambda q, v, p: (p["inertia"] + 0.05 * p.get("more", 0.0)) * v[0] ** 2 / 2,
+        lambda q, p: -p["gravity"] * jnp.cos(q[0] - TILT) + p.get("spring", 0.0) * q[0] ** 2 / 2,
+        base.dissipation, base.input_map,
+    )  # fmt: skip
+
+
+def test_what_is_kept_brings_forces_which_a_file_keeps(tmp_path):
+    truth = {"angle.spring": 0.8, "angle.maxwell": 0.5, "angle.relaxation": 2.0,
+             "angle.turned": 0.0}  # fmt: skip
+    made = driven_again(with_added(SWING, ["spring", "maxwell"], records(), {}), truth)
+    spring = Parameter("spring", "N m/rad", 0.0, -5.0, 5.0, optional=True,
+                       brings=("maxwell:angle",))  # fmt: skip
+    system = offering(spring)
+    found = tn.identify(data_set(made), system, "grey")
+    values = {e.name: e.value for e in found.estimates}
+    assert values["spring"] == pytest.approx(0.8, rel=0.1)
+    assert values["angle.maxwell"] == pytest.approx(0.5, rel=0.1)
+    tn.save(found.model, tmp_path / "model.safetensors")
+    again = tn.load_model(tmp_path / "model.safetensors", system)
+    assert again.internal == ("maxwell:angle",)
+    np.testing.assert_allclose(
+        tn.free_run(again, made[0], "derived-6"),
+        tn.free_run(found.model, made[0], "derived-6"),
+        rtol=1e-6,
+    )
+    without = tn.identify(data_set([read_by_encoder(e) for e in records()]), system, "grey")
+    assert without.system.optional == without.system.added == ()
+
+
+def test_a_usual_value_is_taken_where_records_do_not_say_otherwise():
+    """The inertia of the records is that of the swing and once more a bit of it, or not."""
+    heavy = changed("inertia", nominal=0.1)
+    made = driven_again(heavy, {"inertia": 0.1, "gain": 0.3, "gravity": 3.0, "damping": 0.04})
+    usual = Parameter("more", "1", 0.0, -5.0, 5.0, optional=True, usual=(1.0, 3.0))
+    system = offering(usual)
+    gains = {"name": "known", "model": {"kind": "euler-lagrange", "fixed": {"gain": 0.3}}}
+    found = tn.identify(data_set(made), system, gains)
+    assert found.fixed["more"] == 1.0
+    assert any("more at 1" in f for f in found.findings)
+    free = tn.identify(data_set(made), offering(Parameter("more", "1", 0.0, -5.0, 5.0,
+                       optional=True, usual=(0.9,))), gains)  # fmt: skip
+    assert {e.name: e.value for e in free.estimates}["more"] == pytest.approx(1.0, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"usual": (1.0,)}, "usual values; expected an optional parameter"),
+        ({"brings": ("cubic:angle",)}, "forces that it brings; expected an optional parameter"),
+        ({"usual": (7.0,), "optional": True}, "the usual value 7; expected values within -5..5"),
+        ({"usual": (0.0,), "optional": True}, "the usual value 0; expected values within -5..5"),
+    ],
+)
+def test_what_means_nothing_is_refused(given, told):
+    with pytest.raises(tn.InputError, match=told):
+        Parameter("more", "1", 0.0, -5.0, 5.0, **given)

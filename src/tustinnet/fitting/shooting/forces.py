@@ -13,7 +13,7 @@ from tustinnet.channels import Coordinate
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.inspection import turning_around
 from tustinnet.errors import InputError
-from tustinnet.models.added import LAWS, WHERE, Placed, placed, with_forces
+from tustinnet.models.added import LAWS, WHERE, Placed, needed, placed, with_forces
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Parameter
 
 _MOST = 10.0  # times the largest force that the system has without it
@@ -85,7 +85,9 @@ def with_added(
                 "a coordinate that moves", "name those that do, as LAW:COORDINATE",
             )  # fmt: skip
         found |= {p.name: p for p in _parameters(force, system.coordinates[i], scales[i])}
-    return with_forces(system, tuple(map(str, added)), tuple(found.values()))
+    shared = set(needed(system))  # of forces that were added before
+    new = tuple(p for name, p in found.items() if name not in shared)
+    return with_forces(system, tuple(map(str, added)), new)
 
 
 def _held(
@@ -121,12 +123,15 @@ def _parameters(force: Placed, of: Coordinate, scale: Scale) -> list[Parameter]:
         "stribeck_speed": (f"{of.unit}/s", *(x * slow for x in _STRIBECK)),
         "smooth_speed": (f"{of.unit}/s", slow, slow / _EITHER_WAY, slow * _EITHER_WAY),
         "viscous": (f"{unit} s/{of.unit}", 0.0, 0.0, most / scale.speed),
+        "rubbing": (f"{unit}/{of.unit}", 0.0, 0.0, stiff),
         "spring": (f"{unit}/{of.unit}", 0.0, -stiff, stiff),
         "cubic": (f"{unit}/{of.unit}^3", 0.0, -hard, hard),
         "maxwell": (f"{unit}/{of.unit}", _FAINT * pulled, _LEAST * pulled, pulled),
         "relaxation": (
             "1/s", min(max(scale.speed / scale.travel, slowest), fastest), slowest, fastest,
         ),
+        # between forgotten and just turned there: what was before a record is not in it
+        "turned": ("1", 0.5, 0.0, 1.0),
     }  # fmt: skip
     needs = LAWS[force.law].needs
     return [
