@@ -148,7 +148,8 @@ def driven_again(system: LagrangianSystem, values: dict[str, float]) -> list[tn.
     )  # fmt: skip
     made = []
     for e in records():
-        x0 = np.concatenate([e.q[0], e.velocities()[0], np.zeros(len(system.internal))])
+        begun = jnp.concatenate([jnp.asarray(e.q[0]), jnp.asarray(e.velocities()[0])])
+        x0 = np.concatenate([begun, model.initial_internal(begun)])
         x = np.asarray(tn.rollout(model, x0, e.u[:-1]))
         made.append(read_by_encoder(replace(e, q=x[:, :1], v=x[:, 1:2])))
     return made

@@ -21,7 +21,7 @@ from pydantic import Field, field_validator
 from tustinnet.channels import Channels
 from tustinnet.errors import InputError
 from tustinnet.families.family import Arrays, Family, Header, Hyper
-from tustinnet.models.added import needed, with_forces
+from tustinnet.models.added import needed, placed, with_forces
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Parameter
@@ -159,8 +159,9 @@ class EulerLagrangeFamily(Family):
         continuous = origin.continuous
         assert isinstance(continuous, LagrangianModel)
         known = {p.name for p in system.parameters if p.per is None} | set(hyper.free)
-        if hyper.forces:
-            known |= set(needed(continuous.system))
+        # forces that a term brings are not there yet when a search begins
+        added = placed(continuous.system, hyper.forces)
+        known |= {name for force in added for name in force.needs}
         begin = {n: float(x) for n, x in continuous.values.items() if n in known}
         return hyper.model_copy(update={"begin": begin})
 

@@ -50,8 +50,10 @@ def test_dry_friction_and_a_cubic_spring_are_found_with_the_parameters(found):
     ("force", "truth"), [("stribeck", STRIBECK), ("maxwell:angle", RELAXING)], ids=str
 )
 def test_other_laws_are_found_too(force, truth):
-    made = driven_again(with_added(SWING, [force], records(), {}), truth)
-    values = {e.name: e.value for e in tn.identify(data_set(made), KNOWN, recipe(force)).estimates}
+    rested = {"angle.turned": 0.0} if force.startswith("maxwell") else {}
+    made = driven_again(with_added(SWING, [force], records(), {}), truth | rested)
+    found = tn.identify(data_set(made), KNOWN, recipe(force, **rested))
+    values = {e.name: e.value for e in found.estimates}
     assert {name: values[name] for name in truth} == pytest.approx(truth, rel=0.1)
 
 

@@ -15,6 +15,7 @@ from swinging import (
 )
 
 import tustinnet as tn
+from tustinnet.families.euler_lagrange import EulerLagrangeFamily, EulerLagrangeHyper
 from tustinnet.fitting.shooting.forces import with_added
 from tustinnet.models.lagrangian import LagrangianModel, Parameter
 
@@ -95,8 +96,7 @@ def offering(*parameters: Parameter) -> tn.LagrangianSystem:
 
 
 def test_what_is_kept_brings_forces_which_a_file_keeps(tmp_path):
-    truth = {"angle.spring": 0.8, "angle.maxwell": 0.5, "angle.relaxation": 2.0,
-             "angle.turned": 0.0}  # fmt: skip
+    truth = {"angle.spring": 0.8, "angle.maxwell": 0.5, "angle.relaxation": 2.0}
     made = driven_again(with_added(SWING, ["spring", "maxwell"], records(), {}), truth)
     spring = Parameter("spring", "N m/rad", 0.0, -5.0, 5.0, optional=True,
                        brings=("maxwell:angle",))  # fmt: skip
@@ -113,6 +113,10 @@ def test_what_is_kept_brings_forces_which_a_file_keeps(tmp_path):
         tn.free_run(found.model, made[0], "derived-6"),
         rtol=1e-6,
     )
+    asked = EulerLagrangeHyper(kind="euler-lagrange")
+    begun = EulerLagrangeFamily().beginning(asked, again, system)
+    assert begun.begin["spring"] == pytest.approx(0.8, rel=0.1)
+    assert "angle.maxwell" not in begun.begin, "it is not there when a search begins"
     without = tn.identify(data_set([read_by_encoder(e) for e in records()]), system, "grey")
     assert without.system.optional == without.system.added == ()
 

@@ -20,6 +20,7 @@ _MOST = 10.0  # times the largest force that the system has without it
 _FAINT, _LEAST = 1e-3, 1e-6  # of the largest value, where a force that cannot be 0 begins and ends
 _SMOOTH = 0.02  # of the speed, within which the sign of a dry friction turns
 _EITHER_WAY = 10.0  # times that width and a tenth of it may be asked for
+_FIXED = ("smooth_speed", "turned")  # over whole records they would make up for other errors
 _STRIBECK = (10.0, 2.0, 100.0)  # of it: speeds at which breakaway is forgotten
 _FASTEST = 4  # periods in which a spring that relaxes has done so, at least
 
@@ -135,7 +136,7 @@ def _parameters(force: Placed, of: Coordinate, scale: Scale) -> list[Parameter]:
     }  # fmt: skip
     needs = LAWS[force.law].needs
     return [
-        Parameter(name, *ranges[need], fixed=need == "smooth_speed")
+        Parameter(name, *ranges[need], fixed=need in _FIXED)
         for name, need in zip(force.needs, needs, strict=True)
     ]
 

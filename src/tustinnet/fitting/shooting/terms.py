@@ -18,6 +18,7 @@ _LIMITS = Limits(1e-2, 15)
 _NEEDED = (
     0.1  # share of the cost of groups left out by which it rises without a term that is needed
 )
+_MOST = 3.0  # times the cost of all terms: with few segments, those left out say too little
 _STEPS = (1e-2, 1e-1, 1.0)  # of it: terms that nobody would miss go first
 _WORSE = 1.2  # times the cost that was foreseen: the second-order model did not hold so far
 _HALVES = 2  # times that fewer terms are tried then
@@ -169,7 +170,7 @@ def _not_needed(model: Quadratic, choices: Mapping[int, Sequence[float]]) -> dic
     free, it could make up for a usual value that is wrong.
     """
     given: dict[int, float] = {}
-    lowest = model.cost_left_out(given)
+    lowest, most = model.cost_left_out(given), _MOST * model.cost_of(given)
     plain, tied = (
         [i for i, x in choices.items() if (len(x) > 1) == more] for more in (False, True)
     )
@@ -181,6 +182,7 @@ def _not_needed(model: Quadratic, choices: Mapping[int, Sequence[float]]) -> dic
             for i in sorted(set(some) - given.keys(), reverse=True):
                 costs = {x: model.cost_left_out({**given, i: x}) for x in choices[i][where]}
                 best = min(costs, key=costs.__getitem__)
-                if costs[best] <= (1 + share * _NEEDED) * lowest:
+                fair = model.cost_of({**given, i: best}) <= most
+                if fair and costs[best] <= (1 + share * _NEEDED) * lowest:
                     given[i], lowest, going = best, min(lowest, costs[best]), True
     return given
