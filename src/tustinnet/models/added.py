@@ -166,13 +166,12 @@ def with_forces(
 
 def _require_new(system: LagrangianSystem, added: Sequence[Placed]) -> None:
     """Raises where a parameter or internal state has its name already."""
-    known = dict.fromkeys(system.nominal(), f"the system '{system.name}'")
-    before = needed(system)
+    own = dict.fromkeys(system.nominal(), f"the system '{system.name}'")
+    known, before = dict(own), needed(system)
     for force in added:
         for name in force.needs:
-            shared = name.endswith(f".{_SMOOTH}") and (
-                name in before or name not in system.nominal()
-            )
+            free = name in before or name not in own
+            shared = free and name.endswith(f".{_SMOOTH}")
             if name in known and not shared:
                 raise InputError(
                     WHERE, f"'{force}' brings '{name}', which {known[name]} has already",

@@ -6,7 +6,6 @@ are left out.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -127,16 +126,14 @@ def _sizes(signals: Sequence[np.ndarray]) -> list[float]:
     return [float(x) for x in root_mean_square(np.concatenate(signals))]
 
 
-def _either(rank: int, name: str, unit: str, most: float, prior: float | None = None) -> Term:
+def _either(rank: int, name: str, unit: str, most: float, **known: Any) -> Term:
     """A term that may be missing, and may have either sign."""
-    return rank, Parameter(name, unit, 0.0, -most, most, prior=prior, optional=True)
+    return rank, Parameter(name, unit, 0.0, -most, most, optional=True, **known)
 
 
 def _tied(rank: int, name: str) -> Term:
     """One that is 1 between rigid links, if it is there; minus 1 where an axis is turned round."""
-    usual = (1.0, -1.0)
-    known = Parameter(name, "1", 0.0, -_SHARES, _SHARES, prior=1.0, optional=True, usual=usual)
-    return rank, known
+    return _either(rank, name, "1", _SHARES, prior=1.0, usual=(1.0, -1.0))
 
 
 def _inertias(coordinates: Sequence[Coordinate]) -> list[Term]:
@@ -146,7 +143,7 @@ def _inertias(coordinates: Sequence[Coordinate]) -> list[Term]:
         unit = {"rad": "kg m^2", "m": "kg"}.get(c.unit, f"J s^2/{c.unit}^2")
         found.append((0, Parameter(f"{c.name}.inertia", unit, 1.0, *_RATIOS, fixed=i == 0)))
         found += [
-            _either(wave.rank, f"{c.name}.inertia_{wave.name}", "1", _SHARES, _SHARE)
+            _either(wave.rank, f"{c.name}.inertia_{wave.name}", "1", _SHARES, prior=_SHARE)
             for wave in _of_inertia(coordinates, i)
         ]
         found += [
@@ -160,9 +157,9 @@ def _inertias(coordinates: Sequence[Coordinate]) -> list[Term]:
                 along = f"{c.name}.inertia_along_{coordinates[j].name}"
                 found += [_tied(0, pair), _tied(0, along)]
             else:
-                found.append(_either(0, pair, "1", _SHARES, _SHARE))
+                found.append(_either(0, pair, "1", _SHARES, prior=_SHARE))
             found += [
-                _either(wave.rank, f"{pair}_{wave.name}", "1", _SHARES, _SHARE)
+                _either(wave.rank, f"{pair}_{wave.name}", "1", _SHARES, prior=_SHARE)
                 for wave in _of_coupling(coordinates, i, j)
             ]
     return found
@@ -178,14 +175,12 @@ def _heights(coordinates: Sequence[Coordinate], most: Sequence[float]) -> list[T
 
 def _springs(of: Coordinate, most: float, size: float) -> list[Term]:
     """A constant force, a spring with all that it brings, and one that differs by sides."""
-    units = (f"{of.unit}/s^2", "1/s^2", f"1/(s^2 {of.unit})")
-    found = [
-        _either(rank, f"{of.name}.{name}", unit, most / size**m)
-        for m, (rank, name, unit) in enumerate(zip((1, 0, 2), _POWERS, units, strict=True))
+    brings = tuple(f"{law}:{of.name}" for law in _CABLE)
+    return [
+        _either(1, f"{of.name}.pull", f"{of.unit}/s^2", most),
+        _either(0, f"{of.name}.spring", "1/s^2", most / size, brings=brings),
+        _either(2, f"{of.name}.quadratic", f"1/(s^2 {of.unit})", most / size**2),
     ]
-    rank, spring = found[1]
-    found[1] = rank, replace(spring, brings=tuple(f"{law}:{of.name}" for law in _CABLE))
-    return found
 
 
 def _pair(a: Coordinate, b: Coordinate) -> str:

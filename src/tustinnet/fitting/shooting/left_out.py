@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -53,7 +54,7 @@ class Quadratic:
         gradient, curvature = self._all
         return self._cost(self._steps(given, gradient - self.gradient, curvature - self.curvature))
 
-    @property
+    @cached_property
     def _all(self) -> tuple[np.ndarray, np.ndarray]:
         """Gradient and curvature of all groups together, (1, n_p) and (1, n_p, n_p)."""
         curvature = self.curvature.sum(axis=0) + np.diag(self.held)

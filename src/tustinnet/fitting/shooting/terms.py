@@ -15,9 +15,7 @@ from tustinnet.fitting.shooting.stages import SearchStage, begun_with, run
 _SWINGS = (1, 4)  # lengths of the segments, in quarters of a swing
 _FEWEST = 4  # segments, for records to say something of one another
 _LIMITS = Limits(1e-2, 15)
-_NEEDED = (
-    0.1  # share of the cost of groups left out by which it rises without a term that is needed
-)
+_NEEDED = 0.1  # share of the cost of records left out by which it rises without a needed term
 _MOST = 3.0  # times the cost of all terms: with few segments, those left out say too little
 _STEPS = (1e-2, 1e-1, 1.0)  # of it: terms that nobody would miss go first
 _WORSE = 1.2  # times the cost that was foreseen: the second-order model did not hold so far
