@@ -121,7 +121,7 @@ def test_every_control_has_a_name_and_every_reference_a_target(page):
 
 def test_a_page_says_what_it_is_about(page):
     for text in (
-        "A tustin-net model of angle", "Driven by torque (N m), in steps of 20 ms",
+        "A Tustin-Net model of angle", "Driven by torque (N m), in steps of 20 ms",
         "5 train and validation records, 3 of which it was fitted to", "run", "seed-1",
         "Every sample is drawn", "Copyright (c) 2022 Leon Sorokin", "Made by",
     ):  # fmt: skip

@@ -81,6 +81,7 @@ class EulerLagrangeFamily(Family):
     """Identified systems."""
 
     kind = "euler-lagrange"
+    spelt = "Euler-Lagrange"
     hyper = EulerLagrangeHyper
     trains = False
     needs = frozenset({"system"})

@@ -51,6 +51,7 @@ class Family(ABC):
 
     Attributes:
         kind: its name in recipes and model files.
+        spelt: its name in headings, where that is not `kind`.
         hyper: what the table `[model]` of a recipe may say.
         stage: keys of a training stage beside those that all families know.
         trains: whether it has weights that are trained; else parameters that are identified.
@@ -62,6 +63,7 @@ class Family(ABC):
     """
 
     kind: ClassVar[str]
+    spelt: ClassVar[str] = ""
     hyper: ClassVar[type[Hyper]]
     stage: ClassVar[type[StageKeys]] = StageKeys
     trains: ClassVar[bool] = True

@@ -129,6 +129,7 @@ class GRUFamily(Family):
     """Gated recurrent units."""
 
     kind = "gru"
+    spelt = "GRU"
     hyper = GRUHyper
     model = GRU
 

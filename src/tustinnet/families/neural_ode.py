@@ -75,6 +75,7 @@ class NeuralODEFamily(Family):
     """Neural ODEs."""
 
     kind = "neural-ode"
+    spelt = "neural ODE"
     hyper = NeuralODEHyper
     stage = LayeredStage
     correctable = True

@@ -178,6 +178,7 @@ class TustinNetFamily(Family):
     """Tustin-Nets."""
 
     kind = "tustin-net"
+    spelt = "Tustin-Net"
     hyper = TustinNetHyper
     stage = LayeredStage
     model = TustinNet

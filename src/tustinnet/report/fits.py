@@ -45,10 +45,9 @@ def parameter_table(result: Identification) -> Table:
     rows = [estimate_cells(e) for e in result.estimates]
     rows += [[name, f"{value:.4g}", result.system.parameter(name).unit, "fixed", "", "", ""]
              for name, value in result.fixed.items()]  # fmt: skip
-    title = f"{result.system.name}; standard errors from {error_source(result.trust)}"
-    if result.refined:
-        title += "; value: what the search found, in the model: fitted once more to free runs"
-    return estimates_table(rows, result.refined and result.refined.values, title)
+    refined = result.refined and result.refined.values
+    title = f"{result.system.name}; {estimates_title(result.trust, refined)}"
+    return estimates_table(rows, refined, title)
 
 
 ESTIMATE_COLUMNS = ("parameter", "value", "unit", "std. error", "95 %", "error of J'J", "range")
@@ -77,9 +76,13 @@ def estimate_cells(e: Estimate) -> list[str]:
     ]  # fmt: skip
 
 
-def error_source(trust: str) -> str:
-    """Where standard errors are from that `Identification.trust` names."""
-    return "how the records disagree" if trust == "records" else "J'J"
+def estimates_title(trust: str, refined: Mapping[str, float] | None) -> str:
+    """Where errors are from, as `Identification.trust` names it, and which value is which."""
+    source = "how the records disagree" if trust == "records" else "J'J"
+    title = f"standard errors from {source}"
+    if refined is not None:
+        title += "; value: what the search found, in the model: fitted once more to free runs"
+    return title
 
 
 def place(e: Estimate, value: float) -> float:

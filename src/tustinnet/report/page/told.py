@@ -15,9 +15,9 @@ from tustinnet.fitting.report import Estimate
 from tustinnet.report.comparison import comparison_table
 from tustinnet.report.fits import (
     ESTIMATE_COLUMNS,
-    error_source,
     estimate_cells,
     estimates_table,
+    estimates_title,
     place,
 )
 from tustinnet.report.leaving import left_words
@@ -51,7 +51,8 @@ class Parameters:
 
 def what_it_is(subject: Subject) -> str:
     """What a model is, as a heading."""
-    kind = family_of(subject.model).kind
+    family = family_of(subject.model)
+    kind = family.spelt or family.kind
     return f"{_article(kind)} {kind} model of {listed(_names(subject.model.channels))}"
 
 
@@ -167,7 +168,8 @@ def parameters_of(subject: Subject) -> Parameters | None:
             Estimate(**of | {"interval": of["interval"] and tuple(of["interval"])})
             for of in found["estimates"]
         ]
-        source = error_source(found["trust"])
+        refined = (found.get("refined") or {}).get("values")
+        title = estimates_title(found["trust"], refined)
         fixed = [[name, f"{value:.4g}", units.get(name, ""), "fixed", "", "", ""]
                  for name, value in found["fixed"].items()]  # fmt: skip
     rows = [*map(estimate_cells, estimates), *fixed]
@@ -175,8 +177,7 @@ def parameters_of(subject: Subject) -> Parameters | None:
     for e in estimates:
         low, high = e.interval or (e.value, e.value)
         places.append((place(e, low), place(e, e.value), place(e, high)))
-    table = estimates_table(rows, (found.get("refined") or {}).get("values"))
-    title = f"standard errors from {source}, beside those of J'J"
+    table = estimates_table(rows, refined)
     return Parameters(subject.label, title, table, [*places, *[None] * len(fixed)])
 
 
