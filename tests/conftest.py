@@ -1,6 +1,5 @@
 """Set-up of all tests: double precision, a small system, the measured data where it is at hand."""
 
-import gc
 import os
 import shutil
 from collections.abc import Iterator
@@ -25,27 +24,22 @@ import pytest
 
 import tustinnet as tn
 from tustinnet.fitting.task import Member, make_task
+from tustinnet.simulate.programs import make_room
 from tustinnet.store.run import run_task
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_num_cpu_devices", 2)  # as the command has on a machine with two cores
 
 DT = 0.02
-_MOST_MAPPINGS = 20_000  # of memory in a test process; Linux allows 65,530 and JAX does not ask
+_SHARE = 0.3  # of the room for programs, which one module may take after another
 COUNT = 2 * np.pi / 4096
 
 
 @pytest.fixture(autouse=True, scope="module")
 def _room_for_programs() -> Iterator[None]:
-    """Forgets compiled programs before there are too many: each takes several mappings.
-
-    At the system's limit JAX ends the process by a segmentation fault.
-    """
+    """Forgets compiled programs before there are too many."""
     yield
-    mappings = Path("/proc/self/maps")
-    if mappings.exists() and mappings.read_bytes().count(b"\n") > _MOST_MAPPINGS:
-        jax.clear_caches()
-        gc.collect()
+    make_room(_SHARE)
 
 
 def swing(samples: int, seed: int, *, forced: bool = False) -> tuple[np.ndarray, np.ndarray]:

@@ -16,6 +16,7 @@ from tustinnet.simulate.along import states_along
 from tustinnet.simulate.batches import in_batches
 from tustinnet.simulate.drive import Drive, drives_of
 from tustinnet.simulate.horizon import horizon_samples, pieces
+from tustinnet.simulate.programs import make_room
 from tustinnet.simulate.rollout import rollouts
 from tustinnet.simulate.starts import Start, start_named, start_states
 
@@ -145,6 +146,7 @@ def evaluate(
     """
     experiments, rule, scores = _listed(experiments), _rule(start), []
     samples = horizon_samples(horizon, experiments, rule)
+    make_room()
     runs = free_run(model, experiments, rule, horizon=horizon)
     for e, x in zip(experiments, runs, strict=True):
         q, measured = x[rule.first :, e.channels.position], e.q[rule.first :]

@@ -12,6 +12,7 @@ from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.shooting.identify import identify_task
 from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task, usual_recipe
 from tustinnet.models.contract import Model
+from tustinnet.simulate.programs import make_room
 from tustinnet.systems.files import AnySystem
 
 
@@ -85,6 +86,7 @@ def fit_many(
 
 def fit_task(task: Task, listener: Listener = SILENT) -> list[FitResult]:
     """Fits all members of a task, those that can together."""
+    make_room()
     if task.recipe.family.trains:
         return train_plan(plan(task), listener)
     return [identify_task(task, member, listener) for member in task.members]
