@@ -16,6 +16,8 @@ from tustinnet.simulate.rollout import precision, rollout
 
 FEWEST = 3  # samples that say something of a velocity
 _TURNS = 12  # Levenberg-Marquardt steps; from a parabola 3 or 4 are enough
+_HELD_TURNS = 8  # before them, with internal states held
+_HELD = 30.0  # times as near to the guess as they are kept in the end
 _FIRST_DAMPING = 1e-3
 _RISING = 4  # power of its place among the samples with which one weighs
 _FEW = 5  # samples for each of these powers: what is left must say a velocity, too
@@ -48,9 +50,14 @@ def model_starts(
     Where more than 2.5 standard deviations (root mean square, weighed) are left, the fault is
     the model's, and all samples weigh the same.
 
-    Levenberg-Marquardt with exact derivatives. The result can be differentiated by the
-    model's parameters: its last step is, at the solution, by the theorem of implicit functions
-    without the second derivatives of the residuals (as in Gauss-Newton).
+    Levenberg-Marquardt with exact derivatives, in few turns. Where a hand acted, the parabola may
+    be far from the motion after it, and internal states then grow to explain that, from where the
+    search does not come back in time. So where it explains nothing, it is also begun with internal
+    states that are held near the guess.
+
+    The result can be differentiated by the model's parameters: its last step is, at the solution,
+    by the theorem of implicit functions without the second derivatives of the residuals (as in
+    Gauss-Newton).
 
     Args:
         model: the model.
@@ -70,18 +77,26 @@ def model_starts(
 
 def _one(model: Model, weight: Array, guess: State, u: Drive, q: Array) -> State:
     places = jnp.arange(1, len(q) + 1) / len(q)
-    shares = jnp.stack([places ** min(_RISING, len(q) / _FEW), jnp.ones(len(q))])
+    rising, even = places ** min(_RISING, len(q) / _FEW), jnp.ones(len(q))
+    # the first that explains the samples is taken, or the last
+    most = _HELD_TURNS if model.internal else 0
+    held = jnp.array([0, most, 0] if most else [0, 0])
+    shares = jnp.stack([*[rising] * (len(held) - 1), even])
     weights = shares.astype(guess.dtype)[:, :, None] * weight
 
     # the search itself is not differentiated, only its solution
     of, to, begin, drive, measured = jax.lax.stop_gradient((model, weights, guess, u, q))
 
-    def fitted(to: Array) -> _Fit:
-        return _fitted(lambda x: _residuals(of, to, begin, drive, measured, x), begin)
+    def fitted(to: Array, held: Array) -> _Fit:
+        def residuals(x: State, near: Array) -> Array:
+            errors = _residuals(of, to, begin, drive, measured, x)
+            return jnp.concatenate([errors[: q.size], near * errors[q.size :]])
 
-    fits = jax.vmap(fitted)(to)
-    explained = fits.cost[0] <= _EXPLAINED**2 * q.shape[1] * jnp.sum(shares[0] ** 2)
-    chosen = jnp.where(explained, 0, 1)
+        return _fitted(residuals, begin, held, most)
+
+    fits = jax.vmap(fitted)(to, held)
+    explained = fits.cost <= _EXPLAINED**2 * q.shape[1] * jnp.sum(shares**2, axis=1)
+    chosen = jnp.argmax(explained.at[-1].set(True))
     solution = fits.x[chosen], fits.jacobian[chosen]
     return _with_derivative(solution, model, weights[chosen], guess, u, q)
 
@@ -114,24 +129,39 @@ class _Fit(NamedTuple):
     cost: Array
 
 
-def _fitted(residuals: Callable[[State], Array], begin: State) -> _Fit:
-    """Levenberg-Marquardt."""
+def _fitted(
+    residuals: Callable[[State, Array], Array], begin: State, held: Array, most: int
+) -> _Fit:
+    """Levenberg-Marquardt, so many turns with internal states held, then with free ones.
 
-    def again(x: State) -> tuple[Array, Array]:
-        found = residuals(x)
+    Args:
+        residuals: of a state, and of how near to the guess its internal states are kept.
+        begin: where the search begins.
+        held: turns with internal states held.
+        most: as many turns of these as there can be.
+    """
+    first = jnp.asarray(10 * _FIRST_DAMPING, begin.dtype)
+
+    def again(x: State, near: Array) -> tuple[Array, Array]:
+        found = residuals(x, near)
         return found, found
 
-    def turn(_: Array, carry: tuple[_Fit, State, Array]) -> tuple[_Fit, State, Array]:
+    def turn(i: Array, carry: tuple[_Fit, State, Array]) -> tuple[_Fit, State, Array]:
         best, tried, damping = carry
-        jacobian, found = jax.jacfwd(again, has_aux=True)(tried)
+        # from the first free turn on costs are others: what was best is tried again
+        fresh = i == held
+        best = best._replace(cost=jnp.where(fresh, jnp.inf, best.cost))
+        tried, damping = jnp.where(fresh, best.x, tried), jnp.where(fresh, first, damping)
+        near = jnp.where(i < held, _HELD, 1.0).astype(begin.dtype)
+        jacobian, found = jax.jacfwd(again, has_aux=True)(tried, near)
         there = _Fit(tried, found, jacobian, jnp.sum(found**2))
-        better = there.cost < best.cost
+        better = (there.cost < best.cost) & (i <= held + _TURNS)
         best = jax.tree.map(lambda yes, no: jnp.where(better, yes, no), there, best)
         damping = jnp.where(better, damping / 10, damping * 10)
         return best, best.x - _step(best.jacobian, best.residuals, damping), damping
 
     # the beginning is what is tried first, so that the model is written into the program once
-    shape = jax.eval_shape(residuals, begin)
+    shape = jax.eval_shape(residuals, begin, first)
     nothing = jnp.zeros(shape.shape, shape.dtype)
     unknown = _Fit(
         begin,
@@ -139,8 +169,7 @@ def _fitted(residuals: Callable[[State], Array], begin: State) -> _Fit:
         jnp.zeros((*shape.shape, len(begin)), shape.dtype),
         jnp.full((), jnp.inf, shape.dtype),
     )
-    damping = jnp.asarray(10 * _FIRST_DAMPING, begin.dtype)
-    return jax.lax.fori_loop(0, 1 + _TURNS, turn, (unknown, begin, damping))[0]
+    return jax.lax.fori_loop(0, most + 1 + _TURNS, turn, (unknown, begin, first))[0]
 
 
 def _step(jacobian: Array, r: Array, damping: Array) -> State:
