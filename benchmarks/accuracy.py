@@ -1,11 +1,17 @@
 """Where the error of a model is, and what a recipe reaches on records that it never saw.
 
     python benchmarks/accuracy.py split FOLDER MODEL [MODEL ...]
+    python benchmarks/accuracy.py starts FOLDER RUN CANDIDATE
     python benchmarks/accuracy.py variants FOLDER [--start START ...]
 
 `split` runs free over the validation records and tells the error by coordinate, by time and by
 start; of a grey-box model also by cause: how much of it one parameter takes away that is chosen
 anew for every record.
+
+`starts` tells what the start `file` alone costs. RUN is a finished selection (`tustinnet fit FOLDER
+--out RUN`). Each record is simulated by a model that never saw it: from `file`, and from a state
+fitted to 40 samples. Were that state and that model right, the distance between both free runs
+would be the error from `file`.
 
 `variants` cross-validates `best-grey` with every piece of physics in `grey_variants.py`, and with
 the input shifted by half a sample. Recipes are cross-validated by `tustinnet cross-validate`.
@@ -13,6 +19,7 @@ the input shifted by half a sample. Recipes are cross-validated by `tustinnet cr
 
 import argparse
 import itertools
+import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -31,6 +38,7 @@ from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.report.fits import folds_table
 from tustinnet.report.tables import Table, number
+from tustinnet.selection.jobs import SCORES
 
 STARTS = ("file", "model-10", "model-20", "model-80")
 TIMES = (0.0, 1.0, 3.0, 6.0, np.inf)  # s
@@ -72,6 +80,27 @@ def split(args: argparse.Namespace) -> None:
             print(by_cause(model, held).markdown())
 
 
+def starts(args: argparse.Namespace) -> None:
+    """What a model without errors would miss, begun at what is stored."""
+    records = {e.name: e for e in tn.load(args.folder)}
+    found: dict[str, list[list[float]]] = {}
+    for job in sorted((args.run / "candidates" / args.candidate).glob(f"*/{SCORES}")):
+        for scored in json.loads(job.read_text())["result"]["scores"]:
+            model = tn.load_model(args.run / scored["model"])
+            held = [records[name] for name in next(iter(scored["rmse"].values()))]
+            stored, fitted = (tn.evaluate(model, held, start) for start in ("file", "model-40"))
+            for e, a, b in zip(held, stored, fitted, strict=True):
+                far = (a.simulated - b.simulated)[:, : e.q.shape[1]]
+                apart = float(np.sqrt(np.mean(np.sum(far**2, axis=1))))
+                row = [a.rmse, b.rmse, apart, np.hypot(b.rmse, apart)]
+                found.setdefault(e.name, []).append(row)
+    means = {name: np.mean(rows, axis=0) for name, rows in sorted(found.items())}
+    means["mean"] = np.mean(list(means.values()), axis=0)
+    rows = [[name, *map(number, values)] for name, values in means.items()]
+    columns = ["record", "file", "model-40", "start file alone", "both, as independent errors"]
+    print(Table(columns, rows, title=args.candidate).markdown())
+
+
 def by_time(e: tn.Experiment, score: Score) -> list[str]:
     """RMSE within spans of time."""
     square = np.sum((score.simulated[:, : e.q.shape[1]] - e.q) ** 2, axis=1)
@@ -106,12 +135,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     verbs = parser.add_subparsers(required=True)
     verb: Callable[[argparse.Namespace], None]
-    for verb in (split, variants):
+    for verb in (split, starts, variants):
         sub = verbs.add_parser(verb.__name__)
         sub.add_argument("folder", type=Path)
         sub.set_defaults(verb=verb)
         if verb is split:
             sub.add_argument("models", nargs="+", type=Path)
+        if verb is starts:
+            sub.add_argument("run", type=Path)
+            sub.add_argument("candidate")
         if verb is variants:
             sub.add_argument("--start", action="append", default=[])
     args = parser.parse_args()
