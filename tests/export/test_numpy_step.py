@@ -74,6 +74,17 @@ def test_a_linear_map_beside_the_network_counts():
     np.testing.assert_array_equal(silent[2:4], x[2:4])
 
 
+@pytest.mark.parametrize("options", [{}, {"linear": True}])
+def test_an_odd_network_is_odd_here_as_well(options):
+    model = network((SLIDE, ARM), odd=True, relaxation_times=(0.1,), **options)
+    if options:
+        beside = random_affine(*model.network.shape, jax.random.key(2))
+        model = with_dtype(eqx.tree_at(lambda m: m.network.bypass, model, beside), np.float64)
+    x, u = np.linspace(0.1, 0.6, 6), np.ones(1)
+    expected = model.step(jnp.asarray(x), jnp.asarray(u))
+    np.testing.assert_allclose(tn.numpy_step(model)(x, u), expected, rtol=1e-12)
+
+
 def test_single_precision_stays_single_and_inputs_are_left_alone():
     step = tn.numpy_step(network((ARM, ELBOW)), np.float32)
     x, u = np.ones(4, np.float32), np.ones(1, np.float32)

@@ -20,6 +20,7 @@ from tustinnet.models.blocks import (
 )
 from tustinnet.models.contract import require_fit, with_dtype
 from tustinnet.simulate.along import states_along
+from tustinnet.simulate.rollout import rollouts
 
 MIXED = (tn.Coordinate("cart", "linear"), tn.Coordinate("pole", "angular"))
 FORCE = (tn.Input("force", "N"),)
@@ -219,3 +220,47 @@ def test_a_linear_map_beside_the_network_begins_as_least_squares_say(pendulum, t
     again = tn.load_model(tmp_path / "m.safetensors")
     np.testing.assert_array_equal(again.step(x[0], u[0]), model.step(x[0], u[0]))
     assert model.network.bypass in model.network.layers_from(1)
+
+
+def test_an_odd_network_accelerates_a_mirrored_mechanism_to_the_other_side(tmp_path):
+    model = with_dtype(network(odd=True, stem=3), np.float64)
+    x, u = jnp.array([0.4, -2.0, 1.0, 0.5]), jnp.array([0.7])
+    np.testing.assert_allclose(model.step(-x, -u), -model.step(x, u), rtol=1e-12)
+    assert float(jnp.abs(model.acceleration(x, u)).min()) > 1e-3
+    np.testing.assert_allclose(model.folded().step(x, u), model.step(x, u), rtol=1e-12)
+    tn.save(model, tmp_path / "m.safetensors")
+    again = tn.load_model(tmp_path / "m.safetensors")
+    np.testing.assert_array_equal(again.step(x, u), model.step(x, u))
+
+
+def test_an_odd_network_has_no_bias_of_its_output():
+    with pytest.raises(tn.InputError, match="odd, with a bias"):
+        network(odd=True, output_bias=True)
+
+
+def test_an_odd_network_trains_as_its_gradient_says():
+    model = with_dtype(network(odd=True, linear=True), np.float64)
+    x = jnp.array([[0.4, -2.0, 1.0, 0.5], [0.1, 0.3, -0.2, 2.0]])
+    u = jnp.full((2, 7, 1), 0.7)
+    together = jax.grad(lambda m: jnp.sum(rollouts(m, x, u) ** 2))(model)
+    alone = jax.grad(lambda m: jnp.sum(jax.vmap(lambda *of: tn.rollout(m, *of))(x, u) ** 2))(model)
+    for ours, plain in zip(jax.tree.leaves(together), jax.tree.leaves(alone), strict=True):
+        np.testing.assert_allclose(ours, plain, rtol=1e-10, atol=1e-14)
+
+
+def test_a_linear_map_beside_an_odd_network_is_fitted_to_the_odd_features(pendulum):
+    train = tuple(e[:60] for e in pendulum.split("train"))
+    changes = ["model.linear=true", "model.hidden=[4]", "model.odd=true"]
+    recipe = tn.read_recipe("standard", changes)
+    model = recipe.family.builder(recipe.model, train, "stencil", None)(jax.random.key(0))
+    assert isinstance(model, TustinNet)
+    beside = model.network.bypass
+    assert beside is not None
+    cosines = slice(1, 2)
+    np.testing.assert_allclose(np.asarray(beside.weight)[:, cosines], 0.0, atol=1e-6)
+    np.testing.assert_array_equal(np.asarray(beside.bias), 0.0)
+    x = jnp.asarray(np.concatenate([e.measured_states("stencil")[:-1] for e in train]))
+    u = jnp.asarray(np.concatenate([e.held_inputs for e in train]))
+    change = np.concatenate([np.diff(e.velocities("stencil"), axis=0) for e in train])
+    left = change - model.dt * np.asarray(jax.vmap(model.acceleration)(x, u))
+    assert left.std() < 0.5 * change.std()

@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 import jax
 import jax.numpy as jnp
-from pydantic import AfterValidator, Field, field_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from tustinnet.channels import Channels
 from tustinnet.families.family import (
@@ -12,7 +12,6 @@ from tustinnet.families.family import (
     MOST_UNITS,
     Arrays,
     Hyper,
-    LayeredStage,
     filled,
 )
 from tustinnet.models.blocks import Layers, Network, Scaling, feature_count, random_network
@@ -27,6 +26,8 @@ class NetworkHyper(Hyper):
         stem: units of an affine layer before them, trained unfolded, or none.
         activation: leaky_relu, relu, tanh, silu or softplus.
         output_bias: whether the output layer has a bias.
+        odd: whether its output changes its sign with positions, velocities and inputs: for
+            mechanisms that are the same to both sides of zero.
         scaling: a name of the registry; `records` learns all units from the training records.
     """
 
@@ -36,6 +37,7 @@ class NetworkHyper(Hyper):
     stem: int | None = Field(default=None, gt=0, le=MOST_UNITS)
     activation: Literal["leaky_relu", "relu", "tanh", "silu", "softplus"] = "leaky_relu"
     output_bias: bool = False
+    odd: bool = False
     scaling: str = "records"
 
     @field_validator("scaling")
@@ -45,10 +47,16 @@ class NetworkHyper(Hyper):
             raise ValueError(f"no scaling '{scaling}'; known: {', '.join(SCALINGS.names())}")
         return scaling
 
+    @model_validator(mode="after")
+    def _bias_counts(self) -> "NetworkHyper":
+        if self.odd and self.output_bias:
+            raise ValueError("an odd network has no `output_bias`: leave one out")
+        return self
+
     @property
     def layers(self) -> dict[str, Any]:
         """The same as `Layers` takes it."""
-        return self.model_dump(include={"hidden", "stem", "activation", "output_bias"})
+        return self.model_dump(include={"hidden", "stem", "activation", "output_bias", "odd"})
 
 
 def _distinct(taps: tuple[int, ...]) -> tuple[int, ...]:
@@ -69,6 +77,7 @@ def structure_of(network: Network) -> dict[str, Any]:
         "activation": network.activation,
         "output_bias": network.output.bias is not None,
         "linear": network.bypass is not None,
+        "odd": network.odd,
     }
 
 
@@ -79,7 +88,8 @@ def network_from(
     taps = len(structure.get("input_taps", ())) or 1
     seen = feature_count(channels, memory, taps)
     keys = ("hidden", "stem", "activation", "output_bias")
-    layers = Layers(**{k: structure[k] for k in keys}, linear=structure.get("linear", False))
+    later = {k: structure.get(k, False) for k in ("linear", "odd")}
+    layers = Layers(**{k: structure[k] for k in keys}, **later)
 
     def make() -> Network:
         scaling = blank_scaling(channels, memory)
@@ -94,6 +104,8 @@ def network_shown(structure: dict[str, Any], arrays: Arrays) -> list[tuple[str, 
     told = f"hidden {structure['hidden']}, {structure['activation']}, output {bias} bias"
     if structure.get("linear"):
         told += ", beside a linear map"
+    if structure.get("odd"):
+        told += ", odd"
     return [("network", told), units_shown(arrays)]
 
 
@@ -111,7 +123,16 @@ def blank_scaling(channels: Channels, memory: int = 0) -> Scaling:
     return Scaling(*(jnp.zeros(n, jnp.float32) for n in sizes))
 
 
-def check_frozen(hyper: NetworkHyper, stage: LayeredStage) -> None:
-    """Raises `ValueError` where a stage freezes more hidden layers than there are."""
+def check_stage(hyper: NetworkHyper, stage: Any) -> None:
+    """Raises `ValueError` where a stage asks for what the network does not have or need.
+
+    Args:
+        hyper: the network.
+        stage: a stage of a recipe: `LayeredStage` and the keys that all families know.
+    """
     if not 0 <= stage.frozen_layers <= len(hyper.hidden):
         raise ValueError(f"freezes {stage.frozen_layers} of {len(hyper.hidden)} hidden layers")
+    if hyper.odd and stage.mirror:
+        raise ValueError(
+            "`mirror` says of the windows what `odd` says of the network: leave one out"
+        )

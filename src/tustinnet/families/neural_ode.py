@@ -21,7 +21,7 @@ from tustinnet.families.family import (
 )
 from tustinnet.families.networks import (
     NetworkHyper,
-    check_frozen,
+    check_stage,
     network_from,
     network_shown,
     structure_of,
@@ -100,8 +100,8 @@ class NeuralODEFamily(Family):
         return build
 
     def check(self, hyper: NeuralODEHyper, stage: LayeredStage) -> None:
-        """No more layers can be frozen than there are."""
-        check_frozen(hyper, stage)
+        """Frozen layers exist, and windows are not mirrored for an odd network."""
+        check_stage(hyper, stage)
 
     def trainable(self, model: Any, stage: LayeredStage) -> PyTree:
         """The layers that are not frozen."""

@@ -27,7 +27,7 @@ from tustinnet.families.family import (
 from tustinnet.families.networks import (
     InputTaps,
     NetworkHyper,
-    check_frozen,
+    check_stage,
     network_from,
     network_shown,
     structure_of,
@@ -207,8 +207,8 @@ class TustinNetFamily(Family):
         return lambda key: eqx.tree_at(lambda m: m.network.bypass, build(key).silent(), linear)
 
     def check(self, hyper: TustinNetHyper, stage: LayeredStage) -> None:
-        """No more layers can be frozen than there are."""
-        check_frozen(hyper, stage)
+        """Frozen layers exist, and windows are not mirrored for an odd network."""
+        check_stage(hyper, stage)
 
     def trainable(self, model: TustinNet, stage: LayeredStage) -> PyTree:
         """The layers that are not frozen."""
@@ -270,16 +270,26 @@ def _least_squares(
     model: TustinNet, experiments: Sequence[Experiment], velocity: VelocitySource
 ) -> Affine:
     """The affine map of the features that says the velocities' changes along records best."""
-    of, scaling = model.channels, model.network.scaling
+    of, network = model.channels, model.network
     states = states_along(model, experiments, velocity)
     drives = [np.asarray(drive_of(model, e).u) for e in experiments]
-    features = jax.vmap(lambda x, u: scaling.features(of, x, model.tapped(u)))
+
+    def told(x: State, u: Drive) -> Array:
+        features, u = network.scaling.features, model.tapped(u)
+        if not network.odd:
+            return features(of, x, u)
+        return (features(of, x, u) - features(of, -x, -u)) / 2
+
     seen = np.concatenate(
-        [np.asarray(features(x[:-1], u)) for x, u in zip(states, drives, strict=True)]
+        [
+            np.asarray(jax.vmap(told)(jnp.asarray(x[:-1]), jnp.asarray(u)))
+            for x, u in zip(states, drives, strict=True)
+        ]
     )
     change = np.concatenate([np.diff(x[:, of.velocity], axis=0) for x in states])
-    said = change / of.dt / np.asarray(scaling.acceleration)
-    found = np.linalg.lstsq(np.column_stack([seen, np.ones(len(seen))]), said, rcond=None)[0]
+    said = change / of.dt / np.asarray(network.scaling.acceleration)
+    constant = np.full(len(seen), 0.0 if network.odd else 1.0)
+    found = np.linalg.lstsq(np.column_stack([seen, constant]), said, rcond=None)[0]
     weight, bias = (jnp.asarray(a, jnp.float32) for a in (found[:-1].T, found[-1]))
     return Affine(weight, bias)
 
@@ -342,7 +352,9 @@ def _numpy_layers(
     beside = np.zeros((channels.n_q, len(unit)))
     if network.bypass is not None:
         weight, bias = plain(network.bypass, first=True)
-        beside, offset = gain[:, None] * weight, offset + gain * bias
+        beside = gain[:, None] * weight
+        if not network.odd:
+            offset = offset + gain * bias
     return layers, last, offset.astype(dtype), beside.astype(dtype)
 
 
@@ -364,6 +376,17 @@ def _numpy_step(model: TustinNet, dtype: type[np.floating]) -> NumpyStep:
         for z, v in ((1.0, 0.0), (0.0, 1.0))
     )
 
+    def said(features: Vector) -> Vector:
+        z = features
+        for weight, bias in layers:
+            z = weight @ z
+            z += bias
+            activate(z)
+        change = last @ z
+        if bypassed:
+            change += beside @ features
+        return change
+
     def step(x: Vector, u: Vector) -> Vector:
         features = np.empty(width + taps * n_u, dtype)
         angle = x[:n_q] if not n_l else x[angles]
@@ -374,17 +397,16 @@ def _numpy_step(model: TustinNet, dtype: type[np.floating]) -> NumpyStep:
         v = x[velocity]
         features[positions:width] = x[n_q:]
         features[width:] = u if taps == 1 else np.tile(u, taps)
-        z = features
-        for weight, bias in layers:
-            z = weight @ z
-            z += bias
-            activate(z)
+        change = said(features)
+        if network.odd:  # all but the cosines of the opposite state are opposite
+            np.negative(features, out=features)
+            features[n_a : 2 * n_a] *= -1
+            change -= said(features)
+            change /= 2
         following = np.empty(2 * n_q + n_z, dtype)
         v_next = following[velocity]
-        np.add(last @ z, v, out=v_next)
+        np.add(change, v, out=v_next)
         v_next += offset
-        if bypassed:
-            v_next += beside @ features
         np.add(v, v_next, out=following[:n_q])
         if n_z:
             mean = np.tile(following[:n_q] / 2, len(times))

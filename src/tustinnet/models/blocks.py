@@ -134,6 +134,8 @@ class Network(eqx.Module):
         scaling: units of what it sees and says.
         activation: name of sigma, a key of `ACTIVATIONS`.
         bypass: an affine map of the features that is added to the output, or None.
+        odd: whether it says `(f(x, u) - f(-x, -u)) / 2` of these layers `f`: a symmetric mechanism
+            turned to the other side accelerates to the other side.
     """
 
     stem: Affine | None
@@ -142,6 +144,7 @@ class Network(eqx.Module):
     scaling: Scaling
     activation: str = eqx.field(static=True)
     bypass: Affine | None = None
+    odd: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self) -> None:
         if self.activation not in ACTIVATIONS:
@@ -150,6 +153,8 @@ class Network(eqx.Module):
             )
         if not self.hidden:
             raise InputError("hidden layers", "none", "at least one")
+        if self.odd and self.output.bias is not None:
+            raise InputError("network", "odd, with a bias of the output", "one of both")
         layers = [*([self.stem] if self.stem else []), *self.hidden, self.output]
         for before, layer in pairwise(layers):
             if layer.weight.shape[1] != before.weight.shape[0]:
@@ -169,8 +174,14 @@ class Network(eqx.Module):
         self, channels: Channels, x: Float[Array, " n_x"], u: Float[Array, "*taps n_u"]
     ) -> Float[Array, " n_out"]:
         """What it says of a state and an input, in its own units."""
+        said = self._said(self.scaling.features(channels, x, u))
+        if not self.odd:
+            return said
+        return (said - self._said(self.scaling.features(channels, -x, -u))) / 2
+
+    def _said(self, features: Float[Array, " n_0"]) -> Float[Array, " n_out"]:
         sigma = ACTIVATIONS[self.activation]
-        z = features = self.scaling.features(channels, x, u)
+        z = features
         if self.stem is not None:
             z = self.stem(z)
         for layer in self.hidden:
@@ -217,6 +228,7 @@ class Layers:
         activation: a key of `ACTIVATIONS`.
         output_bias: whether the output layer has a bias (the paper: no).
         linear: whether an affine map of the features is added to the output, at first zero.
+        odd: whether the network is odd, see `Network`.
     """
 
     hidden: Sequence[int] = (100, 100)
@@ -224,6 +236,7 @@ class Layers:
     activation: str = "leaky_relu"
     output_bias: bool = False
     linear: bool = False
+    odd: bool = False
 
     def __post_init__(self) -> None:
         hidden, stem = tuple(self.hidden), self.stem
@@ -257,6 +270,7 @@ def random_network(
         scaling=scaling,
         activation=layers.activation,
         bypass=random_affine(seen, said, keys[-1]).zeros() if layers.linear else None,
+        odd=layers.odd,
     )
 
 
