@@ -12,7 +12,7 @@ from tustinnet.fitting.shooting.least_squares import Cost, Fitted, Limits, Prior
 from tustinnet.fitting.shooting.normal import Shape
 from tustinnet.fitting.shooting.segments import Cut, Segments, cut
 from tustinnet.fitting.shooting.space import make_space
-from tustinnet.fitting.shooting.uncertainty import Uncertainty, uncertainty
+from tustinnet.fitting.shooting.uncertainty import Uncertainty, lag_correlation, uncertainty
 
 SPACE = make_space(SWING, {}, {})
 SIZE = 0.01
@@ -140,3 +140,10 @@ def test_priors_make_errors_smaller():
     loose = uncertainty(fitted.normal, pieces, np.zeros(3), every)
     known = uncertainty(fitted.normal, pieces, np.array([1e3, 0.0, 0.0]), every)
     assert known.naive[0, 0] < loose.naive[0, 0] / 100
+
+
+def test_residuals_of_a_simulation_that_ran_away_do_not_overflow():
+    slow = np.array([[1.0], [1.0], [1.0], [1.0]])
+    away = np.array([[1.0], [1e200], [np.inf], [np.nan]])
+    np.testing.assert_array_equal(lag_correlation([slow]), [1.0])
+    np.testing.assert_allclose(lag_correlation([slow, away]), [3 / 4])

@@ -12,7 +12,7 @@ from tustinnet.fitting.report import Disagreement, Estimate, Identification, Str
 from tustinnet.fitting.shooting.least_squares import Fitted
 from tustinnet.fitting.shooting.segments import Segments, beginning
 from tustinnet.fitting.shooting.space import Space
-from tustinnet.fitting.shooting.uncertainty import Uncertainty, lag_correlation
+from tustinnet.fitting.shooting.uncertainty import Uncertainty, bounded, lag_correlation
 from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import LagrangianSystem
 
@@ -250,10 +250,10 @@ def _residuals(found: Found) -> tuple[Float[np.ndarray, " n_y"], float | None]:
 
     Of records without counts it is 0 where the model fits them exactly.
     """
-    errors = [np.nan_to_num(x, posinf=0.0, neginf=0.0) for x in found.fitted.normal.error]
+    errors = found.fitted.normal.error
     lag = lag_correlation(errors)
     counts = found.records[0].channels.resolution
-    sizes = np.sqrt(np.mean(np.concatenate(errors)[:, : len(counts)] ** 2, axis=0))
+    sizes = np.sqrt(np.mean(np.concatenate(bounded(errors))[:, : len(counts)] ** 2, axis=0))
     if not np.all(counts > 0):
         motion = np.concatenate([e.q for e in found.records]).std(axis=0)
         return lag, 0.0 if np.all(sizes < _EXACT * motion) else None

@@ -13,6 +13,7 @@ from tustinnet.fitting.shooting.segments import Segments
 
 FEWEST_RECORDS = 4  # fewer say too little about how records differ
 CONFIDENCE = 0.95
+_ENDLESS = 1e100  # residuals that cannot be squared and summed
 
 
 @dataclass(frozen=True)
@@ -110,10 +111,16 @@ def uncertainty(
     )
 
 
+def bounded(errors: Sequence[Float[np.ndarray, "_ n_y"]]) -> list[Float[np.ndarray, "_ n_y"]]:
+    """Residuals; where a simulation ran away, so far that squares overflow, they are 0."""
+    return [np.where(np.abs(x) < _ENDLESS, x, 0.0) for x in errors]
+
+
 def lag_correlation(errors: Sequence[Float[np.ndarray, "_ n_y"]]) -> Float[np.ndarray, " n_y"]:
     """Correlation of residuals from one sample to the next, pooled over records, not centred."""
+    known = bounded(errors)
     before, after = (
-        np.concatenate([x[part] for x in errors]) for part in (slice(-1), slice(1, None))
+        np.concatenate([x[part] for x in known]) for part in (slice(-1), slice(1, None))
     )
     power = np.sum(before**2, axis=0)
     return np.divide(
