@@ -21,6 +21,7 @@ from tustinnet.models.blocks import (
 from tustinnet.models.contract import require_fit, with_dtype
 from tustinnet.simulate.along import states_along
 from tustinnet.simulate.rollout import rollouts
+from tustinnet.store.model_file import shown
 
 MIXED = (tn.Coordinate("cart", "linear"), tn.Coordinate("pole", "angular"))
 FORCE = (tn.Input("force", "N"),)
@@ -202,6 +203,60 @@ def test_the_network_sees_internal_states_in_their_unit(pendulum):
 def test_relaxation_times_are_positive(time):
     with pytest.raises(tn.InputError, match="relaxation times"):
         network(relaxation_times=(time,))
+
+
+def remembering(**changed) -> TustinNet:
+    """Two relaxation times; the cart rests at 1 m, the pole hangs."""
+    options = {
+        "relaxation_times": (0.2, 1.0), "remembered": 0.5, "rest": jnp.array([1.0, jnp.pi]),
+    } | changed  # fmt: skip
+    own = {key: options.pop(key) for key in ("remembered", "rest")}
+    memory = 2 * len(options["relaxation_times"])
+    scaling = dataclasses.replace(unit_scaling(MIXED, 1), memory=0.1 * jnp.arange(1.0, memory + 1))
+    channels = tn.Channels(MIXED, FORCE, 0.01)
+    net = random_tustin_net(channels, scaling, jax.random.key(0), hidden=(5,), **options)
+    return dataclasses.replace(net, **own)
+
+
+def test_internal_states_begin_with_a_share_of_the_way_from_rest():
+    model = with_dtype(remembering(), np.float64)
+    lifted = jnp.array([1.4, -3.0, 0.7, 0.2])  # beyond the bottom the way round is the short one
+    expected = [0.2, (np.pi - 3.0) / 2] * 2
+    np.testing.assert_allclose(model.initial_internal(lifted), expected, rtol=1e-6)
+    np.testing.assert_array_equal(model.beginning(lifted)[:4], lifted)
+    np.testing.assert_allclose(model.folded().beginning(lifted)[4:], expected, rtol=1e-6)
+    np.testing.assert_allclose(model.internal_spread, [0.1, 0.2, 0.3, 0.4], rtol=1e-6)
+    forgetful = remembering(remembered=0.0, rest=None)
+    assert not np.asarray(forgetful.initial_internal(lifted)).any()
+
+
+def test_what_is_remembered_is_kept_in_the_file(tmp_path):
+    model = remembering()
+    tn.save(model, tmp_path / "m.safetensors")
+    again = tn.load_model(tmp_path / "m.safetensors")
+    assert isinstance(again, TustinNet)
+    assert again.remembered == 0.5
+    np.testing.assert_array_equal(again.rest, model.rest)
+    told = dict(shown(tmp_path / "m.safetensors")[1])
+    assert told["memory"] == "relaxing in 0.2 s, 1 s; begins with 0.5 of the way from (1, 3.14)"
+
+
+@pytest.mark.parametrize("changed", [{"rest": None}, {"remembered": 0.0}, {"relaxation_times": ()}])
+def test_a_share_needs_memory_and_rest(changed):
+    with pytest.raises(tn.InputError, match="remembered"):
+        remembering(**changed)
+
+
+def test_a_recipe_with_memory_remembers_half_unless_it_says_otherwise(pendulum):
+    train = tuple(e[:60] for e in pendulum.split("train"))
+    for said, share in (([], 0.5), (["model.remembered=0.2"], 0.2), (["model.remembered=0"], 0.0)):
+        recipe = tn.read_recipe("standard", ["model.memory=[0.2]", "model.hidden=[4]", *said])
+        model = recipe.family.builder(recipe.model, train, "stencil", None)(jax.random.key(0))
+        assert isinstance(model, TustinNet)
+        x = jnp.array([0.9, 0.0])
+        rest = np.median(np.concatenate([e.q for e in train]))
+        expected = share * (0.9 - rest)
+        np.testing.assert_allclose(model.initial_internal(x), [expected], rtol=1e-5, atol=1e-9)
 
 
 def test_a_linear_map_beside_the_network_begins_as_least_squares_say(pendulum, tmp_path):

@@ -140,6 +140,8 @@ def test_a_change_that_cannot_be_made_is_refused_by_name(change, told):
         ("grey", "search.tolerance=inf", r"search\.tolerance: .*finite"),
         ("grey", "model.fixed.gain=nan", r"model\.fixed\.gain"),
         ("best-tustin", "model.odd=true", r"stage .*`mirror` says .* `odd`"),
+        ("best-tustin", "model.remembered=0.5", "`remembered` is of internal states"),
+        ("best-tustin", "model.remembered=1.5", "less than or equal to 1"),
         ("oscillator", "model.odd=true", "an odd network has no `output_bias`"),
         ("best-hybrid", "model.correction.odd=true", r"stage .*`mirror` says .* `odd`"),
         ("best-hybrid", "model.correction.hiden=[3]", "did you mean 'hidden'"),

@@ -1,7 +1,7 @@
 """Internal states that a model expects where a record begins."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import jax
@@ -15,6 +15,7 @@ import tustinnet as tn
 from tustinnet.errors import InputError
 from tustinnet.families.encoded import with_encoder
 from tustinnet.models.added import with_forces
+from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import Memory
 from tustinnet.models.parameters import Parameter
 from tustinnet.models.sensors import calibrated
@@ -85,6 +86,33 @@ def test_models_of_models_say_what_their_parts_expect():
     np.testing.assert_allclose(both.beginning(BEGIN), [2.0, 0.5, 1.6, 1.6, 1.0])
     encoded = with_encoder(grey, [record()], "stencil", 10, jax.random.key(0))
     np.testing.assert_allclose(encoded.initial_internal(BEGIN), [1.6])
+
+
+def test_models_of_models_say_how_sure_their_parts_are():
+    grey, remembers = turned(), network(0, times=(0.2,))
+    units = replace(remembers.network.scaling, memory=jnp.array([0.3]))
+    remembers = replace(remembers, network=replace(remembers.network, scaling=units))
+    hybrid = tn.HybridModel(grey, remembers)
+    np.testing.assert_allclose(hybrid.internal_spread, [1.0, 0.3])
+    both = tn.committee([network(1), hybrid, grey])
+    np.testing.assert_allclose(both.internal_spread, [1.0, 0.3, 1.0])
+    encoded = with_encoder(grey, [record()], "stencil", 10, jax.random.key(0))
+    np.testing.assert_allclose(encoded.internal_spread, [1.0])
+
+
+class Sure(Discretised):
+    """A model whose internal states are hardly ever other than expected."""
+
+    @property
+    def internal_spread(self):
+        return jnp.full(len(self.internal), 1e-3)
+
+
+def test_a_fitted_start_goes_the_further_the_less_sure_a_model_is():
+    e, unsure = read_by_encoder(record()), tn.discretise(swing_model(system=CREEPING), DT)
+    sure = Sure(**{field.name: getattr(unsure, field.name) for field in fields(unsure)})
+    near, far = (abs(start_states(m, [e], "model-20")[0, 2]) for m in (sure, unsure))
+    assert near < 0.1 < 1.0 < far
 
 
 def test_sensors_keep_it():

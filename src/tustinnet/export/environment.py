@@ -44,7 +44,7 @@ class Rules:
             is negative, so that it never pays to end an episode.
         target: positions, (n_q,) [rad or m]; by default 0, of `hold` those of a given `start`.
         start: positions and velocities, internal states may follow, (2 n_q,) or (n_x,); None for
-            anywhere in the range. Internal states that nobody gives start at 0, as along records.
+            anywhere in the range. Internal states that nobody gives start as the model expects.
         noise: what is added to a given start, a share of the widths of the range.
         margin: how far beyond the range an episode goes on, a share of its widths.
 

@@ -112,6 +112,11 @@ class Committee(Model):
         return jnp.concatenate([member.initial_internal(measured) for member in self.members])
 
     @property
+    def internal_spread(self) -> Internal:
+        """That of all members, one member after the other."""
+        return jnp.concatenate([member.internal_spread for member in self.members])
+
+    @property
     def warm_up(self) -> int:
         """The longest of all."""
         return max(of.member().warm_up for of in self.alike)

@@ -79,6 +79,11 @@ class EncodedModel(Model):
         return self.model.initial_internal(measured)
 
     @property
+    def internal_spread(self) -> Internal:
+        """That of the model."""
+        return self.model.internal_spread
+
+    @property
     def warm_up(self) -> int:
         """That of the model, for starts that do without the encoder."""
         return self.model.warm_up

@@ -103,6 +103,11 @@ class HybridModel(Model):
         each = (of.initial_internal(measured) for of in (self.physics, self.correction))
         return jnp.concatenate(list(each))
 
+    @property
+    def internal_spread(self) -> Internal:
+        """That of the physics, then that of the correction."""
+        return jnp.concatenate([self.physics.internal_spread, self.correction.internal_spread])
+
     def of(self, experiment: Experiment) -> "HybridModel":
         """The same with the physics of the record."""
         physics = self.physics.of(experiment)

@@ -1,6 +1,7 @@
 """Tustin-Net: trapezoidal positions, a network for the change of the velocities."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,6 +22,7 @@ from tustinnet.families.family import (
     LayeredStage,
     NumpyStep,
     Vector,
+    filled,
     mask_of,
     named_arrays,
 )
@@ -42,8 +44,12 @@ from tustinnet.models.contract import (
     State,
 )
 from tustinnet.registry import SCALINGS
+from tustinnet.signals.rest import usual_positions
 from tustinnet.simulate.along import states_along
 from tustinnet.simulate.drive import drive_of
+
+_REST = "rest"  # its array in a file
+_REMEMBERED = 0.5  # somebody turned the coordinate not long before, and part of that is left
 
 
 class TustinNet(AccelerationModel):
@@ -61,13 +67,17 @@ class TustinNet(AccelerationModel):
         z[k+1] = exp(-dt/t) z[k] + t (1 - exp(-dt/t)) (v[k] + v[k+1]) / 2
 
     for each relaxation time t, exact for the mean velocity of the period. They are what the
-    deflection of a Maxwell element is: what a cable, rubber or creeping friction remembers.
+    deflection of a Maxwell element is: what a cable, rubber or creeping friction remembers. Before
+    a record begins somebody may have turned a coordinate away from where it rests: a share of that
+    is what they are expected to be then.
 
     Attributes:
         network: the network.
         channels: the coordinates, in the order of q, the inputs, in the order of u, the period.
         relaxation_times: t of the internal states [s]; each gives one a coordinate.
         taps: the samples of the inputs that it sees, see `AccelerationModel`.
+        remembered: the share of the way from `rest` that internal states begin with.
+        rest: where the coordinates rest, (n_q,) [rad or m], with a share above 0; never trained.
 
     References:
         Pozzoli, Gallieri, Scattolini (2020), Tustin neural networks: a class of recurrent nets
@@ -79,12 +89,20 @@ class TustinNet(AccelerationModel):
     channels: Channels = eqx.field(static=True)
     relaxation_times: tuple[float, ...] = eqx.field(static=True, default=())
     taps: tuple[int, ...] = eqx.field(static=True, default=())  # pyright: ignore[reportIncompatibleMethodOverride]
+    remembered: float = eqx.field(static=True, default=0.0)
+    rest: Float[Array, " n_q"] | None = None
 
     def __check_init__(self) -> None:
         if not all(time > 0 for time in self.relaxation_times):
             raise InputError(
                 "memory", f"relaxation times {self.relaxation_times} s", "times above 0 s"
             )
+        begins = self.remembered > 0
+        if begins != (self.rest is not None) or (begins and not self.internal):
+            raise InputError(
+                "remembered", f"a share of {self.remembered:g} with memory of "
+                f"{self.relaxation_times} s and rest {self.rest}", "memory and rest beside a share",
+            )  # fmt: skip
         seen = feature_count(self.channels, len(self.internal), len(self.taps) or 1)
         self.network.require_shape(seen, self.channels.n_q)
 
@@ -96,6 +114,20 @@ class TustinNet(AccelerationModel):
             for time in self.relaxation_times
             for c in self.coordinates
         )
+
+    def initial_internal(self, measured: Float[Array, " n_measured"]) -> Internal:
+        """A share of the way from where each coordinate rests, for angles the shorter way."""
+        if self.rest is None:
+            return super().initial_internal(measured)
+        of = self.channels
+        away = measured[of.position] - self.rest.astype(measured.dtype)
+        turned = jnp.where(of.angular, jnp.arctan2(jnp.sin(away), jnp.cos(away)), away)
+        return jnp.tile(self.remembered * turned, len(self.relaxation_times))
+
+    @property
+    def internal_spread(self) -> Internal:
+        """The root mean square of each along the training records."""
+        return self.network.scaling.memory
 
     @property
     def scaling(self) -> Scaling:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -128,8 +160,7 @@ class TustinNet(AccelerationModel):
         """The same function with the stem merged into the first hidden layer."""
         if self.network.stem is None:
             return self
-        network = self.network.folded()
-        return TustinNet(network, self.channels, self.relaxation_times, self.taps)
+        return replace(self, network=self.network.folded())
 
 
 def relax(
@@ -150,6 +181,8 @@ class TustinNetHyper(NetworkHyper):
 
     Attributes:
         memory: relaxation times of internal states [s], none by default (see `TustinNet`).
+        remembered: the share of a coordinate's way from its usual position with which these begin
+            a record; none for a half.
         input_taps: samples of the inputs that it sees in every period, as `[-1, 0, 1]`, counted
             from the period's beginning; those above 0 look ahead. None: the period's mean.
         linear: whether a linear model stands beside the network: at first it says what least
@@ -159,6 +192,7 @@ class TustinNetHyper(NetworkHyper):
     """
 
     memory: tuple[Annotated[float, Field(gt=0, le=1e6)], ...] = Field(default=(), max_length=100)
+    remembered: float | None = Field(default=None, ge=0, le=1)
     input_taps: InputTaps = ()
     linear: bool = False
 
@@ -167,10 +201,19 @@ class TustinNetHyper(NetworkHyper):
         """The same as `Layers` takes it."""
         return {**super().layers, "linear": self.linear}
 
+    @property
+    def share(self) -> float:
+        """Of the way from where a coordinate rests, that internal states begin with."""
+        if not self.memory:
+            return 0.0
+        return _REMEMBERED if self.remembered is None else self.remembered
+
     @model_validator(mode="after")
     def _scaled(self) -> "TustinNetHyper":
         if self.memory and self.scaling != "records":
             raise ValueError(f"the scaling '{self.scaling}' has none for `memory`")
+        if self.remembered is not None and not self.memory:
+            raise ValueError("`remembered` is of internal states: give `memory`, or leave it out")
         return self
 
 
@@ -190,16 +233,20 @@ class TustinNetFamily(Family):
         velocity: VelocitySource,
         physics: Model | None,
     ) -> Callable[[PRNGKeyArray], TustinNet]:
-        """Random weights, units from the records."""
+        """Random weights; units, and where coordinates rest, from the records."""
         channels = experiments[0].channels
+        share = hyper.share
+        usual = usual_positions(np.concatenate([e.q for e in experiments]), channels.angular)
+        rest = jnp.asarray(usual, jnp.float32) if share else None
         learn = SCALINGS[hyper.scaling]
         scaling = learn(experiments, velocity, hyper.memory)
 
         def build(key: PRNGKeyArray) -> TustinNet:
-            return random_tustin_net(
+            made = random_tustin_net(
                 channels, scaling, key,
                 relaxation_times=hyper.memory, taps=hyper.input_taps, **hyper.layers,
             )  # fmt: skip
+            return replace(made, remembered=share, rest=rest)
 
         if not hyper.linear:
             return build
@@ -219,7 +266,9 @@ class TustinNetFamily(Family):
         structure = structure_of(model.network)
         structure["relaxation_times"] = list(model.relaxation_times)
         structure["input_taps"] = list(model.taps)
-        return {"structure": structure}, named_arrays(model.network)
+        structure["remembered"] = model.remembered
+        rest = {} if model.rest is None else {_REST: np.asarray(model.rest)}
+        return {"structure": structure}, named_arrays(model.network) | rest
 
     def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> TustinNet:
         """From structure and arrays."""
@@ -228,11 +277,21 @@ class TustinNetFamily(Family):
         times, taps = (tuple(structure.get(key, ())) for key in ("relaxation_times", "input_taps"))
         memory = len(times) * channels.n_q
         network = network_from(structure, arrays, channels, channels.n_q, memory)
-        return TustinNet(network, channels, times, taps)
+        share = float(structure.get("remembered", 0.0))
+        rest = filled(lambda: jnp.zeros(channels.n_q), arrays, _REST) if share else None
+        return TustinNet(network, channels, times, taps, share, rest)
 
     def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
-        """Layers and units."""
-        return network_shown(header["structure"], arrays)
+        """Layers and units, and what it remembers."""
+        structure = header["structure"]
+        shown = network_shown(structure, arrays)
+        if not structure.get("relaxation_times"):
+            return shown
+        told = "relaxing in " + ", ".join(f"{t:g} s" for t in structure["relaxation_times"])
+        if structure.get("remembered"):
+            rest = ", ".join(f"{x:.3g}" for x in arrays[_REST])
+            told += f"; begins with {structure['remembered']:g} of the way from ({rest})"
+        return [*shown, ("memory", told)]
 
     def numpy_step(self, model: TustinNet, dtype: type[np.floating]) -> NumpyStep:
         """Its step, scaling merged into the first and the last layer."""

@@ -55,6 +55,14 @@ class Stateful(HasChannels, eqx.Module):
         """
         return jnp.zeros(len(self.internal), measured.dtype)
 
+    @property
+    def internal_spread(self) -> Internal:
+        """How far internal states may be from those expected, as standard deviations, (n_z,).
+
+        In their units, where a record begins; mostly 1. Starts that search for them use it.
+        """
+        return jnp.ones(len(self.internal))
+
     def beginning(self, measured: Float[Array, " n_measured"]) -> State:
         """The state in which a record begins, by its first [q, v]; see `initial_internal`."""
         return jnp.concatenate([measured, self.initial_internal(measured)])

@@ -53,6 +53,11 @@ class FromContinuous(Model):
         """Those of the continuous model."""
         return self.continuous.initial_internal(measured)
 
+    @property
+    def internal_spread(self) -> Internal:
+        """That of the continuous model."""
+        return self.continuous.internal_spread
+
     def of(self, experiment: Experiment) -> "FromContinuous":
         """The same with the values of the continuous model that the record has."""
         chosen = self.continuous.of(experiment)

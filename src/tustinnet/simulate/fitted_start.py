@@ -43,12 +43,12 @@ def model_starts(
     """Initial states by least squares through the model.
 
     Minimises the squared position errors over the samples, each over the encoder's standard
-    deviation; internal states are kept near the guess with a standard deviation of 1 in their
-    unit. Errors weigh the more, the later they are: that of the k-th of N samples (k/N)^4, or
-    (k/N)^(N/5) where there are fewer than 20. At first something else often still acts, as a rule
-    the hand that lets go, and a model that is nearly right can take that for an internal state.
-    Where more than 2.5 standard deviations (root mean square, weighed) are left, the fault is
-    the model's, and all samples weigh the same.
+    deviation; internal states are kept near the guess, with the model's `internal_spread` as
+    standard deviations. Errors weigh the more, the later they are: that of the k-th of N samples
+    (k/N)^4, or (k/N)^(N/5) where there are fewer than 20. At first something else often still acts,
+    as a rule the hand that lets go, and a model that is nearly right can take that for an internal
+    state. Where more than 2.5 standard deviations (root mean square, weighed) are left, the fault
+    is the model's, and all samples weigh the same.
 
     Levenberg-Marquardt with exact derivatives, in few turns. Where a hand acted, the parabola may
     be far from the motion after it, and internal states then grow to explain that, from where the
@@ -103,8 +103,9 @@ def _one(model: Model, weight: Array, guess: State, u: Drive, q: Array) -> State
 
 def _residuals(model: Model, weight: Array, guess: State, u: Drive, q: Array, x: State) -> Array:
     of = model.channels
+    spread = model.internal_spread.astype(x.dtype)
     error = (rollout(model, x, u)[:, of.position] - q) * weight
-    return jnp.concatenate([error.ravel(), (x - guess)[of.internal]])
+    return jnp.concatenate([error.ravel(), (x - guess)[of.internal] / spread])
 
 
 @eqx.filter_custom_jvp
