@@ -95,3 +95,41 @@ def test_a_system_of_other_records_leaves_the_others_to_go_on(folder, tmp_path, 
     table = (out / "candidates.md").read_text()
     assert "grey: " in table
     assert "the system 'qube-servo2'" in table
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("SYSTEM = (", "never closed"),
+        ("import nowhere_to_be_found", "nowhere_to_be_found"),
+        ("ARM = 1", "no SYSTEM"),
+    ],
+)
+def test_a_system_file_that_does_not_run_is_one_line_before_anything(
+    text, told, folder, tmp_path, out, capsys
+):
+    plan, system = plan_in(tmp_path, PLAN), tmp_path / "broken.py"
+    system.write_text(text)
+    verb = ("fit", folder, "--plan", plan, "--system", system, "--out", out, "--budget", "5min")
+    code, printed, err = tustinnet(capsys, *verb, "--quiet")
+    assert (code, printed) == (1, "")
+    assert len(err.strip().splitlines()) == 1
+    assert "broken.py" in err
+    assert told in err
+    assert not out.exists()
+
+
+def test_an_earlier_selection_that_is_overwritten_leaves_nothing(folder, tmp_path, out, capsys):
+    plan = plan_in(tmp_path, NETWORK_ONLY)
+    verb = ("fit", folder, "--plan", plan, "--out", out, "--quiet", "--no-report")
+    assert tustinnet(capsys, *verb)[0] == 0
+    (out / "figures" / "mine.png").write_text("not of a selection")
+    assert (out / "candidates" / "network").is_dir()
+    card = (folder / "dataset.toml").read_text()
+    (folder / "dataset.toml").write_text(card.replace(', "noise2.csv"', ""))
+    plan.write_text(NETWORK_ONLY.replace('name = "network"', 'name = "renamed"'))
+    code, _, err = tustinnet(capsys, *verb, "--overwrite")
+    assert code == 0, err
+    assert [path.name for path in (out / "candidates").iterdir()] == ["renamed"]
+    drawn = sorted(path.stem for path in (out / "figures").iterdir())
+    assert drawn == ["candidates", "fall1", "fall2", "fall3", "mine", "noise1"]

@@ -6,7 +6,7 @@ import pytest
 
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.selection.jobs import JobResult, SeedScore
-from tustinnet.selection.ranking import Standing, paired, ranked, simplest
+from tustinnet.selection.ranking import Standing, hanging, paired, ranked, simplest
 
 
 def scores(values: dict[str, float], seed: int = 0) -> SeedScore:
@@ -74,3 +74,25 @@ def test_a_job_that_failed_leaves_its_reason_and_what_was_there_before():
     assert (after.why, list(after.folds), after.seconds) == ("no window", [0], 5.0)
     late = standing("a", {"r": 1.0}).after(JobResult("a", 1, 5.0, "out of time", why="spent"))
     assert late.why == ""
+
+
+def test_one_that_was_soon_left_takes_no_records_from_the_others():
+    # on the first fold, the only one of `soon`, `b` is better than `a`
+    a = standing("a", {"r": 2.0}, {"s": 1.0}, {"t": 1.0})
+    b = standing("b", {"r": 1.9}, {"s": 2.0}, {"t": 2.0})
+    soon = standing("soon", {"r": 9.0})
+    assert [s.name for s in ranked([b, soon, a])] == ["a", "b", "soon"]
+    early = standing("early", {"r": 1.0})
+    assert [s.name for s in ranked([b, early, a])] == ["early", "a", "b"]
+
+
+def test_a_record_that_decides_is_named():
+    linear = standing("linear", {"r": 1.0, "s": 1.1}, {"t": 1.2, "payload": 2.0})
+    network = standing("network", {"r": 0.1, "s": 0.2}, {"t": 0.2, "payload": 30.0})
+    found = hanging(linear, [network, standing("worse", {"r": 3.0, "s": 3.0}, {"t": 3.0})])
+    assert found is not None
+    record, other, than = found
+    assert (record, other.name, than.records) == ("payload", "network", 3)
+    assert than.mean == pytest.approx(-2.8 / 3)
+    assert hanging(network, [linear]) is None  # not the best of all
+    assert hanging(linear, [standing("few", {"r": 0.1}, {"payload": 30.0})]) is None

@@ -2,6 +2,7 @@
 
 import math
 import re
+import time
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
@@ -52,6 +53,7 @@ def select(
 
     `asked` has the plan, the budget, and the cluster whose machines do the jobs.
     """
+    begun = time.monotonic()  # what is loaded from here on takes seconds
     from tustinnet.cli.leave_report import require_left
     from tustinnet.report.progress import FitProgress
     from tustinnet.report.summary import next_steps
@@ -61,7 +63,7 @@ def select(
     from tustinnet.store.run import MODEL
 
     plan, budget, machines = asked
-    wanted = Asked(read_plan(plan or USUAL), system, seconds_of(budget))
+    wanted = Asked(read_plan(plan or USUAL), system, seconds_of(budget), begun)
     records = load()
     with FitProgress(terminal.messages(), quiet=quiet) as progress:
         reporter = told_by(progress, quiet=quiet)

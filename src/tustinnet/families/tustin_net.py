@@ -49,6 +49,7 @@ from tustinnet.simulate.along import states_along
 from tustinnet.simulate.drive import drive_of
 
 _REST = "rest"  # its array in a file
+_UNKNOWN = 0.1  # of their size: free, several internal states explain a hand in the first samples
 _REMEMBERED = 0.5  # somebody turned the coordinate not long before, and part of that is left
 
 
@@ -126,8 +127,8 @@ class TustinNet(AccelerationModel):
 
     @property
     def internal_spread(self) -> Internal:
-        """The root mean square of each along the training records."""
-        return self.network.scaling.memory
+        """A tenth of the root mean square of each along the training records."""
+        return _UNKNOWN * self.network.scaling.memory
 
     @property
     def scaling(self) -> Scaling:  # pyright: ignore[reportIncompatibleVariableOverride]

@@ -16,7 +16,7 @@ from tustinnet.fitting.report import data_header
 from tustinnet.models.contract import Model
 from tustinnet.selection.ending import Final, Found
 from tustinnet.selection.jobs import LEFT_OUT, Workplace
-from tustinnet.selection.ranking import Standing, paired
+from tustinnet.selection.ranking import Standing, hanging, paired
 from tustinnet.simulate.range import KEY as RANGE
 from tustinnet.simulate.range import Cloud, cloud_of, range_of
 from tustinnet.store.kept_system import CANDIDATES, header_of
@@ -97,6 +97,7 @@ class Choice:
             f"worst {worst}, {rmse[worst]:.3g} {self.unit}"
         )
         told.append(self._against(best))
+        told += self._hanging(best)
         if self.simplest != self.best:
             than = paired(self.standing(self.simplest), best)
             told.append(
@@ -131,6 +132,19 @@ class Choice:
             else f"{self.unit} on one record"
         )
         return f"{word} better than the next, {name}: by {mean:.2g} {on}"
+
+    def _hanging(self, best: Standing) -> list[str]:
+        """Whether a single record decided."""
+        others = [s for s in self.found.standings if s.folds and s.name != best.name]
+        found = hanging(best, others)
+        if found is None:
+            return []
+        record, other, than = found
+        return [
+            f"one record decides: without {record}, {other.name} would be better by "
+            f"{-than.mean:.2g} ± {than.standard_error:.2g} {self.unit} on {than.records} records; "
+            f"see whether {record} was made with the same machine, load and settings"
+        ]
 
     def header(self, name: str, final: Final) -> dict[str, Any]:
         """What the model file of a candidate or committee says beside the model."""

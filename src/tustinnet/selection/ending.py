@@ -1,7 +1,7 @@
 """From the candidates that are left to models: committees, and parameters from all records."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from tustinnet.errors import InputError
@@ -115,9 +115,7 @@ def final_models(
     plain = simplest(choosable, best)
     models = {s.name: _averaged(found, s.name, at) for s in choosable}
     for standing in {best.name: best, plain.name: plain}.values():
-        whole = _from_all_records(found, standing, at, tell)
-        if whole is not None:
-            models[standing.name] = whole
+        models[standing.name] = _whole(found, standing, models[standing.name], at, tell)
     return models, best.name, plain.name
 
 
@@ -140,15 +138,15 @@ def _averaged(found: Found, name: str, at: Workplace) -> Final:
     return Final(together, f"{told}: {', '.join(parts)}" if parts[1:] else told)
 
 
-def _from_all_records(
-    found: Found, standing: Standing, at: Workplace, tell: Callable[[Job], Tell]
-) -> Final | None:
-    """A system identified from all records; None of what has weights, or where time was up."""
+def _whole(
+    found: Found, standing: Standing, averaged: Final, at: Workplace, tell: Callable[[Job], Tell]
+) -> Final:
+    """A system identified from all records; what has weights, or was not, stays averaged."""
     if standing.name in found.averages:
-        return None
+        return averaged
     recipe = found.plan.candidate(standing.name).content
     if recipe.family.trains:
-        return None
+        return averaged
     records = tuple(taking_part(at.data))
     task = Task(
         recipe, (Fold(Roles(records, ())),), system=system_for(recipe, at.loaded_system), brief=True
@@ -157,7 +155,11 @@ def _from_all_records(
     job = Job(standing.name, recipe, fold=0)
     try:
         result = fit_in(folder, task, at.clock.within(tell(job)), resume=False)[0]
-    except (InputError, OutOfTime):
-        return None
+    except OutOfTime:
+        why = "no time was left to identify it from all records"
+        return replace(averaged, words=f"{averaged.words}; {why}")
+    except InputError as error:
+        why = f"not identified from all records: {error}"
+        return replace(averaged, words=f"{averaged.words}; {why}")
     words = f"identified from all {len(records)} records"
     return Final(result.model, words, result.as_header())

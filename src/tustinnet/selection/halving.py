@@ -12,6 +12,7 @@ from tustinnet.selection.ranking import Standing, ranked, shared_folds, simplest
 
 _TRYING = 0.6  # share of the time after which no candidate is tried for the first time
 _TRYING_LAST = 0.4  # the same of candidates that come last
+NO_TIME = "no time was left for it"
 _FEWEST = 2  # candidates that go on, where there are as many
 
 
@@ -158,7 +159,7 @@ class Halving:
             physics = corrected.folds[fold][0].model
         if not self._affordable(candidate, len(seeds)):
             self._left_out += 1
-            return self._leave(name, "no time was left for it")
+            return self._leave(name, NO_TIME)
         return Job(name, candidate.content, fold, seeds, physics)
 
     def _affordable(self, candidate: Candidate, seeds: int) -> bool:

@@ -36,6 +36,7 @@ from tustinnet.store.run import MODEL, Tell, fit_in
 from tustinnet.systems.files import AnySystem, MadeForRecords, SystemFile, to_identify
 
 SCORES = "scores.json"
+SPENT = "the budget was spent"
 _EVERY = slice(None)
 LEFT_OUT = "left out"  # where files name a split: records that a model was not fitted to
 
@@ -160,6 +161,14 @@ class Workplace:
         """The system that is given, its file run once."""
         return None if self.system is None else to_identify(self.system)
 
+    def run_system_file(self) -> None:
+        """Runs the system's file, if one is given: what is wrong with it is told once, at first.
+
+        Raises:
+            InputError: it cannot be run, or says no system that can be computed.
+        """
+        _ = self.loaded_system
+
     @cached_property
     def motion(self) -> float:
         """Root mean square of the positions about each record's mean [rad or m]."""
@@ -197,7 +206,7 @@ def perform(job: Job, at: Workplace, tell: Tell) -> JobResult:
             found = JobResult(job.candidate, job.fold, time.monotonic() - begun, "done", scores)
     except OutOfTime as stop:
         spent = time.monotonic() - begun
-        why, needs = "the budget was spent", None if stop.left is None else spent + stop.left
+        why, needs = SPENT, None if stop.left is None else spent + stop.left
         return JobResult(job.candidate, job.fold, spent, "out of time", why=why, needs=needs)
     except InputError as error:
         spent = time.monotonic() - begun

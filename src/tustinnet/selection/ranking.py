@@ -9,6 +9,8 @@ from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.selection.jobs import JobResult, SeedScore
 
 _LEVEL = 0.02  # of an error, a difference that nobody minds
+_FEW = 3  # records that say something of a difference
+_SURE = 2.0  # standard errors of a clear difference
 
 
 @dataclass(frozen=True)
@@ -78,15 +80,33 @@ class Standing:
         return {record: float(np.mean(values)) for record, values in by_record.items()}
 
 
-def paired(one: Standing, other: Standing) -> Paired:
-    """How much worse one is than another on the records that both were scored on."""
+def paired(one: Standing, other: Standing, without: str = "") -> Paired:
+    """How much worse one is than another on the records that both were scored on, but for one."""
     ours, theirs = one.rmse(), other.rmse()
-    both = [record for record in ours if record in theirs]
+    both = [record for record in ours if record in theirs and record != without]
     with np.errstate(invalid="ignore"):
         mean, error = mean_and_error(
             np.subtract([ours[r] for r in both], [theirs[r] for r in both])
         )
     return Paired(mean, error, len(both))
+
+
+def hanging(best: Standing, others: Sequence[Standing]) -> tuple[str, Standing, Paired] | None:
+    """The record without which another one would be clearly better than the best.
+
+    Returns:
+        The record, the other one, and how much worse that is without the record, a negative mean;
+        None where no single record decides.
+    """
+    found = []
+    for other in others:
+        if not paired(other, best).mean > 0:
+            continue
+        for record in best.rmse().keys() & other.rmse().keys():
+            than = paired(other, best, without=record)
+            if than.records >= _FEW and than.mean < -_SURE * than.standard_error:
+                found.append((record, other, than))
+    return min(found, key=lambda of: of[2].mean, default=None)
 
 
 def shared_folds(standings: Sequence[Standing]) -> set[int] | None:
@@ -95,18 +115,31 @@ def shared_folds(standings: Sequence[Standing]) -> set[int] | None:
 
 
 def ranked(standings: Sequence[Standing]) -> list[Standing]:
-    """The candidates that were scored, the best first, by the folds that all of them have.
+    """The candidates that were scored, the best first.
 
-    Where they share none, by those that each has.
+    Those that were scored on the most folds, by the folds that all of them have. The best of these
+    is what the others are compared with, each on the records that both have: one that was soon
+    left does not take records away from the others.
     """
     scored = [s for s in standings if s.folds]
-    shared = shared_folds(scored)
+    most = max((len(s.folds) for s in scored), default=0)
+    longest = [s for s in scored if len(s.folds) == most]
+    shared = shared_folds(longest)
 
     def mean(of: Standing) -> float:
         value = mean_and_error(of.rmse(shared).values())[0]
         return value if np.isfinite(value) else np.inf
 
-    return sorted(scored, key=mean)
+    best = min(longest, key=mean, default=None)
+
+    def error(of: Standing) -> float:
+        if best is None or len(of.folds) == most or not np.isfinite(mean(best)):
+            return mean(of)
+        than = paired(of, best)
+        value = mean(best) + than.mean if than.records else mean_and_error(of.rmse().values())[0]
+        return value if np.isfinite(value) else np.inf
+
+    return sorted(scored, key=error)
 
 
 def simplest(standings: Sequence[Standing], best: Standing) -> Standing:

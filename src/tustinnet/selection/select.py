@@ -1,5 +1,6 @@
 """The verb: the best model that records allow, from a plan and a budget."""
 
+import json
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -18,22 +19,24 @@ from tustinnet.selection.choice import Choice
 from tustinnet.selection.clock import Clock
 from tustinnet.selection.ending import Found, final_models, judge_averages
 from tustinnet.selection.executors import Executor, InProcess
-from tustinnet.selection.halving import Halving
-from tustinnet.selection.jobs import SCORES, Job, Judging, Workplace
+from tustinnet.selection.halving import NO_TIME, Halving
+from tustinnet.selection.jobs import SCORES, SPENT, Job, Judging, Workplace
 from tustinnet.selection.plan import USUAL, Candidate, SelectionPlan, read_plan
 from tustinnet.selection.ranking import Standing
 from tustinnet.selection.records import for_folds
 from tustinnet.simulate.starts import start_named
-from tustinnet.store.files import owned, require_new, to_json, write_into
+from tustinnet.store.files import owned, remove_below, require_new, to_json, write_into
 from tustinnet.store.kept_system import CANDIDATES, keep, require_room
 from tustinnet.store.model_file import save
-from tustinnet.store.run import MODEL, REPORT, SUMMARY, Earlier, Tell
+from tustinnet.store.run import MODEL, REPORT, SUMMARY, WRITTEN, Earlier, Tell
 from tustinnet.systems.files import AnySystem
 
 _TENTH = 0.1  # of a record, a horizon where no fit chose one
 _STARTS = 3  # a horizon is at least as many times as long as what a start is fitted to
 _ENDING = 0.12  # share of the budget for committees, the last fit and bands
 _FILES = 0.08  # and for figures and the report, which come after the selection
+_FEWEST_FILES = 6.0  # s, what these take at least; of short budgets no more than a fifth
+_FIGURES = "figures"  # drawn by rooms above this one; discarded here with the rest
 
 
 @dataclass(frozen=True)
@@ -44,11 +47,13 @@ class Asked:
         plan: a packaged plan's name, a TOML file, or a plan.
         system: the system that candidates of a system identify, or None.
         budget: how long it may take [s], None for no limit.
+        since: from when on it counts, a `time.monotonic()`; None for the call of `select_model`.
     """
 
     plan: str | Path | SelectionPlan = USUAL
     system: AnySystem | None = None
     budget: float | None = None
+    since: float | None = None
 
 
 @dataclass(frozen=True)
@@ -94,17 +99,19 @@ def select_model(
         InputError: a plan that does not fit, records too few or too short, a budget in which no
             candidate was fitted, or none that could be.
     """
-    begun = time.monotonic()
     wanted, told = asked or Asked(), reporter or Reporter()
+    begun = time.monotonic() if wanted.since is None else wanted.since
     plan, where = read_plan(wanted.plan), Path(folder)
     records, cut = for_folds(data)
     candidates, lacking = _taking_part(plan, wanted, records)
     notes = (*([cut] if cut else []), *lacking)
     judging = Judging(min(plan.folds, len(records)), plan.start, plan.horizon)
     budget = wanted.budget or 0.0
-    end = None if wanted.budget is None else begun + (1 - _FILES) * budget
+    files = max(_FILES * budget, min(_FEWEST_FILES, 0.2 * budget))
+    end = None if wanted.budget is None else begun + budget - files
     clock = Clock(end and end - _ENDING * budget)
     at = Workplace(where, records, judging, wanted.system, clock, earlier == "resume")
+    at.run_system_file()
     for note in notes:
         told.say(note)
     with owned(where):
@@ -191,8 +198,7 @@ def _make_room(at: Workplace, earlier: Earlier) -> None:
     """Refuses or discards what an earlier selection left, and keeps the system's file."""
     scores = sorted((at.folder / CANDIDATES).glob(f"*/*/{SCORES}"))
     if earlier == "discard":
-        for path in scores:
-            path.unlink()
+        _discard(at.folder)
     if earlier == "refuse" and scores:
         raise InputError(
             at.folder, f"holds an earlier selection ({scores[0].parent.parent.name}, ...)",
@@ -209,18 +215,36 @@ def _make_room(at: Workplace, earlier: Earlier) -> None:
         keep(at.system_file, at.folder)
 
 
+def _discard(folder: Path) -> None:
+    """Removes what an earlier selection wrote, and nothing else."""
+    remove_below(folder / CANDIDATES, {*WRITTEN, SCORES})
+    try:
+        told = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+        starts = [of for c in told["candidates"] for of in c.get("starts", {}).values()]
+        records = {record for of in starts for record in of["rmse"]}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return  # nobody knows which figures are its own
+    drawn = {f"{name}.png" for name in (CANDIDATES, *records)}
+    remove_below(folder / _FIGURES, drawn)
+
+
 def _nothing(halving: Halving, budget: float | None) -> InputError:
     """What to say where no candidate was fitted."""
     short = halving.cheapest
     if short is not None and short.needs is not None:
+        needed = max(short.needs / (1 - _ENDING - _FILES), 1.2 * (budget or 0.0))
         return InputError(
             "--budget", f"{budget:g} s: no candidate was fitted in it",
-            f"the cheapest, {short.candidate}, needs about "
-            f"{short.needs / (1 - _ENDING - _FILES):.0f} s",
+            f"the cheapest, {short.candidate}, needs about {needed:.0f} s",
             "what was begun stays: add --resume to go on",
         )  # fmt: skip
-    why = "; ".join(f"{s.name}: {s.why}" for s in halving.standings.values() if s.why)
+    reasons: dict[str, list[str]] = {}
+    for s in halving.standings.values():
+        if s.why:
+            reasons.setdefault(s.why, []).append(s.name)
+    why = "; ".join(f"{', '.join(names)}: {reason}" for reason, names in reasons.items())
+    short_of_time = reasons.keys() & {SPENT, NO_TIME}
     return InputError(
         "selection", f"no candidate could be fitted ({why})", "one that can",
-        "" if budget is None else "give more time: --budget",
+        "give more time: --budget" if short_of_time else "",
     )  # fmt: skip

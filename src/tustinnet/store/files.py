@@ -3,7 +3,7 @@
 import json
 import math
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -64,6 +64,15 @@ def sweep(folder: Path) -> None:
     for pattern in (f".*{PART}", f"*/.*{PART}"):
         for left in folder.glob(pattern):
             left.unlink(missing_ok=True)
+
+
+def remove_below(folder: Path, names: Collection[str]) -> None:
+    """Removes the files of some names below a folder, and the folders that are empty then."""
+    for path in sorted(folder.rglob("*"), reverse=True):  # what is in a folder before the folder
+        if path.name in names and path.is_file():
+            path.unlink()
+        elif path.is_dir() and not path.is_symlink() and not any(path.iterdir()):
+            path.rmdir()
 
 
 @contextmanager

@@ -50,6 +50,7 @@ MODEL = "model.safetensors"
 SUMMARY = "summary.json"
 REPORT = "report.html"  # written by rooms above this one; discarded here with the rest
 _CHECKPOINT = "checkpoint.safetensors"
+WRITTEN = (MODEL, LOG, DAMAGED, _CHECKPOINT)  # into the folder of a member
 
 Earlier = Literal["refuse", "resume", "discard"]  # what is done with a run that is there
 
@@ -283,7 +284,7 @@ def _make_room(folder: Path, earlier: Earlier, *, trains: bool) -> None:
 def _discard(folder: Path, seed_folders: Sequence[Path]) -> None:
     """Removes the files that a run has written, and no others."""
     for place in seed_folders:
-        for name in (MODEL, LOG, DAMAGED, _CHECKPOINT):
+        for name in WRITTEN:
             (place / name).unlink(missing_ok=True)
         if not any(place.iterdir()):
             place.rmdir()
