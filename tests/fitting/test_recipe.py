@@ -20,6 +20,7 @@ def test_the_packaged_recipes_are_there_and_valid():
         "standard",
         "transfer",
         "best-tustin",
+        "tustin-memory",
         "best-hybrid",
         "hybrid",
         "grey",
