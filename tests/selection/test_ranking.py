@@ -78,12 +78,19 @@ def test_a_job_that_failed_leaves_its_reason_and_what_was_there_before():
 
 def test_one_that_was_soon_left_takes_no_records_from_the_others():
     # on the first fold, the only one of `soon`, `b` is better than `a`
-    a = standing("a", {"r": 2.0}, {"s": 1.0}, {"t": 1.0})
-    b = standing("b", {"r": 1.9}, {"s": 2.0}, {"t": 2.0})
-    soon = standing("soon", {"r": 9.0})
+    a = standing("a", {"q": 2.1, "r": 2.0}, {"s": 1.0}, {"t": 1.0})
+    b = standing("b", {"q": 1.9, "r": 1.9}, {"s": 3.0}, {"t": 3.0})
+    soon = standing("soon", {"q": 9.0, "r": 9.0})
     assert [s.name for s in ranked([b, soon, a])] == ["a", "b", "soon"]
-    early = standing("early", {"r": 1.0})
-    assert [s.name for s in ranked([b, early, a])] == ["early", "a", "b"]
+
+
+def test_one_that_was_soon_left_is_the_best_only_beyond_doubt():
+    a = standing("a", {"q": 2.1, "r": 2.0}, {"s": 1.0})
+    sure = standing("sure", {"q": 1.0, "r": 1.0})
+    doubtful = standing("doubtful", {"q": 3.0, "r": 0.9})  # better by 0.1 +- 1
+    single = Standing("single", {0: (scores({"q": 0.1}),)})
+    found = [s.name for s in ranked([single, doubtful, a, sure])]
+    assert found == ["sure", "a", "doubtful", "single"]
 
 
 def test_a_record_that_decides_is_named():

@@ -17,6 +17,7 @@ from tustinnet.errors import InputError
 from tustinnet.evaluate.bands import Calibration
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.fitting.gradient.epoch import _run
+from tustinnet.selection import choice as chosen
 from tustinnet.selection import jobs
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.jobs import Job
@@ -190,6 +191,17 @@ def test_plain_words_say_how_good_it_is_and_why_this_one(made):
     assert "% of the motion; worst " in told[1]
     assert " than the next, " in told[2]
     assert made.said[0].startswith("round 1 of 3, one fold: ")
+
+
+def test_words_say_of_how_many_records_and_when_no_candidate_is_close(made, monkeypatch):
+    choice, name = made.choice, "grey"
+    fewer = [replace(s, folds={0: s.folds[0]}) if s.name == name else s
+             for s in choice.found.candidates]  # fmt: skip
+    cut = replace(choice, found=replace(choice.found, candidates=tuple(fewer)), best=name)
+    assert "free runs of 2 of the 5 records that its models" in cut.sentences[1]
+    close = [monkeypatch.setattr(chosen, "_POOR", level) or cut.sentences for level in (9.0, 0.0)]
+    assert len(close[1]) == len(close[0]) + 1
+    assert "no candidate follows these records closely" in close[1][2]
 
 
 def test_every_model_can_be_loaded(made):

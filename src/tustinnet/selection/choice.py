@@ -22,6 +22,8 @@ from tustinnet.simulate.range import Cloud, cloud_of, range_of
 from tustinnet.store.kept_system import CANDIDATES, header_of
 from tustinnet.store.run import MODEL
 
+_POOR = 0.2  # of the motion, an error with which a model is of little use
+
 
 @dataclass(frozen=True)
 class Choice:
@@ -90,12 +92,19 @@ class Choice:
             return (*told, *self.notes)
         spread = "" if math.isnan(error) else f" ± {error:.2g}"
         worst = max(rmse, key=lambda record: rmse[record])
-        several = "s" if len(rmse) > 1 else ""
+        several, every = "s" if len(rmse) > 1 else "", len(self._recorded)
+        of = f" of the {every}" if every > len(rmse) > 1 else ""
+        share = mean / self.at.motion
         told.append(
-            f"free runs of {len(rmse)} record{several} that its models were not fitted to: "
-            f"{mean:.3g}{spread} {self.unit}, {100 * mean / self.at.motion:.2g} % of the motion; "
+            f"free runs of {len(rmse)}{of} record{several} that its models were not fitted to: "
+            f"{mean:.3g}{spread} {self.unit}, {100 * share:.2g} % of the motion; "
             f"worst {worst}, {rmse[worst]:.3g} {self.unit}"
         )
+        if share > _POOR:
+            told.append(
+                "no candidate follows these records closely: look at them (inspect), give more "
+                "time (--budget) or equations of motion (--system)"
+            )
         told.append(self._against(best))
         told += self._hanging(best)
         if self.simplest != self.best:

@@ -119,7 +119,8 @@ def ranked(standings: Sequence[Standing]) -> list[Standing]:
 
     Those that were scored on the most folds, by the folds that all of them have. The best of these
     is what the others are compared with, each on the records that both have: one that was soon
-    left does not take records away from the others.
+    left does not take records away from the others. It comes before the best only where it is
+    better by more than a standard error of the difference.
     """
     scored = [s for s in standings if s.folds]
     most = max((len(s.folds) for s in scored), default=0)
@@ -136,7 +137,7 @@ def ranked(standings: Sequence[Standing]) -> list[Standing]:
         if best is None or len(of.folds) == most or not np.isfinite(mean(best)):
             return mean(of)
         than = paired(of, best)
-        value = mean(best) + than.mean if than.records else mean_and_error(of.rmse().values())[0]
+        value = mean(best) + than.mean + than.standard_error  # of a single record not a number
         return value if np.isfinite(value) else np.inf
 
     return sorted(scored, key=error)
