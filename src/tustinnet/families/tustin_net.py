@@ -49,8 +49,8 @@ from tustinnet.simulate.along import states_along
 from tustinnet.simulate.drive import drive_of
 
 _REST = "rest"  # its array in a file
-_UNKNOWN = 0.1  # of their size: free, several internal states explain a hand in the first samples
 _REMEMBERED = 0.5  # somebody turned the coordinate not long before, and part of that is left
+_UNKNOWN = 0.1  # of their size, what is not known of them then; freer ones explain a hand's push
 
 
 class TustinNet(AccelerationModel):
