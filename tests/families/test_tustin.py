@@ -225,7 +225,7 @@ def test_internal_states_begin_with_a_share_of_the_way_from_rest():
     np.testing.assert_allclose(model.initial_internal(lifted), expected, rtol=1e-6)
     np.testing.assert_array_equal(model.beginning(lifted)[:4], lifted)
     np.testing.assert_allclose(model.folded().beginning(lifted)[4:], expected, rtol=1e-6)
-    np.testing.assert_allclose(model.internal_spread, [0.1, 0.2, 0.3, 0.4], rtol=1e-6)
+    np.testing.assert_allclose(model.internal_spread, [0.01, 0.02, 0.03, 0.04], rtol=1e-6)
     forgetful = remembering(remembered=0.0, rest=None)
     assert not np.asarray(forgetful.initial_internal(lifted)).any()
 

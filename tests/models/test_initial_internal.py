@@ -93,9 +93,9 @@ def test_models_of_models_say_how_sure_their_parts_are():
     units = replace(remembers.network.scaling, memory=jnp.array([0.3]))
     remembers = replace(remembers, network=replace(remembers.network, scaling=units))
     hybrid = tn.HybridModel(grey, remembers)
-    np.testing.assert_allclose(hybrid.internal_spread, [1.0, 0.3])
+    np.testing.assert_allclose(hybrid.internal_spread, [1.0, 0.03], rtol=1e-6)
     both = tn.committee([network(1), hybrid, grey])
-    np.testing.assert_allclose(both.internal_spread, [1.0, 0.3, 1.0])
+    np.testing.assert_allclose(both.internal_spread, [1.0, 0.03, 1.0], rtol=1e-6)
     encoded = with_encoder(grey, [record()], "stencil", 10, jax.random.key(0))
     np.testing.assert_allclose(encoded.internal_spread, [1.0])
 

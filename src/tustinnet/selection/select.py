@@ -35,7 +35,8 @@ _TENTH = 0.1  # of a record, a horizon where no fit chose one
 _STARTS = 3  # a horizon is at least as many times as long as what a start is fitted to
 _ENDING = 0.12  # share of the budget for committees, the last fit and bands
 _FILES = 0.08  # and for figures and the report, which come after the selection
-_FEWEST_FILES = 6.0  # s, what these take at least; of short budgets no more than a fifth
+_FEWEST_FILES = 6.0  # s, what these take at least
+_SHORT = 0.2  # but no more than this share of a short budget
 _FIGURES = "figures"  # drawn by rooms above this one; discarded here with the rest
 
 
@@ -106,10 +107,7 @@ def select_model(
     candidates, lacking = _taking_part(plan, wanted, records)
     notes = (*([cut] if cut else []), *lacking)
     judging = Judging(min(plan.folds, len(records)), plan.start, plan.horizon)
-    budget = wanted.budget or 0.0
-    files = max(_FILES * budget, min(_FEWEST_FILES, 0.2 * budget))
-    end = None if wanted.budget is None else begun + budget - files
-    clock = Clock(end and end - _ENDING * budget)
+    clock, ending = _clocks(wanted.budget, begun)
     at = Workplace(where, records, judging, wanted.system, clock, earlier == "resume")
     at.run_system_file()
     for note in notes:
@@ -126,11 +124,20 @@ def select_model(
             left = halving.run(do(at))
         if not left:
             raise _nothing(halving, wanted.budget)
-        choice = _choose(halving, left, replace(at, clock=Clock(end)), told)
+        choice = _choose(halving, left, replace(at, clock=ending), told)
         spent = time.monotonic() - begun
         choice = replace(choice, notes=notes, seconds=spent, budget=wanted.budget)
         write_into(where, SUMMARY, to_json(choice.as_plain()))
     return choice
+
+
+def _clocks(budget: float | None, begun: float) -> tuple[Clock, Clock]:
+    """When time is up for the rounds, and for all that comes before figures and report."""
+    if budget is None:
+        return Clock(), Clock()
+    files = max(_FILES * budget, min(_FEWEST_FILES, _SHORT * budget))
+    end = begun + budget - files
+    return Clock(end - _ENDING * budget), Clock(end)
 
 
 def _over_a_horizon(at: Workplace, halving: Halving) -> tuple[Workplace, str]:
