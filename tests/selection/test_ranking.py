@@ -93,6 +93,11 @@ def test_one_that_was_soon_left_is_the_best_only_beyond_doubt():
     assert found == ["sure", "a", "doubtful", "single"]
 
 
+def test_where_all_that_were_scored_on_most_folds_left_all_bounds_a_shorter_one_comes_first():
+    a, short = standing("a", {"r": 1.0}, {"s": math.inf}), standing("short", {"r": 3.0})
+    assert [s.name for s in ranked([a, short])] == ["short", "a"]
+
+
 def test_a_record_that_decides_is_named():
     linear = standing("linear", {"r": 1.0, "s": 1.1}, {"t": 1.2, "payload": 2.0})
     network = standing("network", {"r": 0.1, "s": 0.2}, {"t": 0.2, "payload": 30.0})

@@ -236,9 +236,10 @@ class TustinNetFamily(Family):
     ) -> Callable[[PRNGKeyArray], TustinNet]:
         """Random weights; units, and where coordinates rest, from the records."""
         channels = experiments[0].channels
-        share = hyper.share
-        usual = usual_positions(np.concatenate([e.q for e in experiments]), channels.angular)
-        rest = jnp.asarray(usual, jnp.float32) if share else None
+        share, rest = hyper.share, None
+        if share:
+            usual = usual_positions(np.concatenate([e.q for e in experiments]), channels.angular)
+            rest = jnp.asarray(usual, jnp.float32)
         learn = SCALINGS[hyper.scaling]
         scaling = learn(experiments, velocity, hyper.memory)
 

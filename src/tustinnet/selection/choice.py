@@ -16,7 +16,7 @@ from tustinnet.fitting.report import data_header
 from tustinnet.models.contract import Model
 from tustinnet.selection.ending import Final, Found
 from tustinnet.selection.jobs import LEFT_OUT, Workplace
-from tustinnet.selection.ranking import Standing, hanging, paired
+from tustinnet.selection.ranking import CLEAR, Standing, hanging, paired
 from tustinnet.simulate.range import KEY as RANGE
 from tustinnet.simulate.range import Cloud, cloud_of, range_of
 from tustinnet.store.kept_system import CANDIDATES, header_of
@@ -132,7 +132,7 @@ class Choice:
         than = {s.name: paired(s, best) for s in others}
         name = min(than, key=lambda other: than[other].mean)
         mean, error = than[name].mean, than[name].standard_error
-        word = "clearly" if mean > 2 * error else "not clearly"
+        word = "clearly" if mean > CLEAR * error else "not clearly"
         count = than[name].records
         # one record has no standard error
         on = (

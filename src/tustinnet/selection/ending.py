@@ -157,9 +157,9 @@ def _whole(
         result = fit_in(folder, task, at.clock.within(tell(job)), resume=False)[0]
     except OutOfTime:
         why = "no time was left to identify it from all records"
-        return replace(averaged, words=f"{averaged.words}; {why}")
     except InputError as error:
         why = f"not identified from all records: {error}"
-        return replace(averaged, words=f"{averaged.words}; {why}")
-    words = f"identified from all {len(records)} records"
-    return Final(result.model, words, result.as_header())
+    else:
+        words = f"identified from all {len(records)} records"
+        return Final(result.model, words, result.as_header())
+    return replace(averaged, words=f"{averaged.words}; {why}")

@@ -10,7 +10,7 @@ from tustinnet.selection.jobs import JobResult, SeedScore
 
 _LEVEL = 0.02  # of an error, a difference that nobody minds
 _FEW = 3  # records that say something of a difference
-_SURE = 2.0  # standard errors of a clear difference
+CLEAR = 2.0  # standard errors of a clear difference
 
 
 @dataclass(frozen=True)
@@ -102,9 +102,10 @@ def hanging(best: Standing, others: Sequence[Standing]) -> tuple[str, Standing, 
     for other in others:
         if not paired(other, best).mean > 0:
             continue
-        for record in best.rmse().keys() & other.rmse().keys():
+        theirs = other.rmse()
+        for record in [r for r in best.rmse() if r in theirs]:
             than = paired(other, best, without=record)
-            if than.records >= _FEW and than.mean < -_SURE * than.standard_error:
+            if than.records >= _FEW and than.mean < -CLEAR * than.standard_error:
                 found.append((record, other, than))
     return min(found, key=lambda of: of[2].mean, default=None)
 
@@ -126,18 +127,18 @@ def ranked(standings: Sequence[Standing]) -> list[Standing]:
     most = max((len(s.folds) for s in scored), default=0)
     longest = [s for s in scored if len(s.folds) == most]
     shared = shared_folds(longest)
-
-    def mean(of: Standing) -> float:
-        value = mean_and_error(of.rmse(shared).values())[0]
-        return value if np.isfinite(value) else np.inf
-
-    best = min(longest, key=mean, default=None)
+    means = {s.name: mean_and_error(s.rmse(shared).values())[0] for s in longest}
+    finite = [s for s in longest if np.isfinite(means[s.name])]
+    best = min(finite, key=lambda s: means[s.name], default=None)
 
     def error(of: Standing) -> float:
-        if best is None or len(of.folds) == most or not np.isfinite(mean(best)):
-            return mean(of)
-        than = paired(of, best)
-        value = mean(best) + than.mean + than.standard_error  # of a single record not a number
+        if of.name in means:
+            value = means[of.name]
+        elif best is None:
+            value = mean_and_error(of.rmse().values())[0]
+        else:
+            than = paired(of, best)
+            value = means[best.name] + than.mean + than.standard_error  # none of a single record
         return value if np.isfinite(value) else np.inf
 
     return sorted(scored, key=error)
