@@ -12,8 +12,8 @@ from every_family import example
 from jax import lax
 
 import tustinnet as tn
-from tustinnet.export.program import OPERATIONS, Program
 from tustinnet.export.source import Source, source_of
+from tustinnet.program.program import OPERATIONS, Program
 
 SIZE = 10  # of the vectors that operations are tried on
 NUMBERS = np.array([-2.5, -1.0, -0.3, -0.0, 0.0, 0.7, 1.0, 2.5, 1e-9, 30.0])

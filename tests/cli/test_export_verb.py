@@ -16,9 +16,9 @@ from test_verbs import tustinnet
 import tustinnet as tn
 from tustinnet.errors import InputError
 from tustinnet.export.mat import Matrices
-from tustinnet.export.numbers import run
 from tustinnet.export.source import Source
 from tustinnet.export.target import Files, Stepper, Target, Unbuilt
+from tustinnet.program.numbers import run
 from tustinnet.registry import TARGETS
 from tustinnet.store import exported
 from tustinnet.store.files import write_into

@@ -470,7 +470,10 @@ GREY = ["--recipe", "grey", "--system", "{}"]
             [*GREY, "--set", "search.initial=warm-up-20"],
             ["search.initial", "after the first sample", "derived-6"],
         ),
-        ([*GREY, "--set", "search.method=newton"], ["search.method", "'l-bfgs'", "'newton'"]),
+        (
+            [*GREY, "--set", "search.method=newton"],
+            ["search.method", "'levenberg-marquardt'", "'newton'"],
+        ),
         ([*GREY, "--set", "search.los=state"], ["search.los", "did you mean 'loss'?"]),
         ([*GREY, "--set", "stages.0.epochs=3"], ["recipe 'grey', stages", "unknown key"]),
         (

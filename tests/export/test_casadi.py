@@ -14,10 +14,10 @@ from swinging import SWING
 import tustinnet as tn
 from tustinnet.errors import InputError
 from tustinnet.export import casadi as target
-from tustinnet.export.numbers import run
-from tustinnet.export.program import OPERATIONS
-from tustinnet.export.reading import read
-from tustinnet.export.tape import Tape
+from tustinnet.program.numbers import run
+from tustinnet.program.program import OPERATIONS
+from tustinnet.program.reading import read
+from tustinnet.program.tape import Tape
 
 casadi = pytest.importorskip("casadi")
 

@@ -2,7 +2,7 @@
 
 from every_step import PROGRAMS, operations_in, stepping
 
-from tustinnet.export.program import OPERATIONS
+from tustinnet.program.program import OPERATIONS
 
 
 def test_every_kind_of_node_is_tried():

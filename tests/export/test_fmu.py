@@ -18,9 +18,9 @@ from swinging import DT, SWING, swing_model
 import tustinnet as tn
 from tustinnet.export.check import checked
 from tustinnet.export.fmu import FILES, TARGET
-from tustinnet.export.numbers import run
 from tustinnet.export.source import Source, source_of
 from tustinnet.export.target import Unbuilt
+from tustinnet.program.numbers import run
 
 fmpy = pytest.importorskip("fmpy")
 

@@ -23,9 +23,9 @@ from every_step import (
 import tustinnet as tn
 from tustinnet.errors import InputError
 from tustinnet.export.javascript import MODULE, TARGET
-from tustinnet.export.numbers import run
 from tustinnet.export.source import Source, source_of
 from tustinnet.export.target import Unbuilt
+from tustinnet.program.numbers import run
 from tustinnet.simulate.range import Range
 
 NODE = shutil.which("node")

@@ -15,7 +15,7 @@ from swinging import CART, SWING
 import tustinnet as tn
 from tustinnet.errors import InputError
 from tustinnet.export.mat import TARGET, Matrices
-from tustinnet.export.numbers import run
+from tustinnet.program.numbers import run
 from tustinnet.store.exported import targets_of
 
 

@@ -21,9 +21,9 @@ from every_step import (
 import tustinnet as tn
 from tustinnet.errors import InputError
 from tustinnet.export import onnx as target_module
-from tustinnet.export.numbers import run
 from tustinnet.export.onnx import ROLLOUT, SINGLE, STEP, TARGET
 from tustinnet.export.source import Source, source_of
+from tustinnet.program.numbers import run
 
 onnx = pytest.importorskip("onnx")
 

@@ -7,10 +7,10 @@ from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.errors import InputError
-from tustinnet.evaluate.scores import simulated
 from tustinnet.models.contract import Model, require_fit, require_float64, with_dtype
 from tustinnet.simulate.along import states_along
 from tustinnet.simulate.drive import Drive, drive_of
+from tustinnet.simulate.simulation import simulated
 
 _STEPS_AT_ONCE = 2_000_000  # bounds the RAM of k-step-ahead predictions
 

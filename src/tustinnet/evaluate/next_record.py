@@ -16,13 +16,13 @@ from tustinnet.data.experiment import LARGEST, Experiment
 from tustinnet.data.proposals import Proposal
 from tustinnet.errors import InputError
 from tustinnet.evaluate.bands import alternatives_of, guesses
-from tustinnet.evaluate.scores import simulated
 from tustinnet.fitting.shooting.information import information, space_of
 from tustinnet.models.contract import Model, require_float64, with_dtype
 from tustinnet.models.groups import of_groups
 from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.simulate.drive import drives_of
+from tustinnet.simulate.simulation import simulated
 
 _SHRUNK = 0.1  # of the correlations: those of few records leave directions without any error
 COVARIANCE, DISAGREEMENT = "covariance of the parameters", "disagreement of the members"

@@ -4,9 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment
@@ -14,10 +13,9 @@ from tustinnet.evaluate import metrics
 from tustinnet.models.contract import Model, require_fit, require_float64, with_dtype
 from tustinnet.simulate.along import states_along
 from tustinnet.simulate.batches import in_batches
-from tustinnet.simulate.drive import Drive, drives_of
+from tustinnet.simulate.drive import drives_of
 from tustinnet.simulate.horizon import horizon_samples, pieces
-from tustinnet.simulate.programs import make_room
-from tustinnet.simulate.rollout import rollouts
+from tustinnet.simulate.simulation import simulated
 from tustinnet.simulate.starts import Start, start_named, start_states
 
 
@@ -95,7 +93,7 @@ def _free_runs(
     every = [piece for of in segments for piece in of]
     x0 = start_states(simulator, every, rule)
     drive = drives_of(simulator, every, slice(rule.first, None))
-    found = iter(np.asarray(simulated(simulator, x0, drive)))
+    found = iter(simulated(simulator, x0, drive))
     runs = [
         np.concatenate([next(found)[: len(piece) - rule.first] for piece in of]) for of in segments
     ]
@@ -111,14 +109,6 @@ def _listed(experiments: Sequence[Experiment] | Experiment) -> Sequence[Experime
 
 def _rule(start: str | Start) -> Start:
     return start_named(start) if isinstance(start, str) else start
-
-
-@eqx.filter_jit
-def simulated(
-    model: Model, x0: Float[Array | np.ndarray, "runs n_x"], drive: Drive
-) -> Float[Array, "runs samples n_x"]:
-    """Free runs side by side, compiled."""
-    return rollouts(model, x0, drive)
 
 
 def evaluate(
@@ -146,7 +136,6 @@ def evaluate(
     """
     experiments, rule, scores = _listed(experiments), _rule(start), []
     samples = horizon_samples(horizon, experiments, rule)
-    make_room()
     runs = free_run(model, experiments, rule, horizon=horizon)
     for e, x in zip(experiments, runs, strict=True):
         q, measured = x[rule.first :, e.channels.position], e.q[rule.first :]

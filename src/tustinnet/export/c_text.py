@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from tustinnet.export.c_words import HELPED, HELPERS, LOGIC, NAMES, SIGNS, literal, wrapped
-from tustinnet.export.memory import is_elementwise, lives_of
-from tustinnet.export.program import Loop, Node, Program
+from tustinnet.program.memory import is_elementwise, lives_of
+from tustinnet.program.program import Loop, Node, Program
 
 
 class Code:

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tustinnet.errors import require_package
-from tustinnet.export.program import Loop, Node, Program
 from tustinnet.export.source import Source, source_of
 from tustinnet.export.target import Files, Stepper, Target, Vector
 from tustinnet.models.contract import Model
+from tustinnet.program.program import Loop, Node, Program
 
 if TYPE_CHECKING:
     from casadi import Function

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from tustinnet.errors import InputError
-from tustinnet.export.program import Loop, Node, Program
 from tustinnet.export.source import Source
 from tustinnet.export.target import Files, Stepper, Target, Unbuilt, Vector
+from tustinnet.program.program import Loop, Node, Program
 
 MODULE = "model.mjs"
 

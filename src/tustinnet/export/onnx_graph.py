@@ -16,7 +16,7 @@ from onnx.helper import (
 )
 
 from tustinnet.export.onnx_terms import OPERATORS, Graph, Shared, Term
-from tustinnet.export.program import Loop, Node, Program
+from tustinnet.program.program import Loop, Node, Program
 
 OPSET = 17
 _IR = 8  # the version of the format that came with it

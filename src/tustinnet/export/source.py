@@ -11,13 +11,13 @@ from jaxtyping import Array, Float
 
 from tustinnet.channels import Channels
 from tustinnet.errors import InputError
-from tustinnet.export.program import Program
-from tustinnet.export.reading import read
 from tustinnet.families.family import family_of
 from tustinnet.models.contract import Model, require_float64, with_dtype
 from tustinnet.models.groups import of_groups
+from tustinnet.program.derivatives import with_derivatives
+from tustinnet.program.program import Program
+from tustinnet.program.reading import read
 from tustinnet.signals.excitation import Excitation, Held, excitation
-from tustinnet.simulate.linearise import with_slopes
 from tustinnet.simulate.range import Range
 
 _FARTHEST = 1000  # samples away that a step may see
@@ -122,12 +122,7 @@ class Source:
     @cached_property
     def linearised(self) -> Program:
         """The step and its derivatives by rows: `x`, `u` to `x`, `a` (n_x n_x), `b` (n_x n_w)."""
-
-        def both(x: Array, u: Array) -> dict[str, Array]:
-            moved, (a, b) = with_slopes(self.function, x, u)
-            return {"x": moved, "a": a, "b": b}
-
-        return read(both, self._inputs)
+        return with_derivatives(self.step, "x", {"a": "x", "b": "u"})
 
     @property
     def _inputs(self) -> dict[str, int]:

@@ -159,7 +159,7 @@ class SearchRecipe(Declaration):
         robust: how residuals that are much larger than most are weighed: `none` as all others,
             `huber` less, `student` far less (t with 4 degrees of freedom), see `robust_weights`.
         part: `whole` records, or `transients`: up to `k_bar`, without the standstill after it.
-        method: `levenberg-marquardt`, or `l-bfgs` for systems with many parameters.
+        method: `levenberg-marquardt`, the only one.
         tolerance: converged when the next step promises less than this part of the cost.
         iterations: allowed in the last stage.
         horizon: longest segment that is simulated at once [s], also of validation records; none
@@ -177,7 +177,7 @@ class SearchRecipe(Declaration):
     times: Literal["recorded", "nominal"] = "recorded"
     robust: Robust = "none"
     part: Literal["whole", "transients"] = "whole"
-    method: Literal["levenberg-marquardt", "l-bfgs"] = "levenberg-marquardt"
+    method: Literal["levenberg-marquardt"] = "levenberg-marquardt"
     tolerance: float = Field(default=1e-5, gt=0, le=1)
     iterations: Count = 50
     horizon: Horizon | None = None

@@ -2,12 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.data.experiment import Experiment, moves_in
+from tustinnet.engine import equations as engine
 from tustinnet.fitting.recipe import Robust, SearchRecipe, StageRecipe
 
 _NOTHING = 1.0  # the unit of a signal that never changes
@@ -52,9 +54,10 @@ class Residual:
             return error
         return jnp.where(np.array(self.periodic), 2 * jnp.sin(error / 2), error)
 
-    def slope(self, error: Float[Array, "*any n_y"]) -> Float[Array, "*any n_y"]:
-        """The derivative of `bent`."""
-        return jnp.where(np.array(self.periodic), jnp.cos(error / 2), 1.0)
+    @property
+    def as_compared(self) -> engine.Residual:
+        """How errors count, without units, for simulations with derivatives."""
+        return _as_compared(self.periodic)
 
     def window_loss(
         self, simulated: Float[Array, "samples n_x"], target: Float[Array, "samples n_x"]
@@ -68,6 +71,11 @@ class Residual:
         error = (simulated - target)[1:, : self.channels]
         weight = jnp.asarray(self.weight, error.dtype)
         return jnp.mean(jnp.sum((weight * self.bent(error)) ** 2, axis=1))
+
+
+@lru_cache  # what was read once is not read again
+def _as_compared(periodic: tuple[bool, ...]) -> engine.Residual:
+    return engine.Residual(Residual(periodic, (1.0,) * len(periodic)).bent, len(periodic))
 
 
 def residual_of(recipe: StageRecipe | SearchRecipe, experiments: Sequence[Experiment]) -> Residual:

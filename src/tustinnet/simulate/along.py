@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -14,6 +13,7 @@ from tustinnet.signals.stacking import stacked
 from tustinnet.simulate.batches import in_batches
 from tustinnet.simulate.drive import Drive, drives_of
 from tustinnet.simulate.rollout import rollout
+from tustinnet.simulate.simulation import beginnings, simulated
 
 
 def states_along(
@@ -41,8 +41,9 @@ def _internal(
 ) -> Float[np.ndarray, "records n n_z"]:
     # all of one length, so that one program serves them; nobody reads what follows a record's end
     known = stacked([e.measured_states(velocity) for e in experiments])
-    runs = followed(model, jnp.asarray(known), drives_of(model, experiments))
-    return np.asarray(runs)[..., model.channels.internal]
+    start = beginnings(model, known[:, 0])
+    runs = simulated(model, start, drives_of(model, experiments), known)
+    return runs[..., model.channels.internal]
 
 
 @eqx.filter_jit

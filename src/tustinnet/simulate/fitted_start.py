@@ -15,13 +15,13 @@ from tustinnet.simulate.drive import Drive
 from tustinnet.simulate.rollout import precision, rollout
 
 FEWEST = 3  # samples that say something of a velocity
-_TURNS = 12  # Levenberg-Marquardt steps; from a parabola 3 or 4 are enough
-_HELD_TURNS = 8  # before them, with internal states held
-_HELD = 30.0  # times as near to the guess as they are kept in the end
-_FIRST_DAMPING = 1e-3
+TURNS = 12  # Levenberg-Marquardt steps; from a parabola 3 or 4 are enough
+HELD_TURNS = 8  # before them, with internal states held
+HELD = 30.0  # times as near to the guess as they are kept in the end
+FIRST_DAMPING = 1e-3
 _RISING = 4  # power of its place among the samples with which one weighs
 _FEW = 5  # samples for each of these powers: what is left must say a velocity, too
-_EXPLAINED = 2.5  # standard deviations (root mean square) that a model may leave
+EXPLAINED = 2.5  # standard deviations (root mean square) that a model may leave
 _UNKNOWN_ERROR = 1e-3  # [rad or m], of positions whose resolution nobody declared
 
 
@@ -32,6 +32,14 @@ def position_weights(model: Model) -> Float[np.ndarray, " n_q"]:
     """
     errors = [r / np.sqrt(12.0) if r else _UNKNOWN_ERROR for r in model.channels.resolution]
     return 1.0 / np.array(errors)
+
+
+def sample_shares(
+    samples: int,
+) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
+    """What errors weigh by their place among the samples: the more the later, and all the same."""
+    places = np.arange(1, samples + 1) / samples
+    return places ** min(_RISING, samples / _FEW), np.ones(samples)
 
 
 def model_starts(
@@ -76,10 +84,9 @@ def model_starts(
 
 
 def _one(model: Model, weight: Array, guess: State, u: Drive, q: Array) -> State:
-    places = jnp.arange(1, len(q) + 1) / len(q)
-    rising, even = places ** min(_RISING, len(q) / _FEW), jnp.ones(len(q))
+    rising, even = map(jnp.asarray, sample_shares(len(q)))
     # the first that explains the samples is taken, or the last
-    most = _HELD_TURNS if model.internal else 0
+    most = HELD_TURNS if model.internal else 0
     held = jnp.array([0, most, 0] if most else [0, 0])
     shares = jnp.stack([*[rising] * (len(held) - 1), even])
     weights = shares.astype(guess.dtype)[:, :, None] * weight
@@ -95,7 +102,7 @@ def _one(model: Model, weight: Array, guess: State, u: Drive, q: Array) -> State
         return _fitted(residuals, begin, held, most)
 
     fits = jax.vmap(fitted)(to, held)
-    explained = fits.cost <= _EXPLAINED**2 * q.shape[1] * jnp.sum(shares**2, axis=1)
+    explained = fits.cost <= EXPLAINED**2 * q.shape[1] * jnp.sum(shares**2, axis=1)
     chosen = jnp.argmax(explained.at[-1].set(True))
     solution = fits.x[chosen], fits.jacobian[chosen]
     return _with_derivative(solution, model, weights[chosen], guess, u, q)
@@ -141,7 +148,7 @@ def _fitted(
         held: turns with internal states held.
         most: as many turns of these as there can be.
     """
-    first = jnp.asarray(10 * _FIRST_DAMPING, begin.dtype)
+    first = jnp.asarray(10 * FIRST_DAMPING, begin.dtype)
 
     def again(x: State, near: Array) -> tuple[Array, Array]:
         found = residuals(x, near)
@@ -153,10 +160,10 @@ def _fitted(
         fresh = i == held
         best = best._replace(cost=jnp.where(fresh, jnp.inf, best.cost))
         tried, damping = jnp.where(fresh, best.x, tried), jnp.where(fresh, first, damping)
-        near = jnp.where(i < held, _HELD, 1.0).astype(begin.dtype)
+        near = jnp.where(i < held, HELD, 1.0).astype(begin.dtype)
         jacobian, found = jax.jacfwd(again, has_aux=True)(tried, near)
         there = _Fit(tried, found, jacobian, jnp.sum(found**2))
-        better = (there.cost < best.cost) & (i <= held + _TURNS)
+        better = (there.cost < best.cost) & (i <= held + TURNS)
         best = jax.tree.map(lambda yes, no: jnp.where(better, yes, no), there, best)
         damping = jnp.where(better, damping / 10, damping * 10)
         return best, best.x - _step(best.jacobian, best.residuals, damping), damping
@@ -170,7 +177,7 @@ def _fitted(
         jnp.zeros((*shape.shape, len(begin)), shape.dtype),
         jnp.full((), jnp.inf, shape.dtype),
     )
-    return jax.lax.fori_loop(0, most + 1 + _TURNS, turn, (unknown, begin, first))[0]
+    return jax.lax.fori_loop(0, most + 1 + TURNS, turn, (unknown, begin, first))[0]
 
 
 def _step(jacobian: Array, r: Array, damping: Array) -> State:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, ClassVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,6 +17,8 @@ from jaxtyping import Array, Float
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.inspection import scales_of
+from tustinnet.engine.equations import Formula
+from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
 from tustinnet.signals.derivatives import polynomial_fit
@@ -25,6 +26,8 @@ from tustinnet.simulate.along import followed
 from tustinnet.simulate.batches import in_batches
 from tustinnet.simulate.drive import drives_of
 from tustinnet.simulate.fitted_start import FEWEST, model_starts
+from tustinnet.simulate.simulation import beginnings, simulated
+from tustinnet.simulate.state_fits import fitted_states
 
 DERIVED = 6  # samples of the usual parabola
 FITTED = 20  # samples that a state is usually fitted to
@@ -74,6 +77,10 @@ class Start(ABC):
         expects there.
         """
         return jax.vmap(model.beginning)(jnp.asarray(material))
+
+    def estimated(self, model: Model, material: Any) -> Float[np.ndarray, "records n_x"]:
+        """The states, by the engine: what `states` computes, for models that are not trained."""
+        return beginnings(model, np.asarray(material))
 
 
 class Stored(Start):
@@ -137,6 +144,11 @@ class Fitted(Start):
         guess, drive, q = material
         return model_starts(model, super().states(model, guess), drive, q)
 
+    def estimated(self, model: Model, material: Any) -> Float[np.ndarray, "records n_x"]:
+        """Least squares through the model, see `fitted_states`."""
+        guess, drive, q = material
+        return fitted_states(model, beginnings(model, guess), drive, q).x
+
 
 class _AfterSamples(Start):
     """A start that uses N samples and begins the free run at the last of them."""
@@ -183,6 +195,12 @@ class WarmUp(_AfterSamples):
         internal = run[:, -1, model.channels.internal]
         return jnp.concatenate([jnp.asarray(known)[:, -1].astype(run.dtype), internal], axis=1)
 
+    def estimated(self, model: Model, material: Any) -> Float[np.ndarray, "records n_x"]:
+        """The measured state with the internal states that the samples led to."""
+        known, drive = material
+        run = simulated(model, beginnings(model, known[:, 0]), drive, known)
+        return np.concatenate([known[:, -1], run[:, -1, model.channels.internal]], axis=1)
+
 
 class Encoder(_AfterSamples):
     """`encoder-N`: the model's encoder says the state at the last of the first N samples.
@@ -218,6 +236,21 @@ class Encoder(_AfterSamples):
         assert model.encoder is not None
         q, u = (jnp.asarray(a) for a in material)
         return jax.vmap(partial(model.encoder, model.channels))(q, u)
+
+    def estimated(self, model: Model, material: Any) -> Float[np.ndarray, "records n_x"]:
+        """What the encoder says."""
+        encoder, channels = model.encoder, model.channels
+        assert encoder is not None
+        q, u = (np.asarray(a, np.float64) for a in material)
+        points = np.concatenate([q.reshape(len(q), -1), u.reshape(len(u), -1)], axis=1)
+        size = q[0].size
+
+        def estimate(point: Array) -> Array:
+            return encoder(
+                channels, point[:size].reshape(q.shape[1:]), point[size:].reshape(u.shape[1:])
+            )
+
+        return evaluate(Formula(estimate, points.shape[1], where="the encoder"), points)
 
 
 STARTS: tuple[type[Start], ...] = (Stored, Derived, Fitted, WarmUp, Encoder)
@@ -285,14 +318,9 @@ def start_states(
     rule = start_named(start) if isinstance(start, str) else start
 
     def of_batch(own: Model, some: Sequence[Experiment]) -> Float[np.ndarray, "records n_x"]:
-        return np.asarray(_states(rule, own, rule.material(own, some)))
+        return rule.estimated(own, rule.material(own, some))
 
     return np.stack(in_batches(model, experiments, of_batch))
-
-
-@eqx.filter_jit
-def _states(rule: Start, model: Model, material: Any) -> Float[Array, "records n_x"]:
-    return rule.states(model, material)
 
 
 def initial_state(experiment: Experiment, start: str) -> Float[np.ndarray, " n_x"]:

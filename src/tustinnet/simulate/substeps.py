@@ -2,19 +2,17 @@
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
-import equinox as eqx
-import jax
 import numpy as np
-from jaxtyping import Array, Float
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.contract import ContinuousModel
 from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.simulate.batches import batches
-from tustinnet.simulate.drive import Drive, drives_of
-from tustinnet.simulate.rollout import rollout
+from tustinnet.simulate.drive import drives_of
+from tustinnet.simulate.simulation import simulated
 from tustinnet.simulate.starts import DERIVED, default_start, start_states
 
 PROBED_SECONDS = 2.0  # of each record
@@ -73,8 +71,8 @@ def fewest_substeps(model: Discretised, experiments: Sequence[Experiment], share
     def positions(substeps: int) -> np.ndarray:
         found = []
         for own, some, x0, drive in runs:
-            simulated = np.asarray(_positions(own.continuous, x0, drive, own.dt, substeps))
-            found += [q[: len(e)] for q, e in zip(simulated, some, strict=True)]
+            run = simulated(replace(own, substeps=substeps), x0, drive)
+            found += [x[: len(e), own.channels.position] for x, e in zip(run, some, strict=True)]
         return np.concatenate(found)
 
     exact = positions(model.substeps)
@@ -101,7 +99,8 @@ def _enough(model: ContinuousModel, probed: Sequence[Experiment], tolerance: flo
     drive = drives_of(stepped, probed)
 
     def positions(substeps: int) -> np.ndarray:
-        return np.asarray(_positions(model, x0, drive, dt, substeps))
+        run = simulated(replace(stepped, substeps=substeps), x0, drive)
+        return run[..., model.channels.position]
 
     return enough_substeps(positions, tolerance)
 
@@ -126,16 +125,3 @@ def enough_substeps(positions: Callable[[int], np.ndarray], tolerance: float) ->
             return substeps
         substeps, coarse = 2 * substeps, fine
     return substeps if np.isfinite(coarse).all() else 1
-
-
-@eqx.filter_jit
-def _positions(
-    model: ContinuousModel,
-    x0: Float[Array | np.ndarray, "records n_x"],
-    drive: Drive,
-    dt: float,
-    substeps: int,
-) -> Float[Array, "records samples n_q"]:
-    stepped = discretise(model, dt, substeps)
-    runs = jax.vmap(lambda x, u: rollout(stepped, x, u))(x0, drive)
-    return runs[..., model.channels.position]

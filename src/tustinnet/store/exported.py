@@ -10,11 +10,11 @@ from typing import Any
 
 from tustinnet.errors import InputError
 from tustinnet.export.check import Checked, checked
-from tustinnet.export.numbers import run
 from tustinnet.export.source import Source, require_stepping, source_of
 from tustinnet.export.target import Files, Target, Unbuilt
 from tustinnet.families.family import family_of
 from tustinnet.models.contract import Model
+from tustinnet.program.numbers import run
 from tustinnet.registry import TARGETS
 from tustinnet.simulate.range import Range
 from tustinnet.store.files import (

@@ -70,5 +70,3 @@ def test_a_model_with_a_delay_is_restored_with_it(tmp_path):
 def test_delays_that_cannot_be_found_are_refused():
     with pytest.raises(tn.InputError, match=r"'x.delay'.*common to all sensors"):
         tn.identify(late(0.0), SYSTEM, asking("x.delay"))
-    with pytest.raises(tn.InputError, match=r"search.method.*'force.delay'"):
-        tn.identify(late(0.0), SYSTEM, {**RECIPE, "search": {"method": "l-bfgs"}})

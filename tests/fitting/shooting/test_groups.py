@@ -137,12 +137,6 @@ def test_values_are_fixed_for_all_groups_or_for_one():
         tn.identify(data_set(list(both())), PER, begin={"mass[3kg]": 0.2})
 
 
-def test_a_gradient_search_finds_the_same_values():
-    recipe = tn.read_recipe("grey", ["search.method=l-bfgs"])
-    found = tn.identify(data_set(list(both())), PER, recipe)
-    assert found.values == pytest.approx(found_per_payload().values, rel=1e-3)
-
-
 def test_a_record_that_contradicts_the_others_is_named():
     records = [carried(i, None, 0.42 if i == 2 else 0.21) for i in range(6)]
     found = tn.identify(data_set(records), CARRYING)

@@ -11,7 +11,7 @@ from swinging import SWING, changed, falls, records
 import tustinnet as tn
 from tustinnet.fitting.residual import Residual
 from tustinnet.fitting.shooting.identifiability import Confounded, confounded
-from tustinnet.fitting.shooting.normal import Shape, normal_products
+from tustinnet.fitting.shooting.normal import normal_products
 from tustinnet.fitting.shooting.segments import Cut, cut
 from tustinnet.fitting.shooting.space import Space, make_space
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
@@ -86,12 +86,13 @@ def products(
     system: LagrangianSystem, experiments: list[tn.Experiment], length: int, space: Space
 ) -> np.ndarray:
     vector = space.vector(system.nominal())
-    model = tn.discretise(system.model(space.values(vector)), experiments[0].dt)
+    values = {name: jnp.asarray(x) for name, x in space.values(vector).items()}
+    model = tn.discretise(system.model(values), experiments[0].dt)
     n_q = len(system.coordinates)
     residual = Residual((False,) * n_q, (1.0,) * n_q)
     pieces = cut(experiments, model, Cut(residual, length, timestamps=False))
-    shape = Shape(system, space.searched, residual, 2)
-    return normal_products(shape, space, vector, pieces.x0, pieces, 1).pp.sum(axis=0)
+    x0 = pieces.x0
+    return normal_products(system, residual, space, vector, x0, pieces, 1).pp.sum(axis=0)
 
 
 def directions(
@@ -136,7 +137,10 @@ def base_parameters(vector: jax.Array) -> jax.Array:
     The equations hold three inertias, two dampings, two stiffnesses, the gain of the voltage and
     the pendulum's weight, which all others are divided by.
     """
-    p = LOOSE_SPACE.values(vector)
+    p = {
+        q.name: jnp.exp(x) if q.positive else x * (q.upper - q.lower)
+        for q, x in zip(LOOSE_SPACE.searched, vector, strict=True)
+    }
     arm = p["rotor_inertia"] + p["hub_mass"] * p["hub_radius"] ** 2 / 2
     base = jnp.stack([
         arm + (p["arm_mass"] / 3 + p["pendulum_mass"]) * p["arm_length"] ** 2,

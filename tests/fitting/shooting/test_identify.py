@@ -143,11 +143,6 @@ def test_every_stage_is_told():
 # --- keys of [search] ---
 
 
-def test_the_gradient_method_finds_the_same():
-    recipe = grey("method=l-bfgs", "tolerance=1e-7")
-    assert worst(tn.identify(data_set(records()), SWING, recipe)) < 2e-3
-
-
 def test_velocities_can_be_compared_too():
     found = tn.identify(data_set(records()), SWING, grey("loss=state"))
     assert worst(found) < 1e-3

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt within a box, and the gradient method beside it."""
+"""Levenberg-Marquardt within a box."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,6 @@ from swinging import DT, FAR, SWING, TRUTH, changed, noisy, records, swing_model
 import tustinnet as tn
 from tustinnet.fitting.residual import Residual
 from tustinnet.fitting.shooting import least_squares
-from tustinnet.fitting.shooting.by_gradient import minimise_by_gradient
 from tustinnet.fitting.shooting.least_squares import (
     Cost,
     Fitted,
@@ -17,19 +16,15 @@ from tustinnet.fitting.shooting.least_squares import (
     eliminated,
     minimise,
 )
-from tustinnet.fitting.shooting.normal import Shape, normal_products
+from tustinnet.fitting.shooting.normal import normal_products
 from tustinnet.fitting.shooting.segments import Cut, Segments, cut
-from tustinnet.fitting.shooting.space import Space, make_space
+from tustinnet.fitting.shooting.space import make_space
 from tustinnet.models.lagrangian import LagrangianSystem
 
 SPACE = make_space(SWING, {}, {})
 POSITION = Residual((False,), (1.0,))
 NO_PRIOR = Prior(np.zeros(3), np.zeros(3), 1e-10, 0.0)
 SEARCHED_TRUTH = {name: TRUTH[name] for name in SPACE.names}
-
-
-def shape(system: LagrangianSystem = SWING, space: Space = SPACE) -> Shape:
-    return Shape(system, space.searched, POSITION, 2)
 
 
 def segments(length: int | None = 25, noise: float = 0.0) -> Segments:
@@ -42,7 +37,6 @@ def search(
     values: dict[str, float],
     pieces: Segments,
     *,
-    method=minimise,
     prior: Prior = NO_PRIOR,
     system: LagrangianSystem = SWING,
     tolerance: float = 1e-9,
@@ -51,8 +45,8 @@ def search(
 ) -> Fitted:
     space = make_space(system, {}, {})
     vector = space.vector(system.nominal() | values)
-    cost = Cost(shape(system, space), space, pieces, prior, substeps=1)
-    return method(cost, vector, Limits(tolerance, iterations), told)
+    cost = Cost(system, POSITION, space, pieces, prior, substeps=1)
+    return minimise(cost, vector, Limits(tolerance, iterations), told)
 
 
 def test_it_reaches_the_truth_from_afar():
@@ -82,9 +76,9 @@ def test_every_iterate_stays_within_the_box_and_an_active_bound_is_told(monkeypa
     space = make_space(narrow, {}, {})
     visited = []
 
-    def watched(shape, space, vector, *rest):
+    def watched(system, residual, space, vector, *rest):
         visited.append(vector)
-        return normal_products(shape, space, vector, *rest)
+        return normal_products(system, residual, space, vector, *rest)
 
     monkeypatch.setattr(least_squares, "normal_products", watched)
     fitted = search(FAR, segments(), system=narrow)
@@ -104,7 +98,7 @@ def test_a_bound_that_was_touched_on_the_way_is_left_again():
 def test_eliminating_the_initial_states_gives_the_whole_gauss_newton_step():
     pieces = segments(50)
     vector = SPACE.vector(TRUTH | {"gravity": 1.2, "damping": 0.03})
-    normal = normal_products(shape(), SPACE, vector, pieces.x0, pieces, 1)
+    normal = normal_products(SWING, POSITION, SPACE, vector, pieces.x0, pieces, 1)
     matrices, gradients, by_gradient, by_step = eliminated(normal)
     step = -np.linalg.solve(matrices.sum(axis=0), gradients.sum(axis=0))
     states = by_gradient + by_step @ step
@@ -149,28 +143,3 @@ def test_a_strong_prior_decides():
     prior = Prior(np.array([0.0, 3.0, 0.0]), np.array([0.0, 1 / 0.01, 0.0]), 1e-6, 1e3)
     fitted = search({}, pieces, prior=prior)
     assert SPACE.numbers(fitted.vector)["gravity"] == pytest.approx(3.0, abs=0.05)
-
-
-def test_the_gradient_method_ends_at_the_same_minimum():
-    pieces = segments(25, noise=1e-3)
-    told: list[tuple[int, float, float]] = []
-    expected = search(FAR, pieces)
-    found = search(
-        FAR, pieces, method=minimise_by_gradient, tolerance=1e-7, told=lambda *of: told.append(of)
-    )
-    np.testing.assert_allclose(found.vector, expected.vector, atol=2e-3)
-    assert found.cost == pytest.approx(expected.cost, rel=1e-3)
-    assert found.normal.cost.sum() == pytest.approx(expected.normal.cost.sum(), rel=1e-3)
-    assert len(told) == found.iterations
-
-
-def test_the_gradient_method_keeps_to_the_box_and_heeds_priors():
-    narrow = changed("damping", lower=0.03, upper=0.07, nominal=0.05)
-    prior = Prior(np.array([0.0, 1.0, 0.0]), np.array([0.0, 1 / 0.1, 0.0]), 1e-6, 0.02)
-    found = search(
-        FAR, segments(), method=minimise_by_gradient, system=narrow, prior=prior, tolerance=1e-7
-    )
-    expected = search(FAR, segments(), system=narrow, prior=prior)
-    np.testing.assert_allclose(found.vector, expected.vector, atol=2e-3)
-    assert np.exp(found.vector[0]) == pytest.approx(0.03)
-    assert np.exp(expected.vector[1]) < 1.45

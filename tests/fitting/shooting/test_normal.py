@@ -8,8 +8,7 @@ from swinging import CREEPING, DT, TILT, TRUTH, simulated, swing_model, voltage
 
 import tustinnet as tn
 from tustinnet.fitting.residual import Residual
-from tustinnet.fitting.shooting import normal as normal_module
-from tustinnet.fitting.shooting.normal import Normal, Shape, lanes_for, normal_products
+from tustinnet.fitting.shooting.normal import Normal, normal_products
 from tustinnet.fitting.shooting.segments import Cut, Segments, cut
 from tustinnet.fitting.shooting.space import make_space
 
@@ -17,6 +16,10 @@ SPACE = make_space(CREEPING, {}, {})
 VALUES = CREEPING.nominal() | {"damping": 0.03, "gravity": 1.3, "gain": 0.12}
 VECTOR = SPACE.vector(VALUES)
 SUBSTEPS = 2
+# what segments have each for itself
+OWN = (
+    "x0", "searched", "expected", "precision", "steps", "first", "record", "share", "pick",
+)  # fmt: skip
 
 
 def segments() -> Segments:
@@ -30,8 +33,12 @@ def segments() -> Segments:
     return cut(experiments, model, Cut(Residual((False,), (1 / 1.5,)), 22))
 
 
-def shape(lanes: int = 2, *, periodic: bool = False) -> Shape:
-    return Shape(CREEPING, SPACE.searched, Residual((periodic,), (1 / 1.5,)), lanes)
+def products(
+    vector: np.ndarray, states: np.ndarray, pieces: Segments, substeps: int = SUBSTEPS,
+    *, periodic: bool = False,
+) -> Normal:  # fmt: skip
+    residual = Residual((periodic,), (1 / 1.5,))
+    return normal_products(CREEPING, residual, SPACE, vector, states, pieces, substeps)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +55,7 @@ def states(pieces) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def normal(pieces, states) -> Normal:
-    return normal_products(shape(), SPACE, VECTOR, states, pieces, SUBSTEPS)
+    return products(VECTOR, states, pieces)
 
 
 def by_hand(p: dict[str, float], x0: np.ndarray, u: np.ndarray, periods: np.ndarray) -> np.ndarray:
@@ -90,7 +97,7 @@ def differences(function, at: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("periodic", [False, True])
 def test_products_are_those_of_finite_differences(pieces, states, normal, periodic):
     if periodic:
-        normal = normal_products(shape(periodic=True), SPACE, VECTOR, states, pieces, SUBSTEPS)
+        normal = products(VECTOR, states, pieces, periodic=True)
     for row, x0 in enumerate(states):
         r = residuals(pieces, row, VECTOR, x0, periodic=periodic)
         jacobian = differences(
@@ -128,23 +135,26 @@ def require_alike(found: Normal, expected: Normal, order: np.ndarray) -> None:
             np.testing.assert_allclose(now, before, rtol=1e-9, atol=1e-12, err_msg=part.name)
 
 
-@pytest.mark.parametrize("lanes", [1, 5])
-def test_products_do_not_depend_on_how_many_stand_side_by_side(pieces, states, normal, lanes):
-    other = normal_products(shape(lanes), SPACE, VECTOR, states, pieces, SUBSTEPS)
-    require_alike(other, normal, np.arange(len(states)))
+@pytest.mark.parametrize("engine", ["jax", "llvm"])
+def test_both_engines_find_the_same_products(pieces, states, normal, engine, monkeypatch):
+    monkeypatch.setenv("TUSTINNET_ENGINE", engine)
+    require_alike(products(VECTOR, states, pieces), normal, np.arange(len(states)))
 
 
-def test_products_do_not_depend_on_how_many_steps_a_call_takes(pieces, states, normal, monkeypatch):
-    monkeypatch.setattr(normal_module, "_STRETCH", 9)
-    other = normal_products(shape(), SPACE, VECTOR, states, pieces, SUBSTEPS)
-    require_alike(other, normal, np.arange(len(states)))
+def test_products_do_not_depend_on_what_stands_beside(pieces, states, normal):
+    alone = [
+        products(VECTOR, states[[row]], part)
+        for row in range(len(states))
+        for part in [replace(pieces, **{name: getattr(pieces, name)[[row]] for name in OWN})]
+    ]
+    for row, part in enumerate(alone):
+        require_alike(part, normal, np.array([row]))
 
 
 def test_products_come_in_the_order_of_the_segments(pieces, states, normal):
     order = np.random.default_rng(3).permutation(len(states))
-    of_segments = ("x0", "searched", "precision", "steps", "first", "record", "share")
-    shuffled = replace(pieces, **{name: getattr(pieces, name)[order] for name in of_segments})
-    other = normal_products(shape(), SPACE, VECTOR, states[order], shuffled, SUBSTEPS)
+    shuffled = replace(pieces, **{name: getattr(pieces, name)[order] for name in OWN})
+    other = products(VECTOR, states[order], shuffled)
     require_alike(other, normal, order)
 
 
@@ -153,9 +163,5 @@ def test_the_truth_leaves_no_error(pieces):
     model = tn.discretise(swing_model(system=CREEPING), DT)
     s = cut([e], model, Cut(Residual((False,), (1.0,)), start="file", timestamps=False))
     truth = SPACE.vector(CREEPING.nominal() | TRUTH | {"stiffness": 0.8})
-    found = normal_products(shape(), SPACE, truth, s.x0, s, 8)
+    found = products(truth, s.x0, s, 8)
     assert found.cost[0] < 1e-20
-
-
-def test_few_records_take_few_lanes():
-    assert [lanes_for(n) for n in (1, 2, 4, 7, 16, 100)] == [2, 2, 2, 4, 8, 8]

@@ -9,7 +9,6 @@ from swinging import DT, SWING, TRUTH, noises, noisy, records, simulated, swing_
 import tustinnet as tn
 from tustinnet.fitting.residual import Residual
 from tustinnet.fitting.shooting.least_squares import Cost, Fitted, Limits, Prior, minimise
-from tustinnet.fitting.shooting.normal import Shape
 from tustinnet.fitting.shooting.segments import Cut, Segments, cut
 from tustinnet.fitting.shooting.space import make_space
 from tustinnet.fitting.shooting.uncertainty import Uncertainty, lag_correlation, uncertainty
@@ -24,8 +23,7 @@ def fitted_to(experiments: list[tn.Experiment]) -> tuple[Segments, Fitted]:
     model = tn.discretise(swing_model(), DT)
     pieces = cut(experiments, model, Cut(POSITION, timestamps=False))
     nothing = Prior(np.zeros(3), np.zeros(3), 0.0, 0.0)
-    shape = Shape(SWING, SPACE.searched, POSITION, 2)
-    cost = Cost(shape, SPACE, pieces, nothing, substeps=1)
+    cost = Cost(SWING, POSITION, SPACE, pieces, nothing, substeps=1)
     return pieces, minimise(cost, SPACE.vector(TRUTH), Limits(1e-6, 20))
 
 

@@ -3,14 +3,14 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.fitting.report import Disagreement, Estimate, Identification, Stretch
+from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.fitting.shooting.least_squares import Fitted
-from tustinnet.fitting.shooting.segments import Segments, beginning
+from tustinnet.fitting.shooting.segments import Segments
 from tustinnet.fitting.shooting.space import Space
 from tustinnet.fitting.shooting.uncertainty import Uncertainty, bounded, lag_correlation
 from tustinnet.models.integrate import Discretised
@@ -100,7 +100,7 @@ def described(system: LagrangianSystem, found: Found) -> Identification:
         autocorrelation=tuple(lag.tolist()),
         disagreements=found.disagreements,
         initial=found.initial,
-        initial_states=_initial_states(found),
+        initial_states=_initial_states(system, found),
         horizons=found.horizons,
         start=found.start,
         validation_rmse=found.validation_rmse,
@@ -110,14 +110,14 @@ def described(system: LagrangianSystem, found: Found) -> Identification:
     )
 
 
-def _initial_states(found: Found) -> dict[str, tuple[float, ...]]:
+def _initial_states(system: LagrangianSystem, found: Found) -> dict[str, tuple[float, ...]]:
     """Of each record by name."""
-    segments, states = found.segments, {}
-    for e, row in zip(found.records, segments.begins, strict=True):
-        x0, expected = jnp.asarray(found.fitted.x0[row]), float(segments.expected[row])
-        x = beginning(found.model.of(e), x0, expected)
-        states[e.name] = tuple(np.asarray(x).tolist())
-    return states
+    segments, fitted = found.segments, found.fitted
+    first = segments.begins
+    equations = system_equations(system)
+    values = equations.values(found.space.values(fitted.vector), segments.pick[first])
+    states, *_ = equations.beginnings(fitted.x0[first], values, segments.expected[first])
+    return {e.name: tuple(x.tolist()) for e, x in zip(found.records, states, strict=True)}
 
 
 def _stretches(

@@ -5,17 +5,16 @@ again: the logged input, which held the plant, does not know of the simulation's
 """
 
 from collections.abc import Sequence
-from functools import partial
 from math import ceil, log2
-from typing import Any
 
-import jax
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from tustinnet.data.experiment import Experiment
+from tustinnet.engine.runs import evaluate
+from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.fitting.shooting.space import Searched, Space
-from tustinnet.models.lagrangian import LagrangianSystem, Parameter
+from tustinnet.models.lagrangian import LagrangianSystem
 
 _GROWTH = 1000.0  # falls from upright stay below 50; about a held upright position it has no end
 _SHORTEST = 4  # blocks: a swing can always be compared
@@ -47,18 +46,19 @@ def horizons(
         grows so much anywhere, and those whose input never changes.
     """
     experiments, picks = records
-    of, longest = system.channels, max(map(len, experiments))
+    equations, values = system_equations(system), space.values(vector)
+    of = system.channels
     found = {}
     for e, pick in zip(experiments, picks, strict=True):
         if not e.forced:  # nothing holds it: what grows in the model grows in the record too
             continue
         known = e.measured_states()
-        # all as long as the longest, so that one program serves them; internal states at 0
-        x = np.zeros((longest, known.shape[1] + len(system.internal)))
-        u = np.zeros((longest, e.u.shape[1]))
-        x[: len(e), of.measured], u[: len(e)] = known, e.u
-        slopes = _slopes(system, space.searched, space.fixed_arrays, vector, (x, u, pick))
-        a = np.asarray(slopes)[: len(e) - 1, of.measured, of.measured]
+        internal = np.zeros((len(e), len(system.internal)))
+        parameters = equations.values(values, np.tile(pick, (len(e), 1)))
+        points = np.concatenate([known, internal, e.u, parameters], axis=1)
+        n_x = known.shape[1] + internal.shape[1]
+        slopes = evaluate(equations.slopes, points, derivatives=True).reshape(-1, n_x, n_x)
+        a = slopes[: len(e) - 1, of.measured, of.measured]
         moved, fast = (known[:, part].var(axis=0).sum() for part in (of.position, of.velocity))
         unit = np.ones(known.shape[1])
         unit[of.velocity] = np.sqrt(fast / moved) if fast and moved else 1.0
@@ -114,17 +114,3 @@ def _transitions(a: np.ndarray, dt: float) -> np.ndarray:
     for _ in range(halvings):
         found = found @ found
     return found
-
-
-@partial(jax.jit, static_argnums=(0, 1))
-def _slopes(
-    system: LagrangianSystem,
-    searched: tuple[Parameter, ...],
-    fixed: dict[str, Array],
-    vector: Array,
-    along: tuple[Any, Any, Any],
-) -> Float[Array, "n n_x n_x"]:
-    """The derivatives of `dx/dt` by the state at every sample."""
-    x, u, pick = along
-    model = system.model(system.picked(Space(searched, fixed).values(vector), pick))
-    return jax.vmap(jax.jacfwd(model.derivative))(x, u)

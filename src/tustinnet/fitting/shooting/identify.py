@@ -122,7 +122,6 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
         system, tuple(e.driving(acting) for e in records),
         tuple(e.driving(acting) for e in roles.validation), recipe.search, listener,
     )  # fmt: skip
-    _require_delays(problem)
     _require_refinable(with_some_hold(problem))
     space, first = _beginning(problem, recipe.model)
     values = {k: jnp.asarray(v, jnp.float64) for k, v in space.values(first).items()}
@@ -161,15 +160,6 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
     if problem.refining:
         told = with_refined(problem, ended, problem.refining, told)
     return replace(told, seconds=time.perf_counter() - begun)
-
-
-def _require_delays(problem: Problem) -> None:
-    """Delays can be searched for by derivatives of the inputs, which not every search has."""
-    if not problem.delays:
-        return
-    late = ", ".join(f"'{name}'" for name in problem.delays)
-    if problem.search.method == "l-bfgs":
-        raise InputError("search.method", f"'l-bfgs', and {late} is free", "levenberg-marquardt")
 
 
 def _require_refinable(problem: Problem) -> None:

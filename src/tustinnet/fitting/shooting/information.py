@@ -10,7 +10,6 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.fitting.recipe import SearchRecipe
 from tustinnet.fitting.shooting.groups import known_by, picks
 from tustinnet.fitting.shooting.least_squares import anchored, eliminated
-from tustinnet.fitting.shooting.normal import normal_products
 from tustinnet.fitting.shooting.problem import Problem
 from tustinnet.fitting.shooting.space import Space, make_space
 from tustinnet.models.lagrangian import LagrangianSystem
@@ -57,8 +56,7 @@ def information(
     # the groups of the values, of which the records may have only some
     pick = picks(system, known_by(system, values), records)
     segments = replace(segments, x0=x0, pick=pick)
-    found = normal_products(
-        problem.shape(space), space, space.vector(values), x0, segments, substeps
-    )
+    segments = replace(segments, x0=x0)
+    found = problem.products(space, space.vector(values), segments, substeps)
     matrices = eliminated(anchored(found, segments, x0, deviation**2))[0]
     return matrices / (segments.share * deviation**2)[:, None, None]

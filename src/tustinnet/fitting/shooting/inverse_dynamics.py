@@ -2,19 +2,19 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from itertools import combinations
 from typing import Any, cast
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from tustinnet.data.experiment import Experiment
+from tustinnet.engine.runs import evaluate
+from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.fitting.shooting.space import Searched, Space
-from tustinnet.models.lagrangian import LagrangianSystem, Parameter
+from tustinnet.models.lagrangian import LagrangianSystem
 
 _SHORTEST, _LONGEST = 8, 200  # samples of a window
 _TELLING = 0.7  # a reversal is likely when it leaves less than this part of the residual
@@ -110,11 +110,18 @@ def first_values(
     s = np.linspace(-1, 1, motion.length)
     bump = (1 - s**2) ** 3
     slope = -6 * s * (1 - s**2) ** 2 * 2 / ((motion.length - 1) * motion.dt)
-    fixed, measured = space.fixed_arrays, (motion.q, motion.v, motion.u, motion.pick)
+    equations = system_equations(system, space.names)
+    measured, n_q = np.concatenate([motion.q, motion.v, motion.u], axis=1), motion.q.shape[1]
+    base = equations.base(space)
 
     def at(point: Searched) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        answers = _momenta(system, space.searched, fixed, point, measured)
-        momentum, force, by_momentum, by_force = (np.asarray(a) for a in answers)
+        parameters = equations.values(space.values(point), motion.pick)
+        samples = np.concatenate([measured, parameters], axis=1)
+        momentum, force = np.split(evaluate(equations.momenta, samples), [n_q], axis=1)
+        slopes = evaluate(equations.momenta, samples, derivatives=True)
+        slopes = slopes.reshape(len(samples), 2 * n_q, -1)[:, :, base]
+        slopes = slopes * equations.chain(space, point, motion.pick)[:, None]
+        by_momentum, by_force = np.split(slopes, [n_q], axis=1)
         lifted = np.tensordot(momentum[rows], slope, ([1], [0]))
         residual = lifted + np.tensordot(force[rows], bump, ([1], [0]))
         jacobian = np.tensordot(by_momentum[rows], slope, ([1], [0])) + np.tensordot(
@@ -207,29 +214,3 @@ def _quarter_swing(velocities: Sequence[np.ndarray]) -> int:
             if len(below):
                 shortest = min(shortest, int(below[0]))
     return max(_SHORTEST, shortest)
-
-
-@partial(jax.jit, static_argnums=(0, 1))
-def _momenta(
-    system: LagrangianSystem,
-    searched: tuple[Parameter, ...],
-    fixed: dict[str, Array],
-    vector: Array,
-    measured: tuple[Array, Array, Array, Array],
-) -> tuple[Array, ...]:
-    """Momentum and generalised force at every sample, and both by the parameters."""
-
-    def at(point: Array, q: Array, v: Array, u: Array, pick: Array) -> tuple[Array, Array]:
-        values = system.picked(Space(searched, fixed).values(point), pick)
-        model = system.model(values)
-        momentum = jax.grad(system.kinetic, argnums=1)(q, v, values)
-        force = jax.grad(system.kinetic)(q, v, values)
-        if system.potential:
-            force = force - jax.grad(system.potential)(q, values)
-        still = jnp.zeros(len(system.internal), q.dtype)
-        return momentum, force + model.applied(q, v, still, u)
-
-    def both(*sample: Array) -> tuple[Array, ...]:
-        return *at(vector, *sample), *jax.jacfwd(at)(vector, *sample)
-
-    return jax.vmap(both)(*measured)

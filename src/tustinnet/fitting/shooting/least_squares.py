@@ -7,9 +7,11 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Float
 
-from tustinnet.fitting.shooting.normal import Normal, Shape, normal_products
+from tustinnet.fitting.residual import Residual
+from tustinnet.fitting.shooting.normal import Normal, normal_products
 from tustinnet.fitting.shooting.segments import Segments
 from tustinnet.fitting.shooting.space import Space
+from tustinnet.models.lagrangian import LagrangianSystem
 
 _LONGEST_STEP = 1.0  # of a logarithm, or of a range: a factor of e at most
 _FIRST_DAMPING = 1e-3
@@ -64,14 +66,16 @@ class Cost:
     """What is minimised: the squared residuals of segments, and what is known beforehand.
 
     Attributes:
-        shape: what the program of the derivatives is made for.
+        system: what is simulated.
+        residual: what is compared.
         space: the parameters' coordinates.
         segments: what to simulate.
         prior: what is known beforehand.
         substeps: integration steps in a period.
     """
 
-    shape: Shape
+    system: LagrangianSystem
+    residual: Residual
     space: Space
     segments: Segments
     prior: Prior
@@ -79,9 +83,10 @@ class Cost:
 
     def products(self, vector: Float[np.ndarray, " n_p"], x0: np.ndarray) -> Normal:
         """The products at parameters and initial states, with what anchors the latter."""
-        of = self.segments
-        found = normal_products(self.shape, self.space, vector, x0, of, self.substeps)
-        return anchored(found, of, x0, self.prior.variance)
+        products = normal_products(
+            self.system, self.residual, self.space, vector, x0, self.segments, self.substeps
+        )
+        return anchored(products, self.segments, x0, self.prior.variance)
 
     def value(self, normal: Normal, vector: Float[np.ndarray, " n_p"]) -> float:
         """The sum of squares, priors included."""

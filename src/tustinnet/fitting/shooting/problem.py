@@ -16,7 +16,7 @@ from tustinnet.fitting.shooting import inverse_dynamics
 from tustinnet.fitting.shooting.groups import expanded, picks
 from tustinnet.fitting.shooting.inverse_dynamics import Motion
 from tustinnet.fitting.shooting.least_squares import Fitted, Prior
-from tustinnet.fitting.shooting.normal import Shape, lanes_for, normal_products
+from tustinnet.fitting.shooting.normal import Normal, normal_products
 from tustinnet.fitting.shooting.segments import Cut, Segments, cut
 from tustinnet.fitting.shooting.space import Searched, Space
 from tustinnet.models.integrate import Discretised, discretise
@@ -128,10 +128,11 @@ class Problem:
         inputs = delayed(first.inputs, values)
         return discretise(self.system.model(arrays), first.dt, substeps, inputs=inputs)
 
-    def shape(self, space: Space) -> Shape:
-        """What the compiled program is made for."""
-        lanes = lanes_for(len(self.records))
-        return Shape(self.system, space.searched, self.residual, lanes)
+    def products(self, space: Space, vector: Searched, segments: Segments, substeps: int) -> Normal:
+        """Products of residuals and derivatives of segments from their initial states."""
+        return normal_products(
+            self.system, self.residual, space, vector, segments.x0, segments, substeps
+        )
 
     def segments(self, length: int | None, initial: str, horizons: Mapping[str, int]) -> Segments:
         """The records cut for a stage: to a length, or those that have one to their horizon."""
@@ -209,8 +210,7 @@ def prior(problem: Problem, state: State) -> Prior:
 
 def errors_of(problem: Problem, state: State, runs: Segments, substeps: int) -> list[np.ndarray]:
     """Simulated minus measured positions of free runs, record by record."""
-    space = state.space
-    found = normal_products(problem.shape(space), space, state.vector, runs.x0, runs, substeps)
+    found = problem.products(state.space, state.vector, runs, substeps)
     return [error[:, problem.system.channels.position] for error in found.error]
 
 

@@ -4,13 +4,12 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.fitting.residual import Residual
-from tustinnet.models.contract import Model, State, Stateful
+from tustinnet.models.contract import Model
 from tustinnet.models.sensors import delayed, delays_among
 from tustinnet.signals.derivatives import polynomial_fit
 from tustinnet.signals.stacking import stacked
@@ -189,19 +188,6 @@ def cut(
             [np.tile(how.residual.weight / np.sqrt(len(e)), (len(e), 1)) for e in experiments]
         ),
     )
-
-
-def beginning(model: Stateful, x0: State, expected: Array | float) -> State:
-    """The state in which a segment begins, (n_x,); can be compiled, and differentiated.
-
-    Args:
-        model: who simulates it.
-        x0: as `Segments` has it.
-        expected: whether the internal states that the model expects are added, 1 or 0.
-    """
-    of = model.channels
-    internal = x0[of.internal] + expected * model.initial_internal(x0[of.measured])
-    return jnp.concatenate([x0[of.measured], internal])
 
 
 def _beginnings(

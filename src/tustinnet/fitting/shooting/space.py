@@ -4,9 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from tustinnet.errors import InputError
 from tustinnet.fitting.shooting.groups import spread
@@ -45,11 +44,6 @@ class Space:
         """The box's upper corner."""
         return self.vector({p.name: p.upper for p in self.searched})
 
-    @property
-    def fixed_arrays(self) -> dict[str, np.ndarray]:
-        """The fixed values as a compiled program takes them: as arguments, not as constants."""
-        return {name: np.asarray(float(value)) for name, value in self.fixed.items()}
-
     def vector(self, values: Mapping[str, float]) -> Searched:
         """The vector of some values."""
         return np.array(
@@ -59,23 +53,23 @@ class Space:
             ]
         ).reshape(len(self.searched))
 
-    def values(self, vector: Float[Array | np.ndarray, " n_p"]) -> dict[str, Array]:
-        """The values of all parameters, searched for or fixed; differentiable."""
-        found = {name: jnp.asarray(value, vector.dtype) for name, value in self.fixed.items()}
-        for i, p in enumerate(self.searched):
-            found[p.name] = jnp.exp(vector[i]) if p.positive else vector[i] * (p.upper - p.lower)
-        return found
+    def values(self, vector: Searched) -> dict[str, float]:
+        """The values of all parameters, searched for or fixed."""
+        values = {name: float(value) for name, value in self.fixed.items()}
+        for p, x in zip(self.searched, vector.tolist(), strict=True):
+            values[p.name] = float(np.exp(x)) if p.positive else x * (p.upper - p.lower)
+        return values
 
     def numbers(self, vector: Searched) -> dict[str, float]:
         """The values of all parameters as plain numbers, none outside its range by rounding."""
-        found = {name: float(value) for name, value in self.values(vector).items()}
+        found = self.values(vector)
         for p in self.searched:
             found[p.name] = min(max(found[p.name], p.lower), p.upper)
         return found
 
     def slopes(self, vector: Searched) -> Searched:
         """Derivative of each value by its entry of the vector."""
-        values = self.numbers(vector)
+        values = self.values(vector)
         return np.array(
             [values[p.name] if p.positive else p.upper - p.lower for p in self.searched]
         ).reshape(len(self.searched))

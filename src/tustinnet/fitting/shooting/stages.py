@@ -15,7 +15,6 @@ from tustinnet.errors import InputError
 from tustinnet.fitting.listener import Iteration, SearchedStage
 from tustinnet.fitting.residual import robust_weights
 from tustinnet.fitting.shooting import growth, inverse_dynamics
-from tustinnet.fitting.shooting.by_gradient import minimise_by_gradient
 from tustinnet.fitting.shooting.identifiability import confounded
 from tustinnet.fitting.shooting.least_squares import (
     Cost,
@@ -23,7 +22,6 @@ from tustinnet.fitting.shooting.least_squares import (
     Limits,
     minimise,
 )
-from tustinnet.fitting.shooting.normal import normal_products
 from tustinnet.fitting.shooting.problem import Problem, State, errors_of, prior, score
 from tustinnet.fitting.shooting.segments import Segments
 from tustinnet.fitting.shooting.space import Space
@@ -36,7 +34,6 @@ _SWINGS = (4, 16)  # lengths of the first stages' segments, in quarters of a swi
 _REFIT = Limits(1e-2, 6)  # near enough to compare
 _REWEIGHTED = 20  # times at most, with weights from the residuals before
 _SETTLED = 1e-5  # change of a logarithm, or of a range
-_METHODS = {"levenberg-marquardt": minimise, "l-bfgs": minimise_by_gradient}
 
 
 @dataclass(frozen=True)
@@ -115,7 +112,7 @@ def run(problem: Problem, state: State, stage: SearchStage) -> State:
     if state.weights is not None:
         segments = replace(segments, weight=segments.weight * np.sqrt(state.weights))
     cost = Cost(
-        problem.shape(state.space), state.space, segments, prior(problem, state),
+        problem.system, problem.residual, state.space, segments, prior(problem, state),
         # over a few swings the integration error stays far below what the first stages leave
         state.substeps if length is None else max(1, state.substeps // 2),
     )  # fmt: skip
@@ -125,7 +122,7 @@ def run(problem: Problem, state: State, stage: SearchStage) -> State:
     def told(iterations: int, value: float, damping: float) -> None:
         problem.listener.iteration(Iteration(name, iterations, value, damping, stage.initial))
 
-    fitted = _METHODS[problem.search.method](cost, state.vector, stage.limits, told)
+    fitted = minimise(cost, state.vector, stage.limits, told)
     values = state.space.numbers(fitted.vector)
     problem.listener.searched(
         SearchedStage(name, stage.initial, fitted.iterations, fitted.cost, fitted.why, values)
@@ -177,17 +174,21 @@ def _told(problem: Problem, state: State, length: int | None) -> str:
 def refitted(problem: Problem, state: State, segments: Segments) -> Fitted:
     """The parameters that fit other segments best, sought from where a search is."""
     cost = Cost(
-        problem.shape(state.space), state.space, segments, prior(problem, state), state.substeps
+        problem.system,
+        problem.residual,
+        state.space,
+        segments,
+        prior(problem, state),
+        state.substeps,
     )
-    return _METHODS[problem.search.method](cost, state.vector, _REFIT)
+    return minimise(cost, state.vector, _REFIT)
 
 
 def _without_confounded(problem: Problem, state: State) -> State:
     """One parameter of every set that the records cannot tell apart is fixed."""
     space, vector = state.space, state.vector
     s = problem.segments(_SWINGS[0] * problem.motion.length, problem.first, state.horizons)
-    found = normal_products(problem.shape(space), space, vector, s.x0, s, 1)
-    products = found.pp.sum(axis=0)
+    products = problem.products(space, vector, s, 1).pp.sum(axis=0)
     if not np.isfinite(products).all():
         told = "the first values simulate to infinity; identifiability was not checked"
         return replace(state, remarks=(*state.remarks, told))

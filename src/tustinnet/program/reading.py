@@ -10,7 +10,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 from tustinnet.errors import InputError
-from tustinnet.export.primitives import (
+from tustinnet.program.primitives import (
     INDEXED,
     MOVES,
     RULES,
@@ -19,8 +19,8 @@ from tustinnet.export.primitives import (
     multiplied,
     scattered,
 )
-from tustinnet.export.program import OPERATIONS, Loop, Program
-from tustinnet.export.tape import Tape
+from tustinnet.program.program import OPERATIONS, Loop, Program
+from tustinnet.program.tape import Tape
 
 _UNROLLED = 300  # operations up to which a loop is written out
 _MOST = 200_000  # operations of a loop that can only be written out
@@ -48,7 +48,7 @@ Value = np.ndarray | Numbers  # known while reading, or computed by the program
 
 
 def read(
-    function: Callable[..., Mapping[str, Any]], inputs: Mapping[str, int], what: str = "export"
+    function: Callable[..., Mapping[str, Any]], inputs: Mapping[str, int], what: str = "program"
 ) -> Program:
     """A function as a program.
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from tustinnet.export.program import OPERATIONS, Node, Program
+from tustinnet.program.program import OPERATIONS, Node, Program
 
 _VIEWS = ("part", "pick")  # read out of the vector that they are taken from
 

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.lax import RoundingMethod
 
-from tustinnet.export.program import OPERATIONS
-from tustinnet.export.tape import Tape
+from tustinnet.program.program import OPERATIONS
+from tustinnet.program.tape import Tape
 
 Ids = np.ndarray  # numbers of nodes, in the shape of the array that they are
 

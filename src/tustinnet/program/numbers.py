@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from tustinnet.export.program import OPERATIONS, Loop, Node, Program
+from tustinnet.program.program import OPERATIONS, Loop, Node, Program
 
 Vector = Float[np.ndarray, " _"] | Bool[np.ndarray, " _"]
 

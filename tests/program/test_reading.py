@@ -8,9 +8,9 @@ import pytest
 from every_family import NAMES, example, leaving
 
 from tustinnet.errors import InputError
-from tustinnet.export.numbers import run
-from tustinnet.export.reading import read
 from tustinnet.export.source import source_of
+from tustinnet.program.numbers import run
+from tustinnet.program.reading import read
 from tustinnet.registry import FAMILIES
 
 EDGES = np.array([-2.5, -1.5, -0.5, -0.0, 0.0, 0.5, 1.0, 1.5, 2.5, 1e-9])

@@ -1,13 +1,13 @@
 """The tape: a program while it is written."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from tustinnet.export.program import OPERATIONS, Loop, Node, Program
+from tustinnet.program.program import OPERATIONS, Loop, Node, Program
 
 LONG = 8  # numbers from which a vector is treated as one thing
 
@@ -40,8 +40,11 @@ class Tape:
 
     def input(self, name: str) -> list[int]:
         """The numbers of an input."""
-        size = self.inputs[name]
-        return self.split(self.add(Node("input", size=size, data=name)))
+        return self.split(self.input_vector(name))
+
+    def input_vector(self, name: str) -> int:
+        """The node of an input, a vector."""
+        return self.add(Node("input", size=self.inputs[name], data=name))
 
     def number(self, value: float | bool) -> int:
         """A constant; 0.0 and -0.0 are told apart."""
@@ -60,6 +63,10 @@ class Tape:
         node = self._nodes[number]
         if node.op == "table":
             return [self.number(value) for value in self._tables[node.data].tolist()]
+        if node.op == "join":
+            return [x for part in node.args for x in self.split(part)]
+        if node.op == "part":
+            return self.split(node.args[0])[node.data : node.data + node.size]
         if node.single:
             return [number]
         return [self.add(Node("pick", (number,), 1, i, truth=node.truth)) for i in range(node.size)]
@@ -111,8 +118,11 @@ class Tape:
 
     def product(self, matrix: np.ndarray, vector: Ids) -> list[int]:
         """The numbers of a constant matrix, (rows, columns), times a vector, (columns,)."""
-        node = Node("product", (self.vector(vector),), len(matrix), self._kept(matrix))
-        return self.split(self.add(node))
+        return self.split(self.product_vector(matrix, self.vector(vector)))
+
+    def product_vector(self, matrix: np.ndarray, vector: int) -> int:
+        """The node of a constant matrix times a vector node."""
+        return self.add(Node("product", (vector,), len(matrix), self._kept(matrix)))
 
     def _kept(self, values: np.ndarray) -> int:
         key = values.shape, values.dtype.kind, values.tobytes()
@@ -171,7 +181,7 @@ class Tape:
                 return args[1]
         return None
 
-    def program(self, outputs: dict[str, Ids]) -> Program:
+    def program(self, outputs: Mapping[str, Ids]) -> Program:
         """The program that returns some vectors, with nothing in it that they do not need."""
         ends = {name: self.vector(ids) for name, ids in outputs.items()}
         needed = set(ends.values())

@@ -1,0 +1,1 @@
+"""Machine code for programs: simulations with derivatives, several records side by side."""

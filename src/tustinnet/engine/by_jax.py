@@ -1,0 +1,164 @@
+"""Runs of equations by JAX: what `by_machine_code` does, compiled by XLA."""
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tustinnet.engine.equations import Equations, Formula, Residual
+from tustinnet.engine.runs import Comparison, Directions, Runs, Samples
+
+
+def simulate(equations: Equations, runs: Runs, substeps: int) -> Float[np.ndarray, "rows n_x"]:
+    """The states at all samples, run after run; see `runs.simulate`."""
+    longest = int(np.max(runs.steps, initial=0))
+    rows = _rows(runs, longest)
+    known = None if runs.known is None else runs.known[rows]
+    measured = np.zeros(len(rows), int) if runs.measured is None else runs.measured
+    states = _states(equations, substeps, runs.start, runs.parameters, runs.drive[rows],
+                     _periods(runs, rows), known, measured)  # fmt: skip
+    return _run_after_run(runs, np.asarray(states))
+
+
+def compare(
+    equations: Equations, residual: Residual, runs: Runs, substeps: int, directions: Directions,
+    samples: Samples,
+) -> Comparison:  # fmt: skip
+    """Products of residuals and derivatives, see `runs.compare`."""
+    longest = int(np.max(runs.steps, initial=0))
+    rows = _rows(runs, longest)
+    running = np.arange(longest + 1) <= runs.steps[:, None]
+    weight = samples.weight[rows] * running[:, :, None]
+    products, gradient, cost, error = _products(
+        equations, residual, substeps, directions.parameters, runs.start, runs.parameters,
+        directions.seeds, runs.drive[rows], _periods(runs, rows), samples.target[rows], weight,
+    )  # fmt: skip
+    return Comparison(
+        np.asarray(products), np.asarray(gradient), np.asarray(cost),
+        _run_after_run(runs, np.asarray(error)),
+    )  # fmt: skip
+
+
+def evaluate(
+    formula: Formula, points: Float[np.ndarray, "n n_in"], *, derivatives: bool
+) -> Float[np.ndarray, "n n_out"]:
+    """A formula, or its derivatives, at many points; see `runs.evaluate`."""
+    return np.array(_values(formula, derivatives, points)).reshape(len(points), -1)
+
+
+def _rows(runs: Runs, longest: int) -> np.ndarray:
+    """The rows of the samples of every run; of shorter ones the last is repeated."""
+    places = np.minimum(np.arange(longest + 1), runs.steps[:, None])
+    return runs.first[:, None] + places
+
+
+def _periods(runs: Runs, rows: np.ndarray) -> np.ndarray:
+    """How long each step is; a run that has ended stands still."""
+    running = np.arange(rows.shape[1]) < runs.steps[:, None]
+    return np.where(running, runs.periods[rows], 0.0)
+
+
+def _run_after_run(runs: Runs, padded: np.ndarray) -> np.ndarray:
+    if not len(padded):
+        return np.zeros((0, padded.shape[-1]))
+    return np.concatenate([x[: n + 1] for x, n in zip(padded, runs.steps, strict=True)])
+
+
+def _ahead(
+    equations: Equations, substeps: int, x: Array, p: Array, pieces: Array, period: Array
+) -> Array:
+    """The state a period later."""
+    n_p = equations.n_p
+
+    def at(state: Array, part: Array | float) -> Array:
+        value = pieces[-1]
+        for coefficient in pieces[-2::-1]:
+            value = coefficient + part * value
+        return equations.function(state, value, p[:n_p], p[n_p:])
+
+    if not equations.continuous:
+        return at(x, 0.0)
+    h = period / substeps
+
+    def step(i: Array, x: Array) -> Array:
+        begin, middle, end = (i + part for part in (0.0, 0.5, 1.0))
+        first = at(x, begin / substeps)
+        second = at(x + h / 2 * first, middle / substeps)
+        third = at(x + h / 2 * second, middle / substeps)
+        fourth = at(x + h * third, end / substeps)
+        return x + h / 6 * (first + 2 * second + 2 * third + fourth)
+
+    # a loop of a fixed number of turns can be differentiated forwards
+    return jax.lax.fori_loop(0, substeps, step, x)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _states(
+    equations: Equations, substeps: int, start: Array, parameters: Array, drive: Array,
+    periods: Array, known: Array | None, measured: Array,
+) -> Array:  # fmt: skip
+    def one(x0: Array, p: Array, u: Array, h: Array, known: Array | None, count: Array) -> Array:
+        def step(x: Array, k: Array) -> tuple[Array, Array]:
+            from_here = x
+            if known is not None:
+                given = jnp.concatenate([known[k], x[known.shape[1] :]])
+                from_here = jnp.where(k < count, given, x)
+            return _ahead(equations, substeps, from_here, p, u[k], h[k]), x
+
+        end, states = jax.lax.scan(step, x0, jnp.arange(len(u) - 1))
+        return jnp.concatenate([states, end[None]])
+
+    axes = (0, 0, 0, 0, None if known is None else 0, 0)
+    return jax.vmap(one, axes)(start, parameters, drive, periods, known, measured)
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2, 3))
+def _products(
+    equations: Equations, residual: Residual, substeps: int, by_parameters: bool, start: Array,
+    parameters: Array, seeds: Array, drive: Array, periods: Array, target: Array, weight: Array,
+) -> tuple[Array, Array, Array, Array]:  # fmt: skip
+    n_p, n_y = equations.n_p, residual.n_y
+    n_d = seeds.shape[1]
+    # along which parameter each direction goes
+    along = jnp.eye(n_d, parameters.shape[1])
+    along = along * (jnp.arange(n_d) < n_p)[:, None] * by_parameters
+
+    def one(
+        x0: Array, p: Array, dx0: Array, u: Array, h: Array, target: Array, weight: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        def compared(x: Array, dx: Array, k: Array, sums: tuple[Array, ...]) -> tuple[Any, Array]:
+            error = x[:n_y] - target[k]
+            value, slope = jax.jvp(residual.function, (error,), (jnp.ones(n_y),))
+            counts = weight[k] > 0
+            r = jnp.where(counts, value * weight[k], 0.0)
+            jacobian = dx[:, :n_y] * slope * weight[k]
+            products, gradient, cost = sums
+            return (
+                products + jacobian @ jacobian.T, gradient + jacobian @ r, cost + jnp.sum(r**2)
+            ), jnp.where(counts, error, 0.0)  # fmt: skip
+
+        def step(carried: tuple[Any, ...], k: Array) -> tuple[tuple[Any, ...], Array]:
+            x, dx, sums = carried
+            sums, error = compared(x, dx, k, sums)
+            ahead, push = jax.linearize(
+                lambda x, p: _ahead(equations, substeps, x, p, u[k], h[k]), x, p
+            )
+            return (ahead, jax.vmap(push)(dx, along), sums), error
+
+        nothing = jnp.zeros((n_d, n_d)), jnp.zeros(n_d), jnp.zeros(())
+        (x, dx, sums), errors = jax.lax.scan(step, (x0, dx0, nothing), jnp.arange(len(u) - 1))
+        sums, last = compared(x, dx, jnp.asarray(len(u) - 1), sums)
+        return *sums, jnp.concatenate([errors, last[None]])
+
+    return jax.vmap(one)(start, parameters, seeds, drive, periods, target, weight)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _values(formula: Formula, derivatives: bool, points: Array) -> Array:
+    if not derivatives:
+        return jax.vmap(formula.function)(points)
+    by = slice(None) if formula.by is None else np.array(formula.by)
+    return jax.vmap(jax.jacfwd(formula.function))(points)[..., by]

@@ -1,0 +1,370 @@
+"""Programs written in LLVM's language: operation by operation, a value for all lanes each."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from tustinnet.engine import functions
+from tustinnet.engine.text import Function, Module
+from tustinnet.program.program import OPERATIONS, Loop, Node, Program
+
+_ROWS = 4  # of a matrix that are multiplied at once: their sums stay in registers
+_LITERAL = 16  # whole numbers up to this stand in the code, others among the constants
+
+
+@dataclass
+class Constants:
+    """The numbers of programs that stand in memory.
+
+    Models that differ in nothing else share their machine code.
+
+    Attributes:
+        numbers: the numbers.
+    """
+
+    numbers: list[float] = field(default_factory=list)
+    _places: dict[bytes, int] = field(default_factory=dict)
+
+    def place(self, values: np.ndarray) -> int:
+        """Where an array of them begins; the same array stands there once."""
+        key = np.ascontiguousarray(values, np.float64).tobytes()
+        if key not in self._places:
+            self._places[key] = len(self.numbers)
+            self.numbers += np.ravel(values).astype(float).tolist()
+        return self._places[key]
+
+
+@dataclass(frozen=True)
+class Number:
+    """A single number, or a truth: what the code calls it, and its value where that is known."""
+
+    name: str
+    known: float | None = None
+    truth: bool = False
+
+
+@dataclass(frozen=True)
+class Vector:
+    """A vector: its numbers, or where they stand in memory.
+
+    Attributes:
+        size: how many numbers.
+        numbers: they, where each has been computed by itself.
+        pointer: memory where they stand one after the other, a value each.
+        table: constants instead, the place of the first.
+        truth: whether they are truths; such vectors have numbers.
+    """
+
+    size: int
+    numbers: tuple[Number, ...] | None = None
+    pointer: str | None = None
+    table: int | None = None
+    truth: bool = False
+
+
+Value = Number | Vector
+
+
+class Emission:
+    """Writes a program into a function.
+
+    Attributes:
+        function: the function.
+        program: the program.
+        inputs: where each input stands in memory.
+        constants: the numbers that stand in memory.
+        pointer: where these do.
+    """
+
+    def __init__(
+        self, function: Function, program: Program, inputs: Mapping[str, str],
+        constants: Constants, pointer: str,
+    ) -> None:  # fmt: skip
+        self.function, self.program, self.inputs = function, program, inputs
+        self.constants, self.pointer = constants, pointer
+        self.module: Module = function.module
+        self._pairs: dict[str, tuple[str, str]] = {}
+        self._picked: dict[tuple[str, int], Number] = {}
+
+    def outputs(self) -> dict[str, tuple[Number, ...]]:
+        """The numbers of every output, after the code that computes them."""
+        values: list[Value] = []
+        for node in self.program.nodes:
+            values.append(self._node(node, [values[a] for a in node.args]))
+        return {name: self.numbers(values[i]) for name, i in self.program.outputs.items()}
+
+    def numbers(self, value: Value) -> tuple[Number, ...]:
+        """The single numbers of a value."""
+        if isinstance(value, Number):
+            return (value,)
+        return tuple(self._element(value, i) for i in range(value.size))
+
+    def _node(self, node: Node, args: list[Any]) -> Value:
+        match node.op:
+            case "input":
+                return Vector(node.size, pointer=self.inputs[node.data])
+            case "number":
+                return self._constant(node.data)
+            case "table":
+                values = self.program.tables[node.data]
+                if values.dtype == bool:
+                    return Vector(
+                        node.size, tuple(map(self._constant, values.tolist())), truth=True
+                    )
+                return Vector(node.size, table=self.constants.place(values))
+            case "pick":
+                return self._element(args[0], node.data)
+            case "part":
+                return self._part(args[0], node.data, node.size)
+            case "join":
+                return Vector(
+                    node.size, tuple(x for a in args for x in self.numbers(a)), truth=node.truth
+                )
+            case "product":
+                return self._product(self.program.tables[node.data], args[0])
+            case "loop":
+                return self._loop(node.data, args)
+        if node.size == 1 and not any(isinstance(a, Vector) for a in args):
+            return self._operation(node.op, args, node.truth)
+        if node.truth or any(getattr(a, "truth", False) for a in args) or self._has_truth(node):
+            # truths have no place in memory: number by number
+            each = [
+                self._operation(node.op, [self._element(a, i) if isinstance(a, Vector) else a
+                                          for a in args], node.truth)
+                for i in range(node.size)
+            ]  # fmt: skip
+            return Vector(node.size, tuple(each), truth=node.truth)
+        return self._elementwise(node, args)
+
+    def _has_truth(self, node: Node) -> bool:
+        return OPERATIONS[node.op].truth
+
+    def _constant(self, value: float | bool) -> Number:
+        if isinstance(value, bool):
+            m = self.module
+            word = "true" if value else "false"
+            text = word if m.lanes == 1 else "<" + ", ".join([f"i1 {word}"] * m.lanes) + ">"
+            return Number(text, float(value), truth=True)
+        whole = abs(value) <= _LITERAL and value * 2 == round(value * 2)
+        if whole or value != value:
+            return Number(self.module.number(value), value)
+        return Number(self._from_table(self.constants.place(np.array([value]))), value)
+
+    def _from_table(self, index: int | str) -> str:
+        f = self.function
+        at = f.at(self.pointer, index, "double")
+        return f.everywhere(f.value(f"load double, ptr {at}, align 8"))
+
+    def _element(self, vector: Vector, i: int) -> Number:
+        if vector.numbers is not None:
+            return vector.numbers[i]
+        if vector.table is not None:
+            return self._constant(self.constants.numbers[vector.table + i])
+        assert vector.pointer is not None
+        key = vector.pointer, i
+        if key not in self._picked:
+            self._picked[key] = Number(self.function.load(vector.pointer, i))
+        return self._picked[key]
+
+    def _part(self, vector: Vector, first: int, size: int) -> Vector:
+        if vector.numbers is not None:
+            return Vector(size, vector.numbers[first : first + size], truth=vector.truth)
+        if vector.table is not None:
+            return Vector(size, table=vector.table + first)
+        assert vector.pointer is not None
+        return Vector(size, pointer=self.function.at(vector.pointer, first))
+
+    def _in_memory(self, value: Value) -> str:
+        """Where the numbers of a value stand in memory; they are put there if need be."""
+        if isinstance(value, Vector) and value.pointer is not None:
+            return value.pointer
+        f, numbers = self.function, self.numbers(value)
+        pointer = f.memory(len(numbers))
+        for i, number in enumerate(numbers):
+            f.store(self.plain(number), pointer, i)
+        return pointer
+
+    def plain(self, number: Number) -> str:
+        """A number; of a truth 1 or 0."""
+        if not number.truth:
+            return number.name
+        one, zero = self.module.number(1.0), self.module.number(0.0)
+        return self.function.select(number.name, one, zero)
+
+    def _truth(self, number: Number) -> str:
+        if number.truth:
+            return number.name
+        return self.function.compare("une", number.name, self.module.number(0.0))
+
+    def _elementwise(self, node: Node, args: list[Value]) -> Vector:
+        f = self.function
+        result = f.memory(node.size)
+        places = [
+            a if isinstance(a, Number) or a.table is not None else self._in_memory(a) for a in args
+        ]
+        with f.loop(0, node.size) as i:
+            given = []
+            for place in places:
+                if isinstance(place, Number):
+                    given.append(place)
+                elif isinstance(place, Vector):
+                    given.append(Number(self._from_table(f.whole("add", i, place.table or 0))))
+                else:
+                    given.append(Number(f.load(place, i)))
+            pairs, self._pairs = self._pairs, {}  # what a loop computes is not known outside
+            f.store(self._operation(node.op, given, node.truth).name, result, i)
+            self._pairs = pairs
+        return Vector(node.size, pointer=result)
+
+    def _product(self, matrix: np.ndarray, vector: Vector) -> Vector:
+        """A constant matrix times a vector, some rows at once."""
+        f, m = self.function, self.module
+        rows, columns = matrix.shape
+        result, source = f.memory(rows), self._in_memory(vector)
+        whole = rows // _ROWS * _ROWS
+        blocks = matrix[:whole].reshape(-1, _ROWS, columns).swapaxes(1, 2)
+        first = self.constants.place(blocks) if whole else 0
+        zero = m.number(0.0)
+        if whole:
+            with f.loop(0, whole // _ROWS) as block:
+                begin = f.whole("add", f.whole("mul", block, _ROWS * columns), first)
+                sums = self._rows(source, begin, columns, _ROWS, zero)
+                at = f.whole("mul", block, _ROWS)
+                for k, total in enumerate(sums):
+                    f.store(total, result, f.whole("add", at, k))
+        if whole < rows:
+            rest = self.constants.place(matrix[whole:].T)
+            for k, total in enumerate(self._rows(source, rest, columns, rows - whole, zero)):
+                f.store(total, result, whole + k)
+        return Vector(rows, pointer=result)
+
+    def _rows(self, source: str, first: str | int, columns: int, rows: int, zero: str) -> list[str]:
+        """Products of some rows of a matrix with a vector, the matrix by columns from a place."""
+        f, m = self.function, self.module
+        before, head, after = f.label(), f.label(), f.label()
+        f.line(f"br label %{before}")
+        f.place(before)
+        f.line(f"br label %{head}")
+        f.place(head)
+        counter = f"%c{head}"
+        f.line(f"{counter} = phi i64 [ 0, %{before} ], [ {counter}n, %{head} ]")
+        names = [f"%s{head}{k}" for k in range(rows)]
+        for name in names:
+            f.line(f"{name} = phi {m.v} [ {zero}, %{before} ], [ {name}n, %{head} ]")
+        value = f.load(source, counter)
+        base = f.whole("add", f.whole("mul", counter, rows), first)
+        for k, name in enumerate(names):
+            weight = self._from_table(f.whole("add", base, k))
+            product = f.apply("fmul", weight, value)
+            f.line(f"{name}n = fadd reassoc nsz contract {m.v} {name}, {product}")
+        f.line(f"{counter}n = add i64 {counter}, 1")
+        goes_on = f.value(f"icmp slt i64 {counter}n, {columns}")
+        f.line(f"br i1 {goes_on}, label %{head}, label %{after}")
+        f.place(after)
+        return [f"{name}n" for name in names]
+
+    def _loop(self, loop: Loop, args: list[Value]) -> Vector:
+        f, names = self.function, list(loop.body.inputs)
+        first, last = loop.constants, loop.constants + loop.carried
+        sizes = loop.sizes
+        total = sum(loop.carried_sizes)
+        carried = f.memory(total)
+        offsets = np.cumsum([0, *loop.carried_sizes]).tolist()
+        for value, offset in zip(args[first:last], offsets, strict=False):
+            for i, number in enumerate(self.numbers(value)):
+                f.store(self.plain(number), carried, offset + i)
+        pointers = {
+            name: self._in_memory(value)
+            for place, (name, value) in enumerate(zip(names, args, strict=True))
+            if not first <= place < last
+        }
+        with f.loop(0, loop.length) as turn:
+            inputs = dict(pointers)
+            for k, name in enumerate(names[first:last]):
+                inputs[name] = f.at(carried, offsets[k])
+            for k, name in enumerate(names[last:]):
+                inputs[name] = f.at(pointers[name], f.whole("mul", turn, sizes[last + k]))
+            body = Emission(f, loop.body, inputs, self.constants, self.pointer)
+            ends = [body.plain(x) for of in body.outputs().values() for x in of]
+            # all has been read before anything is replaced
+            for i, end in enumerate(ends):
+                f.store(end, carried, i)
+        return Vector(total, pointer=carried)
+
+    def _operation(self, op: str, args: list[Number], truth: bool) -> Number:
+        f, m = self.function, self.module
+        if op == "select":
+            condition = self._truth(args[0])
+            if truth:
+                return Number(
+                    f.choose(condition, self._truth(args[1]), self._truth(args[2])), truth=True
+                )
+            return Number(f.select(condition, self.plain(args[1]), self.plain(args[2])))
+        if op in _LOGIC:
+            given = [self._truth(a) for a in args]
+            if op == "not":
+                given.append(self._constant(True).name)
+            return Number(f.value(f"{_LOGIC[op]} {m.truth} {given[0]}, {given[1]}"), truth=True)
+        given = [self.plain(a) for a in args]
+        if op in _COMPARED:
+            return Number(f.compare(_COMPARED[op], *given), truth=True)
+        if op in ("sin", "cos"):
+            return Number(self._pair(given[0])[op == "cos"])
+        return Number(_WRITTEN[op](f, *given))
+
+    def _pair(self, angle: str) -> tuple[str, str]:
+        """Sine and cosine, which equations of motion need together."""
+        if angle not in self._pairs:
+            f, m = self.function, self.module
+            pair = f"{{ {m.v}, {m.v} }}"
+            name = functions.sine_and_cosine(m)
+            both = f.value(f"call {pair} @{name}({m.v} {angle})")
+            self._pairs[angle] = (
+                f.value(f"extractvalue {pair} {both}, 0"),
+                f.value(f"extractvalue {pair} {both}, 1"),
+            )
+        return self._pairs[angle]
+
+
+_LOGIC = {"and": "and", "or": "or", "not": "xor"}
+_COMPARED: dict[str, Any] = {
+    "lt": "olt", "le": "ole", "gt": "ogt", "ge": "oge", "eq": "oeq", "ne": "une",
+}  # fmt: skip
+
+
+def _arithmetic(op: str) -> Callable[..., str]:
+    return lambda f, a, b: f.apply(op, a, b)
+
+
+def _intrinsic(name: str, arguments: int = 1) -> Callable[..., str]:
+    return lambda f, *given: f.call(functions.intrinsic(f.module, name, arguments), *given)
+
+
+def _scalar(name: str) -> Callable[..., str]:
+    return lambda f, *given: f.call(functions.scalar(f.module, name), *given)
+
+
+def _sign(f: Function, x: str) -> str:
+    zero, one, less = (f.module.number(v) for v in (0.0, 1.0, -1.0))
+    below = f.select(f.compare("olt", x, zero), less, x)  # a zero and what is no number stay
+    return f.select(f.compare("ogt", x, zero), one, below)
+
+
+# how operations on numbers are written
+_WRITTEN: dict[str, Callable[..., str]] = {
+    **{op: _arithmetic(f"f{op}") for op in ("add", "sub", "mul", "div")},
+    "neg": lambda f, x: f.value(f"fneg {f.module.v} {x}"),
+    "abs": _intrinsic("fabs"),
+    "max": _intrinsic("maximum", 2),
+    "min": _intrinsic("minimum", 2),
+    "floor": _intrinsic("floor"),
+    "ceil": _intrinsic("ceil"),
+    "sqrt": _intrinsic("sqrt"),
+    "sign": _sign,
+    "exp": lambda f, x: f.call(functions.exponential(f.module), x),
+    "tanh": lambda f, x: f.call(functions.hyperbolic_tangent(f.module), x),
+    "rem": _scalar("fmod"),
+    **{name: _scalar(name) for name in functions.SCALAR if name not in ("fmod", "sin", "cos")},
+}

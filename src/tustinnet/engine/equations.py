@@ -1,0 +1,104 @@
+"""What is simulated: a function of JAX arrays, read once as a program with its derivatives."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from tustinnet.program.derivatives import with_derivatives
+from tustinnet.program.program import Program
+from tustinnet.program.reading import read
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """Equations of motion, or the step of a discrete model.
+
+    Attributes:
+        function: of the state (n_x,), the inputs (n_u,), the parameters that derivatives are
+            needed by (n_p,), and all others (n_c,): the derivative of the state, or the next
+            state, (n_x,). It is written with JAX.
+        n_x: how many numbers a state has.
+        n_u: how many numbers of inputs the function takes at a time.
+        n_p: how many parameters derivatives are needed by.
+        n_c: how many other parameters there are.
+        continuous: whether the function is the derivative, which is integrated by the classical
+            Runge-Kutta method.
+        where: what it is, for messages.
+    """
+
+    function: Callable[..., Any]
+    n_x: int
+    n_u: int
+    n_p: int = 0
+    n_c: int = 0
+    continuous: bool = True
+    where: str = "model"
+
+    @cached_property
+    def program(self) -> Program:
+        """The function as a program: `x`, `u`, `p`, `c` to `x`.
+
+        Raises:
+            InputError: it uses what no program can hold.
+        """
+        sizes = {"x": self.n_x, "u": self.n_u, "p": self.n_p, "c": self.n_c}
+        return read(lambda x, u, p, c: {"x": self.function(x, u, p, c)}, sizes, self.where)
+
+    @cached_property
+    def derivatives(self) -> Program:
+        """The program with its derivatives by rows: also `by_x` and, of parameters, `by_p`."""
+        by = {"by_x": "x"} | ({"by_p": "p"} if self.n_p else {})
+        return with_derivatives(self.program, "x", by)
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """How an error of simulation counts.
+
+    Attributes:
+        function: of errors (n_y,): how they count, (n_y,), each by itself. Written with JAX.
+        n_y: how many there are.
+    """
+
+    function: Callable[[Any], Any]
+    n_y: int
+
+    @cached_property
+    def program(self) -> Program:
+        """The function as a program: `error` to `value`, and to `slope`, its Jacobian by rows."""
+        plain = read(lambda error: {"value": self.function(error)}, {"error": self.n_y}, "residual")
+        return with_derivatives(plain, "value", {"slope": "error"})
+
+
+@dataclass(frozen=True, eq=False)
+class Formula:
+    """A function of points, to be evaluated at many of them.
+
+    Attributes:
+        function: of a point, (n,), to a vector, (m,). Written with JAX.
+        size: `n`.
+        by: the numbers of a point that it is differentiated by; by default all.
+        where: what it is, for messages.
+    """
+
+    function: Callable[[Any], Any]
+    size: int
+    by: range | None = None
+    where: str = "model"
+
+    @cached_property
+    def program(self) -> Program:
+        """The function as a program: `x` to `value`.
+
+        Raises:
+            InputError: it uses what no program can hold.
+        """
+        return read(lambda x: {"value": self.function(x)}, {"x": self.size}, self.where)
+
+    @cached_property
+    def derivatives(self) -> Program:
+        """The program of the derivatives, by rows: `x` to `value`."""
+        columns = {} if self.by is None else {"x": self.by}
+        both = with_derivatives(self.program, "value", {"slope": "x"}, columns)
+        return Program(both.inputs, both.nodes, {"value": both.outputs["slope"]}, both.tables)

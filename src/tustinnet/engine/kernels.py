@@ -1,0 +1,517 @@
+"""Loops over time as machine code: free runs, and free runs with their derivatives.
+
+Lanes are runs of any lengths: a run that has ended stands still until the longest beside it ends.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from tustinnet.engine.emission import Constants, Emission
+from tustinnet.engine.equations import Equations, Formula, Residual
+from tustinnet.engine.text import Function, Module
+from tustinnet.program.program import Program
+
+# what a lane is: which run, its steps, its first row of inputs, its first row of results, how many
+# of its first samples are measured; a lane without a run has -1 steps
+LANE = ("run", "steps", "first", "result", "measured")
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """Machine code in LLVM's language.
+
+    Attributes:
+        text: the module.
+        constants: numbers that the code reads from memory.
+    """
+
+    text: str
+    constants: tuple[float, ...]
+
+
+RUN = (
+    "i64 %begin, i64 %end, ptr %lanes, ptr %constants, i64 %substeps, i64 %order, ptr %drive, "
+    "ptr %periods, ptr %start, ptr %parameters, ptr %known, i64 %n_known, ptr %states"
+)
+COMPARE = (
+    "i64 %begin, i64 %end, ptr %lanes, ptr %constants, i64 %substeps, i64 %order, ptr %drive, "
+    "ptr %periods, ptr %start, ptr %parameters, ptr %seeds, i64 %n_d, i64 %n_by_p, ptr %target, "
+    "ptr %weight, ptr %work, ptr %errors, ptr %products, ptr %gradient, ptr %cost"
+)
+MAP = "i64 %count, ptr %constants, ptr %in, ptr %out"
+MOST_ORDER = 8  # coefficients of the polynomials that inputs follow between samples
+
+
+def run_kernel(equations: Equations, lanes: int) -> Kernel:
+    """Free runs: the states at all samples."""
+    module, constants = Module(lanes), Constants()
+    _write_dynamics(module, equations, constants, derivatives=False)
+    f = module.function("run", RUN, own=False)
+    with f.loop("%begin", "%end") as group:
+        s = _Simulation(f, equations, group)
+        with f.loop(0, s.ends) as k:
+            s.now(k)
+            for lane in range(lanes):
+                with f.when(s.active[lane]):
+                    row = f.whole("add", s.column(lane, "result"), k)
+                    s.scatter(lane, s.x, equations.n_x, "%states", row)
+            s.put_back(k)
+            with f.when(f.value(f"icmp slt i64 {k}, {s.longest}")):
+                s.advance(k)
+    f.line("ret void")
+    module.finish(f)
+    return Kernel(module.text(), tuple(constants.numbers))
+
+
+def compare_kernel(equations: Equations, residual: Residual, lanes: int) -> Kernel:
+    """Free runs with derivatives, compared with samples: products of residuals and derivatives."""
+    module, constants = Module(lanes), Constants()
+    slopes = _write_dynamics(module, equations, constants, derivatives=True)
+    f = module.function("compare", COMPARE, own=False)
+    with f.loop("%begin", "%end") as group:
+        s = _Sensitivities(f, equations, slopes, residual, constants, group)
+        with f.loop(0, s.ends) as k:
+            s.now(k)
+            s.compare(k)
+            with f.when(f.value(f"icmp slt i64 {k}, {s.longest}")):
+                s.advance(k)
+        s.hand_over()
+    f.line("ret void")
+    module.finish(f)
+    return Kernel(module.text(), tuple(constants.numbers))
+
+
+def map_kernel(formula: Formula, lanes: int, *, derivatives: bool) -> Kernel:
+    """A formula at many points, or its derivatives: rows of numbers to rows of numbers."""
+    module, constants = Module(lanes), Constants()
+    program = formula.derivatives if derivatives else formula.program
+    n_in, n_out = formula.size, size_of(program, "value")
+    f = module.function("map", MAP, own=False)
+    x = f.memory(n_in)
+    rounds = f.whole("sdiv", f.whole("add", "%count", lanes - 1), lanes)
+    last = f.whole("sub", "%count", 1)
+    with f.loop(0, rounds) as turn:
+        rows = []
+        for lane in range(lanes):
+            row = f.whole("add", f.whole("mul", turn, lanes), lane)
+            beyond = f.value(f"icmp sgt i64 {row}, {last}")
+            rows.append(f.value(f"select i1 {beyond}, i64 {last}, i64 {row}"))
+        _gather(f, rows, n_in, "%in", x)
+        emission = Emission(f, program, {"x": x}, constants, "%constants")
+        found = [emission.plain(number) for number in emission.outputs()["value"]]
+        for lane, row in enumerate(rows):
+            base = f.whole("mul", row, n_out)
+            for i, value in enumerate(found):
+                at = f.at("%out", f.whole("add", base, i), "double")
+                f.line(f"store double {f.lane(value, lane)}, ptr {at}, align 8")
+    f.line("ret void")
+    module.finish(f)
+    return Kernel(module.text(), tuple(constants.numbers))
+
+
+def size_of(program: Program, name: str) -> int:
+    """How many numbers an output of a program has."""
+    return program.nodes[program.outputs[name]].size
+
+
+@dataclass(frozen=True)
+class _Slopes:
+    """Where derivatives of the equations are not 0 by structure.
+
+    Attributes:
+        by_x: for each row, column and value of an entry; None where it changes.
+        by_p: which rows depend on the parameters.
+    """
+
+    by_x: tuple[dict[int, float | None], ...]
+    by_p: tuple[int, ...]
+
+
+def _write_dynamics(
+    module: Module, equations: Equations, constants: Constants, *, derivatives: bool
+) -> _Slopes:
+    """The equations as a function of their own; where their derivatives are not 0."""
+    n_x, n_p = equations.n_x, equations.n_p
+    program = equations.derivatives if derivatives else equations.program
+    f = module.function(
+        "dynamics",
+        "ptr noalias %constants, ptr noalias %x, ptr noalias %u, ptr noalias %p, "
+        "ptr noalias %out, ptr noalias %by_x, ptr noalias %by_p",
+    )
+    inputs = {"x": "%x", "u": "%u", "p": "%p", "c": f.at("%p", n_p)}
+    emission = Emission(f, program, inputs, constants, "%constants")
+    found = emission.outputs()
+    for i, number in enumerate(found["x"]):
+        f.store(emission.plain(number), "%out", i)
+    rows: list[dict[int, float | None]] = [{} for _ in range(n_x)]
+    by_p: list[int] = []
+    if derivatives:
+        for at, number in enumerate(found["by_x"]):
+            if number.known != 0.0:
+                rows[at // n_x][at % n_x] = number.known
+                if number.known is None:
+                    f.store(emission.plain(number), "%by_x", at)
+        entries = found.get("by_p", ())
+        by_p = [
+            i for i in range(n_x)
+            if any(x.known != 0.0 for x in entries[i * n_p : (i + 1) * n_p])
+        ]  # fmt: skip
+        for i in by_p:
+            for d in range(n_p):
+                f.store(emission.plain(entries[i * n_p + d]), "%by_p", d * n_x + i)
+    f.line("ret void")
+    module.finish(f)
+    return _Slopes(tuple(rows), tuple(by_p))
+
+
+def _gather(f: Function, rows: Sequence[str], size: int, source: str, into: str) -> None:
+    """A row of an array for each lane, side by side."""
+    bases = [f.whole("mul", row, size) for row in rows]
+    for i in range(size):
+        f.store(_beside(f, bases, i, source), into, i)
+
+
+def _beside(f: Function, bases: Sequence[str], offset: str | int, source: str) -> str:
+    """A number of an array for each lane, from places with an offset."""
+    numbers = []
+    for base in bases:
+        at = f.at(source, f.whole("add", base, offset), "double")
+        numbers.append(f.value(f"load double, ptr {at}, align 8"))
+    return f.together(numbers)
+
+
+class _Simulation:
+    """The loop over time of a group of lanes, while it is written."""
+
+    def __init__(self, f: Function, equations: Equations, group: str) -> None:
+        self.f, self.equations = f, equations
+        n_x, lanes = equations.n_x, f.module.lanes
+        self._group = f.whole("mul", group, lanes * len(LANE))
+        self._columns: dict[tuple[int, str], str] = {}
+        for lane in range(lanes):
+            for i, name in enumerate(LANE):
+                at = f.at("%lanes", f.whole("add", self._group, lane * len(LANE) + i), "i64")
+                self._columns[lane, name] = f.value(f"load i64, ptr {at}")
+        self.longest = self.column(0, "steps")
+        for lane in range(1, lanes):
+            steps = self.column(lane, "steps")
+            more = f.value(f"icmp sgt i64 {steps}, {self.longest}")
+            self.longest = f.value(f"select i1 {more}, i64 {steps}, i64 {self.longest}")
+        self.ends = f.whole("add", self.longest, 1)
+        n_p = equations.n_p + equations.n_c
+        self.x, self.p = f.memory(n_x), f.memory(n_p)
+        self.u, self.slope = f.memory(equations.n_u), f.memory(n_x)
+        self.by_x, self.by_p = f.memory(0), f.memory(0)
+        self._ahead, self._total = f.memory(n_x), f.memory(n_x)
+        self._pieces = f.memory(equations.n_u * (MOST_ORDER if equations.continuous else 1))
+        runs = [self.column(lane, "run") for lane in range(lanes)]
+        _gather(f, runs, n_x, "%start", self.x)
+        _gather(f, runs, n_p, "%parameters", self.p)
+        self.active: list[str] = []
+        self._rows: list[str] = []
+
+    def column(self, lane: int, name: str) -> str:
+        """What the table of lanes says of a lane."""
+        return self._columns[lane, name]
+
+    def now(self, k: str) -> None:
+        """At sample k: which lanes are still running, and the rows of their inputs."""
+        f = self.f
+        self.active, self._rows = [], []
+        for lane in range(f.module.lanes):
+            steps = self.column(lane, "steps")
+            active = f.value(f"icmp sle i64 {k}, {steps}")
+            at = f.value(f"select i1 {active}, i64 {k}, i64 {steps}")
+            beyond = f.value(f"icmp slt i64 {at}, 0")
+            at = f.value(f"select i1 {beyond}, i64 0, i64 {at}")
+            self.active.append(active)
+            self._rows.append(f.whole("add", self.column(lane, "first"), at))
+
+    def scatter(self, lane: int, source: str, size: int, into: str, row: str) -> None:
+        """The numbers of a lane go to a row of an array."""
+        f = self.f
+        base = f.whole("mul", row, size)
+        for i in range(size):
+            at = f.at(into, f.whole("add", base, i), "double")
+            f.line(f"store double {f.lane(f.load(source, i), lane)}, ptr {at}, align 8")
+
+    def beside(self, size: int, offset: str | int, source: str) -> str:
+        """A number of the present row of an array for each lane."""
+        return _beside(self.f, [self.f.whole("mul", row, size) for row in self._rows], offset,
+                       source)  # fmt: skip
+
+    def put_back(self, k: str) -> None:
+        """Measured positions and velocities take the place of the simulated ones."""
+        f, n_x = self.f, self.equations.n_x
+        given = f.value("icmp sgt i64 %n_known, 0")
+        with f.when(given):
+            truths = [
+                f.value(f"icmp slt i64 {k}, {self.column(lane, 'measured')}")
+                for lane in range(f.module.lanes)
+            ]
+            bases = [f.whole("mul", row, "%n_known") for row in self._rows]
+            for i in range(n_x):
+                with f.when(f.value(f"icmp sgt i64 %n_known, {i}")):
+                    own = f.load(self.x, i)
+                    measured = _beside(f, bases, i, "%known")
+                    numbers = [
+                        f.value(f"select i1 {truth}, double {f.lane(measured, lane)}, "
+                                f"double {f.lane(own, lane)}")
+                        for lane, truth in enumerate(truths)
+                    ]  # fmt: skip
+                    f.store(f.together(numbers), self.x, i)
+
+    def dynamics(self, x: str, out: str) -> None:
+        """The equations at a state."""
+        self.f.line(
+            f"call void @dynamics(ptr %constants, ptr {x}, ptr {self.u}, ptr {self.p}, "
+            f"ptr {out}, ptr {self.by_x}, ptr {self.by_p})"
+        )
+
+    def advance(self, k: str) -> None:
+        """From a sample to the next."""
+        if self.equations.continuous:
+            self._integrate(k)
+        else:
+            self._step(k)
+
+    def _step(self, k: str) -> None:
+        f, n_u = self.f, self.equations.n_u
+        for i in range(n_u):
+            f.store(self.beside(n_u, i, "%drive"), self.u, i)
+        self.dynamics(self.x, self._ahead)
+        running = self._running(k)
+        for i in range(self.equations.n_x):
+            f.store(self._where(running, f.load(self._ahead, i), f.load(self.x, i)), self.x, i)
+        self.step_tangents(running)
+
+    def step_tangents(self, running: list[str]) -> None:
+        """What becomes of derivatives in a step; here there are none."""
+
+    def _running(self, k: str) -> list[str]:
+        return [
+            self.f.value(f"icmp slt i64 {k}, {self.column(lane, 'steps')}")
+            for lane in range(self.f.module.lanes)
+        ]
+
+    def _where(self, running: list[str], a: str, b: str) -> str:
+        f = self.f
+        return f.together([
+            f.value(f"select i1 {on}, double {f.lane(a, lane)}, double {f.lane(b, lane)}")
+            for lane, on in enumerate(running)
+        ])  # fmt: skip
+
+    def _integrate(self, k: str) -> None:
+        f, n_x, n_u = self.f, self.equations.n_x, self.equations.n_u
+        m = f.module
+        parts = f.value("sitofp i64 %substeps to double")
+        share = f.everywhere(f.value(f"fdiv double 1.0, {parts}"))
+        zero = m.number(0.0)
+        h = f.apply("fmul", share, self._where(self._running(k), self.beside(1, 0, "%periods"),
+                                               zero))  # fmt: skip
+        half, sixth = f.apply("fmul", h, m.number(0.5)), f.apply("fmul", h, m.number(1 / 6))
+        width = f.whole("mul", "%order", n_u)
+        bases = [f.whole("mul", row, width) for row in self._rows]
+        with f.loop(0, width) as j:
+            f.store(_beside(f, bases, j, "%drive"), self._pieces, j)
+        with f.loop(0, "%substeps") as i:
+            number = f.value(f"sitofp i64 {i} to double")
+            for stage, (reach, scale) in enumerate(
+                ((0.0, half), (0.5, half), (0.5, h), (1.0, sixth))
+            ):
+                if stage != 2:  # the third stage is at the time of the second
+                    later = f.value(f"fadd double {number}, {reach!r}")
+                    self._inputs_at(f.everywhere(f.value(f"fdiv double {later}, {parts}")))
+                self.dynamics(self.x if stage == 0 else self._ahead, self.slope)
+                for j in range(n_x):
+                    self._update(stage, scale, f.load(self.slope, j), (self.x, self._ahead,
+                                                                      self._total), j)  # fmt: skip
+                self.stage_tangents(stage, scale)
+
+    def _update(
+        self, stage: int, scale: str, slope: str, memory: tuple[str, str, str], j: str | int
+    ) -> None:
+        """A stage of the method for a number of the state, or of a derivative of it."""
+        f, (x, ahead, total) = self.f, memory
+        if stage == 3:
+            mean = f.apply("fadd", f.load(total, j), slope)
+            f.store(f.fma(scale, mean, f.load(x, j)), x, j)
+            return
+        twice = self.f.module.number(2.0)
+        f.store(slope if stage == 0 else f.fma(twice, slope, f.load(total, j)), total, j)
+        f.store(f.fma(scale, slope, f.load(x, j)), ahead, j)
+
+    def stage_tangents(self, stage: int, scale: str) -> None:
+        """What becomes of derivatives in a stage; here there are none."""
+
+    def _inputs_at(self, part: str) -> None:
+        """The inputs at a part of the period: on the polynomials that they follow."""
+        f, n_u = self.f, self.equations.n_u
+        last = f.whole("mul", f.whole("sub", "%order", 1), n_u)
+        for i in range(n_u):
+            f.store(f.load(self._pieces, f.whole("add", last, i)), self.u, i)
+        with f.loop(1, "%order") as o:
+            below = f.whole("sub", last, f.whole("mul", o, n_u))
+            for i in range(n_u):
+                value = f.load(self._pieces, f.whole("add", below, i))
+                f.store(f.fma(part, f.load(self.u, i), value), self.u, i)
+
+
+class _Sensitivities(_Simulation):
+    """A simulation that carries derivatives along several directions with it.
+
+    The first directions are those of parameters, if any; along all others the equations do not
+    depend on the direction, only the state does.
+    """
+
+    def __init__(
+        self, f: Function, equations: Equations, slopes: _Slopes, residual: Residual,
+        constants: Constants, group: str,
+    ) -> None:  # fmt: skip
+        super().__init__(f, equations, group)
+        n_x = equations.n_x
+        self._slopes, self._residual, self._constants = slopes, residual, constants
+        self.by_x = f.memory(n_x * n_x)
+        self.by_p = f.memory(equations.n_p * n_x)
+        self._n_y = residual.n_y
+        size = f.whole("mul", "%n_d", n_x)
+        squares = f.whole("mul", "%n_d", "%n_d")
+        self._dx = "%work"
+        self._dahead = f.at("%work", size)
+        self._dtotal = f.at(self._dahead, size)
+        self._products = f.at(self._dtotal, size)
+        self._gradient = f.at(self._products, squares)
+        self._cost = f.at(self._gradient, "%n_d")
+        self._error = f.memory(self._n_y)
+        zero = f.module.number(0.0)
+        count = f.whole("add", f.whole("add", squares, "%n_d"), 1)
+        with f.loop(0, count) as i:
+            f.store(zero, self._products, i)
+        runs = [self.column(lane, "run") for lane in range(f.module.lanes)]
+        bases = [f.whole("mul", run, size) for run in runs]
+        with f.loop(0, size) as i:
+            f.store(_beside(f, bases, i, "%seeds"), self._dx, i)
+
+    def compare(self, k: str) -> None:
+        """At a sample: errors, and what they and the derivatives add to the products."""
+        f, m, n_x, n_y = self.f, self.f.module, self.equations.n_x, self._n_y
+        zero = m.number(0.0)
+        weights, shown, counted = [], [], []
+        for i in range(n_y):
+            error = f.apply("fsub", f.load(self.x, i), self.beside(n_y, i, "%target"))
+            weight = self._where(self.active, self.beside(n_y, i, "%weight"), zero)
+            counted.append(f.compare("ogt", weight, zero))
+            f.store(error, self._error, i)
+            weights.append(weight)
+            shown.append(f.select(counted[i], error, zero))
+        for lane in range(m.lanes):
+            with f.when(self.active[lane]):
+                row = f.whole("add", self.column(lane, "result"), k)
+                base = f.whole("mul", row, n_y)
+                for i, error in enumerate(shown):
+                    at = f.at("%errors", f.whole("add", base, i), "double")
+                    f.line(f"store double {f.lane(error, lane)}, ptr {at}, align 8")
+        emission = Emission(f, self._residual.program, {"error": self._error}, self._constants,
+                            "%constants")  # fmt: skip
+        outputs = emission.outputs()
+        residuals, slopes = [], []
+        for i, weight in enumerate(weights):
+            value, slope = outputs["value"][i], outputs["slope"][i * (n_y + 1)]
+            residual = f.apply("fmul", emission.plain(value), weight)
+            residuals.append(f.select(counted[i], residual, zero))
+            slopes.append(f.apply("fmul", emission.plain(slope), weight))
+        cost = f.load(self._cost)
+        for residual in residuals:
+            cost = f.fma(residual, residual, cost)
+        f.store(cost, self._cost)
+        with f.loop(0, "%n_d") as a:
+            base = f.whole("mul", a, n_x)
+            row = f.whole("mul", a, "%n_d")
+            by = [f.load(self._dx, f.whole("add", base, i)) for i in range(n_y)]
+            scaled = [f.apply("fmul", x, s) for x, s in zip(by, slopes, strict=True)]
+            total = f.load(self._gradient, a)
+            for x, residual in zip(scaled, residuals, strict=True):
+                total = f.fma(x, residual, total)
+            f.store(total, self._gradient, a)
+            twice = [f.apply("fmul", x, s) for x, s in zip(scaled, slopes, strict=True)]
+            with f.loop(0, f.whole("add", a, 1)) as c:
+                other = f.whole("mul", c, n_x)
+                place = f.whole("add", row, c)
+                total = f.load(self._products, place)
+                for i, x in enumerate(twice):
+                    total = f.fma(x, f.load(self._dx, f.whole("add", other, i)), total)
+                f.store(total, self._products, place)
+
+    def _along(self, source: str, d: str, *, by_parameter: bool) -> list[str]:
+        """The derivative of the equations along a direction."""
+        f, n_x = self.f, self.equations.n_x
+        base = f.whole("mul", d, n_x)
+        y = [f.load(source, f.whole("add", base, j)) for j in range(n_x)]
+        found = []
+        for i, row in enumerate(self._slopes.by_x):
+            total: str | None = None
+            if by_parameter and i in self._slopes.by_p:
+                total = f.load(self.by_p, f.whole("add", base, i))
+            for j, known in row.items():
+                if known is None:
+                    entry = f.load(self.by_x, i * n_x + j)
+                else:
+                    entry = None if known == 1.0 else f.module.number(known)
+                term = y[j] if entry is None else f.apply("fmul", entry, y[j])
+                total = term if total is None else f.apply("fadd", total, term)
+            found.append(f.module.number(0.0) if total is None else total)
+        return found
+
+    def _each(self, change: Callable[[str, bool], None]) -> None:
+        """Writes what happens to each direction, those of parameters first."""
+        f = self.f
+        if self.equations.n_p:
+            with f.loop(0, "%n_by_p") as d:
+                change(d, True)
+        with f.loop("%n_by_p", "%n_d") as d:
+            change(d, False)
+
+    def stage_tangents(self, stage: int, scale: str) -> None:
+        """A stage of the method for all derivatives."""
+        f, n_x = self.f, self.equations.n_x
+        source = self._dx if stage == 0 else self._dahead
+
+        def change(d: str, by_parameter: bool) -> None:
+            slopes = self._along(source, d, by_parameter=by_parameter)
+            base = f.whole("mul", d, n_x)
+            for j, slope in enumerate(slopes):
+                self._update(stage, scale, slope, (self._dx, self._dahead, self._dtotal),
+                             f.whole("add", base, j))  # fmt: skip
+
+        self._each(change)
+
+    def step_tangents(self, running: list[str]) -> None:
+        """A step of a discrete model for all derivatives."""
+        f, n_x = self.f, self.equations.n_x
+
+        def change(d: str, by_parameter: bool) -> None:
+            ahead = self._along(self._dx, d, by_parameter=by_parameter)
+            base = f.whole("mul", d, n_x)
+            for j, value in enumerate(ahead):
+                at = f.whole("add", base, j)
+                f.store(self._where(running, value, f.load(self._dx, at)), self._dx, at)
+
+        self._each(change)
+
+    def hand_over(self) -> None:
+        """The products of every lane go to the row of its run."""
+        f = self.f
+        squares = f.whole("mul", "%n_d", "%n_d")
+        for lane in range(f.module.lanes):
+            run = self.column(lane, "run")
+            with f.when(f.value(f"icmp sge i64 {self.column(lane, 'steps')}, 0")):
+                for source, size, into in (
+                    (self._products, squares, "%products"),
+                    (self._gradient, "%n_d", "%gradient"),
+                    (self._cost, "1", "%cost"),
+                ):
+                    base = f.whole("mul", run, size)
+                    with f.loop(0, size) as i:
+                        number = f.lane(f.load(source, i), lane)
+                        at = f.at(into, f.whole("add", base, i), "double")
+                        f.line(f"store double {number}, ptr {at}, align 8")

@@ -1,0 +1,78 @@
+"""The host's processor: what its vectors hold, and modules of assembly language made to run."""
+
+import ctypes
+import sys
+from collections.abc import Sequence
+from functools import cache, lru_cache
+from typing import Any
+
+from tustinnet.engine.functions import SCALAR, SYMBOL
+
+_WIDTHS = (("avx512f", 8), ("avx", 4))  # numbers of a vector, by what the processor has
+_NARROW = 2
+_KEPT = 256  # compiled modules
+_LEVEL = 1
+
+
+class Compiled:
+    """A module as machine code.
+
+    Attributes:
+        text: the module.
+    """
+
+    def __init__(self, text: str) -> None:
+        binding, target = _target()
+        module = binding.parse_assembly(text)
+        options = binding.create_pipeline_tuning_options(speed_level=_LEVEL)
+        passes = binding.create_pass_builder(target, options)
+        passes.getModulePassManager().run(module, passes)
+        self._engine = binding.create_mcjit_compiler(module, target)
+        self._engine.finalize_object()
+
+    def function(self, name: str, arguments: Sequence[Any]) -> Any:
+        """A function of it that returns nothing; calls release Python's lock.
+
+        Args:
+            name: what the module calls it.
+            arguments: their ctypes.
+        """
+        kind = ctypes.CFUNCTYPE(None, *arguments)
+        function = kind(self._engine.get_function_address(name))
+        vars(function)["owner"] = self  # the code lives as long as who may call it
+        return function
+
+
+@lru_cache(maxsize=_KEPT)
+def compiled(text: str) -> Compiled:
+    """A module as machine code; one that was compiled before is not compiled again."""
+    return Compiled(text)
+
+
+@cache
+def width() -> int:
+    """How many numbers the processor's vectors hold, 8 bytes each."""
+    from llvmlite import binding
+
+    features = binding.get_host_cpu_features()
+    return next((n for name, n in _WIDTHS if features.get(name)), _NARROW)
+
+
+@cache
+def _target() -> tuple[Any, Any]:
+    from llvmlite import binding
+
+    binding.initialize_native_target()
+    binding.initialize_native_asmprinter()
+    # by names of our own, as linkers differ in what they find by themselves
+    library = ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None)
+    for name in SCALAR:
+        address = ctypes.cast(getattr(library, name), ctypes.c_void_p).value
+        binding.add_symbol(SYMBOL.format(name), address)
+    target = binding.Target.from_default_triple().create_target_machine(
+        cpu=binding.get_host_cpu_name(),
+        features=binding.get_host_cpu_features().flatten(),
+        opt=2,
+        jit=True,
+    )
+    return binding, target

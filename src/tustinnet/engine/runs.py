@@ -1,0 +1,212 @@
+"""Runs of equations over inputs: their states, or products of their derivatives.
+
+Two engines do the same. One makes machine code of the equations, in about half a second; the other
+compiles them with JAX, for equations that no program can hold and where LLVM cannot be had.
+"""
+
+import os
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import TypeVar
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from tustinnet.engine.equations import Equations, Formula, Residual
+from tustinnet.errors import InputError
+
+VARIABLE = "TUSTINNET_ENGINE"  # of the environment
+ENGINES = ("llvm", "jax")
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Simulations that are done side by side.
+
+    Attributes:
+        start: states at the beginning, (runs, n_x).
+        parameters: of the equations, those that derivatives are needed by first, (runs, n_p + n_c).
+        steps: steps of each, (runs,).
+        first: row of the inputs at the beginning of each, (runs,).
+        drive: inputs from each sample to the next, (rows, order, n_u): the coefficients of the
+            polynomials that they follow, or what a discrete model's step is given (order 1).
+        periods: time from each sample to the next [s], (rows,); discrete models do not use it.
+        known: positions and velocities that take the place of the simulated ones, (rows, n_m).
+        measured: at how many of the first samples of each they do, (runs,).
+    """
+
+    start: Float[np.ndarray, "runs n_x"]
+    parameters: Float[np.ndarray, "runs n_p"]
+    steps: Int[np.ndarray, " runs"]
+    first: Int[np.ndarray, " runs"]
+    drive: Float[np.ndarray, "rows order n_u"]
+    periods: Float[np.ndarray, " rows"]
+    known: Float[np.ndarray, "rows n_m"] | None = None
+    measured: Int[np.ndarray, " runs"] | None = None
+
+    @property
+    def results(self) -> Int[np.ndarray, " runs"]:
+        """The row of the first sample of each run where samples stand run after run."""
+        return np.cumsum(self.steps + 1) - self.steps - 1
+
+    @property
+    def samples(self) -> int:
+        """How many samples all have together."""
+        return int(np.sum(self.steps + 1))
+
+
+@dataclass(frozen=True)
+class Directions:
+    """Along which directions runs are differentiated.
+
+    Attributes:
+        seeds: derivatives of the states at the beginning along every direction,
+            (runs, n_d, n_x).
+        parameters: whether the first `n_p` directions are those of the parameters; else the
+            equations do not depend on any direction, only the states do.
+    """
+
+    seeds: Float[np.ndarray, "runs n_d n_x"]
+    parameters: bool
+
+
+@dataclass(frozen=True)
+class Samples:
+    """What runs are compared with, in rows as of the inputs.
+
+    Attributes:
+        target: values of the first numbers of the states, (rows, n_y).
+        weight: weight of each residual, (rows, n_y).
+    """
+
+    target: Float[np.ndarray, "rows n_y"]
+    weight: Float[np.ndarray, "rows n_y"]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Products of residuals and their derivatives, run by run.
+
+    Attributes:
+        products: of derivatives by the directions, (runs, n_d, n_d).
+        gradient: of derivatives and residuals, (runs, n_d).
+        cost: sums of squared residuals, (runs,).
+        error: simulated minus measured, 0 where it has no weight, run after run, (samples, n_y).
+    """
+
+    products: Float[np.ndarray, "runs n_d n_d"]
+    gradient: Float[np.ndarray, "runs n_d"]
+    cost: Float[np.ndarray, " runs"]
+    error: Float[np.ndarray, "samples n_y"]
+
+
+def simulate(equations: Equations, runs: Runs, substeps: int = 1) -> Float[np.ndarray, "rows n_x"]:
+    """The states at all samples, run after run, (samples, n_x).
+
+    Args:
+        equations: what is simulated.
+        runs: the runs.
+        substeps: integration steps in a period, of continuous equations.
+
+    Raises:
+        InputError: an engine that there is not.
+    """
+    from tustinnet.engine import by_jax, by_machine_code
+
+    return _chosen(
+        lambda: by_machine_code.simulate(equations, runs, substeps),
+        lambda: by_jax.simulate(equations, runs, substeps),
+        lambda: equations.program,
+    )
+
+
+def compare(
+    equations: Equations,
+    residual: Residual,
+    runs: Runs,
+    substeps: int,
+    directions: Directions,
+    samples: Samples,
+) -> Comparison:
+    """Simulates runs with derivatives along some directions and compares them with samples.
+
+    Args:
+        equations: what is simulated.
+        residual: how errors count.
+        runs: the runs.
+        substeps: integration steps in a period, of continuous equations.
+        directions: what is differentiated.
+        samples: what the runs are compared with.
+
+    Raises:
+        InputError: an engine that there is not.
+    """
+    from tustinnet.engine import by_jax, by_machine_code
+
+    given = equations, residual, runs, substeps, directions, samples
+    return _chosen(
+        lambda: by_machine_code.compare(*given),
+        lambda: by_jax.compare(*given),
+        lambda: (equations.program, residual.program),
+    )
+
+
+def evaluate(
+    formula: Formula, points: Float[np.ndarray, "n n_in"], *, derivatives: bool = False
+) -> Float[np.ndarray, "n n_out"]:
+    """A formula at many points, (n, m), or its derivatives there by rows, (n, m n_in).
+
+    Raises:
+        InputError: an engine that there is not.
+    """
+    from tustinnet.engine import by_jax, by_machine_code
+
+    return _chosen(
+        lambda: by_machine_code.evaluate(formula, points, derivatives=derivatives),
+        lambda: by_jax.evaluate(formula, points, derivatives=derivatives),
+        lambda: formula.program,
+    )
+
+
+def engine() -> str:
+    """The engine that is used: `llvm`, or `jax` where the environment says so or LLVM is missing.
+
+    Raises:
+        InputError: the environment names another one.
+    """
+    wanted = os.environ.get(VARIABLE, "")
+    if wanted and wanted not in ENGINES:
+        raise InputError(VARIABLE, f"'{wanted}'", f"one of {', '.join(ENGINES)}", "or leave it out")
+    if wanted == "jax":
+        return "jax"
+    if find_spec("llvmlite") is None:
+        _say_once("llvmlite is not installed: simulations are compiled by JAX, which is slower")
+        return "jax"
+    return "llvm"
+
+
+def _chosen(
+    fast: Callable[[], Result], slow: Callable[[], Result], read: Callable[[], object]
+) -> Result:
+    """By machine code, where the equations can be read as a program; else by JAX."""
+    if engine() == "jax":
+        return slow()
+    try:
+        read()
+    except InputError as refused:
+        _say_once(f"{refused}; simulated by JAX instead, which is slower")
+        return slow()
+    return fast()
+
+
+_said: set[str] = set()
+
+
+def _say_once(message: str) -> None:
+    if message not in _said:
+        _said.add(message)
+        warnings.warn(message, stacklevel=2)

@@ -1,0 +1,233 @@
+"""LLVM's assembly language while it is written: values of several lanes, loops, memory.
+
+A value of the equations is a vector with one number for each lane; lanes are records, windows or
+variants of a model that are simulated side by side. With one lane it is a plain number.
+"""
+
+import struct
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Literal
+
+# sums may be reordered and multiplications fused with them, so that vectors can be used; that a
+# number is not finite is always respected: a simulation that diverges must stay visible
+FAST = "reassoc nsz contract"
+
+Predicate = Literal["oeq", "une", "olt", "ole", "ogt", "oge", "uno"]
+
+
+def bits_of(value: float) -> int:
+    """The bits of a number as a whole number with a sign."""
+    return struct.unpack("<q", struct.pack("<d", value))[0]
+
+
+class Function:
+    """A function while it is written.
+
+    Attributes:
+        module: the module that it belongs to.
+        name: its name.
+    """
+
+    def __init__(self, module: "Module", name: str, arguments: str, result: str, own: bool) -> None:
+        self.module, self.name = module, name
+        # written once and called from several places: inlining would multiply the code
+        linkage, mark = ("internal ", " noinline") if own else ("", "")
+        self._head = f"define {linkage}{result} @{name}({arguments}){mark}"
+        self._entry: list[str] = []
+        self._lines: list[str] = []
+        self._count = 0
+
+    # --- lines ---
+
+    def line(self, text: str) -> None:
+        """A line without a value."""
+        self._lines.append(text)
+
+    def value(self, text: str) -> str:
+        """A line with a value, whose name is returned."""
+        self._count += 1
+        name = f"%v{self._count}"
+        self._lines.append(f"{name} = {text}")
+        return name
+
+    def label(self) -> str:
+        """A new name of a block."""
+        self._count += 1
+        return f"b{self._count}"
+
+    def place(self, label: str) -> None:
+        """The block of that name begins here."""
+        self._lines.append(f"{label}:")
+
+    def memory(self, count: int) -> str:
+        """Memory for so many values of this function, aligned as vectors are."""
+        self._count += 1
+        name = f"%m{self._count}"
+        v, size = self.module.v, max(count, 1)
+        self._entry.append(f"{name} = alloca [{size} x {v}], align {self.module.align}")
+        return name
+
+    def counter(self) -> str:
+        """Memory for a whole number."""
+        self._count += 1
+        self._entry.append(f"%m{self._count} = alloca i64")
+        return f"%m{self._count}"
+
+    def text(self) -> str:
+        """The function as text."""
+        body = "\n".join(["entry:", *self._entry, *self._lines])
+        return f"{self._head} {{\n{body}\n}}\n"
+
+    # --- whole numbers and flow ---
+
+    def whole(self, op: str, a: str | int, b: str | int) -> str:
+        """An operation on whole numbers."""
+        return self.value(f"{op} i64 {a}, {b}")
+
+    def at(self, pointer: str, index: str | int, kind: str | None = None) -> str:
+        """The address of an element: of values, or of a kind such as `double`, `i64`."""
+        if index == 0:
+            return pointer
+        return self.value(
+            f"getelementptr inbounds {kind or self.module.v}, ptr {pointer}, i64 {index}"
+        )
+
+    @contextmanager
+    def loop(self, begin: str | int, end: str | int) -> Iterator[str]:
+        """What is written inside is done for every whole number from begin up to end."""
+        counter, head, body, after = self.counter(), self.label(), self.label(), self.label()
+        self.line(f"store i64 {begin}, ptr {counter}")
+        self.line(f"br label %{head}")
+        self.place(head)
+        i = self.value(f"load i64, ptr {counter}")
+        goes_on = self.value(f"icmp slt i64 {i}, {end}")
+        self.line(f"br i1 {goes_on}, label %{body}, label %{after}")
+        self.place(body)
+        yield i
+        ahead = self.whole("add", i, 1)
+        self.line(f"store i64 {ahead}, ptr {counter}")
+        self.line(f"br label %{head}")
+        self.place(after)
+
+    @contextmanager
+    def when(self, condition: str) -> Iterator[None]:
+        """What is written inside is done where a truth holds."""
+        body, after = self.label(), self.label()
+        self.line(f"br i1 {condition}, label %{body}, label %{after}")
+        self.place(body)
+        yield
+        self.line(f"br label %{after}")
+        self.place(after)
+
+    # --- values ---
+
+    def load(self, pointer: str, index: str | int = 0) -> str:
+        """A value in memory."""
+        at = self.at(pointer, index)
+        return self.value(f"load {self.module.v}, ptr {at}, align {self.module.align}")
+
+    def store(self, value: str, pointer: str, index: str | int = 0) -> None:
+        """A value goes to memory."""
+        at = self.at(pointer, index)
+        self.line(f"store {self.module.v} {value}, ptr {at}, align {self.module.align}")
+
+    def apply(self, op: str, a: str, b: str, *, exact: bool = False) -> str:
+        """`fadd`, `fsub`, `fmul` or `fdiv`; exact where rounding must not be touched."""
+        flags = "" if exact else f"{FAST} "
+        return self.value(f"{op} {flags}{self.module.v} {a}, {b}")
+
+    def fma(self, a: str, b: str, c: str) -> str:
+        """`a b + c`."""
+        return self.apply("fadd", self.apply("fmul", a, b), c)
+
+    def compare(self, predicate: Predicate, a: str, b: str) -> str:
+        """A truth for every lane."""
+        return self.value(f"fcmp {predicate} {self.module.v} {a}, {b}")
+
+    def select(self, condition: str, a: str, b: str) -> str:
+        """Of every lane one or the other value."""
+        m = self.module
+        return self.value(f"select {m.truth} {condition}, {m.v} {a}, {m.v} {b}")
+
+    def choose(self, condition: str, a: str, b: str) -> str:
+        """Of every lane one or the other truth."""
+        t = self.module.truth
+        return self.value(f"select {t} {condition}, {t} {a}, {t} {b}")
+
+    def call(self, name: str, *values: str) -> str:
+        """A function of values that returns one."""
+        v = self.module.v
+        return self.value(f"call {v} @{name}({', '.join(f'{v} {x}' for x in values)})")
+
+    def lane(self, value: str, lane: int) -> str:
+        """The number of one lane."""
+        if self.module.lanes == 1:
+            return value
+        return self.value(f"extractelement {self.module.v} {value}, i32 {lane}")
+
+    def together(self, numbers: list[str]) -> str:
+        """A value of the numbers of all lanes."""
+        if self.module.lanes == 1:
+            return numbers[0]
+        value = "poison"
+        for lane, number in enumerate(numbers):
+            value = self.value(
+                f"insertelement {self.module.v} {value}, double {number}, i32 {lane}"
+            )
+        return value
+
+    def everywhere(self, number: str) -> str:
+        """A value that is the same number in all lanes."""
+        m = self.module
+        if m.lanes == 1:
+            return number
+        first = self.value(f"insertelement {m.v} poison, double {number}, i32 0")
+        order = f"<{m.lanes} x i32> zeroinitializer"
+        return self.value(f"shufflevector {m.v} {first}, {m.v} poison, {order}")
+
+
+class Module:
+    """A module while it is written.
+
+    Attributes:
+        lanes: numbers of a value.
+        v: the type of a value.
+        truth: the type of a truth for every lane.
+        align: bytes that values in memory are aligned to.
+    """
+
+    def __init__(self, lanes: int) -> None:
+        self.lanes = lanes
+        self.v = "double" if lanes == 1 else f"<{lanes} x double>"
+        self.truth = "i1" if lanes == 1 else f"<{lanes} x i1>"
+        self.align = 8 * lanes
+        self._parts: dict[str, str] = {}
+
+    def function(
+        self, name: str, arguments: str, result: str = "void", *, own: bool = True
+    ) -> Function:
+        """A function that is written next; `finish` adds it."""
+        return Function(self, name, arguments, result, own)
+
+    def finish(self, function: Function) -> None:
+        """A function is complete."""
+        self._parts[function.name] = function.text()
+
+    def once(self, name: str, write: Callable[[], str]) -> str:
+        """A part of the module that is written when it is asked for first; its name."""
+        if name not in self._parts:
+            self._parts[name] = ""  # so that what it needs stands before it
+            self._parts[name] = write()
+        return name
+
+    def number(self, value: float) -> str:
+        """A constant in all lanes."""
+        number = f"0x{bits_of(value) % 2**64:016X}"
+        if self.lanes == 1:
+            return number
+        return "<" + ", ".join([f"double {number}"] * self.lanes) + ">"
+
+    def text(self) -> str:
+        """The module as text."""
+        return "\n".join(self._parts.values())

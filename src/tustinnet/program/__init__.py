@@ -1,0 +1,1 @@
+"""Programs: functions of JAX arrays as lists of operations, for exports and the engine."""
