@@ -147,7 +147,7 @@ class Fitted(Start):
     def estimated(self, model: Model, material: Any) -> Float[np.ndarray, "records n_x"]:
         """Least squares through the model, see `fitted_states`."""
         guess, drive, q = material
-        return fitted_states(model, beginnings(model, guess), drive, q).x
+        return fitted_states(model, beginnings(model, guess), drive, q)
 
 
 class _AfterSamples(Start):

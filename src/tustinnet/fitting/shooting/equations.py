@@ -1,7 +1,7 @@
 """The equations of motion of a system, as the engine takes them: which parameter stands where."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 from tustinnet.engine.equations import Equations, Formula
 from tustinnet.engine.runs import evaluate
 from tustinnet.fitting.shooting.space import Space
+from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.sensors import delay_of
 
@@ -163,6 +164,10 @@ class SystemEquations:
 
         Of a parameter per group 0 where another of its values holds.
         """
+        return self.acts(space, pick) * space.slopes(vector)
+
+    def acts(self, space: Space, pick: Pick) -> Float[np.ndarray, "n n_p"]:
+        """Which of the parameters that are searched for hold, 1 or 0."""
         acts = np.ones((len(pick), len(space.names)))
         every = dict.fromkeys([*space.names, *space.fixed], 0.0)
         for i, p in enumerate(self.system.grouped):
@@ -170,7 +175,16 @@ class SystemEquations:
             for j, name in enumerate(space.names):
                 if name in names:
                     acts[:, j] = pick[:, i] == names.index(name)
-        return acts * space.slopes(vector)
+        return acts
+
+    def models(
+        self, model: Discretised, values: Float[np.ndarray, "n n_p"]
+    ) -> Iterator[Discretised]:
+        """Models with the parameters of each segment, as `values` returned them."""
+        for row in values:
+            named = self._named(row[: self.n_p], row[self.n_p :])
+            arrays = {name: jnp.asarray(x) for name, x in named.items()}
+            yield replace(model, continuous=self.system.model(arrays))
 
     def beginnings(
         self, x0: Float[np.ndarray, "n n_x"], values: np.ndarray, expected: np.ndarray

@@ -7,31 +7,32 @@ explain the records are not those that simulate them best. Both are told.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
-from tustinnet.fitting.free_runs import FreeRuns, free_runs
+from tustinnet.data.experiment import Experiment
+from tustinnet.engine.runs import Directions, Runs, Samples, compare
 from tustinnet.fitting.listener import Iteration
 from tustinnet.fitting.report import Identification, Refined
+from tustinnet.fitting.shooting.equations import SystemEquations, system_equations
 from tustinnet.fitting.shooting.problem import Problem, State, model_of, score
+from tustinnet.fitting.shooting.space import Space
 from tustinnet.models.integrate import Discretised
-from tustinnet.models.lagrangian import LagrangianModel, Parameter
-from tustinnet.simulate.rollout import rollout
-from tustinnet.simulate.starts import Start
+from tustinnet.models.parameters import Parameter
+from tustinnet.simulate.drive import drive_of
+from tustinnet.simulate.horizon import horizon_samples, pieces
+from tustinnet.simulate.starts import Fitted, Start
+from tustinnet.simulate.state_fits import fitted_with_derivatives, positions
 
 _ITERATIONS = 10
 _ENOUGH = 1e-3  # converged: gained by an iteration, of the cost
 _KNOWN = 2.0  # what a parameter that doubles costs: the mean RMSE of so many records
 _LEAST = 0.01  # of its range: the size of a parameter that is nearly 0
 _WELL = 0.25  # of the mean RMSE: below it a record counts by its square
-_AT_ONCE = 8  # records simulated side by side
-_MOST = 20_000_000  # of their derivatives in memory
+_DIFFERENCE = 1e-6  # of a parameter, of which derivatives are made where there is no better way
 _DAMPING, _MOST_DAMPING = 1e-2, 1e6
 _MOVED = 3  # parameters that moved most
 
@@ -81,46 +82,133 @@ class _Task:
     """What parameters are fitted once more to.
 
     Attributes:
-        model: the model as identified.
-        searched: the parameters.
+        space: the parameters that are searched for.
         first: their values, (n_p,).
         unit: what a change of 1 is, (n_p,): the value, unless it is nearly 0.
-        runs: free runs of the training records.
-        pick: which of their values parameters per group have in each record, or None.
+        model: the model as identified, with the inputs as they act.
+        equations: its equations, with derivatives by these parameters.
+        start: where the free runs start.
+        pieces: the records, or their segments end to end over a horizon.
+        record: index of the record of each of them, (n_s,).
+        pick: which of their values parameters per group have in each, (n_s, n_g).
     """
 
-    model: Discretised
-    searched: Sequence[Parameter]
+    space: Space
     first: Float[np.ndarray, " n_p"]
     unit: Float[np.ndarray, " n_p"]
-    runs: FreeRuns
-    pick: Int[np.ndarray, "records n_g"] | None
+    model: Discretised
+    equations: SystemEquations
+    start: Start
+    pieces: tuple[Experiment, ...]
+    record: Int[np.ndarray, " n_s"]
+    pick: Int[np.ndarray, "n_s n_g"]
 
     def values(self, change: Float[np.ndarray, " n_p"]) -> Float[np.ndarray, " n_p"]:
         """The parameters after relative changes."""
         return self.first + self.unit * change
 
     def at(self, change: Float[np.ndarray, " n_p"]) -> "_Runs":
-        """The free runs there."""
-        names = tuple(p.name for p in self.searched)
-        records = self.runs, self.pick
-        found = _runs(self.model, names, self.values(change), self.unit, records)
-        return _Runs(*map(np.asarray, found))
+        """The free runs there, and their products by the relative changes."""
+        equations, start = self.equations, self.start
+        named = dict(zip(self.space.names, self.values(change).tolist(), strict=True))
+        values = equations.values(dict(self.space.fixed) | named, self.pick)
+        x0, by_parameter = self._starts(values)
+        tails = [piece[start.first :] for piece in self.pieces]
+        lengths = np.array([len(e) for e in tails])
+        drives = [np.asarray(drive_of(self.model, e).u)[start.first :] for e in self.pieces]
+        drive = np.concatenate([np.concatenate([u, np.zeros_like(u[:1])]) for u in drives])
+        runs = Runs(
+            start=x0,
+            parameters=values,
+            steps=lengths - 1,
+            first=np.cumsum(lengths) - lengths,
+            drive=drive[:, None] if drive.ndim == 2 else drive,
+            periods=np.full(len(drive), self.model.dt),
+        )
+        of_record = np.bincount(self.record, lengths)
+        weight = np.repeat(1 / np.sqrt(of_record[self.record]), lengths)
+        n_q = self.model.channels.n_q
+        result = compare(
+            equations.motion, positions(n_q), runs, self.model.substeps,
+            Directions(by_parameter, parameters=True),
+            Samples(np.concatenate([e.q for e in tails]), np.tile(weight[:, None], n_q)),
+        )  # fmt: skip
+        base = equations.base(self.space)
+        chain = self.unit * equations.acts(self.space, self.pick)
+        with np.errstate(over="ignore", invalid="ignore"):  # of what diverged
+            matrix = result.products[:, base][:, :, base] * chain[:, :, None] * chain[:, None]
+            gradient = result.gradient[:, base] * chain
+            begins = np.flatnonzero(np.diff(self.record, prepend=-1))
+            sums = [np.add.reduceat(x, begins) for x in (result.cost, matrix, gradient)]
+        return _Runs(np.sqrt(sums[0]), sums[1], sums[2])
+
+    def _starts(
+        self, values: Float[np.ndarray, "n_s n_c"]
+    ) -> tuple[Float[np.ndarray, "n_s n_x"], Float[np.ndarray, "n_s n_b n_x"]]:
+        """States in which the free runs start, and their derivatives by the parameters."""
+        material = self.start.material(self.model, self.pieces)
+        if isinstance(self.start, Fitted):
+            guess, drive, q = material
+            x0, by_guess = self._expected(guess, values)
+            return fitted_with_derivatives(
+                self.model, self.equations.motion, values, x0, by_guess, drive, q
+            )
+        if not self.start.first:
+            return self._expected(np.asarray(material), values)
+        return self._differences(values)
+
+    def _expected(
+        self, measured: Float[np.ndarray, "n_s n_m"], values: Float[np.ndarray, "n_s n_c"]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Measured states with the internal ones that are expected there."""
+        n_z = len(self.model.internal)
+        x0 = np.concatenate([measured, np.zeros((len(measured), n_z))], axis=1)
+        begin, by_parameter, _ = self.equations.beginnings(x0, values, np.ones(len(x0)))
+        return begin, by_parameter
+
+    def _differences(self, values: Float[np.ndarray, "n_s n_c"]) -> tuple[np.ndarray, np.ndarray]:
+        """States at the end of a warm-up; their derivatives by central differences."""
+        material = self.start.material(self.model, self.pieces)
+        n_b = self.equations.n_p
+
+        def states(values: np.ndarray) -> np.ndarray:
+            made = [
+                self.start.estimated(model, jax.tree.map(lambda a, i=i: a[i : i + 1], material))
+                for i, model in enumerate(self.equations.models(self.model, values))
+            ]
+            return np.concatenate(made)
+
+        slopes = []
+        for i in range(n_b):
+            step = _DIFFERENCE * np.maximum(np.abs(values[:, i]), _DIFFERENCE)
+            above, below = values.copy(), values.copy()
+            above[:, i] += step
+            below[:, i] -= step
+            slopes.append((states(above) - states(below)) / (2 * step[:, None]))
+        return states(values), np.stack(slopes, axis=1)
 
 
 def _task(problem: Problem, ended: State, start: Start, searched: Sequence[Parameter]) -> _Task:
-    model = model_of(problem, ended)
+    model, space = model_of(problem, ended), ended.space
     horizon = None if ended.horizon is None else ended.horizon * problem.motion.dt
-    numbers = ended.space.numbers(ended.vector)
+    samples = horizon_samples(horizon, problem.records, start)
+    cut = [pieces(e, samples, start) for e in problem.records]
+    numbers = space.numbers(ended.vector)
+    kept = {p.name for p in searched}
+    fixed = {name: x for name, x in numbers.items() if name not in kept}
     first = np.array([numbers[p.name] for p in searched])
+    record = np.repeat(np.arange(len(cut)), list(map(len, cut)))
     return _Task(
-        model=model,
-        searched=searched,
+        space=Space(tuple(searched), fixed),
         first=first,
         unit=np.array([max(abs(x), _LEAST * (p.upper - p.lower))
                        for x, p in zip(first, searched, strict=True)]),
-        runs=free_runs(model, problem.records, start, horizon),
-        pick=problem.picks(problem.records) if problem.system.grouped else None,
+        model=model,
+        equations=system_equations(problem.system, tuple(p.name for p in searched)),
+        start=start,
+        pieces=tuple(piece for of in cut for piece in of),
+        record=record,
+        pick=problem.picks(problem.records)[record],
     )  # fmt: skip
 
 
@@ -173,55 +261,19 @@ def _refined(
 class _Runs(NamedTuple):
     """Free runs, (records,) each, and their products by the parameters' relative changes."""
 
-    rmse: Array | np.ndarray
-    matrix: Array | np.ndarray
-    gradient: Array | np.ndarray
+    rmse: Float[np.ndarray, " records"]
+    matrix: Float[np.ndarray, "records n_p n_p"]
+    gradient: Float[np.ndarray, "records n_p"]
 
     @property
     def mean(self) -> float:
         """Over the records."""
-        return float(np.mean(np.asarray(self.rmse)))
+        return float(np.mean(self.rmse))
 
 
 def _normal(runs: _Runs, scale: float) -> tuple[np.ndarray, np.ndarray]:
     """The Gauss-Newton matrix and the gradient of half the mean RMSE over the scale."""
-    rmse = np.maximum(np.asarray(runs.rmse), _WELL * scale)
+    rmse = np.maximum(runs.rmse, _WELL * scale)
     weight = 1 / (2 * scale * rmse * len(rmse))
     matrix = np.einsum("r,rij->ij", weight, runs.matrix)
     return matrix, np.einsum("r,ri->i", weight, runs.gradient)
-
-
-@eqx.filter_jit
-def _runs(
-    model: Discretised,
-    names: tuple[str, ...],
-    values: Float[Array | np.ndarray, " n_p"],
-    unit: Float[Array | np.ndarray, " n_p"],
-    records: tuple[FreeRuns, Int[Array | np.ndarray, "records n_g"] | None],
-) -> _Runs:
-    def errors(of: FreeRuns, pick: Array | None, change: Array) -> tuple[Array, Array]:
-        here = _with_values(model, dict(zip(names, values + unit * change, strict=True)), pick)
-        x0 = runs.start.states(here, of.material)
-        simulated = jax.vmap(partial(rollout, here))(x0, of.u)[..., here.channels.position]
-        # beyond a record's end the model may do anything, also overflow
-        error = jnp.where(of.weight[..., None] > 0, simulated - of.q, 0.0)
-        error = (error * jnp.sqrt(of.weight)[..., None]).ravel()
-        return error, error
-
-    def record(of: tuple[FreeRuns, Array | None]) -> _Runs:
-        by, error = jax.jacfwd(partial(errors, *of), has_aux=True)(jnp.zeros(len(unit)))
-        return _Runs(jnp.linalg.norm(error), by.T @ by, by.T @ error)
-
-    runs, _ = records
-    held = runs.q[0].size * len(unit)  # derivatives of a record
-    return jax.lax.map(record, records, batch_size=max(1, min(_AT_ONCE, _MOST // held)))
-
-
-def _with_values(model: Discretised, values: dict[str, Any], pick: Array | None) -> Discretised:
-    """The model with other values, and of parameters per group with those of a record."""
-    equations = model.continuous
-    assert isinstance(equations, LagrangianModel)
-    known = equations.values | values
-    if pick is not None:
-        known = equations.system.picked(known, pick)
-    return replace(model, continuous=LagrangianModel(equations.system, known))
