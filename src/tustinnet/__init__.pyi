@@ -56,7 +56,7 @@ from .simulate.starts import initial_state as initial_state
 from .simulate.starts import start_states as start_states
 from .simulate.substeps import choose_substeps as choose_substeps
 from .store.exported import export_model as export_model
+from .store.header import read_header as read_header
 from .store.model_file import load_model as load_model
-from .store.model_file import read_header as read_header
 from .store.model_file import save as save
 from .systems.files import load_system as load_system

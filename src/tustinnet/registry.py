@@ -1,8 +1,8 @@
 """What can be named: families of models, scalings, systems, targets of exports.
 
 A new one is a line here. Other packages add theirs by entry points of the groups
-`tustinnet.families`, `tustinnet.scalings`, `tustinnet.systems` and `tustinnet.targets`; a program
-adds one by `register`.
+`tustinnet.families`, `tustinnet.shown`, `tustinnet.scalings`, `tustinnet.systems` and
+`tustinnet.targets`; a program adds one by `register`.
 """
 
 from dataclasses import dataclass
@@ -66,6 +66,21 @@ FAMILIES: Registry[Any] = Registry(
         "linear": "tustinnet.families.linear:FAMILY",
         "committee": "tustinnet.families.committee:FAMILY",
         "encoded": "tustinnet.families.encoded:FAMILY",
+    },
+)
+# what `show` prints of a kind, without loading its models and JAX; others have `Family.shown`
+SHOWN: Registry[Any] = Registry(
+    "kind of model that `show` prints",
+    "tustinnet.shown",
+    {
+        "tustin-net": "tustinnet.families.shown:tustin_net",
+        "euler-lagrange": "tustinnet.families.shown:euler_lagrange",
+        "hybrid": "tustinnet.families.shown:hybrid",
+        "gru": "tustinnet.families.shown:gru",
+        "neural-ode": "tustinnet.families.shown:neural_ode",
+        "linear": "tustinnet.families.shown:linear",
+        "committee": "tustinnet.families.shown:committee",
+        "encoded": "tustinnet.families.shown:encoded",
     },
 )
 USUAL = next(iter(FAMILIES.places))  # the kind of a recipe that names none

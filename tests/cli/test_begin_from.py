@@ -12,7 +12,7 @@ from test_verbs import tustinnet
 
 import tustinnet as tn
 from tustinnet.fitting.task import Origin, make_task
-from tustinnet.store.model_file import records_in
+from tustinnet.store.header import records_in
 from tustinnet.systems.files import find_system
 
 

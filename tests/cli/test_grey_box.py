@@ -21,7 +21,7 @@ from tustinnet.fitting.fit import fit_task
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.task import make_task
 from tustinnet.selection.plan import SelectionPlan
-from tustinnet.store.model_file import read_header
+from tustinnet.store.header import read_header
 from tustinnet.store.run import run_task
 from tustinnet.systems import qube_servo2_twin
 

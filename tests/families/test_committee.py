@@ -16,7 +16,8 @@ from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.models.contract import with_dtype
 from tustinnet.models.parameters import Parameter
 from tustinnet.simulate.rollout import rollouts
-from tustinnet.store.model_file import shown, system_of
+from tustinnet.store.header import shown
+from tustinnet.store.model_file import system_of
 
 BAND = replace(CHANNELS, inputs=(replace(SWING.inputs[0], hold="band-limited"),))
 

@@ -20,7 +20,7 @@ from tustinnet.fitting.task import Origin, make_task
 from tustinnet.models.state_encoder import encoder_features
 from tustinnet.simulate.drive import drive_of
 from tustinnet.simulate.starts import default_start, start_states
-from tustinnet.store.model_file import shown
+from tustinnet.store.header import shown
 from tustinnet.store.run import MODEL, run_task
 from tustinnet.store.sealed import read_sealed
 

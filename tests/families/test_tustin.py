@@ -21,7 +21,7 @@ from tustinnet.models.blocks import (
 from tustinnet.models.contract import require_fit, with_dtype
 from tustinnet.simulate.along import states_along
 from tustinnet.simulate.rollout import rollouts
-from tustinnet.store.model_file import shown
+from tustinnet.store.header import shown
 
 MIXED = (tn.Coordinate("cart", "linear"), tn.Coordinate("pole", "angular"))
 FORCE = (tn.Input("force", "N"),)

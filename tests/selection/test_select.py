@@ -23,7 +23,8 @@ from tustinnet.selection.choice import Choice
 from tustinnet.selection.jobs import Job
 from tustinnet.selection.plan import read_plan
 from tustinnet.selection.select import Asked, Reporter, _taking_part, select_model
-from tustinnet.store.model_file import read_header, system_of
+from tustinnet.store.header import read_header
+from tustinnet.store.model_file import system_of
 from tustinnet.store.run import Earlier, fit_in
 
 

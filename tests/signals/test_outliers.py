@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+import scipy.ndimage
 
-from tustinnet.signals.outliers import jumps, spikes
+from tustinnet.signals.outliers import _ranked, jumps, spikes
 
 DT = 0.01
 COUNT = 2 * np.pi / 4096
@@ -103,3 +104,11 @@ def test_a_spike_is_huge_and_short(samples: int) -> None:
     assert spikes(u).tolist() == [17, 40, 41]
     u[50:53] = 500.0
     assert spikes(u).tolist() == []
+
+
+@pytest.mark.parametrize("n", [5, 6, 12, 40, 25_001])
+@pytest.mark.parametrize(("width", "rank"), [(5, 2), (11, 10), (31, 24)])
+def test_the_rank_filter_is_that_of_scipy(n, width, rank):
+    x = np.random.default_rng(0).normal(size=n).round(1)
+    expected = scipy.ndimage.rank_filter(x, rank, width, mode="mirror")
+    np.testing.assert_array_equal(_ranked(x, width, rank), expected)

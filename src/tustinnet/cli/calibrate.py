@@ -31,8 +31,9 @@ def calibrate(
     from tustinnet.errors import InputError
     from tustinnet.evaluate.bands import KEY, alternatives_of, calibrated, guesses
     from tustinnet.store.files import require_new
+    from tustinnet.store.header import read_header, records_in
     from tustinnet.store.kept_system import keep, kept_with, require_room
-    from tustinnet.store.model_file import copy_with, read_header, records_in
+    from tustinnet.store.model_file import copy_with
 
     if out.resolve() == model.resolve():
         raise InputError(out, "the model itself", "another file")

@@ -85,7 +85,7 @@ def _kept_with(models: list[Path]) -> "SystemFile | None":
 def _range(models: list[Path], members: "list[Model]") -> dict[str, Any]:
     """Where the training records of all members lie, where all files say it."""
     from tustinnet.simulate.range import KEY, Range, joined
-    from tustinnet.store.model_file import read_header
+    from tustinnet.store.header import read_header
 
     told = [
         Range.from_header(read_header(path), member)
@@ -99,7 +99,7 @@ def _file(path: Path) -> dict[str, Any]:
     """What the header says of a model's file."""
     from hashlib import sha256
 
-    from tustinnet.store.model_file import read_header
+    from tustinnet.store.header import read_header
 
     of = {"file": str(path), "sha256": sha256(path.read_bytes()).hexdigest()}
     data = read_header(path).get("data")

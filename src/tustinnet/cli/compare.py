@@ -9,6 +9,7 @@ from tustinnet.cli import options, terminal
 
 if TYPE_CHECKING:
     from tustinnet.data.experiment import Experiment
+    from tustinnet.evaluate.bands import Band
     from tustinnet.evaluate.scores import Score
     from tustinnet.models.contract import Model
 
@@ -46,8 +47,8 @@ def compare(
     from tustinnet.cli.request import band_asked, bands_of, judged_records, kept_system
     from tustinnet.errors import InputError
     from tustinnet.report.comparison import comparison_table
-    from tustinnet.report.figures import free_run_figure, write_figure
     from tustinnet.report.page.subject import labels
+    from tustinnet.store.files import require_writable_folder
     from tustinnet.store.model_file import load_models
     from tustinnet.systems.files import find_system
 
@@ -61,21 +62,34 @@ def compare(
         label: _scores(path, model, records, begin, horizon)
         for label, path, model in zip(labels(models), models, loaded, strict=True)
     }
+    bands = {} if asked is None else {
+        label: bands_of(path, model, records, scores[label], asked)
+        for label, path, model in zip(scores, models, loaded, strict=True)
+    }  # fmt: skip
     if figures is not None:
-        bands = {} if asked is None else {
-            label: bands_of(path, model, records, scores[label], asked)
-            for label, path, model in zip(scores, models, loaded, strict=True)
-        }  # fmt: skip
-        for i, e in enumerate(records):
-            runs = {label: found[i] for label, found in scores.items()}
-            around = {label: of[i] for label, of in bands.items()}
-            write_figure(free_run_figure(e, runs, bands=around), figures, f"{e.name}.png")
-        terminal.messages().print(f"figures: {figures}")
+        require_writable_folder(figures)
     if json:
         content = _content(models, scores)
         terminal.print_json({"start": begin, "horizon": horizon, "models": content})
-        return
-    terminal.print_tables(comparison_table(records, scores, begin))
+    else:
+        terminal.print_tables(comparison_table(records, scores, begin))
+    if figures is not None:
+        _draw(figures, records, scores, bands)
+        terminal.messages().print(f"figures: {figures}")
+
+
+def _draw(
+    folder: Path,
+    records: "list[Experiment]",
+    scores: "dict[str, list[Score]]",
+    bands: "dict[str, list[Band]]",
+) -> None:
+    from tustinnet.report.figures import free_run_figure, write_figure
+
+    for i, e in enumerate(records):
+        runs = {label: found[i] for label, found in scores.items()}
+        around = {label: of[i] for label, of in bands.items()}
+        write_figure(free_run_figure(e, runs, bands=around), folder, f"{e.name}.png")
 
 
 def _scores(

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
     from tustinnet.cli.leave_report import Leaving
     from tustinnet.data.dataset import DataSet
+    from tustinnet.data.experiment import Experiment
+    from tustinnet.data.inspection import ExperimentReport
     from tustinnet.evaluate.scores import Score
     from tustinnet.report.page.subject import Subject
     from tustinnet.report.tables import Table
@@ -46,7 +48,6 @@ def demo(
     from tustinnet.cli.leave_report import Leaving, require_left
     from tustinnet.data.catalog import load
     from tustinnet.data.inspection import inspect_experiment
-    from tustinnet.report.figures import inspection_figure, write_figure
     from tustinnet.store.data_set_folder import write_data_set
     from tustinnet.store.files import require_new, require_writable_folder
     from tustinnet.systems import qube_servo2_twin
@@ -63,20 +64,20 @@ def demo(
     _say(told, quiet, f"2/5 looking at the {len(data)} records: {out / 'twin_records.png'}")
     training = list(data.split("train"))
     reports = [inspect_experiment(e) for e in training]
-    write_figure(inspection_figure(training, reports), out, "twin_records.png")
     if not json:
         terminal.print_tables(time_table(reports))
+    _draw_records(training, reports, out)
     _say(told, quiet, f"3/5 choosing a model in at most {_SECONDS:.0f} s: {out / _CHOICE}")
     earlier = "discard" if overwrite else "refuse"
     scored = _fitted(data, out, told, quiet=quiet, json=json, earlier=earlier)
     scores = {of.label: of.scores for of in scored}
     _say(told, quiet, f"4/5 free runs of the {len(data.split('test'))} test records")
     content = _write(data, scores, out)
-    figures = _draw(data, scores, out)
     if json:
         terminal.print_json(content)
     else:
         terminal.print_tables(_table(scores))
+    figures = _draw(data, scores, out)
     if not no_report:
         _say(told, quiet, f"5/5 the report, motion and playground in one page: {page}")
     report = _page(scored, data, page, Leaving(str(logs), wanted=not no_report))
@@ -95,7 +96,7 @@ def _fitted(
     data: "DataSet", out: Path, told: "Console", *, quiet: bool, json: bool, earlier: Any
 ) -> "list[Subject]":
     """Chooses a model, and scores it and those beside it; the test records took part in nothing."""
-    from tustinnet.cli.select import draw_choice, print_choice, told_by
+    from tustinnet.cli.select import draw_choice, print_choice, print_files, told_by
     from tustinnet.evaluate.scores import evaluate
     from tustinnet.report.page.subject import subjects_of
     from tustinnet.report.progress import FitProgress
@@ -105,9 +106,11 @@ def _fitted(
     asked = Asked(_PLAN, _SYSTEM, _SECONDS)
     with FitProgress(told, quiet=quiet) as progress:
         choice = select_model(data, out / _CHOICE, asked, earlier, told_by(progress, quiet=quiet))
-    draw_choice(choice)
     if not json:
         print_choice(choice)
+    draw_choice(choice)
+    if not json:
+        print_files(choice)
     tests = list(data.split("test"))
     found = []
     for name in [choice.best, *(name for name in choice.made if name != choice.best)]:
@@ -160,6 +163,14 @@ def _table(scores: "dict[str, Sequence[Score]]") -> "Table":
         f"Twin (simulated, favours Lagrangian models): free-run RMSE [rad], test, start '{_START}'"
     )
     return Table(["model", *names, "mean"], rows, title=title)
+
+
+def _draw_records(
+    records: "Sequence[Experiment]", reports: "Sequence[ExperimentReport]", out: Path
+) -> None:
+    from tustinnet.report.figures import inspection_figure, write_figure
+
+    write_figure(inspection_figure(records, reports), out, "twin_records.png")
 
 
 def _draw(data: "DataSet", scores: "dict[str, Sequence[Score]]", out: Path) -> list[str]:

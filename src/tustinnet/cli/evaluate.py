@@ -52,6 +52,7 @@ def evaluate(
     from tustinnet.evaluate.coverage import covered
     from tustinnet.evaluate.scores import Score
     from tustinnet.evaluate.scores import evaluate as score_records
+    from tustinnet.store.files import require_writable_folder
 
     asked = band_asked(band, whole=whole_records)
     judged = model_of(model, system)
@@ -65,10 +66,7 @@ def evaluate(
     shares = covered(records, bands) if bands else []
     errors = None if ahead is None else rmse_ahead(judged, records, ahead)
     if figures is not None:
-        _draw(figures, model.stem, runs, bands)
-        if errors is not None:
-            _draw_ahead(figures, model.stem, errors, judged.channels)
-        terminal.messages().print(f"figures: {figures}")
+        require_writable_folder(figures)
     if json:
         content = _content(judged.channels, runs, by_split, horizon)
         if asked is not None:
@@ -77,12 +75,17 @@ def evaluate(
         if errors is not None:
             content["ahead"] = {"dt": judged.dt, "rmse": errors.tolist()}
         terminal.print_json(content)
-        return
-    terminal.print_tables(_score_table(by_split, judged.channels, begin))
-    if asked is not None:
-        terminal.print_tables(_band_table(shares, asked, judged.channels))
-    if errors is not None:
-        terminal.print_tables(_ahead_table(errors.tolist(), judged.channels))
+    else:
+        terminal.print_tables(_score_table(by_split, judged.channels, begin))
+        if asked is not None:
+            terminal.print_tables(_band_table(shares, asked, judged.channels))
+        if errors is not None:
+            terminal.print_tables(_ahead_table(errors.tolist(), judged.channels))
+    if figures is not None:
+        _draw(figures, model.stem, runs, bands)
+        if errors is not None:
+            _draw_ahead(figures, model.stem, errors, judged.channels)
+        terminal.messages().print(f"figures: {figures}")
 
 
 def _content(

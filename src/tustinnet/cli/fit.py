@@ -136,14 +136,24 @@ def _fit_recipe(
         run = run_task(task, records.name, out, earlier, progress.follow, file)
     if file is not None:
         terminal.remember_trust(file)
-    _draw(run, records)
-    page = _page(run, leaving)
+    page = _leave(run, records, leaving, json=json)
+    _tell_unfinished(run, told)
+    require_left(page)
+
+
+def _leave(run: "Run", records: "DataSet", leaving: "Leaving", *, json: bool) -> str | None:
+    """Prints what came out; then draws it and writes the report, and returns where that is."""
+    from tustinnet.store.run import MODEL
+
     if json:
         terminal.print_json(run.summary())
     else:
-        _print(run, leaving.data, page or "")
-    _tell_unfinished(run, told)
-    require_left(page)
+        _print(run, leaving.data)
+    _draw(run, records)
+    page = _page(run, leaving)
+    if not json:
+        typer.echo(f"model: {run.folder / MODEL}   figures: {run.folder / 'figures'}{page or ''}")
+    return page
 
 
 def _require_meaning(
@@ -219,7 +229,7 @@ def _page(run: "Run", leaving: "Leaving") -> str | None:
     )
 
 
-def _print(run: "Run", data: str, page: str) -> None:
+def _print(run: "Run", data: str) -> None:
     """Tables and sentences: members of a training, parameters of an identification."""
     from tustinnet.report.fits import fitted_table, judged_table, members_table, parameter_table
     from tustinnet.report.summary import fit_summary
@@ -241,8 +251,6 @@ def _print(run: "Run", data: str, page: str) -> None:
         typer.echo(f"{found.outcome}; {found.seconds:.1f} s")
     for sentence in fit_summary(run, data):
         typer.echo(sentence)
-    out = run.folder
-    typer.echo(f"model: {out / 'model.safetensors'}   figures: {out / 'figures'}{page}")
 
 
 def _draw(run: "Run", data: "DataSet") -> None:

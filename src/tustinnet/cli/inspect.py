@@ -32,7 +32,6 @@ def inspect(
 ) -> None:
     """Check the records: sampling, encoders, inputs, suspicious rows."""
     import dataclasses
-    import itertools
 
     from tustinnet.data.catalog import load
     from tustinnet.data.inspection import inspect_experiment
@@ -48,16 +47,31 @@ def inspect(
     if strict:
         require_sound(reports)
     if figure is not None:
-        from tustinnet.report.figures import inspection_figure, write_figure
+        from tustinnet.report.figure_file import require_figure_file
 
-        write_figure(inspection_figure(list(records), reports), figure.parent, figure.name)
-        terminal.messages().print(f"figure: {figure}")
+        require_figure_file(figure)
+    if figure is not None:
+        from tustinnet.report.figure_file import require_figure_file
+
+        require_figure_file(figure)
     if json:
         terminal.print_json(
             {"data": loaded.name, "experiments": [dataclasses.asdict(r) for r in reports]}
         )
-        return
-    terminal.print_tables(time_table(reports), _channel_table(reports, loaded.channels.unit))
+    else:
+        _print(reports, loaded.channels.unit)
+    if figure is not None:
+        from tustinnet.report.figures import inspection_figure, write_figure
+
+        write_figure(inspection_figure(list(records), reports), figure.parent, figure.name)
+        terminal.messages().print(f"figure: {figure}")
+
+
+def _print(reports: "list[ExperimentReport]", unit: str) -> None:
+    """Two tables, and a line for each remark."""
+    import itertools
+
+    terminal.print_tables(time_table(reports), _channel_table(reports, unit))
     # the table has the jitter
     notes = ((r.name, text) for r in reports for text in r.notes if "jitter" not in text)
     held = (

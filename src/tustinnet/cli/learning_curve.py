@@ -10,6 +10,7 @@ from tustinnet.cli import options, terminal
 
 if TYPE_CHECKING:
     from tustinnet.evaluate.folds import Question
+    from tustinnet.evaluate.learning import LearningCurve
 
 
 class Values(StrEnum):
@@ -68,8 +69,7 @@ def learning_curve(
     from tustinnet.cli.request import loaded, tell_still
     from tustinnet.evaluate.folds import taking_part
     from tustinnet.evaluate.learning import learning_curve, make_curve_question, places_of
-    from tustinnet.report.figures import write_figure
-    from tustinnet.report.learning import learning_figure, learning_table
+    from tustinnet.report.learning import learning_table
     from tustinnet.report.progress import FitProgress
     from tustinnet.store.files import owned, require_new, to_json, write_into
 
@@ -84,19 +84,27 @@ def learning_curve(
     found = loaded(data, card, out, told, strict=strict)
     tell_still(taking_part(found), told)
     places_of(found, asked)  # says at once where there are too few records
-    with owned(out), FitProgress(told, quiet=quiet) as progress:
-        curve = learning_curve(found, asked, progress.follow)
+    with owned(out):
+        with FitProgress(told, quiet=quiet) as progress:
+            curve = learning_curve(found, asked, progress.follow)
         table, sentences = learning_table(curve), [curve.told(a) for a in curve.approaches]
         write_into(out, names[0], to_json(curve.as_plain()))
         write_into(out, names[1], table.markdown() + "".join(f"\n* {s}." for s in sentences) + "\n")
-        write_figure(learning_figure(curve), out, names[2])
-    if json:
-        terminal.print_json(curve.as_plain())
-    else:
-        terminal.print_tables(table)
-        for sentence in sentences:
-            typer.echo(f"* {sentence}")
+        if json:
+            terminal.print_json(curve.as_plain())
+        else:
+            terminal.print_tables(table)
+            for sentence in sentences:
+                typer.echo(f"* {sentence}")
+        _draw(curve, out, names[2])
     told.print(f"written: {', '.join(str(out / name) for name in names)}")
+
+
+def _draw(curve: "LearningCurve", out: Path, name: str) -> None:
+    from tustinnet.report.figures import write_figure
+    from tustinnet.report.learning import learning_figure
+
+    write_figure(learning_figure(curve), out, name)
 
 
 def _sizes(records: str | None) -> list[int]:

@@ -39,7 +39,7 @@ def next_record(
     from tustinnet.data.proposals import read_proposals
     from tustinnet.evaluate.bands import alternatives_of
     from tustinnet.evaluate.next_record import ranked
-    from tustinnet.store.model_file import read_header
+    from tustinnet.store.header import read_header
 
     judged, header = model_of(model, system), read_header(model)
     alternatives_of(judged, header, model)  # says at once what knows nothing of its errors

@@ -111,11 +111,11 @@ def reproduce(
             lambda name: lambda prepared: progress.follow(prepared, name),
         )  # fmt: skip
     content, table = _write(rows, scored, out)
-    written = figures.draw(records, rows, scored, drawn, out)
     if json:
         terminal.print_json(content)
     else:
         terminal.print_tables(table)
+    written = figures.draw(records, rows, scored, drawn, out)
     page = _page(rows, list(records.split(scored)), out, Leaving(data, wanted=not no_report))
     files = f"table1.json, table1.md, table1.tex and {len(written)} figures{page or ''}"
     told.print(f"written to {out}: {files}")

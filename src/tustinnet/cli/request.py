@@ -49,7 +49,7 @@ def recipe_of(
 def recipe_within(model: Path) -> "Mapping[str, Any]":
     """The recipe that a model file keeps of how its model was fitted."""
     from tustinnet.errors import InputError
-    from tustinnet.store.model_file import read_header
+    from tustinnet.store.header import read_header
 
     header = read_header(model)
     if not isinstance(told := header.get("recipe"), dict):
@@ -205,7 +205,7 @@ def bands_of(
         InputError: a model that was not calibrated, or from another start or horizon.
     """
     from tustinnet.evaluate.bands import Calibration, alternatives_of, bands_around
-    from tustinnet.store.model_file import read_header
+    from tustinnet.store.header import read_header
 
     header = read_header(path)
     others = alternatives_of(model, header, path)

@@ -39,7 +39,6 @@ def residuals(
     terminal.prepare_jax()
     from tustinnet.cli.request import judged_records, model_of
     from tustinnet.evaluate.residuals import residual_reports
-    from tustinnet.report.figures import write_figure
     from tustinnet.report.residuals import downweighted_table, residual_figure
     from tustinnet.simulate.horizon import over
     from tustinnet.store.model_file import downweighted_in
@@ -51,8 +50,9 @@ def residuals(
     spoilt = [s for s in downweighted_in(model) if s.record in names]
     title = f"Residuals of {len(records)} free runs, start '{begin}'{over(horizon)}"
     if figure is not None:
-        write_figure(residual_figure(reports, judged.channels, title), figure.parent, figure.name)
-        terminal.messages().print(f"figure: {figure}")
+        from tustinnet.report.figure_file import require_figure_file
+
+        require_figure_file(figure)
     if json:
         weights = [dataclasses.asdict(s) for s in spoilt]
         terminal.print_json(
@@ -64,12 +64,17 @@ def residuals(
                 "downweighted": weights,
             }
         )
-        return
-    terminal.print_tables(_table(reports, judged.channels, title))
-    if spoilt:
-        terminal.print_tables(downweighted_table(spoilt))
-    for r in reports:
-        typer.echo(f"{r.coordinate}: {r.sentence}")
+    else:
+        terminal.print_tables(_table(reports, judged.channels, title))
+        if spoilt:
+            terminal.print_tables(downweighted_table(spoilt))
+        for r in reports:
+            typer.echo(f"{r.coordinate}: {r.sentence}")
+    if figure is not None:
+        from tustinnet.report.figures import write_figure
+
+        write_figure(residual_figure(reports, judged.channels, title), figure.parent, figure.name)
+        terminal.messages().print(f"figure: {figure}")
 
 
 def _plain(report: "ResidualReport") -> dict[str, Any]:

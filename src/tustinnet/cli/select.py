@@ -74,12 +74,14 @@ def select(
             choice = select_model(records, out, wanted, earlier, reporter, executor)
     if choice.at.system_file is not None:
         terminal.remember_trust(choice.at.system_file)
-    draw_choice(choice)
-    page = _page(choice, leaving)
     if json:
         terminal.print_json(choice.as_plain())
     else:
-        print_choice(choice, page or "")
+        print_choice(choice)
+    draw_choice(choice)
+    page = _page(choice, leaving)
+    if not json:
+        print_files(choice, page or "")
         typer.echo(f"next: {next_steps(choice.at.folder / MODEL, leaving.data)}")
     require_left(page)
 
@@ -120,14 +122,18 @@ def draw_choice(choice: "Choice") -> None:
         write_figure(free_run_figure(choice.at.data[name], runs), folder, f"figures/{name}.png")
 
 
-def print_choice(choice: "Choice", page: str = "") -> None:
+def print_choice(choice: "Choice") -> None:
     """The table of candidates, and what there is to say of the choice."""
     from tustinnet.report.selection import candidates_table
 
-    out = choice.at.folder
     terminal.print_tables(candidates_table(choice))
     for sentence in choice.sentences:
         typer.echo(f"* {sentence}")
+
+
+def print_files(choice: "Choice", page: str = "") -> None:
+    """The line that names the files, and says how long the choice took."""
+    out = choice.at.folder
     typer.echo(
         f"model: {out / 'model.safetensors'}   table: {out / 'candidates.md'}   "
         f"figures: {out / 'figures'}{page}   {choice.seconds:.0f} s"

@@ -12,7 +12,7 @@ _LONGEST_LINE = 1000  # characters
 def show(model: options.Model, json: options.Json = False) -> None:
     """Print what a model file contains: structure, parameters, scores."""
     from tustinnet.errors import printable, refusing
-    from tustinnet.store.model_file import shown
+    from tustinnet.store.header import shown
 
     header, own = shown(model)
     if json:

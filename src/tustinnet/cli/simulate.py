@@ -44,7 +44,7 @@ def simulate(
     from tustinnet.simulate.range import Range
     from tustinnet.simulate.starts import default_start
     from tustinnet.store.files import require_new, require_writable_folder
-    from tustinnet.store.model_file import read_header
+    from tustinnet.store.header import read_header
     from tustinnet.store.simulation_file import simulation_name, write_simulation
 
     asked = band_asked(band, whole=whole_records)

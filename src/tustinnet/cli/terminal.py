@@ -18,6 +18,11 @@ if TYPE_CHECKING:
 
 _LATER = 0.05  # seconds until a signal is sent again
 _LONGEST_QUESTION = 400  # characters
+# JAX would keep what takes a second to compile: few of the programs of a fit, which are many
+_SMALL_PROGRAMS = {
+    "jax_persistent_cache_min_compile_time_secs": 0.0,
+    "jax_persistent_cache_min_entry_size_bytes": -1,
+}
 _PIPED_WIDTH = 200  # columns of a table that goes into a file or a pipe
 
 
@@ -38,6 +43,7 @@ def print_json(content: Any) -> None:
     from tustinnet.store.files import to_json
 
     sys.stdout.write(to_json(content))
+    sys.stdout.flush()  # figures, which come next, take seconds
 
 
 def print_tables(*tables: "Table") -> None:
@@ -157,8 +163,6 @@ def interruptible(remedy: str = "") -> Iterator[None]:
 def prepare_jax(device: str | None = None) -> None:
     """Double precision for scores, a device for each core; compiled programs are kept.
 
-    They lie in the user's cache folder, unless JAX_COMPILATION_CACHE_DIR names another one.
-
     Args:
         device: `cpu` or `gpu`; what JAX prefers when left out.
 
@@ -177,19 +181,27 @@ def prepare_jax(device: str | None = None) -> None:
     if device is not None:
         first = _first_device(device, f"--device {device}", "leave the option out")
         jax.config.update("jax_default_device", first)
-    if os.environ.get("JAX_COMPILATION_CACHE_DIR"):
-        return
-    import platformdirs
+    _keep_programs()
 
-    kept = Path(platformdirs.user_cache_dir("tustinnet")) / "compiled"
-    try:
-        kept.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return  # a home that cannot be written only costs time
-    if os.access(kept, os.W_OK):
+
+def _keep_programs() -> None:
+    """Keeps compiled programs: in the user's cache folder, or in JAX_COMPILATION_CACHE_DIR."""
+    import jax
+
+    if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
+        import platformdirs
+
+        kept = Path(platformdirs.user_cache_dir("tustinnet")) / "compiled"
+        try:
+            kept.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            return  # a home that cannot be written only costs time
+        if not os.access(kept, os.W_OK):
+            return
         jax.config.update("jax_compilation_cache_dir", str(kept))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-        jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    for name, value in _SMALL_PROGRAMS.items():
+        if name.upper() not in os.environ:  # whoever says it himself means it
+            jax.config.update(name, value)
 
 
 def _first_device(kind: str | None, asked: str, undo: str) -> Any:

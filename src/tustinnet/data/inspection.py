@@ -4,8 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.ndimage
-import scipy.signal
 from jaxtyping import Bool, Float
 
 from tustinnet.channels import Hold
@@ -13,6 +11,7 @@ from tustinnet.data.experiment import Experiment, moves_in
 from tustinnet.data.recording import Recording, describe_recording
 from tustinnet.signals import equilibria, outliers, transients
 from tustinnet.signals.equilibria import Held
+from tustinnet.signals.spectra import periodogram
 from tustinnet.signals.timescales import Timescales, timescales
 from tustinnet.signals.transients import RestThresholds
 
@@ -225,7 +224,7 @@ def _input(e: Experiment, j: int) -> InputReport:
     low, high = float(u.min()), float(u.max())
     bandwidth, fast = None, 0.0
     if high > low:
-        frequency, power = scipy.signal.periodogram(u, fs=1 / e.dt, detrend="constant")
+        frequency, power = periodogram(u, e.dt)
         share = np.cumsum(power) / np.sum(power)
         bandwidth = float(frequency[np.searchsorted(share, 0.9)])
         fast = float(np.sum(power[frequency > _FAST / e.dt]) / np.sum(power))
@@ -258,7 +257,8 @@ def _near_equilibrium(
     width = max(5, round(_REST_SECONDS / dt)) | 1
     if width >= len(slow):
         return np.full(len(slow), bool(slow.all()))
-    return scipy.ndimage.minimum_filter1d(slow.astype(np.uint8), width, mode="nearest").astype(bool)
+    total = np.cumsum(np.pad(slow, (width // 2 + 1, width // 2), mode="edge"))
+    return total[width:] - total[:-width] == width
 
 
 def _suspicious(

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.stats
 import scoringrules
 from jaxtyping import Bool, Float
 
@@ -111,6 +110,8 @@ def _mean(coordinate: str, part: str, rows: np.ndarray) -> Covered:
 
 def _interval(successes: float, trials: int) -> tuple[float, float]:
     """The exact binomial interval (Clopper, Pearson 1934), also of a broken number of successes."""
+    import scipy.stats  # takes a second, and only bands need it
+
     tail = (1 - _CONFIDENCE) / 2
     low = scipy.stats.beta.ppf(tail, successes, trials - successes + 1) if successes > 0 else 0.0
     high = (

@@ -2,10 +2,9 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
-import scipy.signal
-import scipy.stats
 from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
@@ -15,7 +14,7 @@ from tustinnet.models.contract import Model
 from tustinnet.simulate.starts import start_named
 
 CONFIDENCE = 0.99
-_QUANTILE = float(scipy.stats.norm.ppf((1 + CONFIDENCE) / 2))
+_QUANTILE = NormalDist().inv_cdf((1 + CONFIDENCE) / 2)
 
 
 @dataclass(frozen=True)
@@ -164,6 +163,8 @@ def _correlation(
     later: Sequence[np.ndarray], earlier: Sequence[np.ndarray], lags: int
 ) -> Float[np.ndarray, " both"]:
     """Normalised correlation at lags -L..L, pooled over records, not centred."""
+    import scipy.signal  # takes a second, and only residuals need it
+
     total = np.zeros(2 * lags + 1)
     for a, b in zip(later, earlier, strict=True):
         total += scipy.signal.correlate(a, b)[len(b) - 1 - lags : len(b) + lags]

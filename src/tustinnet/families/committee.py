@@ -20,10 +20,10 @@ from tustinnet.families.family import (
     Family,
     Header,
     Hyper,
-    below,
     family_of,
     systems_in,
 )
+from tustinnet.families.shown import MEMBERS, WEIGHT, below
 from tustinnet.models.contract import Drive, Internal, Model, Seen, State
 from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.registry import FAMILIES
@@ -32,7 +32,6 @@ from tustinnet.systems.files import load_system
 
 Weights = Sequence[float | int] | Float[np.ndarray | Array, " members"]
 
-_MEMBERS, _WEIGHT = "members", "weight"  # in headers
 _ROUNDING = 1e-5  # that weights may be off a sum of 1: they may be in single precision
 
 
@@ -274,7 +273,7 @@ class CommitteeFamily(Family):
 
     def parts(self, header: Header) -> Sequence[Header]:
         """The members."""
-        return header[_MEMBERS]
+        return header[MEMBERS]
 
     def describe(self, model: Committee) -> tuple[Header, Arrays]:
         """Each member as its family describes it, with its weight; all of one system."""
@@ -286,7 +285,7 @@ class CommitteeFamily(Family):
             family = family_of(member)
             described, own = family.describe(member)
             channels = member.channels.as_header()
-            members.append({"kind": family.kind, _WEIGHT: weight, **described, **channels})
+            members.append({"kind": family.kind, WEIGHT: weight, **described, **channels})
             arrays |= {f"{i}.{name}": a for name, a in own.items()}
         systems = dict.fromkeys(name for part in members for name in systems_in(part))
         if len(systems) > 1:
@@ -294,7 +293,7 @@ class CommitteeFamily(Family):
                 "committee", f"members of the systems {', '.join(systems)}",
                 "members of one system", "a model file is of one system at most",
             )  # fmt: skip
-        return {_MEMBERS: members}, arrays
+        return {MEMBERS: members}, arrays
 
     def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> Committee:
         """All members, with one system for those that have any: equal ones run as one program."""
@@ -303,9 +302,9 @@ class CommitteeFamily(Family):
             FAMILIES[part["kind"]].restore(
                 part, below(f"{i}.", arrays), found if systems_in(part) else None, where
             )
-            for i, part in enumerate(header[_MEMBERS], 1)
+            for i, part in enumerate(header[MEMBERS], 1)
         ]
-        weights = np.array([part[_WEIGHT] for part in header[_MEMBERS]])
+        weights = np.array([part[WEIGHT] for part in header[MEMBERS]])
         if not (weights >= 0).all() or abs(weights.sum() - 1) > _ROUNDING:
             raise ValueError(f"weights {weights.tolist()}")
         return _together(members, weights)
@@ -318,27 +317,6 @@ class CommitteeFamily(Family):
     def alternatives(self, model: Committee, header: Header) -> Sequence[Model]:
         """The members."""
         return model.members if len(model.members) > 1 else ()
-
-    def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
-        """The weights; of members whose structure is the same what all of them say."""
-        kinds: dict[str, list[int]] = {}
-        for i, part in enumerate(header[_MEMBERS]):
-            structure = {key: x for key, x in part.items() if key != _WEIGHT}
-            kinds.setdefault(repr(structure), []).append(i)
-        lines = []
-        for of in kinds.values():
-            parts = [header[_MEMBERS][i] for i in of]
-            family = FAMILIES[parts[0]["kind"]]
-            numbers = ", ".join(str(i + 1) for i in of)
-            weights = [f"{part[_WEIGHT]:.4g}" for part in parts]
-            told = ", ".join(weights if len(set(weights)) > 1 else weights[:1])
-            lines.append(("members", f"{family.kind}: {numbers}; weight {told}"))
-            each = [
-                family.shown(part, below(f"{i + 1}.", arrays))
-                for i, part in zip(of, parts, strict=True)
-            ]
-            lines += [line for line in each[0] if all(line in other for other in each)]
-        return lines
 
 
 FAMILY = CommitteeFamily()

@@ -19,11 +19,11 @@ from tustinnet.families.family import (
     Header,
     Hyper,
     NumpyStep,
-    below,
     family_of,
     filled,
     named_arrays,
 )
+from tustinnet.families.shown import DYNAMICS, ENCODER, below
 from tustinnet.models.blocks import Affine, random_affine, root_mean_square
 from tustinnet.models.contract import Drive, Internal, Model, Seen, State
 from tustinnet.models.lagrangian import LagrangianModel
@@ -37,7 +37,6 @@ from tustinnet.simulate.fitted_start import FEWEST
 _HIDDEN = 32  # units
 _EXAMPLES = 5000  # samples at which the linear map is found, at most
 _REDUNDANT = 1e-6  # neighbouring samples say nearly the same
-_DYNAMICS, _ENCODER = "dynamics", "encoder"
 
 
 class EncodedModel(Model):
@@ -201,24 +200,24 @@ class EncodedFamily(Family):
         family = family_of(model.dynamics)
         described, own = family.describe(model.dynamics)
         header: Header = {
-            _DYNAMICS: {"kind": family.kind, **described, **model.channels.as_header()},
-            _ENCODER: {
+            DYNAMICS: {"kind": family.kind, **described, **model.channels.as_header()},
+            ENCODER: {
                 "samples": model.encoder.samples,
                 "hidden": len(model.encoder.hidden.weight),
                 "features": len(model.encoder.offset),
             },
         }
-        arrays = {f"{_DYNAMICS}.{name}": a for name, a in own.items()}
-        return header, arrays | named_arrays(model.encoder, f"{_ENCODER}.")
+        arrays = {f"{DYNAMICS}.{name}": a for name, a in own.items()}
+        return header, arrays | named_arrays(model.encoder, f"{ENCODER}.")
 
     def parts(self, header: Header) -> Sequence[Header]:
         """The model."""
-        return [header[_DYNAMICS]]
+        return [header[DYNAMICS]]
 
     def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> EncodedModel:
         """Both parts."""
-        part, sizes = header[_DYNAMICS], header[_ENCODER]
-        own = below(f"{_DYNAMICS}.", arrays)
+        part, sizes = header[DYNAMICS], header[ENCODER]
+        own = below(f"{DYNAMICS}.", arrays)
         dynamics = FAMILIES[part["kind"]].restore(part, own, system, where)
         n_phi, n_h, n_x = sizes["features"], sizes["hidden"], dynamics.state_size
 
@@ -230,14 +229,7 @@ class EncodedFamily(Family):
                 jnp.zeros(n_phi), jnp.zeros(n_phi), jnp.zeros(n_x), sizes["samples"],
             )  # fmt: skip
 
-        return EncodedModel(dynamics, filled(blank, arrays, f"{_ENCODER}."))
-
-    def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
-        """The encoder, and what the model's family tells."""
-        part, sizes = header[_DYNAMICS], header[_ENCODER]
-        told = f"the state from {sizes['samples']} samples, {sizes['hidden']} hidden units"
-        own = FAMILIES[part["kind"]].shown(part, below(f"{_DYNAMICS}.", arrays))
-        return [(_DYNAMICS, part["kind"]), *own, (_ENCODER, told)]
+        return EncodedModel(dynamics, filled(blank, arrays, f"{ENCODER}."))
 
     def parameters(self, model: EncodedModel) -> Sequence[tuple[str, str, float]]:
         """Those of the model."""

@@ -21,6 +21,7 @@ from pydantic import Field, field_validator
 from tustinnet.channels import Channels
 from tustinnet.errors import InputError
 from tustinnet.families.family import Arrays, Family, Header, Hyper
+from tustinnet.families.shown import VALUES
 from tustinnet.models.added import needed, placed, with_forces
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import Discretised, discretise
@@ -29,7 +30,7 @@ from tustinnet.models.sensors import calibrated
 from tustinnet.registry import SYSTEMS
 from tustinnet.systems.files import MadeForRecords, load_system
 
-_VALUES, _PROBED = "values", "probed"  # arrays: the parameters' values, derivatives at the probes
+_PROBED = "probed"  # an array: derivatives at the probes
 _PROBES = 16
 _REACH = {"q": 2.0, "v": 3.0, "z": 0.5, "u": 3.0}  # how far from 0 the probes are, SI units
 _SAME = {True: 1e-6, False: 1e-3}  # relative, in double and in single precision
@@ -110,7 +111,7 @@ class EulerLagrangeFamily(Family):
             header["per"] = {p.name: p.per for p in system.grouped}
             header["groups"] = {name: list(of) for name, of in known.items()}
         values = np.array([float(continuous.values[name]) for name in names])
-        return header, {_VALUES: values, _PROBED: _probed(continuous)}
+        return header, {VALUES: values, _PROBED: _probed(continuous)}
 
     def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> Discretised:
         """The packaged system, or the one given, with the file's values."""
@@ -134,7 +135,7 @@ class EulerLagrangeFamily(Family):
         )
         found = with_forces(found, tuple(forces), tuple(Parameter(*of) for of in of_forces))
         found = calibrated(found, tuple(Parameter(*of) for of in sensors))
-        values = dict(zip(header["parameters"], jnp.asarray(arrays[_VALUES]), strict=True))
+        values = dict(zip(header["parameters"], jnp.asarray(arrays[VALUES]), strict=True))
         model = found.model(values)
         expected = [
             name
@@ -215,18 +216,6 @@ class EulerLagrangeFamily(Family):
             ))
             for of in np.clip(drawn, lower, upper)
         ]  # fmt: skip
-
-    def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
-        """The system and the values."""
-        system = header["system"]
-        told = f"{system['name']} ({system['file']})" if system["file"] else system["name"]
-        values = dict(zip(header["parameters"], arrays[_VALUES].tolist(), strict=True))
-        forces = header.get("forces", ())
-        return [
-            ("system", f"{told}, {header['substeps']} Runge-Kutta steps a period"),
-            *([("added forces", ", ".join(forces))] if forces else []),
-            ("values", ", ".join(f"{name} {value:.4g}" for name, value in values.items())),
-        ]
 
 
 FAMILY = EulerLagrangeFamily()

@@ -15,14 +15,13 @@ from pydantic import Field
 from tustinnet.data.declaration import Declaration
 from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.errors import InputError
+from tustinnet.families.shown import Arrays, Header
 from tustinnet.models.blocks import Affine
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import FromContinuous
 from tustinnet.models.lagrangian import LagrangianModel
-from tustinnet.registry import FAMILIES
+from tustinnet.registry import FAMILIES, SHOWN
 
-Header = dict[str, Any]
-Arrays = dict[str, np.ndarray]
 Vector = Float[np.ndarray, " _"]
 NumpyStep = Callable[[Vector, Vector], Vector]
 Regulariser = Callable[[Model, Float[Array, " n_x"], Array], Float[Array, ""]]
@@ -185,9 +184,12 @@ class Family(ABC):
         """The descriptions of other models in that of a model; most have none."""
         return ()
 
-    @abstractmethod
     def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
-        """What `show` tells of a file beside what it tells of all, as words and what they say."""
+        """What `show` tells of a file beside what it tells of all, as words and what they say.
+
+        Here from what the registry names in `SHOWN`.
+        """
+        return SHOWN[self.kind](header, arrays)
 
     def parameters(self, model: Any) -> Sequence[tuple[str, str, float]]:
         """Name, unit and value of its physical parameters; networks have none."""
@@ -309,8 +311,3 @@ def filled(make: Callable[[], PyTree], arrays: Arrays, prefix: str = "") -> Any:
         return array
 
     return jax.tree_util.tree_map_with_path(fill, blank)
-
-
-def below(prefix: str, arrays: Arrays) -> Arrays:
-    """The arrays whose names begin with a prefix, without it."""
-    return {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}

@@ -21,7 +21,7 @@ from tustinnet.families.family import (
     filled,
     named_arrays,
 )
-from tustinnet.families.networks import InputTaps, blank_scaling, units_shown
+from tustinnet.families.networks import InputTaps, blank_scaling
 from tustinnet.models.blocks import Affine, Scaling, feature_count, learn_scaling, random_affine
 from tustinnet.models.contract import (
     AccelerationModel,
@@ -159,12 +159,6 @@ class GRUFamily(Family):
         key = jax.random.key(0)
         sizes = s["hidden"], s["warm_up"], tuple(s.get("input_taps", ()))
         return filled(lambda: random_gru(channels, blank, key, *sizes), arrays)
-
-    def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
-        """Size, warm-up and units."""
-        s = header["structure"]
-        told = f"{s['hidden']} hidden units, warm-up of {s['warm_up']} samples"
-        return [("network", told), units_shown(arrays)]
 
 
 FAMILY = GRUFamily()

@@ -23,9 +23,9 @@ from tustinnet.families.family import (
     Hyper,
     LayeredStage,
     Regulariser,
-    below,
     family_of,
 )
+from tustinnet.families.shown import CORRECTION, PHYSICS, below, hybrid_as_now
 from tustinnet.models.blocks import root_mean_square
 from tustinnet.models.contract import (
     AccelerationModel,
@@ -47,7 +47,6 @@ from tustinnet.simulate.substeps import fewest_substeps
 
 _HIDDEN = 0.1  # of the physics' error: what its integration may add
 _REST = 0.01  # a mean square of scaled velocities and inputs: a tenth of what is usual
-_PHYSICS, _CORRECTION = "physics", "correction"
 
 
 class HybridModel(Model):
@@ -308,7 +307,7 @@ class HybridFamily(Family):
         """Both parts as their families describe them."""
         header: Header = {"fades_at_rest": model.fades_at_rest}
         arrays: Arrays = {}
-        for name in (_PHYSICS, _CORRECTION):
+        for name in (PHYSICS, CORRECTION):
             part = getattr(model, name)
             family = family_of(part)
             described, own = family.describe(part)
@@ -318,16 +317,16 @@ class HybridFamily(Family):
 
     def parts(self, header: Header) -> Sequence[Header]:
         """Both; files of format 1 have the system beside them."""
-        return [header[name] for name in (_PHYSICS, _CORRECTION) if name in header]
+        return [header[name] for name in (PHYSICS, CORRECTION) if name in header]
 
     def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> HybridModel:
         """Both parts; files of format 1 have them side by side in the header."""
-        header, arrays = _as_now(header, arrays)
+        header, arrays = hybrid_as_now(header, arrays)
         physics, correction = (
             FAMILIES[header[name]["kind"]].restore(
                 header[name], below(f"{name}.", arrays), system, where
             )
-            for name in (_PHYSICS, _CORRECTION)
+            for name in (PHYSICS, CORRECTION)
         )
         return HybridModel(physics, correction, bool(header["fades_at_rest"]))
 
@@ -339,35 +338,8 @@ class HybridFamily(Family):
         """Those of the physics."""
         return family_of(model.physics).equations(model.physics)
 
-    def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
-        """Both parts."""
-        header, arrays = _as_now(header, arrays)
-        fades = ", fading at rest" if header["fades_at_rest"] else ""
-        lines = []
-        for name, remark in ((_PHYSICS, ""), (_CORRECTION, fades)):
-            part = header[name]
-            lines.append((name, part["kind"] + remark))
-            lines += FAMILIES[part["kind"]].shown(part, below(f"{name}.", arrays))
-        return lines
-
 
 FAMILY = HybridFamily()
-
-
-def _as_now(header: Header, arrays: Arrays) -> tuple[Header, Arrays]:
-    """Header and arrays of a file of format 1 as they would be written today."""
-    if _PHYSICS in header:
-        return header, arrays
-    of = {key: header[key] for key in ("coordinates", "inputs", "dt")}
-    physics = {key: header[key] for key in ("system", "parameters", "substeps")}
-    now = {
-        **header,
-        "fades_at_rest": header["structure"].get("fades_at_rest", False),
-        _PHYSICS: {"kind": "euler-lagrange", **physics, **of},
-        _CORRECTION: {"kind": "tustin-net", "structure": header["structure"], **of},
-    }
-    named = {f"{_CORRECTION}.{n}": a for n, a in below("residual.", arrays).items()}
-    return now, {**named, f"{_PHYSICS}.values": arrays["values"]}
 
 
 def _left_by(

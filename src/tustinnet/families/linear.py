@@ -131,14 +131,6 @@ class LinearFamily(Family):
 
         return filled(make, arrays)
 
-    def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
-        """Its order and eigenvalues."""
-        n_x = len(arrays["offset"])
-        by_state = arrays["change.weight"][:, :n_x] / arrays["unit"]
-        values = np.linalg.eigvals(np.eye(n_x) + arrays["moved"][:, None] * by_state)
-        size = ", ".join(f"{abs(v):.4f}" for v in sorted(values, key=abs, reverse=True))
-        return [("order", f"{n_x} states"), ("eigenvalues", f"of size {size}")]
-
 
 FAMILY = LinearFamily()
 

@@ -98,24 +98,6 @@ def network_from(
     return filled(make, arrays)
 
 
-def network_shown(structure: dict[str, Any], arrays: Arrays) -> list[tuple[str, str]]:
-    """What `show` tells of a network."""
-    bias = "with" if structure["output_bias"] else "without"
-    told = f"hidden {structure['hidden']}, {structure['activation']}, output {bias} bias"
-    if structure.get("linear"):
-        told += ", beside a linear map"
-    if structure.get("odd"):
-        told += ", odd"
-    return [("network", told), units_shown(arrays)]
-
-
-def units_shown(arrays: Arrays) -> tuple[str, str]:
-    """What `show` tells of the units of a network."""
-    names = ("position_offset", "position_scale", "velocity", "input", "acceleration")
-    units = [f"{n} {[float(f'{v:.4g}') for v in arrays[f'scaling.{n}']]}" for n in names]
-    return "scaling", ", ".join(units)
-
-
 def blank_scaling(channels: Channels, memory: int = 0) -> Scaling:
     """Units of the right sizes, all 0, for the arrays of a file to be put into."""
     linear = channels.n_q - int(channels.angular.sum())

@@ -23,7 +23,6 @@ from tustinnet.families.networks import (
     NetworkHyper,
     check_stage,
     network_from,
-    network_shown,
     structure_of,
 )
 from tustinnet.models.blocks import Layers, Network, feature_count, random_network
@@ -118,11 +117,6 @@ class NeuralODEFamily(Family):
         channels = Channels.from_header(header)
         network = network_from(header["structure"], arrays, channels, 2 * channels.n_q)
         return _discrete(network, channels, header["substeps"])
-
-    def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
-        """Layers, units, integration."""
-        steps = ("integration", f"{header['substeps']} Runge-Kutta steps a period")
-        return [*network_shown(header["structure"], arrays), steps]
 
 
 FAMILY = NeuralODEFamily()

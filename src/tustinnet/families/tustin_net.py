@@ -31,9 +31,9 @@ from tustinnet.families.networks import (
     NetworkHyper,
     check_stage,
     network_from,
-    network_shown,
     structure_of,
 )
+from tustinnet.families.shown import REST
 from tustinnet.models.blocks import Affine, Layers, Network, Scaling, feature_count, random_network
 from tustinnet.models.contract import (
     AccelerationModel,
@@ -48,7 +48,6 @@ from tustinnet.signals.rest import usual_positions
 from tustinnet.simulate.along import states_along
 from tustinnet.simulate.drive import drive_of
 
-_REST = "rest"  # its array in a file
 _REMEMBERED = 0.5  # somebody turned the coordinate not long before, and part of that is left
 _UNKNOWN = 0.1  # of their size, what is not known of them then; freer ones explain a hand's push
 
@@ -269,7 +268,7 @@ class TustinNetFamily(Family):
         structure["relaxation_times"] = list(model.relaxation_times)
         structure["input_taps"] = list(model.taps)
         structure["remembered"] = model.remembered
-        rest = {} if model.rest is None else {_REST: np.asarray(model.rest)}
+        rest = {} if model.rest is None else {REST: np.asarray(model.rest)}
         return {"structure": structure}, named_arrays(model.network) | rest
 
     def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> TustinNet:
@@ -280,20 +279,8 @@ class TustinNetFamily(Family):
         memory = len(times) * channels.n_q
         network = network_from(structure, arrays, channels, channels.n_q, memory)
         share = float(structure.get("remembered", 0.0))
-        rest = filled(lambda: jnp.zeros(channels.n_q), arrays, _REST) if share else None
+        rest = filled(lambda: jnp.zeros(channels.n_q), arrays, REST) if share else None
         return TustinNet(network, channels, times, taps, share, rest)
-
-    def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
-        """Layers and units, and what it remembers."""
-        structure = header["structure"]
-        shown = network_shown(structure, arrays)
-        if not structure.get("relaxation_times"):
-            return shown
-        told = "relaxing in " + ", ".join(f"{t:g} s" for t in structure["relaxation_times"])
-        if structure.get("remembered"):
-            rest = ", ".join(f"{x:.3g}" for x in arrays[_REST])
-            told += f"; begins with {structure['remembered']:g} of the way from ({rest})"
-        return [*shown, ("memory", told)]
 
     def numpy_step(self, model: TustinNet, dtype: type[np.floating]) -> NumpyStep:
         """Its step, scaling merged into the first and the last layer."""

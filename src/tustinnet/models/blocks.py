@@ -8,7 +8,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.signal
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from tustinnet.channels import Channels
@@ -310,6 +309,8 @@ def relaxing(
     v: Float[np.ndarray, "n n_q"], dt: float, times: Sequence[float]
 ) -> Float[np.ndarray, "n n_z"]:
     """States along a record that follow each velocity and relax, from 0; see `TustinNet`."""
+    import scipy.signal  # takes a second, and few networks remember
+
     mean = np.concatenate([np.zeros((1, v.shape[1])), (v[:-1] + v[1:]) / 2])
     followed = [
         scipy.signal.lfilter([time * (1 - left)], [1.0, -left], mean, axis=0)

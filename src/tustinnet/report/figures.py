@@ -16,9 +16,9 @@ from matplotlib.figure import Figure
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.inspection import ExperimentReport
-from tustinnet.errors import InputError
 from tustinnet.evaluate.bands import Band
 from tustinnet.evaluate.scores import Score
+from tustinnet.report.figure_file import format_of
 from tustinnet.report.page.signals import bounded
 from tustinnet.simulate.horizon import over
 from tustinnet.store.files import write_into
@@ -31,7 +31,6 @@ _DASHES = ("-.", "--", ":", (0, (6, 1, 1, 1, 1, 1)), "--")
 _LEGEND_WIDTH = 118  # characters of a legend that fit below a figure, 7 of a column for its line
 _BINS = 1200  # along a line of a figure, more than it has pixels
 _LONG = 4 * _BINS  # samples; of a longer line only the extremes are drawn
-_FORMATS = ("png", "svg", "pdf")
 _STYLE = {
     "font.size": 9,
     "axes.spines.top": False,
@@ -61,9 +60,7 @@ def write_figure(figure: Figure, folder: Path, name: str) -> None:
     """
     buffer = BytesIO()
     path = folder / name
-    ending = path.suffix.lstrip(".").lower()
-    if ending not in _FORMATS:
-        raise InputError(path, f"ending '{path.suffix}'", f"one of .{', .'.join(_FORMATS)}")
+    ending = format_of(path)
     metadata = {"Date": None} if ending == "svg" else None
     figure.savefig(buffer, format=ending, dpi=150, metadata=metadata)
     write_into(folder, name, buffer.getvalue())

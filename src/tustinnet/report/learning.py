@@ -2,14 +2,15 @@
 
 import math
 from statistics import median
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullLocator, ScalarFormatter
 
 from tustinnet.evaluate.learning import LearningCurve
-from tustinnet.report.figures import COLOURS, house_style
 from tustinnet.report.tables import Table, number
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _TICKS = (1, 1.5, 2, 3, 4, 6)  # of a decade; a curve often spans less than one
 _APART = 1.03  # factor between the lines of two approaches, so that their bars do not cover
@@ -39,8 +40,14 @@ def learning_table(curve: LearningCurve) -> Table:
     return Table(["records", *curve.approaches], rows, title=title)
 
 
-def learning_figure(curve: LearningCurve) -> Figure:
+def learning_figure(curve: LearningCurve) -> "Figure":
     """RMSE of records left out against the number of records: medians, ranges, every draw."""
+    # the table of this module is printed before matplotlib is loaded
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullLocator, ScalarFormatter
+
+    from tustinnet.report.figures import COLOURS, house_style
+
     with house_style():
         figure = Figure(figsize=(6.0, 3.8), layout="constrained")
         axes = figure.subplots()

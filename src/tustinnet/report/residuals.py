@@ -1,21 +1,23 @@
 """The figure of residuals."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from tustinnet.channels import Channels
 from tustinnet.evaluate.residuals import CONFIDENCE, ResidualReport
 from tustinnet.fitting.report import Stretch
-from tustinnet.report.figures import COLOURS, INPUT, house_style
 from tustinnet.report.tables import Table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _BAND = "#2e8b57"
 
 
-def residual_figure(reports: Sequence[ResidualReport], channels: Channels, title: str) -> Figure:
+def residual_figure(reports: Sequence[ResidualReport], channels: Channels, title: str) -> "Figure":
     """Autocorrelation and correlation with the inputs, a row a coordinate, 99 % bounds shaded.
 
     Args:
@@ -23,6 +25,11 @@ def residual_figure(reports: Sequence[ResidualReport], channels: Channels, title
         channels: inputs and period.
         title: a line above.
     """
+    # the table of this module is printed before matplotlib is loaded
+    from matplotlib.figure import Figure
+
+    from tustinnet.report.figures import house_style
+
     dt = channels.dt
     with house_style():
         crossed = len(reports[0].cross)
@@ -54,7 +61,9 @@ def downweighted_table(stretches: Sequence[Stretch]) -> Table:
     )
 
 
-def _stems(axes: Axes, times: np.ndarray, values: np.ndarray, bound: float) -> None:
+def _stems(axes: "Axes", times: np.ndarray, values: np.ndarray, bound: float) -> None:
+    from tustinnet.report.figures import COLOURS, INPUT
+
     axes.axhspan(-bound, bound, color=_BAND, alpha=0.2)
     axes.axhline(0, color="0.5", linewidth=0.6)
     outside = np.abs(values) > bound

@@ -1,18 +1,18 @@
 """Selections: the table of candidates, their figure, free runs of what was chosen."""
 
 import math
-
-from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+from typing import TYPE_CHECKING
 
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.evaluate.scores import Score, evaluate
-from tustinnet.report.figures import COLOURS, house_style
 from tustinnet.report.some import some_of
 from tustinnet.report.tables import Table, number, scale_of
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.jobs import loaded
 from tustinnet.selection.ranking import Standing, paired
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def candidates_table(choice: Choice) -> Table:
@@ -74,8 +74,14 @@ def _plus_minus(mean: tuple[float, float] | None, scale: float) -> str:
     return f"{_in(mean[0], scale)} ± {_in(mean[1], scale)}"
 
 
-def candidates_figure(choice: Choice) -> Figure:
+def candidates_figure(choice: Choice) -> "Figure":
     """Mean and standard error of every candidate, each record a point."""
+    # the table of this module is printed before matplotlib is loaded
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    from tustinnet.report.figures import COLOURS, house_style
+
     scored = _in_order(choice)[::-1]
     with house_style():
         figure = Figure(figsize=(7.0, 0.42 * len(scored) + 1.3), layout="constrained")

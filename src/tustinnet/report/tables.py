@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.measure import Measurement
 from rich.table import Table as RichTable
 from rich.text import Text
 
+_WIDEST = 10_000  # characters: as wide as any table; one takes no more than it needs
 _LATEX = {"&": r"\&", "%": r"\%", "#": r"\#", "_": r"\_", "$": r"\$"}
 
 
@@ -42,8 +42,7 @@ class Table:
         for row in self.rows:
             drawn.add_row(*map(Text, row))  # Text: a unit in brackets is not markup
         # a terminal may wrap a line that is too long; a table must not cut what it says
-        needed = Measurement.get(console, console.options.update(max_width=10_000), drawn).maximum
-        console.print(drawn, width=max(console.width, needed), crop=False, soft_wrap=True)
+        console.print(drawn, width=_WIDEST, crop=False, soft_wrap=True)
 
     def markdown(self) -> str:
         """The table in Markdown."""

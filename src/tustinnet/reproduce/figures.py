@@ -2,15 +2,15 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING
 
 from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
 from tustinnet.evaluate.scores import Score
-from tustinnet.report.figures import free_run_figure, write_figure
-from tustinnet.reproduce.drawings import architecture_figure, mechanism_figure
 from tustinnet.reproduce.table1 import Row
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # the paper's colours and lines: Algorithm 1 red and dash-dotted, Euler-Lagrange orange and dashed,
 # without spring purple and dotted; the others by their place in the table
@@ -61,6 +61,9 @@ def draw(data: DataSet, rows: Sequence[Row], split: str, chosen: str, folder: Pa
     Euler-Lagrange model with and without spring, Figure 4 standard training with Algorithm 1,
     Figure 5 the Euler-Lagrange model with Algorithm 1; each where both models are there.
     """
+    # the verb reads this module before the table is printed, and matplotlib takes half a second
+    from tustinnet.reproduce.drawings import architecture_figure, mechanism_figure
+
     shown = median_rows(rows)
     written = _both(mechanism_figure(), folder / "figure1")
     written += _both(architecture_figure(), folder / "figure2")
@@ -91,12 +94,16 @@ def _of(row: Row, experiment: str) -> Score:
 
 
 def _write(name: str, runs: dict[str, Score], data: DataSet, stem: Path) -> list[Path]:
+    from tustinnet.report.figures import free_run_figure
+
     styles = {_NAMES[model]: _STYLES[model] for model in runs}
     named = {_NAMES[model]: score for model, score in runs.items()}
     return _both(free_run_figure(data[name], named, styles), stem)
 
 
-def _both(figure: Figure, stem: Path) -> list[Path]:
+def _both(figure: "Figure", stem: Path) -> list[Path]:
+    from tustinnet.report.figures import write_figure
+
     paths = [stem.with_name(f"{stem.name}{ending}") for ending in (".png", ".svg")]
     for path in paths:
         write_figure(figure, path.parent, path.name)

@@ -10,7 +10,7 @@ from tustinnet.models.contract import Model
 from tustinnet.selection.averages import as_one, weights_of
 from tustinnet.selection.ending import Final, Found
 from tustinnet.selection.jobs import Workplace, loaded
-from tustinnet.store.model_file import read_header
+from tustinnet.store.header import read_header
 
 
 def calibrated_on_folds(found: Found, name: str, made: Final, at: Workplace) -> Calibration | None:

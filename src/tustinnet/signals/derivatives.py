@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import Literal, get_args
 
 import numpy as np
-import scipy.signal
 from jaxtyping import Float
 
 from tustinnet.errors import InputError
@@ -99,6 +98,8 @@ def savitzky_golay(q: Positions, dt: float) -> Positions:
 
     The ends take the derivative of the outermost window's cubic.
     """
+    import scipy.signal  # takes a second, and few ask for this method
+
     length = min(_SAVGOL_LENGTH, len(q) if len(q) % 2 else len(q) - 1)
     slopes = scipy.signal.savgol_filter(q, length, _SAVGOL_DEGREE, deriv=1, delta=dt, axis=0)
     return np.asarray(slopes)

@@ -1,12 +1,11 @@
 """Samples that do not belong to a signal: jumps of positions, spikes of inputs."""
 
 import numpy as np
-import scipy.ndimage
 from jaxtyping import Float, Int
 
 # a jump is a change from one sample to the next that sticks out of its neighbours, see `jumps`
 _NEAR, _AROUND = 11, 31  # samples
-_USUAL = 80  # percentile of what sticks out nearby: six of 31 may be jumps themselves
+_USUAL = 24  # of them stick out less than what is usual nearby: six may be jumps themselves
 _LARGE = 8.0  # times that
 _FAST = 2.0  # times the largest change nearby that does not stick out
 _COUNTS = 5.0
@@ -17,6 +16,8 @@ _MANY, _HELD = 10, 0.05  # so many jumps, and this share of all changes
 _HUGE = 30.0
 _FEW = 0.05  # share of the samples that may be spikes
 _SHORT = 2  # samples
+
+_AT_ONCE = 10_000  # windows that are copied at a time, so that long records need little memory
 
 
 def jumps(
@@ -38,15 +39,27 @@ def jumps(
     change = np.diff(q) * (np.median(interval) / interval)  # a gap is no jump
     if len(change) < 5:
         return np.zeros(0, int)
-    usual = scipy.ndimage.median_filter(change, 5, mode="mirror")
+    usual = _ranked(change, 5, 2)
     out = np.abs(change - usual)
-    fast = scipy.ndimage.maximum_filter1d(np.abs(usual), _NEAR, mode="mirror")
-    others = scipy.ndimage.percentile_filter(out, _USUAL, _AROUND, mode="mirror")
+    fast = _ranked(np.abs(usual), _NEAR, _NEAR - 1)
+    others = _ranked(out, _AROUND, _USUAL)
     least = max(_COUNTS * count, _ROUNDING * float(np.abs(q).max()))
     found = np.flatnonzero(out > np.maximum(np.maximum(_LARGE * others, _FAST * fast), least)) + 1
     # a log that is faster than its sensor moves by jumps alone
     held = len(found) > _MANY and len(found) > _HELD * np.count_nonzero(change)
     return found[:0] if held else found
+
+
+def _ranked(x: Float[np.ndarray, " n"], width: int, rank: int) -> Float[np.ndarray, " n"]:
+    """A rank filter: the value that so many others around each sample are not above.
+
+    The signal is mirrored at its ends.
+    """
+    # written out, for scipy.ndimage takes longer to load than records take to be inspected
+    padded = np.pad(x, width // 2, mode="reflect")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, width)
+    parts = np.array_split(windows, 1 + len(x) // _AT_ONCE)
+    return np.concatenate([np.partition(of, rank, axis=1)[:, rank] for of in parts])
 
 
 def spikes(u: Float[np.ndarray, " n"]) -> Int[np.ndarray, " spikes"]:

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.interpolate
 from jaxtyping import Float, Int
 
 from tustinnet.errors import InputError
@@ -82,6 +81,8 @@ def resample_positions(
     t: Times, q: Float[np.ndarray, "n n_q"], grid: Float[np.ndarray, " m"]
 ) -> Float[np.ndarray, "m n_q"]:
     """Positions on a grid by cubic spline; angles must be unwrapped before."""
+    import scipy.interpolate  # takes half a second, and regular records need none of it
+
     degree = min(3, len(t) - 1)
     return scipy.interpolate.make_interp_spline(t, q, k=degree)(np.clip(grid, t[0], t[-1]))
 

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import scipy.signal
 from jaxtyping import Float
+
+from tustinnet.signals.spectra import welch
 
 _FEW_SAMPLES = 20  # in a period: below, velocities differ by a percent with how they are meant
 _SEGMENT = 2048  # samples of a spectrum, at most
@@ -40,7 +41,7 @@ def timescales(positions: Sequence[Float[np.ndarray, " _"]]) -> Timescales:
         positions: of each record.
     """
     segment = min(_SEGMENT, min(map(len, positions)))
-    spectra = [scipy.signal.welch(q - q.mean(), nperseg=segment)[1] for q in positions]
+    spectra = [welch(q - q.mean(), 1.0, segment)[1] for q in positions]
     power = np.mean(spectra, axis=0)
     strongest = 1 + int(np.argmax(power[1:]))
     # of a one-sided spectrum: the analytic autocorrelation, whose size is the envelope

@@ -3,8 +3,9 @@
 from collections.abc import Callable
 
 import numpy as np
-import scipy.signal
 from jaxtyping import Float
+
+from tustinnet.signals.spectra import welch
 
 _REACH = 12  # samples to both sides that an estimate takes
 _SEGMENT = 1024  # samples of a spectrum, at most
@@ -84,7 +85,7 @@ def _spectrum(
     q: Float[np.ndarray, " n"], count: float, dt: float
 ) -> tuple[Float[np.ndarray, " f"], Float[np.ndarray, " f"], float]:
     """Angular frequencies, the motion's power at each, and the noise's variance."""
-    frequency, density = scipy.signal.welch(q, fs=1 / dt, nperseg=min(len(q), _SEGMENT))
+    frequency, density = welch(q, dt, min(len(q), _SEGMENT))
     density = density[:-1]  # the trapezoidal rule says nothing of the last one, half the rate
     share = frequency[1]
     floor = count**2 / 12 * 2 * dt if count else float(np.quantile(density, 0.1))

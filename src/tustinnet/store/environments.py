@@ -10,8 +10,9 @@ from tustinnet.export.environment import ModelEnv, ModelVectorEnv, Rules
 from tustinnet.export.source import source_of
 from tustinnet.models.contract import Model
 from tustinnet.simulate.range import KEY, Range
+from tustinnet.store.header import read_header
 from tustinnet.store.kept_system import is_trusted, kept_with
-from tustinnet.store.model_file import load_model, read_header
+from tustinnet.store.model_file import load_model
 from tustinnet.systems.files import AnySystem
 
 

@@ -25,7 +25,8 @@ from tustinnet.store.files import (
     to_json,
     write_into,
 )
-from tustinnet.store.model_file import package_versions, read_header
+from tustinnet.store.header import read_header
+from tustinnet.store.model_file import package_versions
 
 CARD = "card.json"
 ALL = "all"

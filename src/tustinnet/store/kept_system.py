@@ -14,7 +14,7 @@ import platformdirs
 from tustinnet.data.declaration import read_source
 from tustinnet.errors import InputError
 from tustinnet.store.files import write_into
-from tustinnet.store.model_file import read_header
+from tustinnet.store.header import read_header
 from tustinnet.systems.files import SystemFile
 
 COPY = "system.py"  # what the copy is called in a run folder

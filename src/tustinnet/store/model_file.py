@@ -6,11 +6,6 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from pydantic import ConfigDict, Field
-
-from tustinnet.channels import LONGEST_DT, Coordinate, Input
-from tustinnet.data.declaration import Declaration, declare
 from tustinnet.errors import InputError, refusing
 from tustinnet.families.family import family_of, systems_in
 from tustinnet.fitting.report import Stretch
@@ -19,24 +14,11 @@ from tustinnet.models.contract import Model
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.registry import FAMILIES
 from tustinnet.store.files import finite
-from tustinnet.store.sealed import SEAL, read_sealed, write_sealed
+from tustinnet.store.header import read_header, read_header_and_arrays, records_in
+from tustinnet.store.sealed import SEAL, write_sealed
 from tustinnet.systems.files import AnySystem, SystemFile, load_system
 
-ORIGIN = "from"  # in headers: the model that a fit began with
 _PACKAGES = ("tustinnet", "jax", "jaxlib", "equinox", "optax", "numpy")
-
-
-class _Header(Declaration):
-    """What the header of every model file says; the rest is its family's, and the fit's."""
-
-    model_config = ConfigDict(extra="allow", allow_inf_nan=False)
-
-    format: int
-    kind: str
-    coordinates: list[Coordinate] = Field(min_length=1)
-    inputs: list[Input]
-    dt: float = Field(ge=0, le=LONGEST_DT)
-    versions: dict[str, str] = Field(default_factory=dict)
 
 
 def save(model: Model, path: str | Path, **header: Any) -> None:
@@ -78,7 +60,7 @@ def copy_with(path: Path, out: Path, **more: Any) -> None:
     Raises:
         InputError: as `load_model` and `save`.
     """
-    header, arrays = _read(path)
+    header, arrays = read_header_and_arrays(path)
     header.pop(SEAL, None)
     write_sealed(out.parent, out.name, finite({**header, **more}), arrays)
 
@@ -95,7 +77,7 @@ def load_model(path: str | Path, system: AnySystem | None = None) -> Model:
         InputError: no such file, cut short, changed since it was written, of another kind, or of
             a newer version; a system that is not known or has changed.
     """
-    header, arrays = _read(Path(path))
+    header, arrays = read_header_and_arrays(Path(path))
     if system is not None and not _systems_in(header, path):
         raise InputError(
             f"system for {path}", f"means nothing to a model of kind '{header['kind']}'",
@@ -164,29 +146,6 @@ def _fitting(path: Path, systems: Mapping[int, LagrangianSystem]) -> dict[int, M
     return fits
 
 
-def shown(path: str | Path) -> tuple[dict[str, Any], list[tuple[str, str]]]:
-    """The header of a model file, and what the model's family tells of it.
-
-    Raises:
-        InputError: as `load_model`.
-    """
-    header, arrays = _read(Path(path))
-    with refusing(path, "header and arrays do not fit", "a file written by tustinnet"):
-        return header, FAMILIES[header["kind"]].shown(header, arrays)
-
-
-def read_header(path: str | Path) -> dict[str, Any]:
-    """The JSON header of a model file.
-
-    Args:
-        path: the file.
-
-    Raises:
-        InputError: as `load_model`.
-    """
-    return _read(Path(path))[0]
-
-
 def system_of(path: str | Path) -> str:
     """The name of the system that a model file belongs to, or a part of its model; or ""."""
     return "".join(_systems_in(read_header(path), path)[:1])
@@ -210,28 +169,3 @@ def downweighted_in(path: str | Path) -> list[Stretch]:
         raise InputError(
             path, "an account of its identification that is damaged", "stretches of records"
         ) from error
-
-
-def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Header and arrays of a model file, the header as `_Header` has it."""
-    header, arrays = read_sealed(path, FAMILIES.names())
-    declare(header, _Header, path)
-    return header, arrays
-
-
-def records_in(header: Mapping[str, Any]) -> dict[str, str]:
-    """The records that a model was made from: names by checksum.
-
-    A fit trains with the records of `train`, a selection with all but those of `test`; what was
-    put together was made from the records of all its parts.
-    """
-    listed = header.get("data", {}).get("records", ())
-    chosen = "selection" in header
-    found = {
-        of["sha256"]: of["name"]
-        for of in listed
-        if of["sha256"] and (of["split"] != "test" if chosen else of["split"] == "train")
-    }
-    for part in header.get("files", ()):
-        found |= records_in(part)
-    return found | header.get(ORIGIN, {}).get("made_from", {})

@@ -41,9 +41,10 @@ from tustinnet.store.files import (
     to_json,
     write_into,
 )
+from tustinnet.store.header import ORIGIN
 from tustinnet.store.kept_system import header_of, keep, require_room
 from tustinnet.store.log import DAMAGED, LOG, Log, SearchLog
-from tustinnet.store.model_file import ORIGIN, save
+from tustinnet.store.model_file import save
 from tustinnet.systems.files import SystemFile
 
 MODEL = "model.safetensors"

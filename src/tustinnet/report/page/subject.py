@@ -9,9 +9,9 @@ from tustinnet.errors import InputError
 from tustinnet.evaluate.scores import Score
 from tustinnet.models.contract import Model
 from tustinnet.selection.ending import WHOLE
+from tustinnet.store.header import shown
 from tustinnet.store.kept_system import CANDIDATES
 from tustinnet.store.log import LOG, is_end, read_log, read_search
-from tustinnet.store.model_file import shown
 from tustinnet.store.run import MODEL
 
 History = Sequence[Mapping[str, Any]]

@@ -26,7 +26,8 @@ from tustinnet.report.page.subject import Subject
 from tustinnet.report.tables import Table, number, numbers
 from tustinnet.selection.jobs import LEFT_OUT
 from tustinnet.simulate.horizon import over
-from tustinnet.store.model_file import package_versions, records_in
+from tustinnet.store.header import records_in
+from tustinnet.store.model_file import package_versions
 
 _SHOWN = 12  # digits of a checksum
 

@@ -1,0 +1,156 @@
+"""What `show` prints of a model file's structure: from header and arrays alone, without JAX.
+
+A function for each kind, named in the registry (`SHOWN`); other kinds have `Family.shown`.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from tustinnet.registry import FAMILIES, SHOWN
+
+Header = dict[str, Any]
+Arrays = dict[str, np.ndarray]
+Lines = list[tuple[str, str]]  # words, and what they say
+
+# keys of headers, and names of arrays
+PHYSICS, CORRECTION = "physics", "correction"  # of a hybrid
+MEMBERS, WEIGHT = "members", "weight"  # of a committee
+DYNAMICS, ENCODER = "dynamics", "encoder"  # of a model with an encoder
+VALUES = "values"  # of the parameters of a system
+REST = "rest"  # the position at which the memory of a Tustin-Net rests
+
+
+def shown_of(header: Header, arrays: Arrays) -> Lines:
+    """The lines of a model, or of a part of one; only kinds from outside are loaded for them."""
+    kind = header["kind"]
+    if kind in SHOWN:
+        return SHOWN[kind](header, arrays)
+    return FAMILIES[kind].shown(header, arrays)
+
+
+def tustin_net(header: Header, arrays: Arrays) -> Lines:
+    """Layers and units of a Tustin-Net, and what it remembers."""
+    structure = header["structure"]
+    shown = _network(structure, arrays)
+    if not structure.get("relaxation_times"):
+        return shown
+    told = "relaxing in " + ", ".join(f"{t:g} s" for t in structure["relaxation_times"])
+    if structure.get("remembered"):
+        rest = ", ".join(f"{x:.3g}" for x in arrays[REST])
+        told += f"; begins with {structure['remembered']:g} of the way from ({rest})"
+    return [*shown, ("memory", told)]
+
+
+def neural_ode(header: Header, arrays: Arrays) -> Lines:
+    """Layers, units and integration of a neural ODE."""
+    steps = ("integration", f"{header['substeps']} Runge-Kutta steps a period")
+    return [*_network(header["structure"], arrays), steps]
+
+
+def gru(header: Header, arrays: Arrays) -> Lines:
+    """Size, warm-up and units of a GRU."""
+    s = header["structure"]
+    told = f"{s['hidden']} hidden units, warm-up of {s['warm_up']} samples"
+    return [("network", told), _units(arrays)]
+
+
+def linear(header: Header, arrays: Arrays) -> Lines:
+    """Order and eigenvalues of a linear model."""
+    n_x = len(arrays["offset"])
+    by_state = arrays["change.weight"][:, :n_x] / arrays["unit"]
+    values = np.linalg.eigvals(np.eye(n_x) + arrays["moved"][:, None] * by_state)
+    size = ", ".join(f"{abs(v):.4f}" for v in sorted(values, key=abs, reverse=True))
+    return [("order", f"{n_x} states"), ("eigenvalues", f"of size {size}")]
+
+
+def euler_lagrange(header: Header, arrays: Arrays) -> Lines:
+    """System and values of a grey box."""
+    system = header["system"]
+    told = f"{system['name']} ({system['file']})" if system["file"] else system["name"]
+    values = dict(zip(header["parameters"], arrays[VALUES].tolist(), strict=True))
+    forces = header.get("forces", ())
+    return [
+        ("system", f"{told}, {header['substeps']} Runge-Kutta steps a period"),
+        *([("added forces", ", ".join(forces))] if forces else []),
+        ("values", ", ".join(f"{name} {value:.4g}" for name, value in values.items())),
+    ]
+
+
+def hybrid(header: Header, arrays: Arrays) -> Lines:
+    """Both parts of a hybrid."""
+    header, arrays = hybrid_as_now(header, arrays)
+    fades = ", fading at rest" if header["fades_at_rest"] else ""
+    lines = []
+    for name, remark in ((PHYSICS, ""), (CORRECTION, fades)):
+        part = header[name]
+        lines.append((name, part["kind"] + remark))
+        lines += shown_of(part, below(f"{name}.", arrays))
+    return lines
+
+
+def encoded(header: Header, arrays: Arrays) -> Lines:
+    """The encoder, and the lines of the model that it belongs to."""
+    part, sizes = header[DYNAMICS], header[ENCODER]
+    told = f"the state from {sizes['samples']} samples, {sizes['hidden']} hidden units"
+    own = shown_of(part, below(f"{DYNAMICS}.", arrays))
+    return [(DYNAMICS, part["kind"]), *own, (ENCODER, told)]
+
+
+def committee(header: Header, arrays: Arrays) -> Lines:
+    """The weights of a committee; of members whose structure is the same what all of them say."""
+    kinds: dict[str, list[int]] = {}
+    for i, part in enumerate(header[MEMBERS]):
+        structure = {key: x for key, x in part.items() if key != WEIGHT}
+        kinds.setdefault(repr(structure), []).append(i)
+    lines = []
+    for of in kinds.values():
+        parts = [header[MEMBERS][i] for i in of]
+        numbers = ", ".join(str(i + 1) for i in of)
+        weights = [f"{part[WEIGHT]:.4g}" for part in parts]
+        told = ", ".join(weights if len(set(weights)) > 1 else weights[:1])
+        lines.append(("members", f"{parts[0]['kind']}: {numbers}; weight {told}"))
+        each = [
+            shown_of(part, below(f"{i + 1}.", arrays)) for i, part in zip(of, parts, strict=True)
+        ]
+        lines += [line for line in each[0] if all(line in other for other in each)]
+    return lines
+
+
+def hybrid_as_now(header: Header, arrays: Arrays) -> tuple[Header, Arrays]:
+    """Header and arrays of a hybrid's file of format 1 as they would be written today."""
+    if PHYSICS in header:
+        return header, arrays
+    of = {key: header[key] for key in ("coordinates", "inputs", "dt")}
+    physics = {key: header[key] for key in ("system", "parameters", "substeps")}
+    now = {
+        **header,
+        "fades_at_rest": header["structure"].get("fades_at_rest", False),
+        PHYSICS: {"kind": "euler-lagrange", **physics, **of},
+        CORRECTION: {"kind": "tustin-net", "structure": header["structure"], **of},
+    }
+    named = {f"{CORRECTION}.{n}": a for n, a in below("residual.", arrays).items()}
+    return now, {**named, f"{PHYSICS}.values": arrays[VALUES]}
+
+
+def below(prefix: str, arrays: Arrays) -> Arrays:
+    """The arrays whose names begin with a prefix, without it."""
+    return {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}
+
+
+def _network(structure: dict[str, Any], arrays: Arrays) -> Lines:
+    """Layers and units of a network."""
+    bias = "with" if structure["output_bias"] else "without"
+    told = f"hidden {structure['hidden']}, {structure['activation']}, output {bias} bias"
+    if structure.get("linear"):
+        told += ", beside a linear map"
+    if structure.get("odd"):
+        told += ", odd"
+    return [("network", told), _units(arrays)]
+
+
+def _units(arrays: Arrays) -> tuple[str, str]:
+    """The units of a network."""
+    names = ("position_offset", "position_scale", "velocity", "input", "acceleration")
+    units = [f"{n} {[float(f'{v:.4g}') for v in arrays[f'scaling.{n}']]}" for n in names]
+    return "scaling", ", ".join(units)

@@ -1,0 +1,82 @@
+"""The header of a model file, read without its model: no JAX is loaded for it."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ConfigDict, Field
+
+from tustinnet.channels import LONGEST_DT, Coordinate, Input
+from tustinnet.data.declaration import Declaration, declare
+from tustinnet.errors import refusing
+from tustinnet.families.shown import shown_of
+from tustinnet.registry import FAMILIES
+from tustinnet.store.sealed import read_sealed
+
+ORIGIN = "from"  # in headers: the model that a fit began with
+
+
+class _Header(Declaration):
+    """What the header of every model file says; the rest is its family's, and the fit's."""
+
+    model_config = ConfigDict(extra="allow", allow_inf_nan=False)
+
+    format: int
+    kind: str
+    coordinates: list[Coordinate] = Field(min_length=1)
+    inputs: list[Input]
+    dt: float = Field(ge=0, le=LONGEST_DT)
+    versions: dict[str, str] = Field(default_factory=dict)
+
+
+def read_header(path: str | Path) -> dict[str, Any]:
+    """The JSON header of a model file.
+
+    Args:
+        path: the file.
+
+    Raises:
+        InputError: as `load_model`.
+    """
+    return read_header_and_arrays(Path(path))[0]
+
+
+def read_header_and_arrays(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Header and arrays of a model file, the header as `_Header` has it.
+
+    Raises:
+        InputError: as `load_model`.
+    """
+    header, arrays = read_sealed(path, FAMILIES.names())
+    declare(header, _Header, path)
+    return header, arrays
+
+
+def shown(path: str | Path) -> tuple[dict[str, Any], list[tuple[str, str]]]:
+    """The header of a model file, and what the model's family tells of it.
+
+    Raises:
+        InputError: as `load_model`.
+    """
+    header, arrays = read_header_and_arrays(Path(path))
+    with refusing(path, "header and arrays do not fit", "a file written by tustinnet"):
+        return header, shown_of(header, arrays)
+
+
+def records_in(header: Mapping[str, Any]) -> dict[str, str]:
+    """The records that a model was made from: names by checksum.
+
+    A fit trains with the records of `train`, a selection with all but those of `test`; what was
+    put together was made from the records of all its parts.
+    """
+    listed = header.get("data", {}).get("records", ())
+    chosen = "selection" in header
+    found = {
+        of["sha256"]: of["name"]
+        for of in listed
+        if of["sha256"] and (of["split"] != "test" if chosen else of["split"] == "train")
+    }
+    for part in header.get("files", ()):
+        found |= records_in(part)
+    return found | header.get(ORIGIN, {}).get("made_from", {})

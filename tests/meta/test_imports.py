@@ -1,0 +1,84 @@
+"""What the command loads, and when: heavy modules only where they are used."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tustinnet.registry import FAMILIES, SHOWN
+
+HEAVY = {"jax", "equinox", "scipy", "matplotlib", "polars", "rich", "pint", "h5py", "jinja2"}
+READING = {"polars", "rich"}  # records of text, and tables of them
+# prints whether matplotlib is loaded when a table is printed, instead of the table
+TELLING = """
+from tustinnet.cli import terminal
+terminal.print_tables = lambda *tables: print("printed, matplotlib:", "matplotlib" in sys.modules)
+"""
+
+
+def python(program: str) -> str:
+    """What a program prints in a process of its own."""
+    done = subprocess.run(
+        [sys.executable, "-c", f"import sys\n{program}"],
+        capture_output=True, text=True, check=False, timeout=300,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def heavy_after(program: str) -> set[str]:
+    """The heavy modules that a program loads."""
+    told = python(f"{program}\nprint('loaded:', *sys.modules)")
+    return set(told.rpartition("loaded:")[2].split()) & HEAVY
+
+
+def command(*arguments: object) -> str:
+    """A program that runs the command and goes on."""
+    given = [str(a) for a in arguments]
+    return (
+        "from tustinnet.cli.entry import run\n"
+        f"sys.argv = ['tustinnet', *{given}]\n"
+        "try: run()\nexcept SystemExit as end: assert not end.code"
+    )
+
+
+@pytest.fixture
+def model(run_folder) -> Path:
+    return run_folder / "model.safetensors"
+
+
+def test_the_verbs_load_nothing_heavy_before_they_run():
+    assert not heavy_after("import tustinnet.cli.main")
+
+
+@pytest.mark.parametrize("verb", ["inspect", "fit", "show", "reproduce"])
+def test_help_loads_nothing_heavy(verb):
+    assert not heavy_after(command(verb, "--help"))
+
+
+def test_records_are_inspected_without_jax_and_scipy(folder):
+    assert heavy_after(command("inspect", folder)) <= READING
+
+
+def test_a_header_is_shown_without_jax_and_polars(model):
+    assert not heavy_after(command("show", model))
+
+
+def test_every_packaged_kind_is_shown_without_its_models():
+    assert set(SHOWN.places) == set(FAMILIES.places)
+
+
+@pytest.mark.parametrize("verb", ["evaluate", "compare", "fit"])
+def test_results_are_printed_before_matplotlib_is_loaded(verb, folder, model, tmp_path):
+    figures = tmp_path / "figures"
+    given = {
+        "evaluate": (model, folder, "--figures", figures),
+        "compare": (model, folder, "--figures", figures),
+        "fit": (folder, "--recipe", "linear", "--set", "stages.*.epochs=2", "--out", tmp_path / "f",
+                "--quiet"),
+    }[verb]  # fmt: skip
+    told = python(TELLING + command(verb, *given))
+    assert "printed, matplotlib: False" in told
+    assert "printed, matplotlib: True" not in told
+    assert list(tmp_path.rglob("fall3.png"))
