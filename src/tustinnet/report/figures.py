@@ -31,7 +31,7 @@ _DASHES = ("-.", "--", ":", (0, (6, 1, 1, 1, 1, 1)), "--")
 _LEGEND_WIDTH = 118  # characters of a legend that fit below a figure, 7 of a column for its line
 _BINS = 1200  # along a line of a figure, more than it has pixels
 _LONG = 4 * _BINS  # samples; of a longer line only the extremes are drawn
-_FORMATS = ("png", "svg", "pdf")
+ENDINGS = (".png", ".svg", ".pdf")
 _STYLE = {
     "font.size": 9,
     "axes.spines.top": False,
@@ -61,11 +61,11 @@ def write_figure(figure: Figure, folder: Path, name: str) -> None:
     """
     buffer = BytesIO()
     path = folder / name
-    ending = path.suffix.lstrip(".").lower()
-    if ending not in _FORMATS:
-        raise InputError(path, f"ending '{path.suffix}'", f"one of .{', .'.join(_FORMATS)}")
-    metadata = {"Date": None} if ending == "svg" else None
-    figure.savefig(buffer, format=ending, dpi=150, metadata=metadata)
+    ending = path.suffix.lower()
+    if ending not in ENDINGS:
+        raise InputError(path, f"ending '{path.suffix}'", f"one of {', '.join(ENDINGS)}")
+    metadata = {"Date": None} if ending == ".svg" else None
+    figure.savefig(buffer, format=ending[1:], dpi=150, metadata=metadata)
     write_into(folder, name, buffer.getvalue())
 
 

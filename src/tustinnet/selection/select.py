@@ -25,10 +25,10 @@ from tustinnet.selection.plan import USUAL, Candidate, SelectionPlan, read_plan
 from tustinnet.selection.ranking import Standing
 from tustinnet.selection.records import for_folds
 from tustinnet.simulate.starts import start_named
-from tustinnet.store.files import owned, remove_below, require_new, to_json, write_into
+from tustinnet.store.files import owned, remove_below, require_outputs, to_json, write_into
 from tustinnet.store.kept_system import CANDIDATES, keep, require_room
 from tustinnet.store.model_file import save
-from tustinnet.store.run import MODEL, REPORT, SUMMARY, WRITTEN, Earlier, Tell
+from tustinnet.store.run import FIGURES, MODEL, REPORT, SUMMARY, WRITTEN, Earlier, Tell
 from tustinnet.systems.files import AnySystem
 
 _TENTH = 0.1  # of a record, a horizon where no fit chose one
@@ -37,7 +37,7 @@ _ENDING = 0.12  # share of the budget for committees, the last fit and bands
 _FILES = 0.08  # and for figures and the report, which come after the selection
 _FEWEST_FILES = 6.0  # s, what these take at least
 _SHORT = 0.2  # but no more than this share of a short budget
-_FIGURES = "figures"  # drawn by rooms above this one; discarded here with the rest
+TABLE = "candidates.md"  # written by rooms above this one
 
 
 @dataclass(frozen=True)
@@ -215,7 +215,8 @@ def _make_room(at: Workplace, earlier: Earlier) -> None:
     if earlier != "discard":
         require_room(at.system_file, at.folder)
     files = [at.folder / name for name in (MODEL, SUMMARY, REPORT)]
-    require_new(files, overwrite=earlier != "refuse")
+    drawn = [at.folder / name for name in (FIGURES, TABLE)]
+    require_outputs([*files, *drawn], overwrite=earlier != "refuse")
     for path in files:
         path.unlink(missing_ok=True)
     if at.system_file is not None:
@@ -232,7 +233,7 @@ def _discard(folder: Path) -> None:
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return  # nobody knows which figures are its own
     drawn = {f"{name}.png" for name in (CANDIDATES, *records)}
-    remove_below(folder / _FIGURES, drawn)
+    remove_below(folder / FIGURES, drawn)
 
 
 def _nothing(halving: Halving, budget: float | None) -> InputError:

@@ -22,6 +22,7 @@ from tustinnet.store.files import finite
 from tustinnet.store.sealed import SEAL, read_sealed, write_sealed
 from tustinnet.systems.files import AnySystem, SystemFile, load_system
 
+ENDINGS = (".safetensors",)
 ORIGIN = "from"  # in headers: the model that a fit began with
 _PACKAGES = ("tustinnet", "jax", "jaxlib", "equinox", "optax", "numpy")
 

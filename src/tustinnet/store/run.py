@@ -36,7 +36,7 @@ from tustinnet.simulate.range import Cloud, cloud_of, range_of
 from tustinnet.store.checkpoint import Checkpointer, read_checkpoint
 from tustinnet.store.files import (
     owned,
-    require_new,
+    require_outputs,
     require_writable_folder,
     to_json,
     write_into,
@@ -49,6 +49,7 @@ from tustinnet.systems.files import SystemFile
 MODEL = "model.safetensors"
 SUMMARY = "summary.json"
 REPORT = "report.html"  # written by rooms above this one; discarded here with the rest
+FIGURES = "figures"  # drawn by rooms above this one
 _CHECKPOINT = "checkpoint.safetensors"
 WRITTEN = (MODEL, LOG, DAMAGED, _CHECKPOINT)  # into the folder of a member
 
@@ -277,8 +278,8 @@ def _make_room(folder: Path, earlier: Earlier, *, trains: bool) -> None:
             "a new folder",
             "add --resume to go on with it, --overwrite to discard it, or choose another --out",
         )
-    files = [folder / name for name in (MODEL, SUMMARY, LOG, REPORT)]
-    require_new(files, overwrite=earlier == "discard")
+    files = [folder / name for name in (MODEL, SUMMARY, LOG, REPORT, FIGURES)]
+    require_outputs(files, overwrite=earlier == "discard")
 
 
 def _discard(folder: Path, seed_folders: Sequence[Path]) -> None:
