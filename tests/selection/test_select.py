@@ -259,6 +259,9 @@ def test_a_job_of_other_records_is_done_again(tmp_path):
     first, _ = selected(tmp_path)
     last = data[4]
     other = replace(data, experiments=(*data[:4], replace(last, q=last.q + 0.01)))
+    with pytest.raises(InputError, match=r"another data \(noise3\)"):
+        selected(tmp_path, "resume", other)
+    (first.at.folder / "question.json").unlink()  # as of a folder that does not say it
     again, _ = selected(tmp_path, "resume", other)
     assert again.standing("network").rmse() != first.standing("network").rmse()
 

@@ -2,6 +2,7 @@
 
 folder/model.safetensors              the model, of several members the best one's
 folder/summary.json                   the account: every member and the spread
+folder/question.json                  what was asked: recipe, records, system
 folder/system.py                      a copy of the system's file, where one was given
 folder/report.html                    the page of it, written by the command when all else is there
 folder/log.jsonl                      of identifications: one line an iteration and a stage
@@ -44,6 +45,13 @@ from tustinnet.store.files import (
 from tustinnet.store.kept_system import header_of, keep, require_room
 from tustinnet.store.log import DAMAGED, LOG, Log, SearchLog
 from tustinnet.store.model_file import ORIGIN, save
+from tustinnet.store.question import (
+    QUESTION,
+    Question,
+    question_of,
+    require_same,
+    write_question,
+)
 from tustinnet.systems.files import SystemFile
 
 MODEL = "model.safetensors"
@@ -208,14 +216,20 @@ def run_task(
 
     Raises:
         InputError: the folder cannot be written, another run is writing there, it holds an earlier
-            run that is neither resumed nor discarded, or its checkpoints belong to another run; an
-            identification is to be resumed; see also `fit`.
+            run that is neither resumed nor discarded; what is resumed was asked otherwise, or its
+            checkpoints belong to another run; an identification is to be resumed; see also `fit`.
     """
     with owned(folder):
         if earlier != "discard":
             require_room(system, folder)
-        _make_room(folder, earlier, trains=task.recipe.family.trains)
-        done = _fitted(task, data, folder, tell, resume=earlier == "resume")
+        question = question_of(task, system)
+        _make_room(folder, earlier, question, trains=task.recipe.family.trains)
+
+        def begin(prepared: Plan | Task) -> Listener:
+            write_question(folder, question)  # once the records are known to fit the recipe
+            return tell(prepared)
+
+        done = _fitted(task, data, folder, begin, resume=earlier == "resume")
         done = replace(done, system=system)
         _keep(done)
     return done
@@ -259,13 +273,14 @@ def _keep(done: Run) -> None:
     write_into(folder, SUMMARY, to_json(done.summary()))
 
 
-def _make_room(folder: Path, earlier: Earlier, *, trains: bool) -> None:
+def _make_room(folder: Path, earlier: Earlier, question: Question, *, trains: bool) -> None:
     """Refuses, discards or leaves what an earlier run left in a folder."""
     if earlier == "resume" and not trains:
         raise InputError(
             "--resume", "an identification is not resumed", "a training", "leave the option out"
         )
     if earlier == "resume":
+        require_same(folder, question, MODEL)
         (folder / REPORT).unlink(missing_ok=True)  # of the model as it was
         return
     places = sorted(place for place in folder.glob("seed-*") if (place / LOG).exists())
@@ -289,7 +304,7 @@ def _discard(folder: Path, seed_folders: Sequence[Path]) -> None:
             (place / name).unlink(missing_ok=True)
         if not any(place.iterdir()):
             place.rmdir()
-    for name in (MODEL, SUMMARY, LOG, REPORT):
+    for name in (MODEL, SUMMARY, LOG, REPORT, QUESTION):
         (folder / name).unlink(missing_ok=True)
 
 
