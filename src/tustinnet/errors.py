@@ -44,6 +44,11 @@ def brief(error: BaseException) -> str:
     return printable(f"{type(error).__name__}: {text}", _LONGEST_FOREIGN)
 
 
+def reason(error: Exception) -> str:
+    """Why something could not be done: what an `InputError` says; kind and text of others."""
+    return str(error) if isinstance(error, InputError) else brief(error)
+
+
 @contextmanager
 def refusing(where: object, found: str, expected: str, remedy: str = "") -> Iterator[None]:
     """Whatever a foreign library raises inside, of any kind, becomes an `InputError`.

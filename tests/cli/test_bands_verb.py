@@ -87,7 +87,7 @@ def test_bands_that_cannot_be_are_one_line(place, run_folder, tmp_path, refused,
     net = run_folder / "model.safetensors"
     given = ("--system", file)
     refused("calibrate", plain, folder, *given, "--out", out, "--split", "train", told="fall1")
-    refused("calibrate", plain, folder, *given, "--out", plain, told="the model itself")
+    refused("calibrate", plain, folder, *given, "--out", plain, told="what the command reads")
     refused("calibrate", plain, folder, *given, "--out", banded, "--split", "validation",
             told="there already")  # fmt: skip
     refused("calibrate", net, folder, "--out", out, "--split", "validation",

@@ -73,14 +73,14 @@ def test_a_network_goes_on_with_its_own_recipe_and_says_where_it_is_from(
     assert len(first) == 3
     assert records_in({"from": header["from"]}) == first
     assert digest in tustinnet(capsys, "show", out / "model.safetensors")[1]
-    # resumed it is the same; from another model, or from none, its checkpoint is not
+    # resumed it is the same; from another model, or from none, it is refused
     kept = (out / "model.safetensors").read_bytes()
     assert tustinnet(capsys, *fit, "--resume")[0] == 0
     assert (out / "model.safetensors").read_bytes() == kept
     for path in out.rglob("log.jsonl"):
         assert path.read_text().count("\n") == 2
     refused("fit", folder, "--recipe", small_recipe, "--out", out, *STILL, "--resume",
-            told="belongs to another recipe")  # fmt: skip
+            told="asked otherwise: another from")  # fmt: skip
 
 
 def test_a_correction_goes_on_with_its_physics_or_with_another(grey, folder, tmp_path, capsys):

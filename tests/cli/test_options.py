@@ -44,6 +44,8 @@ _SELECTED = "cli/test_choosing.py::test_a_folder_of_logs_and_a_system_become_one
 _STRICT = f"{HERE}::test_strict_refuses_what_looks_wrong"
 _INSPECTED = f"{VERBS}::test_inspect_as_json_with_a_figure"
 
+_REDRAWN = "cli/test_outputs.py::test_figures_are_replaced_where_that_is_asked_for"
+
 _LEFT = "cli/test_leave_report.py"
 _NO_REPORT = f"{_LEFT}::test_a_fit_leaves_a_report_of_the_validation_records"
 
@@ -68,7 +70,7 @@ SHOWN = {
     },
     "inspect": {
         "--card": _CARD, "--split": _NAMES, "--json": _INSPECTED, "--figure": _INSPECTED,
-        "--strict": _STRICT,
+        "--strict": _STRICT, "--overwrite": _REDRAWN,
     },
     "fit": {
         "--out": _SEVERAL, "--recipe": _SEVERAL, "--seeds": _SEVERAL, "--json": _SEVERAL,
@@ -116,17 +118,17 @@ SHOWN = {
     "evaluate": {
         "--split": _NAMES, "--start": _NAMES, "--card": _CARD, "--system": _SYSTEMS,
         "--ahead": _AHEAD, "--figures": _AHEAD, "--json": _AHEAD, "--horizon": _HORIZON,
-        "--band": _BANDED, "--whole-records": _BANDED,
+        "--band": _BANDED, "--whole-records": _BANDED, "--overwrite": _REDRAWN,
     },
     "compare": {
         "--split": _NAMES, "--start": _NAMES, "--card": _CARD, "--system": _COMPARED,
         "--figures": _COMPARED, "--json": _COMPARED, "--horizon": _HORIZON,
-        "--band": _BANDED, "--whole-records": _NO_BANDS,
+        "--band": _BANDED, "--whole-records": _NO_BANDS, "--overwrite": _REDRAWN,
     },
     "residuals": {
         "--split": _NAMES, "--start": _NAMES, "--card": _CARD, "--system": _RESIDUALS,
         "--lags": _RESIDUALS, "--figure": _RESIDUALS, "--json": _RESIDUALS,
-        "--horizon": _HORIZON,
+        "--horizon": _HORIZON, "--overwrite": _REDRAWN,
     },
     "export": {
         "--to": f"{EXPORT}::test_several_targets_get_a_folder_each",
@@ -218,7 +220,8 @@ def refused(capsys):
 def of(verb: str, model: Path, folder: Path, tmp_path: Path) -> list[object]:
     """A verb with what it cannot do without."""
     first = [verb, model, folder] if verb in JUDGING else [verb, folder]
-    return first + (["--out", tmp_path / "out"] if verb in WRITING else [])
+    out = tmp_path / ("out.html" if verb == "report" else "out")
+    return first + (["--out", out] if verb in WRITING else [])
 
 
 JUDGING = ("simulate", "evaluate", "compare", "residuals", "report")
@@ -237,7 +240,7 @@ def test_names_that_are_none_are_refused_by_their_option(
     command = of(verb, model, folder, tmp_path)
     refused(*command, option, "nowhere", names=("nowhere",))
     refused(*command, option, "", names=("''",))
-    assert not (tmp_path / "out").exists()
+    assert not list(tmp_path.glob("out*"))
 
 
 @pytest.mark.parametrize("verb", ["inspect", "fit", "cross-validate", *JUDGING])

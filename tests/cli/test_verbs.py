@@ -175,7 +175,7 @@ def test_simulate_never_replaces_records_and_asks_before_replacing_other_files(
     before = {p.name: p.read_bytes() for p in folder.iterdir()}
     code, _, err = tustinnet(capsys, "simulate", model, folder, "--out", folder, "--overwrite")
     assert code == 1
-    assert "a record of the data set" in err
+    assert "what the command reads" in err
     assert {p.name: p.read_bytes() for p in folder.iterdir()} == before
     command = ("simulate", model, folder, "--out", tmp_path / "sim", "--experiment", "fall3")
     assert tustinnet(capsys, *command)[0] == 0

@@ -18,7 +18,7 @@ from tustinnet.evaluate.bands import Calibration
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.fitting.gradient.epoch import _run
 from tustinnet.selection import choice as chosen
-from tustinnet.selection import jobs
+from tustinnet.selection import ending, jobs
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.jobs import Job
 from tustinnet.selection.plan import read_plan
@@ -260,6 +260,9 @@ def test_a_job_of_other_records_is_done_again(tmp_path):
     first, _ = selected(tmp_path)
     last = data[4]
     other = replace(data, experiments=(*data[:4], replace(last, q=last.q + 0.01)))
+    with pytest.raises(InputError, match=r"another data \(noise3\)"):
+        selected(tmp_path, "resume", other)
+    (first.at.folder / "question.json").unlink()  # as of a folder that does not say it
     again, _ = selected(tmp_path, "resume", other)
     assert again.standing("network").rmse() != first.standing("network").rmse()
 
@@ -295,6 +298,60 @@ def test_jobs_of_one_candidate_share_a_compiled_program(tmp_path):
 
 
 # --- what does not go ---
+
+TWO = """
+name = "two"
+folds = 3
+start = "model-10"
+candidates = [{ name = "grey", recipe = "grey.toml" }, { name = "network", recipe = "small.toml" }]
+rounds = [{ folds = 3 }]
+"""
+
+
+def failing(monkeypatch, names: set[str], error: BaseException) -> None:
+    """Fits of some candidates raise."""
+
+    def fit(folder, *more, **named):
+        if names & set(folder.parts):
+            raise error
+        return fit_in(folder, *more, **named)
+
+    monkeypatch.setattr(jobs, "fit_in", fit)
+
+
+def test_a_candidate_that_raises_is_told_in_a_line_and_the_others_go_on(tmp_path, monkeypatch):
+    failing(monkeypatch, {"network"}, ZeroDivisionError("integer modulo\nby zero"))
+    said: list[str] = []
+    asked = Asked(plan_in(tmp_path, TWO), SWING)
+    choice = select_model(swings(), tmp_path / "run", asked, reporter=Reporter(said.append))
+    assert choice.best == "grey"
+    why = "ZeroDivisionError: integer modulo by zero"
+    assert said.count(f"network, fold 0: {why}") == 1
+    assert choice.standing("network").why == why
+    failing(monkeypatch, {"network", "grey"}, MemoryError())
+    with pytest.raises(InputError, match=r"no candidate could be fitted \(grey, network: MemoryE"):
+        select_model(swings(), tmp_path / "none", asked)
+
+
+def test_an_identification_from_all_records_that_raises_leaves_the_models_of_folds(
+    tmp_path, monkeypatch
+):
+    def fails(*arguments, **named):
+        raise FloatingPointError("overflow")
+
+    monkeypatch.setattr(ending, "fit_in", fails)
+    plan = plan_in(tmp_path, TWO.replace(', { name = "network", recipe = "small.toml" }', ""))
+    choice = select_model(swings(), tmp_path / "run", Asked(plan, SWING))
+    assert choice.made["grey"].endswith(
+        "; not identified from all records: FloatingPointError: overflow"
+    )
+    assert (tmp_path / "run" / "model.safetensors").is_file()
+
+
+def test_an_interruption_ends_the_selection(tmp_path, monkeypatch):
+    failing(monkeypatch, {"network"}, KeyboardInterrupt())
+    with pytest.raises(KeyboardInterrupt):
+        selected(tmp_path)
 
 
 def test_a_budget_that_is_too_short_says_what_the_cheapest_needs(tmp_path):

@@ -27,17 +27,16 @@ def calibrate(
     The width of the bands follows from the errors on records that were not used to fit the model.
     """
     terminal.prepare_jax()
-    from tustinnet.cli.request import judged_records, model_of
+    from tustinnet.cli.request import files_of, judged_records, model_of
     from tustinnet.errors import InputError
     from tustinnet.evaluate.bands import KEY, alternatives_of, calibrated, guesses
-    from tustinnet.store.files import require_new
+    from tustinnet.store.files import require_outputs
     from tustinnet.store.header import read_header, records_in
     from tustinnet.store.kept_system import keep, kept_with, require_room
-    from tustinnet.store.model_file import copy_with
+    from tustinnet.store.model_file import ENDINGS, copy_with
 
-    if out.resolve() == model.resolve():
-        raise InputError(out, "the model itself", "another file")
-    require_new([out], overwrite=overwrite)
+    read = files_of(data, card, model, system)
+    require_outputs([out], overwrite=overwrite, read=read, endings=ENDINGS)
     judged = model_of(model, system)
     header = read_header(model)
     others = alternatives_of(judged, header, model)

@@ -28,17 +28,16 @@ def committee(
 ) -> None:
     """Combine models into one that averages their accelerations."""
     terminal.prepare_jax()
-    from tustinnet.errors import InputError
+    from tustinnet.cli.request import files_of
     from tustinnet.families.committee import committee as put_together
-    from tustinnet.store.files import require_new
+    from tustinnet.store.files import require_outputs
     from tustinnet.store.kept_system import header_of, keep, require_room
-    from tustinnet.store.model_file import load_models, save
+    from tustinnet.store.model_file import ENDINGS, load_models, save
     from tustinnet.systems.files import SystemFile, find_system
 
     shares = None if weights is None else _numbers(weights)
-    if out.resolve() in [path.resolve() for path in models]:
-        raise InputError(out, "one of the models", "another file")
-    require_new([out], overwrite=overwrite)
+    read = files_of(None, None, *models, system)
+    require_outputs([out], overwrite=overwrite, read=read, endings=ENDINGS)
     given = _kept_with(models) if system is None else find_system(system)
     members = load_models(models, [] if given is None else [given], lambda path: None)
     copied = given if isinstance(given, SystemFile) else None

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tustinnet.cli import options, terminal
+from tustinnet.cli import options, request, terminal
 
 if TYPE_CHECKING:
     from tustinnet.data.experiment import Experiment
@@ -40,34 +40,34 @@ def compare(
     ] = None,
     band: options.Band = None,
     whole_records: options.WholeRecords = False,
+    overwrite: options.Redraw = False,
     json: options.Json = False,
 ) -> None:
     """Compare the free runs of several models in a table and figures."""
     terminal.prepare_jax()
-    from tustinnet.cli.request import band_asked, bands_of, judged_records, kept_system
     from tustinnet.errors import InputError
     from tustinnet.report.comparison import comparison_table
     from tustinnet.report.page.subject import labels
-    from tustinnet.store.files import require_writable_folder
     from tustinnet.store.model_file import load_models
     from tustinnet.systems.files import find_system
 
-    asked = band_asked(band, whole=whole_records)
+    asked = request.band_asked(band, whole=whole_records)
     if asked is not None and figures is None:
         raise InputError("--band", "no figures, which bands are drawn into", "--figures DIR")
     given = [find_system(which) for which in system or []]
-    loaded = load_models(models, given, kept_system)
-    records, begin = judged_records(data, card, split, start, loaded)
+    loaded = load_models(models, given, request.kept_system)
+    records, begin = request.judged_records(data, card, split, start, loaded)
+    drawn = None if figures is None else [figures / f"{e.name}.png" for e in records]
+    read = request.files_of(data, card, *models, *(system or []))
+    request.require_figures("--figures", drawn, read, overwrite=overwrite)
     scores = {
         label: _scores(path, model, records, begin, horizon)
         for label, path, model in zip(labels(models), models, loaded, strict=True)
     }
     bands = {} if asked is None else {
-        label: bands_of(path, model, records, scores[label], asked)
+        label: request.bands_of(path, model, records, scores[label], asked)
         for label, path, model in zip(scores, models, loaded, strict=True)
     }  # fmt: skip
-    if figures is not None:
-        require_writable_folder(figures)
     if json:
         content = _content(models, scores)
         terminal.print_json({"start": begin, "horizon": horizon, "models": content})

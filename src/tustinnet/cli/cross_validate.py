@@ -71,7 +71,7 @@ def cross_validate(
     from tustinnet.report.fits import folds_table
     from tustinnet.report.progress import FitProgress
     from tustinnet.selection.cross_validation import cross_validate_by_jobs, forget
-    from tustinnet.store.files import owned, require_new, to_json, write_into
+    from tustinnet.store.files import owned, require_outputs, to_json, write_into
     from tustinnet.systems.files import find_system
 
     asked = make_question(
@@ -79,7 +79,7 @@ def cross_validate(
         folds=folds, seeds=None if seeds is None else seeds_of(seeds), starts=start or (),
     )  # fmt: skip
     told = terminal.messages()
-    require_new([out / _FILE], overwrite=overwrite)
+    require_outputs([out / _FILE, out / _TABLE], overwrite=overwrite)
     records = loaded(data, card, out, told, strict=strict)
     tell_still(taking_part(records), told)
     with _joined(cluster, quiet=quiet) as by, owned(out), FitProgress(told, quiet=quiet) as bars:

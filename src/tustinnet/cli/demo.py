@@ -49,13 +49,15 @@ def demo(
     from tustinnet.data.catalog import load
     from tustinnet.data.inspection import inspect_experiment
     from tustinnet.store.data_set_folder import write_data_set
-    from tustinnet.store.files import require_new, require_writable_folder
+    from tustinnet.store.files import require_outputs, require_writable_folder
     from tustinnet.systems import qube_servo2_twin
 
     told = terminal.messages()
     table_file, logs = out / "twin_table.md", out / "twin"
     page = out / "twin_report.html"
-    require_new([table_file, logs, *([] if no_report else [page])], overwrite=overwrite)
+    figures = [out / f"{name}.png" for name in ("twin_records", *_DRAWN)]
+    files = [table_file, table_file.with_suffix(".json"), logs, out / _CHOICE, *figures]
+    require_outputs([*files, *([] if no_report else [page])], overwrite=overwrite)
     require_writable_folder(out)
     _say(told, quiet, f"1/5 twin of the Qube-Servo 2, simulated and logged: {logs}")
     records = qube_servo2_twin.twin(seed)

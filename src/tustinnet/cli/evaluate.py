@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tustinnet.cli import options, terminal
+from tustinnet.cli import options, request, terminal
 
 if TYPE_CHECKING:
     import numpy as np
@@ -20,9 +20,13 @@ if TYPE_CHECKING:
     from tustinnet.report.tables import Table
 
 
+_AHEAD_FIGURE = "ahead"
 _Ahead = Annotated[
     int | None,
     typer.Option(min=1, metavar="K", help="Also score predictions k steps ahead, for k = 1..K."),
+]
+_Figures = Annotated[
+    Path | None, typer.Option(metavar="DIR", help="Folder for a figure of every free run.")
 ]
 
 
@@ -35,11 +39,10 @@ def evaluate(
     card: options.Card = None,
     system: options.System = None,
     ahead: _Ahead = None,
-    figures: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder for a figure of every free run.")
-    ] = None,
+    figures: _Figures = None,
     band: options.Band = None,
     whole_records: options.WholeRecords = False,
+    overwrite: options.Redraw = False,
     json: options.Json = False,
 ) -> None:
     """Score the free runs of a model: RMSE, NRMSE, fit in percent.
@@ -47,26 +50,26 @@ def evaluate(
     A free run begins at an initial state (--start) and then uses only the logged inputs.
     """
     terminal.prepare_jax()
-    from tustinnet.cli.request import band_asked, bands_of, judged_records, model_of
     from tustinnet.evaluate.ahead import rmse_ahead
     from tustinnet.evaluate.coverage import covered
     from tustinnet.evaluate.scores import Score
     from tustinnet.evaluate.scores import evaluate as score_records
-    from tustinnet.store.files import require_writable_folder
 
-    asked = band_asked(band, whole=whole_records)
-    judged = model_of(model, system)
-    records, begin = judged_records(data, card, split, start, [judged])
+    asked = request.band_asked(band, whole=whole_records)
+    judged = request.model_of(model, system)
+    records, begin = request.judged_records(data, card, split, start, [judged])
+    names = [e.name for e in records] + ([] if ahead is None else [_AHEAD_FIGURE])
+    drawn = None if figures is None else [figures / f"{name}.png" for name in names]
+    read = request.files_of(data, card, model, system)
+    request.require_figures("--figures", drawn, read, overwrite=overwrite)
     scores = score_records(judged, records, begin, horizon=horizon)
     runs = list(zip(records, scores, strict=True))
     by_split: dict[str, list[Score]] = {}
     for e, score in runs:
         by_split.setdefault(e.split or "all", []).append(score)
-    bands = [] if asked is None else bands_of(model, judged, records, scores, asked)
+    bands = [] if asked is None else request.bands_of(model, judged, records, scores, asked)
     shares = covered(records, bands) if bands else []
     errors = None if ahead is None else rmse_ahead(judged, records, ahead)
-    if figures is not None:
-        require_writable_folder(figures)
     if json:
         content = _content(judged.channels, runs, by_split, horizon)
         if asked is not None:
@@ -119,7 +122,7 @@ def _draw(
 def _draw_ahead(folder: Path, label: str, errors: "np.ndarray", channels: "Channels") -> None:
     from tustinnet.report.figures import ahead_figure, write_figure
 
-    write_figure(ahead_figure({label: errors}, channels), folder, "ahead.png")
+    write_figure(ahead_figure({label: errors}, channels), folder, f"{_AHEAD_FIGURE}.png")
 
 
 def _ahead_table(errors: list[float], channels: "Channels") -> "Table":

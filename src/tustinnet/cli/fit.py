@@ -69,7 +69,8 @@ def fit(
     from tustinnet.systems.files import find_system
 
     selects = recipe is None and physics is None and origin is None
-    _require_apart(out, origin)
+    for option, model in (("--physics", physics), ("--from", origin)):
+        _require_apart(out, option, model)
     by_plan = {"--plan": plan, "--budget": budget, "--cluster": cluster}
     _require_meaning(selects, {"--set": changes, "--seeds": seeds}, by_plan)
     earlier = _earlier(resume=resume, overwrite=overwrite)
@@ -171,12 +172,12 @@ def _require_meaning(
                              "leave --recipe, --physics and --from out to try several")  # fmt: skip
 
 
-def _require_apart(out: Path, origin: Path | None) -> None:
-    """Raises where a run would be written over the model that it begins with."""
+def _require_apart(out: Path, option: str, model: Path | None) -> None:
+    """Raises where a run would be written over a model that it is made from."""
     from tustinnet.errors import InputError
 
-    if origin is not None and out.resolve() in origin.resolve().parents:
-        raise InputError(out, f"the folder of {origin}, which --from names", "another folder")
+    if model is not None and out.resolve() in model.resolve().parents:
+        raise InputError(out, f"the folder of {model}, which {option} names", "another folder")
 
 
 def _tell_unfinished(run: "Run", told: "Console") -> None:

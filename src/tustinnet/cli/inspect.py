@@ -6,11 +6,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tustinnet.cli import options, terminal
+from tustinnet.cli import options, request, terminal
 
 if TYPE_CHECKING:
     from tustinnet.data.inspection import ExperimentReport, InputReport
     from tustinnet.report.tables import Table
+
+_Figure = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Draw the records (.png, .svg, .pdf).")
+]
 
 
 def inspect(
@@ -26,9 +30,8 @@ def inspect(
     split: options.Split = None,
     strict: options.Strict = False,
     json: options.Json = False,
-    figure: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Draw the records (.png, .svg, .pdf).")
-    ] = None,
+    figure: _Figure = None,
+    overwrite: options.Redraw = False,
 ) -> None:
     """Check the records: sampling, encoders, inputs, suspicious rows."""
     import dataclasses
@@ -38,22 +41,16 @@ def inspect(
     from tustinnet.data.readers import is_readable
 
     if is_readable(Path(data)) and not Path(data).is_dir():
-        given = {"--card": card, "--split": split, "--strict": strict or None, "--figure": figure}
+        given = {"--card": card, "--split": split, "--strict": strict, "--figure": figure,
+                 "--overwrite": overwrite}  # fmt: skip
         _look_at_file(Path(data), [name for name, value in given.items() if value], json=json)
         return
+    request.require_figures("--figure", figure, request.files_of(data, card), overwrite=overwrite)
     loaded = load(data, card)
     records = loaded if split is None else loaded.split(split)
     reports = [inspect_experiment(e) for e in records]
     if strict:
         require_sound(reports)
-    if figure is not None:
-        from tustinnet.report.figure_file import require_figure_file
-
-        require_figure_file(figure)
-    if figure is not None:
-        from tustinnet.report.figure_file import require_figure_file
-
-        require_figure_file(figure)
     if json:
         terminal.print_json(
             {"data": loaded.name, "experiments": [dataclasses.asdict(r) for r in reports]}

@@ -71,7 +71,7 @@ def learning_curve(
     from tustinnet.evaluate.learning import learning_curve, make_curve_question, places_of
     from tustinnet.report.learning import learning_table
     from tustinnet.report.progress import FitProgress
-    from tustinnet.store.files import owned, require_new, to_json, write_into
+    from tustinnet.store.files import owned, require_outputs, to_json, write_into
 
     question = _with_system(system, physics, hybrid, twin)
     asked = make_curve_question(
@@ -80,7 +80,7 @@ def learning_curve(
     )  # fmt: skip
     told = terminal.messages()
     names = [f"learning-curve.{ending}" for ending in ("json", "md", "png")]
-    require_new([out / name for name in names], overwrite=overwrite)
+    require_outputs([out / name for name in names], overwrite=overwrite)
     found = loaded(data, card, out, told, strict=strict)
     tell_still(taking_part(found), told)
     places_of(found, asked)  # says at once where there are too few records

@@ -53,7 +53,7 @@ class Leaving:
             Where it is, for the line that names the files; empty where none is wanted, None where
             it could not be written: then the command ends with `require_left`.
         """
-        from tustinnet.errors import InputError, brief
+        from tustinnet.errors import reason
 
         if not self.wanted:
             return ""
@@ -61,8 +61,9 @@ class Leaving:
         try:
             path = write(command)
         except Exception as error:
-            why = str(error) if isinstance(error, InputError) else brief(error)
-            terminal.messages().print(f"error: no report ({why}); all else is kept, try: {command}")
+            terminal.messages().print(
+                f"error: no report ({reason(error)}); all else is kept, try: {command}"
+            )
             return None
         return f"   report: {path}"
 

@@ -129,6 +129,7 @@ Resume = Annotated[
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace the earlier results in --out.")
 ]
+Redraw = Annotated[bool, typer.Option("--overwrite", help="Replace figures that are there.")]
 NoReport = Annotated[bool, typer.Option("--no-report", help="Write no report.html.")]
 Seeds = Annotated[
     str | None,

@@ -44,15 +44,16 @@ def report(
     """Write an HTML page about a model: animation, scores, errors."""
     terminal.prepare_jax()
     from tustinnet.cli.leave_report import report_command
-    from tustinnet.cli.request import judged_records, kept_system
+    from tustinnet.cli.request import files_of, judged_records, kept_system
     from tustinnet.report.page.subject import model_file, subjects_of
-    from tustinnet.report.page.write import Asked, written
-    from tustinnet.store.files import require_new
+    from tustinnet.report.page.write import ENDINGS, Asked, written
+    from tustinnet.store.files import require_outputs
     from tustinnet.store.model_file import load_models, system_of
     from tustinnet.systems.files import find_system, load_system
 
-    require_new([out], overwrite=overwrite)
     files = [model_file(path) for path in models]
+    read = files_of(data, card, *files, *(system or []))
+    require_outputs([out], overwrite=overwrite, read=read, endings=ENDINGS)
     given = [find_system(which) for which in system or []]
     owned = {system_of(file) for file in files}
     named = [load_system(which).name in owned for which in given]

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from tustinnet.reproduce.table1 import Row
 
 
+_TABLES = ("table1.json", "table1.md", "table1.tex")
+
+
 class Keep(StrEnum):
     """What marks the best weights."""
 
@@ -96,8 +99,10 @@ def reproduce(
     scored = table1.choose_split(records, split)
     chosen, remark = table1.choose_models(models or (), folder)
     drawn = figures.choose_experiment(records, scored, experiment)
+    runs = out / "runs"
+    _require_room(out, folder, runs, overwrite=overwrite)
     told.print(f"data: {folder}; scoring the {scored} split, start '{table1.START}'")
-    for line in _remarks(folder, remark, out / "runs", overwrite=overwrite):
+    for line in _remarks(folder, remark, runs, overwrite=overwrite):
         told.print(line)
     kept = None if keep is None else keep.value
     ask = table1.Ask(chosen, scored, seeds, kept, overwrite)
@@ -107,7 +112,7 @@ def reproduce(
         terminal.interruptible("the same command goes on"),
     ):
         rows = table1.build_rows(
-            records, folder, ask, out / "runs",
+            records, folder, ask, runs,
             lambda name: lambda prepared: progress.follow(prepared, name),
         )  # fmt: skip
     content, table = _write(rows, scored, out)
@@ -120,6 +125,18 @@ def reproduce(
     files = f"table1.json, table1.md, table1.tex and {len(written)} figures{page or ''}"
     told.print(f"written to {out}: {files}")
     require_left(page)
+
+
+def _require_room(out: Path, data: Path, runs: Path, *, overwrite: bool) -> None:
+    """Raises where tables and report would replace what is no reproduction, or lie among data."""
+    from tustinnet.cli.request import require_apart
+    from tustinnet.reproduce.table1 import is_table
+    from tustinnet.store.files import require_outputs
+    from tustinnet.store.run import REPORT
+
+    require_apart(out, data)
+    if not runs.is_dir() and not is_table(out / _TABLES[0]):
+        require_outputs([out / name for name in (*_TABLES, REPORT)], overwrite=overwrite)
 
 
 def _located(data: str) -> "tuple[Path, Card]":
@@ -159,9 +176,9 @@ def _write(rows: "Sequence[Row]", scored: str, out: Path) -> "tuple[dict[str, An
     from tustinnet.store.files import to_json, write_into
 
     content, table = table1.as_json(rows, scored), table1.as_table(rows, scored)
-    write_into(out, "table1.json", to_json(content))
-    write_into(out, "table1.md", table.markdown())
-    write_into(out, "table1.tex", table.latex())
+    written = to_json(content), table.markdown(), table.latex()
+    for name, text in zip(_TABLES, written, strict=True):
+        write_into(out, name, text)
     return content, table
 
 

@@ -125,11 +125,9 @@ def loaded(data: str, card: Path | None, out: Path, told: "Console", *, strict: 
     from tustinnet.data.catalog import locate
     from tustinnet.data.inspection import inspect_experiment
     from tustinnet.data.loading import load_folder
-    from tustinnet.errors import InputError
 
     folder, declared = locate(data, card)
-    if out.resolve() == folder.resolve():
-        raise InputError(out, "the folder of the data", "another folder for the run")
+    require_apart(out, folder)
     records = load_folder(folder, declared)
     reports = [inspect_experiment(e) for e in records]
     if strict:
@@ -137,6 +135,47 @@ def loaded(data: str, card: Path | None, out: Path, told: "Console", *, strict: 
     for line in suspicions(reports):
         told.print(line)
     return records
+
+
+def require_apart(out: Path, folder: Path) -> None:
+    """Raises where results would be written among the records that they are made from."""
+    from tustinnet.errors import InputError
+
+    if out.resolve() == folder.resolve():
+        raise InputError(out, "the folder of the data", "another folder for the run")
+
+
+def files_of(data: str | None, card: Path | None, *others: "Path | str | None") -> list[Path]:
+    """The files that a verb reads: card and records of a data set, and others that it was given.
+
+    Of names that may also be packaged ones (systems, recipes) those count that are files.
+    """
+    from tustinnet.data.catalog import files_read
+
+    known = [] if data is None else files_read(data, card)
+    return [*known, *(Path(other) for other in others if other is not None)]
+
+
+def require_figures(
+    option: str, paths: "Path | Sequence[Path] | None", read: Sequence[Path], *, overwrite: bool
+) -> None:
+    """Raises unless figures may be drawn into files.
+
+    Raises:
+        InputError: no figures that could be replaced; see also `require_outputs`.
+    """
+    from tustinnet.errors import InputError
+    from tustinnet.report.figure_file import ENDINGS
+    from tustinnet.store.files import require_outputs, require_writable_folder
+
+    if paths is not None:
+        listed = [paths] if isinstance(paths, Path) else paths
+        require_outputs(listed, overwrite=overwrite, read=read, endings=ENDINGS)
+        for folder in {path.parent for path in listed}:
+            require_writable_folder(folder)
+    elif overwrite:
+        raise InputError("--overwrite", "no figures that it could replace", "figures",
+                         f"add {option}, or leave it out")  # fmt: skip
 
 
 def tell_still(experiments: "Sequence[Experiment]", told: "Console") -> None:

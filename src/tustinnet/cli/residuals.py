@@ -29,6 +29,7 @@ def residuals(
     figure: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Draw the correlations (.png, .svg, .pdf).")
     ] = None,
+    overwrite: options.Redraw = False,
     json: options.Json = False,
 ) -> None:
     """Test the residuals of free runs.
@@ -37,22 +38,19 @@ def residuals(
     99 % bounds.
     """
     terminal.prepare_jax()
-    from tustinnet.cli.request import judged_records, model_of
+    from tustinnet.cli.request import files_of, judged_records, model_of, require_figures
     from tustinnet.evaluate.residuals import residual_reports
     from tustinnet.report.residuals import downweighted_table, residual_figure
     from tustinnet.simulate.horizon import over
     from tustinnet.store.model_file import downweighted_in
 
+    require_figures("--figure", figure, files_of(data, card, model, system), overwrite=overwrite)
     judged = model_of(model, system)
     records, begin = judged_records(data, card, split, start, [judged])
     reports = residual_reports(judged, records, begin, lags, horizon=horizon)
     names = {e.name for e in records}
     spoilt = [s for s in downweighted_in(model) if s.record in names]
     title = f"Residuals of {len(records)} free runs, start '{begin}'{over(horizon)}"
-    if figure is not None:
-        from tustinnet.report.figure_file import require_figure_file
-
-        require_figure_file(figure)
     if json:
         weights = [dataclasses.asdict(s) for s in spoilt]
         terminal.print_json(

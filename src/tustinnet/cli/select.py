@@ -113,10 +113,11 @@ def draw_choice(choice: "Choice") -> None:
     """Writes table and figures: of candidates, of free runs of models that did not see a record."""
     from tustinnet.report.figures import free_run_figure, write_figure
     from tustinnet.report.selection import candidates_figure, candidates_table, free_runs
+    from tustinnet.selection.select import TABLE
     from tustinnet.store.files import write_into
 
     folder = choice.at.folder
-    write_into(folder, "candidates.md", candidates_table(choice).markdown())
+    write_into(folder, TABLE, candidates_table(choice).markdown())
     write_figure(candidates_figure(choice), folder, "figures/candidates.png")
     for name, runs in free_runs(choice).items():
         write_figure(free_run_figure(choice.at.data[name], runs), folder, f"figures/{name}.png")

@@ -35,32 +35,26 @@ def simulate(
     A free run begins at an initial state (--start) and then uses only the logged inputs.
     """
     terminal.prepare_jax()
-    from tustinnet.cli.request import band_asked, bands_of, model_of
-    from tustinnet.data.catalog import locate
-    from tustinnet.data.loading import load_folder
-    from tustinnet.errors import InputError
+    from tustinnet.cli.request import band_asked, bands_of, files_of, model_of
+    from tustinnet.data.catalog import load
     from tustinnet.evaluate.scores import evaluate
     from tustinnet.report.leaving import left_plain, left_words
     from tustinnet.simulate.range import Range
     from tustinnet.simulate.starts import default_start
-    from tustinnet.store.files import require_new, require_writable_folder
+    from tustinnet.store.files import require_outputs, require_writable_folder
     from tustinnet.store.header import read_header
     from tustinnet.store.simulation_file import simulation_name, write_simulation
 
     asked = band_asked(band, whole=whole_records)
     simulator = model_of(model, system)
-    folder, declared = locate(data, card)
-    loaded = load_folder(folder, declared)
+    loaded = load(data, card)
     chosen = loaded if split is None else loaded.split(split)
     records = [chosen[name] for name in experiment] if experiment else list(chosen)
+    paths = [out / simulation_name(e) for e in records]
+    read = files_of(data, card, model, system)
+    require_outputs(paths, overwrite=overwrite, read=read)
     begin = default_start(records, simulator) if start is None else start
     scores = evaluate(simulator, records, begin)
-    paths = [out / simulation_name(e) for e in records]
-    sources = {(folder / e.source).resolve() for e in loaded if e.source}
-    for path in paths:
-        if path.resolve() in sources:
-            raise InputError(path, "a record of the data set", "another folder than the data's")
-    require_new(paths, overwrite=overwrite)
     none = [None] * len(records)
     bands = none if asked is None else bands_of(model, simulator, records, scores, asked)
     require_writable_folder(out)

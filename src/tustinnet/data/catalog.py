@@ -12,6 +12,7 @@ from typing import Any, cast
 import platformdirs
 
 from tustinnet.data.card import Card
+from tustinnet.data.card_files import files_of
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import read_declaration
 from tustinnet.data.loading import load_folder
@@ -114,6 +115,19 @@ def locate(data: str | Path, card: str | Path | None = None) -> tuple[Path, Card
         "a data card that says what the columns mean",
         "write one (docs/reference/data.md shows how) or give --card FILE",
     )
+
+
+def files_read(data: str | Path, card: str | Path | None = None) -> list[Path]:
+    """The files that `load` reads: card and records.
+
+    Raises:
+        InputError: as `load`.
+    """
+    folder, declared = locate(data, card)
+    path = Path(data)
+    own = path if path.suffix == ".toml" else folder / CARD_NAME
+    records = [folder / entry.file for _, entry in files_of(folder, declared)]
+    return [own if card is None else Path(card), *records]
 
 
 def find_folder(known: KnownDataSet) -> Path:

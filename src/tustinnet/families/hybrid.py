@@ -244,9 +244,9 @@ class HybridFamily(Family):
         """A correction that does not correct anything yet, in units of what the physics leaves."""
         physics = self.stepped(hyper, physics, experiments)
         assert physics is not None
-        make = FAMILIES[hyper.correction.kind].builder(
-            hyper.correction, experiments, velocity, None
-        )
+        # holds that only the physics knows are those of the correction, too
+        known = [e.driving(physics.inputs) for e in experiments]
+        make = FAMILIES[hyper.correction.kind].builder(hyper.correction, known, velocity, None)
         left = _left_by(physics, experiments, velocity)
 
         def build(key: PRNGKeyArray) -> HybridModel:

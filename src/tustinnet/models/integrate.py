@@ -116,8 +116,8 @@ def discretise(
         model: the model.
         dt: sampling period [s].
         substeps: Runge-Kutta steps in a period; `choose_substeps` says how many are needed.
-        inputs: the records' inputs, which say what happens between samples where the model's do
-            not; by default the model's own.
+        inputs: the inputs of records, or of a model file, whose delays and holds are taken; the
+            model's own holds where these say none. By default the model's own inputs.
         unrolled: whether the steps are written out in the compiled program, see `Discretised`.
     """
     most = MOST_UNROLLED if unrolled else MOST_SUBSTEPS
@@ -128,8 +128,12 @@ def discretise(
         )  # fmt: skip
     own = model.channels.inputs
     theirs = own if inputs is None else inputs
-    channels = replace(model.channels, dt=dt, inputs=acting(own, theirs))
-    return Discretised(model, channels, substeps, unrolled)
+    # a hold that a search has found is in the records' inputs, whatever the system's file says
+    known = tuple(
+        replace(i, hold=said.hold, delay=of.delay)
+        for i, of, said in zip(own, theirs, acting(theirs, own), strict=True)
+    )
+    return Discretised(model, replace(model.channels, dt=dt, inputs=known), substeps, unrolled)
 
 
 def between(

@@ -3,9 +3,8 @@
 from pathlib import Path
 
 from tustinnet.errors import InputError
-from tustinnet.store.files import require_writable_folder
 
-_FORMATS = ("png", "svg", "pdf")
+ENDINGS = (".png", ".svg", ".pdf")
 
 
 def format_of(path: Path) -> str:
@@ -14,13 +13,7 @@ def format_of(path: Path) -> str:
     Raises:
         InputError: another ending than .png, .svg or .pdf.
     """
-    ending = path.suffix.lstrip(".").lower()
-    if ending not in _FORMATS:
-        raise InputError(path, f"ending '{path.suffix}'", f"one of .{', .'.join(_FORMATS)}")
-    return ending
-
-
-def require_figure_file(path: Path) -> None:
-    """Raises `InputError` unless a figure can be written into a file; makes its folder."""
-    format_of(path)
-    require_writable_folder(path.parent)
+    ending = path.suffix.lower()
+    if ending not in ENDINGS:
+        raise InputError(path, f"ending '{path.suffix}'", f"one of {', '.join(ENDINGS)}")
+    return ending[1:]

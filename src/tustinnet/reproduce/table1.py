@@ -1,5 +1,6 @@
 """Table 1: free-run RMSE of the paper's models on a split of its data."""
 
+import json
 import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -260,6 +261,15 @@ def as_json(rows: Sequence[Row], split: str) -> dict[str, Any]:
             for row in rows
         ],
     }
+
+
+def is_table(path: Path) -> bool:
+    """Whether a file is there that says what `as_json` does."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        return {"x0", "experiments", "rows"} <= content.keys()
+    except (OSError, ValueError, AttributeError):
+        return False
 
 
 def as_table(rows: Sequence[Row], split: str) -> Table:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from tustinnet.errors import InputError
+from tustinnet.errors import InputError, reason
 from tustinnet.evaluate.folds import taking_part
 from tustinnet.families.committee import committee
 from tustinnet.fitting.roles import Roles
@@ -91,8 +91,8 @@ def judge_averages(
     for name, members in wanted.items():
         try:
             judged = judge_average(name, [by_name[of] for of in members], at)
-        except InputError as error:
-            say(f"{name}: left out, {error}")
+        except Exception as error:  # of any kind: what was judged before is not lost
+            say(f"{name}: left out, {reason(error)}")
             continue
         if judged is None:
             say(f"{name}: not judged, no time was left for it")
@@ -157,8 +157,8 @@ def _whole(
         result = fit_in(folder, task, at.clock.within(tell(job)), resume=False)[0]
     except OutOfTime:
         why = "no time was left to identify it from all records"
-    except InputError as error:
-        why = f"not identified from all records: {error}"
+    except Exception as error:  # of any kind: the models of the folds are there
+        why = f"not identified from all records: {reason(error)}"
     else:
         words = f"identified from all {len(records)} records"
         return Final(result.model, words, result.as_header())

@@ -25,10 +25,11 @@ from tustinnet.selection.plan import USUAL, Candidate, SelectionPlan, read_plan
 from tustinnet.selection.ranking import Standing
 from tustinnet.selection.records import for_folds
 from tustinnet.simulate.starts import start_named
-from tustinnet.store.files import owned, remove_below, require_new, to_json, write_into
+from tustinnet.store.files import owned, remove_below, require_outputs, to_json, write_into
 from tustinnet.store.kept_system import CANDIDATES, keep, require_room
 from tustinnet.store.model_file import save
-from tustinnet.store.run import MODEL, REPORT, SUMMARY, WRITTEN, Earlier, Tell
+from tustinnet.store.question import Question, data_of, require_same, write_question
+from tustinnet.store.run import FIGURES, MODEL, REPORT, SUMMARY, WRITTEN, Earlier, Tell
 from tustinnet.systems.files import AnySystem
 
 _TENTH = 0.1  # of a record, a horizon where no fit chose one
@@ -37,7 +38,7 @@ _ENDING = 0.12  # share of the budget for committees, the last fit and bands
 _FILES = 0.08  # and for figures and the report, which come after the selection
 _FEWEST_FILES = 6.0  # s, what these take at least
 _SHORT = 0.2  # but no more than this share of a short budget
-_FIGURES = "figures"  # drawn by rooms above this one; discarded here with the rest
+TABLE = "candidates.md"  # written by rooms above this one
 
 
 @dataclass(frozen=True)
@@ -97,8 +98,9 @@ def select_model(
         The model, the table of candidates, and sentences on what was chosen and why.
 
     Raises:
-        InputError: a plan that does not fit, records too few or too short, a budget in which no
-            candidate was fitted, or none that could be.
+        InputError: a plan that does not fit, a selection to be resumed that was asked otherwise,
+            records too few or too short, a budget in which no candidate was fitted, or none that
+            could be.
     """
     wanted, told = asked or Asked(), reporter or Reporter()
     begun = time.monotonic() if wanted.since is None else wanted.since
@@ -113,7 +115,7 @@ def select_model(
     for note in notes:
         told.say(note)
     with owned(where):
-        _make_room(at, earlier)
+        _make_room(at, earlier, _question(plan, at))
         do = executor or (lambda at: InProcess(at, told.tell))
         halving = Halving(plan, candidates, at, told.say)
         left = halving.run(do(at))
@@ -201,9 +203,26 @@ def _identifies(candidate: Candidate) -> bool:
     return "system" in candidate.content.family.needs
 
 
-def _make_room(at: Workplace, earlier: Earlier) -> None:
-    """Refuses or discards what an earlier selection left, and keeps the system's file."""
+def _question(plan: SelectionPlan, at: Workplace) -> Question:
+    """What a selection is asked; how long it may take is not part of it."""
+    candidates = [
+        {**c.model_dump(mode="json", exclude={"set"}), "recipe": c.content.model_dump(mode="json")}
+        for c in plan.candidates
+    ]
+    file, system = at.system_file, at.loaded_system
+    named = None if system is None else system.name
+    return {
+        "plan": {**plan.model_dump(mode="json"), "candidates": candidates},
+        "data": data_of(list(at.data)),
+        "system": named if file is None else file.sha256,
+    }
+
+
+def _make_room(at: Workplace, earlier: Earlier, question: Question) -> None:
+    """Refuses, discards or leaves what is there, and keeps the question and the system's file."""
     scores = sorted((at.folder / CANDIDATES).glob(f"*/*/{SCORES}"))
+    if earlier == "resume":
+        require_same(at.folder, question, MODEL)
     if earlier == "discard":
         _discard(at.folder)
     if earlier == "refuse" and scores:
@@ -215,9 +234,11 @@ def _make_room(at: Workplace, earlier: Earlier) -> None:
     if earlier != "discard":
         require_room(at.system_file, at.folder)
     files = [at.folder / name for name in (MODEL, SUMMARY, REPORT)]
-    require_new(files, overwrite=earlier != "refuse")
+    drawn = [at.folder / name for name in (FIGURES, TABLE)]
+    require_outputs([*files, *drawn], overwrite=earlier != "refuse")
     for path in files:
         path.unlink(missing_ok=True)
+    write_question(at.folder, question)
     if at.system_file is not None:
         keep(at.system_file, at.folder)
 
@@ -232,7 +253,7 @@ def _discard(folder: Path) -> None:
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return  # nobody knows which figures are its own
     drawn = {f"{name}.png" for name in (CANDIDATES, *records)}
-    remove_below(folder / _FIGURES, drawn)
+    remove_below(folder / FIGURES, drawn)
 
 
 def _nothing(halving: Halving, budget: float | None) -> InputError:

@@ -116,8 +116,9 @@ def _loop(advance: Callable[..., Any], start: Any, course: Any) -> Any:
         return jax.lax.scan(advance, x, part)
 
     length = math.isqrt(steps)
-    whole = steps // length * length
-    cut = jax.tree.map(lambda a: a[:whole].reshape(-1, length, *a.shape[1:]), course)
+    stretches = steps // length
+    whole = stretches * length
+    cut = jax.tree.map(lambda a: a[:whole].reshape(stretches, length, *a.shape[1:]), course)
     end, states = jax.lax.scan(jax.checkpoint(stretch), start, cut)
     _, rest = stretch(end, jax.tree.map(lambda a: a[whole:], course))
     return jnp.concatenate([states.reshape(whole, *states.shape[2:]), rest])
@@ -292,7 +293,8 @@ def _summed(
     layer: Affine, delta: Float[Array, "*sum n_out"], z: Float[Array, "*sum n_in"]
 ) -> Affine:
     """The gradient of a layer: its outputs' derivatives times its inputs, over steps and runs."""
-    delta, z = delta.reshape(-1, delta.shape[-1]), z.reshape(-1, z.shape[-1])
+    count = math.prod(delta.shape[:-1])
+    delta, z = delta.reshape(count, delta.shape[-1]), z.reshape(count, z.shape[-1])
     weight = (delta.T @ z).astype(layer.weight.dtype)
     if layer.bias is None:
         return Affine(weight, None)

@@ -17,12 +17,14 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import TypeAdapter
 
+from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError, refusing
 from tustinnet.families.family import family_of
 from tustinnet.fitting.gradient.loop import Resumed
 from tustinnet.fitting.gradient.plan import plan
 from tustinnet.fitting.gradient.state import Progress, TrainingState
 from tustinnet.fitting.task import Member, Task
+from tustinnet.models.contract import Model
 from tustinnet.store.sealed import read_sealed, write_sealed
 
 _KIND = "checkpoint"
@@ -66,18 +68,29 @@ def fingerprint(task: Task, member: Member) -> str:
     digest = hashlib.sha256(task.recipe.model_dump_json(exclude={"rates"}).encode())
     digest.update(member.name.encode())
     for given in (fold.physics, fold.origin and fold.origin.model):
-        if given is None:
-            continue
-        described, arrays = family_of(given).describe(given)
-        digest.update(json.dumps([described, given.channels.as_header()]).encode())
-        for name in sorted(arrays):
-            digest.update(arrays[name].tobytes())
+        if given is not None:
+            feed_model(digest, given)
     for role, records in (("train", fold.roles.train), ("validation", fold.roles.validation)):
         for e in records:
-            digest.update(f"{role} {e.name} {e.channels} {e.k_bar}".encode())
-            for array in (e.t, e.q, e.u, e.v):
-                digest.update(b"" if array is None else array.tobytes())
+            digest.update(f"{role} ".encode())
+            feed_record(digest, e)
     return digest.hexdigest()
+
+
+def feed_model(digest: Any, model: Model) -> None:
+    """Adds a model to a digest: structure, channels, arrays."""
+    described, arrays = family_of(model).describe(model)
+    digest.update(json.dumps([described, model.channels.as_header()]).encode())
+    for name in sorted(arrays):
+        digest.update(arrays[name].tobytes())
+
+
+def feed_record(digest: Any, experiment: Experiment) -> None:
+    """Adds a record to a digest: its name, what is declared of it, its samples."""
+    e = experiment
+    digest.update(f"{e.name} {e.channels} {e.k_bar}".encode())
+    for array in (e.t, e.q, e.u, e.v):
+        digest.update(b"" if array is None else array.tobytes())
 
 
 def write_checkpoint(

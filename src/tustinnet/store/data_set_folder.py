@@ -8,7 +8,7 @@ import tomli_w
 from tustinnet.data.catalog import CARD_NAME
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
-from tustinnet.store.files import require_new, require_writable_folder, write_into
+from tustinnet.store.files import require_outputs, require_writable_folder, write_into
 
 
 def write_data_set(
@@ -29,7 +29,7 @@ def write_data_set(
     """
     files = {e.name: f"{e.split}/{e.name}.csv" if e.split else f"{e.name}.csv" for e in data}
     card = folder / CARD_NAME
-    require_new([card, *(folder / file for file in files.values())], overwrite=overwrite)
+    require_outputs([card, *(folder / file for file in files.values())], overwrite=overwrite)
     require_writable_folder(folder)
     for e in data:
         write_into(folder, files[e.name], _rows(e))

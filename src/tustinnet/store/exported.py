@@ -19,7 +19,7 @@ from tustinnet.registry import TARGETS
 from tustinnet.simulate.range import Range
 from tustinnet.store.files import (
     PART,
-    require_new,
+    require_outputs,
     require_writable_folder,
     sweep,
     to_json,
@@ -160,7 +160,7 @@ def _require_room(folder: Path, *, overwrite: bool) -> None:
         raise InputError(
             folder, "a folder that holds something else", "an empty folder", "choose another --out"
         )
-    require_new([folder / CARD], overwrite=overwrite)
+    require_outputs([folder / CARD], overwrite=overwrite)
 
 
 def _holds_export(folder: Path) -> bool:

@@ -3,7 +3,7 @@
 import json
 import math
 import os
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -107,9 +107,38 @@ def owned(folder: Path) -> Iterator[None]:
             os.close(descriptor)
 
 
-def require_new(paths: Iterable[Path], *, overwrite: bool) -> None:
-    """Raises `InputError` when a file is there already and must not be replaced."""
-    there = [path for path in paths if path.exists()]
+def require_outputs(
+    paths: Iterable[Path],
+    *,
+    overwrite: bool,
+    read: Iterable[Path] = (),
+    endings: Sequence[str] = (),
+) -> None:
+    """Raises unless files may be written; asked before anything is computed.
+
+    Args:
+        paths: the files.
+        overwrite: whether those that are there may be replaced.
+        read: what they are made from, which is never replaced, under whatever name it is given.
+        endings: those that the files may have; () where no user names them.
+
+    Raises:
+        InputError: a file that is read, another ending, a folder of a file's name, or a file that
+            is there and may not be replaced.
+    """
+    # `os.path`, for which what cannot be looked at is not there
+    listed = list(paths)
+    there = [path for path in listed if os.path.exists(path)]  # noqa: PTH110
+    sources = [source for source in read if os.path.exists(source)]  # noqa: PTH110
+    for path in listed:
+        if path in there and any(path.samefile(source) for source in sources):
+            raise InputError(path, "what the command reads", "another file for what it writes")
+        if endings and path.suffix.lower() not in endings:
+            raise InputError(
+                path, f"ending '{path.suffix}'", f"a file that ends in {' or '.join(endings)}"
+            )
+        if endings and path.is_dir():
+            raise InputError(path, "a folder", "a file")
     if there and not overwrite:
         more = f" and {len(there) - 1} more" if len(there) > 1 else ""
         raise InputError(

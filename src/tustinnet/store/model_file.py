@@ -18,6 +18,7 @@ from tustinnet.store.header import read_header, read_header_and_arrays, records_
 from tustinnet.store.sealed import SEAL, write_sealed
 from tustinnet.systems.files import AnySystem, SystemFile, load_system
 
+ENDINGS = (".safetensors",)
 _PACKAGES = ("tustinnet", "jax", "jaxlib", "equinox", "optax", "numpy")
 
 

@@ -2,6 +2,7 @@
 
 folder/model.safetensors              the model, of several members the best one's
 folder/summary.json                   the account: every member and the spread
+folder/question.json                  what was asked: recipe, records, system
 folder/system.py                      a copy of the system's file, where one was given
 folder/report.html                    the page of it, written by the command when all else is there
 folder/log.jsonl                      of identifications: one line an iteration and a stage
@@ -36,7 +37,7 @@ from tustinnet.simulate.range import Cloud, cloud_of, range_of
 from tustinnet.store.checkpoint import Checkpointer, read_checkpoint
 from tustinnet.store.files import (
     owned,
-    require_new,
+    require_outputs,
     require_writable_folder,
     to_json,
     write_into,
@@ -45,11 +46,19 @@ from tustinnet.store.header import ORIGIN
 from tustinnet.store.kept_system import header_of, keep, require_room
 from tustinnet.store.log import DAMAGED, LOG, Log, SearchLog
 from tustinnet.store.model_file import save
+from tustinnet.store.question import (
+    QUESTION,
+    Question,
+    question_of,
+    require_same,
+    write_question,
+)
 from tustinnet.systems.files import SystemFile
 
 MODEL = "model.safetensors"
 SUMMARY = "summary.json"
 REPORT = "report.html"  # written by rooms above this one; discarded here with the rest
+FIGURES = "figures"  # drawn by rooms above this one
 _CHECKPOINT = "checkpoint.safetensors"
 WRITTEN = (MODEL, LOG, DAMAGED, _CHECKPOINT)  # into the folder of a member
 
@@ -208,14 +217,20 @@ def run_task(
 
     Raises:
         InputError: the folder cannot be written, another run is writing there, it holds an earlier
-            run that is neither resumed nor discarded, or its checkpoints belong to another run; an
-            identification is to be resumed; see also `fit`.
+            run that is neither resumed nor discarded; what is resumed was asked otherwise, or its
+            checkpoints belong to another run; an identification is to be resumed; see also `fit`.
     """
     with owned(folder):
         if earlier != "discard":
             require_room(system, folder)
-        _make_room(folder, earlier, trains=task.recipe.family.trains)
-        done = _fitted(task, data, folder, tell, resume=earlier == "resume")
+        question = question_of(task, system)
+        _make_room(folder, earlier, question, trains=task.recipe.family.trains)
+
+        def begin(prepared: Plan | Task) -> Listener:
+            write_question(folder, question)  # once the records are known to fit the recipe
+            return tell(prepared)
+
+        done = _fitted(task, data, folder, begin, resume=earlier == "resume")
         done = replace(done, system=system)
         _keep(done)
     return done
@@ -259,13 +274,14 @@ def _keep(done: Run) -> None:
     write_into(folder, SUMMARY, to_json(done.summary()))
 
 
-def _make_room(folder: Path, earlier: Earlier, *, trains: bool) -> None:
+def _make_room(folder: Path, earlier: Earlier, question: Question, *, trains: bool) -> None:
     """Refuses, discards or leaves what an earlier run left in a folder."""
     if earlier == "resume" and not trains:
         raise InputError(
             "--resume", "an identification is not resumed", "a training", "leave the option out"
         )
     if earlier == "resume":
+        require_same(folder, question, MODEL)
         (folder / REPORT).unlink(missing_ok=True)  # of the model as it was
         return
     places = sorted(place for place in folder.glob("seed-*") if (place / LOG).exists())
@@ -278,8 +294,8 @@ def _make_room(folder: Path, earlier: Earlier, *, trains: bool) -> None:
             "a new folder",
             "add --resume to go on with it, --overwrite to discard it, or choose another --out",
         )
-    files = [folder / name for name in (MODEL, SUMMARY, LOG, REPORT)]
-    require_new(files, overwrite=earlier == "discard")
+    files = [folder / name for name in (MODEL, SUMMARY, LOG, REPORT, FIGURES)]
+    require_outputs(files, overwrite=earlier == "discard")
 
 
 def _discard(folder: Path, seed_folders: Sequence[Path]) -> None:
@@ -289,7 +305,7 @@ def _discard(folder: Path, seed_folders: Sequence[Path]) -> None:
             (place / name).unlink(missing_ok=True)
         if not any(place.iterdir()):
             place.rmdir()
-    for name in (MODEL, SUMMARY, LOG, REPORT):
+    for name in (MODEL, SUMMARY, LOG, REPORT, QUESTION):
         (folder / name).unlink(missing_ok=True)
 
 

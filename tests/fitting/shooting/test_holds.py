@@ -8,6 +8,9 @@ import pytest
 
 import tustinnet as tn
 from tustinnet.channels import Hold
+from tustinnet.fitting.fit import fit_task
+from tustinnet.fitting.recipe_reading import read_recipe
+from tustinnet.fitting.task import Origin, make_task
 from tustinnet.models.integrate import discretise
 from tustinnet.simulate.drive import drive_of
 
@@ -60,6 +63,80 @@ def test_the_right_hold_is_found_and_told(hold):
     assert f'declare hold = "{hold}"' in told
     for name, value in TRUTH.items():
         assert found.values[name] == pytest.approx(value, rel=0.01)
+
+
+DECLARED = replace(SYSTEM, name="declared", inputs=(tn.Input("force", "N", "zero-order"),))
+SHORT = """
+name = "short"
+[model]
+kind = "hybrid"
+correction = { hidden = [4], linear = true }
+[[stages]]
+name = "only"
+windows = { draw = "strided", length = 20, count = 40 }
+rate = 1e-4
+epochs = 2
+batch = 20
+"""
+
+
+@pytest.mark.parametrize("system", [SYSTEM, DECLARED], ids=["open", "declared"])
+@pytest.mark.parametrize(
+    "recipe", [[], ["search.refine=model-20", "search.initial=anchored"]], ids=["plain", "refined"]
+)
+def test_the_model_and_its_file_have_the_hold_that_was_found(system, recipe, tmp_path):
+    """Also where the system's file says another one: free runs of records that say none use it."""
+    known = [logged("band-limited", seed) for seed in range(3)]
+    unknown = [unsaid(e) for e in known]
+    asked = tn.DataSet("d", tuple(replace(e, split=split) for e, split in zip(
+        unknown, ("train", "train", "validation"), strict=True)))  # fmt: skip
+    found = tn.fit(asked, read_recipe("grey", recipe), system=system)
+    assert found.model.inputs[0].hold == "band-limited"
+    assert found.validation_rmse is not None
+    assert found.validation_rmse < 1e-4
+    tn.save(found.model, tmp_path / "grey.safetensors")
+    model = tn.load_model(tmp_path / "grey.safetensors", system)
+    assert model.channels == found.model.channels
+    for start in ("derived-6", "model-20"):
+        here, there = (tn.evaluate(model, of, start) for of in (unknown, known))
+        assert [s.rmse for s in here] == pytest.approx([s.rmse for s in there], rel=1e-12)
+    assert tn.mean_rmse(tn.evaluate(model, unknown, "model-20")) < 1e-4
+    with pytest.raises(tn.InputError, match=r"first-order.*expected force \(N, band-limited\)"):
+        tn.evaluate(model, [logged("first-order", 0)], "derived-6")
+
+
+def test_what_begins_with_such_a_model_keeps_its_hold(tmp_path):
+    unknown = [unsaid(logged("band-limited", seed)) for seed in range(3)]
+    asked = tn.DataSet("d", tuple(unknown))
+    grey = tn.identify(asked, DECLARED).model
+    recipe = tmp_path / "short.toml"
+    recipe.write_text(SHORT)
+    hybrid = tn.fit(asked, recipe, physics=grey).model
+    assert isinstance(hybrid, tn.HybridModel)
+    assert hybrid.inputs[0].hold == hybrid.correction.inputs[0].hold == "band-limited"
+    assert tn.mean_rmse(tn.evaluate(hybrid, unknown, "model-20")) < 2e-3
+    again = [
+        fit_task(make_task(asked, "grey", system=DECLARED, origin=Origin(grey))),
+        fit_task(make_task(asked, recipe, origin=Origin(hybrid))),
+    ]
+    together = tn.committee([grey, *(of.model for (of,) in again)])
+    for i, model in enumerate([hybrid, *(of.model for (of,) in again), together]):
+        tn.save(model, tmp_path / f"{i}.safetensors")
+        loaded = tn.load_model(tmp_path / f"{i}.safetensors", DECLARED)
+        assert loaded.inputs[0].hold == "band-limited"
+
+
+def test_holds_that_inputs_say_are_taken_before_those_of_the_model():
+    values = {name: jnp.asarray(value) for name, value in TRUTH.items()}
+    own: tuple[Hold | None, ...] = (None, "unknown", "zero-order", "first-order")
+    for of in own:
+        model = replace(SYSTEM, inputs=(tn.Input("force", "N", of),)).model(values)
+        for given in (*own, "band-limited"):
+            said = tn.Input("other", "V", given, limits=(-1.0, 1.0), delay=0.02)
+            (found,) = discretise(model, DT, inputs=[said]).inputs
+            expected = of if given in (None, "unknown") and of else given
+            assert found == tn.Input("force", "N", expected, delay=0.02)
+        assert discretise(model, DT).inputs == model.inputs
 
 
 def test_terms_nobody_needs_are_left_out_before_holds_are_tried():

@@ -407,9 +407,12 @@ def validation_rmse(
         counted: 1 for those that count.
     """
     simulator = model.folded()
-    # the segments of all records side by side
+    # the segments of all records side by side; counted, for where there are no inputs the size of
+    # an array says nothing of their number
+    count = len(chosen) * runs.weight.shape[1]
     material, u, q, weight = jax.tree.map(
-        lambda a: a[chosen].reshape(-1, *a.shape[2:]), (runs.material, runs.u, runs.q, runs.weight)
+        lambda a: a[chosen].reshape(count, *a.shape[2:]),
+        (runs.material, runs.u, runs.q, runs.weight),
     )
     x0 = runs.start.states(simulator, material)
     simulated = rollouts(simulator, x0, u)[..., model.channels.position]

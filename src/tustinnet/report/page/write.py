@@ -18,9 +18,10 @@ from tustinnet.report.page.judged import Judged, judged
 from tustinnet.report.page.render import rendered
 from tustinnet.report.page.subject import Subject, model_file, subjects_of
 from tustinnet.simulate.starts import default_start
-from tustinnet.store.files import require_new, write_into
+from tustinnet.store.files import require_outputs, write_into
 from tustinnet.store.model_file import load_model
 
+ENDINGS = (".html", ".htm")
 _LARGEST, _REST = 1_000_000, 250_000  # bytes of a page, and of it what is no signal and no model
 _MODULES = 650_000  # bytes of all models in the playground, which leaves signals their room
 MOST = 5  # models; more lines than that nobody tells apart
@@ -70,14 +71,15 @@ def write_report(
 
     Raises:
         InputError: no models or records, or too many models; a model that is not there; records of
-            other channels than the models'; a file that is there; see also `evaluate`.
+            other channels than the models'; a file that is there, or that ends otherwise; see also
+            `evaluate`.
     """
     path = Path(out)
-    require_new([path], overwrite=overwrite)
+    files = [] if isinstance(models, Mapping) else [model_file(Path(of)) for of in models]
+    require_outputs([path], overwrite=overwrite, read=files, endings=ENDINGS)
     if isinstance(models, Mapping):
         subjects = [Subject(label, model) for label, model in models.items()]
     else:
-        files = [model_file(Path(of)) for of in models]
         subjects = subjects_of(files, [load_model(file) for file in files])
     listed = [records] if isinstance(records, Experiment) else list(records)
     return written(subjects, listed, path, Asked(start, horizon))

@@ -1,0 +1,216 @@
+"""What verbs write never replaces what they read, nor other files, nor anything unasked."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+from test_options import _stand_in_for_the_measured_data, options
+from test_verbs import tustinnet
+
+from tustinnet.data import catalog
+from tustinnet.evaluate import scores
+from tustinnet.selection import jobs
+from tustinnet.store import model_file, run
+
+
+class Place(NamedTuple):
+    """What verbs are given; `out` is where they may write."""
+
+    root: Path
+    logs: Path
+    model: Path
+    other: Path
+    recipe: Path
+    out: Path
+
+
+@pytest.fixture
+def place(run_folder, folder, small_recipe, tmp_path) -> Place:
+    model, other = (run_folder / f"seed-{seed}" / "model.safetensors" for seed in (0, 1))
+    return Place(tmp_path, folder, model, other, small_recipe, tmp_path / "out")
+
+
+Verb = Callable[[Place, Path], tuple[object, ...]]
+
+# verbs whose file the user names: how it ends, and how it is asked for
+FILES: dict[str, tuple[str, Verb]] = {
+    "inspect": (".png", lambda p, out: ("inspect", p.logs, "--figure", out)),
+    "residuals": (".svg", lambda p, out: ("residuals", p.model, p.logs, "--figure", out)),
+    "report": (".html", lambda p, out: ("report", p.model, p.logs, "--out", out)),
+    "calibrate": (".safetensors", lambda p, out: ("calibrate", p.model, p.logs, "--out", out)),
+    "committee": (".safetensors", lambda p, out: ("committee", p.model, p.other, "--out", out)),
+}
+# verbs that write into a folder, and files there that they would write
+FOLDERS: dict[str, tuple[Verb, list[str]]] = {
+    "fit": (
+        lambda p, out: ("fit", p.logs, "--recipe", p.recipe, "--out", out),
+        ["model.safetensors", "summary.json", "report.html", "figures/fall3.png"],
+    ),
+    "fit by a plan": (
+        lambda p, out: ("fit", p.logs, "--plan", "quick", "--out", out),
+        ["model.safetensors", "summary.json", "report.html", "figures/f.png", "candidates.md"],
+    ),
+    "cross-validate": (
+        lambda p, out: ("cross-validate", p.logs, "--recipe", p.recipe, "--out", out),
+        ["folds.json", "folds.md"],
+    ),
+    "learning-curve": (
+        lambda p, out: ("learning-curve", p.logs, "--recipe", p.recipe, "--out", out),
+        [f"learning-curve.{ending}" for ending in ("json", "md", "png")],
+    ),
+    "simulate": (
+        lambda p, out: ("simulate", p.model, p.logs, "--out", out),
+        ["fall1.csv", "noise2.csv"],
+    ),
+    "evaluate": (
+        lambda p, out: ("evaluate", p.model, p.logs, "--figures", out, "--ahead", 2),
+        ["fall1.png", "ahead.png"],
+    ),
+    "compare": (
+        lambda p, out: ("compare", p.model, p.other, p.logs, "--figures", out),
+        ["fall1.png", "noise2.png"],
+    ),
+    "export": (lambda p, out: ("export", p.model, "--to", "c", "--out", out), ["model.c", "x"]),
+    "demo": (
+        lambda p, out: ("demo", "--out", out),
+        ["twin_table.md", "twin_table.json", "twin_report.html", "twin_records.png",
+         "twin/dataset.toml", "twin_choice/model.safetensors", "twin_fall_test1.png"],
+    ),
+    "reproduce": (
+        lambda p, out: ("reproduce", "--data", p.logs, "--out", out, "--models", "gru"),
+        ["table1.json", "table1.md", "table1.tex", "report.html"],
+    ),
+}  # fmt: skip
+
+
+def test_no_verb_that_writes_is_left_out():
+    writing = {verb for verb, option in options() if option in ("--out", "--figure", "--figures")}
+    assert writing == {*FILES, *(name.removesuffix(" by a plan") for name in FOLDERS)}
+
+
+def everything(root: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(root)): p.read_bytes() for p in root.rglob("*") if p.is_file()}
+
+
+@pytest.fixture
+def refused(place, capsys, monkeypatch, pendulum):
+    """Runs the command, which must refuse in a line, compute nothing and change no file."""
+
+    def computes(*arguments, **named):
+        pytest.fail("computed before it refused")
+
+    def check(*arguments: object, told: str) -> None:
+        before = everything(place.root)
+        with monkeypatch.context() as patched:
+            patched.setattr(scores, "evaluate", computes)
+            patched.setattr(run, "fit_in", computes)
+            patched.setattr(jobs, "fit_in", computes)
+            if arguments[0] == "reproduce":
+                _stand_in_for_the_measured_data(patched, place.logs, pendulum)
+            code, out, err = tustinnet(capsys, *arguments)
+        assert (code, out) == (1, ""), err
+        (line,) = [line for line in err.splitlines() if line.startswith("error: ")]
+        assert told in line
+        assert everything(place.root) == before
+
+    return check
+
+
+READ: dict[str, Callable[[Place], Path]] = {
+    "a record": lambda p: p.logs / "fall1.csv",
+    "a record of another split": lambda p: p.logs / "noise2.csv",
+    "the card": lambda p: p.logs / "dataset.toml",
+    "the model": lambda p: p.model,
+}
+
+
+@pytest.mark.parametrize("what", READ)
+@pytest.mark.parametrize("verb", FILES)
+def test_a_file_is_never_written_over_what_is_read(
+    verb, what, place, refused, monkeypatch, tmp_path
+):
+    ending, asked = FILES[verb]
+    file = READ[what](place)
+    for loads in ("load_model", "load_models"):
+        monkeypatch.setattr(model_file, loads, lambda *_: pytest.fail("loaded a model"))
+    if verb == "inspect":
+        monkeypatch.setattr(catalog, "load", lambda *_: pytest.fail("loaded records"))
+    reads = file in (place.model, place.other) or verb != "committee"
+    reads = reads and (file != place.model or verb != "inspect")
+    told = "what the command reads" if reads else "ending"
+    for path in (file, tmp_path / "logs" / ".." / file.relative_to(tmp_path)):
+        refused(*asked(place, path), "--overwrite", told=told)
+        refused(*asked(place, path), told=told)
+    if reads:  # under another name, with the ending of what is written
+        for make in (os.link, os.symlink):
+            other = tmp_path / f"{make.__name__}{ending}"
+            make(file, other)
+            refused(*asked(place, other), "--overwrite", told="what the command reads")
+
+
+@pytest.mark.parametrize("verb", FILES)
+def test_a_file_has_the_ending_of_its_kind_and_replaces_nothing_unasked(
+    verb, place, refused, tmp_path
+):
+    ending, asked = FILES[verb]
+    first = ".png" if verb in ("inspect", "residuals") else ending
+    for name in ("notes.txt", "notes", "notes.csv", f"notes{ending}.toml"):
+        refused(*asked(place, tmp_path / name), told=f"expected a file that ends in {first}")
+        (tmp_path / name).write_text("mine")
+        refused(*asked(place, tmp_path / name), "--overwrite", told="ending")
+    (tmp_path / f"there{ending}").write_text("mine")
+    refused(*asked(place, tmp_path / f"there{ending}"), told="add --overwrite")
+    (tmp_path / f"folder{ending}").mkdir()
+    refused(*asked(place, tmp_path / f"folder{ending}"), "--overwrite", told="a folder")
+
+
+@pytest.mark.parametrize(
+    ("verb", "name"), [(verb, name) for verb, (_, names) in FOLDERS.items() for name in names]
+)
+def test_nothing_in_a_folder_is_replaced_unasked(verb, name, place, refused):
+    asked, _ = FOLDERS[verb]
+    there = place.out / name
+    there.parent.mkdir(parents=True)
+    there.write_text("mine")
+    refused(*asked(place, place.out), told="choose another" if verb == "export" else "--overwrite")
+
+
+@pytest.mark.parametrize(
+    "verb", ["fit", "fit by a plan", "cross-validate", "learning-curve", "simulate", "reproduce"]
+)
+def test_nothing_is_written_among_the_records(verb, place, refused):
+    asked, _ = FOLDERS[verb]
+    told = "what the command reads" if verb == "simulate" else "the folder of the data"
+    for more in ((), ("--overwrite",)):
+        refused(*asked(place, place.logs), *more, told=told)
+
+
+@pytest.mark.parametrize("option", ["--physics", "--from"])
+def test_a_run_is_not_written_over_the_model_that_it_is_made_from(option, place, refused):
+    for out in (place.model.parent, place.model.parent.parent):
+        refused("fit", place.logs, option, place.model, "--out", out, "--overwrite",
+                told=f"which {option} names")  # fmt: skip
+
+
+def test_an_export_is_not_written_beside_the_model(place, refused):
+    asked, _ = FOLDERS["export"]
+    refused(*asked(place, place.model.parent), "--overwrite", told="holds something else")
+
+
+def test_figures_are_replaced_where_that_is_asked_for(place, capsys, refused, tmp_path):
+    drawn = tmp_path / "drawn"
+    for verb, asked in (
+        ("inspect", ("inspect", place.logs, "--figure", drawn / "a.png")),
+        ("residuals", ("residuals", place.model, place.logs, "--figure", drawn / "b.png")),
+        ("evaluate", ("evaluate", place.model, place.logs, "--figures", drawn / "c")),
+        ("compare", ("compare", place.model, place.other, place.logs, "--figures", drawn / "d")),
+    ):
+        assert tustinnet(capsys, *asked)[0] == 0
+        refused(*asked, told="add --overwrite")
+        for path in drawn.rglob("*.png"):
+            path.write_bytes(b"")
+        assert tustinnet(capsys, *asked, "--overwrite")[0] == 0
+        assert any(path.stat().st_size for path in drawn.rglob("*.png")), verb
+        refused(*asked[:-2], "--overwrite", told="--overwrite: no figures")
