@@ -22,9 +22,11 @@ from tustinnet.engine.kernels import (
 )
 from tustinnet.engine.machine import compiled, width
 from tustinnet.engine.runs import Comparison, Directions, Runs, Samples
+from tustinnet.program.numbers import run
 
 _ALIGNED = 64  # bytes
 _KEPT = 64  # functions that are at hand
+_QUICK = 30_000  # operations that NumPy has done before they were compiled
 _POINTER, _WHOLE = ctypes.c_void_p, ctypes.c_int64
 _RUN = (_WHOLE, _WHOLE, _POINTER, _POINTER, _WHOLE, _WHOLE, *[_POINTER] * 5, _WHOLE, _POINTER)
 _COMPARE = (
@@ -88,6 +90,10 @@ def evaluate(
     formula: Formula, points: Float[np.ndarray, "n n_in"], *, derivatives: bool
 ) -> Float[np.ndarray, "n n_out"]:
     """A formula, or its derivatives, at many points; see `runs.evaluate`."""
+    program = formula.derivatives if derivatives else formula.program
+    if len(points) * len(program.nodes) < _QUICK:
+        by_hand = [run(program, x=point)["value"] for point in _plain(points)]
+        return np.stack(by_hand) if by_hand else np.zeros((0, size_of(program, "value")))
     function, constants, size = _map_function(formula, derivatives=derivatives)
     values, given = np.zeros((len(points), size)), _plain(points)
     if values.size:

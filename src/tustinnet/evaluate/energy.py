@@ -2,16 +2,14 @@
 
 from collections.abc import Sequence
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
+from tustinnet.engine.equations import Formula
+from tustinnet.engine.runs import evaluate
 from tustinnet.families.family import family_of
 from tustinnet.models.contract import Model
-from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.simulate.batches import in_batches
 
 
@@ -39,12 +37,8 @@ def energy_along(
         equations = family_of(own).equations(own)
         assert equations is not None
         every = [states[e.name] for e in some]
-        energy = np.asarray(_energies(equations, jnp.asarray(np.concatenate(every))))
+        formula = Formula(lambda x: equations.energy(x)[None], every[0].shape[1])
+        energy = evaluate(formula, np.concatenate(every))[:, 0]
         return np.split(energy, np.cumsum([len(x) for x in every])[:-1])
 
     return in_batches(model, experiments, of_batch)
-
-
-@eqx.filter_jit
-def _energies(equations: LagrangianModel, x: Float[Array, "states n"]) -> Float[Array, " states"]:
-    return jax.vmap(equations.energy)(x)

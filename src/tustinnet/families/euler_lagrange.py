@@ -11,7 +11,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +18,8 @@ from jaxtyping import Array, Float
 from pydantic import Field, field_validator
 
 from tustinnet.channels import Channels
+from tustinnet.engine.equations import Formula
+from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
 from tustinnet.families.family import Arrays, Family, Header, Hyper
 from tustinnet.families.shown import VALUES
@@ -254,13 +255,6 @@ def _file_of(system: LagrangianSystem) -> str:
         return ""
 
 
-@eqx.filter_jit
-def _derivatives(
-    model: LagrangianModel, x: Float[Array, "probes n_x"], u: Float[Array, "probes n_u"]
-) -> Float[Array, "probes n_x"]:
-    return jax.vmap(model.derivative)(x, u)
-
-
 def _names(model: LagrangianModel) -> list[str]:
     """The names of its values, without that of a group that a record took."""
     taken = {p.name for p in model.system.grouped if p.by_group(model.values)}
@@ -277,12 +271,17 @@ def _probed(model: LagrangianModel) -> Float[np.ndarray, "probes n_x"]:
     sizes = {"q": of.n_q, "v": of.n_q, "z": len(model.internal), "u": of.n_u}
     drawn = {k: _REACH[k] * generator.uniform(-1, 1, (_PROBES, n)) for k, n in sizes.items()}
     x = np.concatenate([drawn["q"], drawn["v"], drawn["z"]], axis=1)
-    found = _derivatives(model, jnp.asarray(x), jnp.asarray(drawn["u"]))
-    memory = model.system.memory
-    if memory is not None and memory.initial is not None:
-        expected = jax.vmap(model.initial_internal)(jnp.asarray(x[:, of.measured]))
-        found = jnp.concatenate([found, expected], axis=1)
-    return np.asarray(found, np.float64)
+    n_x, memory = x.shape[1], model.system.memory
+    begins = memory is not None and memory.initial is not None
+
+    def at(point: Array) -> Array:
+        parts = [model.derivative(point[:n_x], point[n_x:])]
+        if begins:
+            parts.append(model.initial_internal(point[of.measured]))
+        return jnp.concatenate(parts)
+
+    points = np.concatenate([x, drawn["u"]], axis=1)
+    return evaluate(Formula(at, points.shape[1], where=f"system '{model.system.name}'"), points)
 
 
 def _require_same(model: LagrangianModel, stored: np.ndarray | None, where: Path) -> None:

@@ -60,7 +60,9 @@ def read(
     Raises:
         InputError: it uses what no rule is there for, or loops whose end depends on the state.
     """
-    shapes = [jax.ShapeDtypeStruct((size,), np.float64) for size in inputs.values()]
+    # in single precision where JAX knows no other; the program itself computes in double
+    kind = jax.dtypes.canonicalize_dtype(np.float64)
+    shapes = [jax.ShapeDtypeStruct((size,), kind) for size in inputs.values()]
     closed, shape = jax.make_jaxpr(function, return_shape=True)(*shapes)
     tape = Tape(dict(inputs))
     given = [Numbers(np.array(tape.input(name), int)) for name in inputs]

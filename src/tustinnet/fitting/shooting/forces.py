@@ -3,8 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -12,6 +10,8 @@ from jaxtyping import Array, Float
 from tustinnet.channels import Coordinate
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.inspection import turning_around
+from tustinnet.engine.equations import Formula
+from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
 from tustinnet.models.added import LAWS, WHERE, Placed, needed, placed, with_forces
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Parameter
@@ -149,8 +149,8 @@ def _scales(
     a = np.concatenate([np.gradient(x, e.dt, axis=0) for x, e in zip(v, experiments, strict=True)])
     q, u = (np.concatenate([getattr(e, name) for e in experiments]) for name in ("q", "u"))
     model = system.model({name: jnp.asarray(x) for name, x in values.items()})
-    acting = _acting(model, *map(jnp.asarray, (q, np.concatenate(v), u, a)))
-    force = np.max([_size(np.asarray(x)) for x in acting], axis=0)
+    acting = _acting(model, q, np.concatenate(v), u, a)
+    force = np.max([_size(x) for x in acting], axis=0)
     dt, longest = experiments[0].dt, max(e.seconds for e in experiments)
     each = zip(force, _size(q), np.std(q, axis=0), _size(np.concatenate(v)), strict=True)
     return [Scale(*map(float, of), dt=dt, longest=longest) for of in each]
@@ -161,19 +161,22 @@ def _size(signal: Float[np.ndarray, "n c"]) -> Float[np.ndarray, " c"]:
     return np.sqrt(np.mean(signal**2, axis=0))
 
 
-@eqx.filter_jit
 def _acting(
     model: LagrangianModel,
-    q: Float[Array, "n n_q"],
-    v: Float[Array, "n n_q"],
-    u: Float[Array, "n n_u"],
-    a: Float[Array, "n n_q"],
-) -> tuple[Float[Array, "n n_q"], ...]:
+    q: Float[np.ndarray, "n n_q"],
+    v: Float[np.ndarray, "n n_q"],
+    u: Float[np.ndarray, "n n_u"],
+    a: Float[np.ndarray, "n n_q"],
+) -> list[Float[np.ndarray, "n n_q"]]:
     """Inertia, what comes from the energies, and actuators at standstill, at every sample."""
-    z = jnp.zeros(len(model.internal))
+    n_q, samples = q.shape[1], np.concatenate([q, v, a, u], axis=1)
 
-    def at(q: Array, v: Array, u: Array, a: Array) -> tuple[Array, ...]:
-        inertia, still = model.mass_matrix(q) @ a, jnp.zeros_like(v)
-        return inertia, model.conservative(q, v), model.applied(q, still, z, u)
+    def at(sample: Array) -> Array:
+        q, v, a = sample[:n_q], sample[n_q : 2 * n_q], sample[2 * n_q : 3 * n_q]
+        still, z = jnp.zeros_like(v), jnp.zeros(len(model.internal))
+        inertia = model.mass_matrix(q) @ a
+        applied = model.applied(q, still, z, sample[3 * n_q :])
+        return jnp.concatenate([inertia, model.conservative(q, v), applied])
 
-    return jax.vmap(at)(q, v, u, a)
+    formula = Formula(at, samples.shape[1], where=f"system '{model.system.name}'")
+    return np.split(evaluate(formula, samples), 3, axis=1)

@@ -1,10 +1,9 @@
 """Identification of a grey-box model: from records and a system to parameters one can trust."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +12,8 @@ from jaxtyping import Array, Float
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.inspection import transient_end
+from tustinnet.engine.equations import Formula
+from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
 from tustinnet.families.family import Hyper
 from tustinnet.fitting.listener import Iteration, Listener
@@ -228,25 +229,26 @@ def _transients(records: Sequence[Experiment]) -> list[Experiment]:
     return kept
 
 
-@eqx.filter_jit
 def _mass_matrices(
-    model: LagrangianModel, q: Float[Array, "n n_q"]
-) -> Float[Array, "two n n_q n_q"]:
+    model: LagrangianModel, q: Float[np.ndarray, "n n_q"]
+) -> Float[np.ndarray, "two n n_q n_q"]:
     """The mass matrix at some positions, as found at rest and in motion."""
-    hessian = jax.hessian(model.system.kinetic, argnums=1)
-    return jnp.stack(
-        [
-            jax.vmap(lambda x, s=s: hessian(x, jnp.full_like(x, s), model.values))(q)
-            for s in (0.0, 1.0)
-        ]
-    )
+    hessian, n_q = jax.hessian(model.system.kinetic, argnums=1), q.shape[1]
+
+    def at(q: Array) -> Array:
+        both = [hessian(q, jnp.full_like(q, speed), model.values) for speed in (0.0, 1.0)]
+        return jnp.stack(both).ravel()
+
+    where = f"system '{model.system.name}', kinetic"
+    values = evaluate(Formula(at, n_q, where=where), q)
+    return np.swapaxes(values.reshape(len(q), 2, n_q, n_q), 0, 1)
 
 
 def _require_mass(model: LagrangianModel, records: Sequence[Experiment]) -> None:
     """The mass matrix must be positive definite wherever the records have been."""
     system = model.system
     q = np.concatenate([e.q[:: max(1, len(e) // 50)] for e in records])
-    still, moving = np.asarray(_mass_matrices(model, jnp.asarray(q)))
+    still, moving = _mass_matrices(model, q)
     where = f"system '{system.name}', kinetic"
     if not np.isfinite(still).all():
         raise InputError(where, "not a finite number at a measured position", "finite numbers")
@@ -267,22 +269,25 @@ def _require_mass(model: LagrangianModel, records: Sequence[Experiment]) -> None
         )
 
 
-@eqx.filter_jit
-def _answers(
-    model: LagrangianModel,
-    q: Float[Array, "n n_q"],
-    v: Float[Array, "n n_q"],
-    u: Float[Array, "n n_u"],
-) -> dict[str, Float[Array, "n n_q"]]:
-    """What energies and forces contribute to the equations of motion at some samples."""
-    p, asked = model.values, {}
-    if potential := model.system.potential:
-        asked["potential"] = jax.vmap(lambda q: jax.grad(potential)(q, p))(q)
-    if lost := model.system.dissipation:
-        asked["dissipation"] = jax.vmap(lambda q, v: jnp.asarray(lost(q, v, p)))(q, v)
-    if acting := model.system.input_map:
-        asked["input_map"] = jax.vmap(lambda q, v, u: jnp.asarray(acting(q, v, u, p)))(q, v, u)
-    return asked
+def _contributions(
+    model: LagrangianModel, samples: Float[np.ndarray, "n n_s"]
+) -> Iterator[tuple[str, Float[np.ndarray, "n n_q"]]]:
+    """What energies and forces add to the equations of motion at samples [q, v, u]."""
+    system, p, of = model.system, model.values, model.channels
+
+    def parts(sample: Array) -> tuple[Array, Array, Array]:
+        return sample[of.position], sample[of.velocity], sample[of.measured.stop :]
+
+    formulas: dict[str, Callable[[Array], Array]] = {}
+    if potential := system.potential:
+        formulas["potential"] = lambda s: jax.grad(potential)(parts(s)[0], p)
+    if dissipation := system.dissipation:
+        formulas["dissipation"] = lambda s: jnp.asarray(dissipation(*parts(s)[:2], p))
+    if input_map := system.input_map:
+        formulas["input_map"] = lambda s: jnp.asarray(input_map(*parts(s), p))
+    for name, formula in formulas.items():
+        where = f"system '{system.name}', {name}"
+        yield name, evaluate(Formula(formula, samples.shape[1], where=where), samples)
 
 
 def _require_finite(model: LagrangianModel, records: Sequence[Experiment]) -> None:
@@ -291,8 +296,8 @@ def _require_finite(model: LagrangianModel, records: Sequence[Experiment]) -> No
         np.concatenate(of)
         for of in zip(*[(e.q, e.velocities(), e.u) for e in records], strict=True)
     )
-    for name, found in _answers(model, *map(jnp.asarray, (q, v, u))).items():
-        bad = np.flatnonzero(~np.isfinite(np.asarray(found)).all(axis=1))
+    for name, found in _contributions(model, np.concatenate([q, v, u], axis=1)):
+        bad = np.flatnonzero(~np.isfinite(found).all(axis=1))
         if len(bad):
             k = int(bad[0])
             at = [

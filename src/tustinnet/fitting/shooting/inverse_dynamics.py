@@ -106,7 +106,6 @@ def first_values(
         Atkeson, An, Hollerbach (1986), Estimation of inertial parameters of manipulator loads
         and links (linear least squares). Preisig, Rippin (1993), modulating functions.
     """
-    rows = motion.begins[:, None] + np.arange(motion.length)
     s = np.linspace(-1, 1, motion.length)
     bump = (1 - s**2) ** 3
     slope = -6 * s * (1 - s**2) ** 2 * 2 / ((motion.length - 1) * motion.dt)
@@ -114,24 +113,25 @@ def first_values(
     measured, n_q = np.concatenate([motion.q, motion.v, motion.u], axis=1), motion.q.shape[1]
     base = equations.base(space)
 
+    def integrated(signal: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        return np.stack([weight @ signal[k : k + motion.length] for k in motion.begins])
+
     def at(point: Searched) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         parameters = equations.values(space.values(point), motion.pick)
         samples = np.concatenate([measured, parameters], axis=1)
-        momentum, force = np.split(evaluate(equations.momenta, samples), [n_q], axis=1)
+        momentum, force = np.split(evaluate(equations.momenta, samples), 2, axis=1)
         slopes = evaluate(equations.momenta, samples, derivatives=True)
-        slopes = slopes.reshape(len(samples), 2 * n_q, -1)[:, :, base]
-        slopes = slopes * equations.chain(space, point, motion.pick)[:, None]
-        by_momentum, by_force = np.split(slopes, [n_q], axis=1)
-        lifted = np.tensordot(momentum[rows], slope, ([1], [0]))
-        residual = lifted + np.tensordot(force[rows], bump, ([1], [0]))
-        jacobian = np.tensordot(by_momentum[rows], slope, ([1], [0])) + np.tensordot(
-            by_force[rows], bump, ([1], [0])
-        )
-        return residual, jacobian, lifted
+        by_momentum, by_force = np.split(slopes, 2, axis=1)
+        lifted = integrated(momentum, slope)
+        residual = lifted + integrated(force, bump)
+        jacobian = integrated(by_momentum, slope) + integrated(by_force, bump)
+        jacobian = jacobian.reshape(len(motion.begins), n_q, -1)[:, :, base]
+        chain = equations.chain(space, point, motion.pick[motion.begins])
+        return residual, jacobian * chain[:, None], lifted
 
     # each equation in units of its own momentum at the start
     unit = np.sqrt(np.mean(at(vector)[2] ** 2, axis=0))
-    unit = np.where(unit > 0, unit, 1.0) * np.sqrt(len(rows))
+    unit = np.where(unit > 0, unit, 1.0) * np.sqrt(len(motion.begins))
     # residuals and their derivatives are asked for one after the other, at the same point
     answer = lru_cache(1)(lambda point: at(np.frombuffer(point)))
 
