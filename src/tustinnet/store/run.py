@@ -227,11 +227,13 @@ def run_task(
         _make_room(folder, earlier, question, trains=task.recipe.family.trains)
 
         def begin(prepared: Plan | Task) -> Listener:
-            write_question(folder, question)  # once the records are known to fit the recipe
+            if isinstance(prepared, Plan):  # a training whose records are known to fit the recipe
+                write_question(folder, question)
             return tell(prepared)
 
         done = _fitted(task, data, folder, begin, resume=earlier == "resume")
         done = replace(done, system=system)
+        write_question(folder, question)
         _keep(done)
     return done
 
