@@ -18,7 +18,6 @@ from .export.casadi import casadi_step as casadi_step
 from .export.compiled_step import compiled_step as compiled_step
 from .export.control import control_system as control_system
 from .export.control import state_space as state_space
-from .export.numpy_step import numpy_step as numpy_step
 from .families.committee import Committee as Committee
 from .families.committee import committee as committee
 from .families.family import Family as Family

@@ -161,8 +161,6 @@ def test_it_is_linearised_stepped_by_any_period_and_compiled():
     np.testing.assert_allclose(jax.jit(lambda: together.advance(x, u, DT))(), following, rtol=1e-12)
     with pytest.raises(tn.InputError, match="steps from timestamp to timestamp"):
         tn.committee([physics(), network(0)]).advance(jnp.zeros(3), u, 0.01)
-    with pytest.raises(tn.InputError, match=r"a model of kind 'committee'.*use compiled_step"):
-        tn.numpy_step(together)
 
 
 GROUPED = replace(

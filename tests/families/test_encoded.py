@@ -149,7 +149,7 @@ def test_it_steps_as_its_model_does():
     u = np.asarray(drive_of(alone, e).u)[0]
     x = x0.astype(np.float32)
     plain = network(0)
-    first, second = (tn.numpy_step(of)(x[:2], u) for of in (encoded(plain), plain))
+    first, second = (tn.compiled_step(of)(x[:2], u) for of in (encoded(plain), plain))
     np.testing.assert_array_equal(first, second)
 
 

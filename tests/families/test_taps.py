@@ -95,9 +95,9 @@ def test_taps_that_mean_nothing_are_refused(model, message):
         tn.read_recipe({**SMALL, "model": model})
 
 
-def test_a_numpy_step_holds_its_input_at_all_taps(swings):
+def test_a_compiled_step_holds_its_input_at_all_taps(swings):
     model = tapped(swings)
     x, u = np.array([0.3, -0.2]), np.array([0.7])
     np.testing.assert_allclose(
-        tn.numpy_step(model)(x, u), model.step(jnp.asarray(x), jnp.asarray(u))
+        tn.compiled_step(model)(x, u), model.step(jnp.asarray(x), jnp.asarray(u))
     )

@@ -128,7 +128,6 @@ SIZES = {
     "families/neural_ode.py": "how many outputs a network has",
     "families/linear.py": "the size of the measured part in a matrix",
 }
-NUMPY_STEP = "families/tustin_net.py"  # written out for speed, without the package
 NOT_STATES = {"signs"}  # one of each coordinate and each input
 
 
@@ -162,22 +161,12 @@ def doubled(tree: ast.AST) -> Iterator[ast.expr]:
                 yield node
 
 
-def within(tree: ast.AST, function: str) -> set[ast.AST]:
-    """All that stands in a function."""
-    for node in ast.walk(tree):
-        if isinstance(node, Function) and node.name == function:
-            return set(ast.walk(node))
-    raise AssertionError(f"no function {function}")
-
-
 @pytest.mark.parametrize("module", modules_outside("channels.py"))
 def test_a_state_is_taken_apart_by_its_channels(module):
     tree = tree_of(module)
     found: set[ast.expr] = set(slices_by_hand(tree))
     if module not in SIZES:
         found |= set(doubled(tree))
-    if module == NUMPY_STEP:
-        found = {node for node in found if node not in within(tree, "_numpy_step")}
     lines = sorted(node.lineno for node in found)
     assert not lines, f"{module}: channels.position, .velocity, .measured, .internal say it"
 

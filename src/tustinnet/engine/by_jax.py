@@ -1,5 +1,6 @@
 """Runs of equations by JAX: what `by_machine_code` does, compiled by XLA."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -47,6 +48,22 @@ def evaluate(
 ) -> Float[np.ndarray, "n n_out"]:
     """A formula, or its derivatives, at many points; see `runs.evaluate`."""
     return np.array(_values(formula, derivatives, points)).reshape(len(points), -1)
+
+
+def stepping(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """A function that steps a discrete model once; see `runs.stepping`."""
+    nothing = np.zeros(0)
+    size = np.zeros(equations.n_x), np.zeros(equations.n_u)
+
+    def ahead(x: Array, u: Array) -> Array:
+        return equations.function(x, u, jnp.asarray(nothing), jnp.asarray(nothing))
+
+    program = jax.jit(ahead).lower(*size).compile()
+
+    def step(state: np.ndarray, inputs: np.ndarray) -> np.ndarray:
+        return np.asarray(program(np.asarray(state, float), np.asarray(inputs, float)))
+
+    return step
 
 
 def _rows(runs: Runs, longest: int) -> np.ndarray:

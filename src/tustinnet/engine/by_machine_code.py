@@ -19,6 +19,7 @@ from tustinnet.engine.kernels import (
     map_kernel,
     run_kernel,
     size_of,
+    step_kernel,
 )
 from tustinnet.engine.machine import compiled, width
 from tustinnet.engine.runs import Comparison, Directions, Runs, Samples
@@ -99,6 +100,26 @@ def evaluate(
     if values.size:
         function(len(points), _at(constants), _at(given), _at(values))
     return values
+
+
+def stepping(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """A function that steps a discrete model once; see `runs.stepping`."""
+    function, constants = _function(step_kernel(equations), "step", (_POINTER,) * 4)
+    n_x, n_u = equations.n_x, equations.n_u
+    # memory of its own, whose addresses are known: to ask an array for its address takes longer
+    # than the step
+    memory = constants, *(np.zeros(max(1, n)) for n in (n_x, n_u, n_x))
+    addresses = [_at(array) for array in memory]
+
+    def step(state: np.ndarray, inputs: np.ndarray) -> np.ndarray:
+        _, x, u, ahead = memory
+        x[:] = state
+        if n_u:
+            u[:] = inputs
+        function(*addresses)
+        return ahead.copy()
+
+    return step
 
 
 def _table(runs: Runs, lanes: int) -> Int[np.ndarray, "lanes columns"]:

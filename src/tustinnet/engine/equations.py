@@ -40,7 +40,7 @@ class Equations:
         """The function as a program: `x`, `u`, `p`, `c` to `x`.
 
         Raises:
-            InputError: it uses what no program can hold.
+            Unreadable: it uses what no program can hold.
         """
         sizes = {"x": self.n_x, "u": self.n_u, "p": self.n_p, "c": self.n_c}
         return read(lambda x, u, p, c: {"x": self.function(x, u, p, c)}, sizes, self.where)
@@ -92,7 +92,7 @@ class Formula:
         """The function as a program: `x` to `value`.
 
         Raises:
-            InputError: it uses what no program can hold.
+            Unreadable: it uses what no program can hold.
         """
         return read(lambda x: {"value": self.function(x)}, {"x": self.size}, self.where)
 

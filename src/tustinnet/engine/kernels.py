@@ -39,6 +39,7 @@ COMPARE = (
     "ptr %weight, ptr %work, ptr %errors, ptr %products, ptr %gradient, ptr %cost"
 )
 MAP = "i64 %count, ptr %constants, ptr %in, ptr %out"
+STEP = "ptr %constants, ptr %x, ptr %u, ptr %out"
 MOST_ORDER = 8  # coefficients of the polynomials that inputs follow between samples
 
 
@@ -104,6 +105,19 @@ def map_kernel(formula: Formula, lanes: int, *, derivatives: bool) -> Kernel:
             for i, value in enumerate(found):
                 at = f.at("%out", f.whole("add", base, i), "double")
                 f.line(f"store double {f.lane(value, lane)}, ptr {at}, align 8")
+    f.line("ret void")
+    module.finish(f)
+    return Kernel(module.text(), tuple(constants.numbers))
+
+
+def step_kernel(equations: Equations) -> Kernel:
+    """One step of a discrete model without parameters, of single numbers."""
+    module, constants = Module(1), Constants()
+    f = module.function("step", STEP, own=False)
+    inputs = {"x": "%x", "u": "%u", "p": "%x", "c": "%x"}  # of the last two there are none
+    emission = Emission(f, equations.program, inputs, constants, "%constants")
+    for i, number in enumerate(emission.outputs()["x"]):
+        f.store(emission.plain(number), "%out", i)
     f.line("ret void")
     module.finish(f)
     return Kernel(module.text(), tuple(constants.numbers))

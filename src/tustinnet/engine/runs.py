@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 
 from tustinnet.engine.equations import Equations, Formula, Residual
 from tustinnet.errors import InputError
+from tustinnet.program.reading import Unreadable
 
 VARIABLE = "TUSTINNET_ENGINE"  # of the environment
 ENGINES = ("llvm", "jax")
@@ -172,6 +173,23 @@ def evaluate(
     )
 
 
+def stepping(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """A function that steps a discrete model without parameters once: `step(x, u) -> x`.
+
+    It uses memory of its own, so each thread needs one of its own.
+
+    Raises:
+        InputError: an engine that there is not.
+    """
+    from tustinnet.engine import by_jax, by_machine_code
+
+    return _chosen(
+        lambda: by_machine_code.stepping(equations),
+        lambda: by_jax.stepping(equations),
+        lambda: equations.program,
+    )
+
+
 def engine() -> str:
     """The engine that is used: `llvm`, or `jax` where the environment says so or LLVM is missing.
 
@@ -197,7 +215,7 @@ def _chosen(
         return slow()
     try:
         read()
-    except InputError as refused:
+    except Unreadable as refused:
         _say_once(f"{refused}; simulated by JAX instead, which is slower")
         return slow()
     return fast()

@@ -18,7 +18,6 @@ from tustinnet.families.family import (
     Family,
     Header,
     Hyper,
-    NumpyStep,
     family_of,
     filled,
     named_arrays,
@@ -238,10 +237,6 @@ class EncodedFamily(Family):
     def equations(self, model: EncodedModel) -> LagrangianModel | None:
         """Those of the model."""
         return family_of(model.dynamics).equations(model.dynamics)
-
-    def numpy_step(self, model: EncodedModel, dtype: type[np.floating]) -> NumpyStep:
-        """That of the model."""
-        return family_of(model.dynamics).numpy_step(model.dynamics, dtype)
 
 
 FAMILY = EncodedFamily()

@@ -23,7 +23,6 @@ from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.registry import FAMILIES, SHOWN
 
 Vector = Float[np.ndarray, " _"]
-NumpyStep = Callable[[Vector, Vector], Vector]
 Regulariser = Callable[[Model, Float[Array, " n_x"], Array], Float[Array, ""]]
 Given = Literal["system", "physics"]
 
@@ -210,12 +209,6 @@ class Family(ABC):
             At least two; none of a model that does not know its own errors.
         """
         return ()
-
-    def numpy_step(self, model: Any, dtype: type[np.floating]) -> NumpyStep:
-        """A step that needs NumPy only."""
-        raise InputError(
-            "numpy_step", f"a model of kind '{self.kind}'", "a Tustin-Net", "use compiled_step"
-        )
 
 
 def _differing(said: Header, other: Header) -> str:

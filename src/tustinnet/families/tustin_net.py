@@ -20,8 +20,6 @@ from tustinnet.families.family import (
     Family,
     Header,
     LayeredStage,
-    NumpyStep,
-    Vector,
     filled,
     mask_of,
     named_arrays,
@@ -282,10 +280,6 @@ class TustinNetFamily(Family):
         rest = filled(lambda: jnp.zeros(channels.n_q), arrays, REST) if share else None
         return TustinNet(network, channels, times, taps, share, rest)
 
-    def numpy_step(self, model: TustinNet, dtype: type[np.floating]) -> NumpyStep:
-        """Its step, scaling merged into the first and the last layer."""
-        return _numpy_step(model, dtype)
-
 
 FAMILY = TustinNetFamily()
 
@@ -340,127 +334,3 @@ def _least_squares(
     found = np.linalg.lstsq(np.column_stack([seen, constant]), said, rcond=None)[0]
     weight, bias = (jnp.asarray(a, jnp.float32) for a in (found[:-1].T, found[-1]))
     return Affine(weight, bias)
-
-
-# the activations of a network, each in the place of its argument
-def _leaky_relu(z: Vector) -> None:
-    np.maximum(z, 0.01 * z, out=z)
-
-
-def _relu(z: Vector) -> None:
-    np.maximum(z, 0.0, out=z)
-
-
-def _tanh(z: Vector) -> None:
-    np.tanh(z, out=z)
-
-
-def _silu(z: Vector) -> None:
-    z /= 1 + np.exp(-z)
-
-
-def _softplus(z: Vector) -> None:
-    np.logaddexp(z, 0.0, out=z)
-
-
-_IN_PLACE = {
-    "leaky_relu": _leaky_relu,
-    "relu": _relu,
-    "tanh": _tanh,
-    "silu": _silu,
-    "softplus": _softplus,
-}
-
-
-def _numpy_layers(
-    network: Network, channels: Channels, n_z: int, taps: int, dtype: type[np.floating]
-) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray, np.ndarray, np.ndarray]:
-    """Hidden layers that take features without units; output layer that says velocity changes.
-
-    Last the linear map of the features that is added, zeros where there is none.
-    """
-    s = {name: np.asarray(value, np.float64) for name, value in vars(network.scaling).items()}
-    angles = np.ones(2 * int(channels.angular.sum()))
-    inputs = np.tile(s["input"], taps)
-    unit = np.concatenate([angles, s["position_scale"], s["velocity"], s["memory"], inputs])
-    rest = np.zeros(channels.n_q + n_z + len(inputs))
-    shift = np.concatenate([0 * angles, s["position_offset"], rest])
-
-    def plain(layer: Affine, *, first: bool) -> tuple[np.ndarray, np.ndarray]:
-        weight = np.asarray(layer.weight, np.float64)
-        bias = np.zeros(len(weight)) if layer.bias is None else np.asarray(layer.bias, np.float64)
-        weight = weight / unit if first else weight
-        return weight, bias - weight @ shift if first else bias
-
-    hidden = [plain(layer, first=i == 0) for i, layer in enumerate(network.hidden)]
-    layers = [(weight.astype(dtype), bias.astype(dtype)) for weight, bias in hidden]
-    gain, output = channels.dt * s["acceleration"], network.output
-    last = (gain[:, None] * np.asarray(output.weight, np.float64)).astype(dtype)
-    offset = np.zeros(channels.n_q) if output.bias is None else gain * np.asarray(output.bias)
-    beside = np.zeros((channels.n_q, len(unit)))
-    if network.bypass is not None:
-        weight, bias = plain(network.bypass, first=True)
-        beside = gain[:, None] * weight
-        if not network.odd:
-            offset = offset + gain * bias
-    return layers, last, offset.astype(dtype), beside.astype(dtype)
-
-
-def _numpy_step(model: TustinNet, dtype: type[np.floating]) -> NumpyStep:
-    of, times = model.channels, model.relaxation_times
-    n_q, n_u, n_z, taps = of.n_q, of.n_u, len(model.internal), len(model.taps) or 1
-    angles, lengths = np.flatnonzero(of.angular), np.flatnonzero(~of.angular)
-    n_a, n_l = len(angles), len(lengths)
-    network = model.network.folded()
-    layers, last, offset, beside = _numpy_layers(network, of, n_z, taps, dtype)
-    bypassed = network.bypass is not None
-    half, activate = dtype(of.dt / 2), _IN_PLACE[network.activation]
-    velocity, internal = of.velocity, of.internal
-    positions = 2 * n_a + n_l
-    width = positions + n_q + n_z
-    # z relaxes and follows the mean velocity of the period
-    left, moved = (
-        np.asarray(relax(np.full(n_z, z), np.full(n_q, v), of.dt, times), dtype)
-        for z, v in ((1.0, 0.0), (0.0, 1.0))
-    )
-
-    def said(features: Vector) -> Vector:
-        z = features
-        for weight, bias in layers:
-            z = weight @ z
-            z += bias
-            activate(z)
-        change = last @ z
-        if bypassed:
-            change += beside @ features
-        return change
-
-    def step(x: Vector, u: Vector) -> Vector:
-        features = np.empty(width + taps * n_u, dtype)
-        angle = x[:n_q] if not n_l else x[angles]
-        np.sin(angle, out=features[:n_a])
-        np.cos(angle, out=features[n_a : 2 * n_a])
-        if n_l:
-            features[2 * n_a : positions] = x[lengths]
-        v = x[velocity]
-        features[positions:width] = x[n_q:]
-        features[width:] = u if taps == 1 else np.tile(u, taps)
-        change = said(features)
-        if network.odd:  # all but the cosines of the opposite state are opposite
-            np.negative(features, out=features)
-            features[n_a : 2 * n_a] *= -1
-            change -= said(features)
-            change /= 2
-        following = np.empty(2 * n_q + n_z, dtype)
-        v_next = following[velocity]
-        np.add(change, v, out=v_next)
-        v_next += offset
-        np.add(v, v_next, out=following[:n_q])
-        if n_z:
-            mean = np.tile(following[:n_q] / 2, len(times))
-            following[internal] = left * x[internal] + moved * mean
-        following[:n_q] *= half
-        following[:n_q] += x[:n_q]
-        return following
-
-    return step

@@ -58,7 +58,7 @@ def read(
         what: what is read, for messages.
 
     Raises:
-        InputError: it uses what no rule is there for, or loops whose end depends on the state.
+        Unreadable: it uses what no rule is there for, or loops whose end depends on the state.
     """
     # in single precision where JAX knows no other; the program itself computes in double
     kind = jax.dtypes.canonicalize_dtype(np.float64)
@@ -209,7 +209,7 @@ class _Reader:
         inner = _Reader(tape, self._what)
         try:
             out = inner.run(closed.jaxpr, closed.consts, inputs)
-        except _Inside:
+        except Unreadable:
             return None  # as a counter that is an index: written out it is known
         body = tape.program({k: inner.ids(v).ravel() for k, v in zip(starts, out, strict=True)})
         if body.operations * length <= _UNROLLED:
@@ -250,15 +250,15 @@ class _Reader:
         raise Refused(f"of more than {_TURNS} turns")
 
     def _refusal(self, eqn: Any, why: str) -> InputError:
-        return _Inside(
+        return Unreadable(
             self._what, f"the model uses '{eqn.primitive.name}' {why}".rstrip() + _place(eqn),
             "arithmetic, functions as sin and exp, matrices, loops of a fixed length",
             "write that function with these",
         )  # fmt: skip
 
 
-class _Inside(InputError):
-    """A refusal, which a loop that can be written out differently may catch."""
+class Unreadable(InputError):
+    """A function that no program can hold: of what its primitives do there is no rule."""
 
 
 def _constant(value: Any) -> np.ndarray:
