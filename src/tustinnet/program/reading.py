@@ -270,16 +270,40 @@ def _row(value: Value, i: int) -> Value:
 
 
 def _computed(eqn: Any, operands: list[Value]) -> list[Value]:
-    """What JAX makes of constants; of single numbers NumPy does the same, without compiling."""
-    name, out = eqn.primitive.name, eqn.outvars[0].aval
-    if name in OPERATIONS and name != "select" and np.dtype(out.dtype).kind == "f":
+    """What JAX makes of constants; NumPy does the most usual, which JAX would compile for that."""
+    name, params, out = eqn.primitive.name, eqn.params, eqn.outvars[0].aval
+    kind = np.dtype(out.dtype)
+    known = _BY_NUMPY.get(name)
+    whole = name in ("div", "rem") and kind.kind in "iu"  # rounded otherwise than by NumPy
+    if known is None and name in OPERATIONS and name != "select" and not whole:
+        known = _operation(name)
+    if known is not None:
         with np.errstate(all="ignore"):
-            return [np.asarray(OPERATIONS[name].apply(*operands), out.dtype)]
-    if name == "convert_element_type":
-        return [np.asarray(operands[0]).astype(eqn.params["new_dtype"])]
-    bound = eqn.primitive.bind(*map(jnp.asarray, operands), **eqn.params)
+            return [np.asarray(known(params, *operands), kind)]
+    bound = eqn.primitive.bind(*map(jnp.asarray, operands), **params)
     several = bound if eqn.primitive.multiple_results else [bound]
     return [np.asarray(b) for b in several]
+
+
+def _operation(name: str) -> Callable[..., Any]:
+    return lambda params, *operands: OPERATIONS[name].apply(*operands)
+
+
+def _iota(params: dict[str, Any]) -> np.ndarray:
+    shape, axis = params["shape"], params["dimension"]
+    counts = np.arange(shape[axis]).reshape([-1 if i == axis else 1 for i in range(len(shape))])
+    return np.broadcast_to(counts, shape)
+
+
+# primitives on constants by NumPy, beside the operations: of (params, *operands)
+_BY_NUMPY: dict[str, Callable[..., Any]] = {
+    "iota": _iota,
+    "convert_element_type": lambda params, x: np.asarray(x).astype(params["new_dtype"]),
+    "integer_pow": lambda params, x: np.asarray(x) ** params["y"],
+    "square": lambda params, x: np.square(x),
+    "reduce_sum": lambda params, x: np.sum(x, axis=tuple(params["axes"])),
+    "stop_gradient": lambda params, x: x,
+}
 
 
 def _place(eqn: Any) -> str:
