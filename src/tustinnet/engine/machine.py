@@ -11,7 +11,7 @@ from tustinnet.engine.functions import SCALAR, SYMBOL
 _WIDTHS = (("avx512f", 8), ("avx", 4))  # numbers of a vector, by what the processor has
 _NARROW = 2
 _KEPT = 256  # compiled modules
-_LEVEL = 1
+_PASSES, _LEVEL = 1, 2  # how hard LLVM optimises modules, and instructions of the processor
 
 
 class Compiled:
@@ -24,7 +24,7 @@ class Compiled:
     def __init__(self, text: str) -> None:
         binding, target = _target()
         module = binding.parse_assembly(text)
-        options = binding.create_pipeline_tuning_options(speed_level=_LEVEL)
+        options = binding.create_pipeline_tuning_options(speed_level=_PASSES)
         passes = binding.create_pass_builder(target, options)
         passes.getModulePassManager().run(module, passes)
         self._engine = binding.create_mcjit_compiler(module, target)
@@ -72,7 +72,7 @@ def _target() -> tuple[Any, Any]:
     target = binding.Target.from_default_triple().create_target_machine(
         cpu=binding.get_host_cpu_name(),
         features=binding.get_host_cpu_features().flatten(),
-        opt=2,
+        opt=_LEVEL,
         jit=True,
     )
     return binding, target
