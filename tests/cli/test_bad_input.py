@@ -161,7 +161,8 @@ def test_an_output_folder_that_cannot_be_written(folder, model, small_recipe, tm
 @pytest.mark.parametrize("verb", ["inspect", "residuals"])
 def test_a_figure_of_another_format(verb, folder, model, tmp_path, refused):
     given = (folder,) if verb == "inspect" else (model, folder)
-    refused(verb, *given, "--figure", tmp_path / "figure.xyz", names=(".xyz", ".png or .svg or .pdf"))
+    names = (".xyz", ".png or .svg or .pdf")
+    refused(verb, *given, "--figure", tmp_path / "figure.xyz", names=names)
 
 
 def test_unknown_names(folder, model, tmp_path, refused):
