@@ -39,11 +39,6 @@ class SystemEquations:
     delays: bool
 
     @property
-    def n_measured(self) -> int:
-        """How many positions and velocities there are."""
-        return 2 * len(self.system.coordinates)
-
-    @property
     def n_p(self) -> int:
         """How many parameters derivatives are needed by."""
         return len(self.searched)
@@ -70,7 +65,7 @@ class SystemEquations:
 
         return Equations(
             derivative,
-            n_x=self.n_measured + len(system.internal),
+            n_x=system.channels.measured.stop + len(system.internal),
             n_u=2 * n_u if self.delays else n_u,
             n_p=self.n_p,
             n_c=self.size - self.n_p,
@@ -80,13 +75,14 @@ class SystemEquations:
     @cached_property
     def expected(self) -> Formula:
         """The internal states that are expected at a beginning, by [q, v] and the parameters."""
-        system, n_m = self.system, self.n_measured
+        system, measured = self.system, self.system.channels.measured
 
         def expected(point: Array) -> Array:
-            return system.model(self._of_point(point[n_m:])).initial_internal(point[:n_m])
+            model = system.model(self._of_point(point[measured.stop :]))
+            return model.initial_internal(point[measured])
 
-        size = n_m + self.size
-        return Formula(expected, size, range(n_m + self.n_p), f"system '{system.name}'")
+        by = range(measured.stop + self.n_p)
+        return Formula(expected, measured.stop + self.size, by, f"system '{system.name}'")
 
     @cached_property
     def momenta(self) -> Formula:
@@ -94,12 +90,12 @@ class SystemEquations:
 
         Differentiated by the parameters that are searched for. Forces with memory are left out.
         """
-        system = self.system
-        n_q, n_m, n_u = len(system.coordinates), self.n_measured, len(system.inputs)
+        system, of = self.system, self.system.channels
+        first = of.measured.stop + of.n_u
 
         def momenta(point: Array) -> Array:
-            q, v, u = point[:n_q], point[n_q:n_m], point[n_m : n_m + n_u]
-            values = self._of_point(point[n_m + n_u :])
+            q, v, u = point[of.position], point[of.velocity], point[of.measured.stop : first]
+            values = self._of_point(point[first:])
             momentum = jax.grad(system.kinetic, argnums=1)(q, v, values)
             force = jax.grad(system.kinetic)(q, v, values)
             if system.potential:
@@ -107,7 +103,6 @@ class SystemEquations:
             still = jnp.zeros(len(system.internal), q.dtype)
             return jnp.concatenate([momentum, force + system.model(values).applied(q, v, still, u)])
 
-        first = n_m + n_u
         return Formula(
             momenta, first + self.size, range(first, first + self.n_p), f"system '{system.name}'"
         )
@@ -118,7 +113,7 @@ class SystemEquations:
 
         Differentiated by the state.
         """
-        n_x, n_u = self.n_measured + len(self.system.internal), len(self.system.inputs)
+        n_x, n_u = self.motion.n_x, len(self.system.inputs)
 
         def derivative(point: Array) -> Array:
             model = self.system.model(self._of_point(point[n_x + n_u :]))
@@ -200,7 +195,7 @@ class SystemEquations:
             States (n, n_x); derivatives, a direction in a row: (n, n_p, n_x), (n, n_x, n_x).
         """
         n, n_x = x0.shape
-        n_m, n_p, start = self.n_measured, self.n_p, x0.copy()
+        n_m, n_p, start = self.system.channels.measured.stop, self.n_p, x0.copy()
         by_parameter, by_state = np.zeros((n, n_p, n_x)), np.tile(np.eye(n_x), (n, 1, 1))
         if self.system.memory is None or self.system.memory.initial is None:
             return start, by_parameter, by_state

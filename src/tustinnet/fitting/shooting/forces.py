@@ -169,13 +169,13 @@ def _acting(
     a: Float[np.ndarray, "n n_q"],
 ) -> list[Float[np.ndarray, "n n_q"]]:
     """Inertia, what comes from the energies, and actuators at standstill, at every sample."""
-    n_q, samples = q.shape[1], np.concatenate([q, v, a, u], axis=1)
+    samples, ends = np.concatenate([q, v, a, u], axis=1), np.cumsum([x.shape[1] for x in (q, v, a)])
 
     def at(sample: Array) -> Array:
-        q, v, a = sample[:n_q], sample[n_q : 2 * n_q], sample[2 * n_q : 3 * n_q]
+        q, v, a, u = jnp.split(sample, ends)
         still, z = jnp.zeros_like(v), jnp.zeros(len(model.internal))
         inertia = model.mass_matrix(q) @ a
-        applied = model.applied(q, still, z, sample[3 * n_q :])
+        applied = model.applied(q, still, z, u)
         return jnp.concatenate([inertia, model.conservative(q, v), applied])
 
     formula = Formula(at, samples.shape[1], where=f"system '{model.system.name}'")
