@@ -2,7 +2,6 @@
 
 python benchmarks/identification.py time FOLDER   seconds on measured records, first and later
 python benchmarks/identification.py scipy FOLDER  an iteration, against scipy with solve_ivp
-python benchmarks/identification.py rollout FOLDER  the same, against derivatives of `rollout`
 python benchmarks/identification.py starts        20 starts on the twin, within a factor of 3
 python benchmarks/identification.py recovery      noise-free twin: relative errors
 python benchmarks/identification.py coverage      20 noisy twins: truth inside the 95 % interval
@@ -14,7 +13,6 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import jax
@@ -27,11 +25,8 @@ from scipy.integrate import solve_ivp
 
 import tustinnet as tn
 from tustinnet.fitting.recipe import SearchRecipe
-from tustinnet.fitting.shooting.normal import normal_products
 from tustinnet.fitting.shooting.problem import Problem
-from tustinnet.fitting.shooting.segments import Segments
 from tustinnet.fitting.shooting.space import make_space
-from tustinnet.models.integrate import discretise
 from tustinnet.systems import qube_servo2, qube_servo2_twin
 from tustinnet.systems.twin import Logger
 
@@ -153,10 +148,10 @@ def against_scipy(folder: str) -> None:
     vector = space.vector(system.nominal())
     search = SearchRecipe(initial="file")
     problem = Problem(system, tuple(records), (), search)
-    segments, shape = problem.segments(None, "file", {}), problem.shape(space)
+    segments = problem.segments(None, "file", {})
 
-    def ours() -> np.ndarray:
-        return normal_products(shape, space, vector, segments.x0, segments, 2).error
+    def ours() -> tuple[np.ndarray, ...]:
+        return problem.products(space, vector, segments, 2).error
 
     errors, times = ours(), []
     for _ in range(5):
@@ -176,57 +171,6 @@ def against_scipy(folder: str) -> None:
         f"scipy: {one:.1f} s for the residuals, {theirs:.0f} s an iteration by finite differences "
         f"of {len(vector)} parameters; here {mine:.3f} s: {theirs / mine:.0f} times"
     )
-
-
-def against_rollout(folder: str) -> None:
-    """An iteration of `qube-servo2-memory`: identification's loop over time, against `rollout`'s.
-
-    Both have the same segments, as many side by side, and a call for each core. The first call of
-    a length compiles where it has to.
-    """
-    records = tuple(tn.load(folder).split("train"))
-    space = make_space(SYSTEM, {}, {})
-    vector = space.vector(SYSTEM.nominal())
-    problem = Problem(SYSTEM, records, (), SearchRecipe(initial="anchored"))
-    shape, substeps, dt = problem.shape(space), 2, records[0].dt
-    n_q, n_p = SYSTEM.channels.n_q, len(vector)
-
-    def residuals(unknown: jax.Array, drive: tn.Drive, target: jax.Array) -> jax.Array:
-        model = discretise(SYSTEM.model(space.values(unknown[:n_p])), dt, substeps)
-        return tn.rollout(model, unknown[n_p:], drive)[:, :n_q] - target
-
-    @jax.jit
-    @jax.vmap
-    def products(x0: jax.Array, drive: tn.Drive, target: jax.Array, weight: jax.Array) -> jax.Array:
-        unknown = jnp.concatenate([jnp.asarray(vector), x0])
-        jacobian = jax.jacfwd(residuals)(unknown, drive, target) * weight[..., None]
-        return jnp.einsum("kjd,kje->de", jacobian, jacobian)
-
-    def theirs(s: Segments) -> np.ndarray:
-        groups = -(-len(s.x0) // shape.lanes)
-        rows = [np.arange(len(s.x0))[i::groups] for i in range(groups)]
-        drives = [tn.Drive(s.drive[i], s.periods[i]) for i in rows]
-        calls = [(s.x0[i], d, s.target[i], s.weight[i]) for i, d in zip(rows, drives, strict=True)]
-        with ThreadPoolExecutor() as pool:
-            found = list(pool.map(lambda call: np.asarray(products(*call)), calls))
-        return np.concatenate(found)[np.argsort(np.concatenate(rows), kind="stable")]
-
-    def ours(s: Segments) -> np.ndarray:
-        return normal_products(shape, space, vector, s.x0, s, substeps).pp
-
-    for length in (round(0.4 / dt), round(1.6 / dt), None):
-        segments = problem.segments(length, "anchored", {})
-        runs, seconds, found = {"own loop": ours, "rollout": theirs}, {}, {}
-        for name in [*runs] * 6:
-            begun = time.perf_counter()
-            found[name] = runs[name](segments)[:, :n_p, :n_p]
-            seconds.setdefault(name, []).append(time.perf_counter() - begun)
-        apart = np.abs(found["rollout"] / found["own loop"] - 1).max()
-        print(
-            f"{len(segments.x0)} segments of up to {max(segments.steps)} steps, {apart:.0e} apart"
-        )
-        for name, times in seconds.items():
-            print(f"  {name}: first {times[0]:.2f} s, later {statistics.median(times[1:]):.3f} s")
 
 
 def memory(samples: int, count: int) -> None:
@@ -291,7 +235,7 @@ def scipy_run(
 
 if __name__ == "__main__":
     verbs = {"starts": starts, "recovery": recovery, "coverage": coverage}
-    on_records = {"time": measure_time, "scipy": against_scipy, "rollout": against_rollout}
+    on_records = {"time": measure_time, "scipy": against_scipy}
     if len(sys.argv) == 4 and sys.argv[1] == "memory":
         memory(int(sys.argv[2]), int(sys.argv[3]))
     elif len(sys.argv) == 3 and sys.argv[1] in on_records:

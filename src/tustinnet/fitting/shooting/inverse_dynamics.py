@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 import scipy.optimize
+import scipy.sparse
 from jaxtyping import Float, Int
 
 from tustinnet.data.experiment import Experiment
@@ -113,8 +114,7 @@ def first_values(
     measured, n_q = np.concatenate([motion.q, motion.v, motion.u], axis=1), motion.q.shape[1]
     base = equations.base(space)
 
-    def integrated(signal: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        return np.stack([weight @ signal[k : k + motion.length] for k in motion.begins])
+    over_slope, over_bump = (_windows(motion, weight) for weight in (slope, bump))
 
     def at(point: Searched) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         parameters = equations.values(space.values(point), motion.pick)
@@ -122,9 +122,9 @@ def first_values(
         momentum, force = np.split(evaluate(equations.momenta, samples), 2, axis=1)
         slopes = evaluate(equations.momenta, samples, derivatives=True)
         by_momentum, by_force = np.split(slopes, 2, axis=1)
-        lifted = integrated(momentum, slope)
-        residual = lifted + integrated(force, bump)
-        jacobian = integrated(by_momentum, slope) + integrated(by_force, bump)
+        lifted = over_slope @ momentum
+        residual = lifted + over_bump @ force
+        jacobian = over_slope @ by_momentum + over_bump @ by_force
         jacobian = jacobian.reshape(len(motion.begins), n_q, -1)[:, :, base]
         chain = equations.chain(space, point, motion.pick[motion.begins])
         return residual, jacobian * chain[:, None], lifted
@@ -147,6 +147,16 @@ def first_values(
     )
     residual, _, lifted = at(found.x)
     return space.clipped(found.x), _left(motion.record, residual / unit, lifted / unit)
+
+
+def _windows(motion: Motion, weight: Float[np.ndarray, " length"]) -> scipy.sparse.csr_array:
+    """A matrix that adds up a signal over every window with some weights, (n_w, n)."""
+    count, length = len(motion.begins), motion.length
+    columns = (motion.begins[:, None] + np.arange(length)).ravel()
+    rows = np.arange(count + 1) * length
+    return scipy.sparse.csr_array(
+        (np.tile(weight, count), columns, rows), shape=(count, len(motion.q))
+    )
 
 
 def _left(
