@@ -8,7 +8,7 @@ import numpy as np
 
 from tustinnet.engine import functions
 from tustinnet.engine.text import Function, Module
-from tustinnet.program.program import OPERATIONS, Loop, Node, Program
+from tustinnet.program.program import Loop, Node, Program
 
 _ROWS = 4  # of a matrix that are multiplied at once: their sums stay in registers
 _LITERAL = 16  # whole numbers up to this stand in the code, others among the constants
@@ -128,7 +128,7 @@ class Emission:
                 return self._loop(node.data, args)
         if node.size == 1 and not any(isinstance(a, Vector) for a in args):
             return self._operation(node.op, args, node.truth)
-        if node.truth or any(getattr(a, "truth", False) for a in args) or self._has_truth(node):
+        if node.truth or any(getattr(a, "truth", False) for a in args):
             # truths have no place in memory: number by number
             each = [
                 self._operation(node.op, [self._element(a, i) if isinstance(a, Vector) else a
@@ -137,9 +137,6 @@ class Emission:
             ]  # fmt: skip
             return Vector(node.size, tuple(each), truth=node.truth)
         return self._elementwise(node, args)
-
-    def _has_truth(self, node: Node) -> bool:
-        return OPERATIONS[node.op].truth
 
     def _constant(self, value: float | bool) -> Number:
         if isinstance(value, bool):

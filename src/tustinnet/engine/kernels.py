@@ -52,10 +52,7 @@ def run_kernel(equations: Equations, lanes: int) -> Kernel:
         s = _Simulation(f, equations, group)
         with f.loop(0, s.ends) as k:
             s.now(k)
-            for lane in range(lanes):
-                with f.when(s.active[lane]):
-                    row = f.whole("add", s.column(lane, "result"), k)
-                    s.scatter(lane, s.x, equations.n_x, "%states", row)
+            s.keep(k, [f.load(s.x, i) for i in range(equations.n_x)], "%states")
             s.put_back(k)
             with f.when(f.value(f"icmp slt i64 {k}, {s.longest}")):
                 s.advance(k)
@@ -86,7 +83,7 @@ def map_kernel(formula: Formula, lanes: int, *, derivatives: bool) -> Kernel:
     """A formula at many points, or its derivatives: rows of numbers to rows of numbers."""
     module, constants = Module(lanes), Constants()
     program = formula.derivatives if derivatives else formula.program
-    n_in, n_out = formula.size, size_of(program, "value")
+    n_in = formula.size
     f = module.function("map", MAP, own=False)
     x = f.memory(n_in)
     rounds = f.whole("sdiv", f.whole("add", "%count", lanes - 1), lanes)
@@ -101,10 +98,7 @@ def map_kernel(formula: Formula, lanes: int, *, derivatives: bool) -> Kernel:
         emission = Emission(f, program, {"x": x}, constants, "%constants")
         found = [emission.plain(number) for number in emission.outputs()["value"]]
         for lane, row in enumerate(rows):
-            base = f.whole("mul", row, n_out)
-            for i, value in enumerate(found):
-                at = f.at("%out", f.whole("add", base, i), "double")
-                f.line(f"store double {f.lane(value, lane)}, ptr {at}, align 8")
+            _store_row(f, lane, found, "%out", row)
     f.line("ret void")
     module.finish(f)
     return Kernel(module.text(), tuple(constants.numbers))
@@ -194,6 +188,14 @@ def _beside(f: Function, bases: Sequence[str], offset: str | int, source: str) -
     return f.together(numbers)
 
 
+def _store_row(f: Function, lane: int, values: Sequence[str], into: str, row: str) -> None:
+    """The numbers of a lane go to a row of an array."""
+    base = f.whole("mul", row, len(values))
+    for i, value in enumerate(values):
+        at = f.at(into, f.whole("add", base, i), "double")
+        f.line(f"store double {f.lane(value, lane)}, ptr {at}, align 8")
+
+
 class _Simulation:
     """The loop over time of a group of lanes, while it is written."""
 
@@ -241,13 +243,12 @@ class _Simulation:
             self.active.append(active)
             self._rows.append(f.whole("add", self.column(lane, "first"), at))
 
-    def scatter(self, lane: int, source: str, size: int, into: str, row: str) -> None:
-        """The numbers of a lane go to a row of an array."""
-        f = self.f
-        base = f.whole("mul", row, size)
-        for i in range(size):
-            at = f.at(into, f.whole("add", base, i), "double")
-            f.line(f"store double {f.lane(f.load(source, i), lane)}, ptr {at}, align 8")
+    def keep(self, k: str, values: Sequence[str], into: str) -> None:
+        """The results of sample k of the lanes that are running go to their rows of an array."""
+        for lane, active in enumerate(self.active):
+            with self.f.when(active):
+                row = self.f.whole("add", self.column(lane, "result"), k)
+                _store_row(self.f, lane, values, into, row)
 
     def beside(self, size: int, offset: str | int, source: str) -> str:
         """A number of the present row of an array for each lane."""
@@ -418,13 +419,7 @@ class _Sensitivities(_Simulation):
             f.store(error, self._error, i)
             weights.append(weight)
             shown.append(f.select(counted[i], error, zero))
-        for lane in range(m.lanes):
-            with f.when(self.active[lane]):
-                row = f.whole("add", self.column(lane, "result"), k)
-                base = f.whole("mul", row, n_y)
-                for i, error in enumerate(shown):
-                    at = f.at("%errors", f.whole("add", base, i), "double")
-                    f.line(f"store double {f.lane(error, lane)}, ptr {at}, align 8")
+        self.keep(k, shown, "%errors")
         emission = Emission(f, self._residual.program, {"error": self._error}, self._constants,
                             "%constants")  # fmt: skip
         outputs = emission.outputs()

@@ -4,6 +4,7 @@ What `fitted_start.model_starts` does where it is part of a compiled training, s
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float
@@ -24,8 +25,6 @@ from tustinnet.simulate.fitted_start import (
 )
 from tustinnet.simulate.simulation import equations_of
 
-_KEPT: dict[int, Residual] = {}
-
 
 @dataclass(frozen=True)
 class StateFit:
@@ -40,9 +39,10 @@ class StateFit:
     share: Float[np.ndarray, "records samples"]
 
 
+@lru_cache  # so that it is read and compiled once
 def positions(n_q: int) -> Residual:
     """Errors of positions that count as they are."""
-    return _KEPT.setdefault(n_q, Residual(lambda error: error, n_q))
+    return Residual(lambda error: error, n_q)
 
 
 def fitted_states(
@@ -155,8 +155,9 @@ class _Squares:
         self, model: Model, equations: Equations, parameters: np.ndarray, guess: np.ndarray,
         drive: Drive, q: np.ndarray, share: np.ndarray,
     ) -> None:  # fmt: skip
-        self._equations, self._parameters = equations, parameters
-        self._of, self._drive, self._guess = equations_of(model, drive), drive, guess
+        of = equations_of(model, drive)
+        self._equations, self._guess, self._substeps = equations, guess, of.substeps
+        self._runs = replace(of.runs(guess, drive), parameters=parameters)
         self._internal = np.arange(guess.shape[1])[model.channels.internal]
         self._spread = np.asarray(model.internal_spread, np.float64)
         weight, n_q = share[:, :, None] * position_weights(model), q.shape[2]
@@ -169,9 +170,9 @@ class _Squares:
 
     def at(self, x: np.ndarray, near: np.ndarray, directions: Directions) -> Comparison:
         """The products at some states, the last directions those of the states."""
-        runs = replace(self._of.runs(x, self._drive), parameters=self._parameters)
+        runs = replace(self._runs, start=x)
         found = compare(
-            self._equations, self._residual, runs, self._of.substeps, directions, self._samples
+            self._equations, self._residual, runs, self._substeps, directions, self._samples
         )
         precision = self.precision(near)
         away = (x - self._guess)[:, self._internal]

@@ -7,7 +7,8 @@ explain the records are not those that simulate them best. Both are told.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -109,29 +110,22 @@ class _Task:
 
     def at(self, change: Float[np.ndarray, " n_p"]) -> "_Runs":
         """The free runs there, and their products by the relative changes."""
-        equations, start = self.equations, self.start
+        equations = self.equations
         named = dict(zip(self.space.names, self.values(change).tolist(), strict=True))
         values = equations.values(dict(self.space.fixed) | named, self.pick)
         x0, by_parameter = self._starts(values)
-        tails = [piece[start.first :] for piece in self.pieces]
-        lengths = np.array([len(e) for e in tails])
-        drives = [np.asarray(drive_of(self.model, e).u)[start.first :] for e in self.pieces]
-        drive = np.concatenate([np.concatenate([u, np.zeros_like(u[:1])]) for u in drives])
+        lengths = self._lengths
         runs = Runs(
             start=x0,
             parameters=values,
             steps=lengths - 1,
             first=np.cumsum(lengths) - lengths,
-            drive=drive[:, None] if drive.ndim == 2 else drive,
-            periods=np.full(len(drive), self.model.dt),
+            drive=self._drive,
+            periods=np.full(len(self._drive), self.model.dt),
         )
-        of_record = np.bincount(self.record, lengths)
-        weight = np.repeat(1 / np.sqrt(of_record[self.record]), lengths)
-        n_q = self.model.channels.n_q
         result = compare(
-            equations.motion, positions(n_q), runs, self.model.substeps,
-            Directions(by_parameter, parameters=True),
-            Samples(np.concatenate([e.q for e in tails]), np.tile(weight[:, None], n_q)),
+            equations.motion, positions(self.model.channels.n_q), runs, self.model.substeps,
+            Directions(by_parameter, parameters=True), self._samples,
         )  # fmt: skip
         base = equations.base(self.space)
         chain = self.unit * equations.acts(self.space, self.pick)
@@ -142,11 +136,40 @@ class _Task:
             sums = [np.add.reduceat(x, begins) for x in (result.cost, matrix, gradient)]
         return _Runs(np.sqrt(sums[0]), sums[1], sums[2])
 
+    # what stays the same from iteration to iteration
+
+    @cached_property
+    def _material(self) -> Any:
+        """What the start needs of the records."""
+        return self.start.material(self.model, self.pieces)
+
+    @cached_property
+    def _lengths(self) -> Int[np.ndarray, " n_s"]:
+        """Samples of every free run."""
+        return np.array([len(piece) - self.start.first for piece in self.pieces])
+
+    @cached_property
+    def _drive(self) -> Float[np.ndarray, "rows order n_u"]:
+        """What acts between the samples, run after run, a row of zeros at the end of each."""
+        first = self.start.first
+        drives = [np.asarray(drive_of(self.model, e).u)[first:] for e in self.pieces]
+        drive = np.concatenate([np.concatenate([u, np.zeros_like(u[:1])]) for u in drives])
+        return drive[:, None] if drive.ndim == 2 else drive
+
+    @cached_property
+    def _samples(self) -> Samples:
+        """Measured positions; every record counts the same, however long."""
+        lengths = self._lengths
+        of_record = np.bincount(self.record, lengths)
+        weight = np.repeat(1 / np.sqrt(of_record[self.record]), lengths)
+        q = np.concatenate([piece[self.start.first :].q for piece in self.pieces])
+        return Samples(q, np.tile(weight[:, None], q.shape[1]))
+
     def _starts(
         self, values: Float[np.ndarray, "n_s n_c"]
     ) -> tuple[Float[np.ndarray, "n_s n_x"], Float[np.ndarray, "n_s n_b n_x"]]:
         """States in which the free runs start, and their derivatives by the parameters."""
-        material = self.start.material(self.model, self.pieces)
+        material = self._material
         if isinstance(self.start, Fitted):
             guess, drive, q = material
             x0, by_guess = self._expected(guess, values)
@@ -168,7 +191,7 @@ class _Task:
 
     def _differences(self, values: Float[np.ndarray, "n_s n_c"]) -> tuple[np.ndarray, np.ndarray]:
         """States at the end of a warm-up; their derivatives by central differences."""
-        material = self.start.material(self.model, self.pieces)
+        material = self._material
         n_b = self.equations.n_p
 
         def states(values: np.ndarray) -> np.ndarray:
