@@ -8,7 +8,8 @@ import numpy as np
 
 from tustinnet.engine import functions
 from tustinnet.engine.text import Function, Module
-from tustinnet.program.program import Loop, Node, Program
+from tustinnet.program.program import Factor, Loop, Node, Program
+from tustinnet.program.tape import LONG
 
 _ROWS = 4  # of a matrix that are multiplied at once: their sums stay in registers
 _LITERAL = 16  # whole numbers up to this stand in the code, others among the constants
@@ -22,9 +23,11 @@ class Constants:
 
     Attributes:
         numbers: the numbers.
+        layers: where the weights of layers that are given stand, as `laid_out` has them.
     """
 
     numbers: list[float] = field(default_factory=list)
+    layers: dict[Factor, int] = field(default_factory=dict)
     _places: dict[bytes, int] = field(default_factory=dict)
 
     def place(self, values: np.ndarray) -> int:
@@ -34,6 +37,24 @@ class Constants:
             self._places[key] = len(self.numbers)
             self.numbers += np.ravel(values).astype(float).tolist()
         return self._places[key]
+
+    def layer(self, factor: Factor, size: int) -> int:
+        """Where the weights of a layer are put that is given, so many of them."""
+        if factor not in self.layers:
+            self.layers[factor] = len(self.numbers)
+            self.numbers += [0.0] * size
+        return self.layers[factor]
+
+
+def laid_out(matrix: np.ndarray) -> np.ndarray:
+    """The numbers of a matrix in the order in which they are multiplied.
+
+    Some rows at once, column by column; the rows that are left behind them likewise.
+    """
+    rows, columns = matrix.shape
+    whole = rows // _ROWS * _ROWS
+    blocks = matrix[:whole].reshape(-1, _ROWS, columns).swapaxes(1, 2)
+    return np.concatenate([blocks.ravel(), matrix[whole:].T.ravel()])
 
 
 @dataclass(frozen=True)
@@ -54,14 +75,12 @@ class Vector:
         numbers: they, where each has been computed by itself.
         pointer: memory where they stand one after the other, a value each.
         table: constants instead, the place of the first.
-        truth: whether they are truths; such vectors have numbers.
     """
 
     size: int
     numbers: tuple[Number, ...] | None = None
     pointer: str | None = None
     table: int | None = None
-    truth: bool = False
 
 
 Value = Number | Vector
@@ -90,10 +109,14 @@ class Emission:
 
     def outputs(self) -> dict[str, tuple[Number, ...]]:
         """The numbers of every output, after the code that computes them."""
+        return {name: self.numbers(value) for name, value in self.values().items()}
+
+    def values(self) -> dict[str, Value]:
+        """Every output, after the code that computes them."""
         values: list[Value] = []
         for node in self.program.nodes:
             values.append(self._node(node, [values[a] for a in node.args]))
-        return {name: self.numbers(values[i]) for name, i in self.program.outputs.items()}
+        return {name: values[i] for name, i in self.program.outputs.items()}
 
     def numbers(self, value: Value) -> tuple[Number, ...]:
         """The single numbers of a value."""
@@ -109,33 +132,24 @@ class Emission:
                 return self._constant(node.data)
             case "table":
                 values = self.program.tables[node.data]
-                if values.dtype == bool:
-                    return Vector(
-                        node.size, tuple(map(self._constant, values.tolist())), truth=True
-                    )
                 return Vector(node.size, table=self.constants.place(values))
             case "pick":
                 return self._element(args[0], node.data)
             case "part":
                 return self._part(args[0], node.data, node.size)
             case "join":
-                return Vector(
-                    node.size, tuple(x for a in args for x in self.numbers(a)), truth=node.truth
-                )
+                return Vector(node.size, tuple(x for a in args for x in self.numbers(a)))
             case "product":
-                return self._product(self.program.tables[node.data], args[0])
+                matrix = self.program.tables[node.data]
+                return self._product(self.constants.place(laid_out(matrix)), matrix.shape, args[0])
+            case "layer":
+                columns = args[0].size if isinstance(args[0], Vector) else 1
+                first = self.constants.layer(node.data, node.size * columns)
+                return self._product(first, (node.size, columns), args[0])
             case "loop":
                 return self._loop(node.data, args)
         if node.size == 1 and not any(isinstance(a, Vector) for a in args):
             return self._operation(node.op, args, node.truth)
-        if node.truth or any(getattr(a, "truth", False) for a in args):
-            # truths have no place in memory: number by number
-            each = [
-                self._operation(node.op, [self._element(a, i) if isinstance(a, Vector) else a
-                                          for a in args], node.truth)
-                for i in range(node.size)
-            ]  # fmt: skip
-            return Vector(node.size, tuple(each), truth=node.truth)
         return self._elementwise(node, args)
 
     def _constant(self, value: float | bool) -> Number:
@@ -151,8 +165,7 @@ class Emission:
 
     def _from_table(self, index: int | str) -> str:
         f = self.function
-        at = f.at(self.pointer, index, "double")
-        return f.everywhere(f.value(f"load double, ptr {at}, align 8"))
+        return f.everywhere(f.load_number(self.pointer, index))
 
     def _element(self, vector: Vector, i: int) -> Number:
         if vector.numbers is not None:
@@ -167,7 +180,7 @@ class Emission:
 
     def _part(self, vector: Vector, first: int, size: int) -> Vector:
         if vector.numbers is not None:
-            return Vector(size, vector.numbers[first : first + size], truth=vector.truth)
+            return Vector(size, vector.numbers[first : first + size])
         if vector.table is not None:
             return Vector(size, table=vector.table + first)
         assert vector.pointer is not None
@@ -182,6 +195,20 @@ class Emission:
         for i, number in enumerate(numbers):
             f.store(self.plain(number), pointer, i)
         return pointer
+
+    def each(self, value: Value, use: Callable[[str, str | int], None]) -> None:
+        """Writes what is done with every number of a value: of a long vector, as a loop.
+
+        Args:
+            value: the value.
+            use: of a number and its place.
+        """
+        if isinstance(value, Vector) and value.pointer is not None and value.size >= LONG:
+            with self.function.loop(0, value.size) as i:
+                use(self.function.load(value.pointer, i), i)
+            return
+        for i, number in enumerate(self.numbers(value)):
+            use(self.plain(number), i)
 
     def plain(self, number: Number) -> str:
         """A number; of a truth 1 or 0."""
@@ -211,18 +238,17 @@ class Emission:
                 else:
                     given.append(Number(f.load(place, i)))
             pairs, self._pairs = self._pairs, {}  # what a loop computes is not known outside
-            f.store(self._operation(node.op, given, node.truth).name, result, i)
+            # truths stand in memory as 1 and 0
+            f.store(self.plain(self._operation(node.op, given, node.truth)), result, i)
             self._pairs = pairs
         return Vector(node.size, pointer=result)
 
-    def _product(self, matrix: np.ndarray, vector: Vector) -> Vector:
-        """A constant matrix times a vector, some rows at once."""
+    def _product(self, first: int, shape: tuple[int, int], vector: Value) -> Vector:
+        """A matrix that stands among the constants times a vector, some rows at once."""
         f, m = self.function, self.module
-        rows, columns = matrix.shape
+        rows, columns = shape
         result, source = f.memory(rows), self._in_memory(vector)
         whole = rows // _ROWS * _ROWS
-        blocks = matrix[:whole].reshape(-1, _ROWS, columns).swapaxes(1, 2)
-        first = self.constants.place(blocks) if whole else 0
         zero = m.number(0.0)
         if whole:
             with f.loop(0, whole // _ROWS) as block:
@@ -232,7 +258,7 @@ class Emission:
                 for k, total in enumerate(sums):
                     f.store(total, result, f.whole("add", at, k))
         if whole < rows:
-            rest = self.constants.place(matrix[whole:].T)
+            rest = first + whole * columns
             for k, total in enumerate(self._rows(source, rest, columns, rows - whole, zero)):
                 f.store(total, result, whole + k)
         return Vector(rows, pointer=result)
@@ -315,13 +341,11 @@ class Emission:
         """Sine and cosine, which equations of motion need together."""
         if angle not in self._pairs:
             f, m = self.function, self.module
-            pair = f"{{ {m.v}, {m.v} }}"
-            name = functions.sine_and_cosine(m)
-            both = f.value(f"call {pair} @{name}({m.v} {angle})")
-            self._pairs[angle] = (
-                f.value(f"extractvalue {pair} {both}, 0"),
-                f.value(f"extractvalue {pair} {both}, 1"),
-            )
+            pair = f"{{ {m.wide.v}, {m.wide.v} }}"
+            name = functions.sine_and_cosine(m.wide)
+            both = f.value(f"call {pair} @{name}({m.wide.v} {functions.widened(f, angle)})")
+            sine, cosine = (f.value(f"extractvalue {pair} {both}, {i}") for i in (0, 1))
+            self._pairs[angle] = functions.narrowed(f, sine), functions.narrowed(f, cosine)
         return self._pairs[angle]
 
 
@@ -340,7 +364,11 @@ def _intrinsic(name: str, arguments: int = 1) -> Callable[..., str]:
 
 
 def _scalar(name: str) -> Callable[..., str]:
-    return lambda f, *given: f.call(functions.scalar(f.module, name), *given)
+    return _by_function(lambda module: functions.scalar(module, name))
+
+
+def _by_function(write: Callable[[Module], str]) -> Callable[..., str]:
+    return lambda f, *given: functions.in_double(f, write(f.module.wide), *given)
 
 
 def _sign(f: Function, x: str) -> str:
@@ -360,8 +388,8 @@ _WRITTEN: dict[str, Callable[..., str]] = {
     "ceil": _intrinsic("ceil"),
     "sqrt": _intrinsic("sqrt"),
     "sign": _sign,
-    "exp": lambda f, x: f.call(functions.exponential(f.module), x),
-    "tanh": lambda f, x: f.call(functions.hyperbolic_tangent(f.module), x),
+    "exp": _by_function(functions.exponential),
+    "tanh": _by_function(functions.hyperbolic_tangent),
     "rem": _scalar("fmod"),
     **{name: _scalar(name) for name in functions.SCALAR if name not in ("fmod", "sin", "cos")},
 }

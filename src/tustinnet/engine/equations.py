@@ -1,10 +1,11 @@
 """What is simulated: a function of JAX arrays, read once as a program with its derivatives."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+from tustinnet.program.adjoints import Adjoints, with_adjoints
 from tustinnet.program.derivatives import with_derivatives
 from tustinnet.program.program import Program
 from tustinnet.program.reading import read
@@ -17,7 +18,7 @@ class Equations:
     Attributes:
         function: of the state (n_x,), the inputs (n_u,), the parameters that derivatives are
             needed by (n_p,), and all others (n_c,): the derivative of the state, or the next
-            state, (n_x,). It is written with JAX.
+            state, (n_x,). Behind them it takes the matrices. It is written with JAX.
         n_x: how many numbers a state has.
         n_u: how many numbers of inputs the function takes at a time.
         n_p: how many parameters derivatives are needed by.
@@ -25,6 +26,7 @@ class Equations:
         continuous: whether the function is the derivative, which is integrated by the classical
             Runge-Kutta method.
         where: what it is, for messages.
+        matrices: the weights of layers that are given with every run, and their shapes.
     """
 
     function: Callable[..., Any]
@@ -34,22 +36,28 @@ class Equations:
     n_c: int = 0
     continuous: bool = True
     where: str = "model"
+    matrices: Mapping[str, tuple[int, int]] = field(default_factory=dict)
 
     @cached_property
     def program(self) -> Program:
-        """The function as a program: `x`, `u`, `p`, `c` to `x`.
+        """The function as a program: `x`, `u`, `p`, `c` and the matrices to `x`.
 
         Raises:
             Unreadable: it uses what no program can hold.
         """
         sizes = {"x": self.n_x, "u": self.n_u, "p": self.n_p, "c": self.n_c}
-        return read(lambda x, u, p, c: {"x": self.function(x, u, p, c)}, sizes, self.where)
+        return read(lambda *given: {"x": self.function(*given)}, sizes, self.where, self.matrices)
 
     @cached_property
     def derivatives(self) -> Program:
         """The program with its derivatives by rows: also `by_x` and, of parameters, `by_p`."""
         by = {"by_x": "x"} | ({"by_p": "p"} if self.n_p else {})
         return with_derivatives(self.program, "x", by)
+
+    @cached_property
+    def adjoints(self) -> Adjoints:
+        """The program in reverse: adjoints of the state, the parameters and the layers."""
+        return with_adjoints(self.program, "x", ("x", "p"))
 
 
 @dataclass(frozen=True, eq=False)

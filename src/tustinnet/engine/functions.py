@@ -2,7 +2,8 @@
 
 LLVM has vectors' sums and products but no vectors' sines: it calls the C library for one number
 after the other, which takes longer than all the rest of the equations of motion. Those that
-equations and networks use most are written here; the others are called lane by lane.
+equations and networks use most are written here; the others are called lane by lane. All compute
+in double precision; numbers in single precision are widened and rounded.
 
 References:
     Cody, Waite (1980), Software Manual for the Elementary Functions (reduction of the argument
@@ -44,6 +45,25 @@ def _parts(number: Fraction, count: int) -> list[float]:
     return parts
 
 
+def widened(f: Function, x: str) -> str:
+    """A value in double precision."""
+    m = f.module
+    return x if m.wide is m else f.value(f"fpext {m.v} {x} to {m.wide.v}")
+
+
+def narrowed(f: Function, x: str) -> str:
+    """A value in double precision in that of the module."""
+    m = f.module
+    return x if m.wide is m else f.value(f"fptrunc {m.wide.v} {x} to {m.v}")
+
+
+def in_double(f: Function, name: str, *values: str) -> str:
+    """A call of a function of this module, which computes in double precision."""
+    v = f.module.wide.v
+    given = ", ".join(f"{v} {widened(f, x)}" for x in values)
+    return narrowed(f, f.value(f"call {v} @{name}({given})"))
+
+
 def scalar(module: Module, name: str) -> str:
     """A function of the C library for all lanes, one after the other; its name in the module."""
 
@@ -69,7 +89,8 @@ def scalar(module: Module, name: str) -> str:
 
 def intrinsic(module: Module, name: str, arguments: int = 1) -> str:
     """A function of LLVM itself for all lanes; its name in the module."""
-    suffix = "f64" if module.lanes == 1 else f"v{module.lanes}f64"
+    number = f"f{8 * module.bytes}"
+    suffix = number if module.lanes == 1 else f"v{module.lanes}{number}"
     full = f"llvm.{name}.{suffix}"
     given = ", ".join([module.v] * arguments)
     return module.once(full, lambda: f"declare {module.v} @{full}({given})")

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from tustinnet.engine.emission import Constants, Emission
 from tustinnet.engine.equations import Equations, Formula, Residual
 from tustinnet.engine.text import Function, Module
+from tustinnet.program.adjoints import ADJOINT
 from tustinnet.program.program import Program
 
 # what a lane is: which run, its steps, its first row of inputs, its first row of results, how many
@@ -38,6 +39,10 @@ COMPARE = (
     "ptr %periods, ptr %start, ptr %parameters, ptr %seeds, i64 %n_d, i64 %n_by_p, ptr %target, "
     "ptr %weight, ptr %work, ptr %errors, ptr %products, ptr %gradient, ptr %cost"
 )
+BACKWARD = (
+    "i64 %begin, i64 %end, ptr %lanes, ptr %constants, ptr %drive, ptr %parameters, ptr %states, "
+    "ptr %seeds, i64 %span, i64 %length, ptr %layers, ptr %by_p, ptr %by_start"
+)
 MAP = "i64 %count, ptr %constants, ptr %in, ptr %out"
 STEP = "ptr %constants, ptr %x, ptr %u, ptr %out"
 MOST_ORDER = 8  # coefficients of the polynomials that inputs follow between samples
@@ -46,6 +51,12 @@ MOST_ORDER = 8  # coefficients of the polynomials that inputs follow between sam
 def run_kernel(equations: Equations, lanes: int) -> Kernel:
     """Free runs: the states at all samples."""
     module, constants = Module(lanes), Constants()
+    write_run(module, equations, constants)
+    return Kernel(module.text(), tuple(constants.numbers))
+
+
+def write_run(module: Module, equations: Equations, constants: Constants) -> None:
+    """The function `run`: free runs."""
     _write_dynamics(module, equations, constants, derivatives=False)
     f = module.function("run", RUN, own=False)
     with f.loop("%begin", "%end") as group:
@@ -58,7 +69,89 @@ def run_kernel(equations: Equations, lanes: int) -> Kernel:
                 s.advance(k)
     f.line("ret void")
     module.finish(f)
-    return Kernel(module.text(), tuple(constants.numbers))
+
+
+def write_backward(module: Module, equations: Equations, constants: Constants) -> None:
+    """The function `backward`: adjoints of states, parameters and layers of a discrete model.
+
+    What goes into a layer and the adjoint of what comes out of it are kept at every step: the
+    gradient of its weights is one product of both.
+    """
+    n_x, n_u, n_p = equations.n_x, equations.n_u, equations.n_p
+    f = module.function(
+        "adjoints",
+        "ptr noalias %constants, ptr noalias %x, ptr noalias %u, ptr noalias %p, "
+        "ptr noalias %adjoint, ptr noalias %by_p, i64 %span, i64 %place, ptr noalias %layers",
+    )
+    inputs = {"x": "%x", "u": "%u", "p": "%p", "c": f.at("%p", n_p), ADJOINT: "%adjoint"}
+    emission = Emission(f, equations.adjoints.program, inputs, constants, "%constants")
+    values = emission.values()
+
+    def add_to_sum(number: str, i: str | int) -> None:
+        f.store(f.apply("fadd", f.load("%by_p", i), number), "%by_p", i)
+
+    def keep_from(row: int) -> Callable[[str, str | int], None]:
+        def keep(number: str, i: str | int) -> None:
+            begin = f.whole("mul", f.whole("add", i, row), "%span")
+            f.store(number, "%layers", f.whole("add", begin, "%place"), aligned=False)
+
+        return keep
+
+    row = 0
+    for name in layer_outputs(equations):
+        emission.each(values[name], keep_from(row))
+        row += size_of(equations.adjoints.program, name)
+    emission.each(values["by_p"], add_to_sum)
+    # all has been read before the adjoint is replaced
+    for i, number in enumerate(emission.numbers(values["by_x"])):
+        f.store(emission.plain(number), "%adjoint", i)
+    f.line("ret void")
+    module.finish(f)
+    f = module.function("backward", BACKWARD, own=False)
+    with f.loop("%begin", "%end") as group:
+        s = _Lanes(f, group)
+        x, u, p = f.memory(n_x), f.memory(n_u), f.memory(n_p + equations.n_c)
+        adjoint, by_p = f.memory(n_x), f.memory(n_p)
+        lanes = range(module.lanes)
+        _gather(f, [s.column(lane, "run") for lane in lanes], n_p + equations.n_c, "%parameters", p)
+        zero = module.number(0.0)
+        for memory, size in ((adjoint, n_x), (by_p, n_p)):
+            with f.loop(0, size) as i:
+                f.store(zero, memory, i)
+        begin = f.whole("mul", group, "%length")
+        with f.loop(0, s.ends) as back:
+            k = f.whole("sub", s.longest, back)
+            s.now(k)
+            states = s.rows("result")
+            for i in range(n_x):
+                seed = s.where(s.active, _beside(f, [f.whole("mul", r, n_x) for r in states], i,
+                                                 "%seeds"), zero)  # fmt: skip
+                f.store(f.apply("fadd", f.load(adjoint, i), seed), adjoint, i)
+            with f.when(f.value(f"icmp sgt i64 {k}, 0")):
+                before = f.whole("sub", k, 1)
+                s.now(before)
+                _gather(f, s.rows("result"), n_x, "%states", x)
+                _gather(f, s.rows("first"), n_u, "%drive", u)
+                place = f.whole("add", begin, before)
+                f.line(
+                    f"call void @adjoints(ptr %constants, ptr {x}, ptr {u}, ptr {p}, "
+                    f"ptr {adjoint}, ptr {by_p}, i64 %span, i64 {place}, ptr %layers)"
+                )
+        for memory, size, into in ((by_p, n_p, "%by_p"), (adjoint, n_x, "%by_start")):
+            for lane in lanes:
+                with f.when(f.value(f"icmp sge i64 {s.column(lane, 'steps')}, 0")):
+                    base = f.whole("mul", s.column(lane, "run"), size)
+                    with f.loop(0, size) as i:
+                        number = f.lane(f.load(memory, i), lane)
+                        f.store_number(number, into, f.whole("add", base, i))
+    f.line("ret void")
+    module.finish(f)
+
+
+def layer_outputs(equations: Equations) -> list[str]:
+    """The outputs of the program in reverse that are kept for layers, in this order."""
+    places = range(len(equations.adjoints.layers))
+    return [name for i in places for name in (f"in_{i}", f"out_{i}")]
 
 
 def compare_kernel(equations: Equations, residual: Residual, lanes: int) -> Kernel:
@@ -181,27 +274,22 @@ def _gather(f: Function, rows: Sequence[str], size: int, source: str, into: str)
 
 def _beside(f: Function, bases: Sequence[str], offset: str | int, source: str) -> str:
     """A number of an array for each lane, from places with an offset."""
-    numbers = []
-    for base in bases:
-        at = f.at(source, f.whole("add", base, offset), "double")
-        numbers.append(f.value(f"load double, ptr {at}, align 8"))
-    return f.together(numbers)
+    return f.together([f.load_number(source, f.whole("add", base, offset)) for base in bases])
 
 
 def _store_row(f: Function, lane: int, values: Sequence[str], into: str, row: str) -> None:
     """The numbers of a lane go to a row of an array."""
     base = f.whole("mul", row, len(values))
     for i, value in enumerate(values):
-        at = f.at(into, f.whole("add", base, i), "double")
-        f.line(f"store double {f.lane(value, lane)}, ptr {at}, align 8")
+        f.store_number(f.lane(value, lane), into, f.whole("add", base, i))
 
 
-class _Simulation:
-    """The loop over time of a group of lanes, while it is written."""
+class _Lanes:
+    """A group of lanes, while their loop over time is written."""
 
-    def __init__(self, f: Function, equations: Equations, group: str) -> None:
-        self.f, self.equations = f, equations
-        n_x, lanes = equations.n_x, f.module.lanes
+    def __init__(self, f: Function, group: str) -> None:
+        self.f = f
+        lanes = f.module.lanes
         self._group = f.whole("mul", group, lanes * len(LANE))
         self._columns: dict[tuple[int, str], str] = {}
         for lane in range(lanes):
@@ -214,6 +302,46 @@ class _Simulation:
             more = f.value(f"icmp sgt i64 {steps}, {self.longest}")
             self.longest = f.value(f"select i1 {more}, i64 {steps}, i64 {self.longest}")
         self.ends = f.whole("add", self.longest, 1)
+        self.active: list[str] = []
+        self._at: list[str] = []
+
+    def column(self, lane: int, name: str) -> str:
+        """What the table of lanes says of a lane."""
+        return self._columns[lane, name]
+
+    def now(self, k: str) -> None:
+        """At sample k: which lanes are still running, and where they are."""
+        f = self.f
+        self.active, self._at = [], []
+        for lane in range(f.module.lanes):
+            steps = self.column(lane, "steps")
+            active = f.value(f"icmp sle i64 {k}, {steps}")
+            at = f.value(f"select i1 {active}, i64 {k}, i64 {steps}")
+            beyond = f.value(f"icmp slt i64 {at}, 0")
+            self._at.append(f.value(f"select i1 {beyond}, i64 0, i64 {at}"))
+            self.active.append(active)
+
+    def rows(self, name: str) -> list[str]:
+        """The present row of every lane in what begins at its row of that name."""
+        columns = [self.column(lane, name) for lane in range(self.f.module.lanes)]
+        return [self.f.whole("add", c, at) for c, at in zip(columns, self._at, strict=True)]
+
+    def where(self, truths: list[str], a: str, b: str) -> str:
+        """Of every lane one or the other number."""
+        f, n = self.f, self.f.module.n
+        return f.together([
+            f.value(f"select i1 {on}, {n} {f.lane(a, lane)}, {n} {f.lane(b, lane)}")
+            for lane, on in enumerate(truths)
+        ])  # fmt: skip
+
+
+class _Simulation(_Lanes):
+    """The loop over time of a group of lanes, while it is written."""
+
+    def __init__(self, f: Function, equations: Equations, group: str) -> None:
+        super().__init__(f, group)
+        self.equations = equations
+        n_x, lanes = equations.n_x, f.module.lanes
         n_p = equations.n_p + equations.n_c
         self.x, self.p = f.memory(n_x), f.memory(n_p)
         self.u, self.slope = f.memory(equations.n_u), f.memory(n_x)
@@ -223,25 +351,6 @@ class _Simulation:
         runs = [self.column(lane, "run") for lane in range(lanes)]
         _gather(f, runs, n_x, "%start", self.x)
         _gather(f, runs, n_p, "%parameters", self.p)
-        self.active: list[str] = []
-        self._rows: list[str] = []
-
-    def column(self, lane: int, name: str) -> str:
-        """What the table of lanes says of a lane."""
-        return self._columns[lane, name]
-
-    def now(self, k: str) -> None:
-        """At sample k: which lanes are still running, and the rows of their inputs."""
-        f = self.f
-        self.active, self._rows = [], []
-        for lane in range(f.module.lanes):
-            steps = self.column(lane, "steps")
-            active = f.value(f"icmp sle i64 {k}, {steps}")
-            at = f.value(f"select i1 {active}, i64 {k}, i64 {steps}")
-            beyond = f.value(f"icmp slt i64 {at}, 0")
-            at = f.value(f"select i1 {beyond}, i64 0, i64 {at}")
-            self.active.append(active)
-            self._rows.append(f.whole("add", self.column(lane, "first"), at))
 
     def keep(self, k: str, values: Sequence[str], into: str) -> None:
         """The results of sample k of the lanes that are running go to their rows of an array."""
@@ -252,26 +361,26 @@ class _Simulation:
 
     def beside(self, size: int, offset: str | int, source: str) -> str:
         """A number of the present row of an array for each lane."""
-        return _beside(self.f, [self.f.whole("mul", row, size) for row in self._rows], offset,
-                       source)  # fmt: skip
+        rows = [self.f.whole("mul", row, size) for row in self.rows("first")]
+        return _beside(self.f, rows, offset, source)
 
     def put_back(self, k: str) -> None:
         """Measured positions and velocities take the place of the simulated ones."""
-        f, n_x = self.f, self.equations.n_x
+        f, n, n_x = self.f, self.f.module.n, self.equations.n_x
         given = f.value("icmp sgt i64 %n_known, 0")
         with f.when(given):
             truths = [
                 f.value(f"icmp slt i64 {k}, {self.column(lane, 'measured')}")
                 for lane in range(f.module.lanes)
             ]
-            bases = [f.whole("mul", row, "%n_known") for row in self._rows]
+            bases = [f.whole("mul", row, "%n_known") for row in self.rows("first")]
             for i in range(n_x):
                 with f.when(f.value(f"icmp sgt i64 %n_known, {i}")):
                     own = f.load(self.x, i)
                     measured = _beside(f, bases, i, "%known")
                     numbers = [
-                        f.value(f"select i1 {truth}, double {f.lane(measured, lane)}, "
-                                f"double {f.lane(own, lane)}")
+                        f.value(f"select i1 {truth}, {n} {f.lane(measured, lane)}, "
+                                f"{n} {f.lane(own, lane)}")
                         for lane, truth in enumerate(truths)
                     ]  # fmt: skip
                     f.store(f.together(numbers), self.x, i)
@@ -297,7 +406,7 @@ class _Simulation:
         self.dynamics(self.x, self._ahead)
         running = self._running(k)
         for i in range(self.equations.n_x):
-            f.store(self._where(running, f.load(self._ahead, i), f.load(self.x, i)), self.x, i)
+            f.store(self.where(running, f.load(self._ahead, i), f.load(self.x, i)), self.x, i)
         self.step_tangents(running)
 
     def step_tangents(self, running: list[str]) -> None:
@@ -309,34 +418,27 @@ class _Simulation:
             for lane in range(self.f.module.lanes)
         ]
 
-    def _where(self, running: list[str], a: str, b: str) -> str:
-        f = self.f
-        return f.together([
-            f.value(f"select i1 {on}, double {f.lane(a, lane)}, double {f.lane(b, lane)}")
-            for lane, on in enumerate(running)
-        ])  # fmt: skip
-
     def _integrate(self, k: str) -> None:
         f, n_x, n_u = self.f, self.equations.n_x, self.equations.n_u
         m = f.module
-        parts = f.value("sitofp i64 %substeps to double")
-        share = f.everywhere(f.value(f"fdiv double 1.0, {parts}"))
+        parts = f.value(f"sitofp i64 %substeps to {m.n}")
+        share = f.everywhere(f.value(f"fdiv {m.n} 1.0, {parts}"))
         zero = m.number(0.0)
-        h = f.apply("fmul", share, self._where(self._running(k), self.beside(1, 0, "%periods"),
+        h = f.apply("fmul", share, self.where(self._running(k), self.beside(1, 0, "%periods"),
                                                zero))  # fmt: skip
         half, sixth = f.apply("fmul", h, m.number(0.5)), f.apply("fmul", h, m.number(1 / 6))
         width = f.whole("mul", "%order", n_u)
-        bases = [f.whole("mul", row, width) for row in self._rows]
+        bases = [f.whole("mul", row, width) for row in self.rows("first")]
         with f.loop(0, width) as j:
             f.store(_beside(f, bases, j, "%drive"), self._pieces, j)
         with f.loop(0, "%substeps") as i:
-            number = f.value(f"sitofp i64 {i} to double")
+            number = f.value(f"sitofp i64 {i} to {m.n}")
             for stage, (reach, scale) in enumerate(
                 ((0.0, half), (0.5, half), (0.5, h), (1.0, sixth))
             ):
                 if stage != 2:  # the third stage is at the time of the second
-                    later = f.value(f"fadd double {number}, {reach!r}")
-                    self._inputs_at(f.everywhere(f.value(f"fdiv double {later}, {parts}")))
+                    later = f.value(f"fadd {m.n} {number}, {reach!r}")
+                    self._inputs_at(f.everywhere(f.value(f"fdiv {m.n} {later}, {parts}")))
                 self.dynamics(self.x if stage == 0 else self._ahead, self.slope)
                 for j in range(n_x):
                     self._update(stage, scale, f.load(self.slope, j), (self.x, self._ahead,
@@ -414,7 +516,7 @@ class _Sensitivities(_Simulation):
         weights, shown, counted = [], [], []
         for i in range(n_y):
             error = f.apply("fsub", f.load(self.x, i), self.beside(n_y, i, "%target"))
-            weight = self._where(self.active, self.beside(n_y, i, "%weight"), zero)
+            weight = self.where(self.active, self.beside(n_y, i, "%weight"), zero)
             counted.append(f.compare("ogt", weight, zero))
             f.store(error, self._error, i)
             weights.append(weight)
@@ -503,7 +605,7 @@ class _Sensitivities(_Simulation):
             base = f.whole("mul", d, n_x)
             for j, value in enumerate(ahead):
                 at = f.whole("add", base, j)
-                f.store(self._where(running, value, f.load(self._dx, at)), self._dx, at)
+                f.store(self.where(running, value, f.load(self._dx, at)), self._dx, at)
 
         self._each(change)
 
@@ -522,5 +624,4 @@ class _Sensitivities(_Simulation):
                     base = f.whole("mul", run, size)
                     with f.loop(0, size) as i:
                         number = f.lane(f.load(source, i), lane)
-                        at = f.at(into, f.whole("add", base, i), "double")
-                        f.line(f"store double {number}, ptr {at}, align 8")
+                        f.store_number(number, into, f.whole("add", base, i))

@@ -4,6 +4,7 @@ import ctypes
 import sys
 from collections.abc import Sequence
 from functools import cache, lru_cache
+from threading import Lock
 from typing import Any
 
 from tustinnet.engine.functions import SCALAR, SYMBOL
@@ -11,6 +12,7 @@ from tustinnet.engine.functions import SCALAR, SYMBOL
 _WIDTHS = (("avx512f", 8), ("avx", 4))  # numbers of a vector, by what the processor has
 _NARROW = 2
 _KEPT = 256  # compiled modules
+_ONE = Lock()  # threads share LLVM's description of the processor: one compiles at a time
 _PASSES, _LEVEL = 1, 2  # how hard LLVM optimises modules, and instructions of the processor
 
 
@@ -30,6 +32,10 @@ class Compiled:
         self._engine = binding.create_mcjit_compiler(module, target)
         self._engine.finalize_object()
 
+    def address(self, name: str) -> int:
+        """Where a function of it stands in memory."""
+        return self._engine.get_function_address(name)
+
     def function(self, name: str, arguments: Sequence[Any]) -> Any:
         """A function of it that returns nothing; calls release Python's lock.
 
@@ -38,14 +44,19 @@ class Compiled:
             arguments: their ctypes.
         """
         kind = ctypes.CFUNCTYPE(None, *arguments)
-        function = kind(self._engine.get_function_address(name))
+        function = kind(self.address(name))
         vars(function)["owner"] = self  # the code lives as long as who may call it
         return function
 
 
-@lru_cache(maxsize=_KEPT)
 def compiled(text: str) -> Compiled:
     """A module as machine code; one that was compiled before is not compiled again."""
+    with _ONE:
+        return _compiled(text)
+
+
+@lru_cache(maxsize=_KEPT)
+def _compiled(text: str) -> Compiled:
     return Compiled(text)
 
 

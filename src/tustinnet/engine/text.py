@@ -7,12 +7,16 @@ variants of a model that are simulated side by side. With one lane it is a plain
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cached_property
 from typing import Literal
+
+import numpy as np
 
 # sums may be reordered and multiplications fused with them, so that vectors can be used; that a
 # number is not finite is always respected: a simulation that diverges must stay visible
 FAST = "reassoc nsz contract"
 
+Precision = Literal["double", "float"]
 Predicate = Literal["oeq", "une", "olt", "ole", "ogt", "oge", "uno"]
 
 
@@ -86,7 +90,7 @@ class Function:
         return self.value(f"{op} i64 {a}, {b}")
 
     def at(self, pointer: str, index: str | int, kind: str | None = None) -> str:
-        """The address of an element: of values, or of a kind such as `double`, `i64`."""
+        """The address of an element: of values, or of a kind such as `i64`."""
         if index == 0:
             return pointer
         return self.value(
@@ -127,10 +131,22 @@ class Function:
         at = self.at(pointer, index)
         return self.value(f"load {self.module.v}, ptr {at}, align {self.module.align}")
 
-    def store(self, value: str, pointer: str, index: str | int = 0) -> None:
-        """A value goes to memory."""
-        at = self.at(pointer, index)
-        self.line(f"store {self.module.v} {value}, ptr {at}, align {self.module.align}")
+    def store(
+        self, value: str, pointer: str, index: str | int = 0, *, aligned: bool = True
+    ) -> None:
+        """A value goes to memory; not aligned where somebody else allocated that."""
+        at, m = self.at(pointer, index), self.module
+        self.line(f"store {m.v} {value}, ptr {at}, align {m.align if aligned else m.bytes}")
+
+    def load_number(self, pointer: str, index: str | int) -> str:
+        """A single number in memory."""
+        m = self.module
+        return self.value(f"load {m.n}, ptr {self.at(pointer, index, m.n)}, align {m.bytes}")
+
+    def store_number(self, number: str, pointer: str, index: str | int) -> None:
+        """A single number goes to memory."""
+        m = self.module
+        self.line(f"store {m.n} {number}, ptr {self.at(pointer, index, m.n)}, align {m.bytes}")
 
     def apply(self, op: str, a: str, b: str, *, exact: bool = False) -> str:
         """`fadd`, `fsub`, `fmul` or `fdiv`; exact where rounding must not be touched."""
@@ -173,7 +189,7 @@ class Function:
         value = "poison"
         for lane, number in enumerate(numbers):
             value = self.value(
-                f"insertelement {self.module.v} {value}, double {number}, i32 {lane}"
+                f"insertelement {self.module.v} {value}, {self.module.n} {number}, i32 {lane}"
             )
         return value
 
@@ -182,7 +198,7 @@ class Function:
         m = self.module
         if m.lanes == 1:
             return number
-        first = self.value(f"insertelement {m.v} poison, double {number}, i32 0")
+        first = self.value(f"insertelement {m.v} poison, {m.n} {number}, i32 0")
         order = f"<{m.lanes} x i32> zeroinitializer"
         return self.value(f"shufflevector {m.v} {first}, {m.v} poison, {order}")
 
@@ -192,17 +208,29 @@ class Module:
 
     Attributes:
         lanes: numbers of a value.
+        n: the type of a number, `double` or `float`.
+        bytes: of a number.
         v: the type of a value.
         truth: the type of a truth for every lane.
         align: bytes that values in memory are aligned to.
     """
 
-    def __init__(self, lanes: int) -> None:
-        self.lanes = lanes
-        self.v = "double" if lanes == 1 else f"<{lanes} x double>"
+    def __init__(self, lanes: int, number: Precision = "double") -> None:
+        self.lanes, self.n = lanes, number
+        self.bytes = 8 if number == "double" else 4
+        self.v = number if lanes == 1 else f"<{lanes} x {number}>"
         self.truth = "i1" if lanes == 1 else f"<{lanes} x i1>"
-        self.align = 8 * lanes
+        self.align = self.bytes * lanes
         self._parts: dict[str, str] = {}
+
+    @cached_property
+    def wide(self) -> "Module":
+        """The same module for functions of numbers in double precision."""
+        if self.n == "double":
+            return self
+        other = Module(self.lanes)
+        other._parts = self._parts
+        return other
 
     def function(
         self, name: str, arguments: str, result: str = "void", *, own: bool = True
@@ -223,10 +251,12 @@ class Module:
 
     def number(self, value: float) -> str:
         """A constant in all lanes."""
-        number = f"0x{bits_of(value) % 2**64:016X}"
+        # a number in single precision is written as that in double precision which it is
+        exact = value if self.n == "double" else float(np.float32(value))
+        number = f"0x{bits_of(exact) % 2**64:016X}"
         if self.lanes == 1:
             return number
-        return "<" + ", ".join([f"double {number}"] * self.lanes) + ">"
+        return "<" + ", ".join([f"{self.n} {number}"] * self.lanes) + ">"
 
     def text(self) -> str:
         """The module as text."""

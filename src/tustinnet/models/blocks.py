@@ -44,6 +44,11 @@ class Affine(eqx.Module):
         return jax.tree.map(jnp.zeros_like, self)
 
 
+def is_layer(node: object) -> bool:
+    """Whether a part of a model is an `Affine` layer."""
+    return isinstance(node, Affine)
+
+
 def fold(first: Affine, second: Affine) -> Affine:
     """The affine map that applies `first`, then `second`."""
     bias = second.bias

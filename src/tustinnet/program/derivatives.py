@@ -37,7 +37,7 @@ def with_derivatives(
         columns: of these inputs the numbers by which it is, where not by all.
     """
     columns = columns or {}
-    tape = Tape(dict(program.inputs))
+    tape = Tape(dict(program.inputs), program.matrices)
     values = {name: tape.input_vector(name) for name in program.inputs}
     seeds: dict[str, Tangents] = {name: {} for name in program.inputs}
     directions: dict[str, range] = {}
@@ -124,6 +124,9 @@ class _Forward:
                 matrix = tables[node.data]
                 value = tape.product_vector(matrix, args[0])
                 return value, {d: self._product(matrix, t) for d, t in slopes[0].items()}
+            case "layer":
+                value = tape.layer(node.data, args[0])
+                return value, {d: tape.layer(node.data, t) for d, t in slopes[0].items()}
             case "loop":
                 return self._loop(node.data, args, slopes)
         value = tape.apply(node.op, *args)

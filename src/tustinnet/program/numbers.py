@@ -10,12 +10,12 @@ from tustinnet.program.program import OPERATIONS, Loop, Node, Program
 Vector = Float[np.ndarray, " _"] | Bool[np.ndarray, " _"]
 
 
-def run(program: Program, **inputs: Vector) -> dict[str, Vector]:
+def run(program: Program, **inputs: np.ndarray) -> dict[str, Vector]:
     """What a program returns, by name.
 
     Args:
         program: the program.
-        inputs: the vectors that it is given, by their names.
+        inputs: the vectors and matrices that it is given, by their names.
     """
     values: list[Any] = []
     for node in program.nodes:
@@ -23,7 +23,7 @@ def run(program: Program, **inputs: Vector) -> dict[str, Vector]:
     return {name: _numbers(values[i]) for name, i in program.outputs.items()}
 
 
-def _value(program: Program, node: Node, args: list[Any], inputs: dict[str, Vector]) -> Any:
+def _value(program: Program, node: Node, args: list[Any], inputs: dict[str, np.ndarray]) -> Any:
     match node.op:
         case "input":
             return np.asarray(inputs[node.data], np.float64)
@@ -39,6 +39,9 @@ def _value(program: Program, node: Node, args: list[Any], inputs: dict[str, Vect
             return np.concatenate([np.atleast_1d(a) for a in args])
         case "product":
             return program.tables[node.data] @ args[0]
+        case "layer":
+            matrix = np.asarray(inputs[node.data.name], np.float64)
+            return (matrix.T if node.data.transposed else matrix) @ _numbers(args[0])
         case "loop":
             return _looped(node.data, [_numbers(a) for a in args])
     with np.errstate(all="ignore"):

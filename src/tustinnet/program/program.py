@@ -4,8 +4,8 @@ A program is a list of nodes in the order of computation. Most nodes are single 
 networks are products of matrices and vectors, and what follows them acts on whole vectors.
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -69,6 +69,20 @@ OPERATIONS: dict[str, Operation] = {
     "select": Operation(np.where),  # a condition, the value where it holds, the other value
 }
 
+PRODUCTS = ("product", "layer")  # matrices times vectors
+
+
+class Factor(NamedTuple):
+    """A matrix that a program is given, where it multiplies a vector.
+
+    Attributes:
+        name: its name.
+        transposed: whether its transpose does.
+    """
+
+    name: str
+    transposed: bool = False
+
 
 @dataclass(frozen=True)
 class Node:
@@ -83,6 +97,7 @@ class Node:
             `part`: `size` numbers of a vector from `data` on;
             `join`: vectors and numbers one after the other;
             `product`: the matrix `Program.tables[data]` times a vector;
+            `layer`: a matrix that the program is given times a vector; `data` is a `Factor`;
             `loop`: a `Loop`, which is `data`; its value is all that it carries, at the end.
         args: the nodes that it is computed from. An operation takes vectors of its own size and
             single numbers, which act on all.
@@ -149,12 +164,14 @@ class Program:
         nodes: in the order of computation.
         outputs: the vectors that it returns, by name: numbers of nodes.
         tables: constant vectors and matrices.
+        matrices: the matrices that it is given, and their shapes.
     """
 
     inputs: dict[str, int]
     nodes: tuple[Node, ...]
     outputs: dict[str, int]
     tables: tuple[np.ndarray, ...]
+    matrices: Mapping[str, tuple[int, int]] = field(default_factory=dict)
 
     @cached_property
     def uses(self) -> tuple[int, ...]:
@@ -172,5 +189,5 @@ class Program:
     @property
     def operations(self) -> int:
         """How many operations on numbers and vectors are written in it, loops included."""
-        own = sum(node.op in OPERATIONS or node.op == "product" for node in self.nodes)
+        own = sum(node.op in OPERATIONS or node.op in PRODUCTS for node in self.nodes)
         return own + sum(loop.body.operations for loop in self.loops)

@@ -19,7 +19,7 @@ from tustinnet.program.primitives import (
     multiplied,
     scattered,
 )
-from tustinnet.program.program import OPERATIONS, Loop, Program
+from tustinnet.program.program import OPERATIONS, Factor, Loop, Program
 from tustinnet.program.tape import Tape
 
 _UNROLLED = 300  # operations up to which a loop is written out
@@ -44,28 +44,52 @@ class Numbers:
         self.ids = ids
 
 
-Value = np.ndarray | Numbers  # known while reading, or computed by the program
+class Matrix:
+    """A matrix that a program is given: it only multiplies vectors.
+
+    Attributes:
+        factor: which one, and whether its transpose is meant.
+        shape: of what is meant.
+    """
+
+    def __init__(self, factor: Factor, shape: tuple[int, int]) -> None:
+        self.factor, self.shape = factor, shape
+
+    def turned(self) -> "Matrix":
+        """Its transpose."""
+        name, transposed = self.factor
+        return Matrix(Factor(name, not transposed), self.shape[::-1])
+
+
+Value = np.ndarray | Numbers | Matrix  # known while reading, computed by the program, or given
 
 
 def read(
-    function: Callable[..., Mapping[str, Any]], inputs: Mapping[str, int], what: str = "program"
+    function: Callable[..., Mapping[str, Any]],
+    inputs: Mapping[str, int],
+    what: str = "program",
+    matrices: Mapping[str, tuple[int, int]] | None = None,
 ) -> Program:
     """A function as a program.
 
     Args:
-        function: of vectors in float64; returns vectors by name.
-        inputs: what it is given, by name, and how many numbers each is.
+        function: of vectors in float64, and matrices behind them; returns vectors by name.
+        inputs: the vectors that it is given, by name, and how many numbers each is.
         what: what is read, for messages.
+        matrices: the matrices that it is given, by name, and their shapes.
 
     Raises:
         Unreadable: it uses what no rule is there for, or loops whose end depends on the state.
     """
     # in single precision where JAX knows no other; the program itself computes in double
     kind = jax.dtypes.canonicalize_dtype(np.float64)
-    shapes = [jax.ShapeDtypeStruct((size,), kind) for size in inputs.values()]
+    matrices = matrices or {}
+    sizes = [*((size,) for size in inputs.values()), *matrices.values()]
+    shapes = [jax.ShapeDtypeStruct(size, kind) for size in sizes]
     closed, shape = jax.make_jaxpr(function, return_shape=True)(*shapes)
-    tape = Tape(dict(inputs))
-    given = [Numbers(np.array(tape.input(name), int)) for name in inputs]
+    tape = Tape(dict(inputs), matrices)
+    given: list[Value] = [Numbers(np.array(tape.input(name), int)) for name in inputs]
+    given += [Matrix(Factor(name), size) for name, size in matrices.items()]
     reader = _Reader(tape, what)
     values = reader.run(closed.jaxpr, closed.consts, given)
     names = jax.tree.unflatten(jax.tree.structure(shape), range(len(values)))
@@ -82,6 +106,8 @@ class _Reader:
         """The numbers of nodes of an array; constants are noted."""
         if isinstance(value, Numbers):
             return value.ids
+        if isinstance(value, Matrix):
+            raise Refused("on the weights of a layer")
         array = np.asarray(value)
         if array.dtype.kind not in "bifu":
             raise Refused(f"of {array.dtype} numbers")
@@ -112,6 +138,8 @@ class _Reader:
             inner = params[_CALLS[name]]
             closed = inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
             return self.run(closed.jaxpr, closed.consts, operands)
+        if any(isinstance(o, Matrix) for o in operands):
+            return [self._by_matrix(eqn, operands)]
         known = not any(isinstance(o, Numbers) for o in operands)
         if name in MOVES:
             found = MOVES[name](params, *(operands if known else map(self.ids, operands)))
@@ -122,6 +150,29 @@ class _Reader:
         if name in ("scan", "cond", "while"):
             return getattr(self, f"_{name}")(params, operands)
         return [Numbers(self._ruled(eqn, operands))]
+
+    def _by_matrix(self, eqn: Any, operands: list[Value]) -> Value:
+        """A matrix that the program is given: it is turned, or multiplies a vector."""
+        name, params = eqn.primitive.name, eqn.params
+        first = operands[0]
+        if name == "convert_element_type" and isinstance(first, Matrix):
+            return first
+        if name == "transpose" and isinstance(first, Matrix):
+            return first.turned() if tuple(params["permutation"]) == (1, 0) else first
+        if name == "dot_general":
+            (of_left, of_right), (many, _) = params["dimension_numbers"]
+            left, right = operands
+            matrix, vector, along = (
+                (left, right, of_left) if isinstance(left, Matrix) else (right, left, of_right)
+            )
+            if isinstance(matrix, Matrix) and not isinstance(vector, Matrix) and not many:
+                ids = self.ids(vector)
+                if ids.ndim == 1 and len(along) == 1:
+                    # what is summed over are the columns of the factor
+                    factor = (matrix if along[0] == 1 else matrix.turned()).factor
+                    tape = self._tape
+                    return Numbers(np.array(tape.split(tape.layer(factor, tape.vector(ids))), int))
+        raise Refused("on the weights of a layer")
 
     def _ruled(self, eqn: Any, operands: list[Value]) -> np.ndarray:
         name, params = eqn.primitive.name, eqn.params
@@ -187,6 +238,8 @@ class _Reader:
         length, closed = params["length"], params["jaxpr"]
         if length < 2 or len(closed.out_avals) > len(carried) or params["reverse"]:
             return None
+        if any(isinstance(v, Matrix) for v in constants):
+            return None  # the body of a loop is given vectors only
         # what is computed is handed in, what is known stands in the body
         asked = {f"constant{i}": self.ids(v).ravel() for i, v in enumerate(constants)
                  if isinstance(v, Numbers)}  # fmt: skip
@@ -266,6 +319,8 @@ def _constant(value: Any) -> np.ndarray:
 
 
 def _row(value: Value, i: int) -> Value:
+    if isinstance(value, Matrix):
+        raise Refused("over the weights of a layer")
     return Numbers(np.asarray(value.ids[i])) if isinstance(value, Numbers) else np.asarray(value[i])
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tustinnet.program.program import OPERATIONS, Loop, Node, Program
+from tustinnet.program.program import OPERATIONS, Factor, Loop, Node, Program
 
 LONG = 8  # numbers from which a vector is treated as one thing
 
@@ -20,9 +20,11 @@ class Tape:
 
     Attributes:
         inputs: the vectors that it is given, and their sizes.
+        matrices: the matrices that it is given, and their shapes.
     """
 
     inputs: dict[str, int]
+    matrices: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     _nodes: list[Node] = field(default_factory=list)
     _known: dict[Node, int] = field(default_factory=dict)
     _tables: list[np.ndarray] = field(default_factory=list)
@@ -124,6 +126,16 @@ class Tape:
         """The node of a constant matrix times a vector node."""
         return self.add(Node("product", (vector,), len(matrix), self._kept(matrix)))
 
+    def matrix(self, number: int) -> np.ndarray:
+        """The constant matrix of that number, as the nodes of products have it."""
+        return self._tables[number]
+
+    def layer(self, factor: Factor, vector: int) -> int:
+        """The node of a matrix that the program is given times a vector node."""
+        rows, columns = self.matrices[factor.name]
+        size = columns if factor.transposed else rows
+        return self.add(Node("layer", (vector,), size, factor))
+
     def _kept(self, values: np.ndarray) -> int:
         key = values.shape, values.dtype.kind, values.tobytes()
         if key not in self._known_tables:
@@ -195,7 +207,8 @@ class Tape:
         )
         nodes = tuple(self._moved(self._nodes[n], place, used) for n in kept)
         tables = tuple(self._tables[i] for i in used)
-        return Program(dict(self.inputs), nodes, {k: place[n] for k, n in ends.items()}, tables)
+        outputs = {name: place[number] for name, number in ends.items()}
+        return Program(dict(self.inputs), nodes, outputs, tables, dict(self.matrices))
 
     def _moved(self, node: Node, place: dict[int, int], used: list[int]) -> Node:
         data = node.data

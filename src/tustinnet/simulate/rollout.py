@@ -12,9 +12,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from tustinnet.errors import InputError
-from tustinnet.models.blocks import Affine
+from tustinnet.models.blocks import Affine, is_layer
 from tustinnet.models.contract import Model, State
 from tustinnet.simulate.drive import Drive
+from tustinnet.simulate.engine_rollouts import rollouts_by_engine
 
 LONG = 5000  # steps from which a gradient saves memory instead of time
 
@@ -129,6 +130,8 @@ def rollouts(
     x0: Float[Array | np.ndarray, "batch n_x"],
     u: Driven,
     measured: Float[Array | np.ndarray, "batch known n_measured"] | None = None,
+    *,
+    only_layers: bool = False,
 ) -> Float[Array, "batch samples n_x"]:
     """Free runs of a batch: what `jax.vmap` makes of `rollout`, with a cheaper gradient.
 
@@ -143,6 +146,8 @@ def rollouts(
         x0: initial states, (batch, n_x).
         u: as for `rollout`, with the batch first.
         measured: as for `rollout`, with the batch first.
+        only_layers: whether nothing is differentiated by but `Affine` layers and `x0`. Machine
+            code then does the steps where it can, and all other derivatives are zero.
 
     Returns:
         (batch, steps + 1, n_x).
@@ -152,6 +157,10 @@ def rollouts(
     if not parts.layers or steps > LONG:
         return jax.vmap(partial(rollout, model))(start, u, measured)
     u, measured = jax.tree.map(jnp.asarray, (u, measured))
+    if only_layers and measured is None and not isinstance(u, Drive):
+        found = rollouts_by_engine(model, start.astype(precision(model, start, u)), u)
+        if found is not None:
+            return found
     # time first, as the loop takes it
     course = jax.vmap(_course, out_axes=1)(u, measured)
     start = start.astype(precision(model, start, course.u))
@@ -195,8 +204,8 @@ class _Parts(NamedTuple):
 
 
 def _taken_apart(model: Model) -> _Parts:
-    leaves, structure = jax.tree.flatten(model, is_leaf=_is_layer)
-    places = [i for i, leaf in enumerate(leaves) if _is_layer(leaf)]
+    leaves, structure = jax.tree.flatten(model, is_leaf=is_layer)
+    places = [i for i, leaf in enumerate(leaves) if is_layer(leaf)]
 
     def rebuilt(layers: list[Any], rest: list[Any]) -> Model:
         filled = list(rest)
@@ -204,7 +213,7 @@ def _taken_apart(model: Model) -> _Parts:
             filled[place] = layer
         return jax.tree.unflatten(structure, filled)
 
-    others = [None if _is_layer(leaf) else leaf for leaf in leaves]
+    others = [None if is_layer(leaf) else leaf for leaf in leaves]
     return _Parts([leaves[i] for i in places], others, rebuilt)
 
 
@@ -299,10 +308,6 @@ def _summed(
     if layer.bias is None:
         return Affine(weight, None)
     return Affine(weight, jnp.sum(delta, axis=0).astype(layer.bias.dtype))
-
-
-def _is_layer(node: Any) -> bool:
-    return isinstance(node, Affine)
 
 
 def precision(model: Model, *signals: Array) -> np.dtype:

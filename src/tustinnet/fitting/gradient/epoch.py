@@ -30,6 +30,7 @@ from tustinnet.fitting.gradient.state import (
 )
 from tustinnet.fitting.recipe import Criterion, Kept, StageRecipe
 from tustinnet.fitting.residual import Residual
+from tustinnet.models.blocks import Affine, is_layer
 from tustinnet.models.contract import Model
 from tustinnet.simulate.rollout import rollouts
 
@@ -47,12 +48,14 @@ class WindowLoss:
         length: steps in a window that are.
         lead: steps before them, see `StageWindows`.
         regulariser: what the model's family adds to the loss at every step, if anything.
+        only_layers: whether nothing trains but `Affine` layers, see `rollouts`.
     """
 
     residual: Residual
     length: int
     lead: int = 0
     regulariser: Regulariser | None = None
+    only_layers: bool = False
 
 
 @dataclass(frozen=True)
@@ -102,7 +105,13 @@ def compiled_epochs(prepared: Plan, stage: Stage) -> EpochsFunction:
     program = _Program(
         # the name and the number of epochs make no other program
         recipe=recipe.model_copy(update={"name": "", "epochs": 1, "rate": 1.0}),
-        loss=WindowLoss(stage.residual, windows.length, windows.lead, stage.regulariser),
+        loss=WindowLoss(
+            stage.residual,
+            windows.length,
+            windows.lead,
+            stage.regulariser,
+            only_layers=_only_layers(prepared.models, stage.trainable),
+        ),
         watched=stage.watched is not None and validation is not None,
         trainable=tuple(jax.tree.leaves(stage.trainable)),
         keep=_possible(recipe.keep, stage, validation),
@@ -123,6 +132,13 @@ def compiled_epochs(prepared: Plan, stage: Stage) -> EpochsFunction:
     # another layout would be compiled for anew
     layout = NamedSharding(prepared.mesh, Spec(MEMBERS))
     return lambda state: _run(jax.device_put(state, layout), material, program=program)
+
+
+def _only_layers(models: Model, trainable: PyTree) -> bool:
+    """Whether all that trains belongs to layers."""
+    layers = jax.tree.map(lambda node: isinstance(node, Affine), models, is_leaf=is_layer)
+    each = jax.tree.map(lambda layer, mask: layer or not mask, layers, trainable)
+    return all(jax.tree.leaves(each))
 
 
 def _possible(wanted: Kept, stage: Stage, validation: FreeRuns | None) -> Criterion:
@@ -377,11 +393,13 @@ def window_losses(
     lead, compared = target[:, : loss.lead + 1], slice(loss.lead, None)
     if encoder is not None:
         begin = jax.vmap(partial(encoder, of))(lead[..., of.position], u[:, : loss.lead])
-        simulated = rollouts(simulator, begin, u[:, compared])
+        simulated = rollouts(simulator, begin, u[:, compared], only_layers=loss.only_layers)
     else:
         blank = ((0, 0), (0, model.state_size - target.shape[-1]))
         measured = lead[..., of.measured] if loss.lead else None
-        simulated = rollouts(simulator, jnp.pad(target[:, 0], blank), u, measured)[:, compared]
+        begin = jnp.pad(target[:, 0], blank)
+        states = rollouts(simulator, begin, u, measured, only_layers=loss.only_layers)
+        simulated = states[:, compared]
     losses = jax.vmap(loss.residual.window_loss)(
         simulated[..., of.measured], target[:, compared, of.measured]
     )
@@ -415,7 +433,9 @@ def validation_rmse(
         (runs.material, runs.u, runs.q, runs.weight),
     )
     x0 = runs.start.states(simulator, material)
-    simulated = rollouts(simulator, x0, u)[..., model.channels.position]
+    # nothing is differentiated
+    states = rollouts(simulator, x0, u, only_layers=True)
+    simulated = states[..., model.channels.position]
     # beyond a record's end the model may do anything, also overflow
     error = jnp.where(weight[..., None] > 0, simulated - q, 0.0)
     squares = (weight * jnp.sum(error**2, axis=-1)).reshape(len(chosen), -1)

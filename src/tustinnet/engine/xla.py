@@ -1,0 +1,239 @@
+"""Machine code inside of programs that JAX compiles: rollouts with their gradient.
+
+XLA calls functions that stand in memory beside its own code and hands them the addresses of
+arrays. Here these are loops over time of models whose layers are given: many short rollouts, and
+their adjoints. No Python runs in between, so several devices may call at once.
+
+References:
+    XLA, `xla/ffi/api/c_api.h`: how XLA calls foreign functions, API version 0.3.
+"""
+
+import ctypes
+import hashlib
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tustinnet.engine.emission import Constants, laid_out
+from tustinnet.engine.equations import Equations
+from tustinnet.engine.kernels import LANE, layer_outputs, size_of, write_backward, write_run
+from tustinnet.engine.machine import compiled, width
+from tustinnet.engine.text import Function, Module, Precision
+
+_VERSION = (0, 3)  # of the interface
+# places in its structures, bytes from their beginning
+_EXTENSION, _ARGUMENTS, _RESULTS = 8, 72, 112  # of a call
+_KIND, _METADATA = 8, 24  # of an extension
+_MAJOR, _MINOR = 24, 28  # of metadata
+_DATA, _SHAPE = 24, 40  # of an array
+_ASKS_METADATA = 1
+
+
+class Rollouts:
+    """Rollouts of a discrete model whose layers are given, as an operation of JAX.
+
+    Args:
+        equations: the step of the model.
+    """
+
+    def __init__(self, equations: Equations) -> None:
+        self._equations = equations
+        self.states = jax.custom_vjp(self._states)
+        self.states.defvjp(self._forward, self._backward)
+
+    def _states(
+        self, weights: list[Array], p: Array, c: Array, x0: Array, u: Array
+    ) -> Float[Array, "batch samples n_x"]:
+        """The states of rollouts; they have derivatives by `weights`, `p` and `x0`.
+
+        Args:
+            weights: the matrices of the layers, in the order of the equations.
+            p: parameters that derivatives are needed by, (n_p,).
+            c: all others, (n_c,).
+            x0: initial states, (batch, n_x).
+            u: what the steps take, (batch, steps, n_u).
+        """
+        target = _target("run", self._equations, _lanes(x0), _precision(x0))
+        shape = (len(x0), u.shape[1] + 1, x0.shape[1])
+        call = jax.ffi.ffi_call(
+            target.name, jax.ShapeDtypeStruct(shape, x0.dtype), vmap_method="sequential"
+        )
+        return call(target.numbers(weights), _repeated(p, c, x0), x0, _padded(u))
+
+    def _forward(self, *given: Any) -> tuple[Array, Any]:
+        states = self._states(*given)
+        return states, (*given, states)
+
+    def _backward(self, kept: Any, seeds: Array) -> tuple[Any, ...]:
+        weights, p, c, x0, u, states = kept
+        equations, lanes = self._equations, _lanes(x0)
+        target = _target("backward", equations, lanes, _precision(x0))
+        sizes = [size_of(equations.adjoints.program, name) for name in layer_outputs(equations)]
+        samples = -(-len(x0) // lanes) * u.shape[1] * lanes
+        shapes = (sum(sizes), samples), (len(x0), len(p)), x0.shape
+        results = [jax.ShapeDtypeStruct(shape, x0.dtype) for shape in shapes]
+        call = jax.ffi.ffi_call(target.name, results, vmap_method="sequential")
+        layers, by_p, by_x0 = call(
+            target.numbers(weights), _repeated(p, c, x0), _padded(u), states, seeds
+        )
+        ends = np.cumsum([0, *sizes]).tolist()
+        by_weights = dict.fromkeys(equations.matrices)
+        for i, name in enumerate(equations.adjoints.layers):
+            begin, middle, end = ends[2 * i : 2 * i + 3]
+            product = layers[middle:end] @ layers[begin:middle].T
+            known = by_weights[name]
+            by_weights[name] = product if known is None else known + product
+        gradients = [
+            jnp.zeros_like(weight) if by is None else by
+            for weight, by in zip(weights, by_weights.values(), strict=True)
+        ]
+        return gradients, jnp.sum(by_p, axis=0), jnp.zeros_like(c), by_x0, jnp.zeros_like(u)
+
+
+def _repeated(p: Array, c: Array, x0: Array) -> Array:
+    """The parameters of every rollout."""
+    numbers = jnp.concatenate([p, c]).astype(x0.dtype)
+    return jnp.broadcast_to(numbers, (len(x0), len(numbers)))
+
+
+def _padded(u: Array) -> Array:
+    """A row for every sample, though the last one drives nothing."""
+    return jnp.pad(u, ((0, 0), (0, 1), (0, 0)))
+
+
+def _precision(x0: Array) -> Precision:
+    return "double" if x0.dtype == np.float64 else "float"
+
+
+def _lanes(x0: Array) -> int:
+    """How many rollouts stand side by side: two vectors, each weight is read once for both."""
+    one = width() * 8 // x0.dtype.itemsize
+    return 2 * one if len(x0) > one else one
+
+
+class _Target:
+    """A function that XLA can call, and the numbers that it reads.
+
+    Attributes:
+        name: what programs call it; the same code has the same name in every process, so that
+            programs that XLA has kept find it again.
+    """
+
+    def __init__(self, module: Module, constants: Constants, equations: Equations) -> None:
+        text = module.text()
+        self.name = f"tustinnet.{hashlib.sha256(text.encode()).hexdigest()[:32]}"
+        self._code = compiled(text)
+        pointer = self._code.address("called")
+        capsule = ctypes.pythonapi.PyCapsule_New
+        capsule.restype = ctypes.py_object
+        capsule.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
+        jax.ffi.register_ffi_target(self.name, capsule(pointer, None, None), platform="cpu")
+        # where each number comes from: a constant, or a weight behind these
+        base = np.array([*constants.numbers, 0.0])
+        begins, first = {}, len(base)
+        for name, shape in equations.matrices.items():
+            begins[name] = first
+            first += shape[0] * shape[1]
+        order = np.arange(len(base))
+        for factor, place in constants.layers.items():
+            shape = equations.matrices[factor.name]
+            weights = begins[factor.name] + np.arange(shape[0] * shape[1]).reshape(shape)
+            laid = laid_out(weights.T if factor.transposed else weights)
+            order[place : place + len(laid)] = laid
+        self._base, self._order = base, order
+
+    def numbers(self, weights: Sequence[Array]) -> Array:
+        """The constants with the weights among them."""
+        kind = jnp.result_type(*weights)
+        given = [jnp.asarray(self._base, kind), *(jnp.ravel(w) for w in weights)]
+        return jnp.concatenate(given)[self._order]
+
+
+@cache
+def _target(what: str, equations: Equations, lanes: int, number: Precision) -> _Target:
+    module, constants = Module(lanes, number), Constants()
+    if what == "run":
+        write_run(module, equations, constants)
+        _write_called(module, _call_run)
+    else:
+        write_backward(module, equations, constants)
+        _write_called(module, _call_backward)
+    return _Target(module, constants, equations)
+
+
+def _write_called(module: Module, write: Callable[[Function], None]) -> None:
+    """The function that XLA calls: it says which interface it has, or does its work."""
+    f = module.function("called", "ptr %call", "ptr", own=False)
+    extension = _field(f, "%call", _EXTENSION, "ptr")
+    with f.when(f.value(f"icmp ne ptr {extension}, null")):
+        kind = _field(f, extension, _KIND, "i32")
+        with f.when(f.value(f"icmp eq i32 {kind}, {_ASKS_METADATA}")):
+            metadata = _field(f, extension, _METADATA, "ptr")
+            for place, value in zip((_MAJOR, _MINOR), _VERSION, strict=True):
+                f.line(f"store i32 {value}, ptr {f.at(metadata, place, 'i8')}")
+            f.line("ret ptr null")
+            f.place(f.label())
+    write(f)
+    f.line("ret ptr null")
+    module.finish(f)
+
+
+def _field(f: Function, structure: str, place: int, kind: str) -> str:
+    return f.value(f"load {kind}, ptr {f.at(structure, place, 'i8')}")
+
+
+def _arrays(f: Function, list_of: int, count: int) -> list[str]:
+    """The arrays that a call hands in, or those for its results."""
+    pointers = _field(f, "%call", list_of, "ptr")
+    return [f.value(f"load ptr, ptr {f.at(pointers, i, 'ptr')}") for i in range(count)]
+
+
+def _lane_table(f: Function, drive: str) -> tuple[str, str, str]:
+    """The table of lanes of rollouts of one length; the number of groups, and the steps."""
+    shape = _field(f, drive, _SHAPE, "ptr")
+    batch = f.value(f"load i64, ptr {shape}")
+    samples = f.value(f"load i64, ptr {f.at(shape, 1, 'i64')}")
+    steps, lanes = f.whole("sub", samples, 1), f.module.lanes
+    groups = f.whole("sdiv", f.whole("add", batch, lanes - 1), lanes)
+    count = f.whole("mul", groups, lanes)
+    table = f.value(f"alloca i64, i64 {f.whole('mul', count, len(LANE))}")
+    last = f.whole("sub", batch, 1)
+    with f.loop(0, count) as i:
+        idle = f.value(f"icmp sgt i64 {i}, {last}")
+        run = f.value(f"select i1 {idle}, i64 {last}, i64 {i}")
+        first = f.whole("mul", run, samples)
+        own = f.value(f"select i1 {idle}, i64 -1, i64 {steps}")
+        columns = {"run": run, "steps": own, "first": first, "result": first, "measured": "0"}
+        row = f.whole("mul", i, len(LANE))
+        for k, name in enumerate(LANE):
+            f.line(f"store i64 {columns[name]}, ptr {f.at(table, f.whole('add', row, k), 'i64')}")
+    return table, groups, steps
+
+
+def _call_run(f: Function) -> None:
+    given, (states,) = _arrays(f, _ARGUMENTS, 4), _arrays(f, _RESULTS, 1)
+    table, groups, _ = _lane_table(f, given[3])
+    constants, parameters, start, drive = (_field(f, a, _DATA, "ptr") for a in given)
+    out = _field(f, states, _DATA, "ptr")
+    f.line(
+        f"call void @run(i64 0, i64 {groups}, ptr {table}, ptr {constants}, i64 1, i64 1, "
+        f"ptr {drive}, ptr null, ptr {start}, ptr {parameters}, ptr null, i64 0, ptr {out})"
+    )
+
+
+def _call_backward(f: Function) -> None:
+    given, results = _arrays(f, _ARGUMENTS, 5), _arrays(f, _RESULTS, 3)
+    table, groups, steps = _lane_table(f, given[2])
+    constants, parameters, drive, states, seeds = (_field(f, a, _DATA, "ptr") for a in given)
+    layers, by_p, by_start = (_field(f, a, _DATA, "ptr") for a in results)
+    span = f.whole("mul", groups, steps)
+    f.line(
+        f"call void @backward(i64 0, i64 {groups}, ptr {table}, ptr {constants}, ptr {drive}, "
+        f"ptr {parameters}, ptr {states}, ptr {seeds}, i64 {span}, i64 {steps}, ptr {layers}, "
+        f"ptr {by_p}, ptr {by_start})"
+    )
