@@ -160,7 +160,7 @@ LOOPS_OVER_TIME = {
 }
 OTHER_LOOPS = {
     "models/integrate.py": "the parts of a period, and the stages of a Runge-Kutta step",
-    "simulate/fitted_start.py": "the turns of the search for a start",
+    "simulate/state_fits.py": "the turns of the search for a start",
     "fitting/gradient/epoch.py": "epochs, and the steps of the optimiser in one",
 }
 

@@ -4,14 +4,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from every_family import network
 from swinging import CREEPING, DT, SWING, TRUTH, swing_model
 
 import tustinnet as tn
+from tustinnet.engine.equations import Equations
 from tustinnet.families.committee import committee
+from tustinnet.models.contract import with_dtype
 from tustinnet.simulate.drive import drive_of
-from tustinnet.simulate.fitted_start import model_starts
 from tustinnet.simulate.rollout import rollout
-from tustinnet.simulate.starts import initial_state, start_states
+from tustinnet.simulate.starts import initial_state, start_named, start_states
+from tustinnet.simulate.state_fits import fitted_with_derivatives
 
 SAMPLES = 20
 
@@ -105,22 +108,39 @@ def test_several_records_are_fitted_at_once_each_for_itself():
 
 
 def test_its_derivative_by_a_parameter_is_that_of_the_solution():
-    e = simulated(tn.discretise(grey_box(), DT), np.array([1.0, 2.0]))
-    name, nominal = "gravity", TRUTH["gravity"]
-    guess = jnp.asarray(initial_state(e, "derived-6"))[None]
+    model = tn.discretise(grey_box(), DT)
+    e = simulated(model, np.array([1.0, 2.0]))
+    guess = initial_state(e, "derived-6")[None]
+    drive = jax.tree.map(lambda a: np.asarray(a)[None], drive_of(model, e))
+    moving = Equations(
+        lambda x, u, p, c: grey_box(gravity=p[0]).derivative(x, u), n_x=2, n_u=1, n_p=1
+    )
 
-    drive = jax.tree.map(lambda a: a[None], drive_of(tn.discretise(grey_box(), DT), e))
-
-    @jax.jit
     def start(value):
-        model = tn.discretise(grey_box(**{name: value}), DT)
-        return model_starts(model, guess, drive, jnp.asarray(e.q[None]))[0]
+        given = np.array([[value]]), guess, np.zeros((1, 1, 2))
+        return fitted_with_derivatives(model, moving, *given, drive, e.q[None])
 
+    nominal = TRUTH["gravity"]
     step = 1e-5 * nominal
-    numeric = (start(nominal + step) - start(nominal - step)) / (2 * step)
-    exact = jax.jacrev(start)(jnp.asarray(nominal))
+    numeric = (start(nominal + step)[0] - start(nominal - step)[0])[0] / (2 * step)
+    exact = start(nominal)[1][0, 0]
     # exact residuals are 0 at the solution, so that Gauss-Newton leaves nothing out
-    np.testing.assert_allclose(exact, numeric, rtol=1e-3, atol=1e-6 * float(jnp.max(abs(exact))))
+    np.testing.assert_allclose(exact, numeric, rtol=1e-3, atol=1e-6 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize("engine", ["llvm", "jax"])
+@pytest.mark.parametrize("creeping", [False, True])
+def test_a_compiled_program_finds_the_same(creeping, engine, monkeypatch):
+    monkeypatch.setenv("TUSTINNET_ENGINE", engine)
+    physics = tn.discretise(grey_box(creeping, gravity=1.1 * TRUTH["gravity"]), DT)
+    model = with_dtype(tn.HybridModel(physics, network(0, physics.channels)), np.float64)
+    truth = tn.discretise(grey_box(creeping), DT)
+    states = [[2.5, 3.0], [1.0, -2.0], [0.1, 4.0]]
+    records = [simulated(truth, np.pad(x, (0, truth.state_size - 2)), 2048) for x in states]
+    rule = start_named("model-20")
+    material = rule.material(model, records)
+    inside = jax.jit(lambda model: rule.states(model, material))(model)
+    np.testing.assert_allclose(inside, rule.estimated(model, material), rtol=1e-5, atol=1e-6)
 
 
 def test_networks_and_training_start_there_too(pendulum, small_recipe):

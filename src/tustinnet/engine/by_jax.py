@@ -38,7 +38,7 @@ def compare(
         directions.seeds, runs.drive[rows], _periods(runs, rows), samples.target[rows], weight,
     )  # fmt: skip
     return Comparison(
-        np.asarray(products), np.asarray(gradient), np.asarray(cost),
+        np.array(products), np.array(gradient), np.array(cost),
         _run_after_run(runs, np.asarray(error)),
     )  # fmt: skip
 

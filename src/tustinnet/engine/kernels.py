@@ -157,6 +157,14 @@ def layer_outputs(equations: Equations) -> list[str]:
 def compare_kernel(equations: Equations, residual: Residual, lanes: int) -> Kernel:
     """Free runs with derivatives, compared with samples: products of residuals and derivatives."""
     module, constants = Module(lanes), Constants()
+    write_compare(module, equations, residual, constants)
+    return Kernel(module.text(), tuple(constants.numbers))
+
+
+def write_compare(
+    module: Module, equations: Equations, residual: Residual, constants: Constants
+) -> None:
+    """The function `compare`: free runs with derivatives, compared with samples."""
     slopes = _write_dynamics(module, equations, constants, derivatives=True)
     f = module.function("compare", COMPARE, own=False)
     with f.loop("%begin", "%end") as group:
@@ -169,7 +177,6 @@ def compare_kernel(equations: Equations, residual: Residual, lanes: int) -> Kern
         s.hand_over()
     f.line("ret void")
     module.finish(f)
-    return Kernel(module.text(), tuple(constants.numbers))
 
 
 def map_kernel(formula: Formula, lanes: int, *, derivatives: bool) -> Kernel:
@@ -268,7 +275,7 @@ def _write_dynamics(
 def _gather(f: Function, rows: Sequence[str], size: int, source: str, into: str) -> None:
     """A row of an array for each lane, side by side."""
     bases = [f.whole("mul", row, size) for row in rows]
-    for i in range(size):
+    with f.loop(0, size) as i:
         f.store(_beside(f, bases, i, source), into, i)
 
 

@@ -2,8 +2,8 @@
 
 import ctypes
 import sys
-from collections.abc import Sequence
-from functools import cache, lru_cache
+from collections.abc import Callable, Sequence
+from functools import cache, lru_cache, partial
 from threading import Lock
 from typing import Any
 
@@ -24,7 +24,8 @@ class Compiled:
     """
 
     def __init__(self, text: str) -> None:
-        binding, target = _target()
+        binding, create = _target()
+        target = create()  # the engine takes it and frees it in the end
         module = binding.parse_assembly(text)
         options = binding.create_pipeline_tuning_options(speed_level=_PASSES)
         passes = binding.create_pass_builder(target, options)
@@ -70,7 +71,7 @@ def width() -> int:
 
 
 @cache
-def _target() -> tuple[Any, Any]:
+def _target() -> tuple[Any, Callable[[], Any]]:
     from llvmlite import binding
 
     binding.initialize_native_target()
@@ -80,10 +81,11 @@ def _target() -> tuple[Any, Any]:
     for name in SCALAR:
         address = ctypes.cast(getattr(library, name), ctypes.c_void_p).value
         binding.add_symbol(SYMBOL.format(name), address)
-    target = binding.Target.from_default_triple().create_target_machine(
+    create = partial(
+        binding.Target.from_default_triple().create_target_machine,
         cpu=binding.get_host_cpu_name(),
         features=binding.get_host_cpu_features().flatten(),
         opt=_LEVEL,
         jit=True,
     )
-    return binding, target
+    return binding, create

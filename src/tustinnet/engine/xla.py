@@ -11,6 +11,7 @@ References:
 import ctypes
 import hashlib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -20,8 +21,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.engine.emission import Constants, laid_out
-from tustinnet.engine.equations import Equations
-from tustinnet.engine.kernels import LANE, layer_outputs, size_of, write_backward, write_run
+from tustinnet.engine.equations import Equations, Residual
+from tustinnet.engine.kernels import (
+    LANE,
+    layer_outputs,
+    size_of,
+    write_backward,
+    write_compare,
+    write_run,
+)
 from tustinnet.engine.machine import compiled, width
 from tustinnet.engine.text import Function, Module, Precision
 
@@ -42,9 +50,46 @@ class Rollouts:
     """
 
     def __init__(self, equations: Equations) -> None:
-        self._equations = equations
+        self._equations, n_p = equations, equations.n_p
+
+        def fixed(x: Array, u: Array, p: Array, c: Array, *weights: Array) -> Array:
+            return equations.function(x, u, c[:n_p], c[n_p:], *weights)
+
+        # the same where no derivatives by parameters are needed
+        self._fixed = replace(equations, function=fixed, n_p=0, n_c=n_p + equations.n_c)
         self.states = jax.custom_vjp(self._states)
         self.states.defvjp(self._forward, self._backward)
+
+    def compare(
+        self, weights: list[Array], p: Array, c: Array, x0: Array, u: Array, residual: Residual,
+        target: Array, weight: Array,
+    ) -> tuple[Array, Array, Array]:  # fmt: skip
+        """Products of residuals and their derivatives by `x0`; they have no derivatives.
+
+        Args:
+            weights: as for `states`, as all up to `u`.
+            p: parameters.
+            c: further parameters.
+            x0: initial states, (batch, n_x).
+            u: what the steps take, (batch, steps, n_u).
+            residual: how errors of the first numbers of the states count.
+            target: what these are compared with, (batch, samples, n_y).
+            weight: weight of each residual, (batch, samples, n_y).
+
+        Returns:
+            Products of derivatives (batch, n_x, n_x), of derivatives and residuals (batch, n_x),
+            and sums of squared residuals, (batch,).
+        """
+        n, n_x = x0.shape
+        function = _target("compare", self._fixed, _lanes(x0), _precision(x0), residual)
+        shapes = target.shape, (n, n_x, n_x), (n, n_x), (n,)
+        results = [jax.ShapeDtypeStruct(shape, x0.dtype) for shape in shapes]
+        call = jax.ffi.ffi_call(function.name, results, vmap_method="sequential")
+        seeds = jnp.broadcast_to(jnp.eye(n_x, dtype=x0.dtype), (n, n_x, n_x))
+        _, lower, gradient, cost = call(
+            function.numbers(weights), _repeated(p, c, x0), x0, _padded(u), seeds, target, weight
+        )
+        return lower + jnp.swapaxes(jnp.tril(lower, -1), 1, 2), gradient, cost
 
     def _states(
         self, weights: list[Array], p: Array, c: Array, x0: Array, u: Array
@@ -155,11 +200,16 @@ class _Target:
 
 
 @cache
-def _target(what: str, equations: Equations, lanes: int, number: Precision) -> _Target:
+def _target(
+    what: str, equations: Equations, lanes: int, number: Precision, residual: Residual | None = None
+) -> _Target:
     module, constants = Module(lanes, number), Constants()
     if what == "run":
         write_run(module, equations, constants)
         _write_called(module, _call_run)
+    elif residual is not None:
+        write_compare(module, equations, residual, constants)
+        _write_called(module, _call_compare)
     else:
         write_backward(module, equations, constants)
         _write_called(module, _call_backward)
@@ -223,6 +273,24 @@ def _call_run(f: Function) -> None:
     f.line(
         f"call void @run(i64 0, i64 {groups}, ptr {table}, ptr {constants}, i64 1, i64 1, "
         f"ptr {drive}, ptr null, ptr {start}, ptr {parameters}, ptr null, i64 0, ptr {out})"
+    )
+
+
+def _call_compare(f: Function) -> None:
+    given, results = _arrays(f, _ARGUMENTS, 7), _arrays(f, _RESULTS, 4)
+    table, groups, _ = _lane_table(f, given[3])
+    n_d = f.value(f"load i64, ptr {f.at(_field(f, given[4], _SHAPE, 'ptr'), 1, 'i64')}")
+    data = [_field(f, array, _DATA, "ptr") for array in (*given, *results)]
+    constants, parameters, start, drive, seeds, target, weight, errors, products, by, cost = data
+    # three derivatives of a state, a row of products and the gradient for each direction
+    size = f.whole("mul", n_d, f.whole("add", f.whole("mul", n_d, 4), 1))
+    v, align = f.module.v, f.module.align
+    work = f.value(f"alloca {v}, i64 {f.whole('add', size, 1)}, align {align}")
+    f.line(
+        f"call void @compare(i64 0, i64 {groups}, ptr {table}, ptr {constants}, i64 1, i64 1, "
+        f"ptr {drive}, ptr null, ptr {start}, ptr {parameters}, ptr {seeds}, i64 {n_d}, i64 0, "
+        f"ptr {target}, ptr {weight}, ptr {work}, ptr {errors}, ptr {products}, ptr {by}, "
+        f"ptr {cost})"
     )
 
 

@@ -31,7 +31,7 @@ from tustinnet.registry import FAMILIES
 from tustinnet.signals.excitation import Excitation
 from tustinnet.simulate.along import states_along
 from tustinnet.simulate.drive import drive_of
-from tustinnet.simulate.fitted_start import FEWEST
+from tustinnet.simulate.state_fits import FEWEST
 
 _HIDDEN = 32  # units
 _EXAMPLES = 5000  # samples at which the linear map is found, at most

@@ -9,7 +9,7 @@ longer than a short training lasts.
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.engine import runs as engine
-from tustinnet.engine.equations import Equations
+from tustinnet.engine.equations import Equations, Residual
 from tustinnet.engine.xla import Rollouts
 from tustinnet.models.blocks import Affine, is_layer
 from tustinnet.models.contract import Model
@@ -27,19 +27,57 @@ from tustinnet.program.reading import Unreadable
 _MOST = 20_000  # operations of a step in reverse; more would take LLVM longer than XLA
 
 
-def rollouts_by_engine(
-    model: Model, x0: Float[Array, "batch n_x"], u: Float[Array, "batch steps *drive"]
-) -> Float[Array, "batch samples n_x"] | None:
-    """The states of rollouts, as a traced operation whose gradient is that of layers and starts.
+class LayeredSteps(NamedTuple):
+    """The steps of a model by machine code, inside of a program that JAX compiles.
+
+    Attributes:
+        rollouts: rollouts of all models of its structure.
+        weights: the matrices of its layers.
+        biases: the biases of these, one behind the other.
+        others: all other numbers of the model, one behind the other.
+    """
+
+    rollouts: Rollouts
+    weights: list[Array]
+    biases: Array
+    others: Array
+
+    def states(
+        self, x0: Float[Array, "batch n_x"], u: Float[Array, "batch steps *drive"]
+    ) -> Float[Array, "batch samples n_x"]:
+        """The states of rollouts, with derivatives by layers and initial states alone."""
+        stop = jax.lax.stop_gradient
+        return self.rollouts.states(
+            self.weights, self.biases, stop(self.others), x0, stop(_flat(x0, u))
+        )
+
+    def compare(
+        self,
+        x0: Float[Array, "batch n_x"],
+        u: Float[Array, "batch steps *drive"],
+        residual: Residual,
+        target: Float[Array, "batch samples n_y"],
+        weight: Float[Array, "batch samples n_y"],
+    ) -> tuple[Array, Array, Array]:
+        """Products of residuals of rollouts and their derivatives, see `Rollouts.compare`."""
+        return self.rollouts.compare(
+            self.weights, self.biases, self.others, x0, _flat(x0, u), residual, target, weight
+        )
+
+
+def layered_steps(
+    model: Model, drive: tuple[int, ...], kind: np.dtype | type
+) -> LayeredSteps | None:
+    """The steps of a model by machine code; its numbers may be traced.
 
     Args:
         model: the model.
-        x0: initial states, (batch, n_x).
-        u: what the model's steps take, batch first.
+        drive: the shape of what a step takes.
+        kind: the precision that is computed in.
 
     Returns:
-        (batch, steps + 1, n_x); None where machine code cannot do it: on another device than the
-        processor, for a step that no program can hold, and for one that is too long.
+        None where machine code cannot do them: on another device than the processor, without
+        layers, for a step that no program can hold, and for one that is too long.
     """
     leaves, structure = jax.tree.flatten(model, is_leaf=is_layer)
     others = [leaf for leaf in leaves if not is_layer(leaf)]
@@ -52,15 +90,22 @@ def rollouts_by_engine(
         (leaf.weight.shape, leaf.bias is not None) if is_layer(leaf) else leaf.shape
         for leaf in leaves
     )
-    found = _rollouts(structure, shapes, model.state_size, u.shape[2:])
+    found = _rollouts(structure, shapes, model.state_size, drive)
     if found is None:
         return None
-    weights = [layer.weight for layer in layers]
     biases = [layer.bias for layer in layers if layer.bias is not None]
-    p = jnp.concatenate([jnp.zeros(0, x0.dtype), *biases])
-    c = jnp.concatenate([jnp.zeros(0, x0.dtype), *(jnp.ravel(leaf) for leaf in others)])
-    drive = u.reshape(*u.shape[:2], -1).astype(x0.dtype)
-    return found.states(weights, p, jax.lax.stop_gradient(c), x0, jax.lax.stop_gradient(drive))
+    nothing = jnp.zeros(0, kind)
+    return LayeredSteps(
+        found,
+        [layer.weight.astype(kind) for layer in layers],
+        jnp.concatenate([nothing, *biases]).astype(kind),
+        jnp.concatenate([nothing, *map(jnp.ravel, others)]).astype(kind),
+    )
+
+
+def _flat(x0: Array, u: Array) -> Array:
+    """What drives each step as numbers."""
+    return u.reshape(*u.shape[:2], math.prod(u.shape[2:])).astype(x0.dtype)
 
 
 @lru_cache(maxsize=64)

@@ -15,7 +15,7 @@ from tustinnet.errors import InputError
 from tustinnet.models.blocks import Affine, is_layer
 from tustinnet.models.contract import Model, State
 from tustinnet.simulate.drive import Drive
-from tustinnet.simulate.engine_rollouts import rollouts_by_engine
+from tustinnet.simulate.engine_rollouts import layered_steps
 
 LONG = 5000  # steps from which a gradient saves memory instead of time
 
@@ -158,9 +158,10 @@ def rollouts(
         return jax.vmap(partial(rollout, model))(start, u, measured)
     u, measured = jax.tree.map(jnp.asarray, (u, measured))
     if only_layers and measured is None and not isinstance(u, Drive):
-        found = rollouts_by_engine(model, start.astype(precision(model, start, u)), u)
-        if found is not None:
-            return found
+        kind = precision(model, start, u)
+        steps_by_engine = layered_steps(model, u.shape[2:], kind)
+        if steps_by_engine is not None:
+            return steps_by_engine.states(start.astype(kind), u)
     # time first, as the loop takes it
     course = jax.vmap(_course, out_axes=1)(u, measured)
     start = start.astype(precision(model, start, course.u))

@@ -25,9 +25,8 @@ from tustinnet.signals.derivatives import polynomial_fit
 from tustinnet.simulate.along import followed
 from tustinnet.simulate.batches import in_batches
 from tustinnet.simulate.drive import drives_of
-from tustinnet.simulate.fitted_start import FEWEST, model_starts
 from tustinnet.simulate.simulation import beginnings, simulated
-from tustinnet.simulate.state_fits import fitted_states
+from tustinnet.simulate.state_fits import FEWEST, fitted_states, fitted_states_in_training
 
 DERIVED = 6  # samples of the usual parabola
 FITTED = 20  # samples that a state is usually fitted to
@@ -140,9 +139,9 @@ class Fitted(Start):
         return guess, drive, np.stack([e.q[: self.samples] for e in experiments])
 
     def states(self, model: Model, material: Any) -> Float[Array, "records n_x"]:
-        """Least squares through the model, see `model_starts`."""
+        """Least squares through the model, see `fitted_states`."""
         guess, drive, q = material
-        return model_starts(model, super().states(model, guess), drive, q)
+        return fitted_states_in_training(model, super().states(model, guess), drive, q)
 
     def estimated(self, model: Model, material: Any) -> Float[np.ndarray, "records n_x"]:
         """Least squares through the model, see `fitted_states`."""
