@@ -3,11 +3,12 @@
 python benchmarks/training.py compare FOLDER     an epoch beside eager PyTorch and a plain JAX scan
 python benchmarks/training.py seeds FOLDER       8 seeds at once against one after another
 python benchmarks/training.py windows FOLDER     an epoch of 1, 10 and 100 times as many windows
+python benchmarks/training.py engines FOLDER     networks and hybrids by machine code and by XLA
 python benchmarks/training.py throughput FOLDER  1, 32 and 1024 seeds on what JAX prefers (a GPU)
 
-Always stage 1 of the transfer recipe on measured records: the same windows, the same folded
-network (7-100-100-2, leaky ReLU), the same number of steps and the same loss. Rates against what
-a large float32 matrix product reaches in the same run.
+But for `engines`, always stage 1 of the transfer recipe on measured records: the same windows, the
+same folded network (7-100-100-2, leaky ReLU), the same number of steps and the same loss. Rates
+against what a large float32 matrix product reaches in the same run.
 """
 
 import os
@@ -26,6 +27,7 @@ import optax
 jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
 
 import tustinnet as tn
+from tustinnet.engine.runs import VARIABLE
 from tustinnet.fitting.gradient.epoch import EPOCHS_A_CALL, compiled_epochs
 from tustinnet.fitting.gradient.material import StageWindows
 from tustinnet.fitting.gradient.plan import Plan, plan
@@ -218,6 +220,30 @@ def many_windows(folder: str) -> None:
         )
 
 
+def engines(folder: str) -> None:
+    """Prints epochs of recipes, with validation, by both engines."""
+    data = tn.load(folder)
+    system = tn.load_system("qube-servo2-turned")
+    values = {name: jnp.asarray(value) for name, value in system.nominal().items()}
+    physics = tn.discretise(system.model(values), data.experiments[0].dt, 4)
+    for name in ("best-tustin", "tustin-memory", "gru", "neural-ode", "best-hybrid"):
+        given = physics if name == "best-hybrid" else None
+        seconds = {}
+        for engine in ("llvm", "jax"):
+            os.environ[VARIABLE] = engine
+            jax.clear_caches()
+            work = plan(make_task(data, name, [Member(0)], physics=given))
+            begun = time.perf_counter()
+            jax.block_until_ready(compiled_epochs(work, work.stages[0])(work.begin(0)))
+            first, each = time.perf_counter() - begun, seconds_an_epoch(work)
+            seconds[engine] = first - EPOCHS_A_CALL * each, each
+        (compiling, fast), (by_xla, slow) = seconds["llvm"], seconds["jax"]
+        print(
+            f"{name:<14} an epoch {fast:7.3f} s, by XLA {slow:7.3f} s: {slow / fast:4.1f} x;"
+            f" compiling {compiling:5.1f} s, by XLA {by_xla:5.1f} s"
+        )
+
+
 def throughput(folder: str) -> None:
     """Prints what the device makes of 1, 32 and 1024 seeds."""
     device = jax.devices()[0]
@@ -234,7 +260,8 @@ def throughput(folder: str) -> None:
 
 
 VERBS = {
-    "compare": compare, "seeds": several_seeds, "windows": many_windows, "throughput": throughput,
+    "compare": compare, "seeds": several_seeds, "windows": many_windows, "engines": engines,
+    "throughput": throughput,
 }  # fmt: skip
 
 if __name__ == "__main__":

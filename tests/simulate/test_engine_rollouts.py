@@ -13,19 +13,28 @@ import tustinnet as tn
 from tustinnet.engine.machine import Compiled
 from tustinnet.models.blocks import is_layer
 from tustinnet.models.contract import with_dtype
+from tustinnet.simulate import engine_rollouts
 from tustinnet.simulate.engine_rollouts import layered_steps
 from tustinnet.simulate.rollout import rollouts
 
 STEPS = 12
 
 
+@pytest.fixture(autouse=True)
+def _small_ones_too(monkeypatch):
+    """Steps of a few operations are not left to XLA, where a test does not say otherwise."""
+    monkeypatch.setattr(engine_rollouts, "FEWEST", 0)
+    engine_rollouts._rollouts.cache_clear()
+    yield
+    engine_rollouts._rollouts.cache_clear()
+
+
 def drive_shape(model: tn.Model) -> tuple[int, ...]:
-    """What a step of the model takes, with polynomials of two coefficients where it takes them."""
-    taps = len(getattr(model, "correction", model).taps) if hasattr(model, "taps") else 0
-    correction = getattr(model, "correction", None)
-    if correction is not None and correction.taps:
-        return 1 + len(correction.taps), model.channels.n_u
-    return (taps, model.channels.n_u) if taps else (model.channels.n_u,)
+    """What a step of the model takes."""
+    part = model.correction if isinstance(model, tn.HybridModel) else model
+    taps = len(getattr(part, "taps", ()))
+    rows = taps + (part is not model) if taps else 0
+    return (rows, model.channels.n_u) if rows else (model.channels.n_u,)
 
 
 def layers_of(model: tn.Model) -> list:
@@ -119,6 +128,12 @@ def test_what_machine_code_cannot_do_is_left_to_jax(monkeypatch):
     )
     monkeypatch.setenv("TUSTINNET_ENGINE", "jax")
     assert layered_steps(plain, (1,), np.float64) is None
+
+
+def test_networks_without_physics_are_left_to_xla(monkeypatch):
+    monkeypatch.setattr(engine_rollouts, "FEWEST", 200)
+    assert layered_steps(with_dtype(network(0), np.float64), (1,), np.float64) is None
+    assert layered_steps(with_dtype(hybrid(0), np.float64), (1,), np.float64) is not None
 
 
 def test_machine_code_that_is_dropped_leaves_the_next_unharmed():

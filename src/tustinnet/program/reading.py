@@ -58,7 +58,8 @@ class Matrix:
     def turned(self) -> "Matrix":
         """Its transpose."""
         name, transposed = self.factor
-        return Matrix(Factor(name, not transposed), self.shape[::-1])
+        rows, columns = self.shape
+        return Matrix(Factor(name, not transposed), (columns, rows))
 
 
 Value = np.ndarray | Numbers | Matrix  # known while reading, computed by the program, or given
@@ -86,12 +87,13 @@ def read(
     matrices = matrices or {}
     sizes = [*((size,) for size in inputs.values()), *matrices.values()]
     shapes = [jax.ShapeDtypeStruct(size, kind) for size in sizes]
-    closed, shape = jax.make_jaxpr(function, return_shape=True)(*shapes)
     tape = Tape(dict(inputs), matrices)
     given: list[Value] = [Numbers(np.array(tape.input(name), int)) for name in inputs]
     given += [Matrix(Factor(name), size) for name, size in matrices.items()]
     reader = _Reader(tape, what)
-    values = reader.run(closed.jaxpr, closed.consts, given)
+    with jax.ensure_compile_time_eval():  # a program may be read while another is compiled
+        closed, shape = jax.make_jaxpr(function, return_shape=True)(*shapes)
+        values = reader.run(closed.jaxpr, closed.consts, given)
     names = jax.tree.unflatten(jax.tree.structure(shape), range(len(values)))
     return tape.program({name: reader.ids(values[i]).ravel() for name, i in names.items()})
 
@@ -279,7 +281,7 @@ class _Reader:
         which, *given = operands
         branches = params["branches"]
         if not isinstance(which, Numbers):
-            taken = branches[int(np.clip(which, 0, len(branches) - 1))]
+            taken = branches[int(np.clip(np.asarray(which), 0, len(branches) - 1))]
             return self._turn(taken, given)
         cases = [self._turn(branch, given) for branch in branches]
         select = RULES["select_n"]

@@ -207,8 +207,8 @@ class Tape:
         )
         nodes = tuple(self._moved(self._nodes[n], place, used) for n in kept)
         tables = tuple(self._tables[i] for i in used)
-        outputs = {name: place[number] for name, number in ends.items()}
-        return Program(dict(self.inputs), nodes, outputs, tables, dict(self.matrices))
+        returned = {name: place[number] for name, number in ends.items()}
+        return Program(dict(self.inputs), nodes, returned, tables, dict(self.matrices))
 
     def _moved(self, node: Node, place: dict[int, int], used: list[int]) -> Node:
         data = node.data

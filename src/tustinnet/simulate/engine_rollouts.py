@@ -24,7 +24,9 @@ from tustinnet.models.blocks import Affine, is_layer
 from tustinnet.models.contract import Model
 from tustinnet.program.reading import Unreadable
 
-_MOST = 20_000  # operations of a step in reverse; more would take LLVM longer than XLA
+# operations of a step in reverse: with fewer, which are those of a network alone, XLA is as fast;
+# more would take LLVM longer than XLA
+FEWEST, MOST = 200, 20_000
 
 
 class LayeredSteps(NamedTuple):
@@ -76,8 +78,9 @@ def layered_steps(
         kind: the precision that is computed in.
 
     Returns:
-        None where machine code cannot do them: on another device than the processor, without
-        layers, for a step that no program can hold, and for one that is too long.
+        None where XLA does them as well, or machine code cannot: for networks without physics,
+        on another device than the processor, without layers, for a step that no program can hold,
+        and for one that is too long.
     """
     leaves, structure = jax.tree.flatten(model, is_leaf=is_layer)
     others = [leaf for leaf in leaves if not is_layer(leaf)]
@@ -135,11 +138,10 @@ def _rollouts(
         step, n_x, math.prod(drive), sum(biased), sum(other), continuous=False, matrices=matrices
     )
     try:
-        with jax.ensure_compile_time_eval():
-            size = equations.adjoints.program.operations
+        size = equations.adjoints.program.operations
     except Unreadable:
         return None
-    return Rollouts(equations) if size <= _MOST else None
+    return Rollouts(equations) if FEWEST <= size <= MOST else None
 
 
 def _cut(numbers: Array, sizes: Sequence[int]) -> list[Array]:

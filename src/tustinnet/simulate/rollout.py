@@ -156,12 +156,13 @@ def rollouts(
     steps = np.shape(u.u if isinstance(u, Drive) else u)[1]
     if not parts.layers or steps > LONG:
         return jax.vmap(partial(rollout, model))(start, u, measured)
-    u, measured = jax.tree.map(jnp.asarray, (u, measured))
     if only_layers and measured is None and not isinstance(u, Drive):
-        kind = precision(model, start, u)
-        steps_by_engine = layered_steps(model, u.shape[2:], kind)
-        if steps_by_engine is not None:
-            return steps_by_engine.states(start.astype(kind), u)
+        drive = jnp.asarray(u)
+        kind = precision(model, start, drive)
+        by_engine = layered_steps(model, drive.shape[2:], kind)
+        if by_engine is not None:
+            return by_engine.states(start.astype(kind), drive)
+    u, measured = jax.tree.map(jnp.asarray, (u, measured))
     # time first, as the loop takes it
     course = jax.vmap(_course, out_axes=1)(u, measured)
     start = start.astype(precision(model, start, course.u))

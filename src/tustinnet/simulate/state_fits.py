@@ -112,16 +112,17 @@ def fitted_states_in_training(
         drive: what acts between the samples, (records, samples - 1, ...).
         q: measured positions, (records, samples, n_q).
     """
-    drive, q = jax.tree.map(jnp.asarray, (drive, q))
-    kind = precision(model, guess, drive.u, q)
+    kind = precision(model, guess, jnp.asarray(drive.u), jnp.asarray(q))
     variants = _Variants(jnp, model, len(guess), q.shape[1])
-    start, each, measured = (variants.repeated(a) for a in (guess.astype(kind), drive, q))
+    start, each, measured = (
+        variants.repeated(jax.tree.map(jnp.asarray, a)) for a in (guess.astype(kind), drive, q)
+    )
     weight = jnp.asarray(variants.share[:, :, None] * position_weights(model), kind)
     internal = np.arange(guess.shape[1])[model.channels.internal]
     spread = model.internal_spread.astype(kind)
     by_engine = None
     if drive.periods is None:
-        by_engine = layered_steps(model, drive.u.shape[2:], kind)
+        by_engine = layered_steps(model, each.u.shape[2:], kind)
 
     def products(x: Array) -> tuple[Array, Array, Array]:
         if by_engine is not None:
@@ -144,7 +145,9 @@ def fitted_states_in_training(
     return x[chosen]
 
 
-def _products(model: Model, x: Array, drive: Drive, q: Array, weight: Array) -> tuple[Array, ...]:
+def _products(
+    model: Model, x: Array, drive: Drive, q: Array, weight: Array
+) -> tuple[Array, Array, Array]:
     """Products of position errors and their derivatives by the initial state, by JAX."""
 
     def residuals(x: Array) -> tuple[Array, Array]:
