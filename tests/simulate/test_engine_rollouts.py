@@ -10,6 +10,7 @@ import pytest
 from every_family import NAMES, example, hybrid, network, physics
 
 import tustinnet as tn
+from tustinnet.engine import xla
 from tustinnet.engine.machine import Compiled
 from tustinnet.models.blocks import is_layer
 from tustinnet.models.contract import with_dtype
@@ -141,3 +142,14 @@ def test_machine_code_that_is_dropped_leaves_the_next_unharmed():
     for i in range(3):
         Compiled(text.format(i))
         gc.collect()
+
+
+def test_a_jax_that_calls_no_machine_code_trains_by_xla_and_says_so_once(monkeypatch):
+    def refuse(*_: object, **__: object) -> None:
+        raise ValueError("unknown interface 0.1")
+
+    xla.available.cache_clear()
+    monkeypatch.setattr("jax.ffi.register_ffi_target", refuse)
+    with pytest.warns(UserWarning, match=r"does not call machine code \(.*unknown interface 0\.1"):
+        assert layered_steps(with_dtype(hybrid(0), np.float64), (1,), np.float64) is None
+    xla.available.cache_clear()

@@ -1,6 +1,6 @@
 """Programs written in LLVM's language: operation by operation, a value for all lanes each."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -104,6 +104,7 @@ class Emission:
         self.function, self.program, self.inputs = function, program, inputs
         self.constants, self.pointer = constants, pointer
         self.module: Module = function.module
+        self._values: dict[int, Value] = {}
         self._pairs: dict[str, tuple[str, str]] = {}
         self._picked: dict[tuple[str, int], Number] = {}
 
@@ -113,10 +114,14 @@ class Emission:
 
     def values(self) -> dict[str, Value]:
         """Every output, after the code that computes them."""
-        values: list[Value] = []
-        for node in self.program.nodes:
-            values.append(self._node(node, [values[a] for a in node.args]))
-        return {name: values[i] for name, i in self.program.outputs.items()}
+        self.compute(i for i in range(len(self.program.nodes)) if i not in self._values)
+        return {name: self._values[i] for name, i in self.program.outputs.items()}
+
+    def compute(self, nodes: Iterable[int]) -> None:
+        """The code of some of the nodes, in their order; those that they need are there."""
+        for i in nodes:
+            node = self.program.nodes[i]
+            self._values[i] = self._node(node, [self._values[a] for a in node.args])
 
     def numbers(self, value: Value) -> tuple[Number, ...]:
         """The single numbers of a value."""

@@ -43,6 +43,10 @@ BACKWARD = (
     "i64 %begin, i64 %end, ptr %lanes, ptr %constants, ptr %drive, ptr %parameters, ptr %states, "
     "ptr %seeds, i64 %span, i64 %length, ptr %layers, ptr %by_p, ptr %by_start"
 )
+DYNAMICS = (
+    "ptr noalias %constants, ptr noalias %x, ptr noalias %u, ptr noalias %p, "
+    "ptr noalias %out, ptr noalias %by_x, ptr noalias %by_p"
+)
 MAP = "i64 %count, ptr %constants, ptr %in, ptr %out"
 STEP = "ptr %constants, ptr %x, ptr %u, ptr %out"
 MOST_ORDER = 8  # coefficients of the polynomials that inputs follow between samples
@@ -240,12 +244,10 @@ def _write_dynamics(
 ) -> _Slopes:
     """The equations as a function of their own; where their derivatives are not 0."""
     n_x, n_p = equations.n_x, equations.n_p
+    if derivatives and equations.by_rows is not None:
+        return _write_dynamics_by_rows(module, equations, equations.by_rows, constants)
     program = equations.derivatives if derivatives else equations.program
-    f = module.function(
-        "dynamics",
-        "ptr noalias %constants, ptr noalias %x, ptr noalias %u, ptr noalias %p, "
-        "ptr noalias %out, ptr noalias %by_x, ptr noalias %by_p",
-    )
+    f = module.function("dynamics", DYNAMICS)
     inputs = {"x": "%x", "u": "%u", "p": "%p", "c": f.at("%p", n_p)}
     emission = Emission(f, program, inputs, constants, "%constants")
     found = emission.outputs()
@@ -270,6 +272,49 @@ def _write_dynamics(
     f.line("ret void")
     module.finish(f)
     return _Slopes(tuple(rows), tuple(by_p))
+
+
+def _write_dynamics_by_rows(
+    module: Module, equations: Equations, program: Program, constants: Constants
+) -> _Slopes:
+    """The equations with their derivatives in reverse, a row in each turn of a loop.
+
+    What does not depend on the row is computed before it.
+    """
+    n_x, n_p = equations.n_x, equations.n_p
+    f = module.function("dynamics", DYNAMICS)
+    adjoint = f.memory(n_x)
+    inputs = {"x": "%x", "u": "%u", "p": "%p", "c": f.at("%p", n_p), ADJOINT: adjoint}
+    emission = Emission(f, program, inputs, constants, "%constants")
+    late = program.depending_on(ADJOINT)
+    emission.compute(i for i in range(len(program.nodes)) if i not in late)
+    # velocities stand in the state: their rows are known
+    copies = equations.program.copies("x", "x")
+    rows = [i for i, j in enumerate(copies) if j is None]
+    slopes = _Slopes(
+        tuple(dict.fromkeys(range(n_x)) if j is None else {j: 1.0} for j in copies),
+        tuple(rows) if n_p else (),
+    )
+    zero, one = module.number(0.0), module.number(1.0)
+    with f.loop(min(rows), max(rows) + 1) as row:
+        with f.loop(0, n_x) as i:
+            f.store(zero, adjoint, i)
+        f.store(one, adjoint, row)
+        values = emission.values()
+
+        def keep(into: str, width: str | int, step: str | int) -> Callable[..., None]:
+            def store(number: str, i: str | int) -> None:
+                f.store(number, into, f.whole("add", f.whole("mul", i, width), step))
+
+            return store
+
+        emission.each(values["by_x"], keep("%by_x", 1, f.whole("mul", row, n_x)))
+        emission.each(values["by_p"], keep("%by_p", n_x, row))
+    for i, number in enumerate(emission.numbers(values["x"])):
+        f.store(emission.plain(number), "%out", i)
+    f.line("ret void")
+    module.finish(f)
+    return slopes
 
 
 def _gather(f: Function, rows: Sequence[str], size: int, source: str, into: str) -> None:

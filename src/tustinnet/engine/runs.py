@@ -202,7 +202,7 @@ def engine() -> str:
     if wanted == "jax":
         return "jax"
     if find_spec("llvmlite") is None:
-        _say_once("llvmlite is not installed: simulations are compiled by JAX, which is slower")
+        say_once("llvmlite is not installed: simulations are compiled by JAX, which is slower")
         return "jax"
     return "llvm"
 
@@ -216,7 +216,7 @@ def _chosen(
     try:
         read()
     except Unreadable as refused:
-        _say_once(f"{refused}; simulated by JAX instead, which is slower")
+        say_once(f"{refused}; simulated by JAX instead, which is slower")
         return slow()
     return fast()
 
@@ -224,7 +224,8 @@ def _chosen(
 _said: set[str] = set()
 
 
-def _say_once(message: str) -> None:
+def say_once(message: str) -> None:
+    """Warns of something, the first time in this process."""
     if message not in _said:
         _said.add(message)
         warnings.warn(message, stacklevel=2)

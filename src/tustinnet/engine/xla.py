@@ -30,8 +30,10 @@ from tustinnet.engine.kernels import (
     write_compare,
     write_run,
 )
-from tustinnet.engine.machine import compiled, width
+from tustinnet.engine.machine import Compiled, compiled, width
+from tustinnet.engine.runs import say_once
 from tustinnet.engine.text import Function, Module, Precision
+from tustinnet.errors import brief
 
 _VERSION = (0, 3)  # of the interface
 # places in its structures, bytes from their beginning
@@ -161,6 +163,24 @@ def _lanes(x0: Array) -> int:
     return 2 * one if len(x0) > one else one
 
 
+@cache
+def available() -> bool:
+    """Whether JAX calls machine code here: on a processor, by an interface that it knows."""
+    if jax.default_backend() != "cpu":
+        return False
+    module = Module(1, "float")
+    _write_called(module, lambda f: None)
+    try:
+        name, _ = _registered(module.text())
+        with jax.ensure_compile_time_eval():
+            nothing = jax.ShapeDtypeStruct((1,), np.float32)
+            jax.block_until_ready(jax.ffi.ffi_call(name, nothing)())
+    except Exception as error:  # whatever another version of JAX makes of it
+        say_once(f"JAX does not call machine code ({brief(error)}); XLA trains hybrids, slower")
+        return False
+    return True
+
+
 class _Target:
     """A function that XLA can call, and the numbers that it reads.
 
@@ -170,14 +190,7 @@ class _Target:
     """
 
     def __init__(self, module: Module, constants: Constants, equations: Equations) -> None:
-        text = module.text()
-        self.name = f"tustinnet.{hashlib.sha256(text.encode()).hexdigest()[:32]}"
-        self._code = compiled(text)
-        pointer = self._code.address("called")
-        capsule = ctypes.pythonapi.PyCapsule_New
-        capsule.restype = ctypes.py_object
-        capsule.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
-        jax.ffi.register_ffi_target(self.name, capsule(pointer, None, None), platform="cpu")
+        self.name, self._code = _registered(module.text())
         # where each number comes from: a constant, or a weight behind these
         base = np.array([*constants.numbers, 0.0])
         begins, first = {}, len(base)
@@ -214,6 +227,17 @@ def _target(
         write_backward(module, equations, constants)
         _write_called(module, _call_backward)
     return _Target(module, constants, equations)
+
+
+def _registered(text: str) -> tuple[str, Compiled]:
+    """A module whose function `called` XLA can call: under which name, and its code."""
+    name = f"tustinnet.{hashlib.sha256(text.encode()).hexdigest()[:32]}"
+    code = compiled(text)
+    capsule = ctypes.pythonapi.PyCapsule_New
+    capsule.restype = ctypes.py_object
+    capsule.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
+    jax.ffi.register_ffi_target(name, capsule(code.address("called"), None, None), platform="cpu")
+    return name, code
 
 
 def _write_called(module: Module, write: Callable[[Function], None]) -> None:

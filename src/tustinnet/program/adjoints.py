@@ -36,13 +36,16 @@ class Adjoints:
     layers: tuple[str, ...]
 
 
-def with_adjoints(program: Program, output: str, by: Sequence[str]) -> Adjoints:
+def with_adjoints(
+    program: Program, output: str, by: Sequence[str], *, value: bool = False
+) -> Adjoints:
     """The adjoints of a program's inputs and layers.
 
     Args:
         program: the program; its loops are written out.
         output: the output that is weighted, (n,).
         by: the inputs that are differentiated by.
+        value: whether the output itself is returned, too.
     """
     size = program.nodes[program.outputs[output]].size
     tape = Tape({**program.inputs, ADJOINT: size}, program.matrices)
@@ -53,6 +56,8 @@ def with_adjoints(program: Program, output: str, by: Sequence[str]) -> Adjoints:
     outputs = {f"by_{name}": tape.split(backward.adjoint(inputs[name])) for name in by}
     for i, (_, vector, adjoint) in enumerate(backward.layers):
         outputs |= {f"in_{i}": tape.split(vector), f"out_{i}": tape.split(adjoint)}
+    if value:
+        outputs[output] = tape.split(reached)
     names = tuple(factor.name for factor, _, _ in backward.layers)
     return Adjoints(tape.program(outputs), names)
 

@@ -181,6 +181,32 @@ class Program:
             counts[used] += 1
         return tuple(counts)
 
+    def depending_on(self, name: str) -> set[int]:
+        """The nodes that depend on an input."""
+        found: set[int] = set()
+        for i, node in enumerate(self.nodes):
+            if (node.op == "input" and node.data == name) or not found.isdisjoint(node.args):
+                found.add(i)
+        return found
+
+    def copies(self, output: str, name: str) -> list[int | None]:
+        """Of every number of an output, which number of an input it is, if any."""
+        return [place if of == name else None for of, place in self._origin(self.outputs[output])]
+
+    def _origin(self, number: int) -> list[tuple[str | None, int]]:
+        """For every number of a node, the input that it is taken from, and its place there."""
+        node = self.nodes[number]
+        match node.op:
+            case "input":
+                return [(node.data, i) for i in range(node.size)]
+            case "pick":
+                return [self._origin(node.args[0])[node.data]]
+            case "part":
+                return self._origin(node.args[0])[node.data : node.data + node.size]
+            case "join":
+                return [origin for a in node.args for origin in self._origin(a)]
+        return [(None, 0)] * node.size
+
     @property
     def loops(self) -> Iterator[Loop]:
         """The loops in it, not those inside of them."""

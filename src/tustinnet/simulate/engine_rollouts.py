@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.engine import runs as engine
+from tustinnet.engine import xla
 from tustinnet.engine.equations import Equations, Residual
 from tustinnet.engine.xla import Rollouts
 from tustinnet.models.blocks import Affine, is_layer
@@ -87,7 +88,7 @@ def layered_steps(
     layers = [leaf for leaf in leaves if is_layer(leaf)]
     if not layers or not all(eqx.is_inexact_array(leaf) for leaf in others):
         return None
-    if jax.default_backend() != "cpu" or engine.engine() != "llvm":
+    if engine.engine() != "llvm" or not xla.available():
         return None
     shapes = tuple(
         (leaf.weight.shape, leaf.bias is not None) if is_layer(leaf) else leaf.shape

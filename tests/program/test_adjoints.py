@@ -1,0 +1,92 @@
+"""Programs in reverse, against JAX and against derivatives forwards."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from every_family import NAMES, example
+from every_step import PROGRAMS, SIZE, stepping
+from test_tape_derivatives import same, smooth
+
+from tustinnet.export.source import source_of
+from tustinnet.program.adjoints import with_adjoints
+from tustinnet.program.derivatives import with_derivatives
+from tustinnet.program.numbers import run
+from tustinnet.program.program import Program
+from tustinnet.program.reading import Unreadable, read
+
+
+def found_and_expected(program: Program, function, x, u) -> None:
+    """Compares the adjoints of a program's inputs with those of the function."""
+    weight = np.random.default_rng(1).normal(size=len(run(program, x=x, u=u)["x"]))
+    reverse = with_adjoints(program, "x", ("x", "u"), value=True).program
+    found = run(reverse, x=x, u=u, adjoint=weight)
+    np.testing.assert_array_equal(found["x"], run(program, x=x, u=u)["x"])
+    _, back = jax.vjp(function, x, u)  # not compiled, which rounds otherwise at a kink
+    for name, expected in zip(("by_x", "by_u"), back(jnp.asarray(weight)), strict=True):
+        same(found[name], np.asarray(expected))
+
+
+@pytest.mark.parametrize("size", [3, SIZE])
+def test_every_operation_is_differentiated_as_jax_does_it(size):
+    x, u = np.linspace(0.1, 0.9, size), np.array([0.9])
+    function = lambda x, u: jnp.concatenate(smooth(x * u[0]))  # noqa: E731
+    program = read(lambda x, u: {"x": function(x, u)}, {"x": size, "u": 1})
+    found_and_expected(program, function, x, u)
+
+
+@pytest.mark.parametrize("name", [name for name in PROGRAMS if name != "operations"])
+def test_loops_vectors_and_matrices_are_differentiated(name):
+    source = stepping(PROGRAMS[name])
+    x = 0.3 + 0.1 * np.random.default_rng(0).normal(size=source.n_x)
+    found_and_expected(source.step, source.function, x, np.array([0.4]))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_steps_of_every_family_are_differentiated(name):
+    source = source_of(example(name))
+    x, w = (values[0] for values in source.samples(1))
+    found_and_expected(source.step, source.function, x, w)
+
+
+def layered(x, outer, inner):
+    """A layer that acts twice, once turned, and one that does not see the input."""
+    hidden = jnp.tanh(inner @ x) + inner @ jnp.ones(4)
+    return outer @ hidden + inner.T @ hidden
+
+
+def test_layers_that_are_given_have_the_gradients_of_jax():
+    generator = np.random.default_rng(0)
+    matrices = {"outer": (4, 12), "inner": (12, 4)}
+    given = [generator.normal(size=shape) for shape in matrices.values()]
+    x, weight = generator.normal(size=4), generator.normal(size=4)
+    program = read(lambda *of: {"x": layered(*of)}, {"x": 4}, matrices=matrices)
+    named = dict(zip(matrices, given, strict=True))
+    np.testing.assert_allclose(run(program, x=x, **named)["x"], layered(x, *given), rtol=1e-12)
+    # forwards, too
+    jacobian = run(with_derivatives(program, "x", {"by": "x"}), x=x, **named)["by"].reshape(4, 4)
+    same(jacobian, np.asarray(jax.jacfwd(layered)(x, *given)))
+
+    reverse = with_adjoints(program, "x", ("x",))
+    assert sorted(reverse.layers) == ["inner", "inner", "inner", "outer"]
+    found = run(reverse.program, x=x, adjoint=weight, **named)
+    gradients = {name: np.zeros(shape) for name, shape in matrices.items()}
+    for i, name in enumerate(reverse.layers):
+        gradients[name] += np.outer(found[f"out_{i}"], found[f"in_{i}"])
+    _, back = jax.vjp(layered, x, *given)
+    for ours, theirs in zip((found["by_x"], *gradients.values()), back(weight), strict=True):
+        same(ours, np.asarray(theirs))
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda x, w: w[0] * x,
+        lambda x, w: (w @ w) @ x,
+        lambda x, w: jnp.tanh(w) @ x,
+        lambda x, w: w @ jnp.outer(x, x),
+    ],
+)
+def test_weights_that_do_more_than_multiply_a_vector_are_refused(function):
+    with pytest.raises(Unreadable, match="on the weights of a layer"):
+        read(lambda x, w: {"x": function(x, w)}, {"x": 3}, matrices={"w": (3, 3)})
