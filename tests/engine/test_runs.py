@@ -1,7 +1,5 @@
 """Runs of equations: both engines do the same, whatever is simulated."""
 
-from dataclasses import replace
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -67,22 +65,6 @@ def test_both_engines_simulate_the_same(equations, seed, lengths, substeps):
     alike(found, by_jax.simulate(equations, runs, substeps))
     for row, x0 in zip(runs.results, runs.start, strict=True):
         np.testing.assert_array_equal(found[row], x0)
-
-
-@pytest.mark.parametrize("equations", [CONTINUOUS, DISCRETE])
-def test_derivatives_row_by_row_are_the_same(equations, monkeypatch):
-    runs, samples = made(3, [20, 7, 0, 30, 11])
-    seeds = np.random.default_rng(3).normal(size=(5, 5, 3))
-    given = PLAIN, runs, 2, Directions(seeds, True), samples
-    expected = by_machine_code.compare(equations, *given)
-    # as of large equations
-    monkeypatch.setattr("tustinnet.engine.equations._LARGE", 0)
-    by_rows = replace(equations)
-    assert by_rows.by_rows is not None
-    assert by_rows.program.copies("x", "x") == [None if equations is DISCRETE else 1, None, None]
-    found = by_machine_code.compare(by_rows, *given)
-    for name in ("products", "gradient", "cost", "error"):
-        alike(getattr(found, name), getattr(expected, name))
 
 
 @pytest.mark.parametrize("residual", [PLAIN, PERIODIC])

@@ -22,7 +22,8 @@ def found_and_expected(program: Program, function, x, u) -> None:
     reverse = with_adjoints(program, "x", ("x", "u"), value=True).program
     found = run(reverse, x=x, u=u, adjoint=weight)
     np.testing.assert_array_equal(found["x"], run(program, x=x, u=u)["x"])
-    _, back = jax.vjp(function, x, u)  # not compiled, which rounds otherwise at a kink
+    # not compiled, which rounds otherwise at a kink
+    _, back = jax.vjp(function, jnp.asarray(x), jnp.asarray(u))
     for name, expected in zip(("by_x", "by_u"), back(jnp.asarray(weight)), strict=True):
         same(found[name], np.asarray(expected))
 
@@ -90,3 +91,23 @@ def test_layers_that_are_given_have_the_gradients_of_jax():
 def test_weights_that_do_more_than_multiply_a_vector_are_refused(function):
     with pytest.raises(Unreadable, match="on the weights of a layer"):
         read(lambda x, w: {"x": function(x, w)}, {"x": 3}, matrices={"w": (3, 3)})
+
+
+def test_numbers_that_are_copies_of_an_input_are_known():
+    program = read(
+        lambda x, u: {"x": jnp.concatenate([x[2:4], u, x[1:2] * 2, x[:1]])}, {"x": 4, "u": 1}
+    )
+    assert program.copies("x", "x") == [2, 3, None, None, 0]
+    assert program.copies("x", "u") == [None, None, 0, None, None]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_derivatives_are_zero_where_structure_says_so(name):
+    source = source_of(example(name))
+    x, w = (values[0] for values in source.samples(1))
+    by_x, by_w = map(np.asarray, jax.jit(jax.jacfwd(source.function, (0, 1)))(x, w))
+    depends = source.step.dependencies("x")
+    assert any(depends)
+    for i, on in enumerate(depends):
+        for of, row in (("x", by_x[i]), ("u", by_w[i])):
+            assert not any(row[j] for j in range(len(row)) if (of, j) not in on)

@@ -10,8 +10,6 @@ from tustinnet.program.derivatives import with_derivatives
 from tustinnet.program.program import Program
 from tustinnet.program.reading import read
 
-_LARGE = 500  # operations of equations from which derivatives are computed row by row
-
 
 @dataclass(frozen=True, eq=False)
 class Equations:
@@ -52,19 +50,7 @@ class Equations:
 
     @cached_property
     def derivatives(self) -> Program:
-        """The program with its derivatives by rows: also `by_x` and, of parameters, `by_p`."""
-        by = {"by_x": "x"} | ({"by_p": "p"} if self.n_p else {})
-        return with_derivatives(self.program, "x", by)
-
-    @cached_property
-    def by_rows(self) -> Program | None:
-        """The program with a row of its derivatives, `by_x` and `by_p`: the one of `adjoint`.
-
-        For large equations, whose derivatives all written out would take too long to compile; else
-        None.
-        """
-        if self.program.operations <= _LARGE:
-            return None
+        """The program with a row of its derivatives, `by_x` and `by_p`: the one of `adjoint`."""
         return with_adjoints(self.program, "x", ("x", "p"), value=True).program
 
     @cached_property

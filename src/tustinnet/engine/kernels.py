@@ -61,7 +61,7 @@ def run_kernel(equations: Equations, lanes: int) -> Kernel:
 
 def write_run(module: Module, equations: Equations, constants: Constants) -> None:
     """The function `run`: free runs."""
-    _write_dynamics(module, equations, constants, derivatives=False)
+    _write_dynamics(module, equations, constants)
     f = module.function("run", RUN, own=False)
     with f.loop("%begin", "%end") as group:
         s = _Simulation(f, equations, group)
@@ -169,7 +169,7 @@ def write_compare(
     module: Module, equations: Equations, residual: Residual, constants: Constants
 ) -> None:
     """The function `compare`: free runs with derivatives, compared with samples."""
-    slopes = _write_dynamics(module, equations, constants, derivatives=True)
+    slopes = _write_derivatives(module, equations, constants)
     f = module.function("compare", COMPARE, own=False)
     with f.loop("%begin", "%end") as group:
         s = _Sensitivities(f, equations, slopes, residual, constants, group)
@@ -239,49 +239,25 @@ class _Slopes:
     by_p: tuple[int, ...]
 
 
-def _write_dynamics(
-    module: Module, equations: Equations, constants: Constants, *, derivatives: bool
-) -> _Slopes:
-    """The equations as a function of their own; where their derivatives are not 0."""
-    n_x, n_p = equations.n_x, equations.n_p
-    if derivatives and equations.by_rows is not None:
-        return _write_dynamics_by_rows(module, equations, equations.by_rows, constants)
-    program = equations.derivatives if derivatives else equations.program
+def _write_dynamics(module: Module, equations: Equations, constants: Constants) -> None:
+    """The equations as a function of their own."""
     f = module.function("dynamics", DYNAMICS)
-    inputs = {"x": "%x", "u": "%u", "p": "%p", "c": f.at("%p", n_p)}
-    emission = Emission(f, program, inputs, constants, "%constants")
-    found = emission.outputs()
-    for i, number in enumerate(found["x"]):
+    inputs = {"x": "%x", "u": "%u", "p": "%p", "c": f.at("%p", equations.n_p)}
+    emission = Emission(f, equations.program, inputs, constants, "%constants")
+    for i, number in enumerate(emission.outputs()["x"]):
         f.store(emission.plain(number), "%out", i)
-    rows: list[dict[int, float | None]] = [{} for _ in range(n_x)]
-    by_p: list[int] = []
-    if derivatives:
-        for at, number in enumerate(found["by_x"]):
-            if number.known != 0.0:
-                rows[at // n_x][at % n_x] = number.known
-                if number.known is None:
-                    f.store(emission.plain(number), "%by_x", at)
-        entries = found.get("by_p", ())
-        by_p = [
-            i for i in range(n_x)
-            if any(x.known != 0.0 for x in entries[i * n_p : (i + 1) * n_p])
-        ]  # fmt: skip
-        for i in by_p:
-            for d in range(n_p):
-                f.store(emission.plain(entries[i * n_p + d]), "%by_p", d * n_x + i)
     f.line("ret void")
     module.finish(f)
-    return _Slopes(tuple(rows), tuple(by_p))
 
 
-def _write_dynamics_by_rows(
-    module: Module, equations: Equations, program: Program, constants: Constants
-) -> _Slopes:
-    """The equations with their derivatives in reverse, a row in each turn of a loop.
+def _write_derivatives(module: Module, equations: Equations, constants: Constants) -> _Slopes:
+    """The equations with their derivatives; where these are not 0.
 
-    What does not depend on the row is computed before it.
+    Derivatives are computed in reverse, a row in each turn of a loop, which takes as long as to
+    write them all out forwards and half as long to compile. What does not depend on the row is
+    computed before it.
     """
-    n_x, n_p = equations.n_x, equations.n_p
+    n_x, n_p, program = equations.n_x, equations.n_p, equations.derivatives
     f = module.function("dynamics", DYNAMICS)
     adjoint = f.memory(n_x)
     inputs = {"x": "%x", "u": "%u", "p": "%p", "c": f.at("%p", n_p), ADJOINT: adjoint}
@@ -291,20 +267,16 @@ def _write_dynamics_by_rows(
     # velocities stand in the state: their rows are known
     copies = equations.program.copies("x", "x")
     rows = [i for i, j in enumerate(copies) if j is None]
-    slopes = _Slopes(
-        tuple(dict.fromkeys(range(n_x)) if j is None else {j: 1.0} for j in copies),
-        tuple(rows) if n_p else (),
-    )
     zero, one = module.number(0.0), module.number(1.0)
-    with f.loop(min(rows), max(rows) + 1) as row:
+    with f.loop(min(rows, default=0), max(rows, default=-1) + 1) as row:
         with f.loop(0, n_x) as i:
             f.store(zero, adjoint, i)
         f.store(one, adjoint, row)
         values = emission.values()
 
-        def keep(into: str, width: str | int, step: str | int) -> Callable[..., None]:
+        def keep(into: str, step: int, first: str) -> Callable[..., None]:
             def store(number: str, i: str | int) -> None:
-                f.store(number, into, f.whole("add", f.whole("mul", i, width), step))
+                f.store(number, into, f.whole("add", f.whole("mul", i, step), first))
 
             return store
 
@@ -314,7 +286,14 @@ def _write_dynamics_by_rows(
         f.store(emission.plain(number), "%out", i)
     f.line("ret void")
     module.finish(f)
-    return slopes
+    depends = equations.program.dependencies("x")
+    return _Slopes(
+        tuple(
+            {j: None for j in range(n_x) if ("x", j) in on} if copy is None else {copy: 1.0}
+            for copy, on in zip(copies, depends, strict=True)
+        ),
+        tuple(i for i, on in enumerate(depends) if any(name == "p" for name, _ in on)),
+    )
 
 
 def _gather(f: Function, rows: Sequence[str], size: int, source: str, into: str) -> None:

@@ -189,6 +189,32 @@ class Program:
                 found.add(i)
         return found
 
+    def dependencies(self, output: str) -> list[frozenset[tuple[str, int]]]:
+        """Of every number of an output, the numbers of inputs that it depends on, by structure."""
+        nothing: frozenset[tuple[str, int]] = frozenset()
+        found: list[list[frozenset[tuple[str, int]]]] = []
+        for node in self.nodes:
+            args = [found[a] for a in node.args]
+            every = nothing.union(*(numbers for of in args for numbers in of))
+            match node.op:
+                case "input":
+                    own = [frozenset([(node.data, i)]) for i in range(node.size)]
+                case "pick":
+                    own = [args[0][node.data]]
+                case "part":
+                    own = args[0][node.data : node.data + node.size]
+                case "join":
+                    own = [numbers for of in args for numbers in of]
+                case "product" | "layer" | "loop":
+                    own = [every] * node.size
+                case _:  # number by number; single ones act on all
+                    own = [
+                        nothing.union(*(of[i if len(of) > 1 else 0] for of in args))
+                        for i in range(node.size)
+                    ]
+            found.append(own)
+        return found[self.outputs[output]]
+
     def copies(self, output: str, name: str) -> list[int | None]:
         """Of every number of an output, which number of an input it is, if any."""
         return [place if of == name else None for of, place in self._origin(self.outputs[output])]
