@@ -39,7 +39,7 @@ INNER = 3  # folds of the others
 def fitted(folds: list[Fold], recipe: Any, system: Any, seeds: int) -> list[FitResult]:
     """One model a fold, or a committee of several seeds."""
     members = tuple(Member(s, fold=f) for f in range(len(folds)) for s in range(seeds))
-    return fit_task(Task(recipe, tuple(folds), members, system, brief=True))
+    return fit_task(Task(recipe, tuple(folds), members, system))
 
 
 def guessed(result: FitResult, records: Any, start: str) -> list[Guess]:

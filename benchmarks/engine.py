@@ -1,12 +1,12 @@
 """Machine code for simulation and identification: how long it takes, part by part.
 
     python benchmarks/engine.py [compile products one runs step chain memory]   (default: all)
-    python benchmarks/engine.py commands DATA [--source CHECKOUT/src ...] [--rounds 5]
+    python benchmarks/engine.py commands DATA [--source CHECKOUT/src ...] [--rounds 5] [--only grey]
 
 The parts need no records: the rotary pendulum is driven by noise. Each is the median of five calls
 in this process; `products`, `one` and `runs` also by JAX, in the same run (TUSTINNET_ENGINE=jax),
 and how many times as long that takes. `commands` times whole processes with empty caches, those of
-several sources one after the other in each round.
+several sources one after the other in each round; hybrids correct the grey box of the last source.
 """
 
 import jax
@@ -213,27 +213,45 @@ PARTS: dict[str, Callable[[], dict[str, float]]] = {
 COMMAND = "from tustinnet.cli.entry import run; run()"
 
 
-def commands(data: str, sources: list[Path], rounds: int) -> None:
+def whole_command(source: Path, arguments: list[str]) -> float:
+    """Seconds of a command by a source, with empty caches."""
+    with tempfile.TemporaryDirectory() as caches:
+        begin = time.perf_counter()
+        subprocess.run(
+            [sys.executable, "-c", COMMAND, *arguments],
+            env={**os.environ, "PYTHONPATH": str(source), "XDG_CACHE_HOME": caches},
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=True,
+        )  # fmt: skip
+        return time.perf_counter() - begin
+
+
+def commands(data: str, sources: list[Path], rounds: int, only: list[str]) -> None:
     """Whole commands with empty caches, by every source in turn."""
-    plain = ["fit", data, "--overwrite"]
-    wanted = {
-        "grey": [*plain, "--recipe", "grey", "--system", "qube-servo2"],
-        "best-grey": [*plain, "--recipe", "best-grey", "--system", "qube-servo2-turned"],
-    }
-    seconds: dict[str, dict[str, list[float]]] = {n: {str(s): [] for s in sources} for n in wanted}
-    for _ in range(rounds):
+    with tempfile.TemporaryDirectory() as folder:
+        fit = ["fit", data, "--overwrite"]
+        best = [*fit, "--recipe", "best-grey", "--system", "qube-servo2-turned"]
+        one = ["--seeds", "1", "--physics", f"{folder}/grey/model.safetensors"]
+        hybrid, scratch = [*fit, "--recipe", "hybrid", *one], ["--out", f"{folder}/scratch"]
+        judge = ["--split", "validation", "--start", "model-20"]
+        wanted = {
+            "grey": [*fit, "--recipe", "grey", "--system", "qube-servo2", *scratch],
+            "best-grey": [*best, *scratch],
+            "hybrid": [*hybrid, *scratch],
+            "best-hybrid": [*fit, "--recipe", "best-hybrid", *one, *scratch],
+            "evaluate grey": ["evaluate", f"{folder}/grey/model.safetensors", data, *judge],
+            "evaluate hybrid": ["evaluate", f"{folder}/hybrid/model.safetensors", data, *judge],
+        }
+        whole_command(sources[-1], [*best, "--out", f"{folder}/grey"])
+        whole_command(sources[-1], [*hybrid, "--out", f"{folder}/hybrid"])
         for name, arguments in wanted.items():
-            for source in sources:
-                with tempfile.TemporaryDirectory() as folder:
-                    begin = time.perf_counter()
-                    subprocess.run(
-                        [sys.executable, "-c", COMMAND, *arguments, "--out", f"{folder}/run"],
-                        env={**os.environ, "PYTHONPATH": str(source), "XDG_CACHE_HOME": folder},
-                        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=True,
-                    )  # fmt: skip
-                    seconds[name][str(source)].append(time.perf_counter() - begin)
-    for name, each in seconds.items():
-        print(json.dumps({name: {source: round(median(s), 1) for source, s in each.items()}}))
+            if only and name not in only:
+                continue
+            seconds: dict[str, list[float]] = {str(source): [] for source in sources}
+            for _ in range(rounds):
+                for source in sources:
+                    seconds[str(source)].append(whole_command(source, arguments))
+            medians = {source: round(median(s), 1) for source, s in seconds.items()}
+            print(json.dumps({name: medians}), flush=True)
 
 
 def main() -> None:
@@ -242,11 +260,12 @@ def main() -> None:
     parser.add_argument("parts", nargs="*", default=list(PARTS))
     parser.add_argument("--source", type=Path, nargs="+")
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--only", nargs="+", default=[])
     given = parser.parse_args()
     if given.parts[:1] == ["commands"]:
         here = Path(tn.__file__).parents[1]
         sources = [path.resolve() for path in given.source or [here]]
-        commands(given.parts[1], sources, given.rounds)
+        commands(given.parts[1], sources, given.rounds, given.only)
         return
     if len(given.parts) > 1:  # each in a process of its own: nothing is compiled before
         for name in given.parts:

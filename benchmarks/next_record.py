@@ -103,7 +103,7 @@ def grey(arms: Sequence[Arm], made: dict[str, tn.Experiment], left: Sequence[tn.
     recipe = tn.read_recipe("grey", ["search.initial=anchored"])
     for arm in arms:
         roles = Roles(tuple(made[name] for name in arm.names), ())
-        task = Task(recipe, (Fold(roles),), system=WITH_MEMORY, brief=True)
+        task = Task(recipe, (Fold(roles),), system=WITH_MEMORY)
         result = fitted(task, tell)[0]
         scores = tn.evaluate(result.model, left, "model-20")
         assert result.identification is not None

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -27,7 +28,8 @@ from tustinnet.program.numbers import run
 
 _ALIGNED = 64  # bytes
 _KEPT = 64  # functions that are at hand
-_QUICK = 30_000  # operations that NumPy has done before they were compiled
+_QUICK = 30_000  # operations of a formula that NumPy has done before they were compiled
+_done: WeakKeyDictionary[Formula, int] = WeakKeyDictionary()  # operations of each, by NumPy
 _POINTER, _WHOLE = ctypes.c_void_p, ctypes.c_int64
 _RUN = (_WHOLE, _WHOLE, _POINTER, _POINTER, _WHOLE, _WHOLE, *[_POINTER] * 5, _WHOLE, _POINTER)
 _COMPARE = (
@@ -92,7 +94,9 @@ def evaluate(
 ) -> Float[np.ndarray, "n n_out"]:
     """A formula, or its derivatives, at many points; see `runs.evaluate`."""
     program = formula.derivatives if derivatives else formula.program
-    if len(points) * len(program.nodes) < _QUICK:
+    done = _done.get(formula, 0) + len(points) * len(program.nodes)
+    if done < _QUICK:
+        _done[formula] = done
         by_hand = [run(program, x=point)["value"] for point in _plain(points)]
         return np.stack(by_hand) if by_hand else np.zeros((0, size_of(program, "value")))
     function, constants, size = _map_function(formula, derivatives=derivatives)

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scoringrules
 from jaxtyping import Bool, Float
 
 from tustinnet.data.experiment import Experiment
@@ -69,6 +68,8 @@ def crps_of(experiment: Experiment, band: Band) -> Float[np.ndarray, "n n_q"]:
     calibration records, taken as quantiles (the mean pinball loss). The level of the band itself
     does not matter.
     """
+    import scoringrules  # takes long to load, and only bands need it
+
     calibration, guess = band.calibration, band.guess
     levels = [level for level in _TENTHS.tolist() if level <= calibration.most]
     halves = np.stack([calibration.half(guess, level) for level in levels], axis=-1)
@@ -110,13 +111,9 @@ def _mean(coordinate: str, part: str, rows: np.ndarray) -> Covered:
 
 def _interval(successes: float, trials: int) -> tuple[float, float]:
     """The exact binomial interval (Clopper, Pearson 1934), also of a broken number of successes."""
-    import scipy.stats  # takes a second, and only bands need it
+    import scipy.special  # only bands need it
 
-    tail = (1 - _CONFIDENCE) / 2
-    low = scipy.stats.beta.ppf(tail, successes, trials - successes + 1) if successes > 0 else 0.0
-    high = (
-        scipy.stats.beta.ppf(1 - tail, successes + 1, trials - successes)
-        if successes < trials
-        else 1.0
-    )
+    tail, quantile = (1 - _CONFIDENCE) / 2, scipy.special.betaincinv
+    low = quantile(successes, trials - successes + 1, tail) if successes > 0 else 0.0
+    high = quantile(successes + 1, trials - successes, 1 - tail) if successes < trials else 1.0
     return float(low), float(high)

@@ -265,7 +265,7 @@ def cross_validate(data: DataSet, asked: Question, tell: Tell = lambda task: SIL
     own = None if asked.physics else asked.system
     seeds = asked.seeds if recipe.family.trains else (0,)
     members = tuple(Member(seed, fold=f) for f in range(len(folds)) for seed in seeds)
-    task, results = Task(recipe, folds, members, own, brief=True), []
+    task, results = Task(recipe, folds, members, own), []
     for group in groups_alike(task):
         results += fitted(task.of(group), tell)
     results.sort(key=lambda r: members.index(r.member))
@@ -316,7 +316,7 @@ def _physics(deals: Sequence[Deal], asked: Question, tell: Tell) -> list[Model]:
     assert asked.physics is not None
     folds = tuple(Fold(used_by(d.roles, asked.physics)) for d in deals)
     members = tuple(Member(fold=f) for f in range(len(folds)))
-    task = Task(asked.physics, folds, members, asked.system, brief=True)
+    task = Task(asked.physics, folds, members, asked.system)
     return [result.model for result in fitted(task, tell)]
 
 

@@ -343,7 +343,7 @@ def trained(
             for i in these
         )
         members = tuple(Member(places[i].draw, fold=f) for f, i in enumerate(these))
-        task = Task(recipe, folds, members, brief=True)
+        task = Task(recipe, folds, members)
         for group in groups_alike(task):
             for result in fitted(task.of(group), tell):
                 found[these[result.member.fold]] = result
@@ -356,7 +356,7 @@ def identified(places: Sequence[Place], asked: Question, tell: Tell) -> list[May
     found: list[Maybe] = []
     for place in places:
         fold = Fold(place.roles(asked.physics))
-        task = Task(asked.physics, (fold,), system=asked.system, brief=True)
+        task = Task(asked.physics, (fold,), system=asked.system)
         try:
             found += fitted(task, tell)
         except InputError as error:

@@ -2,10 +2,10 @@
 
 from typing import TYPE_CHECKING, Any
 
-import jax
 import numpy as np
 from jaxtyping import Array, Float
 
+from tustinnet.engine.runs import stepping
 from tustinnet.errors import require_package
 from tustinnet.export.source import Source, source_of
 from tustinnet.export.tangent import tangent
@@ -31,11 +31,10 @@ def control_system(model: Model) -> "NonlinearIOSystem":
     from control import nlsys
 
     source = source_of(model)
-    sizes = np.zeros(source.n_x), np.zeros(source.n_w)
-    compiled = jax.jit(source.function).lower(*sizes).compile()
+    step = stepping(source.equations)
 
     def update(t: float, x: Any, u: Any, params: Any) -> np.ndarray:
-        return np.asarray(compiled(np.asarray(x, float), np.asarray(u, float)))
+        return step(np.asarray(x, float), np.asarray(u, float))
 
     return nlsys(update, None, dt=model.dt, **_signals(source))
 

@@ -19,6 +19,7 @@ from gymnasium.vector.utils import batch_space
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
+from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
 from tustinnet.export.source import Source
 from tustinnet.simulate.range import Range
@@ -210,7 +211,7 @@ class Rules:
 
 
 class _Bodies:
-    """Simulations side by side: states, the inputs before, and one compiled step for all."""
+    """Simulations side by side: states, the inputs before, and one step for all."""
 
     def __init__(self, rules: Rules, count: int) -> None:
         source, one = rules.source, (count, rules.source.n_x)
@@ -220,9 +221,6 @@ class _Bodies:
         self._before = np.full((count, max(0, -min(offsets)), len(rules.inputs)), np.nan)
         # where in [the inputs now, those before] each of the samples seen stands
         self._places = np.array([0 if offset >= 0 else -offset for offset in offsets])
-        with jax.enable_x64(True):
-            sizes = [jnp.zeros((count, n)) for n in (source.n_x, source.n_w)]
-            self._program = jax.jit(jax.vmap(source.function)).lower(*sizes).compile()
 
     def restart(self, which: Bool[np.ndarray, " count"], x: Float[np.ndarray, "some n_x"]) -> None:
         """Puts some of them into new states, without a past."""
@@ -241,7 +239,7 @@ class _Bodies:
         w = samples[:, self._places].reshape(len(u), -1)
         # the environment computes in double precision, whatever else JAX is used for
         with jax.enable_x64(True):
-            following = np.asarray(self._program(self.x, w))
+            following = evaluate(self.rules.source.many, np.concatenate([self.x, w], axis=1))
         x, (self.x, left) = self.x, self.rules.entered(self.x, following)
         return self._rewards(x, u, self.x), left
 

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.channels import Channels
+from tustinnet.engine.equations import Equations, Formula
 from tustinnet.errors import InputError
 from tustinnet.families.family import family_of
 from tustinnet.models.contract import Model, require_float64, with_dtype
@@ -113,6 +114,23 @@ class Source:
             return model.step(x, w if plain else (jnp.asarray(seen.matrix) @ w).reshape(seen.shape))
 
         return step
+
+    @cached_property
+    def equations(self) -> Equations:
+        """The step as the engine takes it, for one state at a time."""
+        return Equations(
+            lambda x, u, p, c: self.function(x, u), n_x=self.n_x, n_u=self.n_w,
+            continuous=False, where=f"the model ({type(self.model).__name__})",
+        )  # fmt: skip
+
+    @cached_property
+    def many(self) -> Formula:
+        """The step as the engine takes it, for many [x, w] at once."""
+        n_x = self.n_x
+        return Formula(
+            lambda point: self.function(point[:n_x], point[n_x:]), n_x + self.n_w,
+            where=f"the model ({type(self.model).__name__})",
+        )  # fmt: skip
 
     @cached_property
     def step(self) -> Program:

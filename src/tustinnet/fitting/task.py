@@ -79,15 +79,12 @@ class Task:
         folds: records to fit to; one, but for cross-validation.
         members: what is fitted; of kinds that are identified, one a fold.
         system: the system whose parameters are identified, or None.
-        brief: whether an identification leaves out what only its account needs: whether records
-            disagree, which takes refits.
     """
 
     recipe: Recipe
     folds: tuple[Fold, ...]
     members: tuple[Member, ...] = (Member(),)
     system: LagrangianSystem | MadeForRecords | None = None
-    brief: bool = False
 
     def of(self, members: Sequence[Member]) -> "Task":
         """The same for some of the members."""

@@ -61,7 +61,7 @@ class Stateful(HasChannels, eqx.Module):
 
         In their units, where a record begins; mostly 1. Starts that search for them use it.
         """
-        return jnp.ones(len(self.internal))
+        return jnp.asarray(np.ones(len(self.internal)))
 
     def beginning(self, measured: Float[Array, " n_measured"]) -> State:
         """The state in which a record begins, by its first [q, v]; see `initial_internal`."""

@@ -91,8 +91,8 @@ def read(
     given: list[Value] = [Numbers(np.array(tape.input(name), int)) for name in inputs]
     given += [Matrix(Factor(name), size) for name, size in matrices.items()]
     reader = _Reader(tape, what)
+    closed, shape = jax.make_jaxpr(function, return_shape=True)(*shapes)
     with jax.ensure_compile_time_eval():  # a program may be read while another is compiled
-        closed, shape = jax.make_jaxpr(function, return_shape=True)(*shapes)
         values = reader.run(closed.jaxpr, closed.consts, given)
     names = jax.tree.unflatten(jax.tree.structure(shape), range(len(values)))
     return tape.program({name: reader.ids(values[i]).ravel() for name, i in names.items()})

@@ -148,9 +148,7 @@ def _whole(
     if recipe.family.trains:
         return averaged
     records = tuple(taking_part(at.data))
-    task = Task(
-        recipe, (Fold(Roles(records, ())),), system=system_for(recipe, at.loaded_system), brief=True
-    )
+    task = Task(recipe, (Fold(Roles(records, ())),), system=system_for(recipe, at.loaded_system))
     folder = at.folder / CANDIDATES / standing.name / WHOLE
     job = Job(standing.name, recipe, fold=0)
     try:

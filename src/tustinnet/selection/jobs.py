@@ -224,7 +224,7 @@ def _task(job: Job, at: Workplace) -> tuple[Task, Deal]:
     folds = tuple(Fold(used_by(deal.roles, job.recipe), physics) for deal in deals)
     members = tuple(Member(seed, fold=job.fold) for seed in job.seeds)
     own = system_for(job.recipe, at.loaded_system)
-    return Task(job.recipe, folds, members, own, brief=True), deals[job.fold]
+    return Task(job.recipe, folds, members, own), deals[job.fold]
 
 
 def _digest(task: Task, at: Workplace) -> str:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-import scipy.stats
+import scipy.special
 from jaxtyping import Float
 
 from tustinnet.fitting.report import Disagreement, Side
@@ -170,7 +170,7 @@ class Agreement:
         for j, p in enumerate(space.searched):
             if not (np.isfinite(spread[j]) and spread[j] > 0 and off[j] > _LEAST):
                 continue
-            single = 2 * float(scipy.stats.t.sf(off[j] / np.sqrt(spread[j]), freedom))
+            single = 2 * float(scipy.special.stdtr(freedom, -off[j] / np.sqrt(spread[j])))
             chance = min(1.0, single * comparisons * len(space.searched))
             if chance < _LEVEL:
                 sides = (self._side(one, j), self._side(other, j))

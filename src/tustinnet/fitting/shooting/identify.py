@@ -147,7 +147,7 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
         model=model_of(problem, ended),
         records=problem.records,
         certain=_certain(problem, ended),
-        disagreements=() if task.brief else _disagreements(problem, ended),
+        disagreements=_disagreements(problem, ended),
         horizons={name: steps * records[0].dt for name, steps in ended.horizons.items()},
         asked=problem.asked is not None,
         reversed_signs=reversed_signs,

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.stats
+import scipy.special
 from jaxtyping import Bool, Float
 
 from tustinnet.fitting.shooting.least_squares import eliminated
@@ -48,7 +48,7 @@ class Uncertainty:
         """The same for a parameter that only so many of the records say something of."""
         if self.clustered is None:
             return self.quantiles[0]
-        return float(scipy.stats.t.ppf((1 + CONFIDENCE) / 2, max(records - 1, 1)))
+        return float(scipy.special.stdtrit(max(records - 1, 1), (1 + CONFIDENCE) / 2))
 
 
 def uncertainty(
@@ -103,8 +103,8 @@ def uncertainty(
         naive=_embedded(naive, moving),
         clustered=None if clustered is None else _embedded(clustered, moving),
         quantiles=(
-            float(scipy.stats.t.ppf(tail, freedom)),
-            float(scipy.stats.t.ppf(tail, max(n - 1, 1))),
+            float(scipy.special.stdtrit(freedom, tail)),
+            float(scipy.special.stdtrit(max(n - 1, 1), tail)),
         ),
         condition=float(np.sqrt(values[-1] / max(values[0], 1e-300))) if len(unit) else 1.0,
         worst=_filled(worst / np.abs(worst).max(initial=1e-300), moving),
