@@ -13,7 +13,7 @@ BIN := .venv/bin
 
 help:
 	@echo "make install     the package and its command in .venv"
-	@echo "make demo        the whole job on a simulated twin, offline, less than 4 minutes (DEMO=$(DEMO))"
+	@echo "make demo        the whole job on a simulated twin, offline, about 2 minutes (DEMO=$(DEMO))"
 	@echo "make reproduce   the paper's results (DATA=FOLDER OUT=$(OUT) SEEDS=$(SEEDS))"
 	@echo "make docs        the documentation as pages, its tutorials run (results/docs/site/index.html)"
 	@echo "make bench       speed against PyTorch, plain JAX and scipy (DATA=FOLDER; 'bench' extra)"

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from tustinnet.report.tables import Table
 
 # what is tried, with a system that lacks the cable's relaxation and dry friction; at most so long
-_PLAN, _SYSTEM, _SECONDS = "quick", "qube-servo2", 150.0
+_PLAN, _SYSTEM, _SECONDS = "quick", "qube-servo2", 105.0
 _CHOICE = "twin_choice"
 _START = "derived-6"  # the twin moves when its records begin, and `file` would say it does not
 _REPORTED = 2  # models: the chosen one and one beside it; each takes seconds
