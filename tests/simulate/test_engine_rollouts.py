@@ -7,16 +7,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from every_family import NAMES, example, hybrid, network, physics
+from every_family import CHANNELS, NAMES, example, hybrid, network, physics, scaling
 
 import tustinnet as tn
 from tustinnet.engine import xla
 from tustinnet.engine.machine import Compiled
+from tustinnet.families.tustin_net import random_tustin_net
 from tustinnet.models.blocks import is_layer
 from tustinnet.models.contract import with_dtype
 from tustinnet.simulate import engine_rollouts
+from tustinnet.simulate.drive import Drive
 from tustinnet.simulate.engine_rollouts import layered_steps
 from tustinnet.simulate.rollout import rollouts
+from tustinnet.simulate.simulation import simulated
 
 STEPS = 12
 
@@ -153,3 +156,14 @@ def test_a_jax_that_calls_no_machine_code_trains_by_xla_and_says_so_once(monkeyp
     with pytest.warns(UserWarning, match=r"does not call machine code \(.*unknown interface 0\.1"):
         assert layered_steps(with_dtype(hybrid(0), np.float64), (1,), np.float64) is None
     xla.available.cache_clear()
+
+
+def test_wide_layers_have_memory_beyond_the_stack():
+    wide = random_tustin_net(CHANNELS, scaling(), jax.random.key(0), hidden=(1500, 3))
+    model = with_dtype(wide, np.float64)
+    x0, u = jnp.full((3, 2), 0.3), jnp.ones((3, STEPS, 1))
+    found, expected = (results(model, x0, u, 1.0, only_layers=fast) for fast in (True, False))
+    for ours, theirs in zip(*map(jax.tree.leaves, (found, expected)), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
+    free = simulated(model, np.asarray(x0), Drive(np.asarray(u)))
+    np.testing.assert_allclose(free, expected[0], rtol=1e-9, atol=1e-9)

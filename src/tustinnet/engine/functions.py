@@ -13,7 +13,7 @@ References:
 from fractions import Fraction
 from math import factorial
 
-from tustinnet.engine.text import Function, Module, bits_of
+from tustinnet.engine.text import SYMBOL, Function, Module, bits_of
 
 # called for one lane after the other, by their names in the C library
 SCALAR = {
@@ -21,7 +21,6 @@ SCALAR = {
     "atanh": 1, "expm1": 1, "log": 1, "log1p": 1, "pow": 2, "atan2": 2, "fmod": 2, "sin": 1,
     "cos": 1,
 }  # fmt: skip
-SYMBOL = "c.{}"  # what a function of the C library is called in a module
 
 _HALF_PI = Fraction(314159265358979323846264338327950288419716939937510582097494, 2 * 10**59)
 _LOG_2 = Fraction(693147180559945309417232121458176568075500134360255254120680, 10**60)

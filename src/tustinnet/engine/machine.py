@@ -7,7 +7,8 @@ from functools import cache, lru_cache, partial
 from threading import Lock
 from typing import Any
 
-from tustinnet.engine.functions import SCALAR, SYMBOL
+from tustinnet.engine.functions import SCALAR
+from tustinnet.engine.text import SYMBOL
 
 _WIDTHS = (("avx512f", 8), ("avx", 4))  # numbers of a vector, by what the processor has
 _NARROW = 2
@@ -78,7 +79,7 @@ def _target() -> tuple[Any, Callable[[], Any]]:
     binding.initialize_native_asmprinter()
     # by names of our own, as linkers differ in what they find by themselves
     library = ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None)
-    for name in SCALAR:
+    for name in (*SCALAR, "malloc", "free"):
         address = ctypes.cast(getattr(library, name), ctypes.c_void_p).value
         binding.add_symbol(SYMBOL.format(name), address)
     create = partial(

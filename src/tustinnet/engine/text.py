@@ -16,6 +16,9 @@ import numpy as np
 # number is not finite is always respected: a simulation that diverges must stay visible
 FAST = "reassoc nsz contract"
 
+SYMBOL = "c.{}"  # what a function of the C library is called in a module
+_STACK = 2**18  # bytes of it that a function uses; threads have as little as half a megabyte
+
 Precision = Literal["double", "float"]
 Predicate = Literal["oeq", "une", "olt", "ole", "ogt", "oge", "uno"]
 
@@ -40,7 +43,8 @@ class Function:
         self._head = f"define {linkage}{result} @{name}({arguments}){mark}"
         self._entry: list[str] = []
         self._lines: list[str] = []
-        self._count = 0
+        self._count = self._stack = 0
+        self._allocated: list[str] = []
 
     # --- lines ---
 
@@ -65,11 +69,28 @@ class Function:
         self._lines.append(f"{label}:")
 
     def memory(self, count: int) -> str:
-        """Memory for so many values of this function, aligned as vectors are."""
+        """Memory for so many values of this function, aligned as vectors are.
+
+        On the stack, as far as that reaches; what large networks need beyond it is allocated.
+        """
         self._count += 1
-        name = f"%m{self._count}"
-        v, size = self.module.v, max(count, 1)
-        self._entry.append(f"{name} = alloca [{size} x {v}], align {self.module.align}")
+        name, m, size = f"%m{self._count}", self.module, max(count, 1)
+        self._stack += size * m.align
+        if self._stack <= _STACK:
+            self._entry.append(f"{name} = alloca [{size} x {m.v}], align {m.align}")
+            return name
+        self._stack -= size * m.align
+        m.once("malloc", lambda: f'declare ptr @"{SYMBOL.format("malloc")}"(i64)\n')
+        m.once("free", lambda: f'declare void @"{SYMBOL.format("free")}"(ptr)\n')
+        bytes_ = (size + 1) * m.align
+        self._entry += [
+            f'{name}a = call ptr @"{SYMBOL.format("malloc")}"(i64 {bytes_})',
+            f"{name}b = ptrtoint ptr {name}a to i64",
+            f"{name}c = add i64 {name}b, {m.align - 1}",
+            f"{name}d = and i64 {name}c, {-m.align}",
+            f"{name} = inttoptr i64 {name}d to ptr",
+        ]
+        self._allocated.append(f"{name}a")
         return name
 
     def counter(self) -> str:
@@ -80,7 +101,12 @@ class Function:
 
     def text(self) -> str:
         """The function as text."""
-        body = "\n".join(["entry:", *self._entry, *self._lines])
+        free = [f'call void @"{SYMBOL.format("free")}"(ptr {name})' for name in self._allocated]
+        lines = [
+            text for line in self._lines
+            for text in ([*free, line] if line.startswith("ret ") else [line])
+        ]  # fmt: skip
+        body = "\n".join(["entry:", *self._entry, *lines])
         return f"{self._head} {{\n{body}\n}}\n"
 
     # --- whole numbers and flow ---
