@@ -28,6 +28,7 @@ from tustinnet.program.reading import Unreadable
 # operations of a step in reverse: with fewer, which are those of a network alone, XLA is as fast;
 # more would take LLVM longer than XLA
 FEWEST, MOST = 200, 20_000
+_WIDEST = 2000  # units of all layers together; beyond, products of matrices decide, which XLA does
 
 
 class LayeredSteps(NamedTuple):
@@ -79,9 +80,9 @@ def layered_steps(
         kind: the precision that is computed in.
 
     Returns:
-        None where XLA does them as well, or machine code cannot: for networks without physics,
-        on another device than the processor, without layers, for a step that no program can hold,
-        and for one that is too long.
+        None where XLA does them as well, or machine code cannot: for networks without physics or
+        very wide ones, on another device than the processor, without layers, for a step that no
+        program can hold, and for one that is too long.
     """
     leaves, structure = jax.tree.flatten(model, is_leaf=is_layer)
     others = [leaf for leaf in leaves if not is_layer(leaf)]
@@ -94,6 +95,8 @@ def layered_steps(
         (leaf.weight.shape, leaf.bias is not None) if is_layer(leaf) else leaf.shape
         for leaf in leaves
     )
+    if sum(len(layer.weight) for layer in layers) > _WIDEST:
+        return None
     found = _rollouts(structure, shapes, model.state_size, drive)
     if found is None:
         return None
