@@ -152,3 +152,19 @@ def test_without_llvm_jax_does_it(monkeypatch):
     monkeypatch.setattr(engine, "_said", set())
     with pytest.warns(UserWarning, match="llvmlite is not installed"):
         assert engine.engine() == "jax"
+
+
+def test_what_no_program_can_hold_is_simulated_by_jax_and_that_is_said_once(monkeypatch):
+    monkeypatch.setattr(engine, "_said", set())
+    runs = Runs(
+        start=np.array([[0.3, 0.1]]), parameters=np.zeros((1, 0)), steps=np.array([4]),
+        first=np.zeros(1, int), drive=np.zeros((5, 1, 1)), periods=np.ones(5),
+    )  # fmt: skip
+    sorting = [
+        Equations(lambda x, u, p, c: jnp.sort(0.5 * x), 2, 1, continuous=False, where=where)
+        for where in ("one", "another")
+    ]
+    with pytest.warns(UserWarning, match="'sort'.*simulated by JAX") as told:
+        states = [engine.simulate(equations, runs) for equations in sorting]
+    assert len(told) == 1
+    np.testing.assert_allclose(states[0][1], [0.05, 0.15])

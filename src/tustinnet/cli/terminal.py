@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -158,6 +159,19 @@ def interruptible(remedy: str = "") -> Iterator[None]:
         raise SystemExit(128 + getattr(stop, "number", signal.SIGINT)) from None
     finally:
         _verbs -= 1
+
+
+def tell_warnings() -> None:
+    """What this package warns of is told in a line, without the place in its source."""
+    plain = warnings.showwarning
+
+    def tell(message: Warning | str, category: type[Warning], *place: Any) -> None:
+        if category is UserWarning:
+            sys.stderr.write(f"note: {message}\n")
+        else:
+            plain(message, category, *place)
+
+    warnings.showwarning = tell
 
 
 def prepare_jax(device: str | None = None) -> None:

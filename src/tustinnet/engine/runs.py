@@ -216,7 +216,9 @@ def _chosen(
     try:
         read()
     except Unreadable as refused:
-        say_once(f"{refused}; simulated by JAX instead, which is slower")
+        # the same is found in several parts of a system and in its model
+        _, _, what = str(refused).partition(": ")
+        say_once(f"{refused}; simulated by JAX instead, which is slower", what)
         return slow()
     return fast()
 
@@ -224,8 +226,9 @@ def _chosen(
 _said: set[str] = set()
 
 
-def say_once(message: str) -> None:
-    """Warns of something, the first time in this process."""
-    if message not in _said:
-        _said.add(message)
+def say_once(message: str, of: str | None = None) -> None:
+    """Warns of something, the first time in this process; messages of the same count as one."""
+    of = of or message
+    if of not in _said:
+        _said.add(of)
         warnings.warn(message, stacklevel=2)
