@@ -162,7 +162,7 @@ def interruptible(remedy: str = "") -> Iterator[None]:
 
 
 def tell_warnings() -> None:
-    """What this package warns of is told in a line, without the place in its source."""
+    """Shows each warning of this package as one line, without the place in its source."""
     plain = warnings.showwarning
 
     def tell(message: Warning | str, category: type[Warning], *place: Any) -> None:

@@ -59,10 +59,9 @@ def laid_out(matrix: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Number:
-    """A single number, or a truth: what the code calls it, and its value where that is known."""
+    """A single number, or a truth: what the code calls it."""
 
     name: str
-    known: float | None = None
     truth: bool = False
 
 
@@ -162,11 +161,11 @@ class Emission:
             m = self.module
             word = "true" if value else "false"
             text = word if m.lanes == 1 else "<" + ", ".join([f"i1 {word}"] * m.lanes) + ">"
-            return Number(text, float(value), truth=True)
+            return Number(text, truth=True)
         whole = abs(value) <= _LITERAL and value * 2 == round(value * 2)
         if whole or value != value:
-            return Number(self.module.number(value), value)
-        return Number(self._from_table(self.constants.place(np.array([value]))), value)
+            return Number(self.module.number(value))
+        return Number(self._from_table(self.constants.place(np.array([value]))))
 
     def _from_table(self, index: int | str) -> str:
         f = self.function

@@ -141,13 +141,8 @@ def write_backward(module: Module, equations: Equations, constants: Constants) -
                     f"call void @adjoints(ptr %constants, ptr {x}, ptr {u}, ptr {p}, "
                     f"ptr {adjoint}, ptr {by_p}, i64 %span, i64 {place}, ptr %layers)"
                 )
-        for memory, size, into in ((by_p, n_p, "%by_p"), (adjoint, n_x, "%by_start")):
-            for lane in lanes:
-                with f.when(f.value(f"icmp sge i64 {s.column(lane, 'steps')}, 0")):
-                    base = f.whole("mul", s.column(lane, "run"), size)
-                    with f.loop(0, size) as i:
-                        number = f.lane(f.load(memory, i), lane)
-                        f.store_number(number, into, f.whole("add", base, i))
+        s.hand_over(by_p, n_p, "%by_p")
+        s.hand_over(adjoint, n_x, "%by_start")
     f.line("ret void")
     module.finish(f)
 
@@ -178,7 +173,7 @@ def write_compare(
             s.compare(k)
             with f.when(f.value(f"icmp slt i64 {k}, {s.longest}")):
                 s.advance(k)
-        s.hand_over()
+        s.hand_products_over()
     f.line("ret void")
     module.finish(f)
 
@@ -231,11 +226,13 @@ class _Slopes:
     """Where derivatives of the equations are not 0 by structure.
 
     Attributes:
-        by_x: for each row, column and value of an entry; None where it changes.
+        copies: for each row, the number of the state that it is, or None.
+        by_x: for each row, the numbers of the state that it depends on.
         by_p: which rows depend on the parameters.
     """
 
-    by_x: tuple[dict[int, float | None], ...]
+    copies: tuple[int | None, ...]
+    by_x: tuple[tuple[int, ...], ...]
     by_p: tuple[int, ...]
 
 
@@ -288,10 +285,8 @@ def _write_derivatives(module: Module, equations: Equations, constants: Constant
     module.finish(f)
     depends = equations.program.dependencies("x")
     return _Slopes(
-        tuple(
-            {j: None for j in range(n_x) if ("x", j) in on} if copy is None else {copy: 1.0}
-            for copy, on in zip(copies, depends, strict=True)
-        ),
+        tuple(copies),
+        tuple(tuple(j for j in range(n_x) if ("x", j) in on) for on in depends),
         tuple(i for i, on in enumerate(depends) if any(name == "p" for name, _ in on)),
     )
 
@@ -321,11 +316,11 @@ class _Lanes:
     def __init__(self, f: Function, group: str) -> None:
         self.f = f
         lanes = f.module.lanes
-        self._group = f.whole("mul", group, lanes * len(LANE))
+        first = f.whole("mul", group, lanes * len(LANE))
         self._columns: dict[tuple[int, str], str] = {}
         for lane in range(lanes):
             for i, name in enumerate(LANE):
-                at = f.at("%lanes", f.whole("add", self._group, lane * len(LANE) + i), "i64")
+                at = f.at("%lanes", f.whole("add", first, lane * len(LANE) + i), "i64")
                 self._columns[lane, name] = f.value(f"load i64, ptr {at}")
         self.longest = self.column(0, "steps")
         for lane in range(1, lanes):
@@ -356,6 +351,16 @@ class _Lanes:
         """The present row of every lane in what begins at its row of that name."""
         columns = [self.column(lane, name) for lane in range(self.f.module.lanes)]
         return [self.f.whole("add", c, at) for c, at in zip(columns, self._at, strict=True)]
+
+    def hand_over(self, source: str, size: str | int, into: str) -> None:
+        """The numbers of every lane that has a run go to the row of that run."""
+        f = self.f
+        for lane in range(f.module.lanes):
+            with f.when(f.value(f"icmp sge i64 {self.column(lane, 'steps')}, 0")):
+                base = f.whole("mul", self.column(lane, "run"), size)
+                with f.loop(0, size) as i:
+                    number = f.lane(f.load(source, i), lane)
+                    f.store_number(number, into, f.whole("add", base, i))
 
     def where(self, truths: list[str], a: str, b: str) -> str:
         """Of every lane one or the other number."""
@@ -590,16 +595,17 @@ class _Sensitivities(_Simulation):
         base = f.whole("mul", d, n_x)
         y = [f.load(source, f.whole("add", base, j)) for j in range(n_x)]
         found = []
-        for i, row in enumerate(self._slopes.by_x):
+        for i, (copy, columns) in enumerate(
+            zip(self._slopes.copies, self._slopes.by_x, strict=True)
+        ):
+            if copy is not None:
+                found.append(y[copy])
+                continue
             total: str | None = None
             if by_parameter and i in self._slopes.by_p:
                 total = f.load(self.by_p, f.whole("add", base, i))
-            for j, known in row.items():
-                if known is None:
-                    entry = f.load(self.by_x, i * n_x + j)
-                else:
-                    entry = None if known == 1.0 else f.module.number(known)
-                term = y[j] if entry is None else f.apply("fmul", entry, y[j])
+            for j in columns:
+                term = f.apply("fmul", f.load(self.by_x, i * n_x + j), y[j])
                 total = term if total is None else f.apply("fadd", total, term)
             found.append(f.module.number(0.0) if total is None else total)
         return found
@@ -640,19 +646,8 @@ class _Sensitivities(_Simulation):
 
         self._each(change)
 
-    def hand_over(self) -> None:
-        """The products of every lane go to the row of its run."""
-        f = self.f
-        squares = f.whole("mul", "%n_d", "%n_d")
-        for lane in range(f.module.lanes):
-            run = self.column(lane, "run")
-            with f.when(f.value(f"icmp sge i64 {self.column(lane, 'steps')}, 0")):
-                for source, size, into in (
-                    (self._products, squares, "%products"),
-                    (self._gradient, "%n_d", "%gradient"),
-                    (self._cost, "1", "%cost"),
-                ):
-                    base = f.whole("mul", run, size)
-                    with f.loop(0, size) as i:
-                        number = f.lane(f.load(source, i), lane)
-                        f.store_number(number, into, f.whole("add", base, i))
+    def hand_products_over(self) -> None:
+        """The products of every lane go to the rows of its run."""
+        self.hand_over(self._products, self.f.whole("mul", "%n_d", "%n_d"), "%products")
+        self.hand_over(self._gradient, "%n_d", "%gradient")
+        self.hand_over(self._cost, 1, "%cost")

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tustinnet.program.derivatives import PARTIALS
-from tustinnet.program.program import OPERATIONS, Factor, Node, Program
+from tustinnet.program.program import OPERATIONS, Factor, Loop, Node, Program
 from tustinnet.program.tape import Tape
 
 ADJOINT = "adjoint"  # the input that weights the output
@@ -67,43 +67,23 @@ def _written_out(tape: Tape, program: Program, inputs: dict[str, int]) -> dict[s
     values: list[int] = []
     for node in program.nodes:
         args = [values[a] for a in node.args]
-        values.append(_node_on(tape, program, node, args, inputs))
+        if node.op == "loop":
+            values.append(_turns(tape, node.data, args))
+        else:
+            values.append(tape.copied(program, node, args, inputs))
     return {name: values[i] for name, i in program.outputs.items()}
 
 
-def _node_on(
-    tape: Tape, program: Program, node: Node, args: list[int], inputs: dict[str, int]
-) -> int:
-    match node.op:
-        case "input":
-            return inputs[node.data]
-        case "number":
-            return tape.number(node.data)
-        case "table":
-            return tape.table(program.tables[node.data])
-        case "pick":
-            return tape.split(args[0])[node.data]
-        case "part":
-            return tape.vector(tape.split(args[0])[node.data : node.data + node.size])
-        case "join":
-            return tape.vector([x for a in args for x in tape.split(a)])
-        case "product":
-            return tape.product_vector(program.tables[node.data], args[0])
-        case "layer":
-            return tape.layer(node.data, args[0])
-        case "loop":
-            loop, names = node.data, list(node.data.body.inputs)
-            first, last = loop.constants, loop.constants + loop.carried
-            constants, carried, given = args[:first], args[first:last], args[last:]
-            for turn in range(loop.length):
-                now = [
-                    tape.vector(np.split(np.array(tape.split(row)), loop.length)[turn])
-                    for row in given
-                ]
-                taken = dict(zip(names, [*constants, *carried, *now], strict=True))
-                carried = list(_written_out(tape, loop.body, taken).values())
-            return tape.vector([x for vector in carried for x in tape.split(vector)])
-    return tape.apply(node.op, *args)
+def _turns(tape: Tape, loop: Loop, args: list[int]) -> int:
+    """All turns of a loop on a tape; the node of what it carries at the end."""
+    first, last = loop.constants, loop.constants + loop.carried
+    constants, carried, given = args[:first], args[first:last], args[last:]
+    rows = [np.split(np.array(tape.split(row)), loop.length) for row in given]
+    for turn in range(loop.length):
+        now = [tape.vector(row[turn]) for row in rows]
+        inputs = dict(zip(loop.body.inputs, [*constants, *carried, *now], strict=True))
+        carried = list(_written_out(tape, loop.body, inputs).values())
+    return tape.vector([x for vector in carried for x in tape.split(vector)])
 
 
 @dataclass

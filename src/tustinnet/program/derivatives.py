@@ -96,40 +96,33 @@ class _Forward:
         self, node: Node, args: Sequence[int], slopes: Sequence[Tangents]
     ) -> tuple[int, Tangents]:
         """The value of a node on the tape, and its derivatives."""
-        tape, tables = self.tape, self.program.tables
+        tape = self.tape
+        if node.op == "loop":
+            return self._loop(node.data, args, slopes)
+        value = tape.copied(self.program, node, args, self.inputs)
         match node.op:
             case "input":
-                return self.inputs[node.data], dict(self.tangents.get(node.data, {}))
-            case "number":
-                return tape.number(node.data), {}
-            case "table":
-                return tape.table(tables[node.data]), {}
+                return value, dict(self.tangents.get(node.data, {}))
+            case "number" | "table":
+                return value, {}
             case "pick":
-                place = node.data
-                return tape.split(args[0])[place], self._nonzero(
-                    {d: tape.split(t)[place] for d, t in slopes[0].items()}
-                )
+                picked = {d: tape.split(t)[node.data] for d, t in slopes[0].items()}
+                return value, self._nonzero(picked)
             case "part":
                 part = slice(node.data, node.data + node.size)
-                return tape.vector(tape.split(args[0])[part]), self._nonzero(
-                    {d: tape.vector(tape.split(t)[part]) for d, t in slopes[0].items()}
-                )
+                cut = {d: tape.vector(tape.split(t)[part]) for d, t in slopes[0].items()}
+                return value, self._nonzero(cut)
             case "join":
                 each = list(zip(args, slopes, strict=True))
-                return self._joined(args), {
+                return value, {
                     d: self._joined([s.get(d, self._zeros(a)) for a, s in each])
                     for d in _directions(slopes)
                 }
             case "product":
-                matrix = tables[node.data]
-                value = tape.product_vector(matrix, args[0])
+                matrix = self.program.tables[node.data]
                 return value, {d: self._product(matrix, t) for d, t in slopes[0].items()}
             case "layer":
-                value = tape.layer(node.data, args[0])
                 return value, {d: tape.layer(node.data, t) for d, t in slopes[0].items()}
-            case "loop":
-                return self._loop(node.data, args, slopes)
-        value = tape.apply(node.op, *args)
         if OPERATIONS[node.op].truth or not any(slopes):
             return value, {}
         return value, self._operation(node, value, args, slopes)

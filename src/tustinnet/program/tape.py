@@ -143,6 +143,36 @@ class Tape:
             self._tables.append(values)
         return self._known_tables[key]
 
+    def copied(
+        self, program: Program, node: Node, args: Sequence[int], inputs: Mapping[str, int]
+    ) -> int:
+        """A node of another program, no loop, on this tape.
+
+        Args:
+            program: that program.
+            node: the node.
+            args: the nodes of this tape that it is computed from.
+            inputs: the nodes of this tape that are the inputs of that program.
+        """
+        match node.op:
+            case "input":
+                return inputs[node.data]
+            case "number":
+                return self.number(node.data)
+            case "table":
+                return self.table(program.tables[node.data])
+            case "pick":
+                return self.split(args[0])[node.data]
+            case "part":
+                return self.vector(self.split(args[0])[node.data : node.data + node.size])
+            case "join":
+                return self.vector([x for a in args for x in self.split(a)])
+            case "product":
+                return self.product_vector(program.tables[node.data], args[0])
+            case "layer":
+                return self.layer(node.data, args[0])
+        return self.apply(node.op, *args)
+
     def loop(self, loop: Loop, args: Sequence[Ids]) -> list[int]:
         """The numbers of all that a loop carries, at its end."""
         vectors = tuple(self.vector(ids) for ids in args)

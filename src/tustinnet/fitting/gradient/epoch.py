@@ -30,7 +30,7 @@ from tustinnet.fitting.gradient.state import (
 )
 from tustinnet.fitting.recipe import Criterion, Kept, StageRecipe
 from tustinnet.fitting.residual import Residual
-from tustinnet.models.blocks import Affine, is_layer
+from tustinnet.models.blocks import is_layer
 from tustinnet.models.contract import Model
 from tustinnet.simulate.rollout import rollouts
 
@@ -136,7 +136,7 @@ def compiled_epochs(prepared: Plan, stage: Stage) -> EpochsFunction:
 
 def _only_layers(models: Model, trainable: PyTree) -> bool:
     """Whether all that trains belongs to layers."""
-    layers = jax.tree.map(lambda node: isinstance(node, Affine), models, is_leaf=is_layer)
+    layers = jax.tree.map(is_layer, models, is_leaf=is_layer)
     each = jax.tree.map(lambda layer, mask: layer or not mask, layers, trainable)
     return all(jax.tree.leaves(each))
 
