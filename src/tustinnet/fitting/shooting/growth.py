@@ -20,6 +20,7 @@ _GROWTH = 1000.0  # falls from upright stay below 50; about a held upright posit
 _SHORTEST = 4  # blocks: a swing can always be compared
 _LARGEST = 1e15  # of a matrix that is looked at in earnest
 _SMALL = 0.5  # of a matrix whose exponential four terms of the series give to 1e-3
+_AT_ONCE = 50_000  # samples whose transitions are held in memory together
 
 
 def horizons(
@@ -53,16 +54,22 @@ def horizons(
         if not e.forced:  # nothing holds it: what grows in the model grows in the record too
             continue
         known = e.measured_states()
-        internal = np.zeros((len(e), len(system.internal)))
-        parameters = equations.values(values, np.tile(pick, (len(e), 1)))
-        points = np.concatenate([known, internal, e.u, parameters], axis=1)
-        n_x = known.shape[1] + internal.shape[1]
-        slopes = evaluate(equations.slopes, points, derivatives=True).reshape(-1, n_x, n_x)
-        a = slopes[: len(e) - 1, of.measured, of.measured]
+        n_x = known.shape[1] + len(system.internal)
+        parameters = equations.values(values, pick[None])
         moved, fast = (known[:, part].var(axis=0).sum() for part in (of.position, of.velocity))
         unit = np.ones(known.shape[1])
         unit[of.velocity] = np.sqrt(fast / moved) if fast and moved else 1.0
-        if np.isfinite(a).all() and (steps := bounded(a / unit[:, None] * unit, e.dt, block)):
+        a = np.empty((len(e) - 1, len(unit), len(unit)))
+        for k in range(0, len(a), _AT_ONCE):
+            part = slice(k, min(k + _AT_ONCE, len(a)))
+            points = np.zeros((part.stop - k, n_x + e.u.shape[1] + parameters.shape[1]))
+            points[:, : len(unit)] = known[part]  # internal states stay at zero
+            points[:, n_x:] = np.concatenate(
+                [e.u[part], np.broadcast_to(parameters, (len(points), parameters.shape[1]))], axis=1
+            )
+            slopes = evaluate(equations.slopes, points, derivatives=True).reshape(-1, n_x, n_x)
+            a[part] = slopes[:, of.measured, of.measured] / unit[:, None] * unit
+        if np.isfinite(a).all() and (steps := bounded(a, e.dt, block)):
             found[e.name] = steps
     return found
 
@@ -82,10 +89,9 @@ def bounded(a: Float[np.ndarray, "n n_x n_x"], dt: float, block: int) -> int | N
     blocks = len(a) // block
     if blocks <= _SHORTEST:
         return None
-    each = _transitions(a[: blocks * block], dt).reshape(blocks, block, *a.shape[1:])
-    over = each[:, 0]
-    for j in range(1, block):
-        over = each[:, j] @ over
+    begins = range(0, blocks * block, max(1, _AT_ONCE // block) * block)
+    parts = [a[k : min(k + begins.step, blocks * block)] for k in begins]
+    over = np.concatenate([_across_blocks(part, dt, block) for part in parts])
     doubled = [over]  # from every block's beginning over 1, 2, 4, ... blocks
     while not _grown(doubled[-1]) and 2 ** len(doubled) <= blocks:
         reach = 2 ** (len(doubled) - 1)
@@ -103,6 +109,15 @@ def bounded(a: Float[np.ndarray, "n n_x n_x"], dt: float, block: int) -> int | N
 
 def _grown(errors: np.ndarray) -> bool:
     return not np.linalg.norm(errors, axis=(1, 2)).max() <= _GROWTH
+
+
+def _across_blocks(a: np.ndarray, dt: float, block: int) -> np.ndarray:
+    """The transition over each block of samples, (n / block, n_x, n_x)."""
+    each = _transitions(a, dt).reshape(-1, block, *a.shape[1:])
+    over = each[:, 0]
+    for j in range(1, block):
+        over = each[:, j] @ over
+    return over
 
 
 def _transitions(a: np.ndarray, dt: float) -> np.ndarray:

@@ -8,7 +8,6 @@ from typing import Any, cast
 
 import numpy as np
 import scipy.optimize
-import scipy.sparse
 from jaxtyping import Float, Int
 
 from tustinnet.data.experiment import Experiment
@@ -18,6 +17,7 @@ from tustinnet.fitting.shooting.space import Searched, Space
 from tustinnet.models.lagrangian import LagrangianSystem
 
 _SHORTEST, _LONGEST = 8, 200  # samples of a window
+_AT_ONCE = 50_000  # samples whose derivatives are held in memory together
 _TELLING = 0.7  # a reversal is likely when it leaves less than this part of the residual
 _MOST_FLIPPED = 2
 _WELL_EXPLAINED = 0.1
@@ -111,23 +111,30 @@ def first_values(
     bump = (1 - s**2) ** 3
     slope = -6 * s * (1 - s**2) ** 2 * 2 / ((motion.length - 1) * motion.dt)
     equations = system_equations(system, space.names)
-    measured, n_q = np.concatenate([motion.q, motion.v, motion.u], axis=1), motion.q.shape[1]
     base = equations.base(space)
-
-    over_slope, over_bump = (_windows(motion, weight) for weight in (slope, bump))
+    per_group = max(1, _AT_ONCE // motion.length)
+    groups = [motion.begins[k : k + per_group] for k in range(0, len(motion.begins), per_group)]
 
     def at(point: Searched) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        parameters = equations.values(space.values(point), motion.pick)
-        samples = np.concatenate([measured, parameters], axis=1)
-        momentum, force = np.split(evaluate(equations.momenta, samples), 2, axis=1)
-        slopes = evaluate(equations.momenta, samples, derivatives=True)
-        by_momentum, by_force = np.split(slopes, 2, axis=1)
-        lifted = over_slope @ momentum
-        residual = lifted + over_bump @ force
-        jacobian = over_slope @ by_momentum + over_bump @ by_force
-        jacobian = jacobian.reshape(len(motion.begins), n_q, -1)[:, :, base]
-        chain = equations.chain(space, point, motion.pick[motion.begins])
-        return residual, jacobian * chain[:, None], lifted
+        residuals, jacobians, changes = [], [], []
+        for begins in groups:
+            part = slice(begins[0], begins[-1] + motion.length)
+            parameters = equations.values(space.values(point), motion.pick[part])
+            samples = np.concatenate(
+                [motion.q[part], motion.v[part], motion.u[part], parameters], axis=1
+            )
+            momentum, force = np.split(evaluate(equations.momenta, samples), 2, axis=1)
+            slopes = evaluate(equations.momenta, samples, derivatives=True)
+            by_momentum, by_force = np.split(slopes, 2, axis=1)
+            windows = (begins - begins[0])[:, None] + np.arange(motion.length)
+            lifted = _weighted(momentum, windows, slope)
+            residuals.append(lifted + _weighted(force, windows, bump))
+            jacobian = _weighted(by_momentum, windows, slope) + _weighted(by_force, windows, bump)
+            jacobian = jacobian.reshape(len(begins), motion.q.shape[1], -1)[:, :, base]
+            chain = equations.chain(space, point, motion.pick[begins])
+            jacobians.append(jacobian * chain[:, None])
+            changes.append(lifted)
+        return np.concatenate(residuals), np.concatenate(jacobians), np.concatenate(changes)
 
     # each equation in units of its own momentum at the start
     unit = np.sqrt(np.mean(at(vector)[2] ** 2, axis=0))
@@ -149,14 +156,13 @@ def first_values(
     return space.clipped(found.x), _left(motion.record, residual / unit, lifted / unit)
 
 
-def _windows(motion: Motion, weight: Float[np.ndarray, " length"]) -> scipy.sparse.csr_array:
-    """A matrix that adds up a signal over every window with some weights, (n_w, n)."""
-    count, length = len(motion.begins), motion.length
-    columns = (motion.begins[:, None] + np.arange(length)).ravel()
-    rows = np.arange(count + 1) * length
-    return scipy.sparse.csr_array(
-        (np.tile(weight, count), columns, rows), shape=(count, len(motion.q))
-    )
+def _weighted(
+    signal: Float[np.ndarray, "n m"],
+    windows: Int[np.ndarray, "n_w length"],
+    weight: Float[np.ndarray, " length"],
+) -> Float[np.ndarray, "n_w m"]:
+    """Weighted sums of a signal over windows, which are given by the indices of their samples."""
+    return np.einsum("wlm,l->wm", signal[windows], weight)
 
 
 def _left(
