@@ -84,7 +84,7 @@ class Input:
             raise InputError(f"input '{self.name}'", f"delay {self.delay} s", "a number of seconds")
 
 
-def acting(inputs: Sequence[Input], others: Sequence[Input]) -> tuple[Input, ...]:
+def merge_timing(inputs: Sequence[Input], others: Sequence[Input]) -> tuple[Input, ...]:
     """Inputs with the delays of others, and their holds where they do not say one themselves."""
     return tuple(
         replace(

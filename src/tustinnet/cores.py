@@ -3,7 +3,7 @@
 import os
 
 
-def cores() -> int:
+def count_cores() -> int:
     """How many there are."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))

@@ -25,32 +25,32 @@ class InputError(ValueError):
             parts.append(f"expected {expected}")
         if remedy:
             parts.append(remedy)
-        super().__init__("; ".join(printable(part, _LONGEST_PART) for part in parts))
+        super().__init__("; ".join(to_printable(part, _LONGEST_PART) for part in parts))
 
 
-def printable(text: str, longest: int) -> str:
+def to_printable(text: str, longest: int) -> str:
     """Text on one line: white space as single blanks, other unprintable characters escaped, cut."""
     line = " ".join(text[: 4 * longest].split())  # the rest would be cut anyway
     shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
     return shown if len(shown) <= longest else f"{shown[: longest - 4]} ..."
 
 
-def brief(error: BaseException) -> str:
+def describe_error(error: BaseException) -> str:
     """Kind and text of a foreign error, short, also of one whose text cannot be made."""
     try:
         text = str(error)
     except BaseException:
         text = "without a text"
-    return printable(f"{type(error).__name__}: {text}", _LONGEST_FOREIGN)
+    return to_printable(f"{type(error).__name__}: {text}", _LONGEST_FOREIGN)
 
 
-def reason(error: Exception) -> str:
+def error_message(error: Exception) -> str:
     """Why something could not be done: what an `InputError` says; kind and text of others."""
-    return str(error) if isinstance(error, InputError) else brief(error)
+    return str(error) if isinstance(error, InputError) else describe_error(error)
 
 
 @contextmanager
-def refusing(where: object, found: str, expected: str, remedy: str = "") -> Iterator[None]:
+def convert_errors(where: object, found: str, expected: str, remedy: str = "") -> Iterator[None]:
     """Whatever a foreign library raises inside, of any kind, becomes an `InputError`.
 
     Also what is no `Exception`, as a panic of a library in Rust. An `InputError` and Ctrl-C pass.

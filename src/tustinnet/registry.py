@@ -69,7 +69,7 @@ FAMILIES: Registry[Any] = Registry(
     },
 )
 # what `show` prints of a kind, without loading its models and JAX; others have `Family.shown`
-SHOWN: Registry[Any] = Registry(
+SUMMARIES: Registry[Any] = Registry(
     "kind of model that `show` prints",
     "tustinnet.shown",
     {
@@ -83,7 +83,7 @@ SHOWN: Registry[Any] = Registry(
         "encoded": "tustinnet.families.shown:encoded",
     },
 )
-USUAL = next(iter(FAMILIES.places))  # the kind of a recipe that names none
+DEFAULT_FAMILY = next(iter(FAMILIES.places))  # the kind of a recipe that names none
 SCALINGS: Registry[Any] = Registry(
     "scaling",
     "tustinnet.scalings",

@@ -311,7 +311,7 @@ def test_the_demo_takes_seed_and_overwrite(tmp_path, monkeypatch, refused):
 
 def _stand_in_for_the_measured_data(monkeypatch, folder, records) -> None:
     monkeypatch.setenv("TUSTINNET_DATA", str(folder))
-    monkeypatch.setattr(catalog.KnownDataSet, "is_in", lambda self, place: True)
+    monkeypatch.setattr(catalog.PublishedDataSet, "is_in", lambda self, place: True)
     monkeypatch.setattr("tustinnet.data.loading.load_folder", lambda place, card: records)
 
 

@@ -213,7 +213,7 @@ def test_velocities_are_converted_to_si(coordinate: Any, unit: str, factor: floa
         ("mN*m", 1e-3, "m*N"), ("mm/s", 1e-3, "m/s"), ("delta_degC", 1.0, "K"),
     ],
 )  # fmt: skip
-def test_a_linear_coordinate_in_any_unit_is_in_si(unit: str, factor: float, name: str) -> None:
+def test_a_linear_coordinate_in_any_unit_is_convert_to_si(unit: str, factor: float, name: str) -> None:
     card = cart(unit=unit, velocity=VelocityCard(column="v"))
     assert card.factor() == pytest.approx(factor)
     assert card.velocity_factor() == card.factor()
@@ -234,9 +234,9 @@ def test_any_angle_and_any_velocity_of_a_unit_are_converted() -> None:
 
 def test_the_usual_units_are_known_without_the_library_of_units() -> None:
     program = (
-        "import sys\nfrom tustinnet.data.units import in_si\n"
-        "assert [in_si(u)[1] for u in ('deg', 'mm', 'V', '1')] == ['rad', 'm', 'V', '1']\n"
-        "assert 'pint' not in sys.modules and in_si('mV') and 'pint' in sys.modules"
+        "import sys\nfrom tustinnet.data.units import convert_to_si\n"
+        "assert [convert_to_si(u)[1] for u in ('deg', 'mm', 'V', '1')] == ['rad', 'm', 'V', '1']\n"
+        "assert 'pint' not in sys.modules and convert_to_si('mV') and 'pint' in sys.modules"
     )
     subprocess.run([sys.executable, "-c", program], check=True)
 

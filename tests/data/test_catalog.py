@@ -15,7 +15,7 @@ import pytest
 import tustinnet as tn
 from tustinnet.data import catalog
 from tustinnet.data.card import Card
-from tustinnet.data.catalog import QUBE_SERVO2, KnownDataSet
+from tustinnet.data.catalog import QUBE_SERVO2, PublishedDataSet
 from tustinnet.data.declaration import declare
 
 FILES = {
@@ -35,7 +35,7 @@ CARD = {
 
 
 @dataclass(frozen=True)
-class ToyDataSet(KnownDataSet):
+class ToyDataSet(PublishedDataSet):
     """A published data set whose card, checksums and cache are given here."""
 
     sums: tuple[tuple[str, str], ...]

@@ -31,7 +31,7 @@ def versions() -> Iterator[str]:
     """Lines for a bug report: versions of what computes, extras, devices."""
     import jax
 
-    from tustinnet.cores import cores
+    from tustinnet.cores import count_cores
 
     yield version()
     yield f"Python {platform.python_version()} at {sys.prefix}"

@@ -53,7 +53,7 @@ class Leaving:
             Where it is, for the line that names the files; empty where none is wanted, None where
             it could not be written: then the command ends with `require_left`.
         """
-        from tustinnet.errors import reason
+        from tustinnet.errors import error_message
 
         if not self.wanted:
             return ""

@@ -20,7 +20,7 @@ import numpy as np
 
 from tustinnet.data.columns import Column, frame_columns, require_different
 from tustinnet.data.mat_file import mat_arrays, mat_contents
-from tustinnet.errors import InputError, refusing
+from tustinnet.errors import InputError, convert_errors
 
 LARGEST = 2**30  # bytes: the wanted columns of a file, as double precision
 _ADDRESS_SPACE = 6 * 2**30  # bytes: they, what they are made from, and the libraries
@@ -201,7 +201,7 @@ def _answer(request: dict[str, Any]) -> tuple[dict[str, Any], list[Column]]:
         path, names = Path(request["path"]), request["names"]
         if request["folder"] is not None:
             os.chdir(request["folder"])
-        with refusing(
+        with convert_errors(
             path, f"cannot be read as {path.suffix.lower()}", "a whole file of that format"
         ):
             if names is None:

@@ -16,7 +16,7 @@ from tustinnet.channels import (
     Kind,
 )
 from tustinnet.data.declaration import Declaration, Name, Sentence, Text
-from tustinnet.data.units import TIME, in_si, velocity_in_si
+from tustinnet.data.units import TIME, convert_to_si, velocity_in_si
 
 _MOST_COLUMNS = 10**6
 _LONGEST_PART = 255  # bytes of a file's name, as file systems have it
@@ -103,7 +103,7 @@ class CoordinateCard(Declaration):
         """The SI unit in which the records have the positions."""
         if self.unit is None or self.unit == "counts":
             return "rad" if self.kind == "angular" else "m"
-        return in_si(self.unit)[1]
+        return convert_to_si(self.unit)[1]
 
     @property
     def count(self) -> float | None:
@@ -116,7 +116,7 @@ class CoordinateCard(Declaration):
         """SI units in one unit of the position column."""
         if self.unit == "counts":
             return float(self.count or np.nan)
-        return 1.0 if self.unit is None else in_si(self.unit)[0]
+        return 1.0 if self.unit is None else convert_to_si(self.unit)[0]
 
     def velocity_factor(self) -> float:
         """SI units in one unit of the velocity column."""

@@ -5,10 +5,10 @@ from collections import Counter
 from pathlib import Path
 
 from tustinnet.data.card import Card, FileCard
-from tustinnet.errors import InputError, refusing, require_name
+from tustinnet.errors import InputError, convert_errors, require_name
 
 
-def files_of(folder: Path, card: Card) -> list[tuple[str, FileCard]]:
+def list_record_files(folder: Path, card: Card) -> list[tuple[str, FileCard]]:
     """The files of a card with their splits, patterns resolved, every record with a name.
 
     Raises:
@@ -29,7 +29,7 @@ def _expand(folder: Path, split: str, entries: list[FileCard], card: Card) -> li
     missing: list[str] = []
     for entry in entries:
         if any(c in entry.file for c in "*?["):
-            with refusing(folder / entry.file, "no usable pattern", "e.g. train/*.csv"):
+            with convert_errors(folder / entry.file, "no usable pattern", "e.g. train/*.csv"):
                 paths = [p for p in folder.glob(entry.file) if not p.is_dir()]
             files = [p.relative_to(folder).as_posix() for p in paths]
             found += [
@@ -51,13 +51,13 @@ def _expand(folder: Path, split: str, entries: list[FileCard], card: Card) -> li
 
 
 def _exists(path: Path) -> bool:
-    with refusing(path, "cannot be looked for", "a file below the card's folder"):
+    with convert_errors(path, "cannot be looked for", "a file below the card's folder"):
         return path.exists()
 
 
 def require_inside(folder: Path, path: Path) -> None:
     """Raises unless a file, links followed, lies in the folder: a card names no other files."""
-    with refusing(path, "cannot be followed", "a file below the card's folder"):
+    with convert_errors(path, "cannot be followed", "a file below the card's folder"):
         inside = path.resolve().is_relative_to(folder.resolve())
     if not inside:
         raise InputError(

@@ -12,7 +12,7 @@ from typing import Any, cast
 import platformdirs
 
 from tustinnet.data.card import Card
-from tustinnet.data.card_files import files_of
+from tustinnet.data.card_files import list_record_files
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import read_declaration
 from tustinnet.data.loading import load_folder
@@ -23,7 +23,7 @@ DATA_VARIABLE = "TUSTINNET_DATA"
 
 
 @dataclass(frozen=True)
-class KnownDataSet:
+class PublishedDataSet:
     """A published data set whose card and checksums are part of the package.
 
     Attributes:
@@ -67,7 +67,7 @@ class KnownDataSet:
         return resources.files("tustinnet.data") / "cards" / f"{self.stem}{ending}"
 
 
-QUBE_SERVO2 = KnownDataSet(
+QUBE_SERVO2 = PublishedDataSet(
     name="qube-servo2",
     stem="qube_servo2",
     address="https://raw.githubusercontent.com/svanesch/tustinNetTransferLearning/"
@@ -117,7 +117,7 @@ def locate(data: str | Path, card: str | Path | None = None) -> tuple[Path, Card
     )
 
 
-def files_read(data: str | Path, card: str | Path | None = None) -> list[Path]:
+def list_input_files(data: str | Path, card: str | Path | None = None) -> list[Path]:
     """The files that `load` reads: card and records.
 
     Raises:
@@ -126,11 +126,11 @@ def files_read(data: str | Path, card: str | Path | None = None) -> list[Path]:
     folder, declared = locate(data, card)
     path = Path(data)
     own = path if path.suffix == ".toml" else folder / CARD_NAME
-    records = [folder / entry.file for _, entry in files_of(folder, declared)]
+    records = [folder / entry.file for _, entry in list_record_files(folder, declared)]
     return [own if card is None else Path(card), *records]
 
 
-def find_folder(known: KnownDataSet) -> Path:
+def find_folder(known: PublishedDataSet) -> Path:
     """The folder of a known data set: TUSTINNET_DATA, else the cache, else a download."""
     named = os.environ.get(DATA_VARIABLE)
     if named:
@@ -146,7 +146,7 @@ def find_folder(known: KnownDataSet) -> Path:
     return _download(known)
 
 
-def _download(known: KnownDataSet) -> Path:
+def _download(known: PublishedDataSet) -> Path:
     """Fetches what the cache lacks, each file checked against its checksum."""
     # imported here: loading requests takes longer than `tustinnet --help` may
     import pooch
@@ -177,7 +177,7 @@ def _download(known: KnownDataSet) -> Path:
     return cache
 
 
-def _some(known: KnownDataSet) -> str:
+def _some(known: PublishedDataSet) -> str:
     files = sorted(known.checksums())
     folders = sorted({Path(file).parent.as_posix() for file in files})
     return f"{files[0]}, ... in the subfolders {', '.join(folders)}"

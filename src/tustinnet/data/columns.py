@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.errors import InputError, refusing
+from tustinnet.errors import InputError, convert_errors
 
 Column = Float[np.ndarray, " n"]
 
@@ -115,7 +115,7 @@ def frame_columns(frame: Any, where: object = "frame") -> Columns:
         if not hasattr(frame, "columns") or not hasattr(frame, "to_numpy"):
             raise InputError(where, f"a {type(frame).__name__}", "a pandas or polars data frame")
         require_different([str(name) for name in frame.columns], where)
-        with refusing(where, "cannot be read as a data frame", "columns of numbers"):
+        with convert_errors(where, "cannot be read as a data frame", "columns of numbers"):
             arrays = {str(name): frame[name].to_numpy() for name in frame.columns}
             frame = pl.DataFrame(
                 {name: a.astype(str) if a.dtype.kind == "O" else a for name, a in arrays.items()}
@@ -124,7 +124,7 @@ def frame_columns(frame: Any, where: object = "frame") -> Columns:
         raise InputError(where, "no samples", "rows of numbers")
 
     def convert(name: str) -> Column:
-        with refusing(f"{where}, {name}", "cannot be turned into numbers", "numbers"):
+        with convert_errors(f"{where}, {name}", "cannot be turned into numbers", "numbers"):
             # an empty cell becomes NaN, which the checks then name by row
             numbers = frame[name].cast(pl.Float64, strict=False)
             lost = np.flatnonzero((numbers.is_null() & frame[name].is_not_null()).to_numpy())

@@ -10,7 +10,7 @@ from typing import Annotated, Any, TypeVar, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
-from tustinnet.errors import InputError, refusing, require_name, require_text
+from tustinnet.errors import InputError, convert_errors, require_name, require_text
 
 _LARGEST = 1_000_000  # bytes of a text that somebody wrote
 _DEEPEST = 20  # tables in tables
@@ -71,7 +71,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         InputError: no such file, or no TOML.
     """
     text = read_source(path, "a TOML file")
-    with refusing(path, "not valid TOML", "key = value lines"):
+    with convert_errors(path, "not valid TOML", "key = value lines"):
         return parse_toml(text)
 
 
@@ -81,7 +81,7 @@ def read_source(path: Path, what: str) -> str:
     Raises:
         InputError: no such file, no file at all, too large, or no text; `what` is expected.
     """
-    with refusing(path, "cannot be read", f"{what} in UTF-8"):
+    with convert_errors(path, "cannot be read", f"{what} in UTF-8"):
         if not path.is_file():  # a pipe may never end
             raise InputError(path, "a folder or pipe" if path.exists() else "no such file", what)
         with path.open("rb") as file:
@@ -107,7 +107,7 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise ValueError(_NESTED) from None
 
 
-def packaged(packages: Sequence[str], what: str = "recipe") -> dict[str, str]:
+def list_packaged(packages: Sequence[str], what: str = "recipe") -> dict[str, str]:
     """The declarations in the folders `recipes`, or of another kind, of packages.
 
     Returns:
@@ -133,7 +133,7 @@ def read_packaged(
     Raises:
         InputError: none of that name.
     """
-    known = packaged(packages, what)
+    known = list_packaged(packages, what)
     if str(name) in known:
         place = resources.files(known[str(name)]) / f"{what}s" / f"{name}.toml"
         with resources.as_file(place) as path:

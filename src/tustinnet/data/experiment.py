@@ -7,12 +7,12 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from tustinnet.channels import Channels, HasChannels, Input, acting
+from tustinnet.channels import Channels, HasChannels, Input, merge_timing
 from tustinnet.data.recording import Recording, describe_recording
 from tustinnet.errors import InputError, require_name
 from tustinnet.signals import resampling, transients
 from tustinnet.signals.derivatives import VelocityMethod, differentiate
-from tustinnet.signals.excitation import HALF, Excitation, Held, excitation
+from tustinnet.signals.excitation import HALF, Excitation, DeclaredHold, excitation
 
 VelocitySource = Literal["auto", "file", "stencil", "savgol", "kalman", "wiener", "trapezoidal"]
 
@@ -273,9 +273,9 @@ class Experiment(HasChannels):
             InputError: an input whose hold or delay is unknown; a record too short to interpolate
                 a band-limited input, or shorter than a delay.
         """
-        said = self.inputs if inputs is None else acting(self.inputs, inputs)
+        said = self.inputs if inputs is None else merge_timing(self.inputs, inputs)
         self._require_holds(said, _SIMULATING)
-        holds: list[Held] = [i.hold or "zero-order" for i in said]  # pyright: ignore[reportAssignmentType]
+        holds: list[DeclaredHold] = [i.hold or "zero-order" for i in said]  # pyright: ignore[reportAssignmentType]
         delays = [(i.delay or 0.0) / self.dt for i in said]
         for i, hold, delay in zip(said, holds, delays, strict=True):
             where = f"{self.name}, input '{i.name}'"
@@ -291,7 +291,7 @@ class Experiment(HasChannels):
 
     def driving(self, inputs: Sequence[Input]) -> "Experiment":
         """The same record with the holds and delays of a model's inputs."""
-        said = acting(self.inputs, inputs)
+        said = merge_timing(self.inputs, inputs)
         return replace(self, channels=replace(self.channels, inputs=said))
 
     def _require_holds(self, inputs: Sequence[Input], doing: str) -> None:
@@ -369,6 +369,6 @@ class Experiment(HasChannels):
         return lead, trail
 
 
-def moves_in(experiments: Sequence[Experiment]) -> Bool[np.ndarray, " n_q"]:
+def moving_coordinates(experiments: Sequence[Experiment]) -> Bool[np.ndarray, " n_q"]:
     """Which coordinates move in at least one of some records."""
-    return np.any([transients.moves(e.q) for e in experiments], axis=0)
+    return np.any([transients.is_moving(e.q) for e in experiments], axis=0)

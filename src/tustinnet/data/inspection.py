@@ -7,10 +7,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from tustinnet.channels import Hold
-from tustinnet.data.experiment import Experiment, moves_in
+from tustinnet.data.experiment import Experiment, moving_coordinates
 from tustinnet.data.recording import Recording, describe_recording
 from tustinnet.signals import equilibria, outliers, transients
-from tustinnet.signals.equilibria import Held
+from tustinnet.signals.equilibria import HeldEquilibrium
 from tustinnet.signals.spectra import periodogram
 from tustinnet.signals.timescales import Timescales, timescales
 from tustinnet.signals.transients import RestThresholds
@@ -113,7 +113,7 @@ class ExperimentReport:
     forced: bool
     k_bar: int
     k_bar_declared: bool
-    held: Held | None
+    held: HeldEquilibrium | None
     rest_share: float
     coordinates: tuple[CoordinateReport, ...]
     inputs: tuple[InputReport, ...]
@@ -144,7 +144,7 @@ def inspect_experiment(experiment: Experiment) -> ExperimentReport:
         forced=e.forced,
         k_bar=transient_end(e),
         k_bar_declared=e.k_bar is not None,
-        held=equilibria.held(e.q, v, e.u, tuple(c.kind == "angular" for c in e.coordinates), e.dt)
+        held=equilibria.find_held_equilibrium(e.q, v, e.u, tuple(c.kind == "angular" for c in e.coordinates), e.dt)
         if e.forced
         else None,
         rest_share=float(np.mean(_near_equilibrium(v, thresholds, e.dt))),
@@ -155,15 +155,15 @@ def inspect_experiment(experiment: Experiment) -> ExperimentReport:
     )
 
 
-def still(experiments: Sequence[Experiment]) -> list[str]:
+def still_coordinates(experiments: Sequence[Experiment]) -> list[str]:
     """The names of the coordinates that move in none of some records of a system."""
-    moving = moves_in(experiments)
+    moving = moving_coordinates(experiments)
     return [c.name for c, m in zip(experiments[0].coordinates, moving, strict=True) if not m]
 
 
-def scales_of(experiments: Sequence[Experiment]) -> dict[str, Timescales]:
+def coordinate_timescales(experiments: Sequence[Experiment]) -> dict[str, Timescales]:
     """The time scales of each coordinate that moves, by its name."""
-    moving = moves_in(experiments)
+    moving = moving_coordinates(experiments)
     return {
         c.name: timescales([e.q[:, j] for e in experiments])
         for j, c in enumerate(experiments[0].coordinates)
@@ -171,7 +171,7 @@ def scales_of(experiments: Sequence[Experiment]) -> dict[str, Timescales]:
     }
 
 
-def turning_around(experiments: Sequence[Experiment]) -> set[str]:
+def rotating_coordinates(experiments: Sequence[Experiment]) -> set[str]:
     """The angles that cover most of a turn in the records, by name: no spring holds them."""
     q = np.concatenate([e.q for e in experiments])
     return {
@@ -253,7 +253,7 @@ def _saturated_share(u: Float[np.ndarray, " n"], limits: tuple[float, float] | N
 def _near_equilibrium(
     v: Float[np.ndarray, "n n_q"], thresholds: RestThresholds, dt: float
 ) -> Bool[np.ndarray, " n"]:
-    slow = np.all(transients.slow(v, thresholds), axis=1)
+    slow = np.all(transients.is_slow(v, thresholds), axis=1)
     width = max(5, round(_REST_SECONDS / dt)) | 1
     if width >= len(slow):
         return np.full(len(slow), bool(slow.all()))
@@ -291,7 +291,7 @@ def _suspicious(
 def _suspicious_positions(e: Experiment, j: int, count: float | None) -> list[str]:
     """What looks wrong in the positions of a coordinate, whose encoder count was found or not."""
     of, q = e.coordinates[j], e.q[:, j]
-    if not transients.moves(e.q)[j]:
+    if not transients.is_moving(e.q)[j]:
         return [f"{of.name} never changes"]
     found = []
     if of.unit in ("rad", "m") and np.abs(q).max() > _FARTHEST:
@@ -302,7 +302,7 @@ def _suspicious_positions(e: Experiment, j: int, count: float | None) -> list[st
             f"{of.name} moves more than a quarter turn in {wild:.0%} of the periods "
             "(wrong unit, or sampled too slowly?)"
         )
-    elif len(rows := outliers.jumps(e.t, q, of.resolution or count or 0.0)):
+    elif len(rows := outliers.find_jumps(e.t, q, of.resolution or count or 0.0)):
         found.append(f"{of.name} jumps at sample {_first(rows)} (bad rows, or lost counts?)")
     if of.resolution and count and abs(count / of.resolution - 1) > _OTHER_COUNT:
         found.append(
@@ -317,7 +317,7 @@ def _suspicious_input(e: Experiment, j: int) -> list[str]:
     found = []
     if np.abs(u).max() > _STRONGEST:
         found.append(f"{of.name} reaches {np.abs(u).max():.3g} {of.unit} (unit or a bad row?)")
-    if len(rows := outliers.spikes(u)):
+    if len(rows := outliers.find_spikes(u)):
         found.append(f"{of.name} has spikes at sample {_first(rows)} (bad rows?)")
     return found
 

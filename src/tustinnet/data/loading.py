@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from tustinnet.channels import LONGEST_DT, SHORTEST_DT
 from tustinnet.data.card import Card, ColumnKey, FileCard
-from tustinnet.data.card_files import files_of, require_inside
+from tustinnet.data.card_files import list_record_files, require_inside
 from tustinnet.data.columns import NUMBERED, Column, Columns, frame_columns
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import declare, read_declaration
@@ -40,7 +40,7 @@ def load_folder(folder: Path, card: Card) -> DataSet:
             a number is not finite, the time base is not as declared, nothing moves; the message
             names file and row.
     """
-    entries = files_of(folder, card)
+    entries = list_record_files(folder, card)
     experiments = [e for split, entry in entries for e in _load_file(folder, split, entry, card)]
     if not experiments:
         raise InputError(

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tustinnet.errors import InputError, refusing
+from tustinnet.errors import InputError, convert_errors
 
 Array = np.ndarray
 Shape = tuple[int, ...]
@@ -148,7 +148,7 @@ def _variable(name: str) -> str:
 
 
 def _mat5_variable(path: Path, name: str) -> Any:
-    with refusing(f"{path}, {name}", "the variable is cut short or damaged", "a whole file"):
+    with convert_errors(f"{path}, {name}", "the variable is cut short or damaged", "a whole file"):
         return _mat5_content(path, [name])[name]
 
 

@@ -8,7 +8,7 @@ from tustinnet.data import reading_process
 from tustinnet.data.columns import Columns
 from tustinnet.data.mat_file import OBJECT, OBJECT_REMEDY
 from tustinnet.data.text_file import read_text
-from tustinnet.errors import InputError, refusing
+from tustinnet.errors import InputError, convert_errors
 
 _TEXT = (".csv", ".txt", ".tsv", ".dat")
 _BINARY = (".parquet", ".mat", ".npz")
@@ -42,7 +42,7 @@ def read_columns(
     suffix = path.suffix.lower()
     if not is_readable(path):
         raise InputError(path, f"ending '{suffix}'", f"one of {', '.join((*_TEXT, *_BINARY))}")
-    with refusing(path, f"cannot be read as {suffix}", "a whole file of that format"):
+    with convert_errors(path, f"cannot be read as {suffix}", "a whole file of that format"):
         if suffix in _TEXT:
             return read_text(path, header, delimiter or ("\t" if suffix == ".tsv" else ","))
         names, others = reading_process.column_names(path)
@@ -64,7 +64,7 @@ def _require_regular(path: Path) -> None:
     Raises:
         InputError: nothing there, a folder, a pipe, a device, or a path that cannot be followed.
     """
-    with refusing(path, "cannot be opened", "a file"):
+    with convert_errors(path, "cannot be opened", "a file"):
         try:
             mode = path.stat().st_mode
         except FileNotFoundError:

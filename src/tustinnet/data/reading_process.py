@@ -13,7 +13,7 @@ from typing import Any, cast
 import numpy as np
 
 from tustinnet.data.columns import Column
-from tustinnet.errors import InputError, refusing
+from tustinnet.errors import InputError, convert_errors
 
 _START_S = 60.0  # to start Python and import a library, also on a busy machine
 _NAMES_S = 10.0  # to say what a file holds
@@ -111,7 +111,7 @@ def read(path: Path, names: list[str]) -> list[Column]:
 
 
 def _ask(path: Path, names: list[str] | None, seconds: float) -> Reply:
-    with refusing(path, "cannot be looked at", "a file"):
+    with convert_errors(path, "cannot be looked at", "a file"):
         seconds += path.stat().st_size / _SLOWEST
         folder = None if path.is_absolute() else str(Path.cwd())
     with _one_at_a_time:
@@ -136,7 +136,7 @@ def _ready(path: Path) -> _Process:
     global _process
     suffix = path.suffix.lower()
     if _process is None or not _process.usable:
-        with refusing(path, "the process that reads such files does not start", "Python"):
+        with convert_errors(path, "the process that reads such files does not start", "Python"):
             _process = _Process()
         atexit.register(_process.stop)
     if suffix not in _process.libraries:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tustinnet.data.columns import NUMBERED, Column, Columns, require_different
-from tustinnet.errors import InputError, brief
+from tustinnet.errors import InputError, describe_error
 
 if TYPE_CHECKING:
     import polars as pl

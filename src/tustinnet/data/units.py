@@ -24,7 +24,7 @@ _PRODUCT = re.compile(rf"{_TERM}( ?[*/·] ?{_TERM}| {_TERM})*")
 _LONGEST = 60  # characters
 
 
-def in_si(unit: str) -> tuple[float, str]:
+def convert_to_si(unit: str) -> tuple[float, str]:
     """What a unit is in SI: a factor, and the SI unit, as `mV` is 0.001 of `V`.
 
     Args:
@@ -55,7 +55,7 @@ def velocity_in_si(unit: str, of: str) -> float:
         return 2 * np.pi / 60
     length, _, per = unit.rpartition("/")
     if per in TIME and length:
-        factor, name = in_si(length)
+        factor, name = convert_to_si(length)
         if name == of:
             return factor / TIME[per]
     found, wanted = _quantity(unit), _quantity(f"{of}/s")

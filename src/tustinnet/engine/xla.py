@@ -33,7 +33,7 @@ from tustinnet.engine.kernels import (
 from tustinnet.engine.machine import Compiled, compiled, width
 from tustinnet.engine.runs import say_once
 from tustinnet.engine.text import Function, Module, Precision
-from tustinnet.errors import brief
+from tustinnet.errors import describe_error
 
 _VERSION = (0, 3)  # of the interface
 # places in its structures, bytes from their beginning

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from tustinnet.errors import InputError
 from tustinnet.signals.smoother import kalman_smoother
-from tustinnet.signals.transients import moves
+from tustinnet.signals.transients import is_moving
 from tustinnet.signals.wiener import trapezoidal_response, wiener_velocities
 
 VelocityMethod = Literal["stencil", "savgol", "kalman", "wiener", "trapezoidal"]
@@ -65,7 +65,7 @@ def differentiate(
             "trapezoidal": lambda q, dt: wiener_velocities(q, dt, resolution, trapezoidal_response),
         }
         found = simple[method](q, dt)
-    return np.where(moves(q), found, 0.0)  # the rounding of a constant is no motion
+    return np.where(is_moving(q), found, 0.0)  # the rounding of a constant is no motion
 
 
 def five_point_stencil(q: Positions, dt: float) -> Positions:

@@ -13,7 +13,7 @@ _GROWTHS = 10.0  # e-folds within the stretch, fewer might be drift
 
 
 @dataclass(frozen=True)
-class Held:
+class HeldEquilibrium:
     """An unstable equilibrium that something holds to a record's end.
 
     Attributes:
@@ -25,13 +25,13 @@ class Held:
     e_fold: float
 
 
-def held(
+def find_held_equilibrium(
     q: Float[np.ndarray, "n n_q"],
     v: Float[np.ndarray, "n n_q"],
     u: Float[np.ndarray, "n n_u"],
     angular: tuple[bool, ...],
     dt: float,
-) -> Held | None:
+) -> HeldEquilibrium | None:
     """From where on a record stays about an unstable equilibrium, None where it does not.
 
     For every coordinate the stretch is looked at in which it stays near its median of the record's
@@ -53,7 +53,7 @@ def held(
     for k in sorted(begins):
         rate = _fastest_growth(np.concatenate([q, v], axis=1)[k:], u[k:], dt)
         if rate * (len(q) - k) * dt > _GROWTHS:
-            return Held(k, 1 / rate)
+            return HeldEquilibrium(k, 1 / rate)
     return None
 
 

@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-Held = Literal["zero-order", "first-order", "band-limited"]
+DeclaredHold = Literal["zero-order", "first-order", "band-limited"]
 
 HALF = 16  # samples on either side that a band-limited value is made of
 _ORDER = 8  # coefficients a period: errs by 2e-6 at 0.42 of the sampling rate
@@ -38,7 +38,7 @@ class Excitation(NamedTuple):
 
 
 def excitation(
-    u: Float[np.ndarray, "n n_u"], holds: Sequence[Held], delays: Sequence[float]
+    u: Float[np.ndarray, "n n_u"], holds: Sequence[DeclaredHold], delays: Sequence[float]
 ) -> Excitation:
     """What inputs do at and between their samples.
 
@@ -70,7 +70,7 @@ def excitation(
 
 
 def _one(
-    u: Float[np.ndarray, " n"], hold: Held, delay: float
+    u: Float[np.ndarray, " n"], hold: DeclaredHold, delay: float
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "order steps"]]:
     if hold == "band-limited":
         return _band_limited(u, delay)

@@ -20,7 +20,7 @@ _SHORT = 2  # samples
 _AT_ONCE = 10_000  # windows that are copied at a time, so that long records need little memory
 
 
-def jumps(
+def find_jumps(
     t: Float[np.ndarray, " n"], q: Float[np.ndarray, " n"], count: float
 ) -> Int[np.ndarray, " jumps"]:
     """Samples that a position reaches by a jump: bad rows (there and back), lost counts.
@@ -39,10 +39,10 @@ def jumps(
     change = np.diff(q) * (np.median(interval) / interval)  # a gap is no jump
     if len(change) < 5:
         return np.zeros(0, int)
-    usual = _ranked(change, 5, 2)
+    usual = _rank_filter(change, 5, 2)
     out = np.abs(change - usual)
-    fast = _ranked(np.abs(usual), _NEAR, _NEAR - 1)
-    others = _ranked(out, _AROUND, _USUAL)
+    fast = _rank_filter(np.abs(usual), _NEAR, _NEAR - 1)
+    others = _rank_filter(out, _AROUND, _USUAL)
     least = max(_COUNTS * count, _ROUNDING * float(np.abs(q).max()))
     found = np.flatnonzero(out > np.maximum(np.maximum(_LARGE * others, _FAST * fast), least)) + 1
     # a log that is faster than its sensor moves by jumps alone
@@ -50,7 +50,7 @@ def jumps(
     return found[:0] if held else found
 
 
-def _ranked(x: Float[np.ndarray, " n"], width: int, rank: int) -> Float[np.ndarray, " n"]:
+def _rank_filter(x: Float[np.ndarray, " n"], width: int, rank: int) -> Float[np.ndarray, " n"]:
     """A rank filter: the value that so many others around each sample are not above.
 
     The signal is mirrored at its ends.
@@ -62,7 +62,7 @@ def _ranked(x: Float[np.ndarray, " n"], width: int, rank: int) -> Float[np.ndarr
     return np.concatenate([np.partition(of, rank, axis=1)[:, rank] for of in parts])
 
 
-def spikes(u: Float[np.ndarray, " n"]) -> Int[np.ndarray, " spikes"]:
+def find_spikes(u: Float[np.ndarray, " n"]) -> Int[np.ndarray, " spikes"]:
     """Samples of an input that are huge compared with all others, one or two in a row.
 
     Steps, pulses from rest and noise have none.

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 
-def stacked(
+def stack_padded(
     signals: Sequence[Float[np.ndarray, "_ *columns"]],
 ) -> Float[np.ndarray, "signals longest *columns"]:
     """Signals as one array, zeros after the end of shorter ones.

@@ -54,21 +54,21 @@ def rest_thresholds(
     )
 
 
-def at_rest(
+def is_at_rest(
     q: Float[np.ndarray, "n n_q"], v: Float[np.ndarray, "n n_q"], thresholds: RestThresholds
 ) -> Bool[np.ndarray, " n"]:
     """Samples at which all speeds and all excursions are below the thresholds."""
     near = np.abs(q - thresholds.resting) < thresholds.excursion
     # a coordinate that never moves has thresholds of 0
-    return np.all((slow(v, thresholds) & near) | ~moves(q), axis=1)
+    return np.all((is_slow(v, thresholds) & near) | ~is_moving(q), axis=1)
 
 
-def moves(q: Float[np.ndarray, "n n_q"]) -> Bool[np.ndarray, " n_q"]:
+def is_moving(q: Float[np.ndarray, "n n_q"]) -> Bool[np.ndarray, " n_q"]:
     """Which coordinates move at all, by more than rounding."""
     return np.ptp(q, axis=0) > _SAME * np.abs(q).max(axis=0)
 
 
-def slow(v: Float[np.ndarray, "n n_q"], thresholds: RestThresholds) -> Bool[np.ndarray, "n n_q"]:
+def is_slow(v: Float[np.ndarray, "n n_q"], thresholds: RestThresholds) -> Bool[np.ndarray, "n n_q"]:
     """Samples at which each speed is below its threshold, or the coordinate never moves."""
     # what a derivative leaves of a constant is rounding, not motion
     return (np.abs(v) < thresholds.speed) | (np.abs(v).max(axis=0) < _ROUNDING)
@@ -82,5 +82,5 @@ def settling_index(
     Returns the record's length when it is still moving at the end. The paper draws the
     pre-training windows before this sample (section 3.2, step 1).
     """
-    moving = np.flatnonzero(~at_rest(q, v, thresholds))
+    moving = np.flatnonzero(~is_at_rest(q, v, thresholds))
     return int(moving[-1]) + 1 if len(moving) else 0
