@@ -3,7 +3,7 @@
 import pytest
 
 import tustinnet as tn
-from tustinnet.errors import describe_error, convert_errors, require_name, require_text
+from tustinnet.errors import convert_errors, describe_error, require_name, require_text
 
 
 class Panic(BaseException):
@@ -36,7 +36,10 @@ def test_whatever_a_library_raises_becomes_an_input_error(raised):
 
 
 def test_memory_that_is_not_there_is_told():
-    with pytest.raises(tn.InputError, match="does not fit into memory"), convert_errors("f", "big", "x"):
+    with (
+        pytest.raises(tn.InputError, match="does not fit into memory"),
+        convert_errors("f", "big", "x"),
+    ):
         raise MemoryError
 
 

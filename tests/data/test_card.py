@@ -213,7 +213,7 @@ def test_velocities_are_converted_to_si(coordinate: Any, unit: str, factor: floa
         ("mN*m", 1e-3, "m*N"), ("mm/s", 1e-3, "m/s"), ("delta_degC", 1.0, "K"),
     ],
 )  # fmt: skip
-def test_a_linear_coordinate_in_any_unit_is_convert_to_si(unit: str, factor: float, name: str) -> None:
+def test_a_linear_coordinate_in_any_unit_is_in_si(unit: str, factor: float, name: str) -> None:
     card = cart(unit=unit, velocity=VelocityCard(column="v"))
     assert card.factor() == pytest.approx(factor)
     assert card.velocity_factor() == card.factor()

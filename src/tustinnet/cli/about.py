@@ -35,7 +35,7 @@ def versions() -> Iterator[str]:
 
     yield version()
     yield f"Python {platform.python_version()} at {sys.prefix}"
-    yield f"{platform.platform()}, {cores()} cores for this process"
+    yield f"{platform.platform()}, {count_cores()} cores for this process"
     needed, extras = _requirements()
     yield f"needs: {_found(['jaxlib', *needed])}"
     for extra, packages in extras.items():

@@ -62,7 +62,7 @@ class Leaving:
             path = write(command)
         except Exception as error:
             terminal.messages().print(
-                f"error: no report ({reason(error)}); all else is kept, try: {command}"
+                f"error: no report ({error_message(error)}); all else is kept, try: {command}"
             )
             return None
         return f"   report: {path}"

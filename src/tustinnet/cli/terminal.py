@@ -64,7 +64,7 @@ def confirmed(question: str) -> bool:
         return False
     from tustinnet.errors import to_printable
 
-    sys.stderr.write(f"{printable(question, _LONGEST_QUESTION)} [y/N] ")
+    sys.stderr.write(f"{to_printable(question, _LONGEST_QUESTION)} [y/N] ")
     sys.stderr.flush()
     return sys.stdin.readline().strip().lower() in ("y", "yes")
 

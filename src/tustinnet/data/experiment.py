@@ -12,7 +12,7 @@ from tustinnet.data.recording import Recording, describe_recording
 from tustinnet.errors import InputError, require_name
 from tustinnet.signals import resampling, transients
 from tustinnet.signals.derivatives import VelocityMethod, differentiate
-from tustinnet.signals.excitation import HALF, Excitation, DeclaredHold, excitation
+from tustinnet.signals.excitation import HALF, DeclaredHold, Excitation, excitation
 
 VelocitySource = Literal["auto", "file", "stencil", "savgol", "kalman", "wiener", "trapezoidal"]
 
@@ -165,7 +165,7 @@ class Experiment(HasChannels):
         changes = np.arange(1, len(changed) + 1)
         # a held input may change at a kept sample; a ramp that ends there began before it
         between = changes % stride != 0
-        lost = changes[(changed & (between[:, None] | ~self.channels.held)).any(axis=1)]
+        lost = changes[(changed & (between[:, None] | ~self.channels.zero_order)).any(axis=1)]
         if len(lost):
             raise InputError(
                 self.name,

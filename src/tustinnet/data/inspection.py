@@ -144,7 +144,9 @@ def inspect_experiment(experiment: Experiment) -> ExperimentReport:
         forced=e.forced,
         k_bar=transient_end(e),
         k_bar_declared=e.k_bar is not None,
-        held=equilibria.find_held_equilibrium(e.q, v, e.u, tuple(c.kind == "angular" for c in e.coordinates), e.dt)
+        held=equilibria.find_held_equilibrium(
+            e.q, v, e.u, tuple(c.kind == "angular" for c in e.coordinates), e.dt
+        )
         if e.forced
         else None,
         rest_share=float(np.mean(_near_equilibrium(v, thresholds, e.dt))),

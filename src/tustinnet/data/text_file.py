@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tustinnet.data.columns import NUMBERED, Column, Columns, require_different
-from tustinnet.errors import InputError, describe_error
+from tustinnet.errors import InputError
 
 if TYPE_CHECKING:
     import polars as pl
@@ -89,7 +89,7 @@ def _cells(path: Path, lines: Lines, delimiter: str) -> "pl.DataFrame":
         table = pl.read_csv(text, has_header=False, separator=delimiter, infer_schema=False)
         found = None if len(table) == len(lines) else f"{len(lines)} lines make {len(table)} rows"
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
-        table, found = pl.DataFrame(), f"cannot be read as text ({brief(error)})"
+        table, found = pl.DataFrame(), f"cannot be read as text ({describe_error(error)})"
     if found is not None:
         raise InputError(
             path,

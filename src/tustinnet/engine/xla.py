@@ -176,7 +176,9 @@ def available() -> bool:
             nothing = jax.ShapeDtypeStruct((1,), np.float32)
             jax.block_until_ready(jax.ffi.ffi_call(name, nothing)())
     except Exception as error:  # whatever another version of JAX makes of it
-        say_once(f"JAX does not call machine code ({brief(error)}); XLA trains hybrids, slower")
+        say_once(
+            f"JAX does not call machine code ({describe_error(error)}); XLA trains hybrids, slower"
+        )
         return False
     return True
 

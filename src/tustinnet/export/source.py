@@ -18,7 +18,7 @@ from tustinnet.models.groups import of_groups
 from tustinnet.program.derivatives import with_derivatives
 from tustinnet.program.program import Program
 from tustinnet.program.reading import read
-from tustinnet.signals.excitation import Excitation, DeclaredHold, excitation
+from tustinnet.signals.excitation import DeclaredHold, Excitation, excitation
 from tustinnet.simulate.range import Range
 
 _FARTHEST = 1000  # samples away that a step may see

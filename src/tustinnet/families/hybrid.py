@@ -38,7 +38,7 @@ from tustinnet.models.contract import (
 )
 from tustinnet.models.integrate import MOST_SUBSTEPS, Discretised
 from tustinnet.models.lagrangian import LagrangianModel
-from tustinnet.registry import FAMILIES, DEFAULT_FAMILY
+from tustinnet.registry import DEFAULT_FAMILY, FAMILIES
 from tustinnet.signals.excitation import Excitation
 from tustinnet.signals.stacking import stack_padded
 from tustinnet.simulate.along import followed

@@ -16,7 +16,7 @@ from tustinnet.data.experiment import VelocitySource
 from tustinnet.errors import InputError
 from tustinnet.families.family import Family, Hyper
 from tustinnet.models.integrate import MOST_SUBSTEPS
-from tustinnet.registry import FAMILIES, DEFAULT_FAMILY
+from tustinnet.registry import DEFAULT_FAMILY, FAMILIES
 from tustinnet.simulate.starts import start_named
 
 Compared = Literal["position", "state"]

@@ -28,7 +28,7 @@ from typing import Any
 import jax
 
 from tustinnet.cores import count_cores
-from tustinnet.errors import InputError, describe_error, convert_errors, require_package
+from tustinnet.errors import InputError, convert_errors, require_package
 from tustinnet.fitting.listener import Listener
 from tustinnet.selection.clock import Clock
 from tustinnet.selection.executors import Executor
@@ -313,7 +313,7 @@ def _found(address: str) -> str | None:
         _ask(parts[1].strip("[]"), int(parts[2]))
     except (OSError, OverflowError, UnicodeError) as error:
         raise InputError(
-            where, f"does not answer ({brief(error)})", "the head of a running cluster",
+            where, f"does not answer ({describe_error(error)})", "the head of a running cluster",
             "start one there: ray start --head --port 6379",
         ) from None  # fmt: skip
     return named

@@ -179,7 +179,7 @@ def _taking_part(
     if asked.system is not None and not any(_identifies(c) for c in plan.candidates):
         raise InputError("--system", f"means nothing to the plan '{plan.name}'",
                          "a plan with a candidate that identifies a system")  # fmt: skip
-    fast = any(scales.fast for scales in coordinate_timescales(list(records)).values())
+    fast = any(scales.is_fast for scales in coordinate_timescales(list(records)).values())
     other = "slow" if fast else "fast"
     lacking: dict[str, str] = {}
     for c in plan.candidates:

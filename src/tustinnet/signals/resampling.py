@@ -11,7 +11,7 @@ from tustinnet.errors import InputError
 Times = Float[np.ndarray, " n"]
 
 _GAP = 2.5  # an interval longer than this many periods is a gap: two or more samples are missing
-_LONGEST_GRID = 10  # times the samples of a record; a wild timestamp asks for any number
+_LONGEST_GRID = 10  # times the samples of a record; a wild timestamp would need any number
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def require_short_grid(t: Times, dt: float, place: Callable[[int], object]) -> N
     Args:
         t: timestamps [s].
         dt: period of the grid [s].
-        place: how a sample, by its index, is called in the message.
+        place: name of a sample in the message, by its index.
 
     Raises:
         InputError: a longer grid; the message names the longest interval.

@@ -12,7 +12,7 @@ def stack_padded(
     """Signals as one array, zeros after the end of shorter ones.
 
     Args:
-        signals: each (n, ...), n its own, the rest alike.
+        signals: each (n, ...); n may differ, the other axes are equal.
 
     Returns:
         (signals, longest n, ...).

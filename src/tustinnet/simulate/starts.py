@@ -297,7 +297,7 @@ def default_start(experiments: Sequence[Experiment], *models: Model) -> str:
     if all(e.v is not None for e in experiments):
         return "file"
     long = min(map(len, experiments)) >= 2 * FITTED
-    fast = long and any(scales.fast for scales in coordinate_timescales(experiments).values())
+    fast = long and any(scales.is_fast for scales in coordinate_timescales(experiments).values())
     return (Fitted(FITTED) if fast else Derived(DERIVED)).name
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from tustinnet.channels import Coordinate, Input
 from tustinnet.data.experiment import Experiment
-from tustinnet.data.inspection import still_coordinates, rotating_coordinates
+from tustinnet.data.inspection import rotating_coordinates, still_coordinates
 from tustinnet.errors import InputError
 from tustinnet.models.blocks import root_mean_square
 from tustinnet.models.contract import Coordinates, InputVector

@@ -163,7 +163,7 @@ def adapted_length(experiments: Sequence[Experiment], length: int) -> int:
     moving = v.std(axis=0) > 0
     covered = q.std(axis=0)[moving] / (v.std(axis=0)[moving] * experiments[0].dt)
     slowest = float(covered.max()) if moving.any() else float(length)
-    fast = [s.decay for s in coordinate_timescales(experiments).values() if s.fast]
+    fast = [s.decay for s in coordinate_timescales(experiments).values() if s.is_fast]
     forgotten = _DECAYS * max(fast, default=0.0)
     usual = int(np.median([len(e) for e in experiments]))
     longest = min(_LONGEST * length, usual // _USUAL_SHARE)

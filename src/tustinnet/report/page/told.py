@@ -164,7 +164,9 @@ def parameters_of(subject: Subject) -> Parameters | None:
         rows = [[name, f"{value:.4g}", unit] for name, unit, value in values]
         table = Table(ESTIMATE_COLUMNS[:3], rows)
         return Parameters(subject.label, "values", table, [None] * len(rows)) if rows else None
-    with convert_errors(subject.label, "an account of its identification that is damaged", "estimates"):
+    with convert_errors(
+        subject.label, "an account of its identification that is damaged", "estimates"
+    ):
         estimates = [
             Estimate(**of | {"interval": of["interval"] and tuple(of["interval"])})
             for of in found["estimates"]
