@@ -235,7 +235,7 @@ def test_a_process_that_read_much_is_not_kept(
     assert len(read_all(path)) == 3
     child = reading_process._process
     assert child is not None
-    assert not child.usable
+    assert not child.is_usable
     columns = read_columns(path)
     path.unlink()
     with pytest.raises(InputError, match=r"log\.npz: cannot be looked at \(FileNotFoundError"):
