@@ -11,7 +11,7 @@ _LONGEST_LINE = 1000  # characters
 
 def show(model: options.Model, json: options.Json = False) -> None:
     """Print what a model file contains: structure, parameters, scores."""
-    from tustinnet.errors import convert_errors
+    from tustinnet.errors import convert_errors, to_printable
     from tustinnet.store.header import shown
 
     header, own = shown(model)

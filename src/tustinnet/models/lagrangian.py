@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from tustinnet.channels import Channels, Coordinate, Input
 from tustinnet.data.experiment import Experiment
-from tustinnet.errors import InputError
+from tustinnet.errors import InputError, describe_error
 from tustinnet.models.contract import (
     ContinuousModel,
     Coordinates,

@@ -28,7 +28,7 @@ from typing import Any
 import jax
 
 from tustinnet.cores import count_cores
-from tustinnet.errors import InputError, convert_errors, require_package
+from tustinnet.errors import InputError, convert_errors, describe_error, require_package
 from tustinnet.fitting.listener import Listener
 from tustinnet.selection.clock import Clock
 from tustinnet.selection.executors import Executor

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from tustinnet.errors import InputError
+from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.folds import taking_part
 from tustinnet.families.committee import committee
 from tustinnet.fitting.roles import Roles

@@ -17,7 +17,7 @@ import numpy as np
 from tustinnet.channels import Coordinate, Input
 from tustinnet.data.declaration import read_source
 from tustinnet.data.experiment import Experiment
-from tustinnet.errors import InputError, require_text
+from tustinnet.errors import InputError, describe_error, require_text
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 from tustinnet.registry import SYSTEMS
 

@@ -183,7 +183,7 @@ def window_account(experiments: Sequence[Experiment], recipe: WindowRecipe) -> s
         f"windows of {length} steps: {length / of.period:.1f} periods of the strongest line of "
         f"{name}, {hertz:.3g} Hz; it decays to 1/e in {of.decay:.0f} samples"
     )
-    if of.fast:
+    if of.is_fast:
         account += (
             f"; {of.period:.0f} samples a period are few: see `velocity` and `linear` in "
             "docs/reference/training.md"
