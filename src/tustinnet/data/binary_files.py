@@ -18,18 +18,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tustinnet.data.columns import Column, frame_columns, require_different
-from tustinnet.data.mat_file import mat_arrays, mat_contents
+from tustinnet.data.mat_file import REAL, Array, Shape, mat_arrays, mat_contents
 from tustinnet.errors import InputError, convert_errors
 
 LARGEST = 2**30  # bytes: the requested columns of a file, as double precision
 _ADDRESS_SPACE = 6 * 2**30  # bytes: these columns, their sources, and the libraries
 _MOST_COLUMNS = 100_000
 
-Array = np.ndarray
-Shape = tuple[int, ...]
 Contents = tuple[list[tuple[str, Shape]], dict[str, str]]
-
-_REAL = "fiub"  # kinds of numpy's types
 
 
 class Format(NamedTuple):
@@ -74,7 +70,7 @@ def read(path: Path, names: list[str]) -> list[Column]:
     for name in names:
         place = columns[name]
         array = arrays[place.array]
-        if array.dtype.kind not in _REAL:
+        if array.dtype.kind not in REAL:
             raise InputError(f"{path}, {name}", f"numbers of type {array.dtype}", "real numbers")
         column = array.reshape(-1) if place.number is None else array[:, place.number]
         numbers.append(np.ascontiguousarray(column, np.float64))
@@ -123,7 +119,7 @@ def _npz_contents(path: Path) -> Contents:
                 )
                 shape, _, dtype = read_header(file)
             name = member.removesuffix(".npy")
-            if dtype.kind not in _REAL:
+            if dtype.kind not in REAL:
                 others[name] = "text or objects"
             elif len(shape) in (1, 2) and math.prod(shape) >= 2:
                 tables.append((name, shape))
@@ -178,7 +174,13 @@ def serve() -> None:
     replies = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # libraries print there, which is no reply
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's business
-    _limit()
+    if sys.platform == "linux":
+        import resource
+
+        for kind, limit in ((resource.RLIMIT_AS, _ADDRESS_SPACE), (resource.RLIMIT_CORE, 0)):
+            soft, hard = resource.getrlimit(kind)
+            if soft == resource.RLIM_INFINITY or soft > limit:
+                resource.setrlimit(kind, (limit, hard))
     for line in sys.stdin.buffer:
         reply, columns = _answer(json.loads(line))
         replies.write(json.dumps(reply).encode() + b"\n")
@@ -213,14 +215,3 @@ def _alarm(seconds: float) -> None:
     """Ends this process after some seconds, also where the parent cannot any more."""
     if sys.platform != "win32":
         signal.alarm(math.ceil(seconds))
-
-
-def _limit() -> None:
-    """Limits the memory of this process, and forbids core dumps."""
-    if sys.platform == "linux":
-        import resource
-
-        for what, limit in ((resource.RLIMIT_AS, _ADDRESS_SPACE), (resource.RLIMIT_CORE, 0)):
-            soft, hard = resource.getrlimit(what)
-            if soft == resource.RLIM_INFINITY or soft > limit:
-                resource.setrlimit(what, (limit, hard))

@@ -134,10 +134,10 @@ def inspect_experiment(experiment: Experiment) -> ExperimentReport:
     v = e.velocities("stencil")
     recording = e.recording or describe_recording(e.t, e.q, e.dt)
     thresholds = transients.rest_thresholds(e.q, v, e.channels.resolution, e.dt)
-    held = None
+    equilibrium = None
     if e.forced:
         angular = tuple(c.kind == "angular" for c in e.coordinates)
-        held = equilibria.find_held_equilibrium(e.q, v, e.u, angular, e.dt)
+        equilibrium = equilibria.find_held_equilibrium(e.q, v, e.u, angular, e.dt)
     coordinates = tuple(
         CoordinateReport(
             name=c.name,
@@ -161,7 +161,7 @@ def inspect_experiment(experiment: Experiment) -> ExperimentReport:
         forced=e.forced,
         k_bar=transient_end(e),
         k_bar_declared=e.k_bar is not None,
-        held=held,
+        held=equilibrium,
         rest_share=float(np.mean(_near_equilibrium(v, thresholds, e.dt))),
         coordinates=coordinates,
         inputs=tuple(_inspect_input(e, j) for j in range(e.u.shape[1])),
@@ -223,6 +223,14 @@ def _inspect_input(e: Experiment, j: int) -> InputReport:
         share = np.cumsum(power) / np.sum(power)
         bandwidth = float(frequency[np.searchsorted(share, 0.9)])
         fast = float(np.sum(power[frequency > _FAST / e.dt]) / np.sum(power))
+    limits = e.inputs[j].limits
+    if limits is not None:
+        saturated = float(np.mean((u <= limits[0]) | (u >= limits[1])))
+    else:
+        # an input of many levels that stays at an extreme one was probably limited there
+        levels, extreme = len(np.unique(u)), float(np.mean((u == low) | (u == high)))
+        is_stuck = levels > _FEW_LEVELS and extreme > max(_STUCK_SHARE, 3 * 2 / levels)
+        saturated = extreme if is_stuck else 0.0
     return InputReport(
         name=e.inputs[j].name,
         range=(low, high),
@@ -230,19 +238,8 @@ def _inspect_input(e: Experiment, j: int) -> InputReport:
         bandwidth=bandwidth,
         fast_share=fast,
         hold=e.inputs[j].hold,
-        saturated=_saturated_share(u, e.inputs[j].limits),
+        saturated=saturated,
     )
-
-
-def _saturated_share(u: Float[np.ndarray, " n"], limits: tuple[float, float] | None) -> float:
-    if limits is not None:
-        return float(np.mean((u <= limits[0]) | (u >= limits[1])))
-    # without limits: an input of many levels that sits on an extreme one was probably cut there
-    levels = len(np.unique(u))
-    if levels <= _FEW_LEVELS:
-        return 0.0
-    share = float(np.mean((u == u.min()) | (u == u.max())))
-    return share if share > max(_STUCK_SHARE, 3 * 2 / levels) else 0.0
 
 
 def _near_equilibrium(

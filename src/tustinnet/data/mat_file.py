@@ -17,8 +17,8 @@ from tustinnet.errors import InputError, convert_errors
 Array = np.ndarray
 Shape = tuple[int, ...]
 
-_REAL = "fiub"  # kinds of numpy's types
-_NUMBERS = "c" + _REAL
+REAL = "fiub"  # kinds of numpy's types
+_NUMBERS = "c" + REAL
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _DEEPEST = 20  # structs and cells in one another
 _OBJECT = 3  # `MATLAB_object_decode` of objects
@@ -209,7 +209,7 @@ def _hdf5(path: Path, name: str, item: Any, depth: int) -> Iterator[MatVariable]
         yield MatVariable(name, None, other="text")
     elif item.attrs.get("MATLAB_empty"):
         yield MatVariable(name, None, other="empty")
-    elif item.dtype.kind in _REAL:
+    elif item.dtype.kind in REAL:
         if item.external or item.is_virtual:
             raise InputError(path, f"the numbers of '{name}' are in another file", "in this file")
         # MATLAB stores matrices column-major: h5py sees the transpose

@@ -68,7 +68,12 @@ def _filter(
     centred = q - q.mean()
     if not centred.any():
         return centred
-    omega, power, noise = _spectrum(centred, count, dt)
+    frequency, density = welch(centred, dt, min(n, _SEGMENT))
+    omega = 2 * np.pi * frequency[:-1]
+    density = density[:-1]  # the trapezoidal rule has none at the last one, half the rate
+    floor = count**2 / 12 * 2 * dt if count else float(np.quantile(density, 0.1))
+    power = np.where(density > _ABOVE * floor, density - floor, 0.0) * frequency[1]
+    noise = max(floor / (2 * dt), _FLOOR * float(np.var(centred)))  # its variance
     lags = np.arange(2 * reach + 1)
     autocovariance = np.cos(np.outer(lags, omega * dt)) @ power
     covariance = autocovariance[np.abs(lags[:, None] - lags)] + noise * np.eye(len(lags))
@@ -83,16 +88,3 @@ def _filter(
     v[:reach] = filters[:reach] @ centred[: 2 * reach + 1]
     v[n - reach :] = filters[reach + 1 :] @ centred[n - 2 * reach - 1 :]
     return v
-
-
-def _spectrum(
-    q: Float[np.ndarray, " n"], count: float, dt: float
-) -> tuple[Float[np.ndarray, " f"], Float[np.ndarray, " f"], float]:
-    """Angular frequencies, the motion's power at each, and the noise's variance."""
-    frequency, density = welch(q, dt, min(len(q), _SEGMENT))
-    density = density[:-1]  # the trapezoidal rule has none at the last one, half the rate
-    share = frequency[1]
-    floor = count**2 / 12 * 2 * dt if count else float(np.quantile(density, 0.1))
-    power = np.where(density > _ABOVE * floor, density - floor, 0.0) * share
-    noise = max(floor / (2 * dt), _FLOOR * float(np.var(q)))
-    return 2 * np.pi * frequency[:-1], power, noise
