@@ -1,4 +1,4 @@
-"""Whether a record ends about an unstable equilibrium that a controller holds."""
+"""Unstable equilibria that a controller holds to the end of a record."""
 
 from dataclasses import dataclass
 

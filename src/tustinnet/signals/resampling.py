@@ -16,7 +16,7 @@ _LONGEST_GRID = 10  # times the samples of a record; a wild timestamp would need
 
 @dataclass(frozen=True)
 class Regularity:
-    """How far the timestamps of a record are from a regular grid.
+    """Deviation of a record's timestamps from a regular grid.
 
     Attributes:
         median_dt: median interval [s].
@@ -98,7 +98,7 @@ def resample_linear(
 def resample_held(
     t: Times, u: Float[np.ndarray, "n n_u"], grid: Float[np.ndarray, " m"]
 ) -> Float[np.ndarray, "m n_u"]:
-    """Held inputs on a grid: each grid interval gets the mean of what was applied during it.
+    """Held inputs on a grid: each grid interval gets the mean of the values applied during it.
 
     The mean keeps the impulse that the system received, which picking the value at the grid
     point would not. After the last sample its value is held.

@@ -69,7 +69,7 @@ def is_moving(q: Float[np.ndarray, "n n_q"]) -> Bool[np.ndarray, " n_q"]:
 
 
 def is_slow(v: Float[np.ndarray, "n n_q"], thresholds: RestThresholds) -> Bool[np.ndarray, "n n_q"]:
-    """Mask of the samples at which each speed is below its threshold, or never changes."""
+    """Mask of slow samples: each speed below its threshold, or a coordinate that never moves."""
     # the derivative of a constant is rounding, not motion
     return (np.abs(v) < thresholds.speed) | (np.abs(v).max(axis=0) < _ROUNDING)
 
