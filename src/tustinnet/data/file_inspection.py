@@ -163,7 +163,7 @@ def _guess_time_unit(name: str, column: Column) -> str:
 
 
 def _guess_role(name: str, column: Column) -> ColumnReport:
-    """A guess at a column: position if smooth, as input if held or rough or if its name says so."""
+    """A guess at a column: position if smooth, input if held or rough or by its name."""
     finite = column[np.isfinite(column)]
     extent = (float(finite.min()), float(finite.max())) if len(finite) else None
     lost = len(column) - len(finite)

@@ -22,7 +22,7 @@ class Recording:
         worst_interval: the interval farthest from the period [s].
         worst_sample: the sample that ends it.
         gaps: beginning and end of every interval of more than 2.5 periods [s].
-        counts: encoder count estimated in each coordinate [rad or m], None where it is not quantised.
+        counts: estimated encoder count of each coordinate [rad or m], None where not quantised.
     """
 
     samples: int
