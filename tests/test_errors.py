@@ -3,7 +3,7 @@
 import pytest
 
 import tustinnet as tn
-from tustinnet.errors import brief, refusing, require_name, require_text
+from tustinnet.errors import convert_errors, describe_error, require_name, require_text
 
 
 class Panic(BaseException):
@@ -28,7 +28,7 @@ def test_a_message_is_one_line_without_control_characters():
 def test_whatever_a_library_raises_becomes_an_input_error(raised):
     with (
         pytest.raises(tn.InputError, match="records: cannot be read") as told,
-        refusing("records", "cannot be read", "a whole file"),
+        convert_errors("records", "cannot be read", "a whole file"),
     ):
         raise raised
     assert type(raised).__name__ in str(told.value)
@@ -36,19 +36,22 @@ def test_whatever_a_library_raises_becomes_an_input_error(raised):
 
 
 def test_memory_that_is_not_there_is_told():
-    with pytest.raises(tn.InputError, match="does not fit into memory"), refusing("f", "big", "x"):
+    with (
+        pytest.raises(tn.InputError, match="does not fit into memory"),
+        convert_errors("f", "big", "x"),
+    ):
         raise MemoryError
 
 
 def test_input_errors_and_interruptions_pass():
-    with pytest.raises(KeyboardInterrupt), refusing("f", "x", "y"):
+    with pytest.raises(KeyboardInterrupt), convert_errors("f", "x", "y"):
         raise KeyboardInterrupt
-    with pytest.raises(tn.InputError, match="own: found"), refusing("f", "x", "y"):
+    with pytest.raises(tn.InputError, match="own: found"), convert_errors("f", "x", "y"):
         raise tn.InputError("own", "found")
 
 
 def test_an_error_without_a_text_is_named_by_its_kind():
-    assert brief(Mute()) == "Mute: without a text"
+    assert describe_error(Mute()) == "Mute: without a text"
 
 
 BAD_NAMES = [

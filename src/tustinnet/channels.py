@@ -14,7 +14,7 @@ Kind = Literal["angular", "linear"]
 Hold = Literal["zero-order", "first-order", "band-limited", "unknown"]
 
 SHORTEST_DT, LONGEST_DT = 1e-9, 1e4  # sampling periods [s] that cards and files may have
-_USUAL = "zero-order"
+_DEFAULT_HOLD = "zero-order"
 _SAME_PERIOD = 1e-6  # relative; two periods this near are one
 
 
@@ -23,11 +23,11 @@ class Coordinate:
     """A generalised coordinate of the system.
 
     Attributes:
-        name: what it is called.
+        name: name of the coordinate.
         kind: `angular` (radians, not wrapped) or `linear` (metres, or what `unit` says).
         resolution: encoder count [rad or m], if known.
         unit: `rad` of an angle; `m` of a linear coordinate, where it is not another SI unit, as V
-            of a measured voltage. What is said of m elsewhere is in that unit then.
+            of a measured voltage. Where documentation says m, that unit is meant then.
     """
 
     name: str
@@ -41,14 +41,14 @@ class Coordinate:
             raise InputError(
                 f"coordinate '{self.name}'", f"kind '{self.kind}'", "'angular' or 'linear'"
             )
-        usual = _usual_unit(self.kind)
+        default = _default_unit(self.kind)
         require_text(self.unit, f"unit of coordinate '{self.name}'")
-        if (self.unit or usual) != usual and "rad" in (self.unit, usual):
-            raise InputError(f"coordinate '{self.name}'", f"unit '{self.unit}'", usual)
-        object.__setattr__(self, "unit", self.unit or usual)
+        if (self.unit or default) != default and "rad" in (self.unit, default):
+            raise InputError(f"coordinate '{self.name}'", f"unit '{self.unit}'", default)
+        object.__setattr__(self, "unit", self.unit or default)
 
 
-def _usual_unit(kind: str) -> str:
+def _default_unit(kind: str) -> str:
     return "rad" if kind == "angular" else "m"
 
 
@@ -57,14 +57,14 @@ class Input:
     """An input of the system.
 
     Attributes:
-        name: what it is called.
+        name: name of the input.
         unit: its unit, as it stands in the data.
-        hold: what happens between samples: held (`zero-order`), a straight line (`first-order`),
-            what a signal without power above half of the sampling rate does (`band-limited`), or
-            `unknown`. None where nothing is said: the data card or the records decide, and what
-            nobody says is `zero-order`.
+        hold: its course between samples: held (`zero-order`), a straight line (`first-order`),
+            that of a signal without power above half of the sampling rate (`band-limited`), or
+            `unknown`. None where it is not declared: the data card or the records decide, and the
+            default is `zero-order`.
         limits: smallest and largest value the actuator takes, if known.
-        delay: how much later it acts than it is written down [s], None where nobody knows.
+        delay: time from a logged sample to its effect [s], None if unknown.
     """
 
     name: str
@@ -84,8 +84,8 @@ class Input:
             raise InputError(f"input '{self.name}'", f"delay {self.delay} s", "a number of seconds")
 
 
-def acting(inputs: Sequence[Input], others: Sequence[Input]) -> tuple[Input, ...]:
-    """Inputs with the delays of others, and their holds where they do not say one themselves."""
+def merge_timing(inputs: Sequence[Input], others: Sequence[Input]) -> tuple[Input, ...]:
+    """Inputs with the delays of `others`, and with their holds where the inputs declare none."""
     return tuple(
         replace(
             i,
@@ -120,42 +120,42 @@ class Channels:
 
     @property
     def n_q(self) -> int:
-        """How many coordinates."""
+        """Number of coordinates."""
         return len(self.coordinates)
 
     @property
     def n_u(self) -> int:
-        """How many inputs."""
+        """Number of inputs."""
         return len(self.inputs)
 
     @property
     def position(self) -> slice:
-        """Where the positions stand in a state."""
+        """Slice of the positions in a state."""
         return slice(0, self.n_q)
 
     @property
     def velocity(self) -> slice:
-        """Where the velocities stand in a state."""
+        """Slice of the velocities in a state."""
         return slice(self.n_q, 2 * self.n_q)
 
     @property
     def measured(self) -> slice:
-        """Where positions and velocities stand, what a record says of a state."""
+        """Slice of positions and velocities, the part of a state that records contain."""
         return slice(0, 2 * self.n_q)
 
     @property
     def internal(self) -> slice:
-        """Where the internal states stand."""
+        """Slice of the internal states in a state."""
         return slice(2 * self.n_q, None)
 
     @cached_property
     def angular(self) -> Bool[np.ndarray, " n_q"]:
-        """Which coordinates are angles."""
+        """Mask of the coordinates that are angles."""
         return np.array([c.kind == "angular" for c in self.coordinates], dtype=bool)
 
     @cached_property
-    def held(self) -> Bool[np.ndarray, " n_u"]:
-        """Which inputs are held from sample to sample (zero-order hold)."""
+    def zero_order(self) -> Bool[np.ndarray, " n_u"]:
+        """Mask of the inputs that are constant from sample to sample (zero-order hold)."""
         return np.array([i.hold in (None, "zero-order") for i in self.inputs], dtype=bool)
 
     @cached_property
@@ -165,54 +165,60 @@ class Channels:
 
     @property
     def unit(self) -> str:
-        """`rad`, `m`, `rad and m`, `rad and V`: of a figure over all coordinates."""
+        """Unit of a number over all coordinates: `rad`, `m`, `rad and m`, `rad and V`."""
         return " and ".join(dict.fromkeys(c.unit for c in self.coordinates))
 
     def require_same(
-        self, other: "Channels", whose: object, where: str, *, open_holds: bool = True
+        self, other: "Channels", other_name: object, own_name: str, *, open_holds: bool = True
     ) -> None:
-        """Raises unless another object speaks of the same system at the same period.
+        """Raises unless other channels are those of the same system at the same period.
 
         Names, kinds, units and order count, resolutions, limits and delays do not; holds and
         periods only where both have them.
 
         Args:
             other: the channels to check.
-            whose: what they are of, for the message.
-            where: what these are of, for the message.
-            open_holds: whether an input that does not say what happens between samples is the same
-                as one that does.
+            other_name: owner of the other channels, for the message.
+            own_name: owner of these channels, for the message.
+            open_holds: whether an input without a declared hold agrees with an input that has one.
+
+        Raises:
+            InputError: other coordinates, inputs or another period.
         """
-        for what, have, want in (
-            ("coordinates", _kinds(other), _kinds(self)),
-            ("inputs", *_holds(other, self, open_holds=open_holds)),
+        for noun, actual, expected in (
+            ("coordinates", _describe_coordinates(other), _describe_coordinates(self)),
+            ("inputs", *_describe_inputs(other, self, open_holds=open_holds)),
         ):
-            if have != want:
+            if actual != expected:
                 raise InputError(
-                    whose,
-                    f"{what} {_listed(have)}",
-                    f"{_listed(want)} as in {where}",
+                    other_name,
+                    f"{noun} {_join(actual)}",
+                    f"{_join(expected)} as in {own_name}",
                     "check the data card: names, kinds, units and order must agree",
                 )
         if self.dt and other.dt and abs(other.dt / self.dt - 1) > _SAME_PERIOD:
             raise InputError(
-                whose,
+                other_name,
                 f"sampling period {other.dt:g} s",
-                f"{self.dt:g} s as in {where}",
+                f"{self.dt:g} s as in {own_name}",
                 "resample the records, or fit a model for this period",
             )
 
     def as_header(self) -> dict[str, Any]:
-        """The same as plain values, as model files have it."""
+        """The channels as plain values, as model files contain them."""
+        coordinates = [asdict(c) for c in self.coordinates]
+        for c in coordinates:
+            if c["unit"] == _default_unit(c["kind"]):
+                del c["unit"]  # files of earlier versions have none
         return {
-            "coordinates": [_coordinate_header(c) for c in self.coordinates],
+            "coordinates": coordinates,
             "inputs": [asdict(i) for i in self.inputs],
             "dt": self.dt,
         }
 
     @classmethod
     def from_header(cls, header: dict[str, Any]) -> "Channels":
-        """What `as_header` made."""
+        """The channels that `as_header` wrote."""
         limits = [tuple(i["limits"]) if i["limits"] else None for i in header["inputs"]]
         return cls(
             tuple(Coordinate(**c) for c in header["coordinates"]),
@@ -225,7 +231,7 @@ class Channels:
 
 
 class HasChannels:
-    """Short ways to the parts of `channels`, for everything that has them."""
+    """Base class with short ways to the parts of `channels`."""
 
     channels: Channels
 
@@ -245,31 +251,35 @@ class HasChannels:
         return self.channels.dt
 
 
-def _coordinate_header(of: Coordinate) -> dict[str, Any]:
-    """A coordinate as plain values, without the usual unit, as in files of earlier versions."""
-    usual = of.unit == _usual_unit(of.kind)
-    return {key: x for key, x in asdict(of).items() if key != "unit" or not usual}
-
-
-def _kinds(of: Channels) -> Sequence[tuple[str, str]]:
+def _describe_coordinates(channels: Channels) -> Sequence[tuple[str, str]]:
     return [
-        (c.name, c.kind if c.unit == _usual_unit(c.kind) else f"{c.kind}, {c.unit}")
-        for c in of.coordinates
+        (c.name, c.kind if c.unit == _default_unit(c.kind) else f"{c.kind}, {c.unit}")
+        for c in channels.coordinates
     ]
 
 
-def _holds(*of: Channels, open_holds: bool) -> list[list[tuple[str, str]]]:
-    """Names, units and holds of each; where holds may be open, those that all of them say."""
-    said = [{i.hold for i in inputs} for inputs in zip(*(c.inputs for c in of), strict=False)]
-    unsaid = [open_holds and bool(holds & {None, "unknown"}) for holds in said]
+def _describe_inputs(
+    first: Channels, second: Channels, *, open_holds: bool
+) -> list[list[tuple[str, str]]]:
+    """Names, units and holds of the inputs of two channels.
+
+    Where holds may be open, only those that both declare.
+    """
+    pairs = zip(first.inputs, second.inputs, strict=False)
+    compared = [not (open_holds and {i.hold for i in pair} & {None, "unknown"}) for pair in pairs]
     return [
         [
-            (i.name, i.unit if k < len(said) and unsaid[k] else f"{i.unit}, {i.hold or _USUAL}")
-            for k, i in enumerate(c.inputs)
+            (
+                i.name,
+                f"{i.unit}, {i.hold or _DEFAULT_HOLD}"
+                if k >= len(compared) or compared[k]
+                else i.unit,
+            )
+            for k, i in enumerate(channels.inputs)
         ]
-        for c in of
+        for channels in (first, second)
     ]
 
 
-def _listed(pairs: Sequence[tuple[str, str]]) -> str:
-    return ", ".join(f"{name} ({kind})" for name, kind in pairs) or "(none)"
+def _join(pairs: Sequence[tuple[str, str]]) -> str:
+    return ", ".join(f"{name} ({text})" for name, text in pairs) or "(none)"

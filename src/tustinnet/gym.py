@@ -1,4 +1,4 @@
-"""The environment `TustinNet-v0`, known to Gymnasium once this module is imported.
+"""The environment `TustinNet-v0`, registered at Gymnasium once this module is imported.
 
 gymnasium.make("tustinnet.gym:TustinNet-v0", model="model.safetensors", reward="swing-up")
 """

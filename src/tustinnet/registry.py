@@ -1,4 +1,4 @@
-"""What can be named: families of models, scalings, systems, targets of exports.
+"""Registries of what has a name: families of models, scalings, systems, targets of exports.
 
 A new one is a line here. Other packages add theirs by entry points of the groups
 `tustinnet.families`, `tustinnet.shown`, `tustinnet.scalings`, `tustinnet.systems` and
@@ -12,45 +12,45 @@ from typing import Any, Generic, TypeVar, cast
 
 from tustinnet.errors import InputError
 
-Thing = TypeVar("Thing")
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True)
-class Registry(Generic[Thing]):
-    """Things by name, loaded when they are asked for.
+class Registry(Generic[Item]):
+    """Items by name, loaded when they are first used.
 
     Attributes:
-        what: what a name stands for, for messages.
+        noun: what an item is, for messages.
         group: the group of entry points by which other packages add theirs.
-        places: where each thing is, `module:attribute`, or the thing itself.
+        places: where each item is, `module:attribute`, or the item itself.
     """
 
-    what: str
+    noun: str
     group: str
-    places: dict[str, str | Thing]
+    places: dict[str, str | Item]
 
     def names(self) -> tuple[str, ...]:
         """All names, those of other packages included."""
         return (*self.places, *(e.name for e in entry_points(group=self.group)))
 
-    def register(self, name: str, thing: Thing) -> None:
-        """Adds a thing, or puts it in the place of another one of the same name."""
-        self.places[name] = thing
+    def register(self, name: str, item: Item) -> None:
+        """Adds an item, or replaces the one of the same name."""
+        self.places[name] = item
 
     def __contains__(self, name: object) -> bool:
         return name in self.names()
 
-    def __getitem__(self, name: str) -> Thing:
+    def __getitem__(self, name: str) -> Item:
         if name in self.places:
             place = self.places[name]
             if not isinstance(place, str):
                 return place
             module, _, attribute = place.partition(":")
-            return cast(Thing, getattr(import_module(module), attribute))
+            return cast(Item, getattr(import_module(module), attribute))
         for entry in entry_points(group=self.group, name=name):
-            return cast(Thing, entry.load())
+            return cast(Item, entry.load())
         raise InputError(
-            f"{self.what} '{name}'", f"no such {self.what}", f"one of {', '.join(self.names())}"
+            f"{self.noun} '{name}'", f"no such {self.noun}", f"one of {', '.join(self.names())}"
         )
 
 
@@ -69,7 +69,7 @@ FAMILIES: Registry[Any] = Registry(
     },
 )
 # what `show` prints of a kind, without loading its models and JAX; others have `Family.shown`
-SHOWN: Registry[Any] = Registry(
+SUMMARIES: Registry[Any] = Registry(
     "kind of model that `show` prints",
     "tustinnet.shown",
     {
@@ -83,7 +83,7 @@ SHOWN: Registry[Any] = Registry(
         "encoded": "tustinnet.families.shown:encoded",
     },
 )
-USUAL = next(iter(FAMILIES.places))  # the kind of a recipe that names none
+DEFAULT_FAMILY = next(iter(FAMILIES.places))  # the kind of a recipe that names none
 SCALINGS: Registry[Any] = Registry(
     "scaling",
     "tustinnet.scalings",

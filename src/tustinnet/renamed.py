@@ -7,12 +7,12 @@ NAMES: dict[str, str] = {}
 
 
 def current_name(name: str, names: dict[str, str], kind: str) -> str:
-    """The name that is used today, with a `FutureWarning` where an old one was given.
+    """The present name of something, with a `FutureWarning` where an old one was given.
 
     Args:
-        name: what was written.
+        name: a name, old or new.
         names: new names by old ones.
-        kind: what is named, for the message, as "key" or "function".
+        kind: kind of thing that has the name, for the message, as "key" or "function".
     """
     if name not in names:
         return name

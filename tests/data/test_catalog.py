@@ -15,7 +15,7 @@ import pytest
 import tustinnet as tn
 from tustinnet.data import catalog
 from tustinnet.data.card import Card
-from tustinnet.data.catalog import QUBE_SERVO2, KnownDataSet
+from tustinnet.data.catalog import QUBE_SERVO2, PublishedDataSet
 from tustinnet.data.declaration import declare
 
 FILES = {
@@ -35,7 +35,7 @@ CARD = {
 
 
 @dataclass(frozen=True)
-class ToyDataSet(KnownDataSet):
+class ToyDataSet(PublishedDataSet):
     """A published data set whose card, checksums and cache are given here."""
 
     sums: tuple[tuple[str, str], ...]
@@ -208,7 +208,7 @@ def test_a_file_changed_in_the_cache_is_fetched_again(
     tn.load("toy")
     (known.cache() / "train/swing.csv").write_text("1,2\n3,4\n")
     assert len(tn.load("toy")["swing"]) == 30
-    assert known.differing(known.cache()) == []
+    assert known.changed_files(known.cache()) == []
 
 
 def test_a_download_with_another_checksum_is_refused_and_not_kept(
@@ -264,11 +264,11 @@ def test_files_that_differ_from_the_published_ones_are_named(
 ) -> None:
     known = publish(monkeypatch, tmp_path)
     folder = write_files(tmp_path / "mine")
-    assert known.differing(folder) == []
+    assert known.changed_files(folder) == []
     (folder / "train/swing.csv").write_text("1,2\n")
-    assert known.differing(folder) == ["train/swing.csv"]
+    assert known.changed_files(folder) == ["train/swing.csv"]
     (folder / "train/swing.csv").unlink()  # absent is not different
-    assert known.differing(folder) == []
+    assert known.changed_files(folder) == []
     assert known.is_in(folder)
     assert not known.is_in(tmp_path)
 
@@ -290,7 +290,7 @@ def test_the_measured_data_is_the_published_one(
 ) -> None:
     monkeypatch.setenv("TUSTINNET_DATA", str(real_data))
     data = tn.load("qube-servo2")
-    assert QUBE_SERVO2.differing(real_data) == []
+    assert QUBE_SERVO2.changed_files(real_data) == []
     train, validation = data.split("train"), data.split("validation")
     assert [e.name for e in train] == [
         *(f"fall{k}" for k in range(1, 11)),

@@ -44,7 +44,7 @@ def test_a_folder_in_place_of_a_file_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         (b"name = ", "not valid TOML"),
         (b"name: toy", "not valid TOML"),
@@ -59,10 +59,10 @@ def test_a_folder_in_place_of_a_file_is_refused(tmp_path: Path) -> None:
     ],
     ids=lambda part: repr(part)[:20],
 )
-def test_a_file_that_is_no_toml_is_refused(tmp_path: Path, content: bytes, told: str) -> None:
+def test_a_file_that_is_no_toml_is_refused(tmp_path: Path, content: bytes, message: str) -> None:
     path = tmp_path / "card.toml"
     path.write_bytes(content)
-    with pytest.raises(InputError, match=rf"card\.toml: {told}"):
+    with pytest.raises(InputError, match=rf"card\.toml: {message}"):
         read_declaration(path, Card)
 
 
@@ -88,7 +88,7 @@ def test_numbers_are_finite(tmp_path: Path, number: str) -> None:
         read_declaration(path, Card)
 
 
-class Told(Declaration):
+class Texts(Declaration):
     name: Name = "a"
     unit: Text = ""
     description: Sentence = ""
@@ -106,12 +106,12 @@ class Told(Declaration):
 )
 def test_what_is_printed_is_printable(key: str, text: str, message: str) -> None:
     with pytest.raises(InputError, match=f"^card, {key}: .*{message}"):
-        declare({key: text}, Told, "card")
+        declare({key: text}, Texts, "card")
 
 
 def test_a_sentence_may_be_long_and_on_several_lines() -> None:
-    told = declare({"description": "word \n" * 100}, Told, "card").description
-    assert told == " ".join(["word"] * 100)
+    text = declare({"description": "word \n" * 100}, Texts, "card").description
+    assert text == " ".join(["word"] * 100)
 
 
 def test_a_missing_key_is_named(tmp_path: Path) -> None:

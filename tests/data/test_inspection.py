@@ -8,7 +8,7 @@ import pytest
 from balancing import balanced
 
 import tustinnet as tn
-from tustinnet.data.inspection import inspect_experiment, still, transient_end
+from tustinnet.data.inspection import inspect_experiment, still_coordinates, transient_end
 from tustinnet.systems.qube_servo2_twin import twin
 
 DT = 0.01
@@ -257,15 +257,15 @@ def test_a_coordinate_that_never_changes_is_suspicious() -> None:
         np.stack([q, 0 * q], 1), dt=DT, coordinates={"moving": "angular", "still": "angular"}
     )
     assert inspect_experiment(e).suspicious == ("still never changes",)
-    assert still([e]) == ["still"]
-    assert still([e, replace(e, q=e.q[:, ::-1])]) == []
+    assert still_coordinates([e]) == ["still"]
+    assert still_coordinates([e, replace(e, q=e.q[:, ::-1])]) == []
 
 
 def test_the_rounding_of_a_constant_is_no_motion() -> None:
     q, _ = swing()
     both = np.stack([q, 0.3 + 1e-16 * np.arange(len(q)) / len(q)], 1)
     e = tn.from_arrays(both, dt=DT, coordinates={"a": "angular", "b": "angular"})
-    assert still([e]) == ["b"]
+    assert still_coordinates([e]) == ["b"]
     for source in ("stencil", "savgol"):
         assert not e.velocities(source)[:, 1].any()
 

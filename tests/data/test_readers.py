@@ -1,5 +1,8 @@
 """Files of columns."""
 
+import os
+import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -107,38 +110,6 @@ def test_empty_lines_are_no_rows(tmp_path: Path) -> None:
     assert_columns(read_columns(path), TABLE)
 
 
-@pytest.mark.parametrize(
-    ("content", "row", "column", "found"),
-    [
-        ("a,b\n1,2\n3,off\n5,6\n", 3, "b", "the text 'off'"),
-        ("a,b\n1,2\n,4\n", 3, "a", "an empty cell"),
-        ("a,b\n1,2\n3,4\n5\n", 4, "b", "an empty cell"),
-        ("a,b\n1,2\n3,'1,5'\n", 3, "b", None),
-        ("# rig\n# pause\na,b\n1,2\n3,off\n", 5, "b", "the text 'off'"),
-    ],
-)
-def test_a_cell_that_is_no_number_is_named_by_the_files_row_and_column(
-    tmp_path: Path, content: str, row: int, column: str, found: str | None
-) -> None:
-    path = text_file(tmp_path, content)
-    where = rf"log\.csv row {row}, {column}: {found}" if found else rf"row {row} has 3 cells"
-    with pytest.raises(InputError, match=where):
-        numbers(read_columns(path))
-
-
-def test_a_header_taken_for_numbers_is_explained(tmp_path: Path) -> None:
-    path = text_file(tmp_path, "angle,voltage\n1,2\n")
-    with pytest.raises(InputError, match=r"row 1, column 1: the text 'angle'.*`header = true`"):
-        numbers(read_columns(path, header=False))
-
-
-@pytest.mark.parametrize("header", [True, False])
-def test_a_row_with_more_cells_is_named(tmp_path: Path, header: bool) -> None:
-    path = text_file(tmp_path, "# rig\n1,2\n3,4\n5,6,7\n")
-    with pytest.raises(InputError, match=r"log\.csv: row 4 has 3 cells, row 2 has 2"):
-        read_columns(path, header=header)
-
-
 def test_numbers_that_are_not_finite_are_left_to_the_checks(tmp_path: Path) -> None:
     path = text_file(tmp_path, "a,b\nNaN,inf\nnan,-Inf\n")
     assert_columns(read_columns(path), {"a": [np.nan, np.nan], "b": [np.inf, -np.inf]})
@@ -163,11 +134,6 @@ def test_a_text_column_of_a_csv_file_does_not_hinder_the_others(tmp_path: Path) 
     np.testing.assert_array_equal(found["a"], [1, 2])
     with pytest.raises(InputError, match=r"row 2, note: the text 'start'"):
         found["note"]
-
-
-def test_two_columns_of_one_name_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="two columns are called 'a'"):
-        read_columns(text_file(tmp_path, "a, a\n1,2\n"))
 
 
 def test_tabs_separate_the_columns_of_a_tsv_file_by_default(tmp_path: Path) -> None:
@@ -210,31 +176,136 @@ def test_mat_7_3_reads_like_mat_5(tmp_path: Path) -> None:
 
 # --- what cannot be read ---
 
-
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"absent\.csv: no such file"):
-        read_columns(tmp_path / "absent.csv")
+WAVE = np.sin(np.arange(60.0))
 
 
-@pytest.mark.parametrize("ending", ["csv", "parquet", "npz", "mat"])
-def test_an_empty_file_is_refused(tmp_path: Path, ending: str) -> None:
-    path = tmp_path / f"log.{ending}"
-    path.touch()
-    with pytest.raises(InputError, match="the file is empty"):
-        read_columns(path)
+def noted(notes: dict[int, str]) -> str:
+    """A log of 60 rows below its header with notes beside some of them."""
+    rows = [f"{value},{notes.get(k, 'fine')}\n" for k, value in enumerate(WAVE)]
+    return "angle,note\n" + "".join(rows)
 
 
-@pytest.mark.parametrize("content", ["a,b\n", "\n\n", "# only a comment\n"])
-def test_text_without_rows_is_refused(tmp_path: Path, content: str) -> None:
-    with pytest.raises(InputError, match=r"log\.csv"):
-        read_columns(text_file(tmp_path, content))
+@pytest.mark.parametrize(
+    ("content", "header", "message"),
+    [
+        ("a,b\n1,2\n3,off\n5,6\n", None, r"log\.csv row 3, b: the text 'off'"),
+        ("a,b\n1,2\n,4\n", None, r"log\.csv row 3, a: an empty cell"),
+        ("a,b\n1,2\n3,4\n5\n", None, r"log\.csv row 4, b: an empty cell"),
+        ("a,b\n1,2\n3,'1,5'\n", None, "row 3 has 3 cells"),
+        ("# rig\n# pause\na,b\n1,2\n3,off\n", None, r"log\.csv row 5, b: the text 'off'"),
+        ("angle,voltage\n1,2\n", False, r"row 1, column 1: the text 'angle'.*`header = true`"),
+        ("# rig\n1,2\n3,4\n5,6,7\n", True, r"log\.csv: row 4 has 3 cells, row 2 has 2"),
+        ("# rig\n1,2\n3,4\n5,6,7\n", False, r"log\.csv: row 4 has 3 cells, row 2 has 2"),
+        ("a, a\n1,2\n", None, "two columns are called 'a'"),
+        ("a,b\n", None, r"log\.csv: the file holds no samples"),
+        ("\n\n", None, r"log\.csv: the file holds no samples"),
+        ("# only a comment\n", None, r"log\.csv: the file holds no samples"),
+        ("", None, "the file is empty"),
+        (b"angle\n1\n\0\0\n", None, "not a text file in UTF-8"),
+        ("angle\n1\n2\n".encode("utf-16"), None, "not a text file in UTF-8"),
+        # a quote that is not closed swallows no rows
+        (noted({9: '"'}), None, r'log\.csv: row 11 has a quote \("\) that'),
+        (noted({9: '"lost', 30: 'found"'}), None, r'log\.csv: row 11 has a quote \("\) that'),
+        (noted({30: '5"'}), None, r'log\.csv: row 32 has a quote \("\) that is not closed'),
+        # lines end where files end them
+        *(
+            (
+                end.join(["angle,note", f"1,a{other}b", "2,c", "x,d"]),
+                None,
+                "row 4, angle: the text 'x'",
+            )
+            for end in ("\n", "\r\n", "\r")
+            for other in ("\x0b", "\x0c", "\x1c", "\x85", "\u2028")
+        ),
+    ],
+    ids=lambda value: repr(value)[:30],
+)
+def test_text_that_holds_no_table_of_numbers_is_refused_with_its_row(
+    tmp_path: Path, content: str | bytes, header: bool | None, message: str
+) -> None:
+    path = tmp_path / "log.csv"
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    with pytest.raises(InputError, match=message):
+        numbers(read_columns(path, header=header))
 
 
-def test_an_archive_without_columns_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "log.npz"
-    np.savez(path, scalar=np.float64(3))
-    with pytest.raises(InputError, match="holds no samples"):
-        read_columns(path)
+def duplicate_member(path: Path) -> None:
+    np.savez_compressed(path, angle=ANGLE, time=ANGLE)
+    with zipfile.ZipFile(path, "a") as archive, pytest.warns(UserWarning, match="Duplicate"):
+        archive.writestr("angle.npy", archive.read("time.npy"))
+
+
+def duplicate_variable(path: Path) -> None:
+    scipy.io.savemat(path, {"angle": WAVE, "bngle": WAVE})
+    path.write_bytes(path.read_bytes().replace(b"bngle", b"angle"))
+
+
+def duplicate_parquet(path: Path) -> None:
+    pl.DataFrame({"angle": WAVE, "bngle": WAVE}).write_parquet(path)
+    path.write_bytes(path.read_bytes().replace(b"bngle", b"angle"))
+
+
+def external_numbers(path: Path) -> None:
+    other = path.with_name("secret.txt")
+    other.write_bytes(b"nobody's business")
+    with h5py.File(path, "w") as file:
+        file.create_dataset("angle", (16,), "u1", external=[(str(other), 0, 16)])
+
+
+@pytest.mark.parametrize(
+    ("name", "write", "message"),
+    [
+        ("absent.csv", lambda path: None, r"absent\.csv: no such file"),
+        ("log.parquet", Path.touch, "the file is empty"),
+        ("log.npz", Path.touch, "the file is empty"),
+        ("log.mat", Path.touch, "the file is empty"),
+        ("log.xlsx", lambda path: path.write_text("x"), r"ending '\.xlsx'; .*\.csv.*\.npz"),
+        ("log.tsv", lambda path: path.write_text("a\tb\n1\t2\n\t\n"), "row 3, a: an empty cell"),
+        ("log.csv", Path.mkdir, r"log\.csv: a folder, pipe or device"),
+        ("log.csv", os.mkfifo, r"log\.csv: a folder, pipe or device"),
+        ("log.csv", lambda path: path.symlink_to("/dev/zero"), r"log\.csv: a folder, pipe"),
+        ("log.npz", lambda path: np.savez(path, scalar=np.float64(3)), "holds no samples"),
+        (
+            "log.npz",
+            lambda path: np.savez(path, a=np.array([{"x": 1}, None], dtype=object)),
+            "holds no samples, only 'a': text or objects; expected columns",  # not unpickled
+        ),
+        (
+            "log.npz",
+            lambda path: np.savez(path, angle=np.zeros((2, 100_001), np.int8)),
+            "100001 columns; expected at most 100000",
+        ),
+        ("log.npz", duplicate_member, "two columns are called 'angle'"),
+        ("log.mat", duplicate_variable, "two columns are called 'angle'"),
+        ("log.parquet", duplicate_parquet, r"log\.parquet"),
+        ("log.mat", external_numbers, "the numbers of 'angle' are in another file"),
+        (
+            "log.mat",
+            lambda path: scipy.io.savemat(path, {"angle": WAVE, "z": WAVE + 1j}),
+            "z: numbers of type complex128; expected real",
+        ),
+    ],
+)
+def test_files_that_hold_no_columns_of_numbers_are_refused(
+    tmp_path: Path, name: str, write: Callable[[Path], Any], message: str
+) -> None:
+    write(tmp_path / name)
+    with pytest.raises(InputError, match=message):
+        numbers(read_columns(tmp_path / name))
+
+
+@pytest.mark.parametrize(
+    ("frame", "message"),
+    [
+        (pd.DataFrame([[1, 2]], columns=["a", "a"]), "bench: two columns are called 'a'"),
+        (pl.DataFrame({"a": [[1], [2]]}), "bench, a: cannot be turned into numbers"),
+        ({"a": [1.0]}, "bench: a dict; expected a pandas or polars data frame"),
+    ],
+    ids=["two", "lists", "dict"],
+)
+def test_data_frames_that_hold_no_columns_of_numbers_are_refused(frame: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        numbers(frame_columns(frame, "bench"))
 
 
 @pytest.mark.parametrize("ending", ["parquet", "npz", "mat", "mat73"])
@@ -254,36 +325,6 @@ def test_a_damaged_file_is_refused(tmp_path: Path, ending: str, damage: str) -> 
     path.write_bytes(whole[: len(whole) // 2] if damage == "cut" else b"\x07noise" * 500)
     with pytest.raises(InputError, match=r"log\.(parquet|npz|mat)"):
         numbers(read_columns(path))
-
-
-def test_pickled_objects_are_not_loaded(tmp_path: Path) -> None:
-    path = tmp_path / "log.npz"
-    np.savez(path, a=np.array([{"x": 1}, None], dtype=object))
-    with pytest.raises(
-        InputError, match=r"holds no samples, only 'a': text or objects; expected columns"
-    ):
-        read_columns(path)
-
-
-def test_an_unknown_ending_is_refused_with_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"ending '\.xlsx'; expected one of \.csv.*\.npz"):
-        read_columns(text_file(tmp_path, "x", "log.xlsx"))
-
-
-def test_two_columns_of_one_name_of_a_data_frame_are_refused() -> None:
-    frame = pd.DataFrame([[1.0, 2.0], [3.0, 4.0]], columns=["a", "a"])
-    with pytest.raises(InputError, match="bench: two columns are called 'a'"):
-        frame_columns(frame, "bench")
-
-
-def test_a_column_of_lists_is_not_numbers() -> None:
-    with pytest.raises(InputError, match=r"bench, a: cannot be turned into numbers"):
-        frame_columns(pl.DataFrame({"a": [[1], [2]]}), "bench")["a"]
-
-
-def test_what_is_no_data_frame_is_refused() -> None:
-    with pytest.raises(InputError, match="a dict; expected a pandas or polars data frame"):
-        frame_columns({"a": [1.0]})
 
 
 # --- MATLAB: cells, struct arrays, timeseries ---

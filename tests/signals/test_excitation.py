@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tustinnet as tn
-from tustinnet.signals.excitation import HALF, Held, excitation
+from tustinnet.signals.excitation import HALF, DeclaredHold, excitation
 
 BAND = 0.4  # of the sampling rate
 
@@ -64,7 +64,7 @@ def test_a_delayed_held_input_keeps_its_impulse():
 # --- by records ---
 
 
-def record(hold: Held | str | None, n: int = 40, **of: float) -> tn.Experiment:
+def record(hold: DeclaredHold | str | None, n: int = 40, **of: float) -> tn.Experiment:
     u = np.random.default_rng(2).normal(size=n)
     inputs = [tn.Input("force", "N", hold, **of)]  # type: ignore[arg-type]
     return tn.from_arrays(u, u, dt=0.1, coordinates={"x": "linear"}, inputs=inputs, name="push")
@@ -93,5 +93,5 @@ def test_an_unknown_hold_is_refused_where_one_is_needed_and_taken_from_the_model
 
 
 def test_the_record_s_hold_counts_where_both_say_one():
-    found = record("first-order").driving([tn.Input("force", "N", "zero-order")])
+    found = record("first-order").with_timing([tn.Input("force", "N", "zero-order")])
     assert found.inputs[0].hold == "first-order"

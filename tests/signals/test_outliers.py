@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.ndimage
 
-from tustinnet.signals.outliers import _ranked, jumps, spikes
+from tustinnet.signals.outliers import _rank_filter, find_jumps, find_spikes
 
 DT = 0.01
 COUNT = 2 * np.pi / 4096
@@ -14,7 +14,7 @@ SWING = np.exp(-0.3 * T) * np.cos(6 * T)
 
 def found(q: np.ndarray, count: float = 0.0) -> list[int]:
     q = np.round(q / count) * count if count else q
-    return jumps(np.arange(len(q)) * DT, q, count).tolist()
+    return find_jumps(np.arange(len(q)) * DT, q, count).tolist()
 
 
 def bouncing() -> np.ndarray:
@@ -75,7 +75,7 @@ def test_jumps_at_rest_and_at_the_ends_are_found() -> None:
 
 def test_a_gap_in_time_is_no_jump() -> None:
     t, q = np.delete(T, slice(700, 720)), np.delete(SWING, slice(700, 720))
-    assert jumps(t, q, 0.0).tolist() == []
+    assert find_jumps(t, q, 0.0).tolist() == []
 
 
 @pytest.mark.parametrize(
@@ -92,18 +92,18 @@ def test_a_gap_in_time_is_no_jump() -> None:
     ],
 )
 def test_no_excitation_has_spikes(u: np.ndarray) -> None:
-    assert spikes(u).tolist() == []
+    assert find_spikes(u).tolist() == []
 
 
 @pytest.mark.parametrize("samples", [60, 2000])
 def test_a_spike_is_huge_and_short(samples: int) -> None:
     u = np.random.default_rng(0).normal(size=samples)
     u[17] = 1000.0
-    assert spikes(u).tolist() == [17]
+    assert find_spikes(u).tolist() == [17]
     u[40:42] = -500.0
-    assert spikes(u).tolist() == [17, 40, 41]
+    assert find_spikes(u).tolist() == [17, 40, 41]
     u[50:53] = 500.0
-    assert spikes(u).tolist() == []
+    assert find_spikes(u).tolist() == []
 
 
 @pytest.mark.parametrize("n", [5, 6, 12, 40, 25_001])
@@ -111,4 +111,4 @@ def test_a_spike_is_huge_and_short(samples: int) -> None:
 def test_the_rank_filter_is_that_of_scipy(n, width, rank):
     x = np.random.default_rng(0).normal(size=n).round(1)
     expected = scipy.ndimage.rank_filter(x, rank, width, mode="mirror")
-    np.testing.assert_array_equal(_ranked(x, width, rank), expected)
+    np.testing.assert_array_equal(_rank_filter(x, width, rank), expected)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tustinnet.signals.transients import RestThresholds, at_rest, rest_thresholds, settling_index
+from tustinnet.signals.transients import RestThresholds, is_at_rest, rest_thresholds, settling_index
 
 DT = 0.01
 NO_COUNT = np.zeros(1)
@@ -28,7 +28,7 @@ def test_after_the_settling_index_everything_is_at_rest_and_before_it_is_not() -
     q, v = decay(1.0)
     thresholds = rest_thresholds(q, v, NO_COUNT, DT)
     k = settling_index(q, v, thresholds)
-    rest = at_rest(q, v, thresholds)
+    rest = is_at_rest(q, v, thresholds)
     assert rest[k:].all()
     assert not rest[k - 1]
 

@@ -31,11 +31,11 @@ def versions() -> Iterator[str]:
     """Lines for a bug report: versions of what computes, extras, devices."""
     import jax
 
-    from tustinnet.cores import cores
+    from tustinnet.cores import count_cores
 
     yield version()
     yield f"Python {platform.python_version()} at {sys.prefix}"
-    yield f"{platform.platform()}, {cores()} cores for this process"
+    yield f"{platform.platform()}, {count_cores()} cores for this process"
     needed, extras = _requirements()
     yield f"needs: {_found(['jaxlib', *needed])}"
     for extra, packages in extras.items():

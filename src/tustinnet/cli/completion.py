@@ -13,16 +13,16 @@ def _of(names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:
 
 
 def _recipes() -> Iterable[str]:
-    from tustinnet.data.declaration import packaged
+    from tustinnet.data.declaration import list_packaged
     from tustinnet.registry import RECIPE_HOMES
 
-    return packaged(RECIPE_HOMES)
+    return list_packaged(RECIPE_HOMES)
 
 
 def _plans() -> Iterable[str]:
-    from tustinnet.data.declaration import packaged
+    from tustinnet.data.declaration import list_packaged
 
-    return packaged(["tustinnet.selection"], "plan")
+    return list_packaged(["tustinnet.selection"], "plan")
 
 
 def _systems() -> Iterable[str]:

@@ -53,7 +53,7 @@ class Leaving:
             Where it is, for the line that names the files; empty where none is wanted, None where
             it could not be written: then the command ends with `require_left`.
         """
-        from tustinnet.errors import reason
+        from tustinnet.errors import error_message
 
         if not self.wanted:
             return ""
@@ -62,7 +62,7 @@ class Leaving:
             path = write(command)
         except Exception as error:
             terminal.messages().print(
-                f"error: no report ({reason(error)}); all else is kept, try: {command}"
+                f"error: no report ({error_message(error)}); all else is kept, try: {command}"
             )
             return None
         return f"   report: {path}"

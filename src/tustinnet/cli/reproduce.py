@@ -186,7 +186,7 @@ def _remarks(folder: Path, remark: str, runs: Path, *, overwrite: bool) -> list[
     """What there is to say before the work begins."""
     from tustinnet.data.catalog import QUBE_SERVO2
 
-    remarks, differing = [], QUBE_SERVO2.differing(folder)
+    remarks, differing = [], QUBE_SERVO2.changed_files(folder)
     if differing:
         more = f" and {len(differing) - 1} more" if len(differing) > 1 else ""
         remarks.append(f"warning: not as published (checksums differ): {differing[0]}{more}")

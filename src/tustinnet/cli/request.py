@@ -150,9 +150,9 @@ def files_of(data: str | None, card: Path | None, *others: "Path | str | None") 
 
     Of names that may also be packaged ones (systems, recipes) those count that are files.
     """
-    from tustinnet.data.catalog import files_read
+    from tustinnet.data.catalog import list_input_files
 
-    known = [] if data is None else files_read(data, card)
+    known = [] if data is None else list_input_files(data, card)
     return [*known, *(Path(other) for other in others if other is not None)]
 
 
@@ -180,9 +180,9 @@ def require_figures(
 
 def tell_still(experiments: "Sequence[Experiment]", told: "Console") -> None:
     """Says which coordinates do not move in any of the records that train."""
-    from tustinnet.data.inspection import still
+    from tustinnet.data.inspection import still_coordinates
 
-    for name in still(experiments):
+    for name in still_coordinates(experiments):
         told.print(f"{name} never moves in the training records: nothing can be learnt of it")
 
 

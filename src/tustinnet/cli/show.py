@@ -11,17 +11,19 @@ _LONGEST_LINE = 1000  # characters
 
 def show(model: options.Model, json: options.Json = False) -> None:
     """Print what a model file contains: structure, parameters, scores."""
-    from tustinnet.errors import printable, refusing
+    from tustinnet.errors import convert_errors, to_printable
     from tustinnet.store.header import shown
 
     header, own = shown(model)
     if json:
         terminal.print_json(header)
         return
-    with refusing(model, "its header says something else than fits write", "a run's model file"):
+    with convert_errors(
+        model, "its header says something else than fits write", "a run's model file"
+    ):
         lines = [*_channels(header), *own, *_fit(header), *_identified(header), *_scores(header)]
     for key, value in lines:
-        typer.echo(f"{key:<14}{printable(str(value), _LONGEST_LINE)}")
+        typer.echo(f"{key:<14}{to_printable(str(value), _LONGEST_LINE)}")
 
 
 def _channels(header: dict[str, Any]) -> list[tuple[str, str]]:

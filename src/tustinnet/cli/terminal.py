@@ -62,9 +62,9 @@ def confirmed(question: str) -> bool:
     """Whether the user says yes; no, where nobody can be asked."""
     if not (sys.stdin and sys.stdin.isatty() and sys.stderr.isatty()):
         return False
-    from tustinnet.errors import printable
+    from tustinnet.errors import to_printable
 
-    sys.stderr.write(f"{printable(question, _LONGEST_QUESTION)} [y/N] ")
+    sys.stderr.write(f"{to_printable(question, _LONGEST_QUESTION)} [y/N] ")
     sys.stderr.flush()
     return sys.stdin.readline().strip().lower() in ("y", "yes")
 
@@ -185,11 +185,11 @@ def prepare_jax(device: str | None = None) -> None:
     """
     import jax
 
-    from tustinnet.cores import cores
+    from tustinnet.cores import count_cores
 
     jax.config.update("jax_enable_x64", True)
     if "JAX_NUM_CPU_DEVICES" not in os.environ:
-        jax.config.update("jax_num_cpu_devices", cores())
+        jax.config.update("jax_num_cpu_devices", count_cores())
     platforms = os.environ.get("JAX_PLATFORMS", "")
     _first_device(None, f"JAX_PLATFORMS={platforms}", "unset the variable")
     if device is not None:

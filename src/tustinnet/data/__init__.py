@@ -1,1 +1,1 @@
-"""Records of experiments: what they are, how they are read and checked, where they come from."""
+"""Records of experiments: their contents, their sources, how they are read and checked."""

@@ -1,4 +1,4 @@
-"""MAT, NPZ and Parquet files: which columns they hold, and those that are wanted.
+"""MAT, NPZ and Parquet files: the names of their columns, and the numbers in some of them.
 
 `serve` runs in a process of its own (`reading_process` starts it): on damaged files the libraries
 used here can crash, hang or ask for any amount of memory.
@@ -12,35 +12,30 @@ import signal
 import sys
 import zipfile
 from collections.abc import Callable
-from io import BufferedWriter
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from tustinnet.data.columns import Column, frame_columns, require_different
-from tustinnet.data.mat_file import mat_arrays, mat_contents
-from tustinnet.errors import InputError, refusing
+from tustinnet.data.mat_file import REAL, Array, Shape, mat_arrays, mat_contents
+from tustinnet.errors import InputError, convert_errors
 
-LARGEST = 2**30  # bytes: the wanted columns of a file, as double precision
-_ADDRESS_SPACE = 6 * 2**30  # bytes: they, what they are made from, and the libraries
+LARGEST = 2**30  # bytes: the requested columns of a file, as double precision
+_ADDRESS_SPACE = 6 * 2**30  # bytes: these columns, their sources, and the libraries
 _MOST_COLUMNS = 100_000
 
-Array = np.ndarray
-Shape = tuple[int, ...]
 Contents = tuple[list[tuple[str, Shape]], dict[str, str]]
-
-_REAL = "fiub"  # kinds of numpy's types
 
 
 class Format(NamedTuple):
-    """How a kind of file is read.
+    """Reader of a kind of file.
 
     Attributes:
-        library: what has to be imported.
-        contents: names and shapes of the arrays of numbers in a file, and what else is there, by
-            name.
-        arrays: some of them, by name.
+        library: the library to import.
+        contents: function that gives names and shapes of the arrays of numbers in a file, and a
+            description of everything else, by name.
+        arrays: function that reads some of the arrays, by name.
     """
 
     library: str
@@ -49,7 +44,7 @@ class Format(NamedTuple):
 
 
 def column_names(path: Path) -> tuple[list[str], dict[str, str]]:
-    """What the columns of a file are called, in its order, and what is there that is no column."""
+    """Names of the columns of a file, in its order, and a description of everything else."""
     columns, others = _columns(path)
     return list(columns), others
 
@@ -61,8 +56,8 @@ def read(path: Path, names: list[str]) -> list[Column]:
         InputError: more than `LARGEST` bytes; what is not real numbers.
     """
     columns, _ = _columns(path)
-    wanted = {columns[name].array: columns[name].shape for name in names}
-    size = 8 * sum(math.prod(shape) for shape in wanted.values())
+    shapes = {columns[name].array: columns[name].shape for name in names}
+    size = 8 * sum(math.prod(shape) for shape in shapes.values())
     if size > LARGEST:
         raise InputError(
             path,
@@ -70,20 +65,20 @@ def read(path: Path, names: list[str]) -> list[Column]:
             f"at most {LARGEST / 2**30:g} GiB",
             "cut the record, or leave out columns",
         )
-    arrays = FORMATS[path.suffix.lower()].arrays(path, set(wanted))
-    found = []
+    arrays = FORMATS[path.suffix.lower()].arrays(path, set(shapes))
+    numbers = []
     for name in names:
         place = columns[name]
         array = arrays[place.array]
-        if array.dtype.kind not in _REAL:
+        if array.dtype.kind not in REAL:
             raise InputError(f"{path}, {name}", f"numbers of type {array.dtype}", "real numbers")
         column = array.reshape(-1) if place.number is None else array[:, place.number]
-        found.append(np.ascontiguousarray(column, np.float64))
-    return found
+        numbers.append(np.ascontiguousarray(column, np.float64))
+    return numbers
 
 
 class _Place(NamedTuple):
-    """Where a column is: an array, its shape, and the number of a column of a matrix from 0."""
+    """Place of a column: an array, its shape, and the number of a column of a matrix from 0."""
 
     array: str
     shape: Shape
@@ -96,18 +91,14 @@ def _columns(path: Path) -> tuple[dict[str, _Place], dict[str, str]]:
     count = sum(1 if one else shape[1] for (_, shape), one in zip(shapes, vectors, strict=True))
     if count > _MOST_COLUMNS:
         raise InputError(path, f"{count} columns", f"at most {_MOST_COLUMNS}")
-    found: list[tuple[str, _Place]] = []
+    columns: list[tuple[str, _Place]] = []
     for (name, shape), one in zip(shapes, vectors, strict=True):
         numbers = [None] if one else range(shape[1])
-        found += [
+        columns += [
             (name if j is None else f"{name}[{j + 1}]", _Place(name, shape, j)) for j in numbers
         ]
-    require_different([name for name, _ in found], path)
-    return dict(found), others
-
-
-def _is_table(shape: Shape) -> bool:
-    return len(shape) in (1, 2) and math.prod(shape) >= 2
+    require_different([name for name, _ in columns], path)
+    return dict(columns), others
 
 
 # --- NPZ ---
@@ -115,23 +106,26 @@ def _is_table(shape: Shape) -> bool:
 
 def _npz_contents(path: Path) -> Contents:
     with zipfile.ZipFile(path) as archive:
-        members = [name for name in archive.namelist() if name.endswith(".npy")]
-        heads = [(name.removesuffix(".npy"), *_npy_head(archive, name)) for name in members]
-    tables = [(name, shape) for name, shape, kind in heads if kind in _REAL and _is_table(shape)]
-    others = {
-        name: f"of shape {shape}" if kind in _REAL else "text or objects"
-        for name, shape, kind in heads
-        if not (kind in _REAL and _is_table(shape))
-    }
+        tables, others = [], {}
+        for member in archive.namelist():
+            if not member.endswith(".npy"):
+                continue
+            with archive.open(member) as file:
+                version = np.lib.format.read_magic(file)
+                read_header = (
+                    np.lib.format.read_array_header_1_0
+                    if version == (1, 0)
+                    else np.lib.format.read_array_header_2_0
+                )
+                shape, _, dtype = read_header(file)
+            name = member.removesuffix(".npy")
+            if dtype.kind not in REAL:
+                others[name] = "text or objects"
+            elif len(shape) in (1, 2) and math.prod(shape) >= 2:
+                tables.append((name, shape))
+            else:
+                others[name] = f"of shape {shape}"
     return tables, others
-
-
-def _npy_head(archive: zipfile.ZipFile, member: str) -> tuple[Shape, str]:
-    form = np.lib.format
-    with archive.open(member) as file:
-        old = form.read_magic(file) == (1, 0)
-        shape, _, dtype = (form.read_array_header_1_0 if old else form.read_array_header_2_0)(file)
-    return shape, dtype.kind
 
 
 def _npz_arrays(path: Path, names: set[str]) -> dict[str, Array]:
@@ -171,25 +165,28 @@ FORMATS = {
 def serve() -> None:
     """Answers requests on stdin until it is closed.
 
-    A request is a line of JSON: `path`, the `folder` where a relative one begins, `names` (wanted
-    columns, or null for what there is) and `seconds` that it may take. With a null `path` it asks
-    to import the library for the ending `suffix`. A reply is a line of JSON, too: `names` and
-    `others` (what is no column, by name), or `lengths` with the numbers of the columns after it as
-    bytes of float64, or why the request is `refused`.
+    A request is a line of JSON: `path`, the `folder` where a relative one begins, `names` (columns
+    to read, or null to list them) and `seconds` that it may take. With a null `path` it requests
+    the import of the library for the ending `suffix`. A reply is a line of JSON, too: `names` and
+    `others` (descriptions of all that is no column, by name), or `lengths`, followed by the numbers
+    of the columns as bytes of float64, or the message with which the request is `refused`.
     """
     replies = os.fdopen(os.dup(1), "wb")
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what libraries print is no reply
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # libraries print there, which is no reply
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's business
-    _limit()
+    if sys.platform == "linux":
+        import resource
+
+        for kind, limit in ((resource.RLIMIT_AS, _ADDRESS_SPACE), (resource.RLIMIT_CORE, 0)):
+            soft, hard = resource.getrlimit(kind)
+            if soft == resource.RLIM_INFINITY or soft > limit:
+                resource.setrlimit(kind, (limit, hard))
     for line in sys.stdin.buffer:
-        _send(replies, *_answer(json.loads(line)))
-
-
-def _send(replies: BufferedWriter, reply: dict[str, Any], columns: list[Column]) -> None:
-    replies.write(json.dumps(reply).encode() + b"\n")
-    for column in columns:
-        replies.write(column.data.cast("B"))
-    replies.flush()
+        reply, columns = _answer(json.loads(line))
+        replies.write(json.dumps(reply).encode() + b"\n")
+        for column in columns:
+            replies.write(column.data.cast("B"))
+        replies.flush()
 
 
 def _answer(request: dict[str, Any]) -> tuple[dict[str, Any], list[Column]]:
@@ -201,7 +198,7 @@ def _answer(request: dict[str, Any]) -> tuple[dict[str, Any], list[Column]]:
         path, names = Path(request["path"]), request["names"]
         if request["folder"] is not None:
             os.chdir(request["folder"])
-        with refusing(
+        with convert_errors(
             path, f"cannot be read as {path.suffix.lower()}", "a whole file of that format"
         ):
             if names is None:
@@ -218,13 +215,3 @@ def _alarm(seconds: float) -> None:
     """Ends this process after some seconds, also where the parent cannot any more."""
     if sys.platform != "win32":
         signal.alarm(math.ceil(seconds))
-
-
-def _limit() -> None:
-    if sys.platform == "linux":
-        import resource
-
-        for what, limit in ((resource.RLIMIT_AS, _ADDRESS_SPACE), (resource.RLIMIT_CORE, 0)):
-            soft, hard = resource.getrlimit(what)
-            if soft == resource.RLIM_INFINITY or soft > limit:
-                resource.setrlimit(what, (limit, hard))

@@ -1,4 +1,4 @@
-"""The data card: a TOML file that says what the columns of a folder of logs mean."""
+"""The data card: a TOML file that declares the columns of a folder of logs."""
 
 from pathlib import PureWindowsPath
 from typing import Annotated, Literal
@@ -16,7 +16,7 @@ from tustinnet.channels import (
     Kind,
 )
 from tustinnet.data.declaration import Declaration, Name, Sentence, Text
-from tustinnet.data.units import TIME, in_si, velocity_in_si
+from tustinnet.data.units import TIME, convert_to_si, velocity_factor
 
 _MOST_COLUMNS = 10**6
 _LONGEST_PART = 255  # bytes of a file's name, as file systems have it
@@ -44,8 +44,8 @@ class VelocityCard(Declaration):
         column: name or number.
         unit: e.g. `rad/s`, `deg/s`, `rpm`, `mm/s`; the coordinate's unit per second by default,
             counts per second of a position in counts.
-        measured: whether a sensor measured it; a column that was computed is not `measured`,
-            and training derives velocities from the positions instead.
+        measured: whether a sensor measured it; a computed column is not `measured`, and training
+            derives velocities from the positions instead.
     """
 
     column: ColumnKey
@@ -57,16 +57,16 @@ class CoordinateCard(Declaration):
     """A coordinate: `SI value = sign * factor(unit) * (column - offset)`.
 
     Attributes:
-        name: what it is called.
+        name: name of the coordinate.
         kind: `angular` or `linear`.
         column: name or number of the position column.
         unit: rad, deg, rev, ... of an angle; m, mm, in, ... of a linear coordinate, or a unit that
             is no length (V, mA, K, 1), of which the records have the SI unit; or `counts` of the
             encoder. Any unit that pint knows.
         sign: 1 or -1; also applies to the velocity column.
-        offset: what the column reads where the coordinate is 0, in the column's unit.
+        offset: reading of the column where the coordinate is 0, in the column's unit.
         resolution: encoder count in rad or m, or in the SI unit of `unit`.
-        counts_per_revolution: the same for an angle, as counts in a turn.
+        counts_per_revolution: encoder counts in a turn of an angle, instead of `resolution`.
         unwrap: whether jumps of more than half a turn are taken for wraps and removed.
         velocity: the velocity column, if there is one.
     """
@@ -83,7 +83,7 @@ class CoordinateCard(Declaration):
     velocity: VelocityCard | None = None
 
     @model_validator(mode="after")
-    def _units_fit(self) -> "CoordinateCard":
+    def _check_units(self) -> "CoordinateCard":
         if (self.si_unit == "rad") != (self.kind == "angular"):
             raise ValueError(
                 f"unit '{self.unit}' of an angular coordinate; an angle, e.g. rad, deg, rev, counts"
@@ -103,7 +103,7 @@ class CoordinateCard(Declaration):
         """The SI unit in which the records have the positions."""
         if self.unit is None or self.unit == "counts":
             return "rad" if self.kind == "angular" else "m"
-        return in_si(self.unit)[1]
+        return convert_to_si(self.unit)[1]
 
     @property
     def count(self) -> float | None:
@@ -116,7 +116,7 @@ class CoordinateCard(Declaration):
         """SI units in one unit of the position column."""
         if self.unit == "counts":
             return float(self.count or np.nan)
-        return 1.0 if self.unit is None else in_si(self.unit)[0]
+        return 1.0 if self.unit is None else convert_to_si(self.unit)[0]
 
     def velocity_factor(self) -> float:
         """SI units in one unit of the velocity column."""
@@ -126,10 +126,10 @@ class CoordinateCard(Declaration):
         counts, _, per = unit.partition("/")
         if counts == "counts" and self.count and per in TIME:
             return self.count / TIME[per]
-        return velocity_in_si(unit, self.si_unit)
+        return velocity_factor(unit, self.si_unit)
 
     def coordinate(self) -> Coordinate:
-        """What the records will say of this coordinate."""
+        """The coordinate as records have it."""
         return Coordinate(self.name, self.kind, self.count, self.si_unit)
 
 
@@ -137,16 +137,16 @@ class InputCard(Declaration):
     """An input: `value = sign * scale * (column - offset)`.
 
     Attributes:
-        name: what it is called.
+        name: name of the input.
         column: name or number.
         unit: the unit of `value`.
         scale: units of `value` in one unit of the column.
         sign: 1 or -1.
-        offset: what the column reads where the input is 0.
-        hold: what happens between samples: `zero-order`, `first-order`, `band-limited`, or
+        offset: reading of the column where the input is 0.
+        hold: course between samples: `zero-order`, `first-order`, `band-limited`, or
             `unknown`: `fit` of a grey box tries all of them.
         limits: smallest and largest `value` of the actuator.
-        delay: how much later it acts than it is written down [s], or `unknown`: `fit` of a grey box
+        delay: time from a logged sample to its effect [s], or `unknown`: `fit` of a grey box
             searches for it.
     """
 
@@ -162,19 +162,19 @@ class InputCard(Declaration):
 
     @field_validator("limits")
     @classmethod
-    def _in_order(cls, limits: tuple[float, float] | None) -> tuple[float, float] | None:
+    def _check_order(cls, limits: tuple[float, float] | None) -> tuple[float, float] | None:
         if limits is not None and limits[0] >= limits[1]:
             raise ValueError("the smaller limit comes first")
         return limits
 
     def input(self) -> Input:
-        """What the records will say of this input."""
+        """The input as records have it."""
         delay = None if self.delay == "unknown" else self.delay
         return Input(self.name, self.unit, self.hold, self.limits, delay)
 
 
 class TimeCard(Declaration):
-    """The time column and what to do where it is irregular.
+    """The time column and the treatment of irregular times.
 
     Attributes:
         column: name or number.
@@ -199,14 +199,14 @@ class FileCard(Declaration):
 
     Attributes:
         file: path below the card's folder, or a pattern (`train/*.csv`); no `..` and no `**`.
-        name: what the record is called; the file's name without ending by default.
-        cell: of a MAT file with cell or struct arrays, the element that is the record, from 1 on;
-            without it each element that has the columns is a record.
+        name: name of the record; the file's name without ending by default.
+        cell: number, from 1 on, of the element of the cell or struct arrays of a MAT file that is
+            the record; without it each element that has the columns is a record.
         rows: first row and the row after the last, counted from 0 after any header.
         seconds: instead of rows, the times at which the record begins and before which it ends,
             from the file's first timestamp on [s], as logged: before it is put on a grid.
         k_bar: end of the transient as a row of the record, instead of the detected one.
-        groups: what the record was made with: `{ payload = "1kg" }`.
+        groups: conditions of the record: `{ payload = "1kg" }`.
     """
 
     file: str
@@ -219,7 +219,7 @@ class FileCard(Declaration):
 
     @field_validator("file")
     @classmethod
-    def _below_the_folder(cls, file: str) -> str:
+    def _require_below_folder(cls, file: str) -> str:
         path = PureWindowsPath(file)  # knows the separators of every system
         if not path.parts or path.drive or path.root or ".." in path.parts:
             raise ValueError("a path below the card's folder, without '..'")
@@ -231,27 +231,27 @@ class FileCard(Declaration):
 
     @field_validator("rows")
     @classmethod
-    def _in_order(cls, rows: tuple[int, int] | None) -> tuple[int, int] | None:
+    def _check_rows(cls, rows: tuple[int, int] | None) -> tuple[int, int] | None:
         if rows is not None and rows[0] >= rows[1]:
             raise ValueError("the first row, then the row after the last")
         return rows
 
     @field_validator("seconds")
     @classmethod
-    def _forward(cls, seconds: tuple[float, float] | None) -> tuple[float, float] | None:
+    def _check_seconds(cls, seconds: tuple[float, float] | None) -> tuple[float, float] | None:
         if seconds is not None and seconds[0] >= seconds[1]:
             raise ValueError("the time of the beginning, then a later one")
         return seconds
 
     @model_validator(mode="after")
-    def _one_range(self) -> "FileCard":
+    def _check_ranges(self) -> "FileCard":
         if self.rows is not None and self.seconds is not None:
             raise ValueError(f"`rows` and `seconds` of '{self.file}'; give one of them")
         return self
 
     @property
     def part(self) -> str:
-        """What distinguishes the record from others of its file: `[3]`, `_0-900`, `_0.5-3s`."""
+        """Suffix that distinguishes records of one file: `[3]`, `_0-900`, `_0.5-3s`."""
         cell = "" if self.cell is None else f"[{self.cell}]"
         if self.rows is not None:
             return f"{cell}_{self.rows[0]}-{self.rows[1]}"
@@ -259,13 +259,13 @@ class FileCard(Declaration):
 
 
 class FormatCard(Declaration):
-    """How text files are laid out.
+    """Layout of text files.
 
     Attributes:
         header: whether the first row names the columns; by default it does unless it holds
             nothing but numbers.
-        delimiter: what separates the columns; a tab in .tsv files, else a comma, by default.
-        columns: how many columns there must be, if that is to be checked.
+        delimiter: the mark between columns; a tab in .tsv files, else a comma, by default.
+        columns: required number of columns, None for any.
     """
 
     header: bool | None = None
@@ -274,7 +274,7 @@ class FormatCard(Declaration):
 
     @field_validator("delimiter")
     @classmethod
-    def _one_mark(cls, mark: str | None) -> str | None:
+    def _check_delimiter(cls, mark: str | None) -> str | None:
         if mark is not None and (len(mark) != 1 or mark not in "\t !$%&*,/:;<=>?@^_|~"):
             raise ValueError("one mark, e.g. ';', ',', '|' or a tab")
         return mark
@@ -284,7 +284,7 @@ class Card(Declaration):
     """The data card.
 
     Attributes:
-        name: what the data set is called.
+        name: name of the data set.
         description: a sentence for people.
         dt: nominal sampling period [s]; the median interval where it is left out.
         splits: files of `train`, `validation` and `test`.
@@ -307,7 +307,7 @@ class Card(Declaration):
 
     @field_validator("splits", mode="before")
     @classmethod
-    def _paths_are_files(cls, splits: object) -> object:
+    def _expand_paths(cls, splits: object) -> object:
         # "train/*.csv" is short for { file = "train/*.csv" }
         if not isinstance(splits, dict):
             return splits
@@ -319,25 +319,25 @@ class Card(Declaration):
         }
 
     @model_validator(mode="after")
-    def _names_and_period(self) -> "Card":
+    def _check_names_and_period(self) -> "Card":
         names = [c.name for c in self.coordinates] + [i.name for i in self.inputs]
-        doubled = sorted({name for name in names if names.count(name) > 1})
-        if doubled:
-            raise ValueError(f"two channels are called '{doubled[0]}'")
+        duplicates = sorted({name for name in names if names.count(name) > 1})
+        if duplicates:
+            raise ValueError(f"two channels are called '{duplicates[0]}'")
         if self.dt is None and self.time is None:
             raise ValueError("neither `dt` nor a time column says how far apart samples are")
         return self
 
     @property
     def columns(self) -> list[ColumnKey]:
-        """All columns that are wanted of a file, by name or number."""
+        """All columns that the card names, by name or number."""
         velocities = [c.velocity.column for c in self.coordinates if c.velocity is not None]
         times = [] if self.time is None else [self.time.column]
         positions = [c.column for c in self.coordinates]
         return [*positions, *(i.column for i in self.inputs), *velocities, *times]
 
     def channels(self, dt: float) -> Channels:
-        """What the records will say of their columns, at a sampling period [s]."""
+        """Coordinates and inputs as records have them, at a sampling period [s]."""
         return Channels(
             tuple(c.coordinate() for c in self.coordinates),
             tuple(i.input() for i in self.inputs),

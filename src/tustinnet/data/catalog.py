@@ -12,7 +12,7 @@ from typing import Any, cast
 import platformdirs
 
 from tustinnet.data.card import Card
-from tustinnet.data.card_files import files_of
+from tustinnet.data.card_files import list_record_files
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import read_declaration
 from tustinnet.data.loading import load_folder
@@ -23,13 +23,13 @@ DATA_VARIABLE = "TUSTINNET_DATA"
 
 
 @dataclass(frozen=True)
-class KnownDataSet:
+class PublishedDataSet:
     """A published data set whose card and checksums are part of the package.
 
     Attributes:
-        name: what it goes by.
+        name: name in the catalog.
         stem: name of the packaged card and checksum file.
-        address: where its files are served.
+        address: URL of the folder with its files.
     """
 
     name: str
@@ -47,10 +47,10 @@ class KnownDataSet:
         return {file: digest for digest, file in (line.split() for line in lines if line)}
 
     def cache(self) -> Path:
-        """Where downloaded files are kept."""
+        """The folder of downloaded files."""
         return Path(platformdirs.user_cache_dir("tustinnet")) / self.stem
 
-    def differing(self, folder: Path) -> list[str]:
+    def changed_files(self, folder: Path) -> list[str]:
         """Files that are in a folder but are not the published ones."""
         return [
             file
@@ -60,20 +60,20 @@ class KnownDataSet:
         ]
 
     def is_in(self, folder: Path) -> bool:
-        """Whether a folder holds files that go by the names of this data set."""
+        """Whether a folder holds files with the names of this data set's."""
         return any((folder / file).is_file() for file in self.checksums())
 
     def _resource(self, ending: str) -> Traversable:
         return resources.files("tustinnet.data") / "cards" / f"{self.stem}{ending}"
 
 
-QUBE_SERVO2 = KnownDataSet(
+QUBE_SERVO2 = PublishedDataSet(
     name="qube-servo2",
     stem="qube_servo2",
     address="https://raw.githubusercontent.com/svanesch/tustinNetTransferLearning/"
     "178ba573691489d9f79a504b2010247663ed3bc2/data/",
 )
-CATALOG = {known.name: known for known in (QUBE_SERVO2,)}
+CATALOG = {entry.name: entry for entry in (QUBE_SERVO2,)}
 
 
 def load(data: str | Path, card: str | Path | None = None) -> DataSet:
@@ -85,10 +85,9 @@ def load(data: str | Path, card: str | Path | None = None) -> DataSet:
         card: a data card for the folder `data`, where it has none of its own.
 
     Raises:
-        InputError: no data set there; the message says what was looked for.
+        InputError: no data set there; the message says what was expected.
     """
-    folder, declared = locate(data, card)
-    return load_folder(folder, declared)
+    return load_folder(*locate(data, card))
 
 
 def locate(data: str | Path, card: str | Path | None = None) -> tuple[Path, Card]:
@@ -99,16 +98,16 @@ def locate(data: str | Path, card: str | Path | None = None) -> tuple[Path, Card
         _require_folder(folder)
         return folder, read_declaration(Path(card), Card)
     if str(data) in CATALOG:
-        known = CATALOG[str(data)]
-        return find_folder(known), known.card()
+        entry = CATALOG[str(data)]
+        return find_folder(entry), entry.card()
     if path.suffix == ".toml":
         return path.parent, read_declaration(path, Card)
     _require_folder(path)
     if (path / CARD_NAME).is_file():
         return path, read_declaration(path / CARD_NAME, Card)
-    for known in CATALOG.values():
-        if known.is_in(path):
-            return path, known.card()
+    for entry in CATALOG.values():
+        if entry.is_in(path):
+            return path, entry.card()
     raise InputError(
         path,
         f"no {CARD_NAME} and no data set of the catalog in this folder",
@@ -117,46 +116,46 @@ def locate(data: str | Path, card: str | Path | None = None) -> tuple[Path, Card
     )
 
 
-def files_read(data: str | Path, card: str | Path | None = None) -> list[Path]:
+def list_input_files(data: str | Path, card: str | Path | None = None) -> list[Path]:
     """The files that `load` reads: card and records.
 
     Raises:
         InputError: as `load`.
     """
-    folder, declared = locate(data, card)
+    folder, content = locate(data, card)
     path = Path(data)
-    own = path if path.suffix == ".toml" else folder / CARD_NAME
-    records = [folder / entry.file for _, entry in files_of(folder, declared)]
-    return [own if card is None else Path(card), *records]
+    default = path if path.suffix == ".toml" else folder / CARD_NAME
+    records = [folder / entry.file for _, entry in list_record_files(folder, content)]
+    return [default if card is None else Path(card), *records]
 
 
-def find_folder(known: KnownDataSet) -> Path:
-    """The folder of a known data set: TUSTINNET_DATA, else the cache, else a download."""
-    named = os.environ.get(DATA_VARIABLE)
-    if named:
-        for folder in (Path(named), Path(named) / known.stem, Path(named) / known.name):
-            if known.is_in(folder):
+def find_folder(entry: PublishedDataSet) -> Path:
+    """The folder of a published data set: TUSTINNET_DATA, else the cache, else a download."""
+    value = os.environ.get(DATA_VARIABLE)
+    if value:
+        for folder in (Path(value), Path(value) / entry.stem, Path(value) / entry.name):
+            if entry.is_in(folder):
                 return folder
         raise InputError(
-            f"{DATA_VARIABLE}={named}",
-            f"no files of '{known.name}' there",
-            f"a folder with {_some(known)}",
+            f"{DATA_VARIABLE}={value}",
+            f"no files of '{entry.name}' there",
+            f"a folder with {_describe_files(entry)}",
             f"correct or unset {DATA_VARIABLE}",
         )
-    return _download(known)
+    return _download(entry)
 
 
-def _download(known: KnownDataSet) -> Path:
-    """Fetches what the cache lacks, each file checked against its checksum."""
+def _download(entry: PublishedDataSet) -> Path:
+    """Downloads the files that the cache lacks, each checked against its checksum."""
     # imported here: loading requests takes longer than `tustinnet --help` may
     import pooch
     import requests
 
-    cache = known.cache()
+    cache = entry.cache()
     fetcher = pooch.create(
         path=cache,
-        base_url=known.address,
-        registry={file: f"sha256:{digest}" for file, digest in known.checksums().items()},
+        base_url=entry.address,
+        registry={file: f"sha256:{digest}" for file, digest in entry.checksums().items()},
     )
     pooch.get_logger().setLevel("WARNING")
     # pooch's own type of a downloader names the arguments of its processors
@@ -168,17 +167,17 @@ def _download(known: KnownDataSet) -> Path:
             offline = isinstance(error, requests.ConnectionError | requests.Timeout)
             reason = "no connection" if offline else f"{type(error).__name__}: {error}"[:200]
             raise InputError(
-                f"data set '{known.name}'",
-                f"{known.address}{file} could not be fetched ({reason})",
-                f"{len(fetcher.registry)} files ({_some(known)})",
+                f"data set '{entry.name}'",
+                f"{entry.address}{file} could not be fetched ({reason})",
+                f"{len(fetcher.registry)} files ({_describe_files(entry)})",
                 f"put them into {cache} in these subfolders, or give their folder with "
                 f"--data PATH or {DATA_VARIABLE}=PATH",
             ) from error
     return cache
 
 
-def _some(known: KnownDataSet) -> str:
-    files = sorted(known.checksums())
+def _describe_files(entry: PublishedDataSet) -> str:
+    files = sorted(entry.checksums())
     folders = sorted({Path(file).parent.as_posix() for file in files})
     return f"{files[0]}, ... in the subfolders {', '.join(folders)}"
 

@@ -7,23 +7,23 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.errors import InputError, refusing
+from tustinnet.errors import InputError, convert_errors
 
 Column = Float[np.ndarray, " n"]
 
 _ELEMENT = re.compile(r"(?P<variable>[^.({\[]+)[({](?P<number>\d{1,9})[)}](?P<rest>.*)", re.DOTALL)
-NUMBERED = "column "  # how columns without a name are called: "column 1", ...
+NUMBERED = "column "  # columns without a name are called "column 1", ...
 
 
 class Columns:
-    """The columns of a file by name, in the file's order, turned into numbers when asked for.
+    """The columns of a file by name, in the file's order, read as numbers on access.
 
-    A column of text that nobody asks for does no harm; one that is asked for is an `InputError`.
+    A column of text does no harm until it is read, which is an `InputError`.
 
     Attributes:
-        names: what the columns are called.
-        notes: what reading the file found out.
-        others: what is in the file and no column of numbers, by name.
+        names: names of the columns.
+        notes: remarks on how the file was read.
+        others: a description of everything in the file that is no column of numbers, by name.
     """
 
     def __init__(
@@ -36,57 +36,57 @@ class Columns:
     ) -> None:
         self.names, self.notes, self.others = tuple(names), notes, others or {}
         self._read, self._rows = read, rows
-        self._found: dict[str, Column] = {}
+        self._columns: dict[str, Column] = {}
 
     def place(self, sample: int) -> str:
-        """Where a sample stands: the row of a text file, else its number."""
+        """The place of a sample: the row of a text file, else its number."""
         if self._rows is None:
             return f"sample {sample} (counted from 0)"
         return f"row {self._rows[sample]}"
 
     def fetch(self, names: Sequence[str]) -> None:
         """Reads some columns at once, which is quicker than one after the other."""
-        missing = [name for name in dict.fromkeys(names) if name not in self._found]
-        self._found.update(zip(missing, self._read(missing), strict=True))
+        missing = [name for name in dict.fromkeys(names) if name not in self._columns]
+        self._columns.update(zip(missing, self._read(missing), strict=True))
 
     def fetch_elements(self, names: Collection[str]) -> None:
-        """Reads some columns of all elements at once: one after the other would read all each."""
-        numbers = range(1, self.elements + 1)
-        taken = (of for number in numbers for of in _of_element(self.names, number).items())
-        self.fetch([source for name, source in taken if name in names])
+        """Reads some columns of all elements at once: one by one, each would read the file."""
+        sources = [_element_names(self.names, k) for k in range(1, self.elements + 1)]
+        self.fetch([s for element in sources for name, s in element.items() if name in names])
 
     @property
     def elements(self) -> int:
-        """How many elements the longest cell or struct array of a MAT file has; 0 without any."""
-        found = (_ELEMENT.fullmatch(name) for name in (*self.names, *self.others))
-        return max((int(match["number"]) for match in found if match), default=0)
+        """Length of the longest cell or struct array of a MAT file, 0 without any."""
+        matches = (_ELEMENT.fullmatch(name) for name in (*self.names, *self.others))
+        return max((int(match["number"]) for match in matches if match), default=0)
 
     def element(self, number: int) -> "Columns":
-        """The columns as if each cell or struct array were its element of a number, from 1 on."""
-        taken = _of_element(self.names, number)
+        """The columns with one element, from 1 on, in place of each cell or struct array."""
+        sources = _element_names(self.names, number)
 
         def read(names: list[str]) -> list[Column]:
-            self.fetch([taken[name] for name in names])
-            return [self[taken[name]] for name in names]
+            self.fetch([sources[name] for name in names])
+            return [self[sources[name]] for name in names]
 
-        others = {name: self.others[of] for name, of in _of_element(self.others, number).items()}
-        return Columns(tuple(taken), read, self._rows, self.notes, others)
+        others = _element_names(self.others, number)
+        texts = {name: self.others[source] for name, source in others.items()}
+        return Columns(tuple(sources), read, self._rows, self.notes, texts)
 
     def __getitem__(self, name: str) -> Column:
         self.fetch([name])
-        return self._found[name]
+        return self._columns[name]
 
 
-def _of_element(names: Iterable[str], number: int) -> dict[str, str]:
-    """Names in the file by what they are called in an element; whatever is in no array stays."""
-    found = {}
+def _element_names(names: Iterable[str], number: int) -> dict[str, str]:
+    """Names in the file by their names in an element; those outside of arrays stay."""
+    sources = {}
     for name in names:
         match = _ELEMENT.fullmatch(name)
         if match is None:
-            found.setdefault(name, name)
+            sources.setdefault(name, name)
         elif int(match["number"]) == number:
-            found[match["variable"] + match["rest"]] = name
-    return found
+            sources[match["variable"] + match["rest"]] = name
+    return sources
 
 
 def require_different(names: Sequence[str], where: object) -> None:
@@ -95,11 +95,11 @@ def require_different(names: Sequence[str], where: object) -> None:
     Raises:
         InputError: two columns of one name.
     """
-    seen: set[str] = set()
+    earlier: set[str] = set()
     for name in names:
-        if name in seen:
+        if name in earlier:
             raise InputError(where, f"two columns are called '{name}'", "different names")
-        seen.add(name)
+        earlier.add(name)
 
 
 def frame_columns(frame: Any, where: object = "frame") -> Columns:
@@ -107,7 +107,7 @@ def frame_columns(frame: Any, where: object = "frame") -> Columns:
 
     Raises:
         InputError: no data frame, an empty one, two columns of one name; text where numbers
-            belong (when the column is asked for).
+            belong (when the column is read).
     """
     import polars as pl
 
@@ -115,7 +115,7 @@ def frame_columns(frame: Any, where: object = "frame") -> Columns:
         if not hasattr(frame, "columns") or not hasattr(frame, "to_numpy"):
             raise InputError(where, f"a {type(frame).__name__}", "a pandas or polars data frame")
         require_different([str(name) for name in frame.columns], where)
-        with refusing(where, "cannot be read as a data frame", "columns of numbers"):
+        with convert_errors(where, "cannot be read as a data frame", "columns of numbers"):
             arrays = {str(name): frame[name].to_numpy() for name in frame.columns}
             frame = pl.DataFrame(
                 {name: a.astype(str) if a.dtype.kind == "O" else a for name, a in arrays.items()}
@@ -124,7 +124,7 @@ def frame_columns(frame: Any, where: object = "frame") -> Columns:
         raise InputError(where, "no samples", "rows of numbers")
 
     def convert(name: str) -> Column:
-        with refusing(f"{where}, {name}", "cannot be turned into numbers", "numbers"):
+        with convert_errors(f"{where}, {name}", "cannot be turned into numbers", "numbers"):
             # an empty cell becomes NaN, which the checks then name by row
             numbers = frame[name].cast(pl.Float64, strict=False)
             lost = np.flatnonzero((numbers.is_null() & frame[name].is_not_null()).to_numpy())

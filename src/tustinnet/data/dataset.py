@@ -20,7 +20,7 @@ class DataSet(HasChannels):
     """Records of one system, of any lengths, with the same coordinates, inputs and period.
 
     Attributes:
-        name: what the data set is called.
+        name: name of the data set.
         experiments: the records.
     """
 
@@ -32,11 +32,11 @@ class DataSet(HasChannels):
         require_text(self.name, "data set")
         if not self.experiments:
             raise InputError(self.name, "no experiments", "at least one")
-        first, seen = self.experiments[0], set()
+        first, names = self.experiments[0], set()
         for experiment in self.experiments:
-            if experiment.name in seen:
+            if experiment.name in names:
                 raise InputError(self.name, f"two experiments named '{experiment.name}'", "one")
-            seen.add(experiment.name)
+            names.add(experiment.name)
             first.channels.require_same(
                 experiment.channels, experiment.name, first.name, open_holds=False
             )
@@ -67,20 +67,20 @@ class DataSet(HasChannels):
 
     @property
     def channels(self) -> Channels:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """What all records share: coordinates, inputs, sampling period."""
+        """Coordinates, inputs and sampling period of all records."""
         return self.experiments[0].channels
 
     @property
     def splits(self) -> tuple[str, ...]:
-        """The splits that occur, in order of appearance."""
+        """The splits of the records, in order of appearance."""
         return tuple(dict.fromkeys(e.split for e in self.experiments if e.split is not None))
 
     def split(self, name: str) -> "DataSet":
         """The records of one split."""
         chosen = tuple(e for e in self.experiments if e.split == name)
         if not chosen:
-            known = ", ".join(self.splits) or "none (the records are not split)"
-            raise InputError(self.name, f"no split '{name}'", f"one of: {known}")
+            names = ", ".join(self.splits) or "none (the records are not split)"
+            raise InputError(self.name, f"no split '{name}'", f"one of: {names}")
         return replace(self, experiments=chosen)
 
     def trim(self, start: float = 0.0, stop: float | None = None) -> "DataSet":
@@ -101,16 +101,16 @@ class DataSet(HasChannels):
 
 
 class RecordFields(TypedDict, total=False):
-    """What `from_arrays` may be told of a record beside its channels.
+    """Keyword arguments of `from_arrays` that describe a record beside its channels.
 
     Attributes:
         t: timestamps [s]; multiples of the period by default. For a log that is irregular beyond
             jitter, follow with `resample`.
         v: velocities, shaped like the positions.
         v_measured: whether a sensor measured them; by default yes.
-        name: what the record is called; by default `experiment`.
+        name: name of the record; by default `experiment`.
         split: `train`, `validation`, `test` or None.
-        groups: what the record was made with, as `{"payload": "1kg"}`.
+        groups: conditions of the record, as `{"payload": "1kg"}`.
     """
 
     t: ArrayLike | None
@@ -142,7 +142,7 @@ def from_arrays(
         record: further fields of the record by keyword. `t`: timestamps [s], multiples of `dt` by
             default. `v`: velocities, shaped like `q`. `v_measured`: whether a sensor measured them,
             by default yes. `name`, by default `experiment`. `split`: `train`, `validation`, `test`
-            or None. `groups`: what the record was made with, as `{"payload": "1kg"}`.
+            or None. `groups`: conditions of the record, as `{"payload": "1kg"}`.
 
     Raises:
         InputError: shapes that do not fit, numbers that are not finite, timestamps whose median
@@ -153,11 +153,22 @@ def from_arrays(
         fields = ", ".join(RecordFields.__annotations__)
         raise TypeError(f"from_arrays takes no '{unknown[0]}'; of a record it takes {fields}")
     name, t, v = record.get("name", "experiment"), record.get("t"), record.get("v")
-    channels = _channels(name, coordinates, inputs, dt)
-    positions = _columns(q, name)
+    if isinstance(coordinates, Mapping):
+        coordinates = [Coordinate(c, kind) for c, kind in coordinates.items()]
+    if isinstance(inputs, Mapping):
+        inputs = [Input(i, unit) for i, unit in inputs.items()]
+    if not all(isinstance(c, Coordinate) for c in coordinates):
+        raise InputError(name, "coordinates without a kind", '{"arm": "angular", "cart": "linear"}')
+    if not all(isinstance(i, Input) for i in inputs):
+        raise InputError(name, "inputs without a unit", '{"motor": "V"}')
+    channels = Channels(tuple(coordinates), tuple(inputs), dt)
+    positions = _matrix(q, name)
     n = len(positions)
-    columns = list(enumerate(channels.coordinates))[: positions.shape[1]]
-    angles = {j: c.name for j, c in columns if c.kind == "angular"}
+    angles = {
+        j: c.name
+        for j, c in enumerate(channels.coordinates[: positions.shape[1]])
+        if c.kind == "angular"
+    }
     positions, notes = unwrap_angles(positions, angles)
     times = np.arange(n) * dt if t is None else np.asarray(t, dtype=float)
     median = float(np.median(np.diff(times))) if n > 1 else dt
@@ -169,8 +180,8 @@ def from_arrays(
         name=name,
         t=times,
         q=positions,
-        u=np.zeros((n, 0)) if u is None else _columns(u, name),
-        v=None if v is None else _columns(v, name),
+        u=np.zeros((n, 0)) if u is None else _matrix(u, name),
+        v=None if v is None else _matrix(v, name),
         v_measured=v is not None and record.get("v_measured", True),
         channels=channels,
         split=record.get("split"),
@@ -179,24 +190,7 @@ def from_arrays(
     )
 
 
-def _channels(
-    name: str,
-    coordinates: Sequence[Coordinate] | Mapping[str, Kind],
-    inputs: Sequence[Input] | Mapping[str, str],
-    dt: float,
-) -> Channels:
-    if isinstance(coordinates, Mapping):
-        coordinates = [Coordinate(c, kind) for c, kind in coordinates.items()]
-    if isinstance(inputs, Mapping):
-        inputs = [Input(i, unit) for i, unit in inputs.items()]
-    if not all(isinstance(c, Coordinate) for c in coordinates):
-        raise InputError(name, "coordinates without a kind", '{"arm": "angular", "cart": "linear"}')
-    if not all(isinstance(i, Input) for i in inputs):
-        raise InputError(name, "inputs without a unit", '{"motor": "V"}')
-    return Channels(tuple(coordinates), tuple(inputs), dt)
-
-
-def _columns(values: ArrayLike, name: str) -> Float[np.ndarray, "n c"]:
+def _matrix(values: ArrayLike, name: str) -> Float[np.ndarray, "n c"]:
     try:
         array = np.array(values, dtype=float)
     except (TypeError, ValueError) as error:

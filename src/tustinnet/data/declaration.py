@@ -10,39 +10,40 @@ from typing import Annotated, Any, TypeVar, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
-from tustinnet.errors import InputError, refusing, require_name, require_text
+from tustinnet.errors import InputError, convert_errors, require_name, require_text
 
-_LARGEST = 1_000_000  # bytes of a text that somebody wrote
+_LARGEST = 1_000_000  # bytes of a text file that is written by hand
 _DEEPEST = 20  # tables in tables
 _INTEGERS = 2**63  # TOML has integers of 64 bits
-# tomllib takes an hour for a key of half a million parts, so that these are refused before it
+# tomllib takes an hour for a key of half a million parts; these are refused beforehand
 _LONG_KEY = re.compile(
     rf"""(?<![\w"'-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{_DEEPEST}}}"""
 )
 _LONG_NUMBER = re.compile(r"\d{1001}")
 _NESTED = f"nested deeper than {_DEEPEST}"
+_OF_A_KEY = "[key]"  # pydantic's mark of a wrong key, not a wrong value
 
 
-def _name(name: str) -> str:
+def _check_name(name: str) -> str:
     require_name(name, "")  # the message begins with the key
     return name
 
 
-def _text(text: str) -> str:
+def _check_text(text: str) -> str:
     require_text(text, "")
     return text
 
 
-def _sentence(text: str) -> str:
+def _check_sentence(text: str) -> str:
     words = text.split()
     for word in words:
         require_text(word, "")
     return " ".join(words)
 
 
-Name = Annotated[str, AfterValidator(_name)]  # can be a file's name
-Text = Annotated[str, AfterValidator(_text)]  # can be printed
-Sentence = Annotated[str, AfterValidator(_sentence)]  # the same, of any length and on any lines
+Name = Annotated[str, AfterValidator(_check_name)]  # can be a file's name
+Text = Annotated[str, AfterValidator(_check_text)]  # can be printed
+Sentence = Annotated[str, AfterValidator(_check_sentence)]  # Text of any length, on any lines
 
 
 class Declaration(BaseModel):
@@ -51,10 +52,10 @@ class Declaration(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-Declared = TypeVar("Declared", bound=Declaration)
+DeclarationType = TypeVar("DeclarationType", bound=Declaration)
 
 
-def read_declaration(path: Path, kind: type[Declared]) -> Declared:
+def read_declaration(path: Path, kind: type[DeclarationType]) -> DeclarationType:
     """Reads a TOML file as a declaration.
 
     Raises:
@@ -71,28 +72,33 @@ def read_toml(path: Path) -> dict[str, Any]:
         InputError: no such file, or no TOML.
     """
     text = read_source(path, "a TOML file")
-    with refusing(path, "not valid TOML", "key = value lines"):
+    with convert_errors(path, "not valid TOML", "key = value lines"):
         return parse_toml(text)
 
 
-def read_source(path: Path, what: str) -> str:
-    """A text that somebody wrote: a file of at most 1 MB in UTF-8.
+def read_source(path: Path, expected: str) -> str:
+    """The content of a text file of at most 1 MB in UTF-8.
+
+    Args:
+        path: the file.
+        expected: kind of file, for the message.
 
     Raises:
-        InputError: no such file, no file at all, too large, or no text; `what` is expected.
+        InputError: no such file, no file at all, too large, or no text.
     """
-    with refusing(path, "cannot be read", f"{what} in UTF-8"):
+    with convert_errors(path, "cannot be read", f"{expected} in UTF-8"):
         if not path.is_file():  # a pipe may never end
-            raise InputError(path, "a folder or pipe" if path.exists() else "no such file", what)
+            problem = "a folder or pipe" if path.exists() else "no such file"
+            raise InputError(path, problem, expected)
         with path.open("rb") as file:
             content = file.read(_LARGEST + 1)
         if len(content) > _LARGEST:
-            raise InputError(path, "more than 1 MB", what)
+            raise InputError(path, "more than 1 MB", expected)
         return content.decode("utf-8-sig")
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """What a text of TOML says.
+    """The content of a text of TOML.
 
     Raises:
         ValueError: no TOML, or nested too deep.
@@ -107,82 +113,76 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise ValueError(_NESTED) from None
 
 
-def packaged(packages: Sequence[str], what: str = "recipe") -> dict[str, str]:
-    """The declarations in the folders `recipes`, or of another kind, of packages.
+def list_packaged(packages: Sequence[str], kind: str = "recipe") -> dict[str, str]:
+    """The declarations of a kind that come with packages, in their folders `recipes`, `plans`, ...
 
     Returns:
-        Their names in order, and the package of each.
+        The names in order, and the package of each.
     """
-    found = {
+    names = {
         file.name.removesuffix(".toml"): package
         for package in packages
-        for file in (resources.files(package) / f"{what}s").iterdir()
+        for file in (resources.files(package) / f"{kind}s").iterdir()
         if file.name.endswith(".toml")
     }
-    return dict(sorted(found.items()))
+    return dict(sorted(names.items()))
 
 
 def read_packaged(
-    name: str | Path, packages: Sequence[str], what: str = "recipe"
+    name: str | Path, packages: Sequence[str], kind: str = "recipe"
 ) -> tuple[dict[str, Any], object]:
     """A recipe or a plan that comes with one of some packages, by name, or one from a TOML file.
 
     Returns:
-        Its content, and what to call it in messages.
+        Its content, and its name for messages.
 
     Raises:
         InputError: none of that name.
     """
-    known = packaged(packages, what)
-    if str(name) in known:
-        place = resources.files(known[str(name)]) / f"{what}s" / f"{name}.toml"
+    homes = list_packaged(packages, kind)
+    if str(name) in homes:
+        place = resources.files(homes[str(name)]) / f"{kind}s" / f"{name}.toml"
         with resources.as_file(place) as path:
-            return read_toml(path), f"{what} '{name}'"
+            return read_toml(path), f"{kind} '{name}'"
     if Path(name).suffix == ".toml":
         return read_toml(Path(name)), name
     raise InputError(
-        what,
-        f"no {what} '{name}'",
-        f"one of {', '.join(known)}, or a file ending in .toml",
+        kind,
+        f"no {kind} '{name}'",
+        f"one of {', '.join(homes)}, or a file ending in .toml",
     )
 
 
-_OF_A_KEY = "[key]"  # where pydantic says that not a value but its key is wrong
-
-
-def _names(error: Any) -> list[str]:
-    """The keys that a table may have whose keys are names."""
-    return re.findall(r"'([^']*)'", str(error.get("ctx", {}).get("expected", "")))
-
-
-def declare(content: dict[str, Any], kind: type[Declared], where: object) -> Declared:
+def declare(content: dict[str, Any], kind: type[DeclarationType], where: object) -> DeclarationType:
     """Validates a mapping as a declaration; `where` names it in errors."""
     require_plain(content, where)
     try:
         return kind.model_validate(content)
     except ValidationError as error:
         # a misspelt key also makes the right one missing: the misspelling is the news
-        found = error.errors()
-        first = next((e for e in found if e["type"] == "extra_forbidden"), found[0])
+        errors = error.errors()
+        first = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])
         location = [str(part) for part in first["loc"]]
         key = ".".join(location) or "the file"
-        named = location[-1:] == [_OF_A_KEY]  # a table whose keys are names
-        if named:
+        keys: list[str] | None = None
+        if location[-1:] == [_OF_A_KEY]:  # a table whose keys are names, which the error lists
             location = location[:-1]
             key = ".".join(location)
-        if named or first["type"] == "extra_forbidden":
-            known = _names(first) if named else _known_keys(kind, first["loc"][:-1])
-            near = difflib.get_close_matches(location[-1], known, n=1)
-            hint = f"did you mean '{near[0]}'?" if near else f"known keys: {', '.join(known)}"
+            keys = re.findall(r"'([^']*)'", str(first.get("ctx", {}).get("expected", "")))
+        elif first["type"] == "extra_forbidden":
+            keys = _table_keys(kind, first["loc"][:-1])
+        if keys is not None:
+            near = difflib.get_close_matches(location[-1], keys, n=1)
+            hint = f"did you mean '{near[0]}'?" if near else f"known keys: {', '.join(keys)}"
             raise InputError(f"{where}, {key}", "unknown key", "", hint) from None
         if first["type"] == "missing":
             raise InputError(f"{where}, {key}", "missing", "a value for this key") from None
         message = first["msg"].removeprefix("Value error, ").removeprefix(": ")
         received = first.get("input")
         if isinstance(received, dict):  # a whole table: name it instead of printing it
-            called = f" '{received['name']}'" if "name" in received else ""
-            raise InputError(f"{where}, {key}{called}", message) from None
-        if isinstance(first.get("ctx", {}).get("error"), InputError):  # it says what it was given
+            name = f" '{received['name']}'" if "name" in received else ""
+            raise InputError(f"{where}, {key}{name}", message) from None
+        if isinstance(first.get("ctx", {}).get("error"), InputError):  # it contains the value
             raise InputError(f"{where}, {key}", message) from None
         raise InputError(f"{where}, {key}", f"{message} (got {repr(received)[:60]})") from None
 
@@ -205,8 +205,8 @@ def require_plain(content: Mapping[str, Any], where: object) -> None:
     raise InputError(where, _NESTED, "a few tables")
 
 
-def _known_keys(kind: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
-    """The keys of the table at a location: follows field types, through lists and unions."""
+def _table_keys(kind: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    """The keys of the table at a location; field types are followed through lists and unions."""
     models = [kind]
     for part in location:
         if isinstance(part, str):

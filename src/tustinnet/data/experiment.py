@@ -7,28 +7,27 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from tustinnet.channels import Channels, HasChannels, Input, acting
+from tustinnet.channels import Channels, HasChannels, Input, merge_timing
 from tustinnet.data.recording import Recording, describe_recording
 from tustinnet.errors import InputError, require_name
 from tustinnet.signals import resampling, transients
 from tustinnet.signals.derivatives import VelocityMethod, differentiate
-from tustinnet.signals.excitation import HALF, Excitation, Held, excitation
+from tustinnet.signals.excitation import HALF, DeclaredHold, Excitation, excitation
 
 VelocitySource = Literal["auto", "file", "stencil", "savgol", "kalman", "wiener", "trapezoidal"]
 
 LARGEST = 1e100  # of a position, input or velocity; squares of larger ones overflow
-_SIMULATING = "simulating"
 _STENCIL_SAMPLES = 5
 
 
 def unwrap_angles(
     q: Float[np.ndarray, "n n_q"], names: Mapping[int, str]
 ) -> tuple[Float[np.ndarray, "n n_q"], tuple[str, ...]]:
-    """Positions without the jumps of wrapped angles, and a note for each angle that had some.
+    """Positions without the jumps of wrapped angles, and a note for each unwrapped angle.
 
     Args:
         q: positions, (n, n_q) [rad or m].
-        names: what the columns to unwrap are called, by index.
+        names: names of the columns to unwrap, by index.
     """
     q, notes = q.copy(), []
     for j, name in names.items():
@@ -43,7 +42,7 @@ class Experiment(HasChannels):
     """One frozen record of one run. SI units, angles in radians and not wrapped.
 
     Attributes:
-        name: what the record is called.
+        name: name of the record.
         t: timestamps as recorded, (n,) [s].
         q: positions, (n, n_q) [rad or m].
         u: inputs, (n, n_u); `u[k]` acts from sample k on.
@@ -51,14 +50,14 @@ class Experiment(HasChannels):
         v: velocities as they stand in the file, (n, n_q) [rad/s or m/s], or None.
         v_measured: whether `v` was measured by a sensor of its own.
         split: `train`, `validation`, `test` or None.
-        k_bar: end of the transient as a sample index, where somebody declared it.
-        groups: what the record was made with, as pairs of a name and its value
-            (`payload`, `1kg`), in the order of the names.
-        source: where the record came from.
+        k_bar: end of the transient as a sample index, where it is declared.
+        groups: conditions of the record, as pairs of a name and its value (`payload`, `1kg`), in
+            the order of the names.
+        source: origin of the record, as its file.
         sha256: checksum of that file.
-        first_row: the row of the source that sample 0 was.
-        recording: how the whole record was sampled before it was put on a grid, where it was.
-        notes: what reading it found and did (jitter accepted, angles unwrapped, ...).
+        first_row: row of sample 0 in the source.
+        recording: time base of the whole record before it was resampled, None where it was not.
+        notes: remarks on how it was read (jitter accepted, angles unwrapped, ...).
     """
 
     name: str
@@ -109,21 +108,21 @@ class Experiment(HasChannels):
 
     def _freeze(self, attribute: str, shape: tuple[int | None, ...]) -> None:
         array = np.array(getattr(self, attribute), dtype=np.float64, order="C")
-        wanted = tuple(array.shape[0] if n is None and array.ndim else n for n in shape)
-        if array.shape != wanted:
+        expected = tuple(array.shape[0] if n is None and array.ndim else n for n in shape)
+        if array.shape != expected:
             raise InputError(
                 self.name,
                 f"{attribute} has shape {array.shape}",
-                f"{wanted}: samples by {'inputs' if attribute == 'u' else 'coordinates'}",
+                f"{expected}: samples by {'inputs' if attribute == 'u' else 'coordinates'}",
             )
         usable = np.abs(array) <= LARGEST
         if not usable.all():
             row, *column = (int(index) for index in np.argwhere(~usable)[0])
             value = array[row, *column]
-            found = f"is {value:g}" if np.isfinite(value) else "is not finite"
+            problem = f"is {value:g}" if np.isfinite(value) else "is not finite"
             raise InputError(
                 self.name,
-                f"{attribute} {found} at sample {row}",
+                f"{attribute} {problem} at sample {row}",
                 f"finite numbers of at most {LARGEST:g}",
             )
         array.setflags(write=False)
@@ -133,7 +132,7 @@ class Experiment(HasChannels):
         return len(self.t)
 
     def group(self, name: str) -> str | None:
-        """The record's value of a group, None where it has none."""
+        """The record's value of a condition (`groups`), None where it has none."""
         return dict(self.groups).get(name)
 
     def __repr__(self) -> str:
@@ -141,12 +140,23 @@ class Experiment(HasChannels):
         return f"Experiment({self.name!r}, {len(self)} samples of {self.dt:g} s, {names})"
 
     def __getitem__(self, samples: slice) -> "Experiment":
-        """A part of the record; timestamps, period, `k_bar` and first row stay true."""
+        """A part of the record, with its timestamps, period, `k_bar` and first row."""
         start, stop, stride = samples.indices(len(self))
         if stride < 1:
             raise InputError(self.name, f"slice with step {stride}", "a positive step")
         if stride > 1:
-            self._require_held(start, stop, stride)
+            changed = np.diff(self.u[start:stop], axis=0) != 0
+            changes = np.arange(1, len(changed) + 1)
+            # a held input may change at a kept sample; a ramp that ends there began before it
+            between = changes % stride != 0
+            lost = changes[(changed & (between[:, None] | ~self.channels.zero_order)).any(axis=1)]
+            if len(lost):
+                raise InputError(
+                    self.name,
+                    f"a step of {stride} would drop the input's change at sample {start + lost[0]}",
+                    "an input that is constant between the kept samples",
+                    "use `resample`, which keeps the mean of the input",
+                )
         k_bar = None if self.k_bar is None else max(0, min(self.k_bar, stop) - start)
         part = slice(start, stop, stride)
         return replace(
@@ -160,20 +170,6 @@ class Experiment(HasChannels):
             first_row=self.first_row + start,
         )
 
-    def _require_held(self, start: int, stop: int, stride: int) -> None:
-        changed = np.diff(self.u[start:stop], axis=0) != 0
-        changes = np.arange(1, len(changed) + 1)
-        # a held input may change at a kept sample; a ramp that ends there began before it
-        between = changes % stride != 0
-        lost = changes[(changed & (between[:, None] | ~self.channels.held)).any(axis=1)]
-        if len(lost):
-            raise InputError(
-                self.name,
-                f"a step of {stride} would drop the input's change at sample {start + lost[0]}",
-                "an input that is constant between the kept samples",
-                "use `resample`, which keeps the mean of the input",
-            )
-
     def resample(self, dt: float) -> "Experiment":
         """The record on a regular grid of period `dt` [s] from its first timestamp on.
 
@@ -185,7 +181,7 @@ class Experiment(HasChannels):
             InputError: a period longer than the record, or a grid of more than 10 times its
                 samples; the message names the longest interval. An input whose hold is `unknown`.
         """
-        self._require_holds(self.inputs, "resampling")
+        self._require_holds(self.inputs, "resampling", delays=False)
         if not 0 < dt < self.seconds:
             raise InputError(
                 self.name, f"period {dt} s", f"more than 0 and less than {self.seconds:g} s"
@@ -197,18 +193,6 @@ class Experiment(HasChannels):
             end = len(self) == self.k_bar
             near = 1e-6 * dt  # rounding must not move it by a sample
             k_bar = len(grid) if end else int(np.searchsorted(grid, self.t[self.k_bar] - near))
-        return replace(
-            self,
-            t=grid,
-            channels=replace(self.channels, dt=dt),
-            q=resampling.resample_positions(self.t, self.q, grid),
-            u=self._resampled_inputs(grid),
-            v=None if self.v is None else resampling.resample_linear(self.t, self.v, grid),
-            k_bar=k_bar,
-            recording=self.recording or describe_recording(self.t, self.q, self.dt),
-        )
-
-    def _resampled_inputs(self, grid: Float[np.ndarray, " m"]) -> Float[np.ndarray, "m n_u"]:
         by_hold = {
             "zero-order": resampling.resample_held,
             "first-order": resampling.resample_linear,
@@ -217,7 +201,16 @@ class Experiment(HasChannels):
         u = np.zeros((len(grid), self.channels.n_u))
         for k, i in enumerate(self.inputs):
             u[:, k : k + 1] = by_hold[i.hold or "zero-order"](self.t, self.u[:, k : k + 1], grid)
-        return u
+        return replace(
+            self,
+            t=grid,
+            channels=replace(self.channels, dt=dt),
+            q=resampling.resample_positions(self.t, self.q, grid),
+            u=u,
+            v=None if self.v is None else resampling.resample_linear(self.t, self.v, grid),
+            k_bar=k_bar,
+            recording=self.recording or describe_recording(self.t, self.q, self.dt),
+        )
 
     def trim(self, start: float = 0.0, stop: float | None = None) -> "Experiment":
         """The part between two times [s], counted from the record's first sample."""
@@ -249,7 +242,7 @@ class Experiment(HasChannels):
 
     @property
     def seconds(self) -> float:
-        """From the first sample to the last [s]."""
+        """Duration from the first sample to the last [s]."""
         return float(self.t[-1] - self.t[0])
 
     @property
@@ -266,22 +259,23 @@ class Experiment(HasChannels):
         """The inputs as a function of time: at the samples and between them.
 
         Args:
-            inputs: the inputs of the model to be simulated. Its delays are used, and its holds
-                where the record says none. By default the record's own.
+            inputs: the inputs of the model to simulate. Its delays are used, and its holds where
+                the record declares none. By default the record's own.
 
         Raises:
             InputError: an input whose hold or delay is unknown; a record too short to interpolate
                 a band-limited input, or shorter than a delay.
         """
-        said = self.inputs if inputs is None else acting(self.inputs, inputs)
-        self._require_holds(said, _SIMULATING)
-        holds: list[Held] = [i.hold or "zero-order" for i in said]  # pyright: ignore[reportAssignmentType]
-        delays = [(i.delay or 0.0) / self.dt for i in said]
-        for i, hold, delay in zip(said, holds, delays, strict=True):
+        inputs = self.inputs if inputs is None else merge_timing(self.inputs, inputs)
+        self._require_holds(inputs, "simulating", delays=True)
+        holds: list[DeclaredHold] = [i.hold or "zero-order" for i in inputs]  # pyright: ignore[reportAssignmentType]
+        delays = [(i.delay or 0.0) / self.dt for i in inputs]
+        for i, hold, delay in zip(inputs, holds, delays, strict=True):
             where = f"{self.name}, input '{i.name}'"
             if abs(delay) >= len(self) - 1:
-                own = f"less than its {self.seconds:g} s"
-                raise InputError(where, f"a delay of {i.delay:g} s", own)
+                raise InputError(
+                    where, f"a delay of {i.delay:g} s", f"less than its {self.seconds:g} s"
+                )
             if hold == "band-limited" and len(self) <= HALF:
                 raise InputError(
                     where, f"hold 'band-limited' and {len(self)} samples", f"more than {HALF}",
@@ -289,22 +283,22 @@ class Experiment(HasChannels):
                 )  # fmt: skip
         return excitation(self.u, holds, delays)
 
-    def driving(self, inputs: Sequence[Input]) -> "Experiment":
-        """The same record with the holds and delays of a model's inputs."""
-        said = acting(self.inputs, inputs)
-        return replace(self, channels=replace(self.channels, inputs=said))
+    def with_timing(self, inputs: Sequence[Input]) -> "Experiment":
+        """The record with the delays of a model's inputs, and their holds where it has none."""
+        merged = merge_timing(self.inputs, inputs)
+        return replace(self, channels=replace(self.channels, inputs=merged))
 
-    def _require_holds(self, inputs: Sequence[Input], doing: str) -> None:
+    def _require_holds(self, inputs: Sequence[Input], purpose: str, *, delays: bool) -> None:
         for i in inputs:
             if i.hold == "unknown":
                 raise InputError(
-                    f"{self.name}, input '{i.name}'", f"hold 'unknown', and {doing} needs one",
+                    f"{self.name}, input '{i.name}'", f"hold 'unknown', and {purpose} needs one",
                     "zero-order, first-order or band-limited",
                     "declare it in the data card; `fit` of a grey box tries all of them",
                 )  # fmt: skip
-            if i.delay is None and doing == _SIMULATING:
+            if i.delay is None and delays:
                 raise InputError(
-                    f"{self.name}, input '{i.name}'", f"delay 'unknown', and {doing} needs one",
+                    f"{self.name}, input '{i.name}'", f"delay 'unknown', and {purpose} needs one",
                     "a delay in seconds",
                     "declare it in the data card; `fit` of a grey box searches for it",
                 )  # fmt: skip
@@ -315,7 +309,7 @@ class Experiment(HasChannels):
         """Positions and velocities [q, v] of every sample, (n, 2 n_q).
 
         Args:
-            velocity: where the velocities come from, see `velocities`.
+            velocity: source of the velocities, see `velocities`.
         """
         return np.concatenate([self.q, self.velocities(velocity)], axis=1)
 
@@ -329,8 +323,8 @@ class Experiment(HasChannels):
                 the stencil.
         """
         if source == "auto":
-            trusted = self.v is not None and self.v_measured and self.padded_rows == (0, 0)
-            source = "file" if trusted else "stencil"
+            usable = self.v is not None and self.v_measured and self.padded_rows == (0, 0)
+            source = "file" if usable else "stencil"
         if source == "file":
             if self.v is None:
                 raise InputError(
@@ -369,6 +363,6 @@ class Experiment(HasChannels):
         return lead, trail
 
 
-def moves_in(experiments: Sequence[Experiment]) -> Bool[np.ndarray, " n_q"]:
-    """Which coordinates move in at least one of some records."""
-    return np.any([transients.moves(e.q) for e in experiments], axis=0)
+def moving_coordinates(experiments: Sequence[Experiment]) -> Bool[np.ndarray, " n_q"]:
+    """Mask of the coordinates that move in at least one of some records."""
+    return np.any([transients.is_moving(e.q) for e in experiments], axis=0)

@@ -1,15 +1,15 @@
-"""What a single file of columns holds, without a card: guesses, and the draft of a card."""
+"""Inspection of a single file of columns without a card: guesses, and the draft of a card."""
 
 import json
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.data.columns import NUMBERED, Column, Columns
+from tustinnet.data.columns import NUMBERED, Column
 from tustinnet.data.readers import read_columns
 from tustinnet.data.units import TIME
 from tustinnet.errors import InputError
@@ -17,28 +17,28 @@ from tustinnet.signals.encoder import encoder_count
 
 Role = Literal["time", "position", "velocity", "input", "constant", "no numbers"]
 
-_MOST = 60  # columns that are looked at
+_MOST = 60  # columns that are examined
 _CLOCK = re.compile(r"(?i)(^|[^a-z])(t|time|times|timestamp|clock|sec|seconds)([^a-z]|$)")
-_DRIVE = re.compile(
+_INPUT = re.compile(
     r"(?i)(^|[^a-z])(u|in|input|volts?|voltage|torque|force|current|control|command|pwm|motor)"
     r"([^a-z]|$)"
 )
 _TIME_UNIT = re.compile(r"(?i)(^|[^a-z])(ms|us|ns)([^a-z]|$)")
-_REGULAR = 0.5  # relative deviation of the intervals of a clock whose name does not say so
+_REGULAR = 0.5  # relative deviation of the intervals of a clock that has another name
 _SMOOTH = 0.3  # a position moves by less than this share of its spread from sample to sample
-_HELD = 0.2  # of samples: an input that changes less often is held at levels
+_FEW_CHANGES = 0.2  # of samples: an input that changes less often is held at levels
 _DERIVATIVE = 0.9  # correlation of a velocity with the slope of its position
 
 
 @dataclass(frozen=True)
 class ColumnReport:
-    """One column.
+    """The result of an inspection of one column.
 
     Attributes:
-        name: what it is called.
-        role: what it looks like.
+        name: name of the column.
+        role: its probable meaning.
         range: smallest and largest finite value.
-        distinct: how many different values.
+        distinct: number of different values.
         count: the step of its values, where it is quantised as an encoder is.
         remark: a few words on the guess.
     """
@@ -53,16 +53,16 @@ class ColumnReport:
 
 @dataclass(frozen=True)
 class FileReport:
-    """A file of columns.
+    """The result of an inspection of a file of columns.
 
     Attributes:
         name: the file's name.
-        rows: how many samples.
+        rows: number of samples.
         dt: median interval [s], where there is a column of times.
         jitter: largest deviation of an interval from it [s].
         time_unit: the unit of the times, guessed.
-        columns: per column.
-        notes: what reading it found.
+        columns: a report for each column.
+        notes: remarks on how the file was read.
         draft: a data card to start from, in TOML.
     """
 
@@ -76,9 +76,12 @@ class FileReport:
     draft: str
 
 
-@np.errstate(all="ignore")  # what is no number, or too large, is told and does not count
+@np.errstate(all="ignore")  # what is no number, or too large, is reported and does not count
 def inspect_file(path: Path) -> FileReport:
-    """Looks at a file that no card describes; everything but the numbers is a guess.
+    """Inspects a file that no card describes; everything but the numbers is a guess.
+
+    Args:
+        path: the file.
 
     Raises:
         InputError: the file cannot be read, or has no column of numbers.
@@ -90,51 +93,54 @@ def inspect_file(path: Path) -> FileReport:
         columns = columns.element(1)
     if len(columns.names) > _MOST:
         notes.append(f"{len(columns.names)} columns; the first {_MOST} are looked at")
-    values, reports = _read(columns)
-    if not values:
-        raise InputError(path, "no column of numbers", "a column of times, positions or inputs")
-    clock = _clock(values)
-    unit = "s" if clock is None else _time_unit(clock, values[clock])
-    found = {
-        name: ColumnReport(name, "time", _range(column), len(column), None, f"in {unit}?")
-        if name == clock
-        else _judge(name, column)
-        for name, column in values.items()
-    }
-    found = _with_velocities(found, values)
-    reports = tuple(found.get(r.name, r) for r in reports)
-    steps = None
-    if clock is not None:
-        steps = np.diff(values[clock]) * TIME[unit]
-    dt = None if steps is None else float(np.median(steps))
-    jitter = None if steps is None or dt is None else float(np.abs(steps - dt).max())
-    rows = max(map(len, values.values()))
-    report = FileReport(path.name, rows, dt, jitter, unit, reports, tuple(notes), "")
-    return FileReport(**{**vars(report), "draft": _draft(report)})
-
-
-def _read(columns: Columns) -> tuple[dict[str, Column], list[ColumnReport]]:
-    """The columns of numbers, and a first report of each column."""
-    values, reports = {}, []
+    values: dict[str, Column] = {}
+    reports: dict[str, ColumnReport] = {}
     for name in columns.names[:_MOST]:
         try:
-            column = columns[name]
+            values[name] = columns[name]
+            reports[name] = ColumnReport(name, "constant")  # holds its place
         except InputError as error:
-            reports.append(ColumnReport(name, "no numbers", remark=str(error).split(": ", 1)[-1]))
-            continue
-        values[name] = column
-        reports.append(ColumnReport(name, "constant"))
-    reports += [ColumnReport(n, "no numbers", remark=other) for n, other in columns.others.items()]
-    return values, reports
+            remark = str(error).split(": ", 1)[-1]
+            reports[name] = ColumnReport(name, "no numbers", remark=remark)
+    if not values:
+        raise InputError(path, "no column of numbers", "a column of times, positions or inputs")
+    clock = _find_clock(values)
+    unit = "s" if clock is None else _guess_time_unit(clock, values[clock])
+    for name, column in values.items():
+        if name == clock:
+            extent = float(column[0]), float(column[-1])
+            reports[name] = ColumnReport(name, "time", extent, len(column), None, f"in {unit}?")
+        else:
+            reports[name] = _guess_role(name, column)
+    positions = [name for name, report in reports.items() if report.role == "position"]
+    for position in positions:
+        for name in positions:
+            is_position = reports[position].role == "position"
+            if name != position and is_position and _is_slope(values[position], values[name]):
+                reports[name] = replace(
+                    reports[name], role="velocity", count=None, remark=f"slope of '{position}'"
+                )
+    others = [ColumnReport(n, "no numbers", remark=text) for n, text in columns.others.items()]
+    dt = jitter = None
+    if clock is not None:
+        steps = np.diff(values[clock]) * TIME[unit]
+        dt = float(np.median(steps))
+        jitter = float(np.abs(steps - dt).max())
+    report = FileReport(
+        name=path.name,
+        rows=max(map(len, values.values())),
+        dt=dt,
+        jitter=jitter,
+        time_unit=unit,
+        columns=(*reports.values(), *others),
+        notes=tuple(notes),
+        draft="",
+    )
+    return replace(report, draft=_draft(report))
 
 
-def _range(column: Column) -> tuple[float, float] | None:
-    finite = column[np.isfinite(column)]
-    return (float(finite.min()), float(finite.max())) if len(finite) else None
-
-
-def _clock(values: dict[str, Column]) -> str | None:
-    """The column that looks like times: it increases, and is called so or does so regularly."""
+def _find_clock(values: dict[str, Column]) -> str | None:
+    """The column of times: it increases, and has such a name or does so regularly."""
     rising = {}
     for name, column in values.items():
         steps = np.diff(column)
@@ -145,51 +151,37 @@ def _clock(values: dict[str, Column]) -> str | None:
     return next(iter([*named, *regular]), None)
 
 
-def _time_unit(name: str, column: Column) -> str:
-    """By the name, else by the size of the intervals: whole ones are no seconds."""
-    told = _TIME_UNIT.search(name)
-    if told:
-        return told[2].lower()
+def _guess_time_unit(name: str, column: Column) -> str:
+    """The unit of times by their name, else by the intervals: whole ones are no seconds."""
+    match = _TIME_UNIT.search(name)
+    if match:
+        return match[2].lower()
     step = float(np.median(np.diff(column)))
     if step < 1 or (column != np.round(column)).any():
         return "s"
     return "ms" if step < 1000 else "us" if step < 1e6 else "ns"
 
 
-def _judge(name: str, column: Column) -> ColumnReport:
-    """Smooth columns are positions, held or rough ones inputs, if their names say nothing else."""
+def _guess_role(name: str, column: Column) -> ColumnReport:
+    """A guess at a column: position if smooth, input if held or rough or by its name."""
     finite = column[np.isfinite(column)]
+    extent = (float(finite.min()), float(finite.max())) if len(finite) else None
     lost = len(column) - len(finite)
     remark = f"{lost} not finite" if lost else ""
     distinct = len(np.unique(finite))
     if distinct < 2:
-        return ColumnReport(name, "constant", _range(column), distinct, None, remark)
+        return ColumnReport(name, "constant", extent, distinct, None, remark)
     steps = np.diff(finite)
     changes = float(np.mean(steps != 0))
-    rough = float(np.sqrt(np.mean(steps**2)) / np.std(finite))
+    roughness = float(np.sqrt(np.mean(steps**2)) / np.std(finite))
     jump = float(np.abs(steps[steps != 0]).min() / np.ptp(finite))
-    held = changes < _HELD and jump > 1 / 50
+    has_levels = changes < _FEW_CHANGES and jump > 1 / 50
     count = encoder_count(finite)
-    if _DRIVE.search(name) or held or rough > _SMOOTH:
-        told = "held levels" if held else "rough" if rough > _SMOOTH else "by its name"
-        return ColumnReport(name, "input", _range(column), distinct, None, remark or told)
-    told = f"steps of {count:.6g}, as encoder counts" if count else "smooth"
-    return ColumnReport(name, "position", _range(column), distinct, count, remark or told)
-
-
-def _with_velocities(
-    found: dict[str, ColumnReport], values: dict[str, Column]
-) -> dict[str, ColumnReport]:
-    """The same, with positions that are another one's slope told to be velocities."""
-    positions = [name for name, report in found.items() if report.role == "position"]
-    for of in positions:
-        for name in positions:
-            if name != of and found[of].role == "position" and _is_slope(values[of], values[name]):
-                old = found[name]
-                found[name] = ColumnReport(
-                    name, "velocity", old.range, old.distinct, None, f"slope of '{of}'"
-                )
-    return found
+    if _INPUT.search(name) or has_levels or roughness > _SMOOTH:
+        why = "held levels" if has_levels else "rough" if roughness > _SMOOTH else "by its name"
+        return ColumnReport(name, "input", extent, distinct, None, remark or why)
+    why = f"steps of {count:.6g}, as encoder counts" if count else "smooth"
+    return ColumnReport(name, "position", extent, distinct, count, remark or why)
 
 
 def _is_slope(position: Float[np.ndarray, " n"], other: Float[np.ndarray, " m"]) -> bool:
@@ -206,11 +198,11 @@ def _is_slope(position: Float[np.ndarray, " n"], other: Float[np.ndarray, " m"])
 
 
 def _draft(report: FileReport) -> str:
-    """A card for the file, with what is to be checked said behind it."""
+    """A card for the file, with comments on what must be checked."""
     by_role: dict[str, list[ColumnReport]] = {}
     for column in report.columns:
         by_role.setdefault(column.role, []).append(column)
-    lines = [f"name = {_quoted(Path(report.name).stem)}"]
+    lines = [f"name = {_quote(Path(report.name).stem)}"]
     if report.dt is None:
         lines += ["dt = 0.01  # s: no column of times was found, say how far apart samples are"]
     else:
@@ -221,39 +213,38 @@ def _draft(report: FileReport) -> str:
     velocities = {c.remark: c for c in by_role.get("velocity", [])}
     positions = by_role.get("position") or by_role.get("input", [])[:1]
     for column in positions:
-        lines += ["", "[[coordinates]]", *_coordinate(column)]
+        lines += [
+            "", "[[coordinates]]", f"name = {_channel_name(column.name)}",
+            'kind = "angular"  # or "linear"', f"column = {_key(column.name)}",
+        ]  # fmt: skip
+        if column.count is not None and abs(column.count - 1) < 1e-6:
+            lines += ['unit = "counts"', "counts_per_revolution = 4096  # say how many"]
+        else:
+            lines += ['unit = "rad"  # or deg, rev, ...; m, mm, ... of a linear one']
         velocity = velocities.get(f"slope of '{column.name}'")
         if velocity:
-            at = f"velocity = {{ column = {_key(velocity.name)}, measured = false }}"
-            lines.append(f"{at}  # say its unit; measured: by a sensor of its own?")
+            table = f"velocity = {{ column = {_key(velocity.name)}, measured = false }}"
+            lines.append(f"{table}  # say its unit; measured: by a sensor of its own?")
     if not positions:
         lines += ["", "# [[coordinates]]: no column looks like a position"]
     for column in by_role.get("input", []):
         if column not in positions:
             lines += [
-                "", "[[inputs]]", f"name = {_name(column.name)}", f"column = {_key(column.name)}",
-                'unit = "V"  # say which',
+                "", "[[inputs]]", f"name = {_channel_name(column.name)}",
+                f"column = {_key(column.name)}", 'unit = "V"  # say which',
             ]  # fmt: skip
-    lines += ["", "[splits]", f"train = [{_quoted(report.name)}]"]
+    lines += ["", "[splits]", f"train = [{_quote(report.name)}]"]
     lines.append('# validation = ["another file"]')
     return "\n".join(lines) + "\n"
 
 
-def _coordinate(column: ColumnReport) -> list[str]:
-    lines = [f"name = {_name(column.name)}", 'kind = "angular"  # or "linear"']
-    lines.append(f"column = {_key(column.name)}")
-    if column.count is not None and abs(column.count - 1) < 1e-6:
-        return [*lines, 'unit = "counts"', "counts_per_revolution = 4096  # say how many"]
-    return [*lines, 'unit = "rad"  # or deg, rev, ...; m, mm, ... of a linear one']
+def _key(column: str) -> str:
+    return column.removeprefix(NUMBERED) if column.startswith(NUMBERED) else _quote(column)
 
 
-def _key(name: str) -> str:
-    return name.removeprefix(NUMBERED) if name.startswith(NUMBERED) else _quoted(name)
+def _channel_name(column: str) -> str:
+    return _quote(re.sub(r"[\s/\\]+", "_", column).lstrip(".") or "column")
 
 
-def _name(name: str) -> str:
-    return _quoted(re.sub(r"[\s/\\]+", "_", name).lstrip(".") or "column")
-
-
-def _quoted(text: str) -> str:
+def _quote(text: str) -> str:
     return json.dumps(text, ensure_ascii=False)

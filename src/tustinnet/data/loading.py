@@ -1,4 +1,4 @@
-"""From columns to records, as a data card says."""
+"""Records from columns, as a data card declares them."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.channels import LONGEST_DT, SHORTEST_DT
-from tustinnet.data.card import Card, ColumnKey, FileCard
-from tustinnet.data.card_files import files_of, require_inside
+from tustinnet.data.card import Card, ColumnKey, FileCard, TimeCard
+from tustinnet.data.card_files import list_record_files, require_inside
 from tustinnet.data.columns import NUMBERED, Column, Columns, frame_columns
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import declare, read_declaration
@@ -22,10 +22,10 @@ from tustinnet.errors import InputError
 from tustinnet.signals import resampling
 
 _SAME_UNIT = 0.2  # a period this near to dt times a power of 1000 is in another unit
-_LEAST_RATIO = 1e-300  # of a median interval to dt; its logarithm is wanted
+_LEAST_RATIO = 1e-300  # of a median interval to dt, whose logarithm is taken
 _SAME_INSTANT = 1e-6  # periods; rounding must not move a range by a sample
 _SAME_CLOCK = 1e-3  # relative; median intervals this near come from one clock
-_WHAT_IRREGULAR_OFFERS = 'set `irregular = "resample"` (onto a grid) or "keep" under [time]'
+_IRREGULAR_REMEDY = 'set `irregular = "resample"` (onto a grid) or "keep" under [time]'
 
 
 def load_folder(folder: Path, card: Card) -> DataSet:
@@ -40,7 +40,7 @@ def load_folder(folder: Path, card: Card) -> DataSet:
             a number is not finite, the time base is not as declared, nothing moves; the message
             names file and row.
     """
-    entries = files_of(folder, card)
+    entries = list_record_files(folder, card)
     experiments = [e for split, entry in entries for e in _load_file(folder, split, entry, card)]
     if not experiments:
         raise InputError(
@@ -49,20 +49,16 @@ def load_folder(folder: Path, card: Card) -> DataSet:
             ", ".join(e.file for files in card.splits.values() for e in files[:2]) or "[splits]",
             "check the folder and the names under [splits]",
         )
-    return DataSet(card.name, _with_common_period(experiments, card))
-
-
-def _with_common_period(experiments: list[Experiment], card: Card) -> tuple[Experiment, ...]:
-    """Without a declared period every record has its own median; nearly equal ones are one."""
-    if card.dt is not None:
-        return tuple(experiments)
-    common = float(np.median([e.dt for e in experiments]))
-    return tuple(
-        replace(e, channels=replace(e.channels, dt=common))
-        if abs(e.dt / common - 1) < _SAME_CLOCK
-        else e
-        for e in experiments
-    )
+    if card.dt is None:
+        # every record has its own median interval; nearly equal ones come from one clock
+        common = float(np.median([e.dt for e in experiments]))
+        experiments = [
+            replace(e, channels=replace(e.channels, dt=common))
+            if abs(e.dt / common - 1) < _SAME_CLOCK
+            else e
+            for e in experiments
+        ]
+    return DataSet(card.name, tuple(experiments))
 
 
 def from_frame(
@@ -77,22 +73,17 @@ def from_frame(
 
     Args:
         frame: the data frame; its columns are named in the card.
-        card: a data card, its file, or the same as a mapping (`splits` is not needed).
-        name: what the record is called.
+        card: a data card, its file, or its content as a mapping (`splits` is not needed).
+        name: name of the record.
         split: `train`, `validation`, `test` or None.
-        groups: what the record was made with, as `{"payload": "1kg"}`.
+        groups: conditions of the record, as `{"payload": "1kg"}`.
     """
     if isinstance(card, str | Path):
-        declared = read_declaration(Path(card), Card)
-    else:
-        declared = card if isinstance(card, Card) else declare({"name": name, **card}, Card, name)
-    return _experiment(
-        frame_columns(frame, name),
-        declared,
-        name,
-        split=split,
-        groups=tuple((groups or {}).items()),
-    )
+        card = read_declaration(Path(card), Card)
+    elif not isinstance(card, Card):
+        card = declare({"name": name, **card}, Card, name)
+    reader = _ColumnReader(frame_columns(frame, name), name)
+    return _read_record(reader, card, name, split=split, groups=groups or {})
 
 
 def _load_file(folder: Path, split: str, entry: FileCard, card: Card) -> list[Experiment]:
@@ -100,22 +91,23 @@ def _load_file(folder: Path, split: str, entry: FileCard, card: Card) -> list[Ex
     path = folder / entry.file
     require_inside(folder, path)
     columns = read_columns(path, header=card.format.header, delimiter=card.format.delimiter)
-    digest, name = _sha256(path), entry.name or path.stem
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
     records = []
-    for number, found in _records_in(columns, entry.cell, card, path).items():
-        if card.format.columns is not None and len(found.names) != card.format.columns:
-            raise InputError(
-                path, f"{len(found.names)} columns", f"{card.format.columns} as in the card"
-            )
-        of_many = number is not None and entry.cell is None
+    for number, record_columns in _records_in(columns, entry.cell, card, path).items():
+        count = len(record_columns.names)
+        if card.format.columns is not None and count != card.format.columns:
+            raise InputError(path, f"{count} columns", f"{card.format.columns} as in the card")
+        name = entry.name or path.stem
+        if number is not None and entry.cell is None:
+            name = f"{name}[{number}]"
+        where = path if number is None else f"{path}, cell {number}"
+        reader = _ColumnReader(record_columns, where, entry.rows)
         records.append(
-            _experiment(
-                found, card, f"{name}[{number}]" if of_many else name,
-                where=path if number is None else f"{path}, cell {number}", split=split,
-                part=entry, k_bar=entry.k_bar, groups=tuple(entry.groups.items()),
-                source=entry.file, sha256=digest,
+            _read_record(
+                reader, card, name, split=split, groups=entry.groups, entry=entry, sha256=digest
             )
-        )  # fmt: skip
+        )
     return records
 
 
@@ -124,89 +116,37 @@ def _records_in(
 ) -> dict[int | None, Columns]:
     """The columns of each record of a file, by the number of its cell, None for the file itself."""
     names = {key for key in card.columns if isinstance(key, str)}
-    if cell is None and (not columns.elements or names <= set(columns.names)):
+    if cell is not None:
+        if cell > columns.elements:
+            has = f"{columns.elements} elements" if columns.elements else "no cell or struct arrays"
+            raise InputError(path, has, f"a cell {cell} as in the card", "cells count from 1")
+        return {cell: columns.element(cell)}
+    if not columns.elements or names <= set(columns.names):
         return {None: columns}
-    if cell is not None and cell > columns.elements:
-        there = f"{columns.elements} elements" if columns.elements else "no cell or struct arrays"
-        raise InputError(path, there, f"a cell {cell} as in the card", "cells count from 1")
-    numbers = range(1, columns.elements + 1) if cell is None else (cell,)
-    found: dict[int | None, Columns] = {number: columns.element(number) for number in numbers}
-    if cell is None and not any(
-        names & set(of.names) - set(columns.names) for of in found.values()
-    ):
-        return {None: columns}  # the columns are nowhere: it is said of the file
-    if cell is None:
-        columns.fetch_elements(names)
-    return found
+    elements: dict[int | None, Columns] = {
+        number: columns.element(number) for number in range(1, columns.elements + 1)
+    }
+    if not any(names & set(element.names) - set(columns.names) for element in elements.values()):
+        return {None: columns}  # without the columns anywhere, the message names the file
+    columns.fetch_elements(names)
+    return elements
 
 
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+class _ColumnReader:
+    """Columns by name or number, within a range of rows, with checks whose messages name places."""
 
-
-def _experiment(
-    columns: Columns,
-    card: Card,
-    name: str,
-    *,
-    where: object = None,
-    part: FileCard | None = None,
-    **metadata: Any,
-) -> Experiment:
-    where = name if where is None else where
-    pick = _Picker(columns, where, part and part.rows)
-    columns.fetch([pick.name(key) for key in card.columns])
-    if part is not None and part.seconds is not None:
-        pick.rows = _rows_within(part.seconds, pick, card)
-    q = pick.stack([c.column for c in card.coordinates])
-    u = pick.stack([i.column for i in card.inputs], like=q)
-    q = (q - [c.offset for c in card.coordinates]) * [c.sign * c.factor() for c in card.coordinates]
-    u = (u - [i.offset for i in card.inputs]) * [i.sign * i.scale for i in card.inputs]
-    v, measured = _velocities(pick, card)
-    if len(q) < 2:
-        raise InputError(where, f"{len(q)} samples", "at least 2")
-    if not np.ptp(q, axis=0).any():
-        names = ", ".join(c.name for c in card.coordinates)
-        raise InputError(
-            where,
-            f"nothing moves ({names})",
-            "positions that change",
-            "check the columns in the card or leave the record out",
-        )
-    angles = {j: c.name for j, c in enumerate(card.coordinates) if c.kind == "angular" and c.unwrap}
-    q, notes = unwrap_angles(q, angles)
-    t, dt = _times(pick, card, len(q), where)
-    experiment = Experiment(
-        name=name, t=t, q=q, u=u, v=v, v_measured=measured, notes=(*columns.notes, *notes),
-        channels=card.channels(dt), first_row=pick.rows[0] if pick.rows else 0, **metadata,
-    )  # fmt: skip
-    return experiment if card.time is None else _judge_times(experiment, card, where, pick)
-
-
-class _Picker:
-    """Finds columns by name or number and says which are there when one is not."""
-
-    def __init__(self, columns: Columns, where: object, rows: tuple[int, int] | None) -> None:
+    def __init__(
+        self, columns: Columns, where: object, rows: tuple[int, int] | None = None
+    ) -> None:
         self.columns, self.where, self.rows = columns, where, rows
 
     def place(self, sample: int) -> str:
-        """Where a sample stands in the file."""
-        return f"{self.where}, {self.columns.place(sample + (self.rows[0] if self.rows else 0))}"
-
-    def stack(
-        self, keys: list[ColumnKey], like: Float[np.ndarray, "n q"] | None = None
-    ) -> Float[np.ndarray, "n c"]:
-        picked = [self.one(key) for key in keys]
-        lengths = {len(column) for column in picked} | ({len(like)} if like is not None else set())
-        if len(lengths) > 1:
-            raise InputError(
-                self.where, f"columns {keys} have lengths {sorted(lengths)}", "equal lengths"
-            )
-        return np.stack(picked, axis=1) if picked else np.zeros((lengths.pop(), 0))
+        """The place of a sample in the file."""
+        first = self.rows[0] if self.rows else 0
+        return f"{self.where}, {self.columns.place(sample + first)}"
 
     def name(self, key: ColumnKey) -> str:
-        """What a column of the card is called in the file."""
+        """The name of a column in the file."""
         names = self.columns.names
         if isinstance(key, int):
             if not 1 <= key <= len(names):
@@ -217,16 +157,26 @@ class _Picker:
                     "columns count from 1",
                 )
             return names[key - 1]
-        if key not in names:
-            shown = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
-            found, remedy = _other(key, self.columns.others)
-            raise InputError(
-                self.where, found or f"no column '{key}'", f"one of: {shown}",
-                remedy or _header_hint(names),
-            )  # fmt: skip
-        return key
+        if key in names:
+            return key
+        expected = f"one of: {', '.join(names[:12])}" + (", ..." if len(names) > 12 else "")
+        others = self.columns.others
+        for name, text in others.items():
+            if key == name or (name and key.startswith((f"{name}.", f"{name}["))):
+                remedy = OBJECT_REMEDY if text == OBJECT else _header_hint(names)
+                raise InputError(self.where, f"'{name}' is {text}", expected, remedy)
+        problem, remedy = f"no column '{key}'", _header_hint(names)
+        if "" in others:  # an object without a known name
+            problem += f", but {others['']}, which cannot be read"
+            remedy = OBJECT_REMEDY
+        raise InputError(self.where, problem, expected, remedy)
 
-    def one(self, key: ColumnKey) -> Column:
+    def read(self, key: ColumnKey) -> Column:
+        """The finite numbers of a column.
+
+        Raises:
+            InputError: no such column or rows, or a number that is not finite or too large.
+        """
         name = self.name(key)
         column = self.columns[name]
         if self.rows is not None:
@@ -248,19 +198,25 @@ class _Picker:
             )
         return column
 
+    def read_matrix(
+        self, keys: list[ColumnKey], like: Float[np.ndarray, "n q"] | None = None
+    ) -> Float[np.ndarray, "n c"]:
+        """Several columns side by side, as long as `like`.
 
-def _other(key: str, others: Mapping[str, str]) -> tuple[str, str]:
-    """What a name of the card is where it is no column, and what to do; empty where nothing is."""
-    for name, other in others.items():
-        if key == name or (name and key.startswith((f"{name}.", f"{name}["))):
-            return f"'{name}' is {other}", OBJECT_REMEDY if other == OBJECT else ""
-    if "" in others:  # an object whose name is not known
-        return f"no column '{key}', but {others['']}, which cannot be read", OBJECT_REMEDY
-    return "", ""
+        Raises:
+            InputError: columns of several lengths, or as `read`.
+        """
+        columns = [self.read(key) for key in keys]
+        lengths = {len(c) for c in columns} | ({len(like)} if like is not None else set())
+        if len(lengths) > 1:
+            raise InputError(
+                self.where, f"columns {keys} have lengths {sorted(lengths)}", "equal lengths"
+            )
+        return np.stack(columns, axis=1) if columns else np.zeros((lengths.pop(), 0))
 
 
 def _header_hint(names: Sequence[str]) -> str:
-    """What may be wrong with the layout of a text file, judged by its column names."""
+    """A probable defect of a text file's layout, judged by its column names."""
     if all(name.startswith(NUMBERED) for name in names):
         return "the file has no header: columns go by number"
     if len(names) == 1 and any(mark in names[0] for mark in ";\t"):
@@ -268,58 +224,104 @@ def _header_hint(names: Sequence[str]) -> str:
     return ""
 
 
-def _velocities(pick: _Picker, card: Card) -> tuple[Float[np.ndarray, "n n_q"] | None, bool]:
-    declared = [c.velocity for c in card.coordinates]
-    given = [v for v in declared if v is not None]
-    if not given:
+def _read_record(
+    reader: _ColumnReader,
+    card: Card,
+    name: str,
+    *,
+    split: str | None,
+    groups: Mapping[str, str],
+    entry: FileCard | None = None,
+    sha256: str = "",
+) -> Experiment:
+    """The record in some columns, in SI units; `entry` is its file in the card, if it has one."""
+    where, columns = reader.where, reader.columns
+    columns.fetch([reader.name(key) for key in card.columns])
+    if entry is not None and entry.seconds is not None:
+        reader.rows = _rows_within(entry.seconds, reader, card)
+    q = reader.read_matrix([c.column for c in card.coordinates])
+    u = reader.read_matrix([i.column for i in card.inputs], like=q)
+    q = (q - [c.offset for c in card.coordinates]) * [c.sign * c.factor() for c in card.coordinates]
+    u = (u - [i.offset for i in card.inputs]) * [i.sign * i.scale for i in card.inputs]
+    v, is_measured = _velocities(reader, card)
+    if len(q) < 2:
+        raise InputError(where, f"{len(q)} samples", "at least 2")
+    if not np.ptp(q, axis=0).any():
+        names = ", ".join(c.name for c in card.coordinates)
+        raise InputError(
+            where,
+            f"nothing moves ({names})",
+            "positions that change",
+            "check the columns in the card or leave the record out",
+        )
+    angles = {j: c.name for j, c in enumerate(card.coordinates) if c.kind == "angular" and c.unwrap}
+    q, notes = unwrap_angles(q, angles)
+    t, dt = _times(reader, card, len(q))
+    record = Experiment(
+        name=name, t=t, q=q, u=u, v=v, v_measured=is_measured, notes=(*columns.notes, *notes),
+        channels=card.channels(dt), first_row=reader.rows[0] if reader.rows else 0, split=split,
+        k_bar=entry and entry.k_bar, groups=tuple(groups.items()),
+        source=entry.file if entry else "", sha256=sha256,
+    )  # fmt: skip
+    return record if card.time is None else _check_times(record, card.time, reader)
+
+
+def _velocities(
+    reader: _ColumnReader, card: Card
+) -> tuple[Float[np.ndarray, "n n_q"] | None, bool]:
+    """Velocities of all coordinates in SI units, if the card has them; whether all are measured."""
+    columns = [c.velocity for c in card.coordinates if c.velocity is not None]
+    if not columns:
         return None, False
-    if len(given) < len(declared):
+    if len(columns) < len(card.coordinates):
         missing = next(c.name for c in card.coordinates if c.velocity is None)
         raise InputError(
             card.name, f"no velocity column for '{missing}'", "one for every coordinate or none"
         )
     factors = [c.sign * c.velocity_factor() for c in card.coordinates]
-    return pick.stack([v.column for v in given]) * factors, all(v.measured for v in given)
+    v = reader.read_matrix([c.column for c in columns]) * factors
+    return v, all(c.measured for c in columns)
 
 
-def _rows_within(seconds: tuple[float, float], pick: _Picker, card: Card) -> tuple[int, int]:
+def _rows_within(
+    seconds: tuple[float, float], reader: _ColumnReader, card: Card
+) -> tuple[int, int]:
     """The rows of a whole file from one time on and before another one [s], from its first on."""
-    n = len(pick.columns[pick.name(card.coordinates[0].column)])
-    t, dt = _times(pick, card, n, pick.where) if n > 1 else (np.zeros(n), 0.0)
+    n = len(reader.columns[reader.name(card.coordinates[0].column)])
+    t, dt = _times(reader, card, n) if n > 1 else (np.zeros(n), 0.0)
     elapsed, near = t - t[:1], _SAME_INSTANT * dt
     first, stop = np.searchsorted(elapsed, np.subtract(seconds, near))
     end = elapsed[-1] if n else 0.0
     if first == n or seconds[1] > end + dt + near:
         raise InputError(
-            pick.where, f"seconds {seconds[0]:g}..{seconds[1]:g}",
+            reader.where, f"seconds {seconds[0]:g}..{seconds[1]:g}",
             f"a range within the {end:g} s that the file's record spans",
         )  # fmt: skip
     return int(first), int(stop)
 
 
-def _times(
-    pick: _Picker, card: Card, n: int, where: object
-) -> tuple[Float[np.ndarray, " n"], float]:
+def _times(reader: _ColumnReader, card: Card, n: int) -> tuple[Float[np.ndarray, " n"], float]:
+    """Timestamps of all samples and the sampling period [s]."""
     if card.time is None:
         dt = float(card.dt or np.nan)
         return np.arange(n) * dt, dt
-    t = pick.one(card.time.column) * card.time.factor()
+    t = reader.read(card.time.column) * card.time.factor()
     if len(t) != n:
-        raise InputError(where, f"{len(t)} timestamps for {n} samples", "equal numbers")
-    bad = np.flatnonzero(np.diff(t) <= 0)
-    if len(bad):
-        row = int(bad[0]) + 1
-        kind = "repeats" if t[row] == t[row - 1] else "goes back from"
+        raise InputError(reader.where, f"{len(t)} timestamps for {n} samples", "equal numbers")
+    backward = np.flatnonzero(np.diff(t) <= 0)
+    if len(backward):
+        row = int(backward[0]) + 1
+        verb = "repeats" if t[row] == t[row - 1] else "goes back from"
         raise InputError(
-            f"{pick.place(row)}, column {card.time.column}",
-            f"time {t[row]:g} s {kind} {t[row - 1]:g} s",
+            f"{reader.place(row)}, column {card.time.column}",
+            f"time {t[row]:g} s {verb} {t[row - 1]:g} s",
             "strictly increasing timestamps",
             "remove duplicate or misplaced rows",
         )
     median = float(np.median(np.diff(t)))
     if card.dt is None and not SHORTEST_DT <= median <= LONGEST_DT:
         raise InputError(
-            where,
+            reader.where,
             f"median interval {median:.4g} s",
             f"{SHORTEST_DT:g} to {LONGEST_DT:g} s",
             "check `unit` under [time]",
@@ -327,42 +329,42 @@ def _times(
     return t, card.dt or median
 
 
-def _judge_times(e: Experiment, card: Card, where: object, pick: _Picker) -> Experiment:
+def _check_times(record: Experiment, card: TimeCard, reader: _ColumnReader) -> Experiment:
     """Accepts the record's time base, or resamples, keeps or refuses it as the card says."""
-    assert card.time is not None
-    found = resampling.regularity(e.t, e.dt)
-    if found.worst <= card.time.tolerance * e.dt:
-        told = f"jitter {found.jitter:.2g} s (worst {found.worst:.2g} s) accepted"
-        return replace(e, notes=(*e.notes, told))
-    interval = e.t[found.worst_row] - e.t[found.worst_row - 1]
-    told = (
-        f"interval of {interval:.4g} s before sample {found.worst_row} "
-        f"(median {found.median_dt:.4g} s)"
+    t, dt = record.t, record.dt
+    times = resampling.regularity(t, dt)
+    if times.worst <= card.tolerance * dt:
+        note = f"jitter {times.jitter:.2g} s (worst {times.worst:.2g} s) accepted"
+        return replace(record, notes=(*record.notes, note))
+    worst = (
+        f"interval of {t[times.worst_row] - t[times.worst_row - 1]:.4g} s before sample "
+        f"{times.worst_row} (median {times.median_dt:.4g} s)"
     )
-    ratio = max(found.median_dt / e.dt, _LEAST_RATIO)
-    if card.time.irregular != "resample" and abs(ratio - 1) > card.time.tolerance:
+    ratio = max(times.median_dt / dt, _LEAST_RATIO)
+    if card.irregular != "resample" and abs(ratio - 1) > card.tolerance:
         power = round(np.log10(ratio) / 3)
-        another_unit = power != 0 and abs(ratio / 1000.0**power - 1) < _SAME_UNIT
+        is_other_unit = power != 0 and abs(ratio / 1000.0**power - 1) < _SAME_UNIT
         raise InputError(
-            where,
-            f"median interval {found.median_dt:.4g} s",
-            f"{e.dt:g} s as in the card",
+            reader.where,
+            f"median interval {times.median_dt:.4g} s",
+            f"{dt:g} s as in the card",
             f"check `unit` under [time] (it is {1000.0**power:g} times dt)"
-            if another_unit
+            if is_other_unit
             else 'correct `dt`, or set `irregular = "resample"` under [time]',
         )
-    if card.time.irregular == "refuse":
+    if card.irregular == "refuse":
         raise InputError(
-            pick.place(found.worst_row),
-            told,
-            f"{e.dt:g} s within {card.time.tolerance:.0%}",
-            _WHAT_IRREGULAR_OFFERS,
+            reader.place(times.worst_row),
+            worst,
+            f"{dt:g} s within {card.tolerance:.0%}",
+            _IRREGULAR_REMEDY,
         )
-    if card.time.irregular == "keep":
-        return replace(e, notes=(*e.notes, f"irregular times kept as recorded: {told}"))
-    resampling.require_short_grid(e.t, e.dt, pick.place)
-    gridded = e.resample(e.dt)
-    gaps = len(gridded.recording.gaps) if gridded.recording else 0
-    filled = f", {gaps} gap{'s' * (gaps > 1)} interpolated" if gaps else ""
-    note = f"resampled onto a grid of {e.dt:g} s{filled}"
-    return replace(gridded, notes=(*e.notes, note))
+    if card.irregular == "keep":
+        note = f"irregular times kept as recorded: {worst}"
+        return replace(record, notes=(*record.notes, note))
+    resampling.require_short_grid(t, dt, reader.place)
+    resampled = record.resample(dt)
+    gaps = len(resampled.recording.gaps) if resampled.recording else 0
+    suffix = f", {gaps} gap{'s' * (gaps > 1)} interpolated" if gaps else ""
+    note = f"resampled onto a grid of {dt:g} s{suffix}"
+    return replace(resampled, notes=(*record.notes, note))

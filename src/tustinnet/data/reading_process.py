@@ -1,4 +1,4 @@
-"""The process in which binary files are read: what crashes there, crashes nothing else."""
+"""The process in which binary files are read, so that a crash there stops nothing else."""
 
 import atexit
 import json
@@ -13,12 +13,12 @@ from typing import Any, cast
 import numpy as np
 
 from tustinnet.data.columns import Column
-from tustinnet.errors import InputError, refusing
+from tustinnet.errors import InputError, convert_errors
 
 _START_S = 60.0  # to start Python and import a library, also on a busy machine
-_NAMES_S = 10.0  # to say what a file holds
+_NAMES_S = 10.0  # to list the columns of a file
 _NUMBERS_S = 60.0  # to read columns
-_MUCH = 2**26  # bytes that were read at once
+_MUCH = 2**26  # bytes read at once, above which the process is stopped
 _SLOWEST = 10e6  # bytes of the file a second, on top of that
 
 # the child finds the package where this process found it
@@ -49,25 +49,29 @@ class _Process:
         )
 
     @property
-    def usable(self) -> bool:
-        """Whether it runs, and for this process: after a fork there are two that would ask."""
+    def is_usable(self) -> bool:
+        """Whether it runs, and for this process: after a fork two would send requests."""
         return self.owner == os.getpid() and self._child.poll() is None
 
-    def ask(self, request: dict[str, Any], seconds: float) -> Reply | None:
+    def send(self, request: dict[str, Any], seconds: float) -> Reply | None:
         """The reply to a request; None where the child died or took too long."""
         assert self._child.stdin is not None
-        to, of = self._child.stdin, cast(BufferedReader, self._child.stdout)
+        requests, replies = self._child.stdin, cast(BufferedReader, self._child.stdout)
         timer = threading.Timer(seconds, self._child.kill)
         timer.start()
         try:
-            to.write(json.dumps({**request, "seconds": seconds + 1}).encode() + b"\n")
-            to.flush()
-            reply = json.loads(of.readline())
-            return reply, [_column(of, length) for length in reply.get("lengths", ())]
+            requests.write(json.dumps({**request, "seconds": seconds + 1}).encode() + b"\n")
+            requests.flush()
+            reply = json.loads(replies.readline())
+            columns = [np.empty(length) for length in reply.get("lengths", ())]
+            for column in columns:
+                if replies.readinto(column.data.cast("B")) < column.nbytes:
+                    raise EOFError
+            return reply, columns
         except (OSError, ValueError, EOFError):
             self.stop()
             return None
-        except BaseException:  # Ctrl-C: a late reply would be taken for that to the next request
+        except BaseException:  # Ctrl-C: a late reply would look like that to the next request
             self.stop()
             raise
         finally:
@@ -80,24 +84,17 @@ class _Process:
             self._child.communicate()
 
 
-def _column(of: BufferedReader, length: int) -> Column:
-    column = np.empty(length)
-    if of.readinto(column.data.cast("B")) < column.nbytes:
-        raise EOFError
-    return column
-
-
 _process: _Process | None = None
 _one_at_a_time = threading.Lock()
 
 
 def column_names(path: Path) -> tuple[list[str], dict[str, str]]:
-    """What the columns of a .mat, .npz or .parquet file are called, and what else is there.
+    """Names of the columns of a .mat, .npz or .parquet file, and a description of all else.
 
     Raises:
         InputError: a damaged file, one that crashes its reader, or takes it too long.
     """
-    reply = _ask(path, None, _NAMES_S)[0]
+    reply, _ = _request(path, None, _NAMES_S)
     return reply["names"], reply["others"]
 
 
@@ -107,40 +104,41 @@ def read(path: Path, names: list[str]) -> list[Column]:
     Raises:
         InputError: as `column_names`; numbers that take too much memory; text.
     """
-    return _ask(path, names, _NUMBERS_S)[1] if names else []
+    return _request(path, names, _NUMBERS_S)[1] if names else []
 
 
-def _ask(path: Path, names: list[str] | None, seconds: float) -> Reply:
-    with refusing(path, "cannot be looked at", "a file"):
+def _request(path: Path, names: list[str] | None, seconds: float) -> Reply:
+    with convert_errors(path, "cannot be looked at", "a file"):
         seconds += path.stat().st_size / _SLOWEST
         folder = None if path.is_absolute() else str(Path.cwd())
     with _one_at_a_time:
-        process = _ready(path)
-        found = process.ask({"path": str(path), "folder": folder, "names": names}, seconds)
-        if found is not None and sum(column.nbytes for column in found[1]) > _MUCH:
+        process = _running_process(path)
+        request = {"path": str(path), "folder": folder, "names": names}
+        reply = process.send(request, seconds)
+        if reply is not None and sum(column.nbytes for column in reply[1]) > _MUCH:
             process.stop()  # its libraries would keep the memory
-    if found is None:
+    if reply is None:
         raise InputError(
             path,
             f"the file crashes its reader, or keeps it busy for more than {seconds:.0f} s",
             f"a whole {path.suffix.lower()} file",
             "write it anew",
         )
-    if "refused" in found[0]:
-        raise InputError(*found[0]["refused"].split(": ", 1))
-    return found
+    if "refused" in reply[0]:
+        raise InputError(*reply[0]["refused"].split(": ", 1))
+    return reply
 
 
-def _ready(path: Path) -> _Process:
-    """The process, with the library that a file needs."""
+def _running_process(path: Path) -> _Process:
+    """The process, with the library for a file, started where necessary."""
     global _process
     suffix = path.suffix.lower()
-    if _process is None or not _process.usable:
-        with refusing(path, "the process that reads such files does not start", "Python"):
+    if _process is None or not _process.is_usable:
+        with convert_errors(path, "the process that reads such files does not start", "Python"):
             _process = _Process()
         atexit.register(_process.stop)
     if suffix not in _process.libraries:
-        if _process.ask({"path": None, "suffix": suffix}, _START_S) is None:
+        if _process.send({"path": None, "suffix": suffix}, _START_S) is None:
             raise InputError(path, f"the process that reads {suffix} files does not start")
         _process.libraries.add(suffix)
     return _process

@@ -1,4 +1,4 @@
-"""How a record was sampled, before anything was done to its time base."""
+"""The time base of a record as it was logged."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from jaxtyping import Float
 from tustinnet.signals.encoder import encoder_count
 from tustinnet.signals.resampling import regularity
 
-_SAME_PERIOD = 0.1  # a nominal period within this share of the median one is the period meant
+_SAME_PERIOD = 0.1  # relative; a nominal period this near to the median one is that of the log
 
 
 @dataclass(frozen=True)
@@ -16,13 +16,13 @@ class Recording:
     """The time base and the encoders of a record as it was logged.
 
     Attributes:
-        samples: how many samples there were.
+        samples: number of samples.
         median_dt: median interval [s].
         jitter: root mean square deviation of the intervals from the period, outside gaps [s].
         worst_interval: the interval farthest from the period [s].
         worst_sample: the sample that ends it.
         gaps: beginning and end of every interval of more than 2.5 periods [s].
-        counts: encoder count found in each coordinate [rad or m], None where it is not quantised.
+        counts: estimated encoder count of each coordinate [rad or m], None where not quantised.
     """
 
     samples: int
@@ -43,13 +43,13 @@ def describe_recording(
     record that is to be put on a coarser grid.
     """
     median = float(np.median(np.diff(t)))
-    found = regularity(t, dt if abs(median / dt - 1) < _SAME_PERIOD else median)
+    times = regularity(t, dt if abs(median / dt - 1) < _SAME_PERIOD else median)
     return Recording(
         samples=len(t),
-        median_dt=found.median_dt,
-        jitter=found.jitter,
-        worst_interval=float(t[found.worst_row] - t[found.worst_row - 1]),
-        worst_sample=found.worst_row,
-        gaps=tuple((float(t[k]), float(t[k + 1])) for k in found.gaps),
+        median_dt=times.median_dt,
+        jitter=times.jitter,
+        worst_interval=float(t[times.worst_row] - t[times.worst_row - 1]),
+        worst_sample=times.worst_row,
+        gaps=tuple((float(t[k]), float(t[k + 1])) for k in times.gaps),
         counts=tuple(encoder_count(column) for column in q.T),
     )

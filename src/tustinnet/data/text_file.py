@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tustinnet.data.columns import NUMBERED, Column, Columns, require_different
-from tustinnet.errors import InputError, brief
+from tustinnet.errors import InputError, describe_error
 
 if TYPE_CHECKING:
     import polars as pl
 
 _NUMBER = re.compile(r"[-+]?((\d+\.?\d*|\.\d+)(e[-+]?\d+)?|nan|inf|infinity)", re.IGNORECASE)
 
-Lines = list[tuple[int, str]]  # rows of the file, counted from 1, and what they say
+Lines = list[tuple[int, str]]  # rows of the file, counted from 1, and their text
 
 
 def read_text(path: Path, header: bool | None, delimiter: str) -> Columns:
@@ -26,26 +26,26 @@ def read_text(path: Path, header: bool | None, delimiter: str) -> Columns:
     lines = _lines(path, delimiter)
     table = _cells(path, lines, delimiter)
     first = [(cell or "").strip() for cell in table.row(0)]
-    told = [cell for cell in first if cell]
-    sample = bool(told) and all(_NUMBER.fullmatch(cell) for cell in told)
-    if header and sample:
+    texts = [cell for cell in first if cell]
+    is_sample = bool(texts) and all(_NUMBER.fullmatch(text) for text in texts)
+    if header and is_sample:
         raise InputError(
             f"{path} row {lines[0][0]}",
             "only numbers where the names of the columns should be",
             "a header, as `header = true` says",
             "if the file has none, set `header = false` under [format], or leave it out",
         )
-    named = not sample if header is None else header
-    if len(lines) <= named:
+    has_header = not is_sample if header is None else header
+    if len(lines) <= has_header:
         raise InputError(path, "the file holds no samples", "rows of numbers")
-    unnamed = [f"{NUMBERED}{number}" for number in range(1, table.width + 1)]
-    names = [a or b for a, b in zip(first, unnamed, strict=True)] if named else unnamed
+    numbered = [f"{NUMBERED}{number}" for number in range(1, table.width + 1)]
+    names = [a or b for a, b in zip(first, numbered, strict=True)] if has_header else numbered
     require_different(names, path)
-    place = {name: column for column, name in enumerate(names)}
-    rows, table = [row for row, _ in lines[named:]], table.slice(int(named))
+    index = {name: column for column, name in enumerate(names)}
+    rows, table = [row for row, _ in lines[has_header:]], table.slice(int(has_header))
 
-    def read(wanted: list[str]) -> list[Column]:
-        doubtful = next((name for name in wanted if _NUMBER.fullmatch(name)), None)
+    def read(requested: list[str]) -> list[Column]:
+        doubtful = next((name for name in requested if _NUMBER.fullmatch(name)), None)
         if header is None and doubtful is not None:  # names beside numbers, some of them used
             raise InputError(
                 f"{path} row {lines[0][0]}",
@@ -54,11 +54,11 @@ def read_text(path: Path, header: bool | None, delimiter: str) -> Columns:
                 "set `header = true` (names) or `header = false` (a sample) under [format]",
             )
         return [
-            _numbers(table.to_series(place[name]), f"{path} row {{}}, {name}", rows, named)
-            for name in wanted
+            _numbers(table.to_series(index[name]), f"{path} row {{}}, {name}", rows, has_header)
+            for name in requested
         ]
 
-    notes = ("no header: the first row is a sample",) if header is None and sample else ()
+    notes = ("no header: the first row is a sample",) if header is None and is_sample else ()
     return Columns(names, read, rows, notes)
 
 
@@ -87,35 +87,24 @@ def _cells(path: Path, lines: Lines, delimiter: str) -> "pl.DataFrame":
     text = "\n".join(line for _, line in lines).encode()
     try:
         table = pl.read_csv(text, has_header=False, separator=delimiter, infer_schema=False)
-        found = None if len(table) == len(lines) else f"{len(lines)} lines make {len(table)} rows"
+        defect = None if len(table) == len(lines) else f"{len(lines)} lines make {len(table)} rows"
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
-        table, found = pl.DataFrame(), f"cannot be read as text ({brief(error)})"
-    if found is not None:
-        raise InputError(
-            path,
-            _unclosed(lines) or _ragged(lines, delimiter) or found,
-            f"rows of equal length separated by '{delimiter}'",
-        )
-    return table
+        table, defect = pl.DataFrame(), f"cannot be read as text ({describe_error(error)})"
+    if defect is None:
+        return table
+    first_row, width = lines[0][0], lines[0][1].count(delimiter) + 1
+    unclosed = next((row for row, line in lines if line.count('"') % 2), None)
+    counts = [(row, line.count(delimiter) + 1) for row, line in lines]
+    ragged = next(((row, cells) for row, cells in counts if cells != width), None)
+    if unclosed is not None:
+        defect = f'row {unclosed} has a quote (") that is not closed'
+    elif ragged is not None:
+        defect = f"row {ragged[0]} has {ragged[1]} cells, row {first_row} has {width}"
+    raise InputError(path, defect, f"rows of equal length separated by '{delimiter}'")
 
 
-def _unclosed(lines: Lines) -> str | None:
-    """Says which row has an odd number of quotes."""
-    row = next((row for row, line in lines if line.count('"') % 2), None)
-    return None if row is None else f'row {row} has a quote (") that is not closed'
-
-
-def _ragged(lines: Lines, delimiter: str) -> str | None:
-    """Says which row has another number of cells than the first."""
-    wanted = lines[0][1].count(delimiter)
-    for row, line in lines:
-        if line.count(delimiter) != wanted:
-            cells = line.count(delimiter) + 1
-            return f"row {row} has {cells} cells, row {lines[0][0]} has {wanted + 1}"
-    return None
-
-
-def _numbers(cells: "pl.Series", where: str, rows: list[int], named: bool) -> Column:
+def _numbers(cells: "pl.Series", where: str, rows: list[int], has_header: bool) -> Column:
+    """The numbers of some cells; `where` has {} in place of the row, for the message."""
     import polars as pl
 
     numbers = cells.cast(pl.Float64, strict=False)
@@ -129,7 +118,7 @@ def _numbers(cells: "pl.Series", where: str, rows: list[int], named: bool) -> Co
             f"the text '{text[:40]}'" if text else "an empty cell",
             "a number",
             "correct or remove the row"
-            if named or sample
+            if has_header or sample
             else "if the first row names the columns, set `header = true`",
         )
     return numbers.to_numpy()

@@ -1,6 +1,6 @@
 """Units of columns, and the SI units in which records have them.
 
-The usual units are in small tables. For any other one pint is asked, which takes a second to load.
+Common units are in small tables. All others are converted by pint, which takes a second to load.
 """
 
 import functools
@@ -18,50 +18,56 @@ TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _NAMED = ("V", "A", "K", "1", "N", "Pa", "kg", "s", "J", "W", "Hz", "ohm", "C", "F", "H", "T")
 _TABLES = (("rad", ANGLE), ("m", LENGTH), *((name, {name: 1.0}) for name in _NAMED))
 
-# products of units with small powers: what else pint evaluates could take for ever
+# products of units with small powers; other expressions could keep pint busy for ever
 _TERM = r"(1|%|[^\W\d_]\w{0,30}((\^|\*\*)-?[1-9])?)"
 _PRODUCT = re.compile(rf"{_TERM}( ?[*/·] ?{_TERM}| {_TERM})*")
 _LONGEST = 60  # characters
 
 
-def in_si(unit: str) -> tuple[float, str]:
-    """What a unit is in SI: a factor, and the SI unit, as `mV` is 0.001 of `V`.
+def convert_to_si(unit: str) -> tuple[float, str]:
+    """The SI unit of a unit: the factor to it and its name, as 0.001 and `V` for `mV`.
 
     Args:
         unit: as people write it: `mm`, `deg`, `mV`, `inch`, `N*m`; `1` for none.
 
     Raises:
-        ValueError: no unit that is known, or one with a zero of its own, as degC has.
+        ValueError: an unknown unit, or one with a zero of its own, as degC has.
     """
     for name, table in _TABLES:
         if unit in table:
             return table[unit], name
-    found = _quantity(unit)
-    name = _si_name(found.units)
-    return float(found.to(name).magnitude), "1" if name == "dimensionless" else name
+    quantity, registry = _quantity(unit), _registry()
+    # part by part, so that mN*m is N*m and not kg*m^2/s^2
+    named = {registry.Quantity(1, n).to_base_units().units: n for n in reversed(_NAMED) if n != "1"}
+    parts = registry.Unit("dimensionless")
+    for part, power in quantity.units._units.items():
+        base = registry.Quantity(1, registry.Unit(part)).to_base_units().units
+        parts *= registry.Unit(named.get(base, base)) ** power
+    name = f"{parts:~C}" or "dimensionless"
+    return float(quantity.to(name).magnitude), "1" if name == "dimensionless" else name
 
 
-def velocity_in_si(unit: str, of: str) -> float:
+def velocity_factor(unit: str, position_unit: str) -> float:
     """SI units per second in one unit of a velocity.
 
     Args:
         unit: the velocity's unit: `deg/s`, `rpm`, `km/h`.
-        of: the SI unit of the position.
+        position_unit: the SI unit of the position.
 
     Raises:
         ValueError: another unit than one of the position per one of time.
     """
-    if unit == "rpm" and of == "rad":
+    if unit == "rpm" and position_unit == "rad":
         return 2 * np.pi / 60
     length, _, per = unit.rpartition("/")
     if per in TIME and length:
-        factor, name = in_si(length)
-        if name == of:
+        factor, name = convert_to_si(length)
+        if name == position_unit:
             return factor / TIME[per]
-    found, wanted = _quantity(unit), _quantity(f"{of}/s")
-    if found.to_base_units().units != wanted.to_base_units().units:
-        raise ValueError(f"velocity unit '{unit}' of a position in {of}")
-    return float(found.to(wanted.units).magnitude)
+    quantity, expected = _quantity(unit), _quantity(f"{position_unit}/s")
+    if quantity.to_base_units().units != expected.to_base_units().units:
+        raise ValueError(f"velocity unit '{unit}' of a position in {position_unit}")
+    return float(quantity.to(expected.units).magnitude)
 
 
 @functools.cache
@@ -72,26 +78,15 @@ def _registry() -> "pint.UnitRegistry[Any]":
 
 
 def _quantity(unit: str) -> Any:
-    """One of a unit, as pint has it."""
+    """The quantity of one unit, by pint."""
     if len(unit) > _LONGEST or not _PRODUCT.fullmatch(unit):
         raise ValueError(f"unit '{unit[:_LONGEST]}' is none, e.g. mm, deg, mV, N*m, m/s^2")
     registry = _registry()
     try:
-        found = registry.Quantity(1.0, registry.Unit(unit.replace("·", "*")))
-        multiplies = found._is_multiplicative
+        quantity = registry.Quantity(1.0, registry.Unit(unit.replace("·", "*")))
+        is_multiplicative = quantity._is_multiplicative
     except Exception:  # pint raises errors of many kinds, also an AssertionError
         raise ValueError(f"unit '{unit}' is not known") from None
-    if not multiplies:
+    if not is_multiplicative:
         raise ValueError(f"unit '{unit}' has a zero or a scale of its own; e.g. delta_degC, K, 1")
-    return found
-
-
-def _si_name(units: Any) -> str:
-    """The SI unit of a unit, part by part, so that mN*m is N*m and not kg*m^2/s^2."""
-    registry = _registry()
-    named = {registry.Quantity(1, n).to_base_units().units: n for n in reversed(_NAMED) if n != "1"}
-    parts = registry.Unit("dimensionless")
-    for name, power in units._units.items():
-        base = registry.Quantity(1, registry.Unit(name)).to_base_units().units
-        parts *= registry.Unit(named.get(base, base)) ** power
-    return f"{parts:~C}" or "dimensionless"
+    return quantity

@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from jaxtyping import Float, Int
 
-from tustinnet.cores import cores
+from tustinnet.cores import count_cores
 from tustinnet.engine.equations import Equations, Formula, Residual
 from tustinnet.engine.kernels import (
     LANE,
@@ -182,7 +182,7 @@ def _side_by_side(run: Callable[[int], None], groups: int) -> None:
     if groups == 1:
         run(0)
         return
-    with ThreadPoolExecutor(cores()) as pool:
+    with ThreadPoolExecutor(count_cores()) as pool:
         list(pool.map(run, range(groups)))
 
 

@@ -33,7 +33,7 @@ from tustinnet.engine.kernels import (
 from tustinnet.engine.machine import Compiled, compiled, width
 from tustinnet.engine.runs import say_once
 from tustinnet.engine.text import Function, Module, Precision
-from tustinnet.errors import brief
+from tustinnet.errors import describe_error
 
 _VERSION = (0, 3)  # of the interface
 # places in its structures, bytes from their beginning
@@ -176,7 +176,9 @@ def available() -> bool:
             nothing = jax.ShapeDtypeStruct((1,), np.float32)
             jax.block_until_ready(jax.ffi.ffi_call(name, nothing)())
     except Exception as error:  # whatever another version of JAX makes of it
-        say_once(f"JAX does not call machine code ({brief(error)}); XLA trains hybrids, slower")
+        say_once(
+            f"JAX does not call machine code ({describe_error(error)}); XLA trains hybrids, slower"
+        )
         return False
     return True
 

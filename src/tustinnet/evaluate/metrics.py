@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.signals.transients import moves
+from tustinnet.signals.transients import is_moving
 
 Trajectory = Float[np.ndarray, "n n_q"]
 PerCoordinate = Float[np.ndarray, " n_q"]
@@ -34,7 +34,7 @@ def nrmse(simulated: Trajectory, measured: Trajectory) -> PerCoordinate:
     """
     spread = measured.std(axis=0)
     error = coordinate_rmse(simulated, measured)
-    return np.divide(error, spread, out=np.full_like(error, np.nan), where=moves(measured))
+    return np.divide(error, spread, out=np.full_like(error, np.nan), where=is_moving(measured))
 
 
 def fit_percent(simulated: Trajectory, measured: Trajectory) -> PerCoordinate:

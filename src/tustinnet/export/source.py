@@ -18,7 +18,7 @@ from tustinnet.models.groups import of_groups
 from tustinnet.program.derivatives import with_derivatives
 from tustinnet.program.program import Program
 from tustinnet.program.reading import read
-from tustinnet.signals.excitation import Excitation, Held, excitation
+from tustinnet.signals.excitation import DeclaredHold, Excitation, excitation
 from tustinnet.simulate.range import Range
 
 _FARTHEST = 1000  # samples away that a step may see
@@ -243,7 +243,7 @@ def seen_by(model: Model) -> Seen:
     inputs = model.channels.inputs
     if not inputs:
         return Seen((0,), np.zeros((0, 0)), (0,))
-    holds: list[Held] = [_hold(i.hold) for i in inputs]
+    holds: list[DeclaredHold] = [_hold(i.hold) for i in inputs]
 
     def driven(samples: np.ndarray) -> np.ndarray:
         made: Excitation = excitation(samples, holds, [0.0] * len(inputs))
@@ -278,5 +278,5 @@ def _counted(offset: int) -> str:
     return f"_{'after' if offset > 0 else 'before'}_{abs(offset)}" if offset else ""
 
 
-def _hold(hold: str | None) -> Held:
+def _hold(hold: str | None) -> DeclaredHold:
     return "first-order" if hold in ("first-order", "band-limited") else "zero-order"

@@ -20,7 +20,7 @@ from tustinnet.models.blocks import Affine
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import FromContinuous
 from tustinnet.models.lagrangian import LagrangianModel
-from tustinnet.registry import FAMILIES, SHOWN
+from tustinnet.registry import FAMILIES, SUMMARIES
 
 Vector = Float[np.ndarray, " _"]
 Regulariser = Callable[[Model, Float[Array, " n_x"], Array], Float[Array, ""]]
@@ -188,7 +188,7 @@ class Family(ABC):
 
         Here from what the registry names in `SHOWN`.
         """
-        return SHOWN[self.kind](header, arrays)
+        return SUMMARIES[self.kind](header, arrays)
 
     def parameters(self, model: Any) -> Sequence[tuple[str, str, float]]:
         """Name, unit and value of its physical parameters; networks have none."""

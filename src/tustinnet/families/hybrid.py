@@ -14,7 +14,7 @@ from pydantic import Field, SerializeAsAny, field_validator
 
 from tustinnet.channels import Channels
 from tustinnet.data.declaration import declare
-from tustinnet.data.experiment import Experiment, VelocitySource, moves_in
+from tustinnet.data.experiment import Experiment, VelocitySource, moving_coordinates
 from tustinnet.errors import InputError
 from tustinnet.families.family import (
     Arrays,
@@ -38,9 +38,9 @@ from tustinnet.models.contract import (
 )
 from tustinnet.models.integrate import MOST_SUBSTEPS, Discretised
 from tustinnet.models.lagrangian import LagrangianModel
-from tustinnet.registry import FAMILIES, USUAL
+from tustinnet.registry import DEFAULT_FAMILY, FAMILIES
 from tustinnet.signals.excitation import Excitation
-from tustinnet.signals.stacking import stacked
+from tustinnet.signals.stacking import stack_padded
 from tustinnet.simulate.along import followed
 from tustinnet.simulate.drive import drives_of
 from tustinnet.simulate.substeps import fewest_substeps
@@ -196,7 +196,7 @@ class HybridHyper(Hyper):
 def _hyper(content: Any) -> Hyper:
     if not isinstance(content, dict):
         raise InputError("correction", f"{content!r}", "a table of a kind of network")
-    family = FAMILIES[content.get("kind", USUAL)]
+    family = FAMILIES[content.get("kind", DEFAULT_FAMILY)]
     if not issubclass(family.model, AccelerationModel):
         raise InputError("correction", f"kind '{family.kind}'", "a kind that says accelerations")
     return declare({"kind": family.kind, **content}, family.hyper, "correction")
@@ -245,7 +245,7 @@ class HybridFamily(Family):
         physics = self.stepped(hyper, physics, experiments)
         assert physics is not None
         # holds that only the physics knows are those of the correction, too
-        known = [e.driving(physics.inputs) for e in experiments]
+        known = [e.with_timing(physics.inputs) for e in experiments]
         make = FAMILIES[hyper.correction.kind].builder(hyper.correction, known, velocity, None)
         left = _left_by(physics, experiments, velocity)
 
@@ -351,10 +351,10 @@ def _left_by(
     """
     measured = [e.measured_states(velocity) for e in experiments]
     drive = drives_of(physics, experiments)
-    said = np.asarray(followed(physics, jnp.asarray(stacked(measured)), drive))
+    said = np.asarray(followed(physics, jnp.asarray(stack_padded(measured)), drive))
     at = physics.channels.velocity
     left = [
         x[1:, at] - run[1 : len(x), at] for x, run in zip(measured, said, strict=True)
     ]  # fmt: skip
     left = root_mean_square(np.concatenate(left) / physics.dt)
-    return jnp.asarray(np.where(moves_in(experiments), left, 1.0), jnp.float32)
+    return jnp.asarray(np.where(moving_coordinates(experiments), left, 1.0), jnp.float32)

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from pydantic import Field
 
 from tustinnet.channels import Channels
-from tustinnet.data.experiment import Experiment, VelocitySource, moves_in
+from tustinnet.data.experiment import Experiment, VelocitySource, moving_coordinates
 from tustinnet.families.family import (
     MOST_STATES,
     Arrays,
@@ -98,7 +98,7 @@ class LinearFamily(Family):
         )  # fmt: skip
         u = np.concatenate([e.held_inputs for e in experiments])
         offset = np.where(np.arange(2 * channels.n_q) < channels.n_q, before.mean(axis=0), 0.0)
-        moving = np.tile(moves_in(experiments), 2)
+        moving = np.tile(moving_coordinates(experiments), 2)
         unit = np.where(moving, root_mean_square(before - offset), 1.0)
         moved = root_mean_square(change)
         seen = np.hstack([(before - offset) / unit, u / (size := root_mean_square(u))])

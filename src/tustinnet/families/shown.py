@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tustinnet.registry import FAMILIES, SHOWN
+from tustinnet.registry import FAMILIES, SUMMARIES
 
 Header = dict[str, Any]
 Arrays = dict[str, np.ndarray]
@@ -24,8 +24,8 @@ REST = "rest"  # the position at which the memory of a Tustin-Net rests
 def shown_of(header: Header, arrays: Arrays) -> Lines:
     """The lines of a model, or of a part of one; only kinds from outside are loaded for them."""
     kind = header["kind"]
-    if kind in SHOWN:
-        return SHOWN[kind](header, arrays)
+    if kind in SUMMARIES:
+        return SUMMARIES[kind](header, arrays)
     return FAMILIES[kind].shown(header, arrays)
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.models.contract import Model
-from tustinnet.signals.stacking import stacked
+from tustinnet.signals.stacking import stack_padded
 from tustinnet.simulate.drive import drives_of
 from tustinnet.simulate.horizon import horizon_samples, pieces
 from tustinnet.simulate.starts import Start
@@ -55,8 +55,8 @@ def free_runs(
     material = start.material(model, filled)
     tails = [piece[start.first :] for piece in filled]
     u = drives_of(model, filled, slice(start.first, None)).u
-    q = stacked([e.q for e in tails])
-    weight = stacked([np.full(len(e), w) for e, w in zip(tails, counted, strict=True)])
+    q = stack_padded([e.q for e in tails])
+    weight = stack_padded([np.full(len(e), w) for e, w in zip(tails, counted, strict=True)])
     arrays = (material, u, q, weight)
 
     def by_record(a: Array | np.ndarray) -> Array:

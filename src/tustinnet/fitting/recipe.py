@@ -16,7 +16,7 @@ from tustinnet.data.experiment import VelocitySource
 from tustinnet.errors import InputError
 from tustinnet.families.family import Family, Hyper
 from tustinnet.models.integrate import MOST_SUBSTEPS
-from tustinnet.registry import FAMILIES, USUAL
+from tustinnet.registry import DEFAULT_FAMILY, FAMILIES
 from tustinnet.simulate.starts import start_named
 
 Compared = Literal["position", "state"]
@@ -358,7 +358,7 @@ def declared(content: Mapping[str, Any], where: object) -> Recipe:
     table = content.get("model", {})
     if not isinstance(table, dict):
         raise InputError(f"{where}, model", f"{table!r}", 'a table with `kind = "..."`')
-    kind = str(table.get("kind", USUAL))
+    kind = str(table.get("kind", DEFAULT_FAMILY))
     known = [name for name in FAMILIES.names() if not FAMILIES[name].instead]
     if kind not in known:
         exists = kind in FAMILIES

@@ -6,15 +6,15 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
-from tustinnet.data.declaration import packaged, parse_toml, read_packaged, require_plain
-from tustinnet.errors import InputError, refusing
+from tustinnet.data.declaration import list_packaged, parse_toml, read_packaged, require_plain
+from tustinnet.errors import InputError, convert_errors
 from tustinnet.fitting.recipe import Recipe, declared
 from tustinnet.registry import RECIPE_HOMES
 
 
 def packaged_recipes() -> list[str]:
     """Names of the recipes that come with the package."""
-    return list(packaged(RECIPE_HOMES))
+    return list(list_packaged(RECIPE_HOMES))
 
 
 def read_recipe(
@@ -89,7 +89,7 @@ def _indices(place: Sequence[Any], part: str, change: str) -> Sequence[int]:
 
 
 def _value(text: str) -> Any:
-    with refusing("--set", f"'{text.strip()[:30]}'", "a value as TOML has it"):
+    with convert_errors("--set", f"'{text.strip()[:30]}'", "a value as TOML has it"):
         try:
             content = parse_toml(f"value = {text}")
         except tomllib.TOMLDecodeError:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tustinnet.data.experiment import Experiment, moves_in
+from tustinnet.data.experiment import Experiment, moving_coordinates
 from tustinnet.engine import equations as engine
 from tustinnet.fitting.recipe import Robust, SearchRecipe, StageRecipe
 
@@ -97,7 +97,9 @@ def residual_of(recipe: StageRecipe | SearchRecipe, experiments: Sequence[Experi
     angular = tuple(bool(a) and recipe.periodic for a in channels.angular)
     state = recipe.loss == "state"
     periodic = (*angular, *([False] * channels.n_q if state else []))
-    span = np.where(moves_in(experiments), _spread([e.q.var(axis=0) for e in experiments]), 0.0)
+    span = np.where(
+        moving_coordinates(experiments), _spread([e.q.var(axis=0) for e in experiments]), 0.0
+    )
     length = ~channels.angular & (span > 0) & isinstance(recipe, StageRecipe)
     plain = np.where(length, 2.0 ** np.round(np.log2(np.where(length, span, 1.0))), _NOTHING)
     if not recipe.scaled:

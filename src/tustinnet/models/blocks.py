@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from tustinnet.channels import Channels
-from tustinnet.data.experiment import Experiment, VelocitySource, moves_in
+from tustinnet.data.experiment import Experiment, VelocitySource, moving_coordinates
 from tustinnet.errors import InputError
 
 ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
@@ -302,7 +302,9 @@ def learn_scaling(
     followed = [relaxing(v, channels.dt, relaxation_times) for v in velocities]
     return scaling_of(
         position_offset=q.mean(axis=0),
-        position_scale=np.where(moves_in(experiments)[~channels.angular], q.std(axis=0), 1.0),
+        position_scale=np.where(
+            moving_coordinates(experiments)[~channels.angular], q.std(axis=0), 1.0
+        ),
         velocity=root_mean_square(np.concatenate(velocities)),
         input=root_mean_square(np.concatenate([e.u for e in experiments])),
         acceleration=root_mean_square(change),

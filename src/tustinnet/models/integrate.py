@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from tustinnet.channels import Channels, Input, acting
+from tustinnet.channels import Channels, Input, merge_timing
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.contract import (
@@ -131,7 +131,7 @@ def discretise(
     # a hold that a search has found is in the records' inputs, whatever the system's file says
     known = tuple(
         replace(i, hold=said.hold, delay=of.delay)
-        for i, of, said in zip(own, theirs, acting(theirs, own), strict=True)
+        for i, of, said in zip(own, theirs, merge_timing(theirs, own), strict=True)
     )
     return Discretised(model, replace(model.channels, dt=dt, inputs=known), substeps, unrolled)
 

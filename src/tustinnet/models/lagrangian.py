@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from tustinnet.channels import Channels, Coordinate, Input
 from tustinnet.data.experiment import Experiment
-from tustinnet.errors import InputError, brief
+from tustinnet.errors import InputError, describe_error
 from tustinnet.models.contract import (
     ContinuousModel,
     Coordinates,
@@ -204,7 +204,7 @@ class LagrangianSystem:
             except Exception as error:
                 raise InputError(
                     where,
-                    f"fails with {brief(error)}",
+                    f"fails with {describe_error(error)}",
                     "a function of jax arrays",
                     "write it with jax.numpy",
                 ) from error

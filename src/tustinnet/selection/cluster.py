@@ -27,8 +27,8 @@ from typing import Any
 
 import jax
 
-from tustinnet.cores import cores
-from tustinnet.errors import InputError, brief, refusing, require_package
+from tustinnet.cores import count_cores
+from tustinnet.errors import InputError, convert_errors, describe_error, require_package
 from tustinnet.fitting.listener import Listener
 from tustinnet.selection.clock import Clock
 from tustinnet.selection.executors import Executor
@@ -313,7 +313,7 @@ def _found(address: str) -> str | None:
         _ask(parts[1].strip("[]"), int(parts[2]))
     except (OSError, OverflowError, UnicodeError) as error:
         raise InputError(
-            where, f"does not answer ({brief(error)})", "the head of a running cluster",
+            where, f"does not answer ({describe_error(error)})", "the head of a running cluster",
             "start one there: ray start --head --port 6379",
         ) from None  # fmt: skip
     return named
@@ -332,7 +332,7 @@ def _ask(host: str, port: int) -> None:
 
 def _join(ray: Any, address: str | None) -> None:
     """Joins a cluster, or makes this machine one; leaves handlers of signals as they are."""
-    alone = {"num_cpus": cores(), "include_dashboard": False, "object_store_memory": _STORE}
+    alone = {"num_cpus": count_cores(), "include_dashboard": False, "object_store_memory": _STORE}
     quiet = {"log_to_driver": False, "logging_level": logging.ERROR}
     main = threading.current_thread() is threading.main_thread()
     before = signal.getsignal(signal.SIGTERM)
@@ -341,7 +341,7 @@ def _join(ray: Any, address: str | None) -> None:
         "token, RAY_AUTH_MODE=token be set"
     )
     with (
-        refusing("cluster", "cannot be joined", "a Ray cluster", remedy if address else ""),
+        convert_errors("cluster", "cannot be joined", "a Ray cluster", remedy if address else ""),
         warnings.catch_warnings(),  # JAX warns of forks; Ray's become other programs at once
     ):
         warnings.simplefilter("ignore")

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from tustinnet.errors import InputError, reason
+from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.folds import taking_part
 from tustinnet.families.committee import committee
 from tustinnet.fitting.roles import Roles
@@ -92,7 +92,7 @@ def judge_averages(
         try:
             judged = judge_average(name, [by_name[of] for of in members], at)
         except Exception as error:  # of any kind: what was judged before is not lost
-            say(f"{name}: left out, {reason(error)}")
+            say(f"{name}: left out, {error_message(error)}")
             continue
         if judged is None:
             say(f"{name}: not judged, no time was left for it")
@@ -156,7 +156,7 @@ def _whole(
     except OutOfTime:
         why = "no time was left to identify it from all records"
     except Exception as error:  # of any kind: the models of the folds are there
-        why = f"not identified from all records: {reason(error)}"
+        why = f"not identified from all records: {error_message(error)}"
     else:
         words = f"identified from all {len(records)} records"
         return Final(result.model, words, result.as_header())

@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import ConfigDict, TypeAdapter
 
 from tustinnet.data.dataset import DataSet
-from tustinnet.errors import reason
+from tustinnet.errors import error_message
 from tustinnet.evaluate.folds import Deal, dealt, taking_part, used_by
 from tustinnet.evaluate.scores import evaluate, rmse_by_record, scores_header
 from tustinnet.fitting.recipe import Recipe
@@ -210,7 +210,7 @@ def perform(job: Job, at: Workplace, tell: Tell) -> JobResult:
         return JobResult(job.candidate, job.fold, spent, "out of time", why=why, needs=needs)
     except Exception as error:  # of any kind: the others go on, and whoever waits is told why
         spent = time.monotonic() - begun
-        return JobResult(job.candidate, job.fold, spent, "failed", why=reason(error))
+        return JobResult(job.candidate, job.fold, spent, "failed", why=error_message(error))
     told = _RESULT.dump_python(found, mode="json", exclude={"earlier"})
     content = {"fit": of, "judging": asdict(at.judging), "result": told}
     write_into(at.folder, f"{job.folder}/{SCORES}", to_json(content))

@@ -12,7 +12,7 @@ from tustinnet.data.declaration import (
     Name,
     Sentence,
     declare,
-    packaged,
+    list_packaged,
     read_packaged,
 )
 from tustinnet.errors import InputError
@@ -165,7 +165,7 @@ def _require_known(names: Sequence[str], known: Sequence[str], who: str) -> None
 
 def packaged_plans() -> list[str]:
     """Names of the plans that come with the package."""
-    return list(packaged([_HOME], _PLAN))
+    return list(list_packaged([_HOME], _PLAN))
 
 
 def read_plan(which: "str | Path | SelectionPlan") -> SelectionPlan:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tustinnet.data.dataset import DataSet
-from tustinnet.data.inspection import scales_of
+from tustinnet.data.inspection import coordinate_timescales
 from tustinnet.errors import InputError
 from tustinnet.fitting.listener import Listener
 from tustinnet.fitting.task import system_for
@@ -179,7 +179,7 @@ def _taking_part(
     if asked.system is not None and not any(_identifies(c) for c in plan.candidates):
         raise InputError("--system", f"means nothing to the plan '{plan.name}'",
                          "a plan with a candidate that identifies a system")  # fmt: skip
-    fast = any(scales.fast for scales in scales_of(list(records)).values())
+    fast = any(scales.is_fast for scales in coordinate_timescales(list(records)).values())
     other = "slow" if fast else "fast"
     lacking: dict[str, str] = {}
     for c in plan.candidates:

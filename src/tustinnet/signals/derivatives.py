@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from tustinnet.errors import InputError
 from tustinnet.signals.smoother import kalman_smoother
-from tustinnet.signals.transients import moves
+from tustinnet.signals.transients import is_moving
 from tustinnet.signals.wiener import trapezoidal_response, wiener_velocities
 
 VelocityMethod = Literal["stencil", "savgol", "kalman", "wiener", "trapezoidal"]
@@ -32,8 +32,8 @@ def differentiate(
         dt: sampling period [s].
         method: `stencil` (five-point stencil), `savgol` (cubic Savitzky-Golay over 7 samples),
             `kalman` (Rauch-Tung-Striebel smoother that knows the encoder's count), `wiener` (the
-            filter that errs least, from the record's spectrum) or `trapezoidal` (the same for
-            velocities whose trapezoidal sum is the positions, which are those of a Tustin-Net).
+            filter of smallest error, from the record's spectrum) or `trapezoidal` (that filter for
+            velocities whose trapezoidal sum is the positions, as those of a Tustin-Net are).
         resolution: encoder count per coordinate, (n_q,) [rad or m]; `kalman` needs it.
 
     Returns:
@@ -56,16 +56,16 @@ def differentiate(
                 "a positive count per coordinate",
                 "give `resolution` or `counts_per_revolution` for every coordinate in the card",
             )
-        found = kalman_smoother(q, dt, resolution)
+        v = kalman_smoother(q, dt, resolution)
     else:
-        simple: dict[str, Callable[[Positions, float], Positions]] = {
+        estimators: dict[str, Callable[[Positions, float], Positions]] = {
             "stencil": five_point_stencil,
             "savgol": savitzky_golay,
             "wiener": lambda q, dt: wiener_velocities(q, dt, resolution),
             "trapezoidal": lambda q, dt: wiener_velocities(q, dt, resolution, trapezoidal_response),
         }
-        found = simple[method](q, dt)
-    return np.where(moves(q), found, 0.0)  # the rounding of a constant is no motion
+        v = estimators[method](q, dt)
+    return np.where(is_moving(q), v, 0.0)  # the rounding of a constant is no motion
 
 
 def five_point_stencil(q: Positions, dt: float) -> Positions:
@@ -98,7 +98,7 @@ def savitzky_golay(q: Positions, dt: float) -> Positions:
 
     The ends take the derivative of the outermost window's cubic.
     """
-    import scipy.signal  # takes a second, and few ask for this method
+    import scipy.signal  # takes a second, and the method is rarely used
 
     length = min(_SAVGOL_LENGTH, len(q) if len(q) % 2 else len(q) - 1)
     slopes = scipy.signal.savgol_filter(q, length, _SAVGOL_DEGREE, deriv=1, delta=dt, axis=0)

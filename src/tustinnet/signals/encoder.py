@@ -1,11 +1,11 @@
-"""The count of an encoder, found in the positions that it gave."""
+"""The count of an encoder, estimated from the positions that it gave."""
 
 import numpy as np
 from jaxtyping import Float
 
 
 def encoder_count(q: Float[np.ndarray, " n"]) -> float | None:
-    """The step of which all changes of a position are multiples, or None.
+    """The step of which all changes of a position are multiples, None where there is none.
 
     The smallest steps give a first value; larger and larger distances, each within the reach of
     the value so far, refine it, so that the rounding of the file (1e-6 is usual) averages out.
@@ -13,29 +13,23 @@ def encoder_count(q: Float[np.ndarray, " n"]) -> float | None:
     levels = np.unique(q)
     if len(levels) < 3:
         return None
-    steps = np.diff(levels)
+    steps, distance = np.diff(levels), levels - levels[0]
     # far below the usual step lies what the rounding of the file makes of two equal levels; how
     # far depends on how many counts the position moves between two samples
     for share in (0.2, 0.05, 0.01):
-        count = _refined(levels, steps[steps > share * np.median(steps)].min())
-        if count is not None:
+        smallest = steps[steps > share * np.median(steps)].min()
+        # steps of one count, give or take the rounding of the file
+        count = float(np.median(steps[steps < 1.5 * smallest]))
+        reach = 8.0 * count
+        while True:
+            near = distance[distance <= reach]
+            multiples = np.round(near / count)
+            if multiples.any():
+                count = float(near @ multiples / (multiples @ multiples))
+            if reach >= distance[-1]:
+                break
+            reach *= 4.0
+        error = np.abs(distance - np.round(distance / count) * count)
+        if np.max(error) < 0.1 * count:
             return count
     return None
-
-
-def _refined(levels: Float[np.ndarray, " n"], smallest: float) -> float | None:
-    steps = np.diff(levels)
-    # steps of one count, give or take the rounding of the file
-    count = float(np.median(steps[steps < 1.5 * smallest]))
-    distance = levels - levels[0]
-    reach = 8.0 * count
-    while True:
-        near = distance[distance <= reach]
-        multiples = np.round(near / count)
-        if multiples.any():
-            count = float(near @ multiples / (multiples @ multiples))
-        if reach >= distance[-1]:
-            break
-        reach *= 4.0
-    error = np.abs(distance - np.round(distance / count) * count)
-    return count if np.max(error) < 0.1 * count else None

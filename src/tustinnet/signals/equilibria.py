@@ -1,4 +1,4 @@
-"""Whether a record ends about an unstable equilibrium that a controller holds."""
+"""Unstable equilibria that a controller holds to the end of a record."""
 
 from dataclasses import dataclass
 
@@ -7,17 +7,17 @@ from jaxtyping import Float
 
 _NEAR = 0.5  # rad, or of a length's whole travel a fifth: about so far motion is near to linear
 _NEAR_SHARE = 0.2
-_AHEAD = 5  # samples, the baseline of a velocity: errors of both ends then have nothing in common
-_FEWEST = 200  # samples that the linear fit should see
+_AHEAD = 5  # samples, the baseline of a velocity: errors of both ends are then independent
+_FEWEST = 200  # samples that the linear fit needs
 _GROWTHS = 10.0  # e-folds within the stretch, fewer might be drift
 
 
 @dataclass(frozen=True)
-class Held:
-    """An unstable equilibrium that something holds to a record's end.
+class HeldEquilibrium:
+    """An unstable equilibrium that a controller holds to a record's end.
 
     Attributes:
-        sample: where it begins.
+        sample: first sample near it.
         e_fold: time in which an error would grow e-fold if the input did not answer to it [s].
     """
 
@@ -25,16 +25,16 @@ class Held:
     e_fold: float
 
 
-def held(
+def find_held_equilibrium(
     q: Float[np.ndarray, "n n_q"],
     v: Float[np.ndarray, "n n_q"],
     u: Float[np.ndarray, "n n_u"],
     angular: tuple[bool, ...],
     dt: float,
-) -> Held | None:
-    """From where on a record stays about an unstable equilibrium, None where it does not.
+) -> HeldEquilibrium | None:
+    """The unstable equilibrium about which a record stays to its end, None where there is none.
 
-    For every coordinate the stretch is looked at in which it stays near its median of the record's
+    For every coordinate the stretch is examined in which it stays near its median of the record's
     last tenth: within 0.5 rad, or a fifth of the travel of a length. There the state 5 samples
     on is fitted as a linear function of the state and the inputs between. A growing mode that
     nevertheless stays small is held. Errors of the positions make modes look more stable.
@@ -42,18 +42,18 @@ def held(
     Args:
         q: positions [rad or m].
         v: velocities [rad/s or m/s].
-        u: inputs; where none changes in the stretch, nothing holds.
-        angular: which coordinates are angles.
+        u: inputs; without a change in the stretch they hold nothing.
+        angular: whether each coordinate is an angle.
         dt: sampling period [s].
     """
     resting = np.median(q[-max(10, len(q) // 10) :], axis=0)
     near = np.where(angular, _NEAR, _NEAR_SHARE * np.ptp(q, axis=0))
     far = np.abs(q - resting) > near
-    begins = {int(np.flatnonzero(column)[-1]) + 1 if column.any() else 0 for column in far.T}
-    for k in sorted(begins):
+    first_samples = {int(np.flatnonzero(c)[-1]) + 1 if c.any() else 0 for c in far.T}
+    for k in sorted(first_samples):
         rate = _fastest_growth(np.concatenate([q, v], axis=1)[k:], u[k:], dt)
         if rate * (len(q) - k) * dt > _GROWTHS:
-            return Held(k, 1 / rate)
+            return HeldEquilibrium(k, 1 / rate)
     return None
 
 
@@ -65,10 +65,10 @@ def _fastest_growth(
     if n < _FEWEST or not np.ptp(u, axis=0).any():
         return 0.0
     between = [u[j : j + n] for j in range(_AHEAD)]
-    known = np.concatenate([x[:n], *between, np.ones((n, 1))], axis=1)
-    size = np.maximum(np.abs(known).max(axis=0), 1e-300)
-    found, _, rank, _ = np.linalg.lstsq(known / size, x[_AHEAD:], rcond=1e-8)
-    if rank < known.shape[1] - np.sum(np.ptp(known, axis=0) == 0):
+    regressors = np.concatenate([x[:n], *between, np.ones((n, 1))], axis=1)
+    size = np.maximum(np.abs(regressors).max(axis=0), 1e-300)
+    coefficients, _, rank, _ = np.linalg.lstsq(regressors / size, x[_AHEAD:], rcond=1e-8)
+    if rank < regressors.shape[1] - np.sum(np.ptp(regressors, axis=0) == 0):
         return 0.0
-    modes = np.linalg.eigvals((found / size[:, None])[: x.shape[1]])
+    modes = np.linalg.eigvals((coefficients / size[:, None])[: x.shape[1]])
     return max(0.0, float(np.log(max(np.abs(modes).max(), 1e-300))) / (_AHEAD * dt))

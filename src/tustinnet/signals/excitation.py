@@ -1,4 +1,4 @@
-"""What inputs do between their samples: a polynomial for every period."""
+"""Inputs between their samples: a polynomial for every period."""
 
 import math
 from collections.abc import Sequence
@@ -7,9 +7,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-Held = Literal["zero-order", "first-order", "band-limited"]
+DeclaredHold = Literal["zero-order", "first-order", "band-limited"]
 
-HALF = 16  # samples on either side that a band-limited value is made of
+HALF = 16  # samples on either side that a band-limited value is computed from
 _ORDER = 8  # coefficients a period: errs by 2e-6 at 0.42 of the sampling rate
 _PREDICTED_FROM = 16  # samples that the next beyond an end is predicted from
 _RIDGE = 1e-9  # of the mean square: rounding of a converter, no more
@@ -38,9 +38,9 @@ class Excitation(NamedTuple):
 
 
 def excitation(
-    u: Float[np.ndarray, "n n_u"], holds: Sequence[Held], delays: Sequence[float]
+    u: Float[np.ndarray, "n n_u"], holds: Sequence[DeclaredHold], delays: Sequence[float]
 ) -> Excitation:
-    """What inputs do at and between their samples.
+    """Inputs at and between their samples.
 
     Held inputs keep their sample, those of first order follow straight lines, band-limited ones
     are interpolated by a windowed sinc, whose polynomial over a period is a filter of fixed
@@ -51,41 +51,39 @@ def excitation(
 
     Args:
         u: samples, (n, n_u); more than `HALF` of them where an input is band-limited.
-        holds: of each input, what it does between samples.
-        delays: of each input, how much later it acts than it is written down [periods].
+        holds: hold of each input.
+        delays: delay of each input [periods].
 
     References:
         Farrow (1988), A continuously variable digital delay element, IEEE ISCAS.
         Kaiser (1974), Nonrecursive digital filter design using the I0-sinh window function.
         Makhoul (1975), Linear prediction: a tutorial review, Proceedings of the IEEE 63.
     """
-    made = [_one(*of) for of in zip(u.T, holds, delays, strict=True)]
-    order = max((len(pieces) for _, pieces in made), default=1)
+    columns = []
+    for column, hold, delay in zip(u.T, holds, delays, strict=True):
+        if hold == "band-limited":
+            columns.append(_interpolate_band_limited(column, delay))
+            continue
+        # between samples m and m + 1 periods before; for a held input its mean over the period
+        at = np.arange(len(column))
+        samples = np.interp(at - delay, at, column) if delay else column
+        powers = [samples[:-1]] if hold == "zero-order" else [samples[:-1], np.diff(samples)]
+        pieces = np.stack(powers)
+        columns.append((samples, pieces))
+    order = max((len(pieces) for _, pieces in columns), default=1)
+    all_samples = np.zeros(u.shape)
     all_pieces = np.zeros((len(u) - 1, order, u.shape[1]))
-    samples = np.zeros(u.shape)
-    for i, (at, pieces) in enumerate(made):
-        samples[:, i] = at
+    for i, (samples, pieces) in enumerate(columns):
+        all_samples[:, i] = samples
         all_pieces[:, : len(pieces), i] = pieces.T
-    return Excitation(samples, all_pieces)
+    return Excitation(all_samples, all_pieces)
 
 
-def _one(
-    u: Float[np.ndarray, " n"], hold: Held, delay: float
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "order steps"]]:
-    if hold == "band-limited":
-        return _band_limited(u, delay)
-    # between samples m and m + 1 periods before; of a held input that is its mean over the period
-    at = np.interp(np.arange(len(u)) - delay, np.arange(len(u)), u) if delay else u
-    if hold == "zero-order":
-        return at, at[None, :-1]
-    return at, np.stack([at[:-1], np.diff(at)])
-
-
-def _band_limited(
+def _interpolate_band_limited(
     u: Float[np.ndarray, " n"], delay: float
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "order steps"]]:
     n, reach = len(u), HALF + math.ceil(abs(delay)) + 1
-    extended = np.concatenate([_before(u, reach), u, _before(u[::-1], reach)[::-1]])
+    extended = np.concatenate([_predict_back(u, reach), u, _predict_back(u[::-1], reach)[::-1]])
     nodes = (1 - np.cos(np.pi * np.arange(_ORDER) / (_ORDER - 1))) / 2  # both ends among them
     values = []
     for node in nodes:
@@ -100,19 +98,19 @@ def _band_limited(
     return values[0], pieces[:, :-1]
 
 
-def _before(u: Float[np.ndarray, " n"], count: int) -> Float[np.ndarray, " count"]:
-    """So many samples before the first one, by linear prediction back in time."""
+def _predict_back(u: Float[np.ndarray, " n"], count: int) -> Float[np.ndarray, " count"]:
+    """Samples before the first one, by linear prediction back in time."""
     mean, peak = u.mean(), np.abs(u - u.mean()).max()
     if not peak:
         return np.full(count, mean)
-    known = (u - mean)[::-1] / peak
+    reverse = (u - mean)[::-1] / peak
     order = min(_PREDICTED_FROM, len(u) // 3)
-    past = np.lib.stride_tricks.sliding_window_view(known[:-1], order)
+    past = np.lib.stride_tricks.sliding_window_view(reverse[:-1], order)
     products = past.T @ past
     products += _RIDGE * np.trace(products) * np.eye(order)
-    weights = np.linalg.solve(products, past.T @ known[order:])
-    found = np.concatenate([known[-order:], np.zeros(count)])
+    weights = np.linalg.solve(products, past.T @ reverse[order:])
+    predicted = np.concatenate([reverse[-order:], np.zeros(count)])
     for k in range(order, order + count):
         # a predictor may be unstable; it must not run away
-        found[k] = np.clip(found[k - order : k] @ weights, -1.0, 1.0)
-    return mean + peak * found[order:][::-1]
+        predicted[k] = np.clip(predicted[k - order : k] @ weights, -1.0, 1.0)
+    return mean + peak * predicted[order:][::-1]

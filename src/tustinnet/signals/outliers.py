@@ -5,22 +5,22 @@ from jaxtyping import Float, Int
 
 # a jump is a change from one sample to the next that sticks out of its neighbours, see `jumps`
 _NEAR, _AROUND = 11, 31  # samples
-_USUAL = 24  # of them stick out less than what is usual nearby: six may be jumps themselves
+_USUAL_RANK = 24  # of them deviate less than is usual nearby: six may be jumps themselves
 _LARGE = 8.0  # times that
 _FAST = 2.0  # times the largest change nearby that does not stick out
 _COUNTS = 5.0
 _ROUNDING = 1e-9  # of the largest position
-_MANY, _HELD = 10, 0.05  # so many jumps, and this share of all changes
+_MANY, _MANY_SHARE = 10, 0.05  # more jumps than this, and than this share of all changes
 
 # a spike is a sample or two, this many times as far from the median as all that are none
 _HUGE = 30.0
-_FEW = 0.05  # share of the samples that may be spikes
+_FEW_SHARE = 0.05  # share of the samples that may be spikes
 _SHORT = 2  # samples
 
 _AT_ONCE = 10_000  # windows that are copied at a time, so that long records need little memory
 
 
-def jumps(
+def find_jumps(
     t: Float[np.ndarray, " n"], q: Float[np.ndarray, " n"], count: float
 ) -> Int[np.ndarray, " jumps"]:
     """Samples that a position reaches by a jump: bad rows (there and back), lost counts.
@@ -39,19 +39,20 @@ def jumps(
     change = np.diff(q) * (np.median(interval) / interval)  # a gap is no jump
     if len(change) < 5:
         return np.zeros(0, int)
-    usual = _ranked(change, 5, 2)
-    out = np.abs(change - usual)
-    fast = _ranked(np.abs(usual), _NEAR, _NEAR - 1)
-    others = _ranked(out, _AROUND, _USUAL)
+    usual = _rank_filter(change, 5, 2)
+    deviation = np.abs(change - usual)
+    fast = _rank_filter(np.abs(usual), _NEAR, _NEAR - 1)
+    others = _rank_filter(deviation, _AROUND, _USUAL_RANK)
     least = max(_COUNTS * count, _ROUNDING * float(np.abs(q).max()))
-    found = np.flatnonzero(out > np.maximum(np.maximum(_LARGE * others, _FAST * fast), least)) + 1
+    threshold = np.maximum(np.maximum(_LARGE * others, _FAST * fast), least)
+    jumps = np.flatnonzero(deviation > threshold) + 1
     # a log that is faster than its sensor moves by jumps alone
-    held = len(found) > _MANY and len(found) > _HELD * np.count_nonzero(change)
-    return found[:0] if held else found
+    is_usual = len(jumps) > _MANY and len(jumps) > _MANY_SHARE * np.count_nonzero(change)
+    return jumps[:0] if is_usual else jumps
 
 
-def _ranked(x: Float[np.ndarray, " n"], width: int, rank: int) -> Float[np.ndarray, " n"]:
-    """A rank filter: the value that so many others around each sample are not above.
+def _rank_filter(x: Float[np.ndarray, " n"], width: int, rank: int) -> Float[np.ndarray, " n"]:
+    """Rank filter: the value of a rank, from 0, among those in a window around each sample.
 
     The signal is mirrored at its ends.
     """
@@ -59,21 +60,21 @@ def _ranked(x: Float[np.ndarray, " n"], width: int, rank: int) -> Float[np.ndarr
     padded = np.pad(x, width // 2, mode="reflect")
     windows = np.lib.stride_tricks.sliding_window_view(padded, width)
     parts = np.array_split(windows, 1 + len(x) // _AT_ONCE)
-    return np.concatenate([np.partition(of, rank, axis=1)[:, rank] for of in parts])
+    return np.concatenate([np.partition(part, rank, axis=1)[:, rank] for part in parts])
 
 
-def spikes(u: Float[np.ndarray, " n"]) -> Int[np.ndarray, " spikes"]:
+def find_spikes(u: Float[np.ndarray, " n"]) -> Int[np.ndarray, " spikes"]:
     """Samples of an input that are huge compared with all others, one or two in a row.
 
     Steps, pulses from rest and noise have none.
     """
     size = np.abs(u - np.median(u))
     ordered = np.sort(size)
-    first = len(u) - int(_FEW * len(u))
+    first = len(u) - int(_FEW_SHARE * len(u))
     below = ordered[first - 1 : -1]
     wide = np.flatnonzero((ordered[first:] > _HUGE * below) & (below > 0))
     if not len(wide):
         return np.zeros(0, int)
-    found = np.flatnonzero(size >= ordered[first + wide[0]])
-    runs = np.split(found, np.flatnonzero(np.diff(found) > 1) + 1)
-    return found if max(map(len, runs)) <= _SHORT else np.zeros(0, int)
+    spikes = np.flatnonzero(size >= ordered[first + wide[0]])
+    runs = np.split(spikes, np.flatnonzero(np.diff(spikes) > 1) + 1)
+    return spikes if max(map(len, runs)) <= _SHORT else np.zeros(0, int)

@@ -11,12 +11,12 @@ from tustinnet.errors import InputError
 Times = Float[np.ndarray, " n"]
 
 _GAP = 2.5  # an interval longer than this many periods is a gap: two or more samples are missing
-_LONGEST_GRID = 10  # times the samples of a record; a wild timestamp asks for any number
+_LONGEST_GRID = 10  # times the samples of a record; a wild timestamp would need any number
 
 
 @dataclass(frozen=True)
 class Regularity:
-    """How far the timestamps of a record are from a regular grid.
+    """Deviation of a record's timestamps from a regular grid.
 
     Attributes:
         median_dt: median interval [s].
@@ -53,7 +53,7 @@ def require_short_grid(t: Times, dt: float, place: Callable[[int], object]) -> N
     Args:
         t: timestamps [s].
         dt: period of the grid [s].
-        place: how a sample, by its index, is called in the message.
+        place: name of a sample in the message, by its index.
 
     Raises:
         InputError: a longer grid; the message names the longest interval.
@@ -98,7 +98,7 @@ def resample_linear(
 def resample_held(
     t: Times, u: Float[np.ndarray, "n n_u"], grid: Float[np.ndarray, " m"]
 ) -> Float[np.ndarray, "m n_u"]:
-    """Held inputs on a grid: each grid interval gets the mean of what was applied during it.
+    """Held inputs on a grid: each grid interval gets the mean of the values applied during it.
 
     The mean keeps the impulse that the system received, which picking the value at the grid
     point would not. After the last sample its value is held.

@@ -31,10 +31,20 @@ def kalman_smoother(
         Rauch, Tung, Striebel (1965), Maximum likelihood estimates of linear dynamic systems.
     """
     noise = resolution**2 / 12.0
-    intensity = _most_likely_intensity(q[:_LIKELIHOOD_SAMPLES], dt, noise)
-    transition, process = _triple_integrator(dt, intensity)
+    # one run of the filter with a leading axis of candidates
+    grid = np.broadcast_to(_CANDIDATES[:, None], (len(_CANDIDATES), q.shape[1]))
+    transition, process = _triple_integrator(dt, grid)
+    likelihood = _filter(q[:_LIKELIHOOD_SAMPLES], transition, process, noise)[2]
+    transition, process = _triple_integrator(dt, _CANDIDATES[np.argmax(likelihood, axis=0)])
     means, covariances, _ = _filter(q, transition, process, noise)
-    return _smooth(means, covariances, transition, process)[..., 1]
+    predicted = transition @ covariances[:-1] @ transition.T + process
+    # gain = P F' (F P F' + Q)^-1, as a solve with the symmetric matrix on the left
+    gains = np.swapaxes(np.linalg.solve(predicted, transition @ covariances[:-1]), -1, -2)
+    smoothed = means.copy()
+    for k in range(len(means) - 2, -1, -1):
+        ahead = smoothed[k + 1] - means[k] @ transition.T
+        smoothed[k] = means[k] + (gains[k] @ ahead[..., None])[..., 0]
+    return smoothed[..., 1]
 
 
 def _triple_integrator(
@@ -52,16 +62,6 @@ def _triple_integrator(
     return transition, intensity[..., None, None] * unit
 
 
-def _most_likely_intensity(
-    q: Float[np.ndarray, "n n_q"], dt: float, noise: Float[np.ndarray, " n_q"]
-) -> Float[np.ndarray, " n_q"]:
-    # One run of the filter with a leading axis of candidates.
-    grid = np.broadcast_to(_CANDIDATES[:, None], (len(_CANDIDATES), q.shape[1]))
-    transition, process = _triple_integrator(dt, grid)
-    likelihood = _filter(q, transition, process, noise)[2]
-    return _CANDIDATES[np.argmax(likelihood, axis=0)]
-
-
 def _filter(
     q: Float[np.ndarray, "n n_q"],
     transition: Float[np.ndarray, "3 3"],
@@ -77,7 +77,7 @@ def _filter(
     mean[..., 0] = q[0]
     spread = np.maximum(np.ptp(q, axis=0), np.sqrt(noise))
     covariance = np.zeros((*lead, 3, 3))
-    # The first sample says where, not how fast: start with the widest speeds the record could hold.
+    # the first sample gives a position, no speed: begin with the widest spread of speeds
     covariance[..., 0, 0] = noise
     covariance[..., 1, 1] = (spread / (5 * dt)) ** 2
     covariance[..., 2, 2] = (spread / (5 * dt) ** 2) ** 2
@@ -94,16 +94,3 @@ def _filter(
         likelihood -= 0.5 * (innovation**2 / variance + np.log(variance))
         means[k], covariances[k] = mean, covariance
     return means, covariances, likelihood
-
-
-def _smooth(
-    means: Vectors, covariances: Matrices, transition: Float[np.ndarray, "3 3"], process: Matrices
-) -> Vectors:
-    predicted = transition @ covariances[:-1] @ transition.T + process
-    # gain = P F' (F P F' + Q)^-1, as a solve with the symmetric matrix on the left
-    gains = np.swapaxes(np.linalg.solve(predicted, transition @ covariances[:-1]), -1, -2)
-    smoothed = means.copy()
-    for k in range(len(means) - 2, -1, -1):
-        ahead = smoothed[k + 1] - means[k] @ transition.T
-        smoothed[k] = means[k] + (gains[k] @ ahead[..., None])[..., 0]
-    return smoothed

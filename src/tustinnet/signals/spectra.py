@@ -1,4 +1,4 @@
-"""Spectra of records: how much of a signal's power there is at each frequency."""
+"""Spectra of records: the power of a signal at each frequency."""
 
 import numpy as np
 from jaxtyping import Float

@@ -6,13 +6,13 @@ import numpy as np
 from jaxtyping import Float
 
 
-def stacked(
+def stack_padded(
     signals: Sequence[Float[np.ndarray, "_ *columns"]],
 ) -> Float[np.ndarray, "signals longest *columns"]:
     """Signals as one array, zeros after the end of shorter ones.
 
     Args:
-        signals: each (n, ...), n its own, the rest alike.
+        signals: each (n, ...); n may differ, the other axes are equal.
 
     Returns:
         (signals, longest n, ...).

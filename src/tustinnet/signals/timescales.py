@@ -1,4 +1,4 @@
-"""How fast a motion is, in samples: the period of its strongest line, and how fast it forgets."""
+"""Time scales of a motion, in samples: the period of its dominant frequency, and its decay."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -8,17 +8,17 @@ from jaxtyping import Float
 
 from tustinnet.signals.spectra import welch
 
-_FEW_SAMPLES = 20  # in a period: below, velocities differ by a percent with how they are meant
+_FEW_SAMPLES = 20  # in a period: below, definitions of velocity differ by a percent
 _SEGMENT = 2048  # samples of a spectrum, at most
 
 
 class Timescales(NamedTuple):
-    """What some records say of one coordinate.
+    """Time scales of one coordinate in some records.
 
     Attributes:
         swing: the standard deviation of its positions [rad or m].
-        period: that of the strongest line of its spectrum, in samples.
-        decay: after how many samples the envelope of its autocorrelation is 1/e.
+        period: period of the dominant frequency of its spectrum, in samples.
+        decay: number of samples after which the envelope of its autocorrelation is 1/e.
     """
 
     swing: float
@@ -26,8 +26,8 @@ class Timescales(NamedTuple):
     decay: float
 
     @property
-    def fast(self) -> bool:
-        """Whether the coordinate swings, and with few samples in a period."""
+    def is_fast(self) -> bool:
+        """Whether the coordinate oscillates, with few samples in a period."""
         return self.period < _FEW_SAMPLES and self.decay > self.period
 
 
@@ -38,16 +38,16 @@ def timescales(positions: Sequence[Float[np.ndarray, " _"]]) -> Timescales:
     noise drives decays as the oscillation does by itself.
 
     Args:
-        positions: of each record.
+        positions: positions of the coordinate in each record.
     """
     segment = min(_SEGMENT, min(map(len, positions)))
     spectra = [welch(q - q.mean(), 1.0, segment)[1] for q in positions]
     power = np.mean(spectra, axis=0)
-    strongest = 1 + int(np.argmax(power[1:]))
+    dominant = 1 + int(np.argmax(power[1:]))
     # of a one-sided spectrum: the analytic autocorrelation, whose size is the envelope
     envelope = np.abs(np.fft.ifft(power, 8 * len(power)))[: 4 * len(power)]
     below = np.flatnonzero(envelope < envelope[0] / np.e)
     lag = 2 * (len(power) - 1) / (8 * len(power))  # samples between two values of the envelope
     decay = lag * below[0] if len(below) else float(segment)
     variance = np.mean([q.var() for q in positions])
-    return Timescales(float(np.sqrt(variance)), segment / strongest, float(decay))
+    return Timescales(float(np.sqrt(variance)), segment / dominant, float(decay))

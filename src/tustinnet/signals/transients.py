@@ -1,4 +1,4 @@
-"""Where the transient of a record ends."""
+"""The end of a record's transient."""
 
 from dataclasses import dataclass
 
@@ -6,16 +6,16 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 _ROUNDING = 1e-9  # rad/s or m/s
-_SAME = 1e-12  # of the largest position; what resampling makes of a constant is this near
+_SAME = 1e-12  # of the largest position; a resampled constant deviates by less
 
 
 @dataclass(frozen=True)
 class RestThresholds:
-    """When a record counts as at rest, per coordinate.
+    """Thresholds below which a record counts as at rest, per coordinate.
 
     Attributes:
-        speed: |v| below this [rad/s or m/s], (n_q,).
-        excursion: |q - resting value| below this [rad or m], (n_q,).
+        speed: threshold of |v| [rad/s or m/s], (n_q,).
+        excursion: threshold of |q - resting value| [rad or m], (n_q,).
         resting: the resting value [rad or m], (n_q,).
     """
 
@@ -54,23 +54,23 @@ def rest_thresholds(
     )
 
 
-def at_rest(
+def is_at_rest(
     q: Float[np.ndarray, "n n_q"], v: Float[np.ndarray, "n n_q"], thresholds: RestThresholds
 ) -> Bool[np.ndarray, " n"]:
-    """Samples at which all speeds and all excursions are below the thresholds."""
+    """Mask of the samples at which all speeds and all excursions are below the thresholds."""
     near = np.abs(q - thresholds.resting) < thresholds.excursion
     # a coordinate that never moves has thresholds of 0
-    return np.all((slow(v, thresholds) & near) | ~moves(q), axis=1)
+    return np.all((is_slow(v, thresholds) & near) | ~is_moving(q), axis=1)
 
 
-def moves(q: Float[np.ndarray, "n n_q"]) -> Bool[np.ndarray, " n_q"]:
-    """Which coordinates move at all, by more than rounding."""
+def is_moving(q: Float[np.ndarray, "n n_q"]) -> Bool[np.ndarray, " n_q"]:
+    """Mask of the coordinates that move at all, by more than rounding."""
     return np.ptp(q, axis=0) > _SAME * np.abs(q).max(axis=0)
 
 
-def slow(v: Float[np.ndarray, "n n_q"], thresholds: RestThresholds) -> Bool[np.ndarray, "n n_q"]:
-    """Samples at which each speed is below its threshold, or the coordinate never moves."""
-    # what a derivative leaves of a constant is rounding, not motion
+def is_slow(v: Float[np.ndarray, "n n_q"], thresholds: RestThresholds) -> Bool[np.ndarray, "n n_q"]:
+    """Mask of slow samples: each speed below its threshold, or a coordinate that never moves."""
+    # the derivative of a constant is rounding, not motion
     return (np.abs(v) < thresholds.speed) | (np.abs(v).max(axis=0) < _ROUNDING)
 
 
@@ -82,5 +82,5 @@ def settling_index(
     Returns the record's length when it is still moving at the end. The paper draws the
     pre-training windows before this sample (section 3.2, step 1).
     """
-    moving = np.flatnonzero(~at_rest(q, v, thresholds))
+    moving = np.flatnonzero(~is_at_rest(q, v, thresholds))
     return int(moving[-1]) + 1 if len(moving) else 0

@@ -1,4 +1,4 @@
-"""The linear estimate of velocities that errs least, from the spectrum of the positions."""
+"""The linear estimate of velocities of least error, from the spectrum of the positions."""
 
 from collections.abc import Callable
 
@@ -7,21 +7,24 @@ from jaxtyping import Float
 
 from tustinnet.signals.spectra import welch
 
-_REACH = 12  # samples to both sides that an estimate takes
+_REACH = 12  # samples to both sides that an estimate uses
 _SEGMENT = 1024  # samples of a spectrum, at most
-_ABOVE = 4.0  # a line counts where it is so many times as strong as what rounding leaves
+_ABOVE = 4.0  # a frequency counts where its power is above this many times the noise
 _FLOOR = 1e-10  # of the variance, the least noise: solves stay well-posed for exact positions
 
 Response = Callable[[Float[np.ndarray, " f"], float], Float[np.ndarray, " f"]]
 
 
 def derivative_response(omega: Float[np.ndarray, " f"], dt: float) -> Float[np.ndarray, " f"]:
-    """The imaginary part of `v / q` at angular frequencies [rad/s]: that of the derivative."""
+    """The imaginary part of `v / q` at angular frequencies [rad/s], for the derivative."""
     return omega
 
 
 def trapezoidal_response(omega: Float[np.ndarray, " f"], dt: float) -> Float[np.ndarray, " f"]:
-    """The same of velocities whose trapezoidal sum is the positions, `(2/dt) tan(omega dt/2)`."""
+    """The imaginary part of `v / q` for velocities whose trapezoidal sum is the positions.
+
+    It is `(2/dt) tan(omega dt/2)`.
+    """
     return 2 / dt * np.tan(omega * dt / 2)
 
 
@@ -44,7 +47,8 @@ def wiener_velocities(
         q: positions, (n, n_q) [rad or m].
         dt: sampling period [s].
         resolution: encoder counts, (n_q,) [rad or m], 0 or None where there are none.
-        response: what is estimated, as a function of angular frequency [rad/s] and period.
+        response: `v / q` of the velocities to estimate, as a function of angular frequency [rad/s]
+            and period.
 
     Returns:
         (n, n_q) [rad/s or m/s].
@@ -53,42 +57,34 @@ def wiener_velocities(
         Wiener (1949), Extrapolation, interpolation, and smoothing of stationary time series.
     """
     counts = np.zeros(q.shape[1]) if resolution is None else resolution
-    columns = [_estimated(*of, dt, response) for of in zip(q.T, counts, strict=True)]
-    return np.stack(columns, axis=1)
+    columns = zip(q.T, counts, strict=True)
+    return np.stack([_filter(column, count, dt, response) for column, count in columns], axis=1)
 
 
-def _estimated(
+def _filter(
     q: Float[np.ndarray, " n"], count: float, dt: float, response: Response
 ) -> Float[np.ndarray, " n"]:
     n, reach = len(q), min(_REACH, (len(q) - 1) // 2)
     centred = q - q.mean()
     if not centred.any():
         return centred
-    omega, power, noise = _spectrum(centred, count, dt)
+    frequency, density = welch(centred, dt, min(n, _SEGMENT))
+    omega = 2 * np.pi * frequency[:-1]
+    density = density[:-1]  # the trapezoidal rule has none at the last one, half the rate
+    floor = count**2 / 12 * 2 * dt if count else float(np.quantile(density, 0.1))
+    power = np.where(density > _ABOVE * floor, density - floor, 0.0) * frequency[1]
+    noise = max(floor / (2 * dt), _FLOOR * float(np.var(centred)))  # its variance
     lags = np.arange(2 * reach + 1)
-    like = np.cos(np.outer(lags, omega * dt)) @ power
-    covariance = like[np.abs(lags[:, None] - lags)] + noise * np.eye(len(lags))
-    # of the velocity at a sample and the position `lag` samples later
+    autocovariance = np.cos(np.outer(lags, omega * dt)) @ power
+    covariance = autocovariance[np.abs(lags[:, None] - lags)] + noise * np.eye(len(lags))
+    # covariance of the velocity at a sample and the position `lag` samples later
     both = np.arange(-2 * reach, 2 * reach + 1)
-    with_position = np.sin(np.outer(both, omega * dt)) @ (power * response(omega, dt))
-    # the row of a place: the filter for the velocity at that sample of the 2 reach + 1
-    wanted = with_position[2 * reach + lags[None] - lags[:, None]]
-    filters = np.linalg.solve(covariance, wanted.T).T
+    cross_covariance = np.sin(np.outer(both, omega * dt)) @ (power * response(omega, dt))
+    # each row: the filter for the velocity at that sample of the 2 reach + 1
+    velocity_rows = cross_covariance[2 * reach + lags[None] - lags[:, None]]
+    filters = np.linalg.solve(covariance, velocity_rows.T).T
     v = np.empty(n)
     v[reach : n - reach] = np.convolve(centred, filters[reach, ::-1], "valid")
     v[:reach] = filters[:reach] @ centred[: 2 * reach + 1]
     v[n - reach :] = filters[reach + 1 :] @ centred[n - 2 * reach - 1 :]
     return v
-
-
-def _spectrum(
-    q: Float[np.ndarray, " n"], count: float, dt: float
-) -> tuple[Float[np.ndarray, " f"], Float[np.ndarray, " f"], float]:
-    """Angular frequencies, the motion's power at each, and the noise's variance."""
-    frequency, density = welch(q, dt, min(len(q), _SEGMENT))
-    density = density[:-1]  # the trapezoidal rule says nothing of the last one, half the rate
-    share = frequency[1]
-    floor = count**2 / 12 * 2 * dt if count else float(np.quantile(density, 0.1))
-    power = np.where(density > _ABOVE * floor, density - floor, 0.0) * share
-    noise = max(floor / (2 * dt), _FLOOR * float(np.var(q)))
-    return 2 * np.pi * frequency[:-1], power, noise

@@ -1,4 +1,4 @@
-"""Windows: where the subsequences that a model is trained on begin.
+"""Windows: beginnings of the subsequences that a model is trained on.
 
 A window of `length` steps that begins at sample k holds the samples k..k+length. Windows are
 pairs (record, first sample), never copies of the data.
@@ -25,7 +25,10 @@ def strided_windows(lengths: Sequence[int], length: int, step: int, part: float 
         (count, 2) record and first sample; records shorter than a window give none.
     """
     starts = [np.arange(0, round(part * max(n - length, 0)), step) for n in lengths]
-    return _pairs(starts)
+    if not starts:
+        return np.zeros((0, 2), dtype=np.int64)
+    record = np.repeat(np.arange(len(starts)), [len(s) for s in starts])
+    return np.stack([record, np.concatenate(starts)], axis=1).astype(np.int64)
 
 
 def random_windows(
@@ -44,7 +47,7 @@ def random_windows(
     Args:
         lengths: samples in each record.
         length: steps in a window.
-        count: how many windows.
+        count: number of windows.
         generator: the source of randomness.
         ends: per record the sample before which windows begin; the record's end by default.
 
@@ -61,10 +64,3 @@ def random_windows(
         return np.zeros((0, 2), dtype=np.int64)
     record = usable[generator.integers(len(usable), size=count)]
     return np.stack([record, generator.integers(2, last[record] + 1)], axis=1)
-
-
-def _pairs(starts: list[np.ndarray]) -> Windows:
-    if not starts:
-        return np.zeros((0, 2), dtype=np.int64)
-    record = np.repeat(np.arange(len(starts)), [len(s) for s in starts])
-    return np.stack([record, np.concatenate(starts)], axis=1).astype(np.int64)

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.models.contract import Model
-from tustinnet.signals.stacking import stacked
+from tustinnet.signals.stacking import stack_padded
 from tustinnet.simulate.batches import in_batches
 from tustinnet.simulate.drive import Drive, drives_of
 from tustinnet.simulate.rollout import rollout
@@ -40,7 +40,7 @@ def _internal(
     model: Model, experiments: Sequence[Experiment], velocity: VelocitySource
 ) -> Float[np.ndarray, "records n n_z"]:
     # all of one length, so that one program serves them; nobody reads what follows a record's end
-    known = stacked([e.measured_states(velocity) for e in experiments])
+    known = stack_padded([e.measured_states(velocity) for e in experiments])
     start = beginnings(model, known[:, 0])
     runs = simulated(model, start, drives_of(model, experiments), known)
     return runs[..., model.channels.internal]

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.models.contract import Model
-from tustinnet.signals.stacking import stacked
+from tustinnet.signals.stacking import stack_padded
 
 
 class Drive(eqx.Module):
@@ -65,4 +65,4 @@ def drives_of(
             each, (samples.indices(len(e)) for e in experiments), strict=True
         )
     ]
-    return Drive(stacked(parts))
+    return Drive(stack_padded(parts))

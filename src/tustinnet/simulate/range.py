@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment
-from tustinnet.errors import refusing
+from tustinnet.errors import convert_errors
 from tustinnet.models.contract import Model
 from tustinnet.simulate.along import states_along
 
@@ -149,7 +149,7 @@ class Range:
             return None
         n_x, n_u = model.state_size, model.channels.n_u
         expected = f"smallest and largest values of {n_x} states and {n_u} inputs"
-        with refusing(KEY, "no range of the model", expected):
+        with convert_errors(KEY, "no range of the model", expected):
             states, inputs = (np.array(told[part], float) for part in ("states", "inputs"))
             found = cls(states.reshape(n_x, 2), inputs.reshape(n_u, 2), _cloud_from(told, model))
         # internal states of a model that diverged are no numbers along its records

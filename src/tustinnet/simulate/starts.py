@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.data.experiment import Experiment
-from tustinnet.data.inspection import scales_of
+from tustinnet.data.inspection import coordinate_timescales
 from tustinnet.engine.equations import Formula
 from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
@@ -297,7 +297,7 @@ def default_start(experiments: Sequence[Experiment], *models: Model) -> str:
     if all(e.v is not None for e in experiments):
         return "file"
     long = min(map(len, experiments)) >= 2 * FITTED
-    fast = long and any(scales.fast for scales in scales_of(experiments).values())
+    fast = long and any(scales.is_fast for scales in coordinate_timescales(experiments).values())
     return (Fitted(FITTED) if fast else Derived(DERIVED)).name
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from tustinnet.data.experiment import Experiment
-from tustinnet.errors import InputError, refusing
+from tustinnet.errors import InputError, convert_errors
 from tustinnet.families.family import family_of
 from tustinnet.fitting.gradient.loop import Resumed
 from tustinnet.fitting.gradient.plan import plan
@@ -124,7 +124,7 @@ def read_checkpoint(path: Path, task: Task) -> tuple[tuple[Member, ...], Resumed
         InputError: damaged, or of another recipe, seed, rate or data set.
     """
     header, arrays = read_sealed(path, [_KIND])
-    with refusing(path, "not a whole checkpoint", "a checkpoint written by tustinnet",
+    with convert_errors(path, "not a whole checkpoint", "a checkpoint written by tustinnet",
                   "start anew with --overwrite"):  # fmt: skip
         kept = list(header["members"].items())
         named = {member.name: member for member in task.members}

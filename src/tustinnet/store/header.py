@@ -9,7 +9,7 @@ from pydantic import ConfigDict, Field
 
 from tustinnet.channels import LONGEST_DT, Coordinate, Input
 from tustinnet.data.declaration import Declaration, declare
-from tustinnet.errors import refusing
+from tustinnet.errors import convert_errors
 from tustinnet.families.shown import shown_of
 from tustinnet.registry import FAMILIES
 from tustinnet.store.sealed import read_sealed
@@ -60,7 +60,7 @@ def shown(path: str | Path) -> tuple[dict[str, Any], list[tuple[str, str]]]:
         InputError: as `load_model`.
     """
     header, arrays = read_header_and_arrays(Path(path))
-    with refusing(path, "header and arrays do not fit", "a file written by tustinnet"):
+    with convert_errors(path, "header and arrays do not fit", "a file written by tustinnet"):
         return header, shown_of(header, arrays)
 
 

@@ -6,7 +6,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from tustinnet.errors import InputError, refusing
+from tustinnet.errors import InputError, convert_errors
 from tustinnet.families.family import family_of, systems_in
 from tustinnet.fitting.report import Stretch
 from tustinnet.fitting.task import Origin
@@ -84,7 +84,7 @@ def load_model(path: str | Path, system: AnySystem | None = None) -> Model:
             f"system for {path}", f"means nothing to a model of kind '{header['kind']}'",
             "a model of a system", "leave --system out",
         )  # fmt: skip
-    with refusing(path, "header and arrays do not fit", "a file written by tustinnet"):
+    with convert_errors(path, "header and arrays do not fit", "a file written by tustinnet"):
         return FAMILIES[header["kind"]].restore(header, arrays, system, Path(path))
 
 
@@ -153,7 +153,7 @@ def system_of(path: str | Path) -> str:
 
 
 def _systems_in(header: dict[str, Any], path: str | Path) -> tuple[str, ...]:
-    with refusing(path, "a header that does not fit", "a file written by tustinnet"):
+    with convert_errors(path, "a header that does not fit", "a file written by tustinnet"):
         return systems_in(header)
 
 

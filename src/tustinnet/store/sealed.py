@@ -10,7 +10,7 @@ import numpy as np
 import safetensors
 import safetensors.numpy
 
-from tustinnet.errors import InputError, refusing
+from tustinnet.errors import InputError, convert_errors
 from tustinnet.store.files import write_into
 
 # 1 had other names in the headers of hybrids and a digest of a system's code, 2 no SHA-256
@@ -58,13 +58,13 @@ def read_sealed(path: Path, kinds: Sequence[str]) -> tuple[dict[str, Any], dict[
         found = "a pipe or device" if path.exists() else "no such file"
         raise InputError(path, found, f"a {kind} file (.safetensors)")
     with (
-        refusing(path, "not a safetensors file, or cut short", f"a {kind} file", remedy),
+        convert_errors(path, "not a safetensors file, or cut short", f"a {kind} file", remedy),
         safetensors.safe_open(path, framework="numpy") as file,
     ):
         described = file.metadata() or {}
         # copied: a tensor may be a view into a mapping that is gone once the file is replaced
         arrays = {name: np.array(file.get_tensor(name)) for name in file.keys()}  # noqa: SIM118 (not a dict)
-    with refusing(path, "a safetensors file without a tustinnet header", f"a {kind} file",
+    with convert_errors(path, "a safetensors file without a tustinnet header", f"a {kind} file",
                   "give a file that tustinnet has written"):  # fmt: skip
         header = json.loads(described[KEY])
         found, version = str(header["kind"]), int(header["format"])

@@ -17,7 +17,7 @@ import numpy as np
 from tustinnet.channels import Coordinate, Input
 from tustinnet.data.declaration import read_source
 from tustinnet.data.experiment import Experiment
-from tustinnet.errors import InputError, brief, require_text
+from tustinnet.errors import InputError, describe_error, require_text
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 from tustinnet.registry import SYSTEMS
 
@@ -182,7 +182,7 @@ def _naming(path: Path, function: str = "") -> Iterator[None]:
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt) and type(error) is not KeyboardInterrupt:
             raise
-        told = f"{function}fails{_line_of(error, path)} with {brief(error)}"
+        told = f"{function}fails{_line_of(error, path)} with {describe_error(error)}"
         raise InputError(path, told, "a file that runs", _REMEDY) from error
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from tustinnet.channels import Coordinate, Input
 from tustinnet.data.experiment import Experiment
-from tustinnet.data.inspection import still, turning_around
+from tustinnet.data.inspection import rotating_coordinates, still_coordinates
 from tustinnet.errors import InputError
 from tustinnet.models.blocks import root_mean_square
 from tustinnet.models.contract import Coordinates, InputVector
@@ -72,7 +72,7 @@ class Mechanism(MadeForRecords):
                 f"system '{NAME}'", f"{len(coordinates)} coordinates", f"{_MOST} at most",
                 "write the system down: docs/how-to/add-a-system.md",
             )  # fmt: skip
-        if never := still(records):
+        if never := still_coordinates(records):
             raise InputError(
                 f"system '{NAME}', coordinate '{never[0]}'", "never moves in the records",
                 "a coordinate that moves", "leave it out of the data card",
@@ -82,7 +82,7 @@ class Mechanism(MadeForRecords):
         size, acting = (_sizes([getattr(e, name) for e in records]) for name in ("q", "u"))
         speed, largest = _sizes(v), [_LARGEST * x for x in _sizes(a)]
         found = [*_inertias(coordinates), *_heights(coordinates, largest)]
-        around = turning_around(records)
+        around = rotating_coordinates(records)
         for k, c in enumerate(coordinates):
             damping = largest[k] / speed[k]
             viscous = Parameter(f"{c.name}.viscous", "1/s", _STEADY * damping, 0.0, damping)

@@ -14,7 +14,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.models.contract import ContinuousModel, Model
 from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.signals.derivatives import five_point_stencil
-from tustinnet.signals.stacking import stacked
+from tustinnet.signals.stacking import stack_padded
 from tustinnet.simulate.drive import Drive
 from tustinnet.simulate.rollout import rollout
 
@@ -126,7 +126,7 @@ def log_runs(
     longest = max(len(run.u) for run in runs)
     t = np.arange(longest) * logger.dt + logger.jitter * generator.normal(size=(len(runs), longest))
     t -= t[:, :1]
-    u = stacked([run.u for run in runs])[:, :-1]
+    u = stack_padded([run.u for run in runs])[:, :-1]
     drive = Drive(u, np.diff(t, axis=1))
     x0 = jnp.asarray(np.stack([run.x0 for run in runs]))
     x = np.asarray(_simulate(discretise(model, logger.dt, logger.substeps), x0, drive))

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from tustinnet.data.experiment import Experiment, VelocitySource
-from tustinnet.data.inspection import scales_of, transient_end
+from tustinnet.data.inspection import coordinate_timescales, transient_end
 from tustinnet.errors import InputError
 from tustinnet.fitting.recipe import WindowRecipe
 from tustinnet.models.contract import Model
@@ -163,7 +163,7 @@ def adapted_length(experiments: Sequence[Experiment], length: int) -> int:
     moving = v.std(axis=0) > 0
     covered = q.std(axis=0)[moving] / (v.std(axis=0)[moving] * experiments[0].dt)
     slowest = float(covered.max()) if moving.any() else float(length)
-    fast = [s.decay for s in scales_of(experiments).values() if s.fast]
+    fast = [s.decay for s in coordinate_timescales(experiments).values() if s.is_fast]
     forgotten = _DECAYS * max(fast, default=0.0)
     usual = int(np.median([len(e) for e in experiments]))
     longest = min(_LONGEST * length, usual // _USUAL_SHARE)
@@ -173,7 +173,7 @@ def adapted_length(experiments: Sequence[Experiment], length: int) -> int:
 
 def window_account(experiments: Sequence[Experiment], recipe: WindowRecipe) -> str:
     """What was measured for the windows of a stage, and what was chosen."""
-    found = scales_of(experiments)
+    found = coordinate_timescales(experiments)
     length = adapted_length(experiments, recipe.length) if recipe.adapt else recipe.length
     if not found:
         return f"windows of {length} steps"
@@ -183,7 +183,7 @@ def window_account(experiments: Sequence[Experiment], recipe: WindowRecipe) -> s
         f"windows of {length} steps: {length / of.period:.1f} periods of the strongest line of "
         f"{name}, {hertz:.3g} Hz; it decays to 1/e in {of.decay:.0f} samples"
     )
-    if of.fast:
+    if of.is_fast:
         account += (
             f"; {of.period:.0f} samples a period are few: see `velocity` and `linear` in "
             "docs/reference/training.md"

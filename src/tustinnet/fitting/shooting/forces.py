@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from tustinnet.channels import Coordinate
 from tustinnet.data.experiment import Experiment
-from tustinnet.data.inspection import turning_around
+from tustinnet.data.inspection import rotating_coordinates
 from tustinnet.engine.equations import Formula
 from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
@@ -95,7 +95,7 @@ def _held(
     system: LagrangianSystem, names: Sequence[str], experiments: Sequence[Experiment]
 ) -> list[str]:
     """The names, with springs at no coordinate in particular placed at those that can have one."""
-    around = turning_around(experiments)
+    around = rotating_coordinates(experiments)
     held = [c.name for c in system.coordinates if c.name not in around]
     found: list[str] = []
     for name in names:

@@ -8,7 +8,7 @@ import numpy as np
 from tustinnet.fitting.shooting.problem import Problem, State
 from tustinnet.fitting.shooting.stages import refined, search
 from tustinnet.fitting.shooting.terms import with_needed
-from tustinnet.signals.excitation import HALF, Held
+from tustinnet.signals.excitation import HALF, DeclaredHold
 
 _FIRST = "first-order"  # between the others, so that both are near enough to go on from it
 _ALIKE = 1.01  # root mean squares of errors that differ by less say nothing
@@ -34,7 +34,7 @@ def search_with_holds(problem: Problem, begin: State) -> tuple[Problem, State, s
     problem = replace(problem, system=first.system)
     found, initial = search(first, begin)
     tried = {_FIRST: (first, found)}
-    holds: tuple[Held, ...] = get_args(Held)
+    holds: tuple[DeclaredHold, ...] = get_args(DeclaredHold)
     short = min(map(len, (*problem.records, *problem.validation))) <= HALF
     for hold in holds:
         if hold != _FIRST and not (short and hold == "band-limited"):
@@ -56,14 +56,14 @@ def _unknown(problem: Problem) -> list[str]:
     return [i.name for i in problem.records[0].inputs if i.hold == "unknown"]
 
 
-def _with_hold(problem: Problem, hold: Held) -> Problem:
+def _with_hold(problem: Problem, hold: DeclaredHold) -> Problem:
     inputs = [
         replace(i, hold=hold) if i.hold == "unknown" else i for i in problem.records[0].inputs
     ]
     return replace(
         problem,
-        records=tuple(e.driving(inputs) for e in problem.records),
-        validation=tuple(e.driving(inputs) for e in problem.validation),
+        records=tuple(e.with_timing(inputs) for e in problem.records),
+        validation=tuple(e.with_timing(inputs) for e in problem.validation),
     )
 
 

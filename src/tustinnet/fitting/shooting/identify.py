@@ -120,8 +120,8 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
     # what nobody knows is searched for from 0 on
     acting = delayed(records[0].inputs, {})
     problem = Problem(
-        system, tuple(e.driving(acting) for e in records),
-        tuple(e.driving(acting) for e in roles.validation), recipe.search, listener,
+        system, tuple(e.with_timing(acting) for e in records),
+        tuple(e.with_timing(acting) for e in roles.validation), recipe.search, listener,
     )  # fmt: skip
     _require_refinable(with_some_hold(problem))
     space, first = _beginning(problem, recipe.model)

@@ -12,7 +12,7 @@ from tustinnet.fitting.residual import Residual
 from tustinnet.models.contract import Model
 from tustinnet.models.sensors import delayed, delays_among
 from tustinnet.signals.derivatives import polynomial_fit
-from tustinnet.signals.stacking import stacked
+from tustinnet.signals.stacking import stack_padded
 from tustinnet.simulate.starts import initial_state
 
 _LEAST_ERROR = 1e-9  # rad or m
@@ -83,7 +83,7 @@ class Segments:
         self, array: Float[np.ndarray, "n *any"]
     ) -> Float[np.ndarray, "n_s longest *any"]:
         """What belongs to samples, segment by segment, zeros after the end of shorter ones."""
-        return stacked([array[self.samples(row)] for row in range(len(self.steps))])
+        return stack_padded([array[self.samples(row)] for row in range(len(self.steps))])
 
     @property
     def begins(self) -> Int[np.ndarray, " n_r"]:

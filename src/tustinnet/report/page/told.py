@@ -8,7 +8,7 @@ import numpy as np
 
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment
-from tustinnet.errors import refusing
+from tustinnet.errors import convert_errors
 from tustinnet.evaluate.scores import mean_rmse
 from tustinnet.families.family import family_of
 from tustinnet.fitting.report import Estimate
@@ -96,7 +96,7 @@ def left_out(subject: Subject, records: Sequence[Experiment]) -> str:
             "Models made in the same way leave all bounds on some records that they were not "
             "fitted to."
         )
-    with refusing(subject.label, "scores that are damaged", "those that `fit` writes"):
+    with convert_errors(subject.label, "scores that are damaged", "those that `fit` writes"):
         mean, error = float(told["mean"]), told.get("standard_error")
         spread = f" ± {error:.2g}" if error else ""
         off = f"{number(mean)}{spread} {told['unit']}"
@@ -164,7 +164,9 @@ def parameters_of(subject: Subject) -> Parameters | None:
         rows = [[name, f"{value:.4g}", unit] for name, unit, value in values]
         table = Table(ESTIMATE_COLUMNS[:3], rows)
         return Parameters(subject.label, "values", table, [None] * len(rows)) if rows else None
-    with refusing(subject.label, "an account of its identification that is damaged", "estimates"):
+    with convert_errors(
+        subject.label, "an account of its identification that is damaged", "estimates"
+    ):
         estimates = [
             Estimate(**of | {"interval": of["interval"] and tuple(of["interval"])})
             for of in found["estimates"]
