@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 import tustinnet as tn
 from tustinnet.engine import by_jax, by_machine_code
 from tustinnet.engine import runs as engine
-from tustinnet.engine.equations import Equations, Formula, Residual
+from tustinnet.engine.equations import Equations, Formula, ResidualFormula
 from tustinnet.engine.runs import Directions, Runs, Samples
 
 SMALL = settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -25,8 +25,8 @@ CONTINUOUS = Equations(swing, n_x=3, n_u=1, n_p=2, n_c=1)
 DISCRETE = Equations(
     lambda x, u, p, c: x + 0.05 * swing(x, u, p, c), n_x=3, n_u=1, n_p=2, n_c=1, continuous=False
 )
-PLAIN = Residual(lambda error: error, 2)
-PERIODIC = Residual(lambda error: jnp.stack([2 * jnp.sin(error[0] / 2), error[1]]), 2)
+PLAIN = ResidualFormula(lambda error: error, 2)
+PERIODIC = ResidualFormula(lambda error: jnp.stack([2 * jnp.sin(error[0] / 2), error[1]]), 2)
 
 
 def made(seed: int, lengths: list[int], order: int = 1) -> tuple[Runs, Samples]:
@@ -111,7 +111,7 @@ def test_a_run_that_diverges_stays_visible_and_spoils_no_other():
     assert np.isfinite(states[1]).all()
     samples = Samples(np.zeros((61, 1)), np.ones((61, 1)))
     result = by_machine_code.compare(
-        explosive, Residual(lambda e: e, 1), runs, 1, Directions(np.ones((2, 1, 1)), False), samples
+        explosive, ResidualFormula(lambda e: e, 1), runs, 1, Directions(np.ones((2, 1, 1)), False), samples
     )
     assert list(np.isfinite(result.cost)) == [False, True]
     assert np.isfinite(result.products[1]).all()
@@ -119,12 +119,12 @@ def test_a_run_that_diverges_stays_visible_and_spoils_no_other():
 
 def test_the_environment_chooses_the_engine(monkeypatch):
     monkeypatch.setenv(engine.VARIABLE, "jax")
-    assert engine.engine() == "jax"
+    assert engine.current_engine() == "jax"
     monkeypatch.setenv(engine.VARIABLE, "")
-    assert engine.engine() == "llvm"
+    assert engine.current_engine() == "llvm"
     monkeypatch.setenv(engine.VARIABLE, "fortran")
     with pytest.raises(tn.InputError, match=r"TUSTINNET_ENGINE: 'fortran'; expected one of llvm"):
-        engine.engine()
+        engine.current_engine()
 
 
 def test_what_no_program_can_hold_is_simulated_by_jax_and_says_so_once(recwarn):
@@ -149,13 +149,13 @@ def test_what_no_program_can_hold_is_simulated_by_jax_and_says_so_once(recwarn):
 
 def test_without_llvm_jax_does_it(monkeypatch):
     monkeypatch.setattr(engine, "find_spec", lambda name: None)
-    monkeypatch.setattr(engine, "_said", set())
+    monkeypatch.setattr(engine, "_warned_topics", set())
     with pytest.warns(UserWarning, match="llvmlite is not installed"):
-        assert engine.engine() == "jax"
+        assert engine.current_engine() == "jax"
 
 
 def test_what_no_program_can_hold_is_simulated_by_jax_and_that_is_said_once(monkeypatch):
-    monkeypatch.setattr(engine, "_said", set())
+    monkeypatch.setattr(engine, "_warned_topics", set())
     runs = Runs(
         start=np.array([[0.3, 0.1]]), parameters=np.zeros((1, 0)), steps=np.array([4]),
         first=np.zeros(1, int), drive=np.zeros((5, 1, 1)), periods=np.ones(5),

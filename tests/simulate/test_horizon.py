@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tustinnet as tn
-from tustinnet.simulate.horizon import horizon_samples, pieces, within
+from tustinnet.simulate.horizon import horizon_samples, pieces, effective_horizon
 from tustinnet.simulate.starts import start_named
 
 
@@ -24,8 +24,8 @@ def test_segments_leave_no_sample_out_and_share_none(pendulum, start, samples):
 
 def test_a_record_is_whole_without_a_horizon(pendulum):
     assert pieces(pendulum[0], None, start_named("file")) == [pendulum[0]]
-    assert within(1e3, list(pendulum)) is None
-    assert within(1.0, list(pendulum)) == 1.0
+    assert effective_horizon(1e3, list(pendulum)) is None
+    assert effective_horizon(1.0, list(pendulum)) == 1.0
 
 
 @pytest.mark.parametrize(

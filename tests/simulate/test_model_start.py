@@ -11,10 +11,10 @@ import tustinnet as tn
 from tustinnet.engine.equations import Equations
 from tustinnet.families.committee import committee
 from tustinnet.models.contract import with_dtype
-from tustinnet.simulate.drive import drive_of
+from tustinnet.simulate.input_signal import input_signal
 from tustinnet.simulate.rollout import rollout
 from tustinnet.simulate.starts import initial_state, start_named, start_states
-from tustinnet.simulate.state_fits import fitted_with_derivatives
+from tustinnet.simulate.state_fits import fit_states_with_derivatives
 
 SAMPLES = 20
 
@@ -111,14 +111,14 @@ def test_its_derivative_by_a_parameter_is_that_of_the_solution():
     model = tn.discretise(grey_box(), DT)
     e = simulated(model, np.array([1.0, 2.0]))
     guess = initial_state(e, "derived-6")[None]
-    drive = jax.tree.map(lambda a: np.asarray(a)[None], drive_of(model, e))
+    drive = jax.tree.map(lambda a: np.asarray(a)[None], input_signal(model, e))
     moving = Equations(
         lambda x, u, p, c: grey_box(gravity=p[0]).derivative(x, u), n_x=2, n_u=1, n_p=1
     )
 
     def start(value):
         given = np.array([[value]]), guess, np.zeros((1, 1, 2))
-        return fitted_with_derivatives(model, moving, *given, drive, e.q[None])
+        return fit_states_with_derivatives(model, moving, *given, drive, e.q[None])
 
     nominal = TRUTH["gravity"]
     step = 1e-5 * nominal
@@ -138,9 +138,9 @@ def test_a_compiled_program_finds_the_same(creeping, engine, monkeypatch):
     states = [[2.5, 3.0], [1.0, -2.0], [0.1, 4.0]]
     records = [simulated(truth, np.pad(x, (0, truth.state_size - 2)), 2048) for x in states]
     rule = start_named("model-20")
-    material = rule.material(model, records)
-    inside = jax.jit(lambda model: rule.states(model, material))(model)
-    np.testing.assert_allclose(inside, rule.estimated(model, material), rtol=1e-5, atol=1e-6)
+    material = rule.start_data(model, records)
+    inside = jax.jit(lambda model: rule.traced_states(model, material))(model)
+    np.testing.assert_allclose(inside, rule.numeric_states(model, material), rtol=1e-5, atol=1e-6)
 
 
 def test_networks_and_training_start_there_too(pendulum, small_recipe):

@@ -16,14 +16,14 @@ import numpy as np
 # number is not finite is always respected: a simulation that diverges must stay visible
 FAST = "reassoc nsz contract"
 
-SYMBOL = "c.{}"  # what a function of the C library is called in a module
+SYMBOL = "c.{}"  # the name of a function of the C library in a module
 _STACK = 2**18  # bytes of it that a function uses; threads have as little as half a megabyte
 
 Precision = Literal["double", "float"]
 Predicate = Literal["oeq", "une", "olt", "ole", "ogt", "oge", "uno"]
 
 
-def bits_of(value: float) -> int:
+def float_bits(value: float) -> int:
     """The bits of a number as a whole number with a sign."""
     return struct.unpack("<q", struct.pack("<d", value))[0]
 
@@ -125,24 +125,24 @@ class Function:
 
     @contextmanager
     def loop(self, begin: str | int, end: str | int) -> Iterator[str]:
-        """What is written inside is done for every whole number from begin up to end."""
+        """A loop: code that is written inside runs for every whole number from begin up to end."""
         counter, head, body, after = self.counter(), self.label(), self.label(), self.label()
         self.line(f"store i64 {begin}, ptr {counter}")
         self.line(f"br label %{head}")
         self.place(head)
         i = self.value(f"load i64, ptr {counter}")
-        goes_on = self.value(f"icmp slt i64 {i}, {end}")
-        self.line(f"br i1 {goes_on}, label %{body}, label %{after}")
+        has_more = self.value(f"icmp slt i64 {i}, {end}")
+        self.line(f"br i1 {has_more}, label %{body}, label %{after}")
         self.place(body)
         yield i
-        ahead = self.whole("add", i, 1)
-        self.line(f"store i64 {ahead}, ptr {counter}")
+        i_next = self.whole("add", i, 1)
+        self.line(f"store i64 {i_next}, ptr {counter}")
         self.line(f"br label %{head}")
         self.place(after)
 
     @contextmanager
     def when(self, condition: str) -> Iterator[None]:
-        """What is written inside is done where a truth holds."""
+        """A branch: code that is written inside runs where the condition holds."""
         body, after = self.label(), self.label()
         self.line(f"br i1 {condition}, label %{body}, label %{after}")
         self.place(body)
@@ -251,7 +251,7 @@ class Module:
 
     @cached_property
     def wide(self) -> "Module":
-        """The same module for functions of numbers in double precision."""
+        """This module in double precision, for functions that compute so; it shares their text."""
         if self.n == "double":
             return self
         other = Module(self.lanes)
@@ -269,7 +269,7 @@ class Module:
         self._parts[function.name] = function.text()
 
     def once(self, name: str, write: Callable[[], str]) -> str:
-        """A part of the module that is written when it is asked for first; its name."""
+        """A part of the module that is written where it is needed first; its name."""
         if name not in self._parts:
             self._parts[name] = ""  # so that what it needs stands before it
             self._parts[name] = write()
@@ -279,7 +279,7 @@ class Module:
         """A constant in all lanes."""
         # a number in single precision is written as that in double precision which it is
         exact = value if self.n == "double" else float(np.float32(value))
-        number = f"0x{bits_of(exact) % 2**64:016X}"
+        number = f"0x{float_bits(exact) % 2**64:016X}"
         if self.lanes == 1:
             return number
         return "<" + ", ".join([f"{self.n} {number}"] * self.lanes) + ">"

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from tustinnet.export.c_words import HELPED, HELPERS, LOGIC, NAMES, SIGNS, literal, wrapped
-from tustinnet.program.memory import is_elementwise, lives_of
+from tustinnet.program.memory import is_elementwise, lifetimes
 from tustinnet.program.program import Loop, Node, Program
 
 
@@ -64,7 +64,7 @@ class _Writer:
     ) -> None:
         self._code, self._name, self._program = code, name, program
         self._nodes = program.nodes
-        self._lives = lives_of(program)
+        self._lives = lifetimes(program)
         self._lines: list[str] = []
         self._sizes: dict[str, int] = {}  # of the arrays of the function
         self._free: list[str] = []  # those of them that nobody needs any more

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from tustinnet.data.experiment import Experiment
 from tustinnet.models.contract import Model
 from tustinnet.signals.stacking import stacked
-from tustinnet.simulate.drive import drives_of
+from tustinnet.simulate.input_signal import input_signals
 from tustinnet.simulate.horizon import horizon_samples, pieces
 from tustinnet.simulate.starts import Start
 
@@ -52,9 +52,9 @@ def free_runs(
     filled = [piece for of in cut for piece in [*of, *of[:1] * (most - len(of))]]
     counted = [1.0 / (len(e) - start.first) * (i < len(of))
                for e, of in zip(experiments, cut, strict=True) for i in range(most)]  # fmt: skip
-    material = start.material(model, filled)
+    material = start.start_data(model, filled)
     tails = [piece[start.first :] for piece in filled]
-    u = drives_of(model, filled, slice(start.first, None)).u
+    u = input_signals(model, filled, slice(start.first, None)).u
     q = stacked([e.q for e in tails])
     weight = stacked([np.full(len(e), w) for e, w in zip(tails, counted, strict=True)])
     arrays = (material, u, q, weight)

@@ -26,7 +26,7 @@ def is_elementwise(node: Node) -> bool:
     return node.op in OPERATIONS and node.size > 1
 
 
-def lives_of(program: Program) -> Lives:
+def lifetimes(program: Program) -> Lives:
     """When the vectors of a program live."""
     nodes, ends = program.nodes, set(program.outputs.values())
     users: list[list[int]] = [[] for _ in nodes]

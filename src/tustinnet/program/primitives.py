@@ -320,7 +320,7 @@ INDEXED = {
 }  # fmt: skip
 
 
-def moved_by_index(primitive: Any, params: dict[str, Any], operands: list[Any]) -> Ids:
+def move_by_index(primitive: Any, params: dict[str, Any], operands: list[Any]) -> Ids:
     """What a primitive that moves by constant indices does to arrays of nodes.
 
     It is done to the numbers of the nodes themselves.

@@ -15,7 +15,7 @@ from tustinnet.program.primitives import (
     MOVES,
     RULES,
     Refused,
-    moved_by_index,
+    move_by_index,
     multiplied,
     scattered,
 )
@@ -183,7 +183,7 @@ class _Reader:
             if any(isinstance(o, Numbers) for o in fixed):
                 raise Refused("by an index that depends on the state or the inputs")
             moved = [self.ids(o) if i in INDEXED[name] else o for i, o in enumerate(operands)]
-            return moved_by_index(eqn.primitive, params, moved)
+            return move_by_index(eqn.primitive, params, moved)
         if name == "scatter-add":
             into, where, added = operands
             if isinstance(where, Numbers):
