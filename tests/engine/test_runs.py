@@ -111,7 +111,12 @@ def test_a_run_that_diverges_stays_visible_and_spoils_no_other():
     assert np.isfinite(states[1]).all()
     samples = Samples(np.zeros((61, 1)), np.ones((61, 1)))
     result = by_machine_code.compare(
-        explosive, ResidualFormula(lambda e: e, 1), runs, 1, Directions(np.ones((2, 1, 1)), False), samples
+        explosive,
+        ResidualFormula(lambda e: e, 1),
+        runs,
+        1,
+        Directions(np.ones((2, 1, 1)), False),
+        samples,
     )
     assert list(np.isfinite(result.cost)) == [False, True]
     assert np.isfinite(result.products[1]).all()

@@ -142,7 +142,8 @@ def test_it_steps_as_its_model_does():
     model, e = encoded(alone), records()[2]
     x0 = np.array([0.2, 0.1, 0.05])
     np.testing.assert_array_equal(
-        tn.rollout(model, x0, tn.input_signal(model, e)), tn.rollout(alone, x0, tn.input_signal(alone, e))
+        tn.rollout(model, x0, tn.input_signal(model, e)),
+        tn.rollout(alone, x0, tn.input_signal(alone, e)),
     )
     assert model.internal == alone.internal
     assert family_of(model).kind == "encoded"

@@ -75,7 +75,8 @@ def test_a_correction_sees_its_taps_and_the_physics_what_it_always_did(swings):
     silent = HybridModel(physics, correction.silent())
     x = np.array([0.4, 0.1])
     np.testing.assert_array_equal(
-        tn.rollout(silent, x, input_signal(silent, e)), tn.rollout(physics, x, input_signal(physics, e))
+        tn.rollout(silent, x, input_signal(silent, e)),
+        tn.rollout(physics, x, input_signal(physics, e)),
     )
     both = HybridModel(physics, correction)
     given = jnp.asarray(input_signal(both, e).u)[5]

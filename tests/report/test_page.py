@@ -290,7 +290,10 @@ def test_a_page_knows_what_was_recorded_as_the_package_does():
     drawn = np.concatenate([far, near, mixed])
     drawn[0, 4] = np.inf
     states, inputs = drawn[:, :6], drawn[:, 6:]
-    left = [known.extrapolation_point(channels, x[None], u[None]) for x, u in zip(states, inputs, strict=True)]
+    left = [
+        known.extrapolation_point(channels, x[None], u[None])
+        for x, u in zip(states, inputs, strict=True)
+    ]
     content = {
         "range": {"q": known.states[:3].tolist(), "v": known.states[3:].tolist(),
                   "u": known.inputs.tolist()},

@@ -16,8 +16,8 @@ from tustinnet.families.tustin_net import random_tustin_net
 from tustinnet.models.blocks import is_layer
 from tustinnet.models.contract import with_dtype
 from tustinnet.simulate import engine_rollouts
-from tustinnet.simulate.input_signal import InputSignal
 from tustinnet.simulate.engine_rollouts import layered_steps
+from tustinnet.simulate.input_signal import InputSignal
 from tustinnet.simulate.rollout import rollouts
 from tustinnet.simulate.simulation import simulate_runs
 

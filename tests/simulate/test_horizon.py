@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tustinnet as tn
-from tustinnet.simulate.horizon import horizon_samples, pieces, effective_horizon
+from tustinnet.simulate.horizon import effective_horizon, horizon_samples, pieces
 from tustinnet.simulate.starts import start_named
 
 

@@ -72,7 +72,9 @@ def test_free_runs_that_leave_the_records_are_told_and_others_are_not():
         assert 0 <= found.sample < 600
         assert not found.signal or not found.recorded[0] <= found.value <= found.recorded[1]
     alarms = [
-        known.extrapolation_point(model.channels, e.measured_states(), e.u) for e in data if e.split == "test"
+        known.extrapolation_point(model.channels, e.measured_states(), e.u)
+        for e in data
+        if e.split == "test"
     ]
     assert not any(alarms)
 

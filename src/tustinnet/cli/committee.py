@@ -91,7 +91,11 @@ def _range(models: list[Path], members: "list[Model]") -> dict[str, Any]:
         for path, member in zip(models, members, strict=True)
     ]
     known = [of for of in told if of is not None]
-    return {KEY: join_ranges(known, members[0].channels).as_header()} if len(known) == len(told) else {}
+    return (
+        {KEY: join_ranges(known, members[0].channels).as_header()}
+        if len(known) == len(told)
+        else {}
+    )
 
 
 def _file(path: Path) -> dict[str, Any]:

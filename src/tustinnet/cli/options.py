@@ -91,8 +91,8 @@ Start = Annotated[
     typer.Option(
         metavar="NAME",
         autocompletion=completion.start,
-        help=f"Initial states of the free runs: {starts_help()}. Default: warm-up-N where the model "
-        "needs a warm-up, else file where records have velocity columns, else model-20 for "
+        help=f"Initial states of the free runs: {starts_help()}. Default: warm-up-N where the "
+        "model needs a warm-up, else file where records have velocity columns, else model-20 for "
         "oscillations with fewer than 20 samples per period, else derived-6.",
     ),
 ]

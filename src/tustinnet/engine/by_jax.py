@@ -26,8 +26,8 @@ def simulate(equations: Equations, runs: Runs, substeps: int) -> Float[np.ndarra
 
 
 def compare(
-    equations: Equations, residual: ResidualFormula, runs: Runs, substeps: int, directions: Directions,
-    samples: Samples,
+    equations: Equations, residual: ResidualFormula, runs: Runs, substeps: int,
+    directions: Directions, samples: Samples,
 ) -> Comparison:  # fmt: skip
     """Products of residuals and derivatives, see `runs.compare`."""
     longest = int(np.max(runs.steps, initial=0))
@@ -136,8 +136,8 @@ def _states(
 
 @partial(jax.jit, static_argnums=(0, 1, 2, 3))
 def _products(
-    equations: Equations, residual: ResidualFormula, substeps: int, by_parameters: bool, start: Array,
-    parameters: Array, seeds: Array, drive: Array, periods: Array, target: Array, weight: Array,
+    equations: Equations, residual: ResidualFormula, substeps: int, by_parameters: bool,
+    start: Array, parameters: Array, seeds: Array, drive: Array, periods: Array, target: Array, weight: Array,
 ) -> tuple[Array, Array, Array, Array]:  # fmt: skip
     n_p, n_y = equations.n_p, residual.n_y
     n_d = seeds.shape[1]

@@ -18,8 +18,8 @@ from tustinnet.engine.kernels import (
     Kernel,
     compare_kernel,
     map_kernel,
-    run_kernel,
     output_size,
+    run_kernel,
     step_kernel,
 )
 from tustinnet.engine.machine import compile_module, width
@@ -59,8 +59,8 @@ def simulate(equations: Equations, runs: Runs, substeps: int) -> Float[np.ndarra
 
 
 def compare(
-    equations: Equations, residual: ResidualFormula, runs: Runs, substeps: int, directions: Directions,
-    samples: Samples,
+    equations: Equations, residual: ResidualFormula, runs: Runs, substeps: int,
+    directions: Directions, samples: Samples,
 ) -> Comparison:  # fmt: skip
     """Products of residuals and derivatives, see `runs.compare`."""
     lanes = width()

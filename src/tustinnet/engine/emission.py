@@ -145,7 +145,9 @@ class Emission:
                 return Vector(node.size, tuple(x for a in args for x in self.numbers(a)))
             case "product":
                 matrix = self.program.tables[node.data]
-                return self._product(self.constants.place(blocked_layout(matrix)), matrix.shape, args[0])
+                return self._product(
+                    self.constants.place(blocked_layout(matrix)), matrix.shape, args[0]
+                )
             case "layer":
                 columns = args[0].size if isinstance(args[0], Vector) else 1
                 first = self.constants.layer(node.data, node.size * columns)

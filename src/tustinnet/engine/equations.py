@@ -46,7 +46,9 @@ class Equations:
             Unreadable: it uses what no program can hold.
         """
         sizes = {"x": self.n_x, "u": self.n_u, "p": self.n_p, "c": self.n_c}
-        return read(lambda *vectors: {"x": self.function(*vectors)}, sizes, self.where, self.matrices)
+        return read(
+            lambda *vectors: {"x": self.function(*vectors)}, sizes, self.where, self.matrices
+        )
 
     @cached_property
     def derivatives(self) -> Program:
@@ -75,7 +77,9 @@ class ResidualFormula:
     @cached_property
     def program(self) -> Program:
         """The function as a program: `error` to `value`, and to `slope`, its Jacobian by rows."""
-        values = read(lambda error: {"value": self.function(error)}, {"error": self.n_y}, "residual")
+        values = read(
+            lambda error: {"value": self.function(error)}, {"error": self.n_y}, "residual"
+        )
         return with_derivatives(values, "value", {"slope": "error"})
 
 

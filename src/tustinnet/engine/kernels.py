@@ -384,7 +384,7 @@ class _Simulation(_Lanes):
         _gather(f, runs, n_p, "%parameters", self.p)
 
     def keep(self, k: str, values: Sequence[str], into: str) -> None:
-        """Stores the results at sample k of the lanes that are running in their rows of an array."""
+        """Stores results at sample k of the lanes that are running in their rows of an array."""
         for lane, active in enumerate(self.active):
             with self.f.when(active):
                 row = self.f.whole("add", self.column(lane, "result"), k)
@@ -540,7 +540,7 @@ class _Sensitivities(_Simulation):
             f.store(_beside(f, bases, i, "%seeds"), self._dx, i)
 
     def compare(self, k: str) -> None:
-        """Writes, at a sample, the errors, and the terms that they and derivatives add to products."""
+        """Writes the errors at a sample, and the terms that they add to the products."""
         f, m, n_x, n_y = self.f, self.f.module, self.equations.n_x, self._n_y
         zero = m.number(0.0)
         weights, errors, is_counted = [], [], []

@@ -63,8 +63,8 @@ class Rollouts:
         self.states.defvjp(self._forward, self._backward)
 
     def compare(
-        self, weights: list[Array], p: Array, c: Array, x0: Array, u: Array, residual: ResidualFormula,
-        target: Array, weight: Array,
+        self, weights: list[Array], p: Array, c: Array, x0: Array, u: Array,
+        residual: ResidualFormula, target: Array, weight: Array,
     ) -> tuple[Array, Array, Array]:  # fmt: skip
         """Products of residuals and their derivatives by `x0`; they cannot be differentiated.
 
@@ -89,7 +89,13 @@ class Rollouts:
         call = jax.ffi.ffi_call(function.name, results, vmap_method="sequential")
         seeds = jnp.broadcast_to(jnp.eye(n_x, dtype=x0.dtype), (n, n_x, n_x))
         _, lower, gradient, cost = call(
-            function.numbers(weights), _repeat_parameters(p, c, x0), x0, _pad_inputs(u), seeds, target, weight
+            function.numbers(weights),
+            _repeat_parameters(p, c, x0),
+            x0,
+            _pad_inputs(u),
+            seeds,
+            target,
+            weight,
         )
         return lower + jnp.swapaxes(jnp.tril(lower, -1), 1, 2), gradient, cost
 
@@ -201,7 +207,7 @@ class _Target:
         for factor, place in constants.layers.items():
             shape = equations.matrices[factor.name]
             weights = begins[factor.name] + np.arange(shape[0] * shape[1]).reshape(shape)
-            layout = blocked_layout(weights.T if factor.transposed else weights)
+            layout = blocked_layout(weights.T if factor.is_transposed else weights)
             order[place : place + len(layout)] = layout
         self._base, self._order = base, order
 
@@ -214,7 +220,11 @@ class _Target:
 
 @cache
 def _target(
-    what: str, equations: Equations, lanes: int, number: Precision, residual: ResidualFormula | None = None
+    what: str,
+    equations: Equations,
+    lanes: int,
+    number: Precision,
+    residual: ResidualFormula | None = None,
 ) -> _Target:
     module, constants = Module(lanes, number), Constants()
     if what == "run":
@@ -282,7 +292,13 @@ def _lane_table(f: Function, drive: str) -> tuple[str, str, str]:
         run = f.value(f"select i1 {idle}, i64 {last}, i64 {i}")
         first = f.whole("mul", run, samples)
         lane_steps = f.value(f"select i1 {idle}, i64 -1, i64 {steps}")
-        columns = {"run": run, "steps": lane_steps, "first": first, "result": first, "measured": "0"}
+        columns = {
+            "run": run,
+            "steps": lane_steps,
+            "first": first,
+            "result": first,
+            "measured": "0",
+        }
         row = f.whole("mul", i, len(LANE))
         for k, name in enumerate(LANE):
             f.line(f"store i64 {columns[name]}, ptr {f.at(table, f.whole('add', row, k), 'i64')}")

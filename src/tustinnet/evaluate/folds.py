@@ -23,7 +23,7 @@ from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import AnyRecipe, Fold, Member, Task, system_for
 from tustinnet.models.contract import Model
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.simulate.horizon import horizon_samples, effective_horizon
+from tustinnet.simulate.horizon import effective_horizon, horizon_samples
 from tustinnet.simulate.starts import FIT_SAMPLES, default_start, start_named
 from tustinnet.systems.files import AnySystem, MadeForRecords, to_identify
 

@@ -13,8 +13,8 @@ from tustinnet.evaluate import metrics
 from tustinnet.models.contract import Model, require_fit, require_float64, with_dtype
 from tustinnet.simulate.along import states_along
 from tustinnet.simulate.batches import map_in_batches
-from tustinnet.simulate.input_signal import input_signals
 from tustinnet.simulate.horizon import horizon_samples, pieces
+from tustinnet.simulate.input_signal import input_signals
 from tustinnet.simulate.simulation import simulate_runs
 from tustinnet.simulate.starts import Start, start_named, start_states
 

@@ -272,7 +272,7 @@ class _Writer:
         if node.op == "pick":
             place, offset = self._where(node.args[0])
             return f"{place}[{offset + node.data}]", True
-        if node.single or self._lives.root[a] != a:
+        if node.is_single or self._lives.root[a] != a:
             return f"t{a}", False
         place, offset = self._where(a)
         if node.size == 1:
@@ -302,7 +302,7 @@ def _may_change(program: Program, carried: Sequence[str]) -> bool:
         if node.op == "pick":
             of = nodes[node.args[0]]
             return of.op == "input" and of.data not in carried
-        return node.single
+        return node.is_single
 
     ends = program.outputs.values()
     read = {a for node in nodes for a in node.args}

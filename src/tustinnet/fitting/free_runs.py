@@ -12,8 +12,8 @@ from jaxtyping import Array, Float
 from tustinnet.data.experiment import Experiment
 from tustinnet.models.contract import Model
 from tustinnet.signals.stacking import stacked
-from tustinnet.simulate.input_signal import input_signals
 from tustinnet.simulate.horizon import horizon_samples, pieces
+from tustinnet.simulate.input_signal import input_signals
 from tustinnet.simulate.starts import Start
 
 

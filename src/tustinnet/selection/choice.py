@@ -18,7 +18,7 @@ from tustinnet.selection.ending import Final, Found
 from tustinnet.selection.jobs import LEFT_OUT, Workplace
 from tustinnet.selection.ranking import CLEAR, Standing, hanging, paired
 from tustinnet.simulate.range import KEY as RANGE
-from tustinnet.simulate.range import TrainingSupport, training_support, recorded_range
+from tustinnet.simulate.range import TrainingSupport, recorded_range, training_support
 from tustinnet.store.kept_system import CANDIDATES, header_of
 from tustinnet.store.run import MODEL
 

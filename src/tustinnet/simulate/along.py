@@ -44,7 +44,9 @@ def states_along(
         return runs[..., model.channels.internal]
 
     internal = map_in_batches(model, experiments, internal_states)
-    return [np.concatenate([x, z[: len(x)]], axis=1) for x, z in zip(measured, internal, strict=True)]
+    return [
+        np.concatenate([x, z[: len(x)]], axis=1) for x, z in zip(measured, internal, strict=True)
+    ]
 
 
 @eqx.filter_jit

@@ -129,8 +129,8 @@ def _rollouts(
         biases = iter(_cut(p, bias_sizes))
         numbers, matrices = iter(_cut(c, other_sizes)), iter(weights)
         leaves = []
-        for shape, is_layer in zip(shapes, are_layers, strict=True):
-            if is_layer:
+        for shape, has_weight in zip(shapes, are_layers, strict=True):
+            if has_weight:
                 bias = next(biases)
                 leaves.append(Affine(next(matrices), bias if shape[1] else None))
             else:

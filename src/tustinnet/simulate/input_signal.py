@@ -29,9 +29,7 @@ class InputSignal(eqx.Module):
         return InputSignal(self.u[part], None if self.periods is None else self.periods[part])
 
 
-def input_signal(
-    model: Model, experiment: Experiment, *, timestamps: bool = False
-) -> InputSignal:
+def input_signal(model: Model, experiment: Experiment, *, timestamps: bool = False) -> InputSignal:
     """The input signal of a record's free run, as the steps of a model take it.
 
     Args:

@@ -212,7 +212,9 @@ def _ends(signals: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "c 2"]:
     return np.stack([signals.min(axis=0), signals.max(axis=0)], axis=1)
 
 
-def training_support(channels: Channels, experiments: Sequence[Experiment]) -> TrainingSupport | None:
+def training_support(
+    channels: Channels, experiments: Sequence[Experiment]
+) -> TrainingSupport | None:
     """Points that came together in records; None of a single one.
 
     The reach is the largest distance of any record from the points of the others.
@@ -262,4 +264,3 @@ def _nearest(
     values: Float[np.ndarray, "n d"], points: Float[np.ndarray, "k d"]
 ) -> Float[np.ndarray, " n"]:
     return scipy.spatial.KDTree(points).query(values)[0]
-

@@ -14,8 +14,8 @@ from jaxtyping import Array, Bool, Float
 from tustinnet.errors import InputError
 from tustinnet.models.blocks import Affine, is_layer
 from tustinnet.models.contract import Model, State
-from tustinnet.simulate.input_signal import InputSignal
 from tustinnet.simulate.engine_rollouts import layered_steps
+from tustinnet.simulate.input_signal import InputSignal
 
 LONG = 5000  # steps from which a gradient saves memory instead of time
 
@@ -201,9 +201,7 @@ def rollouts(
         )  # fmt: skip
 
     @jax.custom_vjp
-    def run(
-        layers: list[Affine], rest: list[Any], start: Array, trajectory: _Trajectory
-    ) -> Array:
+    def run(layers: list[Affine], rest: list[Any], start: Array, trajectory: _Trajectory) -> Array:
         return record(layers, rest, start, trajectory, zero_slots(layers))[0]
 
     def forward(

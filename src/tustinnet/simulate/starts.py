@@ -53,9 +53,7 @@ def start_states(
     """
     rule = start_named(start) if isinstance(start, str) else start
 
-    def batch_states(
-        model: Model, batch: Sequence[Experiment]
-    ) -> Float[np.ndarray, "records n_x"]:
+    def batch_states(model: Model, batch: Sequence[Experiment]) -> Float[np.ndarray, "records n_x"]:
         return rule.numeric_states(model, rule.start_data(model, batch))
 
     return np.stack(map_in_batches(model, experiments, batch_states))

@@ -14,8 +14,8 @@ from tustinnet.engine.equations import Equations, ResidualFormula
 from tustinnet.engine.runs import Directions, Samples, compare
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import Discretised
-from tustinnet.simulate.input_signal import InputSignal
 from tustinnet.simulate.engine_rollouts import layered_steps
+from tustinnet.simulate.input_signal import InputSignal
 from tustinnet.simulate.rollout import precision, rollout
 from tustinnet.simulate.simulation import model_equations
 

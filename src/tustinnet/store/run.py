@@ -33,7 +33,7 @@ from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Member, Task
 from tustinnet.simulate.horizon import effective_horizon
 from tustinnet.simulate.range import KEY as RANGE
-from tustinnet.simulate.range import TrainingSupport, training_support, recorded_range
+from tustinnet.simulate.range import TrainingSupport, recorded_range, training_support
 from tustinnet.store.checkpoint import Checkpointer, read_checkpoint
 from tustinnet.store.files import (
     owned,

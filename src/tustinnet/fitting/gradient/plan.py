@@ -33,7 +33,7 @@ from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Fold, Member, Task
 from tustinnet.models.contract import Model, with_dtype
 from tustinnet.simulate.batches import batches
-from tustinnet.simulate.horizon import horizon_samples, effective_horizon
+from tustinnet.simulate.horizon import effective_horizon, horizon_samples
 from tustinnet.simulate.starts import Start, default_start, start_named
 
 
@@ -120,8 +120,7 @@ def plan(task: Task, devices: Sequence[Any] | None = None) -> Plan:
         for f in used
     }
     given = tuple(
-        _begun(task, m.fold, make[m.fold](key))
-        for m, (key, _) in zip(members, keys, strict=True)
+        _begun(task, m.fold, make[m.fold](key)) for m, (key, _) in zip(members, keys, strict=True)
     )
     single = [with_dtype(model, np.float32) for model in given]
     require_alike(single)

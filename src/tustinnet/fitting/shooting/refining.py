@@ -23,8 +23,8 @@ from tustinnet.fitting.shooting.problem import Problem, State, model_of, score
 from tustinnet.fitting.shooting.space import Space
 from tustinnet.models.integrate import Discretised
 from tustinnet.models.parameters import Parameter
-from tustinnet.simulate.input_signal import input_signal
 from tustinnet.simulate.horizon import horizon_samples, pieces
+from tustinnet.simulate.input_signal import input_signal
 from tustinnet.simulate.start_rules import FittedStart, Start
 from tustinnet.simulate.state_fits import fit_states_with_derivatives, position_residual
 
@@ -196,7 +196,9 @@ class _Task:
 
         def states(values: np.ndarray) -> np.ndarray:
             made = [
-                self.start.numeric_states(model, jax.tree.map(lambda a, i=i: a[i : i + 1], material))
+                self.start.numeric_states(
+                    model, jax.tree.map(lambda a, i=i: a[i : i + 1], material)
+                )
                 for i, model in enumerate(self.equations.models(self.model, values))
             ]
             return np.concatenate(made)
