@@ -137,7 +137,8 @@ def _states(
 @partial(jax.jit, static_argnums=(0, 1, 2, 3))
 def _products(
     equations: Equations, residual: ResidualFormula, substeps: int, by_parameters: bool,
-    start: Array, parameters: Array, seeds: Array, drive: Array, periods: Array, target: Array, weight: Array,
+    start: Array, parameters: Array, seeds: Array, drive: Array, periods: Array, target: Array,
+    weight: Array,
 ) -> tuple[Array, Array, Array, Array]:  # fmt: skip
     n_p, n_y = equations.n_p, residual.n_y
     n_d = seeds.shape[1]

@@ -85,7 +85,7 @@ class Tape:
         return self.add(Node("join", tuple(pieces), len(ids), truth=self._nodes[pieces[0]].truth))
 
     def _pieces(self, ids: list[int]) -> Iterator[int]:
-        """Nodes of numbers in their order; parts of a vector where they follow one another in it."""
+        """Nodes of numbers in order; parts of a vector where they follow one another in it."""
         first = 0
         while first < len(ids):
             last, node = first + 1, self._nodes[ids[first]]
