@@ -27,7 +27,7 @@ from tustinnet.engine.runs import Comparison, Directions, Runs, Samples
 from tustinnet.program.numbers import run
 
 _ALIGNED = 64  # bytes
-_CACHED = 64  # functions
+_CACHED = 192  # functions
 _FEW_OPERATIONS = 30_000  # of a formula, up to which NumPy does them and nothing is compiled
 _operations: WeakKeyDictionary[Formula, int] = WeakKeyDictionary()  # of each, done by NumPy
 _POINTER, _WHOLE = ctypes.c_void_p, ctypes.c_int64
@@ -41,8 +41,11 @@ _MAP = (_WHOLE, _POINTER, _POINTER, _POINTER)
 
 def simulate(equations: Equations, runs: Runs, substeps: int) -> Float[np.ndarray, "rows n_x"]:
     """The states at all samples, run after run; see `runs.simulate`."""
-    lanes = _lanes(equations, len(runs.steps))
-    function, constants = _run_function(equations, lanes)
+    # two vectors side by side where layers of a network are multiplied: each weight is then read
+    # once for both
+    has_layers = any(node.op == "product" for node in equations.program.nodes)
+    lanes = 2 * width() if has_layers and len(runs.steps) > width() else width()
+    function, constants = _function(run_kernel, "run", _RUN, equations, lanes)
     states = np.zeros((runs.samples, equations.n_x))
     measured = np.zeros((1, 0)) if runs.measured is None else _contiguous(runs.measured)
     table = _table(runs, lanes)
@@ -64,7 +67,7 @@ def compare(
 ) -> Comparison:  # fmt: skip
     """Products of residuals and derivatives, see `runs.compare`."""
     lanes = width()
-    function, constants = _compare_function(equations, residual, lanes)
+    function, constants = _function(compare_kernel, "compare", _COMPARE, equations, residual, lanes)
     n_r, n_d, n_x = directions.seeds.shape
     result = Comparison(
         np.zeros((n_r, n_d, n_d)), np.zeros((n_r, n_d)), np.zeros(n_r),
@@ -76,7 +79,9 @@ def compare(
     by_p = equations.n_p if directions.parameters else 0
 
     def run(group: int) -> None:
-        work = _aligned((n_d * (3 * n_x + n_d + 1) + 1) * lanes)
+        # memory that begins where vectors are aligned
+        work = np.zeros((n_d * (3 * n_x + n_d + 1) + 1) * lanes + _ALIGNED // 8)
+        work = work[-work.ctypes.data % _ALIGNED // 8 :]
         function(
             group, group + 1, _address(table), _address(constants), substeps, runs.drive.shape[1],
             *map(_address, arrays), n_d, by_p, _address(target), _address(weight),
@@ -100,8 +105,10 @@ def evaluate(
         _operations[formula] = operations
         rows = [run(program, x=point)["value"] for point in _contiguous(points)]
         return np.stack(rows) if rows else np.zeros((0, output_size(program, "value")))
-    function, constants, size = _map_function(formula, derivatives=derivatives)
-    values, points = np.zeros((len(points), size)), _contiguous(points)
+    function, constants = _function(
+        map_kernel, "map", _MAP, formula, width(), derivatives=derivatives
+    )
+    values, points = np.zeros((len(points), output_size(program, "value"))), _contiguous(points)
     if values.size:
         function(len(points), _address(constants), _address(points), _address(values))
     return values
@@ -109,7 +116,7 @@ def evaluate(
 
 def make_step(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """A function that steps a discrete model once; see `runs.make_step`."""
-    function, constants = _function(step_kernel(equations), "step", (_POINTER,) * 4)
+    function, constants = _load(step_kernel(equations), "step", (_POINTER,) * 4)
     n_x, n_u = equations.n_x, equations.n_u
     # memory of its own, whose addresses are known: asking an array for its address takes longer
     # than the step
@@ -146,37 +153,20 @@ def _arrays(runs: Runs) -> list[np.ndarray]:
 
 
 @lru_cache(_CACHED)
-def _run_function(equations: Equations, lanes: int) -> tuple[Any, np.ndarray]:
-    return _function(run_kernel(equations, lanes), "run", _RUN)
-
-
-@lru_cache(_CACHED)
-def _compare_function(
-    equations: Equations, residual: ResidualFormula, lanes: int
+def _function(
+    make_kernel: Callable[..., Kernel],
+    name: str,
+    types: tuple[Any, ...],
+    *args: Any,
+    **options: Any,
 ) -> tuple[Any, np.ndarray]:
-    return _function(compare_kernel(equations, residual, lanes), "compare", _COMPARE)
+    """The compiled function of a kernel, and the constants that it reads; made once."""
+    return _load(make_kernel(*args, **options), name, types)
 
 
-@lru_cache(_CACHED)
-def _map_function(formula: Formula, *, derivatives: bool) -> tuple[Any, np.ndarray, int]:
-    kernel = map_kernel(formula, width(), derivatives=derivatives)
-    size = output_size(formula.derivatives if derivatives else formula.program, "value")
-    return *_function(kernel, "map", _MAP), size
-
-
-def _function(kernel: Kernel, name: str, arguments: tuple[Any, ...]) -> tuple[Any, np.ndarray]:
-    function = compile_module(kernel.text).function(name, arguments)
+def _load(kernel: Kernel, name: str, types: tuple[Any, ...]) -> tuple[Any, np.ndarray]:
+    function = compile_module(kernel.text).function(name, types)
     return function, np.array([*kernel.constants, 0.0])
-
-
-def _lanes(equations: Equations, runs: int) -> int:
-    """The number of runs that are simulated side by side.
-
-    A vector of the processor, or two where layers of a network are multiplied: each weight is
-    then read once for both.
-    """
-    layers = any(node.op == "product" for node in equations.program.nodes)
-    return 2 * width() if layers and runs > width() else width()
 
 
 def _side_by_side(run: Callable[[int], None], groups: int) -> None:
@@ -194,10 +184,3 @@ def _contiguous(array: np.ndarray) -> np.ndarray:
 
 def _address(array: np.ndarray) -> int:
     return array.ctypes.data
-
-
-def _aligned(count: int) -> np.ndarray:
-    """Memory for so many numbers, aligned as vectors are."""
-    memory = np.zeros(count + _ALIGNED // 8)
-    first = -memory.ctypes.data % _ALIGNED // 8
-    return memory[first : first + count]

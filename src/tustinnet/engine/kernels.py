@@ -426,10 +426,7 @@ class _Simulation(_Lanes):
         """Writes the step from a sample to the next."""
         if self.equations.continuous:
             self._integrate(k)
-        else:
-            self._step(k)
-
-    def _step(self, k: str) -> None:
+            return
         f, n_u = self.f, self.equations.n_u
         for i in range(n_u):
             f.store(self.beside(n_u, i, "%drive"), self.u, i)

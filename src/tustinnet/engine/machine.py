@@ -57,9 +57,7 @@ def compile_module(text: str) -> CompiledModule:
         return _compile(text)
 
 
-@lru_cache(maxsize=_CACHED)
-def _compile(text: str) -> CompiledModule:
-    return CompiledModule(text)
+_compile = lru_cache(maxsize=_CACHED)(CompiledModule)
 
 
 @cache

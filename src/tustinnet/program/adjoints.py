@@ -67,23 +67,19 @@ def _unroll(tape: Tape, program: Program, inputs: dict[str, int]) -> dict[str, i
     values: list[int] = []
     for node in program.nodes:
         args = [values[a] for a in node.args]
-        if node.op == "loop":
-            values.append(_unroll_loop(tape, node.data, args))
-        else:
+        if node.op != "loop":
             values.append(tape.copy_node(program, node, args, inputs))
+            continue
+        loop: Loop = node.data
+        first, last = loop.constants, loop.constants + loop.carried
+        constants, carried, collected = args[:first], args[first:last], args[last:]
+        rows = [np.split(np.array(tape.split(vector)), loop.length) for vector in collected]
+        for turn in range(loop.length):
+            now = [tape.vector(row[turn]) for row in rows]
+            arguments = dict(zip(loop.body.inputs, [*constants, *carried, *now], strict=True))
+            carried = list(_unroll(tape, loop.body, arguments).values())
+        values.append(tape.vector([x for vector in carried for x in tape.split(vector)]))
     return {name: values[i] for name, i in program.outputs.items()}
-
-
-def _unroll_loop(tape: Tape, loop: Loop, args: list[int]) -> int:
-    """Writes all turns of a loop onto a tape; the node of the carried vectors at the end."""
-    first, last = loop.constants, loop.constants + loop.carried
-    constants, carried, collected = args[:first], args[first:last], args[last:]
-    rows = [np.split(np.array(tape.split(vector)), loop.length) for vector in collected]
-    for turn in range(loop.length):
-        now = [tape.vector(row[turn]) for row in rows]
-        inputs = dict(zip(loop.body.inputs, [*constants, *carried, *now], strict=True))
-        carried = list(_unroll(tape, loop.body, inputs).values())
-    return tape.vector([x for vector in carried for x in tape.split(vector)])
 
 
 @dataclass
