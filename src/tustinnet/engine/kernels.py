@@ -68,7 +68,7 @@ def write_run(module: Module, equations: Equations, constants: Constants) -> Non
         f.store(emission.as_number(number), "%out", i)
     f.line("ret void")
     module.finish(f)
-    f = module.function("run", RUN, own=False)
+    f = module.function("run", RUN, is_internal=False)
     with f.loop("%begin", "%end") as group:
         s = _Simulation(f, equations, group)
         with f.loop(0, s.ends) as k:
@@ -117,7 +117,7 @@ def write_backward(module: Module, equations: Equations, constants: Constants) -
         f.store(emission.as_number(number), "%adjoint", i)
     f.line("ret void")
     module.finish(f)
-    f = module.function("backward", BACKWARD, own=False)
+    f = module.function("backward", BACKWARD, is_internal=False)
     with f.loop("%begin", "%end") as group:
         s = _Lanes(f, group)
         x, u, p = f.memory(n_x), f.memory(n_u), f.memory(n_p + equations.n_c)
@@ -171,7 +171,7 @@ def write_compare(
 ) -> None:
     """Writes the function `compare`: free runs with derivatives, compared with samples."""
     structure = _write_derivatives(module, equations, constants)
-    f = module.function("compare", COMPARE, own=False)
+    f = module.function("compare", COMPARE, is_internal=False)
     with f.loop("%begin", "%end") as group:
         s = _Sensitivities(f, equations, structure, residual, constants, group)
         with f.loop(0, s.ends) as k:
@@ -189,7 +189,7 @@ def map_kernel(formula: Formula, lanes: int, *, derivatives: bool) -> Kernel:
     module, constants = Module(lanes), Constants()
     program = formula.derivatives if derivatives else formula.program
     n_in = formula.size
-    f = module.function("map", MAP, own=False)
+    f = module.function("map", MAP, is_internal=False)
     x = f.memory(n_in)
     rounds = f.whole("sdiv", f.whole("add", "%count", lanes - 1), lanes)
     last = f.whole("sub", "%count", 1)
@@ -212,7 +212,7 @@ def map_kernel(formula: Formula, lanes: int, *, derivatives: bool) -> Kernel:
 def step_kernel(equations: Equations) -> Kernel:
     """Machine code of one step of a discrete model without parameters, with one lane."""
     module, constants = Module(1), Constants()
-    f = module.function("step", STEP, own=False)
+    f = module.function("step", STEP, is_internal=False)
     inputs = {"x": "%x", "u": "%u", "p": "%x", "c": "%x"}  # of the last two there are none
     emission = Emission(f, equations.program, inputs, constants, "%constants")
     for i, number in enumerate(emission.outputs()["x"]):
@@ -315,8 +315,8 @@ class _Lanes:
         self._columns: dict[tuple[int, str], str] = {}
         for lane in range(lanes):
             for i, name in enumerate(LANE):
-                at = f.at("%lanes", f.whole("add", first, lane * len(LANE) + i), "i64")
-                self._columns[lane, name] = f.value(f"load i64, ptr {at}")
+                address = f.at("%lanes", f.whole("add", first, lane * len(LANE) + i), "i64")
+                self._columns[lane, name] = f.value(f"load i64, ptr {address}")
         self.longest = self.column(0, "steps")
         for lane in range(1, lanes):
             steps = self.column(lane, "steps")
@@ -324,7 +324,7 @@ class _Lanes:
             self.longest = f.value(f"select i1 {more}, i64 {steps}, i64 {self.longest}")
         self.ends = f.whole("add", self.longest, 1)
         self.active: list[str] = []
-        self._at: list[str] = []
+        self._samples: list[str] = []
 
     def column(self, lane: int, name: str) -> str:
         """A column of the table of lanes for a lane."""
@@ -333,19 +333,19 @@ class _Lanes:
     def now(self, k: str) -> None:
         """Writes, for sample k, which lanes are still running, and the sample at which each is."""
         f = self.f
-        self.active, self._at = [], []
+        self.active, self._samples = [], []
         for lane in range(f.module.lanes):
             steps = self.column(lane, "steps")
             active = f.value(f"icmp sle i64 {k}, {steps}")
-            at = f.value(f"select i1 {active}, i64 {k}, i64 {steps}")
-            beyond = f.value(f"icmp slt i64 {at}, 0")
-            self._at.append(f.value(f"select i1 {beyond}, i64 0, i64 {at}"))
+            sample = f.value(f"select i1 {active}, i64 {k}, i64 {steps}")
+            is_idle = f.value(f"icmp slt i64 {sample}, 0")
+            self._samples.append(f.value(f"select i1 {is_idle}, i64 0, i64 {sample}"))
             self.active.append(active)
 
     def rows(self, name: str) -> list[str]:
         """The present row of every lane in an array in which it begins at its row of that name."""
         columns = [self.column(lane, name) for lane in range(self.f.module.lanes)]
-        return [self.f.whole("add", c, at) for c, at in zip(columns, self._at, strict=True)]
+        return [self.f.whole("add", c, k) for c, k in zip(columns, self._samples, strict=True)]
 
     def hand_over(self, source: str, size: str | int, into: str) -> None:
         """Stores the numbers of every lane that has a run in the row of that run."""
@@ -361,8 +361,8 @@ class _Lanes:
         """One or the other number, chosen for every lane."""
         f, n = self.f, self.f.module.n
         return f.together([
-            f.value(f"select i1 {on}, {n} {f.lane(a, lane)}, {n} {f.lane(b, lane)}")
-            for lane, on in enumerate(truths)
+            f.value(f"select i1 {truth}, {n} {f.lane(a, lane)}, {n} {f.lane(b, lane)}")
+            for lane, truth in enumerate(truths)
         ])  # fmt: skip
 
 
@@ -565,8 +565,8 @@ class _Sensitivities(_Simulation):
         with f.loop(0, "%n_d") as a:
             base = f.whole("mul", a, n_x)
             row = f.whole("mul", a, "%n_d")
-            by = [f.load(self._dx, f.whole("add", base, i)) for i in range(n_y)]
-            scaled = [f.apply("fmul", x, s) for x, s in zip(by, derivatives, strict=True)]
+            dx = [f.load(self._dx, f.whole("add", base, i)) for i in range(n_y)]
+            scaled = [f.apply("fmul", x, s) for x, s in zip(dx, derivatives, strict=True)]
             total = f.load(self._gradient, a)
             for x, residual in zip(scaled, residuals, strict=True):
                 total = f.fma(x, residual, total)
@@ -580,7 +580,7 @@ class _Sensitivities(_Simulation):
                     total = f.fma(x, f.load(self._dx, f.whole("add", other, i)), total)
                 f.store(total, self._products, place)
 
-    def _along(self, source: str, d: str, *, by_parameter: bool) -> list[str]:
+    def _directional_derivative(self, source: str, d: str, *, by_parameter: bool) -> list[str]:
         """The derivative of the equations along a direction."""
         f, n_x = self.f, self.equations.n_x
         base = f.whole("mul", d, n_x)
@@ -616,7 +616,7 @@ class _Sensitivities(_Simulation):
         source = self._dx if stage == 0 else self._dahead
 
         def change(d: str, by_parameter: bool) -> None:
-            slopes = self._along(source, d, by_parameter=by_parameter)
+            slopes = self._directional_derivative(source, d, by_parameter=by_parameter)
             base = f.whole("mul", d, n_x)
             for j, slope in enumerate(slopes):
                 self._update(stage, scale, slope, (self._dx, self._dahead, self._dtotal),
@@ -629,11 +629,11 @@ class _Sensitivities(_Simulation):
         f, n_x = self.f, self.equations.n_x
 
         def change(d: str, by_parameter: bool) -> None:
-            ahead = self._along(self._dx, d, by_parameter=by_parameter)
+            ahead = self._directional_derivative(self._dx, d, by_parameter=by_parameter)
             base = f.whole("mul", d, n_x)
             for j, value in enumerate(ahead):
-                at = f.whole("add", base, j)
-                f.store(self.where(running, value, f.load(self._dx, at)), self._dx, at)
+                place = f.whole("add", base, j)
+                f.store(self.where(running, value, f.load(self._dx, place)), self._dx, place)
 
         self._for_each_direction(change)
 

@@ -36,10 +36,12 @@ class Function:
         name: its name.
     """
 
-    def __init__(self, module: "Module", name: str, arguments: str, result: str, own: bool) -> None:
+    def __init__(
+        self, module: "Module", name: str, arguments: str, result: str, is_internal: bool
+    ) -> None:
         self.module, self.name = module, name
         # written once and called from several places: inlining would multiply the code
-        linkage, mark = ("internal ", " noinline") if own else ("", "")
+        linkage, mark = ("internal ", " noinline") if is_internal else ("", "")
         self._head = f"define {linkage}{result} @{name}({arguments}){mark}"
         self._entry: list[str] = []
         self._lines: list[str] = []
@@ -154,15 +156,15 @@ class Function:
 
     def load(self, pointer: str, index: str | int = 0) -> str:
         """A value in memory."""
-        at = self.at(pointer, index)
-        return self.value(f"load {self.module.v}, ptr {at}, align {self.module.align}")
+        address = self.at(pointer, index)
+        return self.value(f"load {self.module.v}, ptr {address}, align {self.module.align}")
 
     def store(
         self, value: str, pointer: str, index: str | int = 0, *, aligned: bool = True
     ) -> None:
         """A value goes to memory; not aligned where somebody else allocated that."""
-        at, m = self.at(pointer, index), self.module
-        self.line(f"store {m.v} {value}, ptr {at}, align {m.align if aligned else m.bytes}")
+        address, m = self.at(pointer, index), self.module
+        self.line(f"store {m.v} {value}, ptr {address}, align {m.align if aligned else m.bytes}")
 
     def load_number(self, pointer: str, index: str | int) -> str:
         """A single number in memory."""
@@ -188,12 +190,12 @@ class Function:
         return self.value(f"fcmp {predicate} {self.module.v} {a}, {b}")
 
     def select(self, condition: str, a: str, b: str) -> str:
-        """Of every lane one or the other value."""
+        """One or the other value, chosen for every lane."""
         m = self.module
         return self.value(f"select {m.truth} {condition}, {m.v} {a}, {m.v} {b}")
 
     def choose(self, condition: str, a: str, b: str) -> str:
-        """Of every lane one or the other truth."""
+        """One or the other truth, chosen for every lane."""
         t = self.module.truth
         return self.value(f"select {t} {condition}, {t} {a}, {t} {b}")
 
@@ -259,10 +261,10 @@ class Module:
         return other
 
     def function(
-        self, name: str, arguments: str, result: str = "void", *, own: bool = True
+        self, name: str, arguments: str, result: str = "void", *, is_internal: bool = True
     ) -> Function:
         """A function that is written next; `finish` adds it."""
-        return Function(self, name, arguments, result, own)
+        return Function(self, name, arguments, result, is_internal)
 
     def finish(self, function: Function) -> None:
         """A function is complete."""

@@ -142,8 +142,8 @@ class Rollouts:
             total = by_weights[name]
             by_weights[name] = product if total is None else total + product
         gradients = [
-            jnp.zeros_like(weight) if by is None else by
-            for weight, by in zip(weights, by_weights.values(), strict=True)
+            jnp.zeros_like(weight) if gradient is None else gradient
+            for weight, gradient in zip(weights, by_weights.values(), strict=True)
         ]
         return gradients, jnp.sum(by_p, axis=0), jnp.zeros_like(c), by_x0, jnp.zeros_like(u)
 
@@ -165,8 +165,8 @@ def _precision(x0: Array) -> Precision:
 
 def _lanes(x0: Array) -> int:
     """Number of rollouts side by side: two vectors, so that each weight is read once for both."""
-    one = width() * 8 // x0.dtype.itemsize
-    return 2 * one if len(x0) > one else one
+    lanes = width() * 8 // x0.dtype.itemsize
+    return 2 * lanes if len(x0) > lanes else lanes
 
 
 @cache
@@ -220,14 +220,14 @@ class _Target:
 
 @cache
 def _target(
-    what: str,
+    kernel: str,
     equations: Equations,
     lanes: int,
     number: Precision,
     residual: ResidualFormula | None = None,
 ) -> _Target:
     module, constants = Module(lanes, number), Constants()
-    if what == "run":
+    if kernel == "run":
         write_run(module, equations, constants)
         _write_called(module, _call_run)
     elif residual is not None:
@@ -252,7 +252,7 @@ def _register(text: str) -> tuple[str, CompiledModule]:
 
 def _write_called(module: Module, write: Callable[[Function], None]) -> None:
     """Writes the function that XLA calls: it says which interface it has, or does its work."""
-    f = module.function("called", "ptr %call", "ptr", own=False)
+    f = module.function("called", "ptr %call", "ptr", is_internal=False)
     extension = _field(f, "%call", _EXTENSION, "ptr")
     with f.when(f.value(f"icmp ne ptr {extension}, null")):
         kind = _field(f, extension, _KIND, "i32")
@@ -321,7 +321,9 @@ def _call_compare(f: Function) -> None:
     table, groups, _ = _lane_table(f, arguments[3])
     n_d = f.value(f"load i64, ptr {f.at(_field(f, arguments[4], _SHAPE, 'ptr'), 1, 'i64')}")
     data = [_field(f, array, _DATA, "ptr") for array in (*arguments, *results)]
-    constants, parameters, start, drive, seeds, target, weight, errors, products, by, cost = data
+    constants, parameters, start, drive, seeds, target, weight, errors, products, gradient, cost = (
+        data
+    )
     # three derivatives of a state, a row of products and the gradient for each direction
     size = f.whole("mul", n_d, f.whole("add", f.whole("mul", n_d, 4), 1))
     v, align = f.module.v, f.module.align
@@ -329,7 +331,7 @@ def _call_compare(f: Function) -> None:
     f.line(
         f"call void @compare(i64 0, i64 {groups}, ptr {table}, ptr {constants}, i64 1, i64 1, "
         f"ptr {drive}, ptr null, ptr {start}, ptr {parameters}, ptr {seeds}, i64 {n_d}, i64 0, "
-        f"ptr {target}, ptr {weight}, ptr {work}, ptr {errors}, ptr {products}, ptr {by}, "
+        f"ptr {target}, ptr {weight}, ptr {work}, ptr {errors}, ptr {products}, ptr {gradient}, "
         f"ptr {cost})"
     )
 

@@ -195,8 +195,8 @@ class _Forward:
             vectors[1 + k] for k in range(len(directions)) for vectors in inputs[first:last]
         ]
         collected = [x for vectors in inputs[last:] for x in vectors]
-        every = [*constants, *carried, *collected]
-        inner = Tape({name: size for name, size, _ in every})
+        vectors = [*constants, *carried, *collected]
+        inner = Tape({name: size for name, size, _ in vectors})
         values = {name: inner.input_vector(name) for name in names}
         seeds = {
             name: {d: inner.input_vector(t) for d, t in tangent_names[name].items()}
@@ -210,7 +210,7 @@ class _Forward:
                 tangent = next_tangents[name].get(d)
                 outputs[f"{name}_by_{d}"] = zeros if tangent is None else inner.split(tangent)
         with_tangents = Loop(inner.program(outputs), loop.length, len(constants), len(carried))
-        ends = tape.loop(with_tangents, [tape.split(number) for _, _, number in every])
+        ends = tape.loop(with_tangents, [tape.split(number) for _, _, number in vectors])
         size = sum(loop.carried_sizes)
         return tape.vector(ends[:size]), {
             d: tape.vector(ends[(k + 1) * size : (k + 2) * size]) for k, d in enumerate(directions)
@@ -247,7 +247,7 @@ def _directions(tangents: Sequence[Tangents]) -> list[int]:
 Partials = Callable[..., tuple[int, ...]]
 
 
-def _one(formula: Callable[[Tape, int, int], int]) -> Partials:
+def _unary(formula: Callable[[Tape, int, int], int]) -> Partials:
     """The rule of a function of one number, from a formula of its value and its argument."""
     return lambda tape, value, x: (formula(tape, value, x),)
 
@@ -318,7 +318,7 @@ def _angle(tape: Tape, value: int, a: int, b: int) -> tuple[int, ...]:
 
 def _over_root(inside: Callable[[Tape, int], int], sign: float = 1.0) -> Partials:
     """The rule of inverse functions whose derivative is one over a root."""
-    return _one(
+    return _unary(
         lambda tape, value, x: tape.apply(
             "div", tape.number(sign), tape.apply("sqrt", inside(tape, x))
         )
@@ -330,31 +330,31 @@ PARTIALS: dict[str, Partials] = {
     "sub": lambda tape, value, a, b: (tape.number(1.0), tape.number(-1.0)),
     "mul": lambda tape, value, a, b: (b, a),
     "div": _quotient,
-    "neg": _one(lambda tape, value, x: tape.number(-1.0)),
+    "neg": _unary(lambda tape, value, x: tape.number(-1.0)),
     "max": _larger("gt"),
     "min": _larger("lt"),
     "pow": _power,
     "rem": _remainder,
     "atan2": _angle,
-    "abs": _one(_side),
-    "sign": _one(lambda tape, value, x: tape.number(0.0)),
-    "floor": _one(lambda tape, value, x: tape.number(0.0)),
-    "ceil": _one(lambda tape, value, x: tape.number(0.0)),
-    "sqrt": _one(lambda tape, value, x: tape.apply("div", tape.number(0.5), value)),
-    "exp": _one(lambda tape, value, x: value),
-    "expm1": _one(lambda tape, value, x: _plus(tape, value, 1.0)),
-    "log": _one(lambda tape, value, x: _over(tape, x)),
-    "log1p": _one(lambda tape, value, x: _over(tape, _plus(tape, x, 1.0))),
-    "sin": _one(lambda tape, value, x: tape.apply("cos", x)),
-    "cos": _one(lambda tape, value, x: tape.apply("neg", tape.apply("sin", x))),
-    "tan": _one(lambda tape, value, x: _plus(tape, _square(tape, value), 1.0)),
+    "abs": _unary(_side),
+    "sign": _unary(lambda tape, value, x: tape.number(0.0)),
+    "floor": _unary(lambda tape, value, x: tape.number(0.0)),
+    "ceil": _unary(lambda tape, value, x: tape.number(0.0)),
+    "sqrt": _unary(lambda tape, value, x: tape.apply("div", tape.number(0.5), value)),
+    "exp": _unary(lambda tape, value, x: value),
+    "expm1": _unary(lambda tape, value, x: _plus(tape, value, 1.0)),
+    "log": _unary(lambda tape, value, x: _over(tape, x)),
+    "log1p": _unary(lambda tape, value, x: _over(tape, _plus(tape, x, 1.0))),
+    "sin": _unary(lambda tape, value, x: tape.apply("cos", x)),
+    "cos": _unary(lambda tape, value, x: tape.apply("neg", tape.apply("sin", x))),
+    "tan": _unary(lambda tape, value, x: _plus(tape, _square(tape, value), 1.0)),
     "asin": _over_root(lambda tape, x: _minus(tape, 1.0, _square(tape, x))),
     "acos": _over_root(lambda tape, x: _minus(tape, 1.0, _square(tape, x)), -1.0),
-    "atan": _one(lambda tape, value, x: _over(tape, _plus(tape, _square(tape, x), 1.0))),
-    "sinh": _one(lambda tape, value, x: tape.apply("cosh", x)),
-    "cosh": _one(lambda tape, value, x: tape.apply("sinh", x)),
-    "tanh": _one(lambda tape, value, x: _minus(tape, 1.0, _square(tape, value))),
+    "atan": _unary(lambda tape, value, x: _over(tape, _plus(tape, _square(tape, x), 1.0))),
+    "sinh": _unary(lambda tape, value, x: tape.apply("cosh", x)),
+    "cosh": _unary(lambda tape, value, x: tape.apply("sinh", x)),
+    "tanh": _unary(lambda tape, value, x: _minus(tape, 1.0, _square(tape, value))),
     "asinh": _over_root(lambda tape, x: _plus(tape, _square(tape, x), 1.0)),
     "acosh": _over_root(lambda tape, x: _plus(tape, _square(tape, x), -1.0)),
-    "atanh": _one(lambda tape, value, x: _over(tape, _minus(tape, 1.0, _square(tape, x)))),
+    "atanh": _unary(lambda tape, value, x: _over(tape, _minus(tape, 1.0, _square(tape, x)))),
 }

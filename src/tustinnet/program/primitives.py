@@ -101,11 +101,11 @@ def _round(tape: Tape, params: dict[str, Any], x: int) -> int:
 def _select(tape: Tape, params: dict[str, Any], which: int, *cases: int) -> int:
     if tape[which].truth:
         return tape.apply("select", which, cases[1], cases[0])
-    chosen = cases[-1]
+    result = cases[-1]
     for i in range(len(cases) - 2, -1, -1):
-        here = tape.apply("eq", which, tape.number(float(i)))
-        chosen = tape.apply("select", here, cases[i], chosen)
-    return chosen
+        is_case = tape.apply("eq", which, tape.number(float(i)))
+        result = tape.apply("select", is_case, cases[i], result)
+    return result
 
 
 def _clamp(tape: Tape, params: dict[str, Any], low: int, x: int, high: int) -> int:
@@ -198,13 +198,13 @@ def _cholesky(tape: Tape, params: dict[str, Any], array: Ids) -> Ids:
     """Nodes of the lower Cholesky factor of symmetric matrices, written out."""
     zero, n = tape.number(0.0), array.shape[-1]
     out = np.full(array.shape, zero)
-    for at in np.ndindex(array.shape[:-2]):
-        low = out[at]
+    for batch in np.ndindex(array.shape[:-2]):
+        matrix, low = array[batch], out[batch]
         for j in range(n):
-            rest = tape.apply("sub", int(array[at][j, j]), _dot(tape, low[j, :j], low[j, :j]))
+            rest = tape.apply("sub", int(matrix[j, j]), _dot(tape, low[j, :j], low[j, :j]))
             low[j, j] = tape.apply("sqrt", rest)
             for i in range(j + 1, n):
-                rest = tape.apply("sub", int(array[at][i, j]), _dot(tape, low[i, :j], low[j, :j]))
+                rest = tape.apply("sub", int(matrix[i, j]), _dot(tape, low[i, :j], low[j, :j]))
                 low[i, j] = tape.apply("div", rest, int(low[j, j]))
     return out
 
@@ -277,8 +277,8 @@ def _pad(params: dict[str, Any], array: Any, value: Any) -> Any:
 
 def _broadcast(params: dict[str, Any], array: Any) -> Any:
     shape = [1] * len(params["shape"])
-    for i, at in enumerate(params["broadcast_dimensions"]):
-        shape[at] = array.shape[i]
+    for i, axis in enumerate(params["broadcast_dimensions"]):
+        shape[axis] = array.shape[i]
     return np.broadcast_to(array.reshape(shape), params["shape"])
 
 

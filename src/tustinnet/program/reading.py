@@ -219,7 +219,14 @@ class _Reader:
         order = range(params["length"])
         collected = []
         for i in reversed(order) if params["reverse"] else order:
-            now = [_row(row, i) for row in rows]
+            now: list[Value] = []
+            for row in rows:
+                if isinstance(row, Matrix):
+                    raise UnsupportedPrimitive("over the weights of a layer")
+                if isinstance(row, Numbers):
+                    now.append(Numbers(np.asarray(row.ids[i])))
+                else:
+                    now.append(np.asarray(row[i]))
             out = self._turn(params["jaxpr"], [*constants, *carried, *now])
             carried = out[:n_carried]
             collected.append(out[n_carried:])
@@ -313,12 +320,6 @@ class _Reader:
 
 class Unreadable(InputError):
     """A function that cannot be read as a program: some of its primitives have no rule."""
-
-
-def _row(value: Value, i: int) -> Value:
-    if isinstance(value, Matrix):
-        raise UnsupportedPrimitive("over the weights of a layer")
-    return Numbers(np.asarray(value.ids[i])) if isinstance(value, Numbers) else np.asarray(value[i])
 
 
 def _constant_results(eqn: Any, operands: list[Value]) -> list[Value]:
