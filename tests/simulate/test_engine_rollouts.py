@@ -162,8 +162,8 @@ def test_wide_layers_have_memory_beyond_the_stack():
     wide = random_tustin_net(CHANNELS, scaling(), jax.random.key(0), hidden=(1500, 3))
     model = with_dtype(wide, np.float64)
     x0, u = jnp.full((3, 2), 0.3), jnp.ones((3, STEPS, 1))
-    found, expected = (results(model, x0, u, 1.0, only_layers=fast) for fast in (True, False))
-    for ours, theirs in zip(*map(jax.tree.leaves, (found, expected)), strict=True):
+    result, expected = (results(model, x0, u, 1.0, only_layers=fast) for fast in (True, False))
+    for ours, theirs in zip(*map(jax.tree.leaves, (result, expected)), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
     free = simulate_runs(model, np.asarray(x0), InputSignal(np.asarray(u)))
     np.testing.assert_allclose(free, expected[0], rtol=1e-9, atol=1e-9)

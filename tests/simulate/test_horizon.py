@@ -14,8 +14,8 @@ def test_segments_leave_no_sample_out_and_share_none(pendulum, start, samples):
     e, rule = pendulum[0], start_named(start)
     cut = pieces(e, samples, rule)
     assert cut[0].t[0] == e.t[0]
-    told = np.concatenate([piece.t[rule.first :] for piece in cut])
-    np.testing.assert_array_equal(told, e.t[rule.first :])
+    message = np.concatenate([piece.t[rule.first :] for piece in cut])
+    np.testing.assert_array_equal(message, e.t[rule.first :])
     lengths = [len(piece) - rule.first for piece in cut]
     assert all(length == min(samples, len(e) - rule.first) for length in lengths[:-1])
     needed = max(2, rule.samples - rule.first)
