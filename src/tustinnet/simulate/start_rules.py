@@ -9,7 +9,7 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from tustinnet.errors import InputError
 
@@ -47,7 +47,7 @@ class Start(ABC):
     samples: int
 
     @classmethod
-    def from_name(cls, name: str) -> Self | None:
+    def from_name(cls, name: str) -> "Start | None":
         """The start of that name; None where the name is one of another start."""
         match = re.fullmatch(cls.form.replace("N", r"(\d+)"), name)
         if not match:
