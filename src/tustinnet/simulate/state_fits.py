@@ -80,9 +80,9 @@ def fit_states(
         signal: what acts between the samples, (records, samples - 1, ...).
         q: measured positions, (records, samples, n_q).
     """
-    of_model = model_equations(model, signal)
-    parameters = np.tile(of_model.parameters, (len(guess), 1))
-    return _fit(model, of_model.equations, parameters, guess, signal, q)[0]
+    engine_model = model_equations(model, signal)
+    parameters = np.tile(engine_model.parameters, (len(guess), 1))
+    return _fit(model, engine_model.equations, parameters, guess, signal, q)[0]
 
 
 def fit_states_traced(
@@ -313,9 +313,9 @@ class _Squares:
         self, model: Model, equations: Equations, parameters: np.ndarray, guess: np.ndarray,
         signal: InputSignal, q: np.ndarray, share: np.ndarray,
     ) -> None:  # fmt: skip
-        of_model = model_equations(model, signal)
-        self._equations, self._guess, self._substeps = equations, guess, of_model.substeps
-        self._runs = replace(of_model.runs(guess, signal), parameters=parameters)
+        engine_model = model_equations(model, signal)
+        self._equations, self._guess, self._substeps = equations, guess, engine_model.substeps
+        self._runs = replace(engine_model.runs(guess, signal), parameters=parameters)
         self._internal = model.channels.internal
         self._spread = np.asarray(model.internal_spread, np.float64)
         weight, n_q = share[:, :, None] * position_weights(model), q.shape[2]
