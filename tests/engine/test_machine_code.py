@@ -7,9 +7,9 @@ from every_step import PROGRAMS, example_source, state_of, stepping
 
 from tustinnet.engine import functions
 from tustinnet.engine.by_machine_code import evaluate
-from tustinnet.engine.emission import _WRITTEN
+from tustinnet.engine.emission import _WRITERS
 from tustinnet.engine.equations import Formula
-from tustinnet.engine.machine import compiled
+from tustinnet.engine.machine import compile_module
 from tustinnet.engine.text import Module
 from tustinnet.export.source import Source
 from tustinnet.program.numbers import run
@@ -62,13 +62,13 @@ def test_elementary_functions_are_those_of_numpy(name, lanes):
             both = f.value(f"call {pair} @{functions.sine_and_cosine(module)}({module.v} {x})")
             value = f.value(f"extractvalue {pair} {both}, {int(name == 'cos')}")
         else:
-            value = _WRITTEN[name](f, x)
+            value = _WRITERS[name](f, x)
         f.store(value, "%y", i)
     f.line("ret void")
     module.finish(f)
     from ctypes import c_int64, c_void_p
 
-    function = compiled(module.text()).function("all", (c_void_p, c_void_p, c_int64))
+    function = compile_module(module.text()).function("all", (c_void_p, c_void_p, c_int64))
     memory = np.zeros((2, 4096))
     first = -memory.ctypes.data % 64 // 8
     given, result = (row[first : first + 2048] for row in memory)

@@ -10,7 +10,7 @@ from every_family import example
 
 import tustinnet as tn
 from tustinnet.errors import InputError
-from tustinnet.simulate.filtering import Filtered, FilterNoise, kalman_filter
+from tustinnet.simulate.filtering import FilterNoise, FilterResult, kalman_filter
 
 COUNT = 1e-3  # standard deviation of the measured angle [rad]
 LINEAR = "linear"
@@ -33,7 +33,7 @@ def noise(n_x: int = 3) -> FilterNoise:
     return FilterNoise(np.full(n_x, 2.0), np.full(n_x, 1e-6), np.full(1, COUNT))
 
 
-def filtered(record: tn.Experiment, model: tn.Model, n_x: int = 3) -> Filtered:
+def filtered(record: tn.Experiment, model: tn.Model, n_x: int = 3) -> FilterResult:
     return kalman_filter(model, record, np.zeros(n_x), noise(n_x))
 
 
