@@ -30,15 +30,15 @@ import numpy as np
 
 import tustinnet as tn
 from tustinnet.engine import runs as engine
-from tustinnet.engine.equations import Residual
+from tustinnet.engine.equations import ResidualFormula
 from tustinnet.engine.runs import Directions, Runs, Samples
 from tustinnet.fitting.shooting.equations import system_equations
-from tustinnet.simulate.drive import Drive
-from tustinnet.simulate.simulation import simulated
+from tustinnet.simulate.input_signal import InputSignal
+from tustinnet.simulate.simulation import simulate_runs
 from tustinnet.systems import qube_servo2
 
 DT, STEPS, RECORDS, SUBSTEPS = 0.01, 1500, 15, 4
-POSITIONS = Residual(lambda error: error, 2)
+POSITIONS = ResidualFormula(lambda error: error, 2)
 
 
 def timed(call: Callable[[], object], repeats: int = 5) -> float:
@@ -100,8 +100,8 @@ def free_runs() -> dict[str, float]:
     network = random_tustin_net(channels, scaling, jax.random.key(0), hidden=(64, 64))
     model = with_dtype(network, np.float64)
     x0 = 0.1 * np.random.default_rng(0).normal(size=(RECORDS, 4))
-    drive = Drive(np.random.default_rng(1).normal(size=(RECORDS, STEPS, 1)))
-    return both_engines(lambda: simulated(model, x0, drive))
+    drive = InputSignal(np.random.default_rng(1).normal(size=(RECORDS, STEPS, 1)))
+    return both_engines(lambda: simulate_runs(model, x0, drive))
 
 
 def one_step() -> dict[str, float]:
@@ -171,7 +171,7 @@ def seven_joints() -> dict[str, float]:
         seeds = np.zeros((1, 44, 14))
         seeds[:, 30:] = np.eye(14)
         samples = Samples(np.zeros((steps + 1, 7)), np.ones((steps + 1, 7)))
-        residual = Residual(lambda error: error, 7)
+        residual = ResidualFormula(lambda error: error, 7)
         return engine.compare(equations.motion, residual, runs, 1, Directions(seeds, True), samples)
 
     begin = time.perf_counter()
@@ -194,7 +194,7 @@ def long_record() -> dict[str, float]:
     truth = {"damping": jnp.asarray(0.15), "gravity": jnp.asarray(1.3)}
     model = tn.discretise(system.model(truth), DT)
     u = np.repeat(np.random.default_rng(0).normal(size=(10_000, 1)), 100, axis=0)
-    states = simulated(model, np.zeros((1, 2)), Drive(u[None, :-1]))[0]
+    states = simulate_runs(model, np.zeros((1, 2)), InputSignal(u[None, :-1]))[0]
     data = tn.from_arrays(states[:, :1], u, dt=DT, **channels)
     found = tn.identify(tn.DataSet("long", (data,)), system)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

@@ -44,10 +44,10 @@ from .selection.cluster import cluster as cluster
 from .selection.select import Asked as Asked
 from .selection.select import select_model as select_model
 from .simulate.adaptive import discretise_adaptively as discretise_adaptively
-from .simulate.drive import Drive as Drive
-from .simulate.drive import drive_of as drive_of
 from .simulate.filtering import FilterNoise as FilterNoise
 from .simulate.filtering import kalman_filter as kalman_filter
+from .simulate.input_signal import InputSignal as InputSignal
+from .simulate.input_signal import input_signal as input_signal
 from .simulate.linearise import Linearisation as Linearisation
 from .simulate.linearise import linearize as linearize
 from .simulate.rollout import rollout as rollout

@@ -3,7 +3,10 @@
 import warnings
 
 # public Python names, `tn.NAME`
-NAMES: dict[str, str] = {}
+NAMES: dict[str, str] = {
+    "Drive": "InputSignal",
+    "drive_of": "input_signal",
+}
 
 
 def current_name(name: str, names: dict[str, str], kind: str) -> str:

@@ -7,9 +7,9 @@ from every_step import PROGRAMS, example_source, state_of, stepping
 
 from tustinnet.engine import functions
 from tustinnet.engine.by_machine_code import evaluate
-from tustinnet.engine.emission import _WRITTEN
+from tustinnet.engine.emission import _WRITERS
 from tustinnet.engine.equations import Formula
-from tustinnet.engine.machine import compiled
+from tustinnet.engine.machine import compile_module
 from tustinnet.engine.text import Module
 from tustinnet.export.source import Source
 from tustinnet.program.numbers import run
@@ -27,20 +27,20 @@ def test_all_that_a_program_may_hold_is_computed(name):
     x, u = state_of(source), np.array([0.4])
     many = np.tile(np.concatenate([x, u]), (80, 1))
     many[1:, 5] += np.linspace(0, 0.1, 79)
-    found = stepped(source, many)
+    result = stepped(source, many)
     for k in (0, 7, 79):
         expected = run(source.step, x=many[k, :-1], u=u)["x"]
-        np.testing.assert_allclose(found[k], expected, rtol=1e-13, atol=1e-13)
+        np.testing.assert_allclose(result[k], expected, rtol=1e-13, atol=1e-13)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_steps_of_every_family_are_computed(name):
     source = example_source(name)
     x, w = source.samples(70)
-    found = stepped(source, np.concatenate([x, w], axis=1))
+    result = stepped(source, np.concatenate([x, w], axis=1))
     for k in (0, 69):
         expected = run(source.step, x=x[k], u=w[k])["x"]
-        np.testing.assert_allclose(found[k], expected, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(result[k], expected, rtol=1e-12, atol=1e-12)
 
 
 ANGLES = np.concatenate([
@@ -62,21 +62,21 @@ def test_elementary_functions_are_those_of_numpy(name, lanes):
             both = f.value(f"call {pair} @{functions.sine_and_cosine(module)}({module.v} {x})")
             value = f.value(f"extractvalue {pair} {both}, {int(name == 'cos')}")
         else:
-            value = _WRITTEN[name](f, x)
+            value = _WRITERS[name](f, x)
         f.store(value, "%y", i)
     f.line("ret void")
     module.finish(f)
     from ctypes import c_int64, c_void_p
 
-    function = compiled(module.text()).function("all", (c_void_p, c_void_p, c_int64))
+    function = compile_module(module.text()).function("all", (c_void_p, c_void_p, c_int64))
     memory = np.zeros((2, 4096))
     first = -memory.ctypes.data % 64 // 8
-    given, found = (row[first : first + 2048] for row in memory)
+    given, result = (row[first : first + 2048] for row in memory)
     given[: len(ANGLES)] = np.abs(ANGLES) if name == "log1p" else ANGLES
-    function(given.ctypes.data, found.ctypes.data, 2048 // lanes)
+    function(given.ctypes.data, result.ctypes.data, 2048 // lanes)
     with np.errstate(all="ignore"):
         expected = getattr(np, name)(given)
     finite = np.isfinite(expected)
-    np.testing.assert_array_equal(found[~finite], expected[~finite])
-    off = np.abs(found[finite] - expected[finite]) / np.spacing(np.abs(expected[finite]))
+    np.testing.assert_array_equal(result[~finite], expected[~finite])
+    off = np.abs(result[finite] - expected[finite]) / np.spacing(np.abs(expected[finite]))
     assert off.max() <= 4

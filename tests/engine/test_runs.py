@@ -1,5 +1,7 @@
 """Runs of equations: both engines do the same, whatever is simulated."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from hypothesis import strategies as st
 import tustinnet as tn
 from tustinnet.engine import by_jax, by_machine_code
 from tustinnet.engine import runs as engine
-from tustinnet.engine.equations import Equations, Formula, Residual
+from tustinnet.engine.equations import Equations, Formula, ResidualFormula
 from tustinnet.engine.runs import Directions, Runs, Samples
 
 SMALL = settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -25,8 +27,8 @@ CONTINUOUS = Equations(swing, n_x=3, n_u=1, n_p=2, n_c=1)
 DISCRETE = Equations(
     lambda x, u, p, c: x + 0.05 * swing(x, u, p, c), n_x=3, n_u=1, n_p=2, n_c=1, continuous=False
 )
-PLAIN = Residual(lambda error: error, 2)
-PERIODIC = Residual(lambda error: jnp.stack([2 * jnp.sin(error[0] / 2), error[1]]), 2)
+PLAIN = ResidualFormula(lambda error: error, 2)
+PERIODIC = ResidualFormula(lambda error: jnp.stack([2 * jnp.sin(error[0] / 2), error[1]]), 2)
 
 
 def made(seed: int, lengths: list[int], order: int = 1) -> tuple[Runs, Samples]:
@@ -46,9 +48,9 @@ def made(seed: int, lengths: list[int], order: int = 1) -> tuple[Runs, Samples]:
     return runs, Samples(generator.normal(size=(rows, 2)), weight)
 
 
-def alike(found: np.ndarray, expected: np.ndarray) -> None:
+def alike(result: np.ndarray, expected: np.ndarray) -> None:
     scale = np.abs(expected).max(initial=1e-300)
-    np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-11 * scale)
+    np.testing.assert_allclose(result, expected, rtol=1e-10, atol=1e-11 * scale)
 
 
 lengths_of_runs = st.lists(st.integers(0, 30), min_size=1, max_size=9)
@@ -61,10 +63,10 @@ seeds_of_runs = st.integers(0, 2**16)
 def test_both_engines_simulate_the_same(equations, seed, lengths, substeps):
     order = 1 + seed % 3 if equations.continuous else 1
     runs, _ = made(seed, lengths, order)
-    found = by_machine_code.simulate(equations, runs, substeps)
-    alike(found, by_jax.simulate(equations, runs, substeps))
+    result = by_machine_code.simulate(equations, runs, substeps)
+    alike(result, by_jax.simulate(equations, runs, substeps))
     for row, x0 in zip(runs.results, runs.start, strict=True):
-        np.testing.assert_array_equal(found[row], x0)
+        np.testing.assert_array_equal(result[row], x0)
 
 
 @pytest.mark.parametrize("residual", [PLAIN, PERIODIC])
@@ -77,18 +79,18 @@ def test_both_engines_find_the_same_products(equations, residual, seed, lengths,
     seeds = np.random.default_rng(seed).normal(size=(len(lengths), n_d, 3))
     directions = Directions(seeds, parameters)
     given = equations, residual, runs, 2, directions, samples
-    found, expected = by_machine_code.compare(*given), by_jax.compare(*given)
+    result, expected = by_machine_code.compare(*given), by_jax.compare(*given)
     for name in ("products", "gradient", "cost", "error"):
-        alike(getattr(found, name), getattr(expected, name))
+        alike(getattr(result, name), getattr(expected, name))
 
 
 def test_measured_samples_take_the_place_of_the_simulated_ones():
     runs, _ = made(3, [12, 5, 7])
-    known = np.random.default_rng(1).normal(size=(len(runs.drive), 2))
-    runs = Runs(**{**vars(runs), "known": known, "measured": np.array([4, 6, 0])})
+    rows = np.random.default_rng(1).normal(size=(len(runs.drive), 2))
+    runs = replace(runs, measured=rows, measured_samples=np.array([4, 6, 0]))
     for equations in (CONTINUOUS, DISCRETE):
-        found = by_machine_code.simulate(equations, runs, 2)
-        alike(found, by_jax.simulate(equations, runs, 2))
+        result = by_machine_code.simulate(equations, runs, 2)
+        alike(result, by_jax.simulate(equations, runs, 2))
 
 
 def test_formulas_and_their_derivatives_are_evaluated_alike():
@@ -96,8 +98,8 @@ def test_formulas_and_their_derivatives_are_evaluated_alike():
     few, many = (np.random.default_rng(n).normal(size=(n, 3)) for n in (5, 20_000))
     for points in (few, many):
         for derivatives in (False, True):
-            found = by_machine_code.evaluate(formula, points, derivatives=derivatives)
-            alike(found, by_jax.evaluate(formula, points, derivatives=derivatives))
+            result = by_machine_code.evaluate(formula, points, derivatives=derivatives)
+            alike(result, by_jax.evaluate(formula, points, derivatives=derivatives))
 
 
 def test_a_run_that_diverges_stays_visible_and_spoils_no_other():
@@ -111,7 +113,12 @@ def test_a_run_that_diverges_stays_visible_and_spoils_no_other():
     assert np.isfinite(states[1]).all()
     samples = Samples(np.zeros((61, 1)), np.ones((61, 1)))
     result = by_machine_code.compare(
-        explosive, Residual(lambda e: e, 1), runs, 1, Directions(np.ones((2, 1, 1)), False), samples
+        explosive,
+        ResidualFormula(lambda e: e, 1),
+        runs,
+        1,
+        Directions(np.ones((2, 1, 1)), False),
+        samples,
     )
     assert list(np.isfinite(result.cost)) == [False, True]
     assert np.isfinite(result.products[1]).all()
@@ -119,12 +126,12 @@ def test_a_run_that_diverges_stays_visible_and_spoils_no_other():
 
 def test_the_environment_chooses_the_engine(monkeypatch):
     monkeypatch.setenv(engine.VARIABLE, "jax")
-    assert engine.engine() == "jax"
+    assert engine.current_engine() == "jax"
     monkeypatch.setenv(engine.VARIABLE, "")
-    assert engine.engine() == "llvm"
+    assert engine.current_engine() == "llvm"
     monkeypatch.setenv(engine.VARIABLE, "fortran")
     with pytest.raises(tn.InputError, match=r"TUSTINNET_ENGINE: 'fortran'; expected one of llvm"):
-        engine.engine()
+        engine.current_engine()
 
 
 def test_what_no_program_can_hold_is_simulated_by_jax_and_says_so_once(recwarn):
@@ -140,22 +147,22 @@ def test_what_no_program_can_hold_is_simulated_by_jax_and_says_so_once(recwarn):
     )  # fmt: skip
     first = engine.simulate(equations, runs)
     np.testing.assert_array_equal(engine.simulate(equations, runs), first)
-    said = [str(w.message) for w in recwarn]
-    assert len(said) == 1
-    assert "system 'odd': the model uses 'while'" in said[0]
-    assert "in until_small" in said[0]
-    assert "simulated by JAX instead" in said[0]
+    messages = [str(w.message) for w in recwarn]
+    assert len(messages) == 1
+    assert "system 'odd': the model uses 'while'" in messages[0]
+    assert "in until_small" in messages[0]
+    assert "simulated by JAX instead" in messages[0]
 
 
 def test_without_llvm_jax_does_it(monkeypatch):
     monkeypatch.setattr(engine, "find_spec", lambda name: None)
-    monkeypatch.setattr(engine, "_said", set())
+    monkeypatch.setattr(engine, "_warned_topics", set())
     with pytest.warns(UserWarning, match="llvmlite is not installed"):
-        assert engine.engine() == "jax"
+        assert engine.current_engine() == "jax"
 
 
 def test_what_no_program_can_hold_is_simulated_by_jax_and_that_is_said_once(monkeypatch):
-    monkeypatch.setattr(engine, "_said", set())
+    monkeypatch.setattr(engine, "_warned_topics", set())
     runs = Runs(
         start=np.array([[0.3, 0.1]]), parameters=np.zeros((1, 0)), steps=np.array([4]),
         first=np.zeros(1, int), drive=np.zeros((5, 1, 1)), periods=np.ones(5),
@@ -164,7 +171,7 @@ def test_what_no_program_can_hold_is_simulated_by_jax_and_that_is_said_once(monk
         Equations(lambda x, u, p, c: jnp.sort(0.5 * x), 2, 1, continuous=False, where=where)
         for where in ("one", "another")
     ]
-    with pytest.warns(UserWarning, match="'sort'.*simulated by JAX") as told:
+    with pytest.warns(UserWarning, match="'sort'.*simulated by JAX") as warnings:
         states = [engine.simulate(equations, runs) for equations in sorting]
-    assert len(told) == 1
+    assert len(warnings) == 1
     np.testing.assert_allclose(states[0][1], [0.05, 0.15])

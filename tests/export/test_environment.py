@@ -19,7 +19,7 @@ from swinging import CREEPING, records
 
 import tustinnet as tn
 from tustinnet.export.environment import ModelEnv, ModelVectorEnv
-from tustinnet.simulate.range import KEY, range_of
+from tustinnet.simulate.range import KEY, recorded_range
 
 ID = "tustinnet.gym:TustinNet-v0"
 STATES = {"states": [[-3.0, 3.0], [-9.0, 9.0], [-4.0, 4.0]], "inputs": [[-5.0, 3.0]]}
@@ -29,7 +29,7 @@ def saved(folder: Path, name: str) -> Path:
     """A model file that says where its training records lie."""
     path = folder / "model.safetensors"
     model = example(name)
-    tn.save(model, path, **{KEY: range_of(model, records()).as_header()})
+    tn.save(model, path, **{KEY: recorded_range(model, records()).as_header()})
     return path
 
 
@@ -97,7 +97,7 @@ def test_samples_seen_before_are_remembered_and_those_to_come_held(name):
         if name == "first-order":
             acting = np.array([[action], [0.0]])  # a straight line without a slope
         else:
-            acting = tn.drive_of(model, record).u[k]
+            acting = tn.input_signal(model, record).u[k]
         x = np.asarray(model.step(jnp.asarray(x), jnp.asarray(acting)))
         np.testing.assert_allclose(env.step(np.array([action]))[0], x, rtol=1e-12, atol=1e-14)
 

@@ -191,7 +191,7 @@ def test_what_an_importer_tells_of_later_inputs_is_used(name, written):
         np.zeros((60, channels.n_q)), u, dt=channels.dt, coordinates=channels.coordinates,
         inputs=channels.inputs, name="run",
     )  # fmt: skip
-    expected = np.asarray(tn.rollout(of.model, start(of), tn.drive_of(of.model, record)))
+    expected = np.asarray(tn.rollout(of.model, start(of), tn.input_signal(of.model, record)))
     instance = Instance(written(name), of, 2).begin(start(of))
     for k in range(59):
         found = instance.step(u[k], slope=(u[k + 1] - u[k]) / channels.dt)

@@ -38,7 +38,7 @@ def test_inputs_at_other_samples_are_inputs_of_their_own():
     record = tn.from_arrays(
         np.zeros((22, 1)), u, dt=model.dt, coordinates=model.coordinates, inputs=model.inputs
     )
-    expected = tn.rollout(model, np.zeros(3), tn.drive_of(model, record)[1:])
+    expected = tn.rollout(model, np.zeros(3), tn.input_signal(model, record)[1:])
     rows = np.stack([u[1:-1], u[2:], u[:-2]])
     found = control.input_output_response(system, model.dt * np.arange(20), rows, np.zeros(3))
     require_same_run(found.outputs.T, expected[:20])

@@ -37,7 +37,7 @@ def by_hand(
     models: Sequence[tn.Model], weights: np.ndarray, x0: np.ndarray, e: tn.Experiment
 ) -> np.ndarray:
     """The same as plain loops: each member with its own internal states and its own drive."""
-    drives = [np.asarray(tn.drive_of(m, e).u) for m in models]
+    drives = [np.asarray(tn.input_signal(m, e).u) for m in models]
     own = np.split(x0[2:], np.cumsum([len(m.internal) for m in models])[:-1])
     states, shared = [x0], x0[:2]
     for k in range(len(drives[0])):
@@ -63,7 +63,7 @@ def test_accelerations_are_averaged_and_internal_states_are_a_members_own(channe
     weights = np.arange(1.0, 10.0)
     together = tn.committee(models, weights)
     x0 = 0.1 * np.random.default_rng(0).normal(size=together.state_size)
-    found = tn.rollout(together, x0, tn.drive_of(together, e))
+    found = tn.rollout(together, x0, tn.input_signal(together, e))
     expected = by_hand(models, weights / weights.sum(), x0, e)
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-11)
 
@@ -72,10 +72,10 @@ def test_accelerations_are_averaged_and_internal_states_are_a_members_own(channe
 def test_of_one_member_or_of_equal_ones_it_is_the_member(make):
     model = with_dtype(make(3), np.float64)
     e = records()[2]
-    alone = tn.rollout(model, np.full(model.state_size, 0.2), tn.drive_of(model, e))
+    alone = tn.rollout(model, np.full(model.state_size, 0.2), tn.input_signal(model, e))
     for count in (1, 2, 3):
         together = tn.committee([model] * count)
-        run = tn.rollout(together, np.full(together.state_size, 0.2), tn.drive_of(together, e))
+        run = tn.rollout(together, np.full(together.state_size, 0.2), tn.input_signal(together, e))
         np.testing.assert_allclose(run[:, :2], alone[:, :2], rtol=1e-9, atol=1e-11)
         assert together.state_size == 2 + count * len(model.internal)
         assert len(together.alike) == 1
@@ -282,7 +282,7 @@ def test_models_that_cannot_be_averaged_are_refused():
             tn.committee([network(0), wrong])
     with pytest.raises(tn.InputError, match="0 models"):
         tn.committee([])
-    with pytest.raises(tn.InputError, match="what `drive_of` makes of a record"):
+    with pytest.raises(tn.InputError, match="what `input_signal` makes of a record"):
         tn.rollout(tn.committee(every_family()), np.zeros(11), np.zeros((4, 5, 1)))
 
 

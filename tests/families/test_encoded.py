@@ -18,7 +18,7 @@ from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.fitting.recipe import TrainingRecipe
 from tustinnet.fitting.task import Origin, make_task
 from tustinnet.models.state_encoder import encoder_features
-from tustinnet.simulate.drive import drive_of
+from tustinnet.simulate.input_signal import input_signal
 from tustinnet.simulate.starts import default_start, start_states
 from tustinnet.store.header import shown
 from tustinnet.store.run import MODEL, run_task
@@ -142,11 +142,12 @@ def test_it_steps_as_its_model_does():
     model, e = encoded(alone), records()[2]
     x0 = np.array([0.2, 0.1, 0.05])
     np.testing.assert_array_equal(
-        tn.rollout(model, x0, tn.drive_of(model, e)), tn.rollout(alone, x0, tn.drive_of(alone, e))
+        tn.rollout(model, x0, tn.input_signal(model, e)),
+        tn.rollout(alone, x0, tn.input_signal(alone, e)),
     )
     assert model.internal == alone.internal
     assert family_of(model).kind == "encoded"
-    u = np.asarray(drive_of(alone, e).u)[0]
+    u = np.asarray(input_signal(alone, e).u)[0]
     x = x0.astype(np.float32)
     plain = network(0)
     first, second = (tn.compiled_step(of)(x[:2], u) for of in (encoded(plain), plain))

@@ -11,7 +11,7 @@ from tustinnet.families.hybrid import HybridModel
 from tustinnet.families.tustin_net import random_tustin_net
 from tustinnet.models.blocks import learn_scaling
 from tustinnet.models.contract import with_dtype
-from tustinnet.simulate.drive import drive_of
+from tustinnet.simulate.input_signal import input_signal
 
 TAPS = (-1, 0, 2)
 SMALL = {
@@ -39,7 +39,7 @@ def tapped(swings: tn.DataSet) -> tn.TustinNet:
 
 def test_a_step_is_given_the_samples_at_the_taps(swings):
     model, e = tapped(swings), swings[-1]
-    given = jnp.asarray(drive_of(model, e).u)
+    given = jnp.asarray(input_signal(model, e).u)
     np.testing.assert_array_equal(given[5], e.u[[4, 5, 7]])
     np.testing.assert_array_equal(given[0], e.u[[0, 0, 2]])  # before the record: its first sample
     np.testing.assert_array_equal(given[-1], e.u[[-3, -2, -1]])
@@ -75,10 +75,11 @@ def test_a_correction_sees_its_taps_and_the_physics_what_it_always_did(swings):
     silent = HybridModel(physics, correction.silent())
     x = np.array([0.4, 0.1])
     np.testing.assert_array_equal(
-        tn.rollout(silent, x, drive_of(silent, e)), tn.rollout(physics, x, drive_of(physics, e))
+        tn.rollout(silent, x, input_signal(silent, e)),
+        tn.rollout(physics, x, input_signal(physics, e)),
     )
     both = HybridModel(physics, correction)
-    given = jnp.asarray(drive_of(both, e).u)[5]
+    given = jnp.asarray(input_signal(both, e).u)[5]
     expected = correction.acceleration(jnp.asarray(x), jnp.asarray(e.u[[4, 5, 7]]))
     np.testing.assert_allclose(both.corrected_by(jnp.asarray(x), given), expected)
 

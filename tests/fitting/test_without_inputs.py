@@ -14,7 +14,7 @@ from tustinnet.evaluate.residuals import residual_reports
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.task import Member, make_task
 from tustinnet.simulate import rollout as simulator
-from tustinnet.simulate.horizon import within
+from tustinnet.simulate.horizon import effective_horizon
 from tustinnet.simulate.rollout import rollouts
 from tustinnet.store.run import run_task
 
@@ -66,7 +66,7 @@ def test_every_family_trains_on_them_and_is_judged(of, keys, splits, tmp_path):
     assert model.channels.n_u == 0
     again = tn.mean_rmse(tn.evaluate(
         model, run.roles.judging, run.best.result.start,
-        horizon=within(run.best.result.horizon, run.roles.judging),
+        horizon=effective_horizon(run.best.result.horizon, run.roles.judging),
     ))  # fmt: skip
     assert again == pytest.approx(run.best.mean)
     if splits == WITH_VALIDATION:

@@ -16,16 +16,16 @@ from tustinnet.program.program import Program
 from tustinnet.program.reading import Unreadable, read
 
 
-def found_and_expected(program: Program, function, x, u) -> None:
+def compare_adjoints(program: Program, function, x, u) -> None:
     """Compares the adjoints of a program's inputs with those of the function."""
     weight = np.random.default_rng(1).normal(size=len(run(program, x=x, u=u)["x"]))
     reverse = with_adjoints(program, "x", ("x", "u"), value=True).program
-    found = run(reverse, x=x, u=u, adjoint=weight)
-    np.testing.assert_array_equal(found["x"], run(program, x=x, u=u)["x"])
+    result = run(reverse, x=x, u=u, adjoint=weight)
+    np.testing.assert_array_equal(result["x"], run(program, x=x, u=u)["x"])
     # not compiled, which rounds otherwise at a kink
     _, back = jax.vjp(function, jnp.asarray(x), jnp.asarray(u))
     for name, expected in zip(("by_x", "by_u"), back(jnp.asarray(weight)), strict=True):
-        same(found[name], np.asarray(expected))
+        same(result[name], np.asarray(expected))
 
 
 @pytest.mark.parametrize("size", [3, SIZE])
@@ -33,21 +33,21 @@ def test_every_operation_is_differentiated_as_jax_does_it(size):
     x, u = np.linspace(0.1, 0.9, size), np.array([0.9])
     function = lambda x, u: jnp.concatenate(smooth(x * u[0]))  # noqa: E731
     program = read(lambda x, u: {"x": function(x, u)}, {"x": size, "u": 1})
-    found_and_expected(program, function, x, u)
+    compare_adjoints(program, function, x, u)
 
 
 @pytest.mark.parametrize("name", [name for name in PROGRAMS if name != "operations"])
 def test_loops_vectors_and_matrices_are_differentiated(name):
     source = stepping(PROGRAMS[name])
     x = 0.3 + 0.1 * np.random.default_rng(0).normal(size=source.n_x)
-    found_and_expected(source.step, source.function, x, np.array([0.4]))
+    compare_adjoints(source.step, source.function, x, np.array([0.4]))
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_steps_of_every_family_are_differentiated(name):
     source = source_of(example(name))
     x, w = (values[0] for values in source.samples(1))
-    found_and_expected(source.step, source.function, x, w)
+    compare_adjoints(source.step, source.function, x, w)
 
 
 def layered(x, outer, inner):
@@ -61,7 +61,7 @@ def test_layers_that_are_given_have_the_gradients_of_jax():
     matrices = {"outer": (4, 12), "inner": (12, 4)}
     given = [generator.normal(size=shape) for shape in matrices.values()]
     x, weight = generator.normal(size=4), generator.normal(size=4)
-    program = read(lambda *of: {"x": layered(*of)}, {"x": 4}, matrices=matrices)
+    program = read(lambda *vectors: {"x": layered(*vectors)}, {"x": 4}, matrices=matrices)
     named = dict(zip(matrices, given, strict=True))
     np.testing.assert_allclose(run(program, x=x, **named)["x"], layered(x, *given), rtol=1e-12)
     # forwards, too
@@ -70,12 +70,12 @@ def test_layers_that_are_given_have_the_gradients_of_jax():
 
     reverse = with_adjoints(program, "x", ("x",))
     assert sorted(reverse.layers) == ["inner", "inner", "inner", "outer"]
-    found = run(reverse.program, x=x, adjoint=weight, **named)
+    result = run(reverse.program, x=x, adjoint=weight, **named)
     gradients = {name: np.zeros(shape) for name, shape in matrices.items()}
     for i, name in enumerate(reverse.layers):
-        gradients[name] += np.outer(found[f"out_{i}"], found[f"in_{i}"])
+        gradients[name] += np.outer(result[f"out_{i}"], result[f"in_{i}"])
     _, back = jax.vjp(layered, x, *given)
-    for ours, theirs in zip((found["by_x"], *gradients.values()), back(weight), strict=True):
+    for ours, theirs in zip((result["by_x"], *gradients.values()), back(weight), strict=True):
         same(ours, np.asarray(theirs))
 
 
@@ -109,5 +109,5 @@ def test_derivatives_are_zero_where_structure_says_so(name):
     depends = source.step.dependencies("x")
     assert any(depends)
     for i, on in enumerate(depends):
-        for of, row in (("x", by_x[i]), ("u", by_w[i])):
-            assert not any(row[j] for j in range(len(row)) if (of, j) not in on)
+        for input_name, row in (("x", by_x[i]), ("u", by_w[i])):
+            assert not any(row[j] for j in range(len(row)) if (input_name, j) not in on)

@@ -21,9 +21,9 @@ def same(function, *values: np.ndarray, atol: float = 1e-14) -> None:
     names = [f"in{i}" for i in range(len(values))]
     sizes = {name: len(v) for name, v in zip(names, values, strict=True)}
     program = read(lambda *v: {"out": function(*v)}, sizes)
-    found = run(program, **dict(zip(names, values, strict=True)))["out"]
+    result = run(program, **dict(zip(names, values, strict=True)))["out"]
     expected = np.ravel(function(*map(jnp.asarray, values)))
-    np.testing.assert_allclose(found, expected.astype(float), rtol=1e-14, atol=atol)
+    np.testing.assert_allclose(result, expected.astype(float), rtol=1e-14, atol=atol)
 
 
 @pytest.mark.parametrize(
@@ -79,17 +79,17 @@ def test_a_step_and_its_derivatives_are_read(name):
 
     expected, a, b = jax.vmap(expect)(jnp.asarray(states), jnp.asarray(inputs))
     for i, (x, u) in enumerate(zip(states, inputs, strict=True)):
-        found = run(source.linearised, x=x, u=u)
+        result = run(source.linearised, x=x, u=u)
         np.testing.assert_allclose(run(source.step, x=x, u=u)["x"], expected[i], atol=1e-13)
-        np.testing.assert_allclose(found["x"], expected[i], atol=1e-13)
-        np.testing.assert_allclose(found["a"], np.ravel(a[i]), atol=1e-12)
-        np.testing.assert_allclose(found["b"], np.ravel(b[i]), atol=1e-12)
+        np.testing.assert_allclose(result["x"], expected[i], atol=1e-13)
+        np.testing.assert_allclose(result["a"], np.ravel(a[i]), atol=1e-12)
+        np.testing.assert_allclose(result["b"], np.ravel(b[i]), atol=1e-12)
 
 
 def test_single_precision_weights_are_folded_in_double():
     model, x = example("hybrid"), jnp.array([0.1, 0.2, 0.3])
-    found = run(leaving("hybrid").step, x=np.asarray(x), u=np.ones(3))["x"]
-    np.testing.assert_allclose(found, model.step(x, jnp.ones(1)), rtol=1e-15, atol=1e-15)
+    result = run(leaving("hybrid").step, x=np.asarray(x), u=np.ones(3))["x"]
+    np.testing.assert_allclose(result, model.step(x, jnp.ones(1)), rtol=1e-15, atol=1e-15)
 
 
 def test_every_registered_family_is_among_the_examples():
@@ -121,13 +121,13 @@ def test_what_has_no_rule_is_refused_by_name_and_place():
 
 
 @pytest.mark.parametrize(
-    ("function", "told"),
+    ("function", "message"),
     [
         (lambda x: x[jnp.argmax(x)], "argmax"),
         (lambda x: x[x[0].astype(int)], "by an index that depends on the state"),
         (lambda x: jax.lax.while_loop(lambda y: y[0] < 9, lambda y: 2 * y + 1, x), "whose end"),
     ],
 )
-def test_what_depends_on_the_state_is_refused(function, told):
-    with pytest.raises(InputError, match=told):
+def test_what_depends_on_the_state_is_refused(function, message):
+    with pytest.raises(InputError, match=message):
         read(lambda x: {"out": function(x)}, {"x": 10})

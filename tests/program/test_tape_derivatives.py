@@ -21,8 +21,8 @@ def jacobians(program: Program, x: np.ndarray, u: np.ndarray) -> list[np.ndarray
     return [values[name].reshape(len(values["x"]), -1) for name in ("a", "b")]
 
 
-def same(found: np.ndarray, expected: np.ndarray) -> None:
-    np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-10 * np.abs(expected).max())
+def same(result: np.ndarray, expected: np.ndarray) -> None:
+    np.testing.assert_allclose(result, expected, rtol=1e-10, atol=1e-10 * np.abs(expected).max())
 
 
 def test_every_operation_on_numbers_has_a_rule():
@@ -48,10 +48,10 @@ def test_every_operation_is_differentiated_as_jax_does_it(size):
     x = np.linspace(0.1, 0.9, size)
     program = read(lambda x, u: {"x": jnp.concatenate(smooth(x * u[0]))}, {"x": size, "u": 1})
     u = np.array([0.9])
-    found = jacobians(program, x, u)
+    result = jacobians(program, x, u)
     function = lambda x, u: jnp.concatenate(smooth(x * u[0]))  # noqa: E731
     for i in (0, 1):
-        same(found[i], np.asarray(jax.jacfwd(function, i)(x, u)))
+        same(result[i], np.asarray(jax.jacfwd(function, i)(x, u)))
 
 
 @pytest.mark.parametrize("at", [-1.0, -0.0, 0.0, 2.0])
@@ -69,18 +69,18 @@ def test_loops_vectors_and_matrices_are_differentiated(name):
     source = stepping(PROGRAMS[name])
     x = 0.3 + 0.1 * np.random.default_rng(0).normal(size=source.n_x)
     u = np.array([0.4])
-    found = jacobians(source.step, x, u)
+    result = jacobians(source.step, x, u)
     for i in (0, 1):
-        same(found[i], np.asarray(jax.jit(jax.jacfwd(source.function, i))(x, u)))
+        same(result[i], np.asarray(jax.jit(jax.jacfwd(source.function, i))(x, u)))
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_steps_of_every_family_are_differentiated(name):
     source = source_of(example(name))
     x, w = (values[0] for values in source.samples(1))
-    found = jacobians(source.step, x, w)
+    result = jacobians(source.step, x, w)
     for i in (0, 1):
-        same(found[i], np.asarray(jax.jit(jax.jacfwd(source.function, i))(x, w)))
+        same(result[i], np.asarray(jax.jit(jax.jacfwd(source.function, i))(x, w)))
 
 
 def test_only_what_is_asked_for_is_differentiated():

@@ -27,7 +27,7 @@ from tustinnet.export.source import source_of
 from tustinnet.models.kinematics import carriers
 from tustinnet.report.page import content, write
 from tustinnet.report.page.signals import bounded, kept, packed
-from tustinnet.simulate.range import Range, cloud_of
+from tustinnet.simulate.range import Range, training_support
 
 HOSTILE = '"><img src=x onerror=alert(1)>'
 UNIT = "</script><script>alert(2)</script>"
@@ -280,7 +280,7 @@ def test_a_page_knows_what_was_recorded_as_the_package_does():
     channels = records[0].channels
     every = np.concatenate([np.concatenate([e.measured_states(), e.u], axis=1) for e in records])
     ends = np.stack([every.min(axis=0), every.max(axis=0)], axis=1)
-    cloud = cloud_of(channels, records)
+    cloud = training_support(channels, records)
     assert cloud is not None
     known = Range(ends[:6], ends[6:], cloud)
     # beyond the ends, near what was recorded, and each from another sample
@@ -290,7 +290,10 @@ def test_a_page_knows_what_was_recorded_as_the_package_does():
     drawn = np.concatenate([far, near, mixed])
     drawn[0, 4] = np.inf
     states, inputs = drawn[:, :6], drawn[:, 6:]
-    left = [known.left(channels, x[None], u[None]) for x, u in zip(states, inputs, strict=True)]
+    left = [
+        known.extrapolation_point(channels, x[None], u[None])
+        for x, u in zip(states, inputs, strict=True)
+    ]
     content = {
         "range": {"q": known.states[:3].tolist(), "v": known.states[3:].tolist(),
                   "u": known.inputs.tolist()},

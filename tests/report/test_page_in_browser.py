@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import tustinnet as tn
-from tustinnet.simulate.range import Range, range_of
+from tustinnet.simulate.range import Range, recorded_range
 from tustinnet.systems.qube_servo2 import SYSTEM
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -260,7 +260,7 @@ def test_it_prints(browser, page_file):
 
 
 def test_the_playground_says_where_it_leaves_what_was_recorded(browser, models, records, tmp_path):
-    known = range_of(models["nominal"], records).as_header()
+    known = recorded_range(models["nominal"], records).as_header()
     tn.save(models["nominal"], tmp_path / "known.safetensors", range=known)
     file = tn.write_report([tmp_path / "known.safetensors"], records, tmp_path / "report.html")
     found = Opened(browser, file, reduced_motion="reduce")
@@ -270,7 +270,7 @@ def test_the_playground_says_where_it_leaves_what_was_recorded(browser, models, 
     read = Range.from_header(header, models["nominal"])
     assert read is not None
     left = [
-        read.left(models["nominal"].channels, x[None], u[None]) is not None
+        read.extrapolation_point(models["nominal"].channels, x[None], u[None]) is not None
         for x, u in zip(states, inputs, strict=True)
     ]
     told = found.page.evaluate(

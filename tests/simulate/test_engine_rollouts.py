@@ -11,15 +11,15 @@ from every_family import CHANNELS, NAMES, example, hybrid, network, physics, sca
 
 import tustinnet as tn
 from tustinnet.engine import xla
-from tustinnet.engine.machine import Compiled
+from tustinnet.engine.machine import CompiledModule
 from tustinnet.families.tustin_net import random_tustin_net
 from tustinnet.models.blocks import is_layer
 from tustinnet.models.contract import with_dtype
 from tustinnet.simulate import engine_rollouts
-from tustinnet.simulate.drive import Drive
 from tustinnet.simulate.engine_rollouts import layered_steps
+from tustinnet.simulate.input_signal import InputSignal
 from tustinnet.simulate.rollout import rollouts
-from tustinnet.simulate.simulation import simulated
+from tustinnet.simulate.simulation import simulate_runs
 
 STEPS = 12
 
@@ -143,7 +143,7 @@ def test_networks_without_physics_are_left_to_xla(monkeypatch):
 def test_machine_code_that_is_dropped_leaves_the_next_unharmed():
     text = "define void @f() {{\nentry:\nret void\n}}\n; {}\n"
     for i in range(3):
-        Compiled(text.format(i))
+        CompiledModule(text.format(i))
         gc.collect()
 
 
@@ -162,8 +162,8 @@ def test_wide_layers_have_memory_beyond_the_stack():
     wide = random_tustin_net(CHANNELS, scaling(), jax.random.key(0), hidden=(1500, 3))
     model = with_dtype(wide, np.float64)
     x0, u = jnp.full((3, 2), 0.3), jnp.ones((3, STEPS, 1))
-    found, expected = (results(model, x0, u, 1.0, only_layers=fast) for fast in (True, False))
-    for ours, theirs in zip(*map(jax.tree.leaves, (found, expected)), strict=True):
+    result, expected = (results(model, x0, u, 1.0, only_layers=fast) for fast in (True, False))
+    for ours, theirs in zip(*map(jax.tree.leaves, (result, expected)), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
-    free = simulated(model, np.asarray(x0), Drive(np.asarray(u)))
+    free = simulate_runs(model, np.asarray(x0), InputSignal(np.asarray(u)))
     np.testing.assert_allclose(free, expected[0], rtol=1e-9, atol=1e-9)

@@ -10,7 +10,7 @@ from every_family import example
 
 import tustinnet as tn
 from tustinnet.errors import InputError
-from tustinnet.simulate.filtering import Filtered, FilterNoise, kalman_filter
+from tustinnet.simulate.filtering import FilterNoise, FilterResult, kalman_filter
 
 COUNT = 1e-3  # standard deviation of the measured angle [rad]
 LINEAR = "linear"
@@ -33,17 +33,17 @@ def noise(n_x: int = 3) -> FilterNoise:
     return FilterNoise(np.full(n_x, 2.0), np.full(n_x, 1e-6), np.full(1, COUNT))
 
 
-def filtered(record: tn.Experiment, model: tn.Model, n_x: int = 3) -> Filtered:
+def filtered(record: tn.Experiment, model: tn.Model, n_x: int = 3) -> FilterResult:
     return kalman_filter(model, record, np.zeros(n_x), noise(n_x))
 
 
 def test_it_finds_states_that_nobody_measured():
     model, record, states = run()
-    found = filtered(record, model)
-    missed = np.abs(found.states - states)[50:]
+    result = filtered(record, model)
+    missed = np.abs(result.states - states)[50:]
     assert missed.max(axis=0)[0] < COUNT  # nearer than what was measured
-    assert np.mean(missed < 3 * found.deviations[50:]) > 0.9
-    assert np.all(found.deviations[-1] < found.deviations[0])
+    assert np.mean(missed < 3 * result.deviations[50:]) > 0.9
+    assert np.all(result.deviations[-1] < result.deviations[0])
 
 
 def test_of_a_linear_model_it_is_the_filter_of_the_textbook():
@@ -52,12 +52,12 @@ def test_of_a_linear_model_it_is_the_filter_of_the_textbook():
     a, b = jax.jacfwd(model.step, argnums=(0, 1))(zero, jnp.zeros(1))
     drift, given = model.step(zero, jnp.zeros(1)), noise()
     x, p = np.zeros(3), np.diag(np.asarray(given.start) ** 2)
-    found = filtered(record, model)
+    result = filtered(record, model)
     for k in range(len(record)):
         gain = p[:, :1] / (p[0, 0] + COUNT**2)
         x, p = x + gain @ (record.q[k] - x[:1]), p - gain @ p[:1]
-        np.testing.assert_allclose(found.states[k], x, rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(found.deviations[k], np.sqrt(np.diag(p)), rtol=1e-6)
+        np.testing.assert_allclose(result.states[k], x, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(result.deviations[k], np.sqrt(np.diag(p)), rtol=1e-6)
         x, p = a @ x + b @ record.u[k] + drift, a @ p @ a.T + np.diag(given.process**2)
 
 
@@ -68,7 +68,7 @@ def test_it_does_not_look_ahead():
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"start": np.ones(2)}, "start .* expected 3 finite numbers"),
         ({"process": np.array([1.0, np.nan, 1.0])}, "process .* expected 3 finite"),
@@ -76,9 +76,9 @@ def test_it_does_not_look_ahead():
         ({"measured": np.zeros(1)}, "measured .* above 0"),
     ],
 )
-def test_what_it_cannot_compute_with_is_refused(change, told):
+def test_what_it_cannot_compute_with_is_refused(change, message):
     model, record, _ = run()
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=message):
         kalman_filter(model, record, np.zeros(3), dataclasses.replace(noise(), **change))
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tustinnet as tn
-from tustinnet.simulate.horizon import horizon_samples, pieces, within
+from tustinnet.simulate.horizon import effective_horizon, horizon_samples, pieces
 from tustinnet.simulate.starts import start_named
 
 
@@ -14,8 +14,8 @@ def test_segments_leave_no_sample_out_and_share_none(pendulum, start, samples):
     e, rule = pendulum[0], start_named(start)
     cut = pieces(e, samples, rule)
     assert cut[0].t[0] == e.t[0]
-    told = np.concatenate([piece.t[rule.first :] for piece in cut])
-    np.testing.assert_array_equal(told, e.t[rule.first :])
+    message = np.concatenate([piece.t[rule.first :] for piece in cut])
+    np.testing.assert_array_equal(message, e.t[rule.first :])
     lengths = [len(piece) - rule.first for piece in cut]
     assert all(length == min(samples, len(e) - rule.first) for length in lengths[:-1])
     needed = max(2, rule.samples - rule.first)
@@ -24,8 +24,8 @@ def test_segments_leave_no_sample_out_and_share_none(pendulum, start, samples):
 
 def test_a_record_is_whole_without_a_horizon(pendulum):
     assert pieces(pendulum[0], None, start_named("file")) == [pendulum[0]]
-    assert within(1e3, list(pendulum)) is None
-    assert within(1.0, list(pendulum)) == 1.0
+    assert effective_horizon(1e3, list(pendulum)) is None
+    assert effective_horizon(1.0, list(pendulum)) == 1.0
 
 
 @pytest.mark.parametrize(

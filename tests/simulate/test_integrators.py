@@ -11,7 +11,7 @@ from jax import Array
 import tustinnet as tn
 from tustinnet.channels import Hold
 from tustinnet.models.integrate import discretise
-from tustinnet.simulate.drive import drive_of
+from tustinnet.simulate.input_signal import input_signal
 
 DT = 0.02
 
@@ -42,33 +42,33 @@ def pushed(u: np.ndarray, hold: Hold = "zero-order", dt: float = DT) -> tn.Exper
 
 def run(model: tn.LagrangianModel, e: tn.Experiment, substeps: int = 1) -> np.ndarray:
     discrete = discretise(model, e.dt, substeps)
-    return np.asarray(tn.rollout(discrete, np.array([0.3, 0.0]), drive_of(discrete, e)))
+    return np.asarray(tn.rollout(discrete, np.array([0.3, 0.0]), input_signal(discrete, e)))
 
 
-def seen(model: tn.LagrangianModel, e: tn.Experiment) -> Array:
+def model_inputs(model: tn.LagrangianModel, e: tn.Experiment) -> Array:
     """What the steps of a record are driven by."""
-    return jnp.asarray(drive_of(discretise(model, DT), e).u)
+    return jnp.asarray(input_signal(discretise(model, DT), e).u)
 
 
 def test_a_held_input_drives_by_its_samples_and_a_straight_line_by_its_slope_too():
     u = np.array([1.0, 4.0, 2.0])
-    held = seen(body(), pushed(u))
-    np.testing.assert_array_equal(held, [[1.0], [4.0]])
-    lines = seen(body("first-order"), pushed(u, "first-order"))
+    held_samples = model_inputs(body(), pushed(u))
+    np.testing.assert_array_equal(held_samples, [[1.0], [4.0]])
+    lines = model_inputs(body("first-order"), pushed(u, "first-order"))
     np.testing.assert_array_equal(lines, [[[1.0], [3.0]], [[4.0], [-2.0]]])
 
 
 def test_a_ramp_under_a_first_order_hold_is_integrated_exactly():
     t = np.arange(30) * DT
-    found = run(body("first-order"), pushed(5.0 * t - 1.0, "first-order"))
+    result = run(body("first-order"), pushed(5.0 * t - 1.0, "first-order"))
     exact = np.stack([0.3 + 5.0 * t**3 / 6 - t**2 / 2, 5.0 * t**2 / 2 - t], axis=1)
-    np.testing.assert_allclose(found, exact, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(result, exact, rtol=1e-12, atol=1e-13)
 
 
 def test_a_constant_under_a_zero_order_hold_is_integrated_exactly():
     t = np.arange(30) * DT
-    found = run(body(), pushed(np.full(30, 7.0)), 3)
-    np.testing.assert_allclose(found[:, 0], 0.3 + 3.5 * t**2, rtol=1e-12)
+    result = run(body(), pushed(np.full(30, 7.0)), 3)
+    np.testing.assert_allclose(result[:, 0], 0.3 + 3.5 * t**2, rtol=1e-12)
 
 
 def test_the_order_is_four_while_the_input_follows_a_straight_line():
@@ -89,7 +89,7 @@ def test_a_band_limited_input_is_followed_far_more_closely_than_by_straight_line
 
     def errs(hold: Hold) -> float:
         model = discretise(body(hold), DT, 4)
-        drive = drive_of(model, pushed(u, hold))[60:100]
+        drive = input_signal(model, pushed(u, hold))[60:100]
         v = tn.rollout(model, np.array([0.0, exact[60]]), drive)[:, 1]
         return float(np.abs(np.asarray(v) - exact[60:101]).max())
 
@@ -130,7 +130,7 @@ def test_only_inputs_on_a_straight_line_look_at_the_next_sample():
 
     def velocity(u: list[list[float]]) -> float:
         e = tn.from_arrays(np.zeros(2), u, dt=DT, coordinates=both.coordinates, inputs=both.inputs)
-        return float(tn.rollout(model, np.zeros(2), drive_of(model, e))[1, 1])
+        return float(tn.rollout(model, np.zeros(2), input_signal(model, e))[1, 1])
 
     assert velocity([[1.0, 2.0], [100.0, 2.0]]) == pytest.approx(3.0 * DT)
     assert velocity([[1.0, 2.0], [1.0, 6.0]]) == pytest.approx(5.0 * DT)
@@ -150,8 +150,8 @@ def test_adaptive_steps_agree_with_many_fixed_ones(hold):
     noise = np.random.default_rng(1).uniform(-30, 30, 60)
     e = pushed(noise, hold)
     model = tn.discretise_adaptively(body(hold, gravity=20.0), DT, 1e-11)
-    found = tn.rollout(model, np.array([0.3, 0.0]), drive_of(model, e))
-    np.testing.assert_allclose(found, run(body(hold, gravity=20.0), e, 32), atol=1e-8)
+    result = tn.rollout(model, np.array([0.3, 0.0]), input_signal(model, e))
+    np.testing.assert_allclose(result, run(body(hold, gravity=20.0), e, 32), atol=1e-8)
 
 
 def test_an_adaptive_model_is_one_like_any_other():

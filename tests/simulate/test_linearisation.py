@@ -38,16 +38,16 @@ def differences(function, at: np.ndarray) -> np.ndarray:
     ("model", "function"), [(MODEL, MODEL.derivative), (DISCRETE, DISCRETE.step)]
 )
 def test_matrices_are_the_slopes_of_the_model(model, function):
-    found = tn.linearize(model, X, U)
+    result = tn.linearize(model, X, U)
     compiled = eqx.filter_jit(function)
 
     def at(x: np.ndarray, u: np.ndarray) -> np.ndarray:
         return np.asarray(compiled(jnp.asarray(x), jnp.asarray(u)))
 
-    np.testing.assert_allclose(found.a, differences(lambda x: at(x, U), X), atol=1e-7)
-    np.testing.assert_allclose(found.b, differences(lambda u: at(X, u), U), atol=1e-7)
-    assert found.a.shape == (5, 5)
-    assert found.b.shape == (5, 1)
+    np.testing.assert_allclose(result.a, differences(lambda x: at(x, U), X), atol=1e-7)
+    np.testing.assert_allclose(result.b, differences(lambda u: at(X, u), U), atol=1e-7)
+    assert result.a.shape == (5, 5)
+    assert result.b.shape == (5, 1)
 
 
 def test_the_drift_is_how_fast_the_point_moves():
@@ -61,8 +61,8 @@ def test_the_drift_is_how_fast_the_point_moves():
 
 @pytest.mark.parametrize("model", [MODEL, DISCRETE])
 def test_there_is_no_drift_where_it_hangs_at_rest(model):
-    found = tn.linearize(model, np.array([0.0, 2.0, 0.0, 0.0, 0.0]), np.zeros(1))
-    np.testing.assert_allclose(found.drift, 0.0, atol=1e-15)
+    result = tn.linearize(model, np.array([0.0, 2.0, 0.0, 0.0, 0.0]), np.zeros(1))
+    np.testing.assert_allclose(result.drift, 0.0, atol=1e-15)
 
 
 @pytest.mark.parametrize(("x", "u"), [((4,), (1,)), ((5,), (2,)), ((5,), (0,))])
@@ -98,7 +98,7 @@ def test_internal_states_start_at_zero(logged):
 
 def test_errors_steps_ahead_start_with_the_memory_that_the_record_led_to(logged):
     other = tn.discretise(SYSTEM.model({"pull": jnp.asarray(9.0)}), 0.01, 2)
-    found = tn.rmse_ahead(other, [logged], 2, "file")
+    result = tn.rmse_ahead(other, [logged], 2, "file")
     state, forgetful, errors = np.zeros(5), [], []
     for k in range(38):
         state[:4] = np.concatenate([logged.q[k], logged.v[k]])
@@ -107,8 +107,8 @@ def test_errors_steps_ahead_start_with_the_memory_that_the_record_led_to(logged)
         without = np.asarray(tn.rollout(other, np.append(state[:4], 0.0), logged.u[k : k + 2]))
         forgetful.append(without[2, :2] - logged.q[k + 2])
         state[4] = simulated[1, 4]
-    assert found[1] == pytest.approx(root_mean_square(errors))
-    assert found[1] != pytest.approx(root_mean_square(forgetful), rel=1e-3)
+    assert result[1] == pytest.approx(root_mean_square(errors))
+    assert result[1] != pytest.approx(root_mean_square(forgetful), rel=1e-3)
     # of the model that made the record nothing is left, memory included
     assert np.all(tn.rmse_ahead(DISCRETE, [logged], 2, "file") < 1e-12)
 

@@ -11,10 +11,10 @@ import tustinnet as tn
 from tustinnet.engine.equations import Equations
 from tustinnet.families.committee import committee
 from tustinnet.models.contract import with_dtype
-from tustinnet.simulate.drive import drive_of
+from tustinnet.simulate.input_signal import input_signal
 from tustinnet.simulate.rollout import rollout
 from tustinnet.simulate.starts import initial_state, start_named, start_states
-from tustinnet.simulate.state_fits import fitted_with_derivatives
+from tustinnet.simulate.state_fits import fit_states_with_derivatives
 
 SAMPLES = 20
 
@@ -40,10 +40,10 @@ def test_exact_positions_give_back_the_state_they_came_from(creeping):
     model = tn.discretise(grey_box(creeping), DT, substeps=2)
     truth = np.array([2.5, 3.0])
     padded = np.pad(truth, (0, model.state_size - 2))
-    found = start_states(model, [simulated(model, padded)], f"model-{SAMPLES}")[0]
+    result = start_states(model, [simulated(model, padded)], f"model-{SAMPLES}")[0]
     # an internal state is only known as well as it moves the positions in the first samples
-    np.testing.assert_allclose(found[:2], truth, atol=1e-6)
-    assert np.all(np.abs(found[2:]) < 1e-3)
+    np.testing.assert_allclose(result[:2], truth, atol=1e-6)
+    assert np.all(np.abs(result[2:]) < 1e-3)
 
 
 def test_encoder_counts_hurt_it_less_than_the_parabola():
@@ -52,17 +52,17 @@ def test_encoder_counts_hurt_it_less_than_the_parabola():
     for seed in range(10):
         truth = np.random.default_rng(seed).normal(size=2) * [1.5, 4.0]
         e = simulated(model, truth, counts=2048)
-        for start, found in errors.items():
-            found.append(start_states(model, [e], start)[0] - truth)
-    rms = {start: np.sqrt(np.mean(np.square(found), axis=0)) for start, found in errors.items()}
+        for start, result in errors.items():
+            result.append(start_states(model, [e], start)[0] - truth)
+    rms = {start: np.sqrt(np.mean(np.square(result), axis=0)) for start, result in errors.items()}
     assert rms["model-20"][1] < 0.3 * rms["derived-6"][1], rms
 
 
-def error_after_a_hand(model, x0: np.ndarray, held: int) -> float:
+def error_after_a_hand(model, x0: np.ndarray, held_samples: int) -> float:
     """The largest error in the second half of the samples, of which a hand held so many."""
     e = simulated(model, x0, counts=2048)
     q = e.q.copy()
-    q[:held] = q[held]  # then the record goes on as simulated
+    q[:held_samples] = q[held_samples]  # then the record goes on as simulated
     disturbed = tn.from_arrays(
         q, e.u, dt=DT, coordinates=list(model.coordinates), inputs=list(model.inputs)
     )
@@ -71,10 +71,10 @@ def error_after_a_hand(model, x0: np.ndarray, held: int) -> float:
     return float(np.abs(run[SAMPLES // 2 :, 0] - e.q[SAMPLES // 2 :, 0]).max())
 
 
-@pytest.mark.parametrize("held", [4, 9])
-def test_samples_before_a_release_are_left_out(held):
+@pytest.mark.parametrize("held_samples", [4, 9])
+def test_samples_before_a_release_are_left_out(held_samples):
     model = tn.discretise(grey_box(), DT, substeps=2)
-    assert error_after_a_hand(model, np.array([1.0, 2.0]), held) < 2 * np.pi / 2048
+    assert error_after_a_hand(model, np.array([1.0, 2.0]), held_samples) < 2 * np.pi / 2048
 
 
 def test_internal_states_do_not_lead_away_from_the_motion_after_a_release():
@@ -111,14 +111,14 @@ def test_its_derivative_by_a_parameter_is_that_of_the_solution():
     model = tn.discretise(grey_box(), DT)
     e = simulated(model, np.array([1.0, 2.0]))
     guess = initial_state(e, "derived-6")[None]
-    drive = jax.tree.map(lambda a: np.asarray(a)[None], drive_of(model, e))
+    drive = jax.tree.map(lambda a: np.asarray(a)[None], input_signal(model, e))
     moving = Equations(
         lambda x, u, p, c: grey_box(gravity=p[0]).derivative(x, u), n_x=2, n_u=1, n_p=1
     )
 
     def start(value):
         given = np.array([[value]]), guess, np.zeros((1, 1, 2))
-        return fitted_with_derivatives(model, moving, *given, drive, e.q[None])
+        return fit_states_with_derivatives(model, moving, *given, drive, e.q[None])
 
     nominal = TRUTH["gravity"]
     step = 1e-5 * nominal
@@ -138,9 +138,9 @@ def test_a_compiled_program_finds_the_same(creeping, engine, monkeypatch):
     states = [[2.5, 3.0], [1.0, -2.0], [0.1, 4.0]]
     records = [simulated(truth, np.pad(x, (0, truth.state_size - 2)), 2048) for x in states]
     rule = start_named("model-20")
-    material = rule.material(model, records)
-    inside = jax.jit(lambda model: rule.states(model, material))(model)
-    np.testing.assert_allclose(inside, rule.estimated(model, material), rtol=1e-5, atol=1e-6)
+    material = rule.start_data(model, records)
+    inside = jax.jit(lambda model: rule.traced_states(model, material))(model)
+    np.testing.assert_allclose(inside, rule.numeric_states(model, material), rtol=1e-5, atol=1e-6)
 
 
 def test_networks_and_training_start_there_too(pendulum, small_recipe):
@@ -158,17 +158,17 @@ def test_networks_and_training_start_there_too(pendulum, small_recipe):
 
 
 @pytest.mark.parametrize(
-    ("start", "told"),
+    ("start", "message"),
     [
         ("model-2", "^start: 'model-2'; expected at least 3 samples for the fit$"),
         ("model-21", "20 samples; expected at least 21 for the start 'model-21'"),
         ("model-x", "unknown start 'model-x'"),
     ],
 )
-def test_too_few_or_too_many_samples_are_refused(start, told):
+def test_too_few_or_too_many_samples_are_refused(start, message):
     model = tn.discretise(grey_box(), DT)
     e = simulated(model, np.array([1.0, 2.0]))
-    with pytest.raises(tn.InputError, match=told):
+    with pytest.raises(tn.InputError, match=message):
         start_states(model, [e], start)
 
 

@@ -13,8 +13,8 @@ def test_programs_are_forgotten_only_where_there_is_little_room():
     programs.make_room(1.0)
     kept = twice._cache_size()  # pyright: ignore[reportAttributeAccessIssue]
     programs.make_room(0.0)
-    left = twice._cache_size()  # pyright: ignore[reportAttributeAccessIssue]
-    assert (kept, left) == (1, 0)
+    remaining = twice._cache_size()  # pyright: ignore[reportAttributeAccessIssue]
+    assert (kept, remaining) == (1, 0)
     assert twice(jnp.ones(3)).tolist() == [2.0, 2.0, 2.0]
 
 

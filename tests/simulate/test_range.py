@@ -6,33 +6,33 @@ from every_family import example
 from swinging import noises, records
 
 import tustinnet as tn
-from tustinnet.simulate.range import Range, joined, range_of
+from tustinnet.simulate.range import Range, join_ranges, recorded_range
 from tustinnet.systems.qube_servo2_twin import twin
 
 
 @pytest.mark.parametrize("name", ["physics", "linear", "committee"])
 def test_positions_velocities_internal_states_and_inputs_are_told(name):
     model = example(name)
-    found = range_of(model, records())
+    result = recorded_range(model, records())
     known = np.concatenate([e.measured_states() for e in records()])
-    np.testing.assert_array_equal(found.states[:2], np.stack([known.min(0), known.max(0)], axis=1))
-    assert (found.states[2:, 0] <= 0).all()  # internal states begin at 0
-    assert (found.states[2:, 1] >= 0).all()
-    again = Range.from_header({"range": found.as_header()}, model)
+    np.testing.assert_array_equal(result.states[:2], np.stack([known.min(0), known.max(0)], axis=1))
+    assert (result.states[2:, 0] <= 0).all()  # internal states begin at 0
+    assert (result.states[2:, 1] >= 0).all()
+    again = Range.from_header({"range": result.as_header()}, model)
     assert again is not None
-    np.testing.assert_array_equal(again.states, found.states)
-    np.testing.assert_array_equal(again.inputs, found.inputs)
+    np.testing.assert_array_equal(again.states, result.states)
+    np.testing.assert_array_equal(again.inputs, result.inputs)
 
 
 def test_internal_states_of_models_side_by_side_follow_one_another():
     members = [example("physics"), example("network taps"), example("linear")]
-    both = joined([range_of(m, records()) for m in members], members[0].channels)
-    together = range_of(tn.committee(members), records())
+    both = join_ranges([recorded_range(m, records()) for m in members], members[0].channels)
+    together = recorded_range(tn.committee(members), records())
     np.testing.assert_allclose(both.states, together.states, rtol=1e-6)
     np.testing.assert_array_equal(both.inputs, together.inputs)
-    parts = [range_of(members[0], [e]) for e in noises()]
-    wider = joined(parts, members[0].channels)
-    np.testing.assert_array_equal(wider.inputs, range_of(members[0], noises()).inputs)
+    parts = [recorded_range(members[0], [e]) for e in noises()]
+    wider = join_ranges(parts, members[0].channels)
+    np.testing.assert_array_equal(wider.inputs, recorded_range(members[0], noises()).inputs)
 
 
 def test_what_is_not_told_or_no_number_is_unknown():
@@ -42,10 +42,10 @@ def test_what_is_not_told_or_no_number_is_unknown():
     assert Range.from_header({"range": diverged}, model) is None
 
 
-@pytest.mark.parametrize("told", [5, {}, {"states": [[0, 1]], "inputs": [[0, 1]]}])
-def test_what_is_no_range_of_the_model_is_refused(told):
+@pytest.mark.parametrize("header", [5, {}, {"states": [[0, 1]], "inputs": [[0, 1]]}])
+def test_what_is_no_range_of_the_model_is_refused(header):
     with pytest.raises(tn.InputError, match=r"range: no range of the model.* 2 states and 1 input"):
-        Range.from_header({"range": told}, example("network taps"))
+        Range.from_header({"range": header}, example("network taps"))
 
 
 def driven(model: tn.Model, u: np.ndarray, x0: np.ndarray) -> np.ndarray:
@@ -54,7 +54,7 @@ def driven(model: tn.Model, u: np.ndarray, x0: np.ndarray) -> np.ndarray:
 
 def test_free_runs_that_leave_the_records_are_told_and_others_are_not():
     data, model = twin(), example("qube")
-    known = range_of(model, [e for e in data if e.split == "train"])
+    known = recorded_range(model, [e for e in data if e.split == "train"])
     t, rest = np.arange(600) * model.dt, np.zeros(4)
     high = float(known.inputs[0, 1])
     drives = [
@@ -67,38 +67,40 @@ def test_free_runs_that_leave_the_records_are_told_and_others_are_not():
     ]
     assert len(drives) == 20
     for u in drives:
-        found = known.left(model.channels, driven(model, u, rest)[:-1], u)
-        assert found is not None
-        assert 0 <= found.sample < 600
-        assert not found.what or not found.recorded[0] <= found.value <= found.recorded[1]
+        result = known.extrapolation_point(model.channels, driven(model, u, rest)[:-1], u)
+        assert result is not None
+        assert 0 <= result.sample < 600
+        assert not result.signal or not result.recorded[0] <= result.value <= result.recorded[1]
     alarms = [
-        known.left(model.channels, e.measured_states(), e.u) for e in data if e.split == "test"
+        known.extrapolation_point(model.channels, e.measured_states(), e.u)
+        for e in data
+        if e.split == "test"
     ]
     assert not any(alarms)
 
 
 def test_what_leaves_is_named_with_its_value():
     model = example("physics")
-    known = range_of(model, records())
+    known = recorded_range(model, records())
     calm = records()[0]
     states = np.pad(calm.measured_states(), ((0, 0), (0, 1)))
-    assert known.left(model.channels, states, calm.u) is None
+    assert known.extrapolation_point(model.channels, states, calm.u) is None
     fast = states.copy()
     fast[50:, 1] = 3 * known.states[1, 1]
-    found = known.left(model.channels, fast, calm.u)
-    assert found is not None
-    assert (found.sample, found.what) == (50, "der_angle")
-    assert found.value == pytest.approx(3 * known.states[1, 1])
+    result = known.extrapolation_point(model.channels, fast, calm.u)
+    assert result is not None
+    assert (result.sample, result.signal) == (50, "der_angle")
+    assert result.value == pytest.approx(3 * known.states[1, 1])
     turned = states + np.array([2 * np.pi, 0, 0])  # the same angle, a turn on
-    assert known.left(model.channels, turned, calm.u) is None
+    assert known.extrapolation_point(model.channels, turned, calm.u) is None
     lost = states.copy()
     lost[20:] = np.nan
-    found = known.left(model.channels, lost, calm.u)
-    assert found is not None
-    assert found.sample == 20
+    result = known.extrapolation_point(model.channels, lost, calm.u)
+    assert result is not None
+    assert result.sample == 20
     # fast and far up, which no record of a damped pendulum was
     both = states.copy()
     both[30, :2] = np.pi, 0.99 * known.states[1, 1]
-    found = known.left(model.channels, both, calm.u)
-    assert found is not None
-    assert (found.sample, found.what) == (30, "")
+    result = known.extrapolation_point(model.channels, both, calm.u)
+    assert result is not None
+    assert (result.sample, result.signal) == (30, "")

@@ -36,18 +36,20 @@ def one_by_one(model, x0, u):
     return jax.vmap(lambda x, drive: rollout(model, x, drive))(x0, u)
 
 
-def found(simulate):
+def value_and_gradients(simulate):
     """Loss, states and gradients by model, states and inputs, compiled once a structure."""
 
-    def of(model, x0, u, target):
+    def loss(model, x0, u, target):
         # folding the stem makes a layer depend on two sets of weights
         states = simulate(model.folded(), x0, u)
         return jnp.mean((states - target) ** 2), states
 
-    return jax.jit(jax.value_and_grad(of, argnums=(0, 1, 2), has_aux=True))
+    return jax.jit(jax.value_and_grad(loss, argnums=(0, 1, 2), has_aux=True))
 
 
-found_by_batch, found_one_by_one = found(rollouts), found(one_by_one)
+results_by_batch, results_one_by_one = (
+    value_and_gradients(rollouts), value_and_gradients(one_by_one)
+)  # fmt: skip
 
 STRUCTURES = [
     ((ANGLE,), (7,), None, "leaky_relu", False, 1, 1, True),
@@ -82,8 +84,8 @@ def test_values_and_gradients_are_those_of_the_plain_scan(
     u = generator.normal(size=(batch, steps, 1)).astype(kind)
     target = generator.normal(size=(batch, steps + 1, x0.shape[1])).astype(kind)
 
-    (value, states), gradient = found_by_batch(model, x0, u, target)
-    (expected_value, expected_states), expected = found_one_by_one(model, x0, u, target)
+    (value, states), gradient = results_by_batch(model, x0, u, target)
+    (expected_value, expected_states), expected = results_one_by_one(model, x0, u, target)
     size = float(jnp.max(jnp.abs(expected_states)))
     np.testing.assert_allclose(states, expected_states, rtol=0, atol=tolerance * max(size, 1.0))
     np.testing.assert_allclose(value, expected_value, rtol=tolerance)

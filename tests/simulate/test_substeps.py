@@ -26,16 +26,16 @@ MODEL = tn.LagrangianModel(SYSTEM, {"gravity": jnp.asarray(60.0)})
 def swings() -> list[tn.Experiment]:
     """Two records, the second forced, with the velocities they start at."""
     generator = np.random.default_rng(0)
-    found = []
+    result = []
     for name, u in (("free", np.zeros(60)), ("forced", generator.uniform(-20, 20, 50))):
         x = tn.rollout(tn.discretise(MODEL, DT, 64), np.array([2.0, 1.0]), u[:-1, None])
-        found.append(
+        result.append(
             tn.from_arrays(
                 x[:, 0], u, v=x[:, 1], dt=DT, name=name,
                 coordinates=SYSTEM.coordinates, inputs=SYSTEM.inputs,
             )
         )  # fmt: skip
-    return found
+    return result
 
 
 def test_tighter_tolerances_take_more_substeps_and_are_kept(swings):
@@ -45,9 +45,9 @@ def test_tighter_tolerances_take_more_substeps_and_are_kept(swings):
     probed = slice(0, round(PROBED_SECONDS / DT) + 1)
     exact = tn.free_run(tn.discretise(MODEL, DT, 64), swings, "file")
     for substeps, tolerance in zip(chosen, tolerances, strict=True):
-        found = tn.free_run(tn.discretise(MODEL, DT, substeps), swings, "file")
+        result = tn.free_run(tn.discretise(MODEL, DT, substeps), swings, "file")
         errors = [
-            np.abs(a[probed, 0] - b[probed, 0]).max() for a, b in zip(found, exact, strict=True)
+            np.abs(a[probed, 0] - b[probed, 0]).max() for a, b in zip(result, exact, strict=True)
         ]
         assert max(errors) < tolerance
 

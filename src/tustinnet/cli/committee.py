@@ -83,7 +83,7 @@ def _kept_with(models: list[Path]) -> "SystemFile | None":
 
 def _range(models: list[Path], members: "list[Model]") -> dict[str, Any]:
     """Where the training records of all members lie, where all files say it."""
-    from tustinnet.simulate.range import KEY, Range, joined
+    from tustinnet.simulate.range import KEY, Range, join_ranges
     from tustinnet.store.header import read_header
 
     told = [
@@ -91,7 +91,11 @@ def _range(models: list[Path], members: "list[Model]") -> dict[str, Any]:
         for path, member in zip(models, members, strict=True)
     ]
     known = [of for of in told if of is not None]
-    return {KEY: joined(known, members[0].channels).as_header()} if len(known) == len(told) else {}
+    return (
+        {KEY: join_ranges(known, members[0].channels).as_header()}
+        if len(known) == len(told)
+        else {}
+    )
 
 
 def _file(path: Path) -> dict[str, Any]:

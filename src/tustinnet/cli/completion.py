@@ -37,6 +37,12 @@ def _targets() -> Iterable[str]:
     return TARGETS.names()
 
 
+def _starts() -> Iterable[str]:
+    from tustinnet.simulate.start_rules import STARTS
+
+    return [kind.usual_name() for kind in STARTS]
+
+
 recipe, plan, system, target = _of(_recipes), _of(_plans), _of(_systems), _of(_targets)
 split = _of(lambda: ("train", "validation", "test"))
-start = _of(lambda: ("file", "derived-6", "model-20", "warm-up-20", "encoder-20"))
+start = _of(_starts)

@@ -167,10 +167,10 @@ def _plain(score: "Score") -> dict[str, Any]:
 def _score_table(by_split: dict[str, list["Score"]], channels: "Channels", start: str) -> "Table":
     from tustinnet.evaluate.scores import mean_rmse
     from tustinnet.report.tables import Table, number
-    from tustinnet.simulate.horizon import over
+    from tustinnet.simulate.horizon import horizon_words
     from tustinnet.simulate.starts import start_named
 
-    fitted = start_named(start).fitted
+    fitted = start_named(start).fitted_samples
     # what the start was fitted to is simulated well by any model
     after = [f"from sample {fitted}"] if fitted else []
     columns = ["record", "split", f"RMSE [{channels.unit}]", *after]
@@ -189,5 +189,5 @@ def _score_table(by_split: dict[str, list["Score"]], channels: "Channels", start
     for split, scores in by_split.items():
         means = [mean_rmse(scores), *[fmean(s.rmse_after for s in scores) for _ in after]]
         rows.append(["mean", split, *map(number, means), *[""] * (3 * channels.n_q)])
-    horizon = over(next(iter(by_split.values()))[0].horizon)
+    horizon = horizon_words(next(iter(by_split.values()))[0].horizon)
     return Table(columns, rows, title=f"Free runs, start '{start}'{horizon}")

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from tustinnet.cli import completion
+from tustinnet.simulate.start_rules import starts_help
 
 
 class Hardware(StrEnum):
@@ -90,13 +91,9 @@ Start = Annotated[
     typer.Option(
         metavar="NAME",
         autocompletion=completion.start,
-        help="Initial states of the free runs: file (first row of the record), derived-6 (parabola "
-        "through the first 6 samples), model-20 (state with which the model fits the first 20 "
-        "samples best), warm-up-20 (the model first follows 20 measured samples) or encoder-20 "
-        "(the model's encoder estimates it); other numbers of samples are possible. Default: "
-        "encoder-N or warm-up-N where the model has an encoder or needs a warm-up, else file where "
-        "records have velocity columns, else model-20 for oscillations with fewer than 20 samples "
-        "per period, else derived-6.",
+        help=f"Initial states of the free runs: {starts_help()}. Default: warm-up-N where the "
+        "model needs a warm-up, else file where records have velocity columns, else model-20 for "
+        "oscillations with fewer than 20 samples per period, else derived-6.",
     ),
 ]
 Horizon = Annotated[

@@ -41,7 +41,7 @@ def residuals(
     from tustinnet.cli.request import files_of, judged_records, model_of, require_figures
     from tustinnet.evaluate.residuals import residual_reports
     from tustinnet.report.residuals import downweighted_table, residual_figure
-    from tustinnet.simulate.horizon import over
+    from tustinnet.simulate.horizon import horizon_words
     from tustinnet.store.model_file import downweighted_in
 
     require_figures("--figure", figure, files_of(data, card, model, system), overwrite=overwrite)
@@ -50,7 +50,7 @@ def residuals(
     reports = residual_reports(judged, records, begin, lags, horizon=horizon)
     names = {e.name for e in records}
     spoilt = [s for s in downweighted_in(model) if s.record in names]
-    title = f"Residuals of {len(records)} free runs, start '{begin}'{over(horizon)}"
+    title = f"Residuals of {len(records)} free runs, start '{begin}'{horizon_words(horizon)}"
     if json:
         weights = [dataclasses.asdict(s) for s in spoilt]
         terminal.print_json(

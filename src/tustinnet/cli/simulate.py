@@ -61,7 +61,11 @@ def simulate(
     known, written = Range.from_header(read_header(model), simulator), []
     for e, score, around, path in zip(records, scores, bands, paths, strict=True):
         write_simulation(out, e, score.simulated, around)
-        left = None if known is None else known.left(simulator.channels, score.simulated, e.u)
+        left = (
+            None
+            if known is None
+            else known.extrapolation_point(simulator.channels, score.simulated, e.u)
+        )
         written.append({"experiment": e.name, "rmse": score.rmse, "file": str(path),
                         "left": None if left is None else left_plain(left, e)})  # fmt: skip
         if left is not None:

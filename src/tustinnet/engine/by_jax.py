@@ -1,4 +1,4 @@
-"""Runs of equations by JAX: what `by_machine_code` does, compiled by XLA."""
+"""Runs of equations by JAX, compiled by XLA: the alternative to `by_machine_code`."""
 
 from collections.abc import Callable
 from functools import partial
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tustinnet.engine.equations import Equations, Formula, Residual
+from tustinnet.engine.equations import Equations, Formula, ResidualFormula
 from tustinnet.engine.runs import Comparison, Directions, Runs, Samples
 
 
@@ -17,16 +17,17 @@ def simulate(equations: Equations, runs: Runs, substeps: int) -> Float[np.ndarra
     """The states at all samples, run after run; see `runs.simulate`."""
     longest = int(np.max(runs.steps, initial=0))
     rows = _rows(runs, longest)
-    known = None if runs.known is None else runs.known[rows]
-    measured = np.zeros(len(rows), int) if runs.measured is None else runs.measured
+    measured = None if runs.measured is None else runs.measured[rows]
+    counts = runs.measured_samples
+    counts = np.zeros(len(rows), int) if counts is None else counts
     states = _states(equations, substeps, runs.start, runs.parameters, runs.drive[rows],
-                     _periods(runs, rows), known, measured)  # fmt: skip
+                     _periods(runs, rows), measured, counts)  # fmt: skip
     return _run_after_run(runs, np.asarray(states))
 
 
 def compare(
-    equations: Equations, residual: Residual, runs: Runs, substeps: int, directions: Directions,
-    samples: Samples,
+    equations: Equations, residual: ResidualFormula, runs: Runs, substeps: int,
+    directions: Directions, samples: Samples,
 ) -> Comparison:  # fmt: skip
     """Products of residuals and derivatives, see `runs.compare`."""
     longest = int(np.max(runs.steps, initial=0))
@@ -46,19 +47,19 @@ def compare(
 def evaluate(
     formula: Formula, points: Float[np.ndarray, "n n_in"], *, derivatives: bool
 ) -> Float[np.ndarray, "n n_out"]:
-    """A formula, or its derivatives, at many points; see `runs.evaluate`."""
+    """Values of a formula, or its derivatives, at many points; see `runs.evaluate`."""
     return np.array(_values(formula, derivatives, points)).reshape(len(points), -1)
 
 
-def stepping(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """A function that steps a discrete model once; see `runs.stepping`."""
-    nothing = np.zeros(0)
-    size = np.zeros(equations.n_x), np.zeros(equations.n_u)
+def make_step(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """A function that steps a discrete model once; see `runs.make_step`."""
+    empty = np.zeros(0)
+    shapes = np.zeros(equations.n_x), np.zeros(equations.n_u)
 
-    def ahead(x: Array, u: Array) -> Array:
-        return equations.function(x, u, jnp.asarray(nothing), jnp.asarray(nothing))
+    def next_state(x: Array, u: Array) -> Array:
+        return equations.function(x, u, jnp.asarray(empty), jnp.asarray(empty))
 
-    program = jax.jit(ahead).lower(*size).compile()
+    program = jax.jit(next_state).lower(*shapes).compile()
 
     def step(state: np.ndarray, inputs: np.ndarray) -> np.ndarray:
         return np.asarray(program(np.asarray(state, float), np.asarray(inputs, float)))
@@ -67,13 +68,13 @@ def stepping(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.ndar
 
 
 def _rows(runs: Runs, longest: int) -> np.ndarray:
-    """The rows of the samples of every run; of shorter ones the last is repeated."""
+    """Rows of the samples of every run; of shorter ones the last is repeated."""
     places = np.minimum(np.arange(longest + 1), runs.steps[:, None])
     return runs.first[:, None] + places
 
 
 def _periods(runs: Runs, rows: np.ndarray) -> np.ndarray:
-    """How long each step is; a run that has ended stands still."""
+    """The period of each step; a run that has ended stands still."""
     running = np.arange(rows.shape[1]) < runs.steps[:, None]
     return np.where(running, runs.periods[rows], 0.0)
 
@@ -84,17 +85,18 @@ def _run_after_run(runs: Runs, padded: np.ndarray) -> np.ndarray:
     return np.concatenate([x[: n + 1] for x, n in zip(padded, runs.steps, strict=True)])
 
 
-def _ahead(
+def _next_state(
     equations: Equations, substeps: int, x: Array, p: Array, pieces: Array, period: Array
 ) -> Array:
     """The state a period later."""
     n_p = equations.n_p
 
     def at(state: Array, part: Array | float) -> Array:
-        value = pieces[-1]
+        """The equations at a state and a part of the period."""
+        inputs = pieces[-1]
         for coefficient in pieces[-2::-1]:
-            value = coefficient + part * value
-        return equations.function(state, value, p[:n_p], p[n_p:])
+            inputs = coefficient + part * inputs
+        return equations.function(state, inputs, p[:n_p], p[n_p:])
 
     if not equations.continuous:
         return at(x, 0.0)
@@ -115,62 +117,63 @@ def _ahead(
 @partial(jax.jit, static_argnums=(0, 1))
 def _states(
     equations: Equations, substeps: int, start: Array, parameters: Array, drive: Array,
-    periods: Array, known: Array | None, measured: Array,
+    periods: Array, measured: Array | None, measured_samples: Array,
 ) -> Array:  # fmt: skip
-    def one(x0: Array, p: Array, u: Array, h: Array, known: Array | None, count: Array) -> Array:
+    def run(x0: Array, p: Array, u: Array, h: Array, measured: Array | None, count: Array) -> Array:
         def step(x: Array, k: Array) -> tuple[Array, Array]:
-            from_here = x
-            if known is not None:
-                given = jnp.concatenate([known[k], x[known.shape[1] :]])
-                from_here = jnp.where(k < count, given, x)
-            return _ahead(equations, substeps, from_here, p, u[k], h[k]), x
+            current = x
+            if measured is not None:
+                corrected = jnp.concatenate([measured[k], x[measured.shape[1] :]])
+                current = jnp.where(k < count, corrected, x)
+            return _next_state(equations, substeps, current, p, u[k], h[k]), x
 
         end, states = jax.lax.scan(step, x0, jnp.arange(len(u) - 1))
         return jnp.concatenate([states, end[None]])
 
-    axes = (0, 0, 0, 0, None if known is None else 0, 0)
-    return jax.vmap(one, axes)(start, parameters, drive, periods, known, measured)
+    axes = (0, 0, 0, 0, None if measured is None else 0, 0)
+    return jax.vmap(run, axes)(start, parameters, drive, periods, measured, measured_samples)
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2, 3))
 def _products(
-    equations: Equations, residual: Residual, substeps: int, by_parameters: bool, start: Array,
-    parameters: Array, seeds: Array, drive: Array, periods: Array, target: Array, weight: Array,
+    equations: Equations, residual: ResidualFormula, substeps: int, by_parameters: bool,
+    start: Array, parameters: Array, seeds: Array, drive: Array, periods: Array, target: Array,
+    weight: Array,
 ) -> tuple[Array, Array, Array, Array]:  # fmt: skip
     n_p, n_y = equations.n_p, residual.n_y
     n_d = seeds.shape[1]
-    # along which parameter each direction goes
-    along = jnp.eye(n_d, parameters.shape[1])
-    along = along * (jnp.arange(n_d) < n_p)[:, None] * by_parameters
+    # the derivative of the parameters along each direction
+    dp = jnp.eye(n_d, parameters.shape[1])
+    dp = dp * (jnp.arange(n_d) < n_p)[:, None] * by_parameters
 
-    def one(
+    def run(
         x0: Array, p: Array, dx0: Array, u: Array, h: Array, target: Array, weight: Array
     ) -> tuple[Array, Array, Array, Array]:
-        def compared(x: Array, dx: Array, k: Array, sums: tuple[Array, ...]) -> tuple[Any, Array]:
+        def compare(x: Array, dx: Array, k: Array, sums: tuple[Array, ...]) -> tuple[Any, Array]:
             error = x[:n_y] - target[k]
-            value, slope = jax.jvp(residual.function, (error,), (jnp.ones(n_y),))
-            counts = weight[k] > 0
-            r = jnp.where(counts, value * weight[k], 0.0)
-            jacobian = dx[:, :n_y] * slope * weight[k]
+            value, derivative = jax.jvp(residual.function, (error,), (jnp.ones(n_y),))
+            is_counted = weight[k] > 0
+            r = jnp.where(is_counted, value * weight[k], 0.0)
+            jacobian = dx[:, :n_y] * derivative * weight[k]
             products, gradient, cost = sums
             return (
                 products + jacobian @ jacobian.T, gradient + jacobian @ r, cost + jnp.sum(r**2)
-            ), jnp.where(counts, error, 0.0)  # fmt: skip
+            ), jnp.where(is_counted, error, 0.0)  # fmt: skip
 
         def step(carried: tuple[Any, ...], k: Array) -> tuple[tuple[Any, ...], Array]:
             x, dx, sums = carried
-            sums, error = compared(x, dx, k, sums)
-            ahead, push = jax.linearize(
-                lambda x, p: _ahead(equations, substeps, x, p, u[k], h[k]), x, p
+            sums, error = compare(x, dx, k, sums)
+            x_next, push_forward = jax.linearize(
+                lambda x, p: _next_state(equations, substeps, x, p, u[k], h[k]), x, p
             )
-            return (ahead, jax.vmap(push)(dx, along), sums), error
+            return (x_next, jax.vmap(push_forward)(dx, dp), sums), error
 
-        nothing = jnp.zeros((n_d, n_d)), jnp.zeros(n_d), jnp.zeros(())
-        (x, dx, sums), errors = jax.lax.scan(step, (x0, dx0, nothing), jnp.arange(len(u) - 1))
-        sums, last = compared(x, dx, jnp.asarray(len(u) - 1), sums)
+        zeros = jnp.zeros((n_d, n_d)), jnp.zeros(n_d), jnp.zeros(())
+        (x, dx, sums), errors = jax.lax.scan(step, (x0, dx0, zeros), jnp.arange(len(u) - 1))
+        sums, last = compare(x, dx, jnp.asarray(len(u) - 1), sums)
         return *sums, jnp.concatenate([errors, last[None]])
 
-    return jax.vmap(one)(start, parameters, seeds, drive, periods, target, weight)
+    return jax.vmap(run)(start, parameters, seeds, drive, periods, target, weight)
 
 
 @partial(jax.jit, static_argnums=(0, 1))

@@ -11,25 +11,25 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from tustinnet.cores import count_cores
-from tustinnet.engine.equations import Equations, Formula, Residual
+from tustinnet.engine.equations import Equations, Formula, ResidualFormula
 from tustinnet.engine.kernels import (
     LANE,
     MOST_ORDER,
     Kernel,
     compare_kernel,
     map_kernel,
+    output_size,
     run_kernel,
-    size_of,
     step_kernel,
 )
-from tustinnet.engine.machine import compiled, width
+from tustinnet.engine.machine import compile_module, width
 from tustinnet.engine.runs import Comparison, Directions, Runs, Samples
 from tustinnet.program.numbers import run
 
 _ALIGNED = 64  # bytes
-_KEPT = 64  # functions that are at hand
-_QUICK = 30_000  # operations of a formula that NumPy has done before they were compiled
-_done: WeakKeyDictionary[Formula, int] = WeakKeyDictionary()  # operations of each, by NumPy
+_CACHED = 192  # functions
+_FEW_OPERATIONS = 30_000  # of a formula, up to which NumPy does them and nothing is compiled
+_operations: WeakKeyDictionary[Formula, int] = WeakKeyDictionary()  # of each, done by NumPy
 _POINTER, _WHOLE = ctypes.c_void_p, ctypes.c_int64
 _RUN = (_WHOLE, _WHOLE, _POINTER, _POINTER, _WHOLE, _WHOLE, *[_POINTER] * 5, _WHOLE, _POINTER)
 _COMPARE = (
@@ -41,17 +41,20 @@ _MAP = (_WHOLE, _POINTER, _POINTER, _POINTER)
 
 def simulate(equations: Equations, runs: Runs, substeps: int) -> Float[np.ndarray, "rows n_x"]:
     """The states at all samples, run after run; see `runs.simulate`."""
-    lanes = _lanes(equations, len(runs.steps))
-    function, constants = _run_function(equations, lanes)
+    # two vectors side by side where layers of a network are multiplied: each weight is then read
+    # once for both
+    has_layers = any(node.op == "product" for node in equations.program.nodes)
+    lanes = 2 * width() if has_layers and len(runs.steps) > width() else width()
+    function, constants = _function(run_kernel, "run", _RUN, equations, lanes)
     states = np.zeros((runs.samples, equations.n_x))
-    known = np.zeros((1, 0)) if runs.known is None else _plain(runs.known)
+    measured = np.zeros((1, 0)) if runs.measured is None else _contiguous(runs.measured)
     table = _table(runs, lanes)
     arrays = _arrays(runs)
 
     def run(group: int) -> None:
         function(
-            group, group + 1, _at(table), _at(constants), substeps, runs.drive.shape[1],
-            *map(_at, arrays), _at(known), known.shape[1], _at(states),
+            group, group + 1, _address(table), _address(constants), substeps, runs.drive.shape[1],
+            *map(_address, arrays), _address(measured), measured.shape[1], _address(states),
         )  # fmt: skip
 
     _side_by_side(run, len(table) // lanes)
@@ -59,28 +62,31 @@ def simulate(equations: Equations, runs: Runs, substeps: int) -> Float[np.ndarra
 
 
 def compare(
-    equations: Equations, residual: Residual, runs: Runs, substeps: int, directions: Directions,
-    samples: Samples,
+    equations: Equations, residual: ResidualFormula, runs: Runs, substeps: int,
+    directions: Directions, samples: Samples,
 ) -> Comparison:  # fmt: skip
     """Products of residuals and derivatives, see `runs.compare`."""
     lanes = width()
-    function, constants = _compare_function(equations, residual, lanes)
+    function, constants = _function(compare_kernel, "compare", _COMPARE, equations, residual, lanes)
     n_r, n_d, n_x = directions.seeds.shape
     result = Comparison(
         np.zeros((n_r, n_d, n_d)), np.zeros((n_r, n_d)), np.zeros(n_r),
         np.zeros((runs.samples, residual.n_y)),
     )  # fmt: skip
     table = _table(runs, lanes)
-    arrays = [*_arrays(runs), _plain(directions.seeds)]
-    compared = [_plain(samples.target), _plain(samples.weight)]
+    arrays = [*_arrays(runs), _contiguous(directions.seeds)]
+    target, weight = _contiguous(samples.target), _contiguous(samples.weight)
     by_p = equations.n_p if directions.parameters else 0
 
     def run(group: int) -> None:
-        work = _aligned((n_d * (3 * n_x + n_d + 1) + 1) * lanes)
+        # memory that begins where vectors are aligned
+        work = np.zeros((n_d * (3 * n_x + n_d + 1) + 1) * lanes + _ALIGNED // 8)
+        work = work[-work.ctypes.data % _ALIGNED // 8 :]
         function(
-            group, group + 1, _at(table), _at(constants), substeps, runs.drive.shape[1],
-            *map(_at, arrays), n_d, by_p, *map(_at, compared), _at(work), _at(result.error),
-            _at(result.products), _at(result.gradient), _at(result.cost),
+            group, group + 1, _address(table), _address(constants), substeps, runs.drive.shape[1],
+            *map(_address, arrays), n_d, by_p, _address(target), _address(weight),
+            _address(work), _address(result.error), _address(result.products),
+            _address(result.gradient), _address(result.cost),
         )  # fmt: skip
 
     _side_by_side(run, len(table) // lanes)
@@ -92,47 +98,50 @@ def compare(
 def evaluate(
     formula: Formula, points: Float[np.ndarray, "n n_in"], *, derivatives: bool
 ) -> Float[np.ndarray, "n n_out"]:
-    """A formula, or its derivatives, at many points; see `runs.evaluate`."""
+    """Values of a formula, or its derivatives, at many points; see `runs.evaluate`."""
     program = formula.derivatives if derivatives else formula.program
-    done = _done.get(formula, 0) + len(points) * len(program.nodes)
-    if done < _QUICK:
-        _done[formula] = done
-        by_hand = [run(program, x=point)["value"] for point in _plain(points)]
-        return np.stack(by_hand) if by_hand else np.zeros((0, size_of(program, "value")))
-    function, constants, size = _map_function(formula, derivatives=derivatives)
-    values, given = np.zeros((len(points), size)), _plain(points)
+    operations = _operations.get(formula, 0) + len(points) * len(program.nodes)
+    if operations < _FEW_OPERATIONS:
+        _operations[formula] = operations
+        rows = [run(program, x=point)["value"] for point in _contiguous(points)]
+        return np.stack(rows) if rows else np.zeros((0, output_size(program, "value")))
+    function, constants = _function(
+        map_kernel, "map", _MAP, formula, width(), derivatives=derivatives
+    )
+    values, points = np.zeros((len(points), output_size(program, "value"))), _contiguous(points)
     if values.size:
-        function(len(points), _at(constants), _at(given), _at(values))
+        function(len(points), _address(constants), _address(points), _address(values))
     return values
 
 
-def stepping(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """A function that steps a discrete model once; see `runs.stepping`."""
-    function, constants = _function(step_kernel(equations), "step", (_POINTER,) * 4)
+def make_step(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """A function that steps a discrete model once; see `runs.make_step`."""
+    function, constants = _load(step_kernel(equations), "step", (_POINTER,) * 4)
     n_x, n_u = equations.n_x, equations.n_u
-    # memory of its own, whose addresses are known: to ask an array for its address takes longer
+    # memory of its own, whose addresses are known: asking an array for its address takes longer
     # than the step
     memory = constants, *(np.zeros(max(1, n)) for n in (n_x, n_u, n_x))
-    addresses = [_at(array) for array in memory]
+    addresses = [_address(array) for array in memory]
 
     def step(state: np.ndarray, inputs: np.ndarray) -> np.ndarray:
-        _, x, u, ahead = memory
+        _, x, u, x_next = memory
         x[:] = state
         if n_u:
             u[:] = inputs
         function(*addresses)
-        return ahead.copy()
+        return x_next.copy()
 
     return step
 
 
 def _table(runs: Runs, lanes: int) -> Int[np.ndarray, "lanes columns"]:
-    """What each lane does; runs of like length stand side by side."""
+    """Rows of the table of lanes, see `LANE`; runs of like length stand side by side."""
     order = np.argsort(-runs.steps, kind="stable")
     table = np.zeros((-(-len(order) // lanes) * lanes, len(LANE)), np.int64)
     table[:, 0], table[:, 1] = order[-1] if len(order) else 0, -1
-    measured = np.zeros(len(order), int) if runs.measured is None else runs.measured
-    columns = order, runs.steps[order], runs.first[order], runs.results[order], measured[order]
+    counts = runs.measured_samples
+    counts = np.zeros(len(order), int) if counts is None else counts
+    columns = order, runs.steps[order], runs.first[order], runs.results[order], counts[order]
     table[: len(order)] = np.stack(columns, axis=1)
     return table
 
@@ -140,45 +149,28 @@ def _table(runs: Runs, lanes: int) -> Int[np.ndarray, "lanes columns"]:
 def _arrays(runs: Runs) -> list[np.ndarray]:
     if runs.drive.shape[1] > MOST_ORDER:
         raise ValueError(f"inputs of order {runs.drive.shape[1]}")
-    return [_plain(a) for a in (runs.drive, runs.periods, runs.start, runs.parameters)]
+    return [_contiguous(a) for a in (runs.drive, runs.periods, runs.start, runs.parameters)]
 
 
-@lru_cache(_KEPT)
-def _run_function(equations: Equations, lanes: int) -> tuple[Any, np.ndarray]:
-    return _function(run_kernel(equations, lanes), "run", _RUN)
-
-
-@lru_cache(_KEPT)
-def _compare_function(
-    equations: Equations, residual: Residual, lanes: int
+@lru_cache(_CACHED)
+def _function(
+    make_kernel: Callable[..., Kernel],
+    name: str,
+    types: tuple[Any, ...],
+    *args: Any,
+    **options: Any,
 ) -> tuple[Any, np.ndarray]:
-    return _function(compare_kernel(equations, residual, lanes), "compare", _COMPARE)
+    """The compiled function of a kernel, and the constants that it reads; made once."""
+    return _load(make_kernel(*args, **options), name, types)
 
 
-@lru_cache(_KEPT)
-def _map_function(formula: Formula, *, derivatives: bool) -> tuple[Any, np.ndarray, int]:
-    kernel = map_kernel(formula, width(), derivatives=derivatives)
-    size = size_of(formula.derivatives if derivatives else formula.program, "value")
-    return *_function(kernel, "map", _MAP), size
-
-
-def _function(kernel: Kernel, name: str, arguments: tuple[Any, ...]) -> tuple[Any, np.ndarray]:
-    function = compiled(kernel.text).function(name, arguments)
+def _load(kernel: Kernel, name: str, types: tuple[Any, ...]) -> tuple[Any, np.ndarray]:
+    function = compile_module(kernel.text).function(name, types)
     return function, np.array([*kernel.constants, 0.0])
 
 
-def _lanes(equations: Equations, runs: int) -> int:
-    """How many runs are simulated side by side.
-
-    A vector of the processor, or two where layers of a network are multiplied: each weight is
-    then read once for both.
-    """
-    layers = any(node.op == "product" for node in equations.program.nodes)
-    return 2 * width() if layers and runs > width() else width()
-
-
 def _side_by_side(run: Callable[[int], None], groups: int) -> None:
-    """All groups, a core each; machine code releases Python's lock."""
+    """Runs all groups, one on each core; machine code releases Python's lock."""
     if groups == 1:
         run(0)
         return
@@ -186,16 +178,9 @@ def _side_by_side(run: Callable[[int], None], groups: int) -> None:
         list(pool.map(run, range(groups)))
 
 
-def _plain(array: np.ndarray) -> np.ndarray:
+def _contiguous(array: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(array, np.float64)
 
 
-def _at(array: np.ndarray) -> int:
+def _address(array: np.ndarray) -> int:
     return array.ctypes.data
-
-
-def _aligned(count: int) -> np.ndarray:
-    """So many numbers, aligned as vectors are."""
-    memory = np.zeros(count + _ALIGNED // 8)
-    first = -memory.ctypes.data % _ALIGNED // 8
-    return memory[first : first + count]

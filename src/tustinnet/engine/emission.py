@@ -1,4 +1,4 @@
-"""Programs written in LLVM's language: operation by operation, a value for all lanes each."""
+"""Programs written in LLVM's language, operation by operation, with one value for all lanes."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -23,7 +23,7 @@ class Constants:
 
     Attributes:
         numbers: the numbers.
-        layers: where the weights of layers that are given stand, as `laid_out` has them.
+        layers: places of the weights of layers that are given, as `blocked_layout` has them.
     """
 
     numbers: list[float] = field(default_factory=list)
@@ -31,7 +31,7 @@ class Constants:
     _places: dict[bytes, int] = field(default_factory=dict)
 
     def place(self, values: np.ndarray) -> int:
-        """Where an array of them begins; the same array stands there once."""
+        """The place of an array among the numbers; the same array stands there once."""
         key = np.ascontiguousarray(values, np.float64).tobytes()
         if key not in self._places:
             self._places[key] = len(self.numbers)
@@ -39,17 +39,17 @@ class Constants:
         return self._places[key]
 
     def layer(self, factor: Factor, size: int) -> int:
-        """Where the weights of a layer are put that is given, so many of them."""
+        """The place of the weights of a layer that is given, so many of them."""
         if factor not in self.layers:
             self.layers[factor] = len(self.numbers)
             self.numbers += [0.0] * size
         return self.layers[factor]
 
 
-def laid_out(matrix: np.ndarray) -> np.ndarray:
+def blocked_layout(matrix: np.ndarray) -> np.ndarray:
     """The numbers of a matrix in the order in which they are multiplied.
 
-    Some rows at once, column by column; the rows that are left behind them likewise.
+    Some rows at once, column by column; the remaining rows behind them likewise.
     """
     rows, columns = matrix.shape
     whole = rows // _ROWS * _ROWS
@@ -59,7 +59,7 @@ def laid_out(matrix: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Number:
-    """A single number, or a truth: what the code calls it."""
+    """A single number, or a truth, by its name in the code."""
 
     name: str
     truth: bool = False
@@ -67,13 +67,13 @@ class Number:
 
 @dataclass(frozen=True)
 class Vector:
-    """A vector: its numbers, or where they stand in memory.
+    """A vector by its numbers, or by their place in memory.
 
     Attributes:
         size: how many numbers.
-        numbers: they, where each has been computed by itself.
-        pointer: memory where they stand one after the other, a value each.
-        table: constants instead, the place of the first.
+        numbers: its numbers, where each has been computed by itself.
+        pointer: memory in which they stand one after the other, a value each.
+        table: the place of the first of them, where they are constants.
     """
 
     size: int
@@ -91,9 +91,9 @@ class Emission:
     Attributes:
         function: the function.
         program: the program.
-        inputs: where each input stands in memory.
+        inputs: the place of each input in memory.
         constants: the numbers that stand in memory.
-        pointer: where these do.
+        pointer: the place of these.
     """
 
     def __init__(
@@ -105,19 +105,19 @@ class Emission:
         self.module: Module = function.module
         self._values: dict[int, Value] = {}
         self._pairs: dict[str, tuple[str, str]] = {}
-        self._picked: dict[tuple[str, int], Number] = {}
+        self._elements: dict[tuple[str, int], Number] = {}
 
     def outputs(self) -> dict[str, tuple[Number, ...]]:
-        """The numbers of every output, after the code that computes them."""
+        """The numbers of every output, after their code is written."""
         return {name: self.numbers(value) for name, value in self.values().items()}
 
     def values(self) -> dict[str, Value]:
-        """Every output, after the code that computes them."""
+        """The value of every output, after its code is written."""
         self.compute(i for i in range(len(self.program.nodes)) if i not in self._values)
         return {name: self._values[i] for name, i in self.program.outputs.items()}
 
     def compute(self, nodes: Iterable[int]) -> None:
-        """The code of some of the nodes, in their order; those that they need are there."""
+        """Writes the code of some of the nodes, in their order; those that they need are there."""
         for i in nodes:
             node = self.program.nodes[i]
             self._values[i] = self._node(node, [self._values[a] for a in node.args])
@@ -145,7 +145,9 @@ class Emission:
                 return Vector(node.size, tuple(x for a in args for x in self.numbers(a)))
             case "product":
                 matrix = self.program.tables[node.data]
-                return self._product(self.constants.place(laid_out(matrix)), matrix.shape, args[0])
+                return self._product(
+                    self.constants.place(blocked_layout(matrix)), matrix.shape, args[0]
+                )
             case "layer":
                 columns = args[0].size if isinstance(args[0], Vector) else 1
                 first = self.constants.layer(node.data, node.size * columns)
@@ -178,9 +180,9 @@ class Emission:
             return self._constant(self.constants.numbers[vector.table + i])
         assert vector.pointer is not None
         key = vector.pointer, i
-        if key not in self._picked:
-            self._picked[key] = Number(self.function.load(vector.pointer, i))
-        return self._picked[key]
+        if key not in self._elements:
+            self._elements[key] = Number(self.function.load(vector.pointer, i))
+        return self._elements[key]
 
     def _part(self, vector: Vector, first: int, size: int) -> Vector:
         if vector.numbers is not None:
@@ -191,31 +193,31 @@ class Emission:
         return Vector(size, pointer=self.function.at(vector.pointer, first))
 
     def _in_memory(self, value: Value) -> str:
-        """Where the numbers of a value stand in memory; they are put there if need be."""
+        """The place of a value's numbers in memory; they are stored there if need be."""
         if isinstance(value, Vector) and value.pointer is not None:
             return value.pointer
         f, numbers = self.function, self.numbers(value)
         pointer = f.memory(len(numbers))
         for i, number in enumerate(numbers):
-            f.store(self.plain(number), pointer, i)
+            f.store(self.as_number(number), pointer, i)
         return pointer
 
-    def each(self, value: Value, use: Callable[[str, str | int], None]) -> None:
-        """Writes what is done with every number of a value: of a long vector, as a loop.
+    def for_each_number(self, value: Value, use: Callable[[str, str | int], None]) -> None:
+        """Writes code for every number of a value, as a loop for a long vector.
 
         Args:
             value: the value.
-            use: of a number and its place.
+            use: writes it for a number and its index.
         """
         if isinstance(value, Vector) and value.pointer is not None and value.size >= LONG:
             with self.function.loop(0, value.size) as i:
                 use(self.function.load(value.pointer, i), i)
             return
         for i, number in enumerate(self.numbers(value)):
-            use(self.plain(number), i)
+            use(self.as_number(number), i)
 
-    def plain(self, number: Number) -> str:
-        """A number; of a truth 1 or 0."""
+    def as_number(self, number: Number) -> str:
+        """The name of a number; a truth is converted to 1 or 0."""
         if not number.truth:
             return number.name
         one, zero = self.module.number(1.0), self.module.number(0.0)
@@ -233,17 +235,17 @@ class Emission:
             a if isinstance(a, Number) or a.table is not None else self._in_memory(a) for a in args
         ]
         with f.loop(0, node.size) as i:
-            given = []
+            operands = []
             for place in places:
                 if isinstance(place, Number):
-                    given.append(place)
+                    operands.append(place)
                 elif isinstance(place, Vector):
-                    given.append(Number(self._from_table(f.whole("add", i, place.table or 0))))
+                    operands.append(Number(self._from_table(f.whole("add", i, place.table or 0))))
                 else:
-                    given.append(Number(f.load(place, i)))
-            pairs, self._pairs = self._pairs, {}  # what a loop computes is not known outside
+                    operands.append(Number(f.load(place, i)))
+            pairs, self._pairs = self._pairs, {}  # values of a loop cannot be used outside of it
             # truths stand in memory as 1 and 0
-            f.store(self.plain(self._operation(node.op, given, node.truth)), result, i)
+            f.store(self.as_number(self._operation(node.op, operands, node.truth)), result, i)
             self._pairs = pairs
         return Vector(node.size, pointer=result)
 
@@ -287,8 +289,8 @@ class Emission:
             product = f.apply("fmul", weight, value)
             f.line(f"{name}n = fadd reassoc nsz contract {m.v} {name}, {product}")
         f.line(f"{counter}n = add i64 {counter}, 1")
-        goes_on = f.value(f"icmp slt i64 {counter}n, {columns}")
-        f.line(f"br i1 {goes_on}, label %{head}, label %{after}")
+        has_more = f.value(f"icmp slt i64 {counter}n, {columns}")
+        f.line(f"br i1 {has_more}, label %{head}, label %{after}")
         f.place(after)
         return [f"{name}n" for name in names]
 
@@ -301,7 +303,7 @@ class Emission:
         offsets = np.cumsum([0, *loop.carried_sizes]).tolist()
         for value, offset in zip(args[first:last], offsets, strict=False):
             for i, number in enumerate(self.numbers(value)):
-                f.store(self.plain(number), carried, offset + i)
+                f.store(self.as_number(number), carried, offset + i)
         pointers = {
             name: self._in_memory(value)
             for place, (name, value) in enumerate(zip(names, args, strict=True))
@@ -314,7 +316,7 @@ class Emission:
             for k, name in enumerate(names[last:]):
                 inputs[name] = f.at(pointers[name], f.whole("mul", turn, sizes[last + k]))
             body = Emission(f, loop.body, inputs, self.constants, self.pointer)
-            ends = [body.plain(x) for of in body.outputs().values() for x in of]
+            ends = [body.as_number(x) for numbers in body.outputs().values() for x in numbers]
             # all has been read before anything is replaced
             for i, end in enumerate(ends):
                 f.store(end, carried, i)
@@ -328,33 +330,34 @@ class Emission:
                 return Number(
                     f.choose(condition, self._truth(args[1]), self._truth(args[2])), truth=True
                 )
-            return Number(f.select(condition, self.plain(args[1]), self.plain(args[2])))
+            return Number(f.select(condition, self.as_number(args[1]), self.as_number(args[2])))
         if op in _LOGIC:
-            given = [self._truth(a) for a in args]
+            operands = [self._truth(a) for a in args]
             if op == "not":
-                given.append(self._constant(True).name)
-            return Number(f.value(f"{_LOGIC[op]} {m.truth} {given[0]}, {given[1]}"), truth=True)
-        given = [self.plain(a) for a in args]
-        if op in _COMPARED:
-            return Number(f.compare(_COMPARED[op], *given), truth=True)
+                operands.append(self._constant(True).name)
+            a, b = operands
+            return Number(f.value(f"{_LOGIC[op]} {m.truth} {a}, {b}"), truth=True)
+        operands = [self.as_number(a) for a in args]
+        if op in _COMPARISONS:
+            return Number(f.compare(_COMPARISONS[op], *operands), truth=True)
         if op in ("sin", "cos"):
-            return Number(self._pair(given[0])[op == "cos"])
-        return Number(_WRITTEN[op](f, *given))
+            return Number(self._sine_and_cosine(operands[0])[op == "cos"])
+        return Number(_WRITERS[op](f, *operands))
 
-    def _pair(self, angle: str) -> tuple[str, str]:
+    def _sine_and_cosine(self, angle: str) -> tuple[str, str]:
         """Sine and cosine, which equations of motion need together."""
         if angle not in self._pairs:
             f, m = self.function, self.module
             pair = f"{{ {m.wide.v}, {m.wide.v} }}"
             name = functions.sine_and_cosine(m.wide)
-            both = f.value(f"call {pair} @{name}({m.wide.v} {functions.widened(f, angle)})")
+            both = f.value(f"call {pair} @{name}({m.wide.v} {functions.widen(f, angle)})")
             sine, cosine = (f.value(f"extractvalue {pair} {both}, {i}") for i in (0, 1))
-            self._pairs[angle] = functions.narrowed(f, sine), functions.narrowed(f, cosine)
+            self._pairs[angle] = functions.narrow(f, sine), functions.narrow(f, cosine)
         return self._pairs[angle]
 
 
 _LOGIC = {"and": "and", "or": "or", "not": "xor"}
-_COMPARED: dict[str, Any] = {
+_COMPARISONS: dict[str, Any] = {
     "lt": "olt", "le": "ole", "gt": "ogt", "ge": "oge", "eq": "oeq", "ne": "une",
 }  # fmt: skip
 
@@ -364,7 +367,7 @@ def _arithmetic(op: str) -> Callable[..., str]:
 
 
 def _intrinsic(name: str, arguments: int = 1) -> Callable[..., str]:
-    return lambda f, *given: f.call(functions.intrinsic(f.module, name, arguments), *given)
+    return lambda f, *values: f.call(functions.intrinsic(f.module, name, arguments), *values)
 
 
 def _scalar(name: str) -> Callable[..., str]:
@@ -372,17 +375,17 @@ def _scalar(name: str) -> Callable[..., str]:
 
 
 def _by_function(write: Callable[[Module], str]) -> Callable[..., str]:
-    return lambda f, *given: functions.in_double(f, write(f.module.wide), *given)
+    return lambda f, *values: functions.in_double(f, write(f.module.wide), *values)
 
 
 def _sign(f: Function, x: str) -> str:
     zero, one, less = (f.module.number(v) for v in (0.0, 1.0, -1.0))
-    below = f.select(f.compare("olt", x, zero), less, x)  # a zero and what is no number stay
+    below = f.select(f.compare("olt", x, zero), less, x)  # zeros and NaN stay
     return f.select(f.compare("ogt", x, zero), one, below)
 
 
-# how operations on numbers are written
-_WRITTEN: dict[str, Callable[..., str]] = {
+# writers of operations on numbers: from the function and the operands to the name of the value
+_WRITERS: dict[str, Callable[..., str]] = {
     **{op: _arithmetic(f"f{op}") for op in ("add", "sub", "mul", "div")},
     "neg": lambda f, x: f.value(f"fneg {f.module.v} {x}"),
     "abs": _intrinsic("fabs"),

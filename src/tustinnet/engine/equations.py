@@ -1,4 +1,4 @@
-"""What is simulated: a function of JAX arrays, read once as a program with its derivatives."""
+"""Equations for the engine: functions of JAX arrays, read once as programs with derivatives."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -25,7 +25,7 @@ class Equations:
         n_c: how many other parameters there are.
         continuous: whether the function is the derivative, which is integrated by the classical
             Runge-Kutta method.
-        where: what it is, for messages.
+        where: its name in messages.
         matrices: the weights of layers that are given with every run, and their shapes.
     """
 
@@ -46,7 +46,9 @@ class Equations:
             Unreadable: it uses what no program can hold.
         """
         sizes = {"x": self.n_x, "u": self.n_u, "p": self.n_p, "c": self.n_c}
-        return read(lambda *given: {"x": self.function(*given)}, sizes, self.where, self.matrices)
+        return read(
+            lambda *vectors: {"x": self.function(*vectors)}, sizes, self.where, self.matrices
+        )
 
     @cached_property
     def derivatives(self) -> Program:
@@ -60,12 +62,13 @@ class Equations:
 
 
 @dataclass(frozen=True, eq=False)
-class Residual:
-    """How an error of simulation counts.
+class ResidualFormula:
+    """Formula of the residual of a simulation error: how the error counts.
 
     Attributes:
-        function: of errors (n_y,): how they count, (n_y,), each by itself. Written with JAX.
-        n_y: how many there are.
+        function: from errors (n_y,) to residuals, (n_y,), each of its own error alone. Written
+            with JAX.
+        n_y: the number of errors.
     """
 
     function: Callable[[Any], Any]
@@ -74,8 +77,10 @@ class Residual:
     @cached_property
     def program(self) -> Program:
         """The function as a program: `error` to `value`, and to `slope`, its Jacobian by rows."""
-        plain = read(lambda error: {"value": self.function(error)}, {"error": self.n_y}, "residual")
-        return with_derivatives(plain, "value", {"slope": "error"})
+        values = read(
+            lambda error: {"value": self.function(error)}, {"error": self.n_y}, "residual"
+        )
+        return with_derivatives(values, "value", {"slope": "error"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +91,7 @@ class Formula:
         function: of a point, (n,), to a vector, (m,). Written with JAX.
         size: `n`.
         by: the numbers of a point that it is differentiated by; by default all.
-        where: what it is, for messages.
+        where: its name in messages.
     """
 
     function: Callable[[Any], Any]

@@ -3,7 +3,7 @@
 LLVM has vectors' sums and products but no vectors' sines: it calls the C library for one number
 after the other, which takes longer than all the rest of the equations of motion. Those that
 equations and networks use most are written here; the others are called lane by lane. All compute
-in double precision; numbers in single precision are widened and rounded.
+in double precision; numbers in single precision are widen and rounded.
 
 References:
     Cody, Waite (1980), Software Manual for the Elementary Functions (reduction of the argument
@@ -13,7 +13,7 @@ References:
 from fractions import Fraction
 from math import factorial
 
-from tustinnet.engine.text import SYMBOL, Function, Module, bits_of
+from tustinnet.engine.text import SYMBOL, Function, Module, float_bits
 
 # called for one lane after the other, by their names in the C library
 SCALAR = {
@@ -44,14 +44,14 @@ def _parts(number: Fraction, count: int) -> list[float]:
     return parts
 
 
-def widened(f: Function, x: str) -> str:
-    """A value in double precision."""
+def widen(f: Function, x: str) -> str:
+    """A value of the module converted to double precision."""
     m = f.module
     return x if m.wide is m else f.value(f"fpext {m.v} {x} to {m.wide.v}")
 
 
-def narrowed(f: Function, x: str) -> str:
-    """A value in double precision in that of the module."""
+def narrow(f: Function, x: str) -> str:
+    """A value in double precision converted to the precision of the module."""
     m = f.module
     return x if m.wide is m else f.value(f"fptrunc {m.wide.v} {x} to {m.v}")
 
@@ -59,8 +59,8 @@ def narrowed(f: Function, x: str) -> str:
 def in_double(f: Function, name: str, *values: str) -> str:
     """A call of a function of this module, which computes in double precision."""
     v = f.module.wide.v
-    given = ", ".join(f"{v} {widened(f, x)}" for x in values)
-    return narrowed(f, f.value(f"call {v} @{name}({given})"))
+    arguments = ", ".join(f"{v} {widen(f, x)}" for x in values)
+    return narrow(f, f.value(f"call {v} @{name}({arguments})"))
 
 
 def scalar(module: Module, name: str) -> str:
@@ -91,8 +91,8 @@ def intrinsic(module: Module, name: str, arguments: int = 1) -> str:
     number = f"f{8 * module.bytes}"
     suffix = number if module.lanes == 1 else f"v{module.lanes}{number}"
     full = f"llvm.{name}.{suffix}"
-    given = ", ".join([module.v] * arguments)
-    return module.once(full, lambda: f"declare {module.v} @{full}({given})")
+    types = ", ".join([module.v] * arguments)
+    return module.once(full, lambda: f"declare {module.v} @{full}({types})")
 
 
 def _whole_type(module: Module) -> str:
@@ -143,24 +143,24 @@ def _any(f: Function, truth: str) -> str:
 
 
 def sine_and_cosine(module: Module) -> str:
-    """Both of an angle, as a pair; the name of the function in the module."""
+    """Sine and cosine of an angle as a pair; the name of the function in the module."""
 
     def write() -> str:
         m, pair, kind = module, f"{{ {module.v}, {module.v} }}", _whole_type(module)
         f = m.function("sine.cosine", f"{m.v} %x", pair)
         slow, fast = f.label(), f.label()
         size = f.call(intrinsic(m, "fabs"), "%x")
-        known = f.compare("olt", size, m.number(_REDUCED))
+        is_near = f.compare("olt", size, m.number(_REDUCED))
         ones = "true" if m.lanes == 1 else "<" + ", ".join(["i1 true"] * m.lanes) + ">"
-        beyond = _any(f, f.value(f"xor {m.truth} {known}, {ones}"))
+        beyond = _any(f, f.value(f"xor {m.truth} {is_near}, {ones}"))
         f.line(f"br i1 {beyond}, label %{slow}, label %{fast}")
 
-        def both(sine: str, cosine: str) -> None:
+        def return_pair(sine: str, cosine: str) -> None:
             one = f.value(f"insertvalue {pair} poison, {m.v} {sine}, 0")
             f.line(f"ret {pair} {f.value(f'insertvalue {pair} {one}, {m.v} {cosine}, 1')}")
 
         f.place(slow)  # far away, or no number
-        both(f.call(scalar(m, "sin"), "%x"), f.call(scalar(m, "cos"), "%x"))
+        return_pair(f.call(scalar(m, "sin"), "%x"), f.call(scalar(m, "cos"), "%x"))
         f.place(fast)
         quarters, bits = _nearest(f, "%x", float(1 / _HALF_PI))
         r = _without(f, "%x", quarters, _parts(_HALF_PI, 3))
@@ -171,8 +171,8 @@ def sine_and_cosine(module: Module) -> str:
         half = f.apply("fsub", m.number(1.0), f.apply("fmul", m.number(0.5), z), exact=True)
         cosine = f.fma(f.apply("fmul", z, z), _series(f, z, even), half)
 
-        def turned(quadrant: str, a: str, b: str) -> str:
-            """The function that belongs to a quadrant, with its sign."""
+        def in_quadrant(quadrant: str, a: str, b: str) -> str:
+            """Sine or cosine as the quadrant says, with its sign."""
             last = f.value(f"and {kind} {quadrant}, {_whole(m, 1)}")
             swaps = f.value(f"icmp ne {kind} {last}, {_whole(m, 0)}")
             chosen = f.value(f"bitcast {m.v} {f.select(swaps, b, a)} to {kind}")
@@ -182,7 +182,7 @@ def sine_and_cosine(module: Module) -> str:
             return f.value(f"bitcast {kind} {signed} to {m.v}")
 
         ahead = f.value(f"add {kind} {bits}, {_whole(m, 1)}")
-        both(turned(bits, sine, cosine), turned(ahead, sine, cosine))
+        return_pair(in_quadrant(bits, sine, cosine), in_quadrant(ahead, sine, cosine))
         return f.text()
 
     return module.once("sine.cosine", write)
@@ -199,7 +199,7 @@ def _exponent(f: Function, x: str) -> tuple[str, str]:
     """`x = n log 2 + r`: n as a whole number, and `exp(r) - 1`."""
     m, kind = f.module, _whole_type(f.module)
     count, bits = _nearest(f, x, float(1 / _LOG_2))
-    n = f.value(f"sub {kind} {bits}, {_whole(m, bits_of(_ROUNDING))}")
+    n = f.value(f"sub {kind} {bits}, {_whole(m, float_bits(_ROUNDING))}")
     r = _without(f, x, count, _parts(_LOG_2, 2))
     rest = _series(f, r, [1 / factorial(k) for k in range(2, 14)])
     return n, f.fma(f.apply("fmul", r, r), rest, r)

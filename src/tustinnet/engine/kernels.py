@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from tustinnet.engine.emission import Constants, Emission
-from tustinnet.engine.equations import Equations, Formula, Residual
+from tustinnet.engine.equations import Equations, Formula, ResidualFormula
 from tustinnet.engine.text import Function, Module
 from tustinnet.program.adjoints import ADJOINT
 from tustinnet.program.program import Program
 
-# what a lane is: which run, its steps, its first row of inputs, its first row of results, how many
-# of its first samples are measured; a lane without a run has -1 steps
+# columns of the table of lanes: the run, its steps, its first row of inputs, its first row of
+# results, how many of its first samples are measured; a lane without a run has -1 steps
 LANE = ("run", "steps", "first", "result", "measured")
 
 
@@ -32,7 +32,7 @@ class Kernel:
 
 RUN = (
     "i64 %begin, i64 %end, ptr %lanes, ptr %constants, i64 %substeps, i64 %order, ptr %drive, "
-    "ptr %periods, ptr %start, ptr %parameters, ptr %known, i64 %n_known, ptr %states"
+    "ptr %periods, ptr %start, ptr %parameters, ptr %measured, i64 %n_measured, ptr %states"
 )
 COMPARE = (
     "i64 %begin, i64 %end, ptr %lanes, ptr %constants, i64 %substeps, i64 %order, ptr %drive, "
@@ -53,16 +53,22 @@ MOST_ORDER = 8  # coefficients of the polynomials that inputs follow between sam
 
 
 def run_kernel(equations: Equations, lanes: int) -> Kernel:
-    """Free runs: the states at all samples."""
+    """Machine code of free runs: the states at all samples."""
     module, constants = Module(lanes), Constants()
     write_run(module, equations, constants)
     return Kernel(module.text(), tuple(constants.numbers))
 
 
 def write_run(module: Module, equations: Equations, constants: Constants) -> None:
-    """The function `run`: free runs."""
-    _write_dynamics(module, equations, constants)
-    f = module.function("run", RUN, own=False)
+    """Writes the function `run`: free runs."""
+    f = module.function("dynamics", DYNAMICS)
+    inputs = {"x": "%x", "u": "%u", "p": "%p", "c": f.at("%p", equations.n_p)}
+    emission = Emission(f, equations.program, inputs, constants, "%constants")
+    for i, number in enumerate(emission.outputs()["x"]):
+        f.store(emission.as_number(number), "%out", i)
+    f.line("ret void")
+    module.finish(f)
+    f = module.function("run", RUN, is_internal=False)
     with f.loop("%begin", "%end") as group:
         s = _Simulation(f, equations, group)
         with f.loop(0, s.ends) as k:
@@ -76,10 +82,10 @@ def write_run(module: Module, equations: Equations, constants: Constants) -> Non
 
 
 def write_backward(module: Module, equations: Equations, constants: Constants) -> None:
-    """The function `backward`: adjoints of states, parameters and layers of a discrete model.
+    """Writes the function `backward`: adjoints of states, parameters and layers of a model.
 
-    What goes into a layer and the adjoint of what comes out of it are kept at every step: the
-    gradient of its weights is one product of both.
+    Inputs of a layer and adjoints of its outputs are kept at every step: the gradient of its
+    weights is one product of both. The model is discrete.
     """
     n_x, n_u, n_p = equations.n_x, equations.n_u, equations.n_p
     f = module.function(
@@ -103,15 +109,15 @@ def write_backward(module: Module, equations: Equations, constants: Constants) -
 
     row = 0
     for name in layer_outputs(equations):
-        emission.each(values[name], keep_from(row))
-        row += size_of(equations.adjoints.program, name)
-    emission.each(values["by_p"], add_to_sum)
+        emission.for_each_number(values[name], keep_from(row))
+        row += output_size(equations.adjoints.program, name)
+    emission.for_each_number(values["by_p"], add_to_sum)
     # all has been read before the adjoint is replaced
     for i, number in enumerate(emission.numbers(values["by_x"])):
-        f.store(emission.plain(number), "%adjoint", i)
+        f.store(emission.as_number(number), "%adjoint", i)
     f.line("ret void")
     module.finish(f)
-    f = module.function("backward", BACKWARD, own=False)
+    f = module.function("backward", BACKWARD, is_internal=False)
     with f.loop("%begin", "%end") as group:
         s = _Lanes(f, group)
         x, u, p = f.memory(n_x), f.memory(n_u), f.memory(n_p + equations.n_c)
@@ -148,26 +154,26 @@ def write_backward(module: Module, equations: Equations, constants: Constants) -
 
 
 def layer_outputs(equations: Equations) -> list[str]:
-    """The outputs of the program in reverse that are kept for layers, in this order."""
+    """Names of the outputs of the program in reverse that are kept for layers, in this order."""
     places = range(len(equations.adjoints.layers))
     return [name for i in places for name in (f"in_{i}", f"out_{i}")]
 
 
-def compare_kernel(equations: Equations, residual: Residual, lanes: int) -> Kernel:
-    """Free runs with derivatives, compared with samples: products of residuals and derivatives."""
+def compare_kernel(equations: Equations, residual: ResidualFormula, lanes: int) -> Kernel:
+    """Machine code of free runs with derivatives: products of these and of residuals."""
     module, constants = Module(lanes), Constants()
     write_compare(module, equations, residual, constants)
     return Kernel(module.text(), tuple(constants.numbers))
 
 
 def write_compare(
-    module: Module, equations: Equations, residual: Residual, constants: Constants
+    module: Module, equations: Equations, residual: ResidualFormula, constants: Constants
 ) -> None:
-    """The function `compare`: free runs with derivatives, compared with samples."""
-    slopes = _write_derivatives(module, equations, constants)
-    f = module.function("compare", COMPARE, own=False)
+    """Writes the function `compare`: free runs with derivatives, compared with samples."""
+    structure = _write_derivatives(module, equations, constants)
+    f = module.function("compare", COMPARE, is_internal=False)
     with f.loop("%begin", "%end") as group:
-        s = _Sensitivities(f, equations, slopes, residual, constants, group)
+        s = _Sensitivities(f, equations, structure, residual, constants, group)
         with f.loop(0, s.ends) as k:
             s.now(k)
             s.compare(k)
@@ -179,11 +185,11 @@ def write_compare(
 
 
 def map_kernel(formula: Formula, lanes: int, *, derivatives: bool) -> Kernel:
-    """A formula at many points, or its derivatives: rows of numbers to rows of numbers."""
+    """Machine code of a formula at many points, or of its derivatives, from rows to rows."""
     module, constants = Module(lanes), Constants()
     program = formula.derivatives if derivatives else formula.program
     n_in = formula.size
-    f = module.function("map", MAP, own=False)
+    f = module.function("map", MAP, is_internal=False)
     x = f.memory(n_in)
     rounds = f.whole("sdiv", f.whole("add", "%count", lanes - 1), lanes)
     last = f.whole("sub", "%count", 1)
@@ -195,38 +201,38 @@ def map_kernel(formula: Formula, lanes: int, *, derivatives: bool) -> Kernel:
             rows.append(f.value(f"select i1 {beyond}, i64 {last}, i64 {row}"))
         _gather(f, rows, n_in, "%in", x)
         emission = Emission(f, program, {"x": x}, constants, "%constants")
-        found = [emission.plain(number) for number in emission.outputs()["value"]]
+        values = [emission.as_number(number) for number in emission.outputs()["value"]]
         for lane, row in enumerate(rows):
-            _store_row(f, lane, found, "%out", row)
+            _store_row(f, lane, values, "%out", row)
     f.line("ret void")
     module.finish(f)
     return Kernel(module.text(), tuple(constants.numbers))
 
 
 def step_kernel(equations: Equations) -> Kernel:
-    """One step of a discrete model without parameters, of single numbers."""
+    """Machine code of one step of a discrete model without parameters, with one lane."""
     module, constants = Module(1), Constants()
-    f = module.function("step", STEP, own=False)
+    f = module.function("step", STEP, is_internal=False)
     inputs = {"x": "%x", "u": "%u", "p": "%x", "c": "%x"}  # of the last two there are none
     emission = Emission(f, equations.program, inputs, constants, "%constants")
     for i, number in enumerate(emission.outputs()["x"]):
-        f.store(emission.plain(number), "%out", i)
+        f.store(emission.as_number(number), "%out", i)
     f.line("ret void")
     module.finish(f)
     return Kernel(module.text(), tuple(constants.numbers))
 
 
-def size_of(program: Program, name: str) -> int:
-    """How many numbers an output of a program has."""
+def output_size(program: Program, name: str) -> int:
+    """The size of an output of a program."""
     return program.nodes[program.outputs[name]].size
 
 
 @dataclass(frozen=True)
-class _Slopes:
-    """Where derivatives of the equations are not 0 by structure.
+class _Structure:
+    """Structure of the derivatives of equations: which of them are not 0.
 
     Attributes:
-        copies: for each row, the number of the state that it is, or None.
+        copies: for each row, the number of the state that it copies, or None.
         by_x: for each row, the numbers of the state that it depends on.
         by_p: which rows depend on the parameters.
     """
@@ -236,31 +242,20 @@ class _Slopes:
     by_p: tuple[int, ...]
 
 
-def _write_dynamics(module: Module, equations: Equations, constants: Constants) -> None:
-    """The equations as a function of their own."""
-    f = module.function("dynamics", DYNAMICS)
-    inputs = {"x": "%x", "u": "%u", "p": "%p", "c": f.at("%p", equations.n_p)}
-    emission = Emission(f, equations.program, inputs, constants, "%constants")
-    for i, number in enumerate(emission.outputs()["x"]):
-        f.store(emission.plain(number), "%out", i)
-    f.line("ret void")
-    module.finish(f)
-
-
-def _write_derivatives(module: Module, equations: Equations, constants: Constants) -> _Slopes:
-    """The equations with their derivatives; where these are not 0.
+def _write_derivatives(module: Module, equations: Equations, constants: Constants) -> _Structure:
+    """Writes the equations with their derivatives, and returns the structure of these.
 
     Derivatives are computed in reverse, a row in each turn of a loop, which takes as long as to
-    write them all out forwards and half as long to compile. What does not depend on the row is
-    computed before it.
+    write them all out forwards and half as long to compile. Nodes that do not depend on the row are
+    computed before the loop.
     """
     n_x, n_p, program = equations.n_x, equations.n_p, equations.derivatives
     f = module.function("dynamics", DYNAMICS)
     adjoint = f.memory(n_x)
     inputs = {"x": "%x", "u": "%u", "p": "%p", "c": f.at("%p", n_p), ADJOINT: adjoint}
     emission = Emission(f, program, inputs, constants, "%constants")
-    late = program.depending_on(ADJOINT)
-    emission.compute(i for i in range(len(program.nodes)) if i not in late)
+    in_loop = program.nodes_depending_on(ADJOINT)
+    emission.compute(i for i in range(len(program.nodes)) if i not in in_loop)
     # velocities stand in the state: their rows are known
     copies = equations.program.copies("x", "x")
     rows = [i for i, j in enumerate(copies) if j is None]
@@ -277,22 +272,22 @@ def _write_derivatives(module: Module, equations: Equations, constants: Constant
 
             return store
 
-        emission.each(values["by_x"], keep("%by_x", 1, f.whole("mul", row, n_x)))
-        emission.each(values["by_p"], keep("%by_p", n_x, row))
+        emission.for_each_number(values["by_x"], keep("%by_x", 1, f.whole("mul", row, n_x)))
+        emission.for_each_number(values["by_p"], keep("%by_p", n_x, row))
     for i, number in enumerate(emission.numbers(values["x"])):
-        f.store(emission.plain(number), "%out", i)
+        f.store(emission.as_number(number), "%out", i)
     f.line("ret void")
     module.finish(f)
     depends = equations.program.dependencies("x")
-    return _Slopes(
+    return _Structure(
         tuple(copies),
-        tuple(tuple(j for j in range(n_x) if ("x", j) in on) for on in depends),
-        tuple(i for i, on in enumerate(depends) if any(name == "p" for name, _ in on)),
+        tuple(tuple(j for j in range(n_x) if ("x", j) in inputs) for inputs in depends),
+        tuple(i for i, inputs in enumerate(depends) if any(name == "p" for name, _ in inputs)),
     )
 
 
 def _gather(f: Function, rows: Sequence[str], size: int, source: str, into: str) -> None:
-    """A row of an array for each lane, side by side."""
+    """Loads a row of an array for each lane, side by side."""
     bases = [f.whole("mul", row, size) for row in rows]
     with f.loop(0, size) as i:
         f.store(_beside(f, bases, i, source), into, i)
@@ -304,7 +299,7 @@ def _beside(f: Function, bases: Sequence[str], offset: str | int, source: str) -
 
 
 def _store_row(f: Function, lane: int, values: Sequence[str], into: str, row: str) -> None:
-    """The numbers of a lane go to a row of an array."""
+    """Stores the numbers of a lane in a row of an array."""
     base = f.whole("mul", row, len(values))
     for i, value in enumerate(values):
         f.store_number(f.lane(value, lane), into, f.whole("add", base, i))
@@ -320,8 +315,8 @@ class _Lanes:
         self._columns: dict[tuple[int, str], str] = {}
         for lane in range(lanes):
             for i, name in enumerate(LANE):
-                at = f.at("%lanes", f.whole("add", first, lane * len(LANE) + i), "i64")
-                self._columns[lane, name] = f.value(f"load i64, ptr {at}")
+                address = f.at("%lanes", f.whole("add", first, lane * len(LANE) + i), "i64")
+                self._columns[lane, name] = f.value(f"load i64, ptr {address}")
         self.longest = self.column(0, "steps")
         for lane in range(1, lanes):
             steps = self.column(lane, "steps")
@@ -329,31 +324,31 @@ class _Lanes:
             self.longest = f.value(f"select i1 {more}, i64 {steps}, i64 {self.longest}")
         self.ends = f.whole("add", self.longest, 1)
         self.active: list[str] = []
-        self._at: list[str] = []
+        self._samples: list[str] = []
 
     def column(self, lane: int, name: str) -> str:
-        """What the table of lanes says of a lane."""
+        """A column of the table of lanes for a lane."""
         return self._columns[lane, name]
 
     def now(self, k: str) -> None:
-        """At sample k: which lanes are still running, and where they are."""
+        """Writes, for sample k, which lanes are still running, and the sample at which each is."""
         f = self.f
-        self.active, self._at = [], []
+        self.active, self._samples = [], []
         for lane in range(f.module.lanes):
             steps = self.column(lane, "steps")
             active = f.value(f"icmp sle i64 {k}, {steps}")
-            at = f.value(f"select i1 {active}, i64 {k}, i64 {steps}")
-            beyond = f.value(f"icmp slt i64 {at}, 0")
-            self._at.append(f.value(f"select i1 {beyond}, i64 0, i64 {at}"))
+            sample = f.value(f"select i1 {active}, i64 {k}, i64 {steps}")
+            is_idle = f.value(f"icmp slt i64 {sample}, 0")
+            self._samples.append(f.value(f"select i1 {is_idle}, i64 0, i64 {sample}"))
             self.active.append(active)
 
     def rows(self, name: str) -> list[str]:
-        """The present row of every lane in what begins at its row of that name."""
+        """The present row of every lane in an array in which it begins at its row of that name."""
         columns = [self.column(lane, name) for lane in range(self.f.module.lanes)]
-        return [self.f.whole("add", c, at) for c, at in zip(columns, self._at, strict=True)]
+        return [self.f.whole("add", c, k) for c, k in zip(columns, self._samples, strict=True)]
 
     def hand_over(self, source: str, size: str | int, into: str) -> None:
-        """The numbers of every lane that has a run go to the row of that run."""
+        """Stores the numbers of every lane that has a run in the row of that run."""
         f = self.f
         for lane in range(f.module.lanes):
             with f.when(f.value(f"icmp sge i64 {self.column(lane, 'steps')}, 0")):
@@ -363,11 +358,11 @@ class _Lanes:
                     f.store_number(number, into, f.whole("add", base, i))
 
     def where(self, truths: list[str], a: str, b: str) -> str:
-        """Of every lane one or the other number."""
+        """One or the other number, chosen for every lane."""
         f, n = self.f, self.f.module.n
         return f.together([
-            f.value(f"select i1 {on}, {n} {f.lane(a, lane)}, {n} {f.lane(b, lane)}")
-            for lane, on in enumerate(truths)
+            f.value(f"select i1 {truth}, {n} {f.lane(a, lane)}, {n} {f.lane(b, lane)}")
+            for lane, truth in enumerate(truths)
         ])  # fmt: skip
 
 
@@ -389,7 +384,7 @@ class _Simulation(_Lanes):
         _gather(f, runs, n_p, "%parameters", self.p)
 
     def keep(self, k: str, values: Sequence[str], into: str) -> None:
-        """The results of sample k of the lanes that are running go to their rows of an array."""
+        """Stores results at sample k of the lanes that are running in their rows of an array."""
         for lane, active in enumerate(self.active):
             with self.f.when(active):
                 row = self.f.whole("add", self.column(lane, "result"), k)
@@ -401,41 +396,37 @@ class _Simulation(_Lanes):
         return _beside(self.f, rows, offset, source)
 
     def put_back(self, k: str) -> None:
-        """Measured positions and velocities take the place of the simulated ones."""
+        """Writes that measured positions and velocities take the place of the simulated ones."""
         f, n, n_x = self.f, self.f.module.n, self.equations.n_x
-        given = f.value("icmp sgt i64 %n_known, 0")
-        with f.when(given):
+        with f.when(f.value("icmp sgt i64 %n_measured, 0")):
             truths = [
                 f.value(f"icmp slt i64 {k}, {self.column(lane, 'measured')}")
                 for lane in range(f.module.lanes)
             ]
-            bases = [f.whole("mul", row, "%n_known") for row in self.rows("first")]
+            bases = [f.whole("mul", row, "%n_measured") for row in self.rows("first")]
             for i in range(n_x):
-                with f.when(f.value(f"icmp sgt i64 %n_known, {i}")):
-                    own = f.load(self.x, i)
-                    measured = _beside(f, bases, i, "%known")
+                with f.when(f.value(f"icmp sgt i64 %n_measured, {i}")):
+                    simulated = f.load(self.x, i)
+                    measured = _beside(f, bases, i, "%measured")
                     numbers = [
                         f.value(f"select i1 {truth}, {n} {f.lane(measured, lane)}, "
-                                f"{n} {f.lane(own, lane)}")
+                                f"{n} {f.lane(simulated, lane)}")
                         for lane, truth in enumerate(truths)
                     ]  # fmt: skip
                     f.store(f.together(numbers), self.x, i)
 
     def dynamics(self, x: str, out: str) -> None:
-        """The equations at a state."""
+        """Writes a call of the equations at a state."""
         self.f.line(
             f"call void @dynamics(ptr %constants, ptr {x}, ptr {self.u}, ptr {self.p}, "
             f"ptr {out}, ptr {self.by_x}, ptr {self.by_p})"
         )
 
     def advance(self, k: str) -> None:
-        """From a sample to the next."""
+        """Writes the step from a sample to the next."""
         if self.equations.continuous:
             self._integrate(k)
-        else:
-            self._step(k)
-
-    def _step(self, k: str) -> None:
+            return
         f, n_u = self.f, self.equations.n_u
         for i in range(n_u):
             f.store(self.beside(n_u, i, "%drive"), self.u, i)
@@ -446,7 +437,7 @@ class _Simulation(_Lanes):
         self.step_tangents(running)
 
     def step_tangents(self, running: list[str]) -> None:
-        """What becomes of derivatives in a step; here there are none."""
+        """Writes the step for derivatives; here there are none."""
 
     def _running(self, k: str) -> list[str]:
         return [
@@ -484,7 +475,7 @@ class _Simulation(_Lanes):
     def _update(
         self, stage: int, scale: str, slope: str, memory: tuple[str, str, str], j: str | int
     ) -> None:
-        """A stage of the method for a number of the state, or of a derivative of it."""
+        """Writes a stage of the method for a number of the state, or of a derivative of it."""
         f, (x, ahead, total) = self.f, memory
         if stage == 3:
             mean = f.apply("fadd", f.load(total, j), slope)
@@ -495,10 +486,10 @@ class _Simulation(_Lanes):
         f.store(f.fma(scale, slope, f.load(x, j)), ahead, j)
 
     def stage_tangents(self, stage: int, scale: str) -> None:
-        """What becomes of derivatives in a stage; here there are none."""
+        """Writes the stage for derivatives; here there are none."""
 
     def _inputs_at(self, part: str) -> None:
-        """The inputs at a part of the period: on the polynomials that they follow."""
+        """Writes the inputs at a part of the period: on the polynomials that they follow."""
         f, n_u = self.f, self.equations.n_u
         last = f.whole("mul", f.whole("sub", "%order", 1), n_u)
         for i in range(n_u):
@@ -518,12 +509,12 @@ class _Sensitivities(_Simulation):
     """
 
     def __init__(
-        self, f: Function, equations: Equations, slopes: _Slopes, residual: Residual,
+        self, f: Function, equations: Equations, structure: _Structure, residual: ResidualFormula,
         constants: Constants, group: str,
     ) -> None:  # fmt: skip
         super().__init__(f, equations, group)
         n_x = equations.n_x
-        self._slopes, self._residual, self._constants = slopes, residual, constants
+        self._structure, self._residual, self._constants = structure, residual, constants
         self.by_x = f.memory(n_x * n_x)
         self.by_p = f.memory(equations.n_p * n_x)
         self._n_y = residual.n_y
@@ -546,27 +537,27 @@ class _Sensitivities(_Simulation):
             f.store(_beside(f, bases, i, "%seeds"), self._dx, i)
 
     def compare(self, k: str) -> None:
-        """At a sample: errors, and what they and the derivatives add to the products."""
+        """Writes the errors at a sample, and the terms that they add to the products."""
         f, m, n_x, n_y = self.f, self.f.module, self.equations.n_x, self._n_y
         zero = m.number(0.0)
-        weights, shown, counted = [], [], []
+        weights, errors, is_counted = [], [], []
         for i in range(n_y):
             error = f.apply("fsub", f.load(self.x, i), self.beside(n_y, i, "%target"))
             weight = self.where(self.active, self.beside(n_y, i, "%weight"), zero)
-            counted.append(f.compare("ogt", weight, zero))
+            is_counted.append(f.compare("ogt", weight, zero))
             f.store(error, self._error, i)
             weights.append(weight)
-            shown.append(f.select(counted[i], error, zero))
-        self.keep(k, shown, "%errors")
+            errors.append(f.select(is_counted[i], error, zero))
+        self.keep(k, errors, "%errors")
         emission = Emission(f, self._residual.program, {"error": self._error}, self._constants,
                             "%constants")  # fmt: skip
         outputs = emission.outputs()
-        residuals, slopes = [], []
+        residuals, derivatives = [], []
         for i, weight in enumerate(weights):
-            value, slope = outputs["value"][i], outputs["slope"][i * (n_y + 1)]
-            residual = f.apply("fmul", emission.plain(value), weight)
-            residuals.append(f.select(counted[i], residual, zero))
-            slopes.append(f.apply("fmul", emission.plain(slope), weight))
+            value, derivative = outputs["value"][i], outputs["slope"][i * (n_y + 1)]
+            residual = f.apply("fmul", emission.as_number(value), weight)
+            residuals.append(f.select(is_counted[i], residual, zero))
+            derivatives.append(f.apply("fmul", emission.as_number(derivative), weight))
         cost = f.load(self._cost)
         for residual in residuals:
             cost = f.fma(residual, residual, cost)
@@ -574,13 +565,13 @@ class _Sensitivities(_Simulation):
         with f.loop(0, "%n_d") as a:
             base = f.whole("mul", a, n_x)
             row = f.whole("mul", a, "%n_d")
-            by = [f.load(self._dx, f.whole("add", base, i)) for i in range(n_y)]
-            scaled = [f.apply("fmul", x, s) for x, s in zip(by, slopes, strict=True)]
+            dx = [f.load(self._dx, f.whole("add", base, i)) for i in range(n_y)]
+            scaled = [f.apply("fmul", x, s) for x, s in zip(dx, derivatives, strict=True)]
             total = f.load(self._gradient, a)
             for x, residual in zip(scaled, residuals, strict=True):
                 total = f.fma(x, residual, total)
             f.store(total, self._gradient, a)
-            twice = [f.apply("fmul", x, s) for x, s in zip(scaled, slopes, strict=True)]
+            twice = [f.apply("fmul", x, s) for x, s in zip(scaled, derivatives, strict=True)]
             with f.loop(0, f.whole("add", a, 1)) as c:
                 other = f.whole("mul", c, n_x)
                 place = f.whole("add", row, c)
@@ -589,29 +580,29 @@ class _Sensitivities(_Simulation):
                     total = f.fma(x, f.load(self._dx, f.whole("add", other, i)), total)
                 f.store(total, self._products, place)
 
-    def _along(self, source: str, d: str, *, by_parameter: bool) -> list[str]:
+    def _directional_derivative(self, source: str, d: str, *, by_parameter: bool) -> list[str]:
         """The derivative of the equations along a direction."""
         f, n_x = self.f, self.equations.n_x
         base = f.whole("mul", d, n_x)
         y = [f.load(source, f.whole("add", base, j)) for j in range(n_x)]
-        found = []
+        rows = []
         for i, (copy, columns) in enumerate(
-            zip(self._slopes.copies, self._slopes.by_x, strict=True)
+            zip(self._structure.copies, self._structure.by_x, strict=True)
         ):
             if copy is not None:
-                found.append(y[copy])
+                rows.append(y[copy])
                 continue
             total: str | None = None
-            if by_parameter and i in self._slopes.by_p:
+            if by_parameter and i in self._structure.by_p:
                 total = f.load(self.by_p, f.whole("add", base, i))
             for j in columns:
                 term = f.apply("fmul", f.load(self.by_x, i * n_x + j), y[j])
                 total = term if total is None else f.apply("fadd", total, term)
-            found.append(f.module.number(0.0) if total is None else total)
-        return found
+            rows.append(f.module.number(0.0) if total is None else total)
+        return rows
 
-    def _each(self, change: Callable[[str, bool], None]) -> None:
-        """Writes what happens to each direction, those of parameters first."""
+    def _for_each_direction(self, change: Callable[[str, bool], None]) -> None:
+        """Writes code for each direction, those of parameters first."""
         f = self.f
         if self.equations.n_p:
             with f.loop(0, "%n_by_p") as d:
@@ -620,34 +611,34 @@ class _Sensitivities(_Simulation):
             change(d, False)
 
     def stage_tangents(self, stage: int, scale: str) -> None:
-        """A stage of the method for all derivatives."""
+        """Writes a stage of the method for all derivatives."""
         f, n_x = self.f, self.equations.n_x
         source = self._dx if stage == 0 else self._dahead
 
         def change(d: str, by_parameter: bool) -> None:
-            slopes = self._along(source, d, by_parameter=by_parameter)
+            slopes = self._directional_derivative(source, d, by_parameter=by_parameter)
             base = f.whole("mul", d, n_x)
             for j, slope in enumerate(slopes):
                 self._update(stage, scale, slope, (self._dx, self._dahead, self._dtotal),
                              f.whole("add", base, j))  # fmt: skip
 
-        self._each(change)
+        self._for_each_direction(change)
 
     def step_tangents(self, running: list[str]) -> None:
-        """A step of a discrete model for all derivatives."""
+        """Writes a step of a discrete model for all derivatives."""
         f, n_x = self.f, self.equations.n_x
 
         def change(d: str, by_parameter: bool) -> None:
-            ahead = self._along(self._dx, d, by_parameter=by_parameter)
+            ahead = self._directional_derivative(self._dx, d, by_parameter=by_parameter)
             base = f.whole("mul", d, n_x)
             for j, value in enumerate(ahead):
-                at = f.whole("add", base, j)
-                f.store(self.where(running, value, f.load(self._dx, at)), self._dx, at)
+                place = f.whole("add", base, j)
+                f.store(self.where(running, value, f.load(self._dx, place)), self._dx, place)
 
-        self._each(change)
+        self._for_each_direction(change)
 
     def hand_products_over(self) -> None:
-        """The products of every lane go to the rows of its run."""
+        """Stores the products of every lane in the rows of its run."""
         self.hand_over(self._products, self.f.whole("mul", "%n_d", "%n_d"), "%products")
         self.hand_over(self._gradient, "%n_d", "%gradient")
         self.hand_over(self._cost, 1, "%cost")

@@ -12,12 +12,12 @@ from tustinnet.engine.text import SYMBOL
 
 _WIDTHS = (("avx512f", 8), ("avx", 4))  # numbers of a vector, by what the processor has
 _NARROW = 2
-_KEPT = 256  # compiled modules
-_ONE = Lock()  # threads share LLVM's description of the processor: one compiles at a time
+_CACHED = 256  # compiled modules
+_LOCK = Lock()  # threads share LLVM's description of the processor: one compiles at a time
 _PASSES, _LEVEL = 1, 2  # how hard LLVM optimises modules, and instructions of the processor
 
 
-class Compiled:
+class CompiledModule:
     """A module as machine code.
 
     Attributes:
@@ -35,36 +35,34 @@ class Compiled:
         self._engine.finalize_object()
 
     def address(self, name: str) -> int:
-        """Where a function of it stands in memory."""
+        """The address of a function in memory."""
         return self._engine.get_function_address(name)
 
     def function(self, name: str, arguments: Sequence[Any]) -> Any:
-        """A function of it that returns nothing; calls release Python's lock.
+        """A function of the module that returns nothing; calls release Python's lock.
 
         Args:
-            name: what the module calls it.
-            arguments: their ctypes.
+            name: its name in the module.
+            arguments: types of its arguments.
         """
         kind = ctypes.CFUNCTYPE(None, *arguments)
         function = kind(self.address(name))
-        vars(function)["owner"] = self  # the code lives as long as who may call it
+        vars(function)["owner"] = self  # the code lives as long as its function
         return function
 
 
-def compiled(text: str) -> Compiled:
+def compile_module(text: str) -> CompiledModule:
     """A module as machine code; one that was compiled before is not compiled again."""
-    with _ONE:
-        return _compiled(text)
+    with _LOCK:
+        return _compile(text)
 
 
-@lru_cache(maxsize=_KEPT)
-def _compiled(text: str) -> Compiled:
-    return Compiled(text)
+_compile = lru_cache(maxsize=_CACHED)(CompiledModule)
 
 
 @cache
 def width() -> int:
-    """How many numbers the processor's vectors hold, 8 bytes each."""
+    """The number of numbers in a vector of the processor, 8 bytes each."""
     from llvmlite import binding
 
     features = binding.get_host_cpu_features()

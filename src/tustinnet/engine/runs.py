@@ -14,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Float, Int
 
-from tustinnet.engine.equations import Equations, Formula, Residual
+from tustinnet.engine.equations import Equations, Formula, ResidualFormula
 from tustinnet.errors import InputError
 from tustinnet.program.reading import Unreadable
 
@@ -36,8 +36,8 @@ class Runs:
         drive: inputs from each sample to the next, (rows, order, n_u): the coefficients of the
             polynomials that they follow, or what a discrete model's step is given (order 1).
         periods: time from each sample to the next [s], (rows,); discrete models do not use it.
-        known: positions and velocities that take the place of the simulated ones, (rows, n_m).
-        measured: at how many of the first samples of each they do, (runs,).
+        measured: positions and velocities that take the place of the simulated ones, (rows, n_m).
+        measured_samples: at how many of the first samples of each they do, (runs,).
     """
 
     start: Float[np.ndarray, "runs n_x"]
@@ -46,8 +46,8 @@ class Runs:
     first: Int[np.ndarray, " runs"]
     drive: Float[np.ndarray, "rows order n_u"]
     periods: Float[np.ndarray, " rows"]
-    known: Float[np.ndarray, "rows n_m"] | None = None
-    measured: Int[np.ndarray, " runs"] | None = None
+    measured: Float[np.ndarray, "rows n_m"] | None = None
+    measured_samples: Int[np.ndarray, " runs"] | None = None
 
     @property
     def results(self) -> Int[np.ndarray, " runs"]:
@@ -56,13 +56,13 @@ class Runs:
 
     @property
     def samples(self) -> int:
-        """How many samples all have together."""
+        """The number of samples of all runs together."""
         return int(np.sum(self.steps + 1))
 
 
 @dataclass(frozen=True)
 class Directions:
-    """Along which directions runs are differentiated.
+    """Directions along which runs are differentiated.
 
     Attributes:
         seeds: derivatives of the states at the beginning along every direction,
@@ -77,7 +77,7 @@ class Directions:
 
 @dataclass(frozen=True)
 class Samples:
-    """What runs are compared with, in rows as of the inputs.
+    """Measured values that runs are compared with, in rows as of the inputs.
 
     Attributes:
         target: values of the first numbers of the states, (rows, n_y).
@@ -118,7 +118,7 @@ def simulate(equations: Equations, runs: Runs, substeps: int = 1) -> Float[np.nd
     """
     from tustinnet.engine import by_jax, by_machine_code
 
-    return _chosen(
+    return _dispatch(
         lambda: by_machine_code.simulate(equations, runs, substeps),
         lambda: by_jax.simulate(equations, runs, substeps),
         lambda: equations.program,
@@ -127,7 +127,7 @@ def simulate(equations: Equations, runs: Runs, substeps: int = 1) -> Float[np.nd
 
 def compare(
     equations: Equations,
-    residual: Residual,
+    residual: ResidualFormula,
     runs: Runs,
     substeps: int,
     directions: Directions,
@@ -148,10 +148,10 @@ def compare(
     """
     from tustinnet.engine import by_jax, by_machine_code
 
-    given = equations, residual, runs, substeps, directions, samples
-    return _chosen(
-        lambda: by_machine_code.compare(*given),
-        lambda: by_jax.compare(*given),
+    arguments = equations, residual, runs, substeps, directions, samples
+    return _dispatch(
+        lambda: by_machine_code.compare(*arguments),
+        lambda: by_jax.compare(*arguments),
         lambda: (equations.program, residual.program),
     )
 
@@ -159,21 +159,21 @@ def compare(
 def evaluate(
     formula: Formula, points: Float[np.ndarray, "n n_in"], *, derivatives: bool = False
 ) -> Float[np.ndarray, "n n_out"]:
-    """A formula at many points, (n, m), or its derivatives there by rows, (n, m n_in).
+    """Values of a formula at many points, (n, m), or its derivatives there by rows, (n, m n_in).
 
     Raises:
         InputError: an engine that there is not.
     """
     from tustinnet.engine import by_jax, by_machine_code
 
-    return _chosen(
+    return _dispatch(
         lambda: by_machine_code.evaluate(formula, points, derivatives=derivatives),
         lambda: by_jax.evaluate(formula, points, derivatives=derivatives),
         lambda: formula.program,
     )
 
 
-def stepping(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+def make_step(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """A function that steps a discrete model without parameters once: `step(x, u) -> x`.
 
     It uses memory of its own, so each thread needs one of its own.
@@ -183,52 +183,59 @@ def stepping(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.ndar
     """
     from tustinnet.engine import by_jax, by_machine_code
 
-    return _chosen(
-        lambda: by_machine_code.stepping(equations),
-        lambda: by_jax.stepping(equations),
+    return _dispatch(
+        lambda: by_machine_code.make_step(equations),
+        lambda: by_jax.make_step(equations),
         lambda: equations.program,
     )
 
 
-def engine() -> str:
+def current_engine() -> str:
     """The engine that is used: `llvm`, or `jax` where the environment says so or LLVM is missing.
 
     Raises:
         InputError: the environment names another one.
     """
-    wanted = os.environ.get(VARIABLE, "")
-    if wanted and wanted not in ENGINES:
-        raise InputError(VARIABLE, f"'{wanted}'", f"one of {', '.join(ENGINES)}", "or leave it out")
-    if wanted == "jax":
+    name = os.environ.get(VARIABLE, "")
+    if name and name not in ENGINES:
+        raise InputError(VARIABLE, f"'{name}'", f"one of {', '.join(ENGINES)}", "or leave it out")
+    if name == "jax":
         return "jax"
     if find_spec("llvmlite") is None:
-        say_once("llvmlite is not installed: simulations are compiled by JAX, which is slower")
+        warn_once("llvmlite is not installed: simulations are compiled by JAX, which is slower")
         return "jax"
     return "llvm"
 
 
-def _chosen(
-    fast: Callable[[], Result], slow: Callable[[], Result], read: Callable[[], object]
+def _dispatch(
+    by_machine_code: Callable[[], Result],
+    by_jax: Callable[[], Result],
+    read: Callable[[], object],
 ) -> Result:
-    """By machine code, where the equations can be read as a program; else by JAX."""
-    if engine() == "jax":
-        return slow()
+    """The result by machine code, where the equations can be read as a program; else by JAX."""
+    if current_engine() == "jax":
+        return by_jax()
     try:
         read()
-    except Unreadable as refused:
-        # the same is found in several parts of a system and in its model
-        _, _, what = str(refused).partition(": ")
-        say_once(f"{refused}; simulated by JAX instead, which is slower", what)
-        return slow()
-    return fast()
+    except Unreadable as error:
+        # several parts of a system and its model have the same reason
+        _, _, reason = str(error).partition(": ")
+        warn_once(f"{error}; simulated by JAX instead, which is slower", reason)
+        return by_jax()
+    return by_machine_code()
 
 
-_said: set[str] = set()
+_warned_topics: set[str] = set()
 
 
-def say_once(message: str, of: str | None = None) -> None:
-    """Warns of something, the first time in this process; messages of the same count as one."""
-    of = of or message
-    if of not in _said:
-        _said.add(of)
+def warn_once(message: str, topic: str | None = None) -> None:
+    """Issues a warning the first time in this process.
+
+    Args:
+        message: the message.
+        topic: messages of one topic count as one; by default each message is its own.
+    """
+    topic = topic or message
+    if topic not in _warned_topics:
+        _warned_topics.add(topic)
         warnings.warn(message, stacklevel=2)

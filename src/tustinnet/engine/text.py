@@ -16,14 +16,14 @@ import numpy as np
 # number is not finite is always respected: a simulation that diverges must stay visible
 FAST = "reassoc nsz contract"
 
-SYMBOL = "c.{}"  # what a function of the C library is called in a module
+SYMBOL = "c.{}"  # the name of a function of the C library in a module
 _STACK = 2**18  # bytes of it that a function uses; threads have as little as half a megabyte
 
 Precision = Literal["double", "float"]
 Predicate = Literal["oeq", "une", "olt", "ole", "ogt", "oge", "uno"]
 
 
-def bits_of(value: float) -> int:
+def float_bits(value: float) -> int:
     """The bits of a number as a whole number with a sign."""
     return struct.unpack("<q", struct.pack("<d", value))[0]
 
@@ -36,10 +36,12 @@ class Function:
         name: its name.
     """
 
-    def __init__(self, module: "Module", name: str, arguments: str, result: str, own: bool) -> None:
+    def __init__(
+        self, module: "Module", name: str, arguments: str, result: str, is_internal: bool
+    ) -> None:
         self.module, self.name = module, name
         # written once and called from several places: inlining would multiply the code
-        linkage, mark = ("internal ", " noinline") if own else ("", "")
+        linkage, mark = ("internal ", " noinline") if is_internal else ("", "")
         self._head = f"define {linkage}{result} @{name}({arguments}){mark}"
         self._entry: list[str] = []
         self._lines: list[str] = []
@@ -125,24 +127,24 @@ class Function:
 
     @contextmanager
     def loop(self, begin: str | int, end: str | int) -> Iterator[str]:
-        """What is written inside is done for every whole number from begin up to end."""
+        """A loop: code that is written inside runs for every whole number from begin up to end."""
         counter, head, body, after = self.counter(), self.label(), self.label(), self.label()
         self.line(f"store i64 {begin}, ptr {counter}")
         self.line(f"br label %{head}")
         self.place(head)
         i = self.value(f"load i64, ptr {counter}")
-        goes_on = self.value(f"icmp slt i64 {i}, {end}")
-        self.line(f"br i1 {goes_on}, label %{body}, label %{after}")
+        has_more = self.value(f"icmp slt i64 {i}, {end}")
+        self.line(f"br i1 {has_more}, label %{body}, label %{after}")
         self.place(body)
         yield i
-        ahead = self.whole("add", i, 1)
-        self.line(f"store i64 {ahead}, ptr {counter}")
+        i_next = self.whole("add", i, 1)
+        self.line(f"store i64 {i_next}, ptr {counter}")
         self.line(f"br label %{head}")
         self.place(after)
 
     @contextmanager
     def when(self, condition: str) -> Iterator[None]:
-        """What is written inside is done where a truth holds."""
+        """A branch: code that is written inside runs where the condition holds."""
         body, after = self.label(), self.label()
         self.line(f"br i1 {condition}, label %{body}, label %{after}")
         self.place(body)
@@ -154,15 +156,15 @@ class Function:
 
     def load(self, pointer: str, index: str | int = 0) -> str:
         """A value in memory."""
-        at = self.at(pointer, index)
-        return self.value(f"load {self.module.v}, ptr {at}, align {self.module.align}")
+        address = self.at(pointer, index)
+        return self.value(f"load {self.module.v}, ptr {address}, align {self.module.align}")
 
     def store(
         self, value: str, pointer: str, index: str | int = 0, *, aligned: bool = True
     ) -> None:
         """A value goes to memory; not aligned where somebody else allocated that."""
-        at, m = self.at(pointer, index), self.module
-        self.line(f"store {m.v} {value}, ptr {at}, align {m.align if aligned else m.bytes}")
+        address, m = self.at(pointer, index), self.module
+        self.line(f"store {m.v} {value}, ptr {address}, align {m.align if aligned else m.bytes}")
 
     def load_number(self, pointer: str, index: str | int) -> str:
         """A single number in memory."""
@@ -188,12 +190,12 @@ class Function:
         return self.value(f"fcmp {predicate} {self.module.v} {a}, {b}")
 
     def select(self, condition: str, a: str, b: str) -> str:
-        """Of every lane one or the other value."""
+        """One or the other value, chosen for every lane."""
         m = self.module
         return self.value(f"select {m.truth} {condition}, {m.v} {a}, {m.v} {b}")
 
     def choose(self, condition: str, a: str, b: str) -> str:
-        """Of every lane one or the other truth."""
+        """One or the other truth, chosen for every lane."""
         t = self.module.truth
         return self.value(f"select {t} {condition}, {t} {a}, {t} {b}")
 
@@ -251,7 +253,7 @@ class Module:
 
     @cached_property
     def wide(self) -> "Module":
-        """The same module for functions of numbers in double precision."""
+        """This module in double precision, for functions that compute so; it shares their text."""
         if self.n == "double":
             return self
         other = Module(self.lanes)
@@ -259,17 +261,17 @@ class Module:
         return other
 
     def function(
-        self, name: str, arguments: str, result: str = "void", *, own: bool = True
+        self, name: str, arguments: str, result: str = "void", *, is_internal: bool = True
     ) -> Function:
         """A function that is written next; `finish` adds it."""
-        return Function(self, name, arguments, result, own)
+        return Function(self, name, arguments, result, is_internal)
 
     def finish(self, function: Function) -> None:
         """A function is complete."""
         self._parts[function.name] = function.text()
 
     def once(self, name: str, write: Callable[[], str]) -> str:
-        """A part of the module that is written when it is asked for first; its name."""
+        """A part of the module that is written where it is needed first; its name."""
         if name not in self._parts:
             self._parts[name] = ""  # so that what it needs stands before it
             self._parts[name] = write()
@@ -279,7 +281,7 @@ class Module:
         """A constant in all lanes."""
         # a number in single precision is written as that in double precision which it is
         exact = value if self.n == "double" else float(np.float32(value))
-        number = f"0x{bits_of(exact) % 2**64:016X}"
+        number = f"0x{float_bits(exact) % 2**64:016X}"
         if self.lanes == 1:
             return number
         return "<" + ", ".join([f"{self.n} {number}"] * self.lanes) + ">"

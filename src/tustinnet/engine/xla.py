@@ -20,18 +20,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tustinnet.engine.emission import Constants, laid_out
-from tustinnet.engine.equations import Equations, Residual
+from tustinnet.engine.emission import Constants, blocked_layout
+from tustinnet.engine.equations import Equations, ResidualFormula
 from tustinnet.engine.kernels import (
     LANE,
     layer_outputs,
-    size_of,
+    output_size,
     write_backward,
     write_compare,
     write_run,
 )
-from tustinnet.engine.machine import Compiled, compiled, width
-from tustinnet.engine.runs import say_once
+from tustinnet.engine.machine import CompiledModule, compile_module, width
+from tustinnet.engine.runs import warn_once
 from tustinnet.engine.text import Function, Module, Precision
 from tustinnet.errors import describe_error
 
@@ -41,7 +41,7 @@ _EXTENSION, _ARGUMENTS, _RESULTS = 8, 72, 112  # of a call
 _KIND, _METADATA = 8, 24  # of an extension
 _MAJOR, _MINOR = 24, 28  # of metadata
 _DATA, _SHAPE = 24, 40  # of an array
-_ASKS_METADATA = 1
+_METADATA_REQUEST = 1
 
 
 class Rollouts:
@@ -57,25 +57,25 @@ class Rollouts:
         def fixed(x: Array, u: Array, p: Array, c: Array, *weights: Array) -> Array:
             return equations.function(x, u, c[:n_p], c[n_p:], *weights)
 
-        # the same where no derivatives by parameters are needed
+        # equations without derivatives by parameters
         self._fixed = replace(equations, function=fixed, n_p=0, n_c=n_p + equations.n_c)
         self.states = jax.custom_vjp(self._states)
         self.states.defvjp(self._forward, self._backward)
 
     def compare(
-        self, weights: list[Array], p: Array, c: Array, x0: Array, u: Array, residual: Residual,
-        target: Array, weight: Array,
+        self, weights: list[Array], p: Array, c: Array, x0: Array, u: Array,
+        residual: ResidualFormula, target: Array, weight: Array,
     ) -> tuple[Array, Array, Array]:  # fmt: skip
-        """Products of residuals and their derivatives by `x0`; they have no derivatives.
+        """Products of residuals and their derivatives by `x0`; they cannot be differentiated.
 
         Args:
-            weights: as for `states`, as all up to `u`.
+            weights: the matrices of the layers, in the order of the equations.
             p: parameters.
             c: further parameters.
             x0: initial states, (batch, n_x).
-            u: what the steps take, (batch, steps, n_u).
-            residual: how errors of the first numbers of the states count.
-            target: what these are compared with, (batch, samples, n_y).
+            u: inputs of the steps, (batch, steps, n_u).
+            residual: residual of the errors of the first numbers of the states.
+            target: measured values of these, (batch, samples, n_y).
             weight: weight of each residual, (batch, samples, n_y).
 
         Returns:
@@ -89,7 +89,13 @@ class Rollouts:
         call = jax.ffi.ffi_call(function.name, results, vmap_method="sequential")
         seeds = jnp.broadcast_to(jnp.eye(n_x, dtype=x0.dtype), (n, n_x, n_x))
         _, lower, gradient, cost = call(
-            function.numbers(weights), _repeated(p, c, x0), x0, _padded(u), seeds, target, weight
+            function.numbers(weights),
+            _repeat_parameters(p, c, x0),
+            x0,
+            _pad_inputs(u),
+            seeds,
+            target,
+            weight,
         )
         return lower + jnp.swapaxes(jnp.tril(lower, -1), 1, 2), gradient, cost
 
@@ -103,53 +109,53 @@ class Rollouts:
             p: parameters that derivatives are needed by, (n_p,).
             c: all others, (n_c,).
             x0: initial states, (batch, n_x).
-            u: what the steps take, (batch, steps, n_u).
+            u: inputs of the steps, (batch, steps, n_u).
         """
         target = _target("run", self._equations, _lanes(x0), _precision(x0))
         shape = (len(x0), u.shape[1] + 1, x0.shape[1])
         call = jax.ffi.ffi_call(
             target.name, jax.ShapeDtypeStruct(shape, x0.dtype), vmap_method="sequential"
         )
-        return call(target.numbers(weights), _repeated(p, c, x0), x0, _padded(u))
+        return call(target.numbers(weights), _repeat_parameters(p, c, x0), x0, _pad_inputs(u))
 
-    def _forward(self, *given: Any) -> tuple[Array, Any]:
-        states = self._states(*given)
-        return states, (*given, states)
+    def _forward(self, *arguments: Any) -> tuple[Array, Any]:
+        states = self._states(*arguments)
+        return states, (*arguments, states)
 
-    def _backward(self, kept: Any, seeds: Array) -> tuple[Any, ...]:
-        weights, p, c, x0, u, states = kept
+    def _backward(self, saved: Any, seeds: Array) -> tuple[Any, ...]:
+        weights, p, c, x0, u, states = saved
         equations, lanes = self._equations, _lanes(x0)
         target = _target("backward", equations, lanes, _precision(x0))
-        sizes = [size_of(equations.adjoints.program, name) for name in layer_outputs(equations)]
+        sizes = [output_size(equations.adjoints.program, name) for name in layer_outputs(equations)]
         samples = -(-len(x0) // lanes) * u.shape[1] * lanes
         shapes = (sum(sizes), samples), (len(x0), len(p)), x0.shape
         results = [jax.ShapeDtypeStruct(shape, x0.dtype) for shape in shapes]
         call = jax.ffi.ffi_call(target.name, results, vmap_method="sequential")
         layers, by_p, by_x0 = call(
-            target.numbers(weights), _repeated(p, c, x0), _padded(u), states, seeds
+            target.numbers(weights), _repeat_parameters(p, c, x0), _pad_inputs(u), states, seeds
         )
         ends = np.cumsum([0, *sizes]).tolist()
         by_weights = dict.fromkeys(equations.matrices)
         for i, name in enumerate(equations.adjoints.layers):
             begin, middle, end = ends[2 * i : 2 * i + 3]
             product = layers[middle:end] @ layers[begin:middle].T
-            known = by_weights[name]
-            by_weights[name] = product if known is None else known + product
+            total = by_weights[name]
+            by_weights[name] = product if total is None else total + product
         gradients = [
-            jnp.zeros_like(weight) if by is None else by
-            for weight, by in zip(weights, by_weights.values(), strict=True)
+            jnp.zeros_like(weight) if gradient is None else gradient
+            for weight, gradient in zip(weights, by_weights.values(), strict=True)
         ]
         return gradients, jnp.sum(by_p, axis=0), jnp.zeros_like(c), by_x0, jnp.zeros_like(u)
 
 
-def _repeated(p: Array, c: Array, x0: Array) -> Array:
-    """The parameters of every rollout."""
+def _repeat_parameters(p: Array, c: Array, x0: Array) -> Array:
+    """The parameters for every rollout, (batch, n_p + n_c)."""
     numbers = jnp.concatenate([p, c]).astype(x0.dtype)
     return jnp.broadcast_to(numbers, (len(x0), len(numbers)))
 
 
-def _padded(u: Array) -> Array:
-    """A row for every sample, though the last one drives nothing."""
+def _pad_inputs(u: Array) -> Array:
+    """Inputs with a row for every sample, though the last one has no effect."""
     return jnp.pad(u, ((0, 0), (0, 1), (0, 0)))
 
 
@@ -158,25 +164,25 @@ def _precision(x0: Array) -> Precision:
 
 
 def _lanes(x0: Array) -> int:
-    """How many rollouts stand side by side: two vectors, each weight is read once for both."""
-    one = width() * 8 // x0.dtype.itemsize
-    return 2 * one if len(x0) > one else one
+    """Number of rollouts side by side: two vectors, so that each weight is read once for both."""
+    lanes = width() * 8 // x0.dtype.itemsize
+    return 2 * lanes if len(x0) > lanes else lanes
 
 
 @cache
 def available() -> bool:
-    """Whether JAX calls machine code here: on a processor, by an interface that it knows."""
+    """Whether JAX can call machine code: on a processor, by an interface that it supports."""
     if jax.default_backend() != "cpu":
         return False
     module = Module(1, "float")
     _write_called(module, lambda f: None)
     try:
-        name, _ = _registered(module.text())
+        name, _ = _register(module.text())
         with jax.ensure_compile_time_eval():
-            nothing = jax.ShapeDtypeStruct((1,), np.float32)
-            jax.block_until_ready(jax.ffi.ffi_call(name, nothing)())
+            result = jax.ShapeDtypeStruct((1,), np.float32)
+            jax.block_until_ready(jax.ffi.ffi_call(name, result)())
     except Exception as error:  # whatever another version of JAX makes of it
-        say_once(
+        warn_once(
             f"JAX does not call machine code ({describe_error(error)}); XLA trains hybrids, slower"
         )
         return False
@@ -187,13 +193,13 @@ class _Target:
     """A function that XLA can call, and the numbers that it reads.
 
     Attributes:
-        name: what programs call it; the same code has the same name in every process, so that
-            programs that XLA has kept find it again.
+        name: its name in programs; the same code has the same name in every process, so that
+            programs in the cache of XLA find it again.
     """
 
     def __init__(self, module: Module, constants: Constants, equations: Equations) -> None:
-        self.name, self._code = _registered(module.text())
-        # where each number comes from: a constant, or a weight behind these
+        self.name, self._code = _register(module.text())
+        # the source of each number: a constant, or a weight behind these
         base = np.array([*constants.numbers, 0.0])
         begins, first = {}, len(base)
         for name, shape in equations.matrices.items():
@@ -203,23 +209,27 @@ class _Target:
         for factor, place in constants.layers.items():
             shape = equations.matrices[factor.name]
             weights = begins[factor.name] + np.arange(shape[0] * shape[1]).reshape(shape)
-            laid = laid_out(weights.T if factor.transposed else weights)
-            order[place : place + len(laid)] = laid
+            layout = blocked_layout(weights.T if factor.is_transposed else weights)
+            order[place : place + len(layout)] = layout
         self._base, self._order = base, order
 
     def numbers(self, weights: Sequence[Array]) -> Array:
         """The constants with the weights among them."""
         kind = jnp.result_type(*weights)
-        given = [jnp.asarray(self._base, kind), *(jnp.ravel(w) for w in weights)]
-        return jnp.concatenate(given)[self._order]
+        numbers = [jnp.asarray(self._base, kind), *(jnp.ravel(w) for w in weights)]
+        return jnp.concatenate(numbers)[self._order]
 
 
 @cache
 def _target(
-    what: str, equations: Equations, lanes: int, number: Precision, residual: Residual | None = None
+    kernel: str,
+    equations: Equations,
+    lanes: int,
+    number: Precision,
+    residual: ResidualFormula | None = None,
 ) -> _Target:
     module, constants = Module(lanes, number), Constants()
-    if what == "run":
+    if kernel == "run":
         write_run(module, equations, constants)
         _write_called(module, _call_run)
     elif residual is not None:
@@ -231,10 +241,10 @@ def _target(
     return _Target(module, constants, equations)
 
 
-def _registered(text: str) -> tuple[str, Compiled]:
-    """A module whose function `called` XLA can call: under which name, and its code."""
+def _register(text: str) -> tuple[str, CompiledModule]:
+    """Registers the function `called` of a module with XLA; its name, and the module's code."""
     name = f"tustinnet.{hashlib.sha256(text.encode()).hexdigest()[:32]}"
-    code = compiled(text)
+    code = compile_module(text)
     capsule = ctypes.pythonapi.PyCapsule_New
     capsule.restype = ctypes.py_object
     capsule.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
@@ -243,12 +253,12 @@ def _registered(text: str) -> tuple[str, Compiled]:
 
 
 def _write_called(module: Module, write: Callable[[Function], None]) -> None:
-    """The function that XLA calls: it says which interface it has, or does its work."""
-    f = module.function("called", "ptr %call", "ptr", own=False)
+    """Writes the function that XLA calls: it says which interface it has, or does its work."""
+    f = module.function("called", "ptr %call", "ptr", is_internal=False)
     extension = _field(f, "%call", _EXTENSION, "ptr")
     with f.when(f.value(f"icmp ne ptr {extension}, null")):
         kind = _field(f, extension, _KIND, "i32")
-        with f.when(f.value(f"icmp eq i32 {kind}, {_ASKS_METADATA}")):
+        with f.when(f.value(f"icmp eq i32 {kind}, {_METADATA_REQUEST}")):
             metadata = _field(f, extension, _METADATA, "ptr")
             for place, value in zip((_MAJOR, _MINOR), _VERSION, strict=True):
                 f.line(f"store i32 {value}, ptr {f.at(metadata, place, 'i8')}")
@@ -264,13 +274,13 @@ def _field(f: Function, structure: str, place: int, kind: str) -> str:
 
 
 def _arrays(f: Function, list_of: int, count: int) -> list[str]:
-    """The arrays that a call hands in, or those for its results."""
+    """The arrays that a call passes in, or those for its results."""
     pointers = _field(f, "%call", list_of, "ptr")
     return [f.value(f"load ptr, ptr {f.at(pointers, i, 'ptr')}") for i in range(count)]
 
 
 def _lane_table(f: Function, drive: str) -> tuple[str, str, str]:
-    """The table of lanes of rollouts of one length; the number of groups, and the steps."""
+    """Writes the table of lanes of rollouts of one length; its place, groups, and steps."""
     shape = _field(f, drive, _SHAPE, "ptr")
     batch = f.value(f"load i64, ptr {shape}")
     samples = f.value(f"load i64, ptr {f.at(shape, 1, 'i64')}")
@@ -283,8 +293,14 @@ def _lane_table(f: Function, drive: str) -> tuple[str, str, str]:
         idle = f.value(f"icmp sgt i64 {i}, {last}")
         run = f.value(f"select i1 {idle}, i64 {last}, i64 {i}")
         first = f.whole("mul", run, samples)
-        own = f.value(f"select i1 {idle}, i64 -1, i64 {steps}")
-        columns = {"run": run, "steps": own, "first": first, "result": first, "measured": "0"}
+        lane_steps = f.value(f"select i1 {idle}, i64 -1, i64 {steps}")
+        columns = {
+            "run": run,
+            "steps": lane_steps,
+            "first": first,
+            "result": first,
+            "measured": "0",
+        }
         row = f.whole("mul", i, len(LANE))
         for k, name in enumerate(LANE):
             f.line(f"store i64 {columns[name]}, ptr {f.at(table, f.whole('add', row, k), 'i64')}")
@@ -292,9 +308,9 @@ def _lane_table(f: Function, drive: str) -> tuple[str, str, str]:
 
 
 def _call_run(f: Function) -> None:
-    given, (states,) = _arrays(f, _ARGUMENTS, 4), _arrays(f, _RESULTS, 1)
-    table, groups, _ = _lane_table(f, given[3])
-    constants, parameters, start, drive = (_field(f, a, _DATA, "ptr") for a in given)
+    arguments, (states,) = _arrays(f, _ARGUMENTS, 4), _arrays(f, _RESULTS, 1)
+    table, groups, _ = _lane_table(f, arguments[3])
+    constants, parameters, start, drive = (_field(f, a, _DATA, "ptr") for a in arguments)
     out = _field(f, states, _DATA, "ptr")
     f.line(
         f"call void @run(i64 0, i64 {groups}, ptr {table}, ptr {constants}, i64 1, i64 1, "
@@ -303,11 +319,13 @@ def _call_run(f: Function) -> None:
 
 
 def _call_compare(f: Function) -> None:
-    given, results = _arrays(f, _ARGUMENTS, 7), _arrays(f, _RESULTS, 4)
-    table, groups, _ = _lane_table(f, given[3])
-    n_d = f.value(f"load i64, ptr {f.at(_field(f, given[4], _SHAPE, 'ptr'), 1, 'i64')}")
-    data = [_field(f, array, _DATA, "ptr") for array in (*given, *results)]
-    constants, parameters, start, drive, seeds, target, weight, errors, products, by, cost = data
+    arguments, results = _arrays(f, _ARGUMENTS, 7), _arrays(f, _RESULTS, 4)
+    table, groups, _ = _lane_table(f, arguments[3])
+    n_d = f.value(f"load i64, ptr {f.at(_field(f, arguments[4], _SHAPE, 'ptr'), 1, 'i64')}")
+    data = [_field(f, array, _DATA, "ptr") for array in (*arguments, *results)]
+    constants, parameters, start, drive, seeds, target, weight, errors, products, gradient, cost = (
+        data
+    )
     # three derivatives of a state, a row of products and the gradient for each direction
     size = f.whole("mul", n_d, f.whole("add", f.whole("mul", n_d, 4), 1))
     v, align = f.module.v, f.module.align
@@ -315,15 +333,15 @@ def _call_compare(f: Function) -> None:
     f.line(
         f"call void @compare(i64 0, i64 {groups}, ptr {table}, ptr {constants}, i64 1, i64 1, "
         f"ptr {drive}, ptr null, ptr {start}, ptr {parameters}, ptr {seeds}, i64 {n_d}, i64 0, "
-        f"ptr {target}, ptr {weight}, ptr {work}, ptr {errors}, ptr {products}, ptr {by}, "
+        f"ptr {target}, ptr {weight}, ptr {work}, ptr {errors}, ptr {products}, ptr {gradient}, "
         f"ptr {cost})"
     )
 
 
 def _call_backward(f: Function) -> None:
-    given, results = _arrays(f, _ARGUMENTS, 5), _arrays(f, _RESULTS, 3)
-    table, groups, steps = _lane_table(f, given[2])
-    constants, parameters, drive, states, seeds = (_field(f, a, _DATA, "ptr") for a in given)
+    arguments, results = _arrays(f, _ARGUMENTS, 5), _arrays(f, _RESULTS, 3)
+    table, groups, steps = _lane_table(f, arguments[2])
+    constants, parameters, drive, states, seeds = (_field(f, a, _DATA, "ptr") for a in arguments)
     layers, by_p, by_start = (_field(f, a, _DATA, "ptr") for a in results)
     span = f.whole("mul", groups, steps)
     f.line(

@@ -9,8 +9,8 @@ from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model, require_fit, require_float64, with_dtype
 from tustinnet.simulate.along import states_along
-from tustinnet.simulate.drive import Drive, drive_of
-from tustinnet.simulate.simulation import simulated
+from tustinnet.simulate.input_signal import InputSignal, input_signal
+from tustinnet.simulate.simulation import simulate_runs
 
 _STEPS_AT_ONCE = 2_000_000  # bounds the RAM of k-step-ahead predictions
 
@@ -56,14 +56,14 @@ def rmse_ahead(
     size = max(1, min(_STEPS_AT_ONCE // horizon, max(map(len, begins))))
     for e, states, mine in zip(experiments, along, begins, strict=True):
         own = evaluated.of(e)
-        driven = np.asarray(drive_of(own, e).u)
+        driven = np.asarray(input_signal(own, e).u)
         for first in range(0, len(mine), size):
             begin = mine[first : first + size]
             index = np.resize(begin, size)[:, None] + np.arange(horizon)
             inside = (index < len(e) - 1) & (np.arange(size) < len(begin))[:, None]
             index = np.minimum(index, len(e) - 2)  # beyond the end any input will do
-            drive = Drive(driven[index])
-            runs = np.asarray(simulated(own, states[index[:, 0]], drive))
+            drive = InputSignal(driven[index])
+            runs = np.asarray(simulate_runs(own, states[index[:, 0]], drive))
             error = np.sum((runs[:, 1:, e.channels.position] - e.q[index + 1]) ** 2, axis=2)
             squares += np.sum(np.where(inside, error, 0.0), axis=0)
             count += np.sum(inside, axis=0)

@@ -10,7 +10,7 @@ from tustinnet.engine.equations import Formula
 from tustinnet.engine.runs import evaluate
 from tustinnet.families.family import family_of
 from tustinnet.models.contract import Model
-from tustinnet.simulate.batches import in_batches
+from tustinnet.simulate.batches import map_in_batches
 
 
 def energy_along(
@@ -41,4 +41,4 @@ def energy_along(
         energy = evaluate(formula, np.concatenate(every))[:, 0]
         return np.split(energy, np.cumsum([len(x) for x in every])[:-1])
 
-    return in_batches(model, experiments, of_batch)
+    return map_in_batches(model, experiments, of_batch)

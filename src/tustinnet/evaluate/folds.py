@@ -23,8 +23,8 @@ from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import AnyRecipe, Fold, Member, Task, system_for
 from tustinnet.models.contract import Model
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.simulate.horizon import horizon_samples, within
-from tustinnet.simulate.starts import FITTED, default_start, start_named
+from tustinnet.simulate.horizon import effective_horizon, horizon_samples
+from tustinnet.simulate.starts import FIT_SAMPLES, default_start, start_named
 from tustinnet.systems.files import AnySystem, MadeForRecords, to_identify
 
 FOLDS = 5
@@ -300,7 +300,7 @@ def starts_asked(data: DataSet, asked: Question) -> tuple[str, ...]:
 
 def _starts(asked: Question, records: Sequence[Experiment], *models: Model) -> tuple[str, ...]:
     """The starts that are asked for, else the usual one and `model-20`."""
-    return asked.starts or (default_start(records, *models), f"model-{FITTED}")
+    return asked.starts or (default_start(records, *models), f"model-{FIT_SAMPLES}")
 
 
 def used_by(of: Roles, recipe: Recipe) -> Roles:
@@ -346,7 +346,7 @@ def fold_scores(
         data: all records.
         asked: where free runs start.
     """
-    within_reach = within(horizon, scored)
+    within_reach = effective_horizon(horizon, scored)
     by_start = {
         start: rmse_by_record(evaluate(model, scored, start_named(start), horizon=within_reach))
         for start in dict.fromkeys(_starts(asked, list(data), model))

@@ -37,7 +37,7 @@ from tustinnet.fitting.task import AnyRecipe, Fold, Member, Origin, Task
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.simulate.horizon import within
+from tustinnet.simulate.horizon import effective_horizon
 from tustinnet.simulate.starts import default_start, start_named
 from tustinnet.systems.files import MadeForRecords
 from tustinnet.systems.twin import imitated
@@ -426,5 +426,5 @@ def scored(
 def score_place(result: FitResult, scored: Sequence[Experiment], start: str) -> dict[str, float]:
     """RMSE of each record's free run [rad or m]; a model with a warm-up starts with its own."""
     begin = default_start(list(scored), result.model) if result.model.warm_up else start
-    horizon = within(result.horizon, scored)
+    horizon = effective_horizon(result.horizon, scored)
     return rmse_by_record(evaluate(result.model, scored, begin, horizon=horizon))

@@ -21,8 +21,8 @@ from tustinnet.models.contract import Model, require_float64, with_dtype
 from tustinnet.models.groups import of_groups
 from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import LagrangianModel
-from tustinnet.simulate.drive import drives_of
-from tustinnet.simulate.simulation import simulated
+from tustinnet.simulate.input_signal import input_signals
+from tustinnet.simulate.simulation import simulate_runs
 
 _SHRUNK = 0.1  # of the correlations: those of few records leave directions without any error
 COVARIANCE, DISAGREEMENT = "covariance of the parameters", "disagreement of the members"
@@ -125,7 +125,7 @@ def _imagined(model: Model, proposals: Sequence[Proposal]) -> dict[str, Experime
             v=np.zeros((n, of.n_q)), v_measured=True, groups=tuple(p.groups.items()),
         )  # fmt: skip
         x0 = np.asarray(simulator.beginning(jnp.concatenate([p.q, p.v])))[None]
-        x = np.asarray(simulated(simulator, x0, drives_of(simulator, [blank])))[0]
+        x = np.asarray(simulate_runs(simulator, x0, input_signals(simulator, [blank])))[0]
         sound = (np.abs(x) <= LARGEST).all()  # False of what is no number
         found[p.name] = replace(blank, q=x[:, of.position], v=x[:, of.velocity]) if sound else None
     return found

@@ -12,10 +12,10 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.evaluate import metrics
 from tustinnet.models.contract import Model, require_fit, require_float64, with_dtype
 from tustinnet.simulate.along import states_along
-from tustinnet.simulate.batches import in_batches
-from tustinnet.simulate.drive import drives_of
+from tustinnet.simulate.batches import map_in_batches
 from tustinnet.simulate.horizon import horizon_samples, pieces
-from tustinnet.simulate.simulation import simulated
+from tustinnet.simulate.input_signal import input_signals
+from tustinnet.simulate.simulation import simulate_runs
 from tustinnet.simulate.starts import Start, start_named, start_states
 
 
@@ -82,7 +82,7 @@ def free_run(
     def run(own: Model, some: Sequence[Experiment]) -> list[np.ndarray]:
         return _free_runs(own, some, rule, samples)
 
-    return in_batches(simulator, experiments, run)
+    return map_in_batches(simulator, experiments, run)
 
 
 def _free_runs(
@@ -92,8 +92,8 @@ def _free_runs(
     segments = [pieces(e, samples, rule) for e in experiments]
     every = [piece for of in segments for piece in of]
     x0 = start_states(simulator, every, rule)
-    drive = drives_of(simulator, every, slice(rule.first, None))
-    found = iter(simulated(simulator, x0, drive))
+    drive = input_signals(simulator, every, slice(rule.first, None))
+    found = iter(simulate_runs(simulator, x0, drive))
     runs = [
         np.concatenate([next(found)[: len(piece) - rule.first] for piece in of]) for of in segments
     ]
@@ -141,7 +141,7 @@ def evaluate(
         q, measured = x[rule.first :, e.channels.position], e.q[rule.first :]
         lengths = [len(piece) - rule.first for piece in pieces(e, samples, rule)]
         place = np.concatenate([np.arange(n) for n in lengths])  # in the segment
-        after = place >= rule.fitted - rule.first
+        after = place >= rule.fitted_samples - rule.first
         with np.errstate(over="ignore", invalid="ignore"):
             q = np.where(np.isfinite(q), q, np.inf)
             scores.append(

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from tustinnet.export.c_words import HELPED, HELPERS, LOGIC, NAMES, SIGNS, literal, wrapped
-from tustinnet.program.memory import is_elementwise, lives_of
+from tustinnet.program.memory import is_elementwise, lifetimes
 from tustinnet.program.program import Loop, Node, Program
 
 
@@ -64,7 +64,7 @@ class _Writer:
     ) -> None:
         self._code, self._name, self._program = code, name, program
         self._nodes = program.nodes
-        self._lives = lives_of(program)
+        self._lives = lifetimes(program)
         self._lines: list[str] = []
         self._sizes: dict[str, int] = {}  # of the arrays of the function
         self._free: list[str] = []  # those of them that nobody needs any more
@@ -272,7 +272,7 @@ class _Writer:
         if node.op == "pick":
             place, offset = self._where(node.args[0])
             return f"{place}[{offset + node.data}]", True
-        if node.single or self._lives.root[a] != a:
+        if node.is_single or self._lives.root[a] != a:
             return f"t{a}", False
         place, offset = self._where(a)
         if node.size == 1:
@@ -302,7 +302,7 @@ def _may_change(program: Program, carried: Sequence[str]) -> bool:
         if node.op == "pick":
             of = nodes[node.args[0]]
             return of.op == "input" and of.data not in carried
-        return node.single
+        return node.is_single
 
     ends = program.outputs.values()
     read = {a for node in nodes for a in node.args}

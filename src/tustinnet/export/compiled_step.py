@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.engine.equations import Equations
-from tustinnet.engine.runs import stepping
+from tustinnet.engine.runs import make_step
 from tustinnet.models.contract import Model, require_float64, with_dtype
+from tustinnet.simulate.simulation import step_equations
 
 Vector = Float[np.ndarray, " _"]
 
@@ -32,8 +32,4 @@ def compiled_step(model: Model) -> Callable[[Vector, Vector], Vector]:
     """
     require_float64("compiled_step")
     folded = with_dtype(model, np.float64).folded()
-    equations = Equations(
-        lambda x, u, p, c: folded.step(x, u), n_x=model.state_size, n_u=model.channels.n_u,
-        continuous=False, where=f"the model ({type(model).__name__})",
-    )  # fmt: skip
-    return stepping(equations)
+    return make_step(step_equations(folded, (model.channels.n_u,)))

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Array, Float
 
-from tustinnet.engine.runs import stepping
+from tustinnet.engine.runs import make_step
 from tustinnet.errors import require_package
 from tustinnet.export.source import Source, source_of
 from tustinnet.export.tangent import tangent
@@ -31,7 +31,7 @@ def control_system(model: Model) -> "NonlinearIOSystem":
     from control import nlsys
 
     source = source_of(model)
-    step = stepping(source.equations)
+    step = make_step(source.equations)
 
     def update(t: float, x: Any, u: Any, params: Any) -> np.ndarray:
         return step(np.asarray(x, float), np.asarray(u, float))

@@ -234,7 +234,7 @@ class _Writer:
                 return self._looped(node.data, [text for _, text in args], lines)
         operands = [_operand(*of, truth=node.takes_truth(i)) for i, of in enumerate(args)]
         form = _FORMS.get(node.op, f"Math.{node.op}({', '.join(['{}'] * len(args))})")
-        if node.single:
+        if node.is_single:
             name = self._name("s")
             lines.append(f"const {name} = {form.format(*operands)};")
             return name
@@ -260,7 +260,7 @@ class _Writer:
         name, first = self.vector(size), 0
         for node, text in args:
             lines.append(
-                f"{name}[{first}] = {text};" if node.single else f"{name}.set({text}, {first});"
+                f"{name}[{first}] = {text};" if node.is_single else f"{name}.set({text}, {first});"
             )
             first += node.size
         return name
@@ -305,8 +305,8 @@ class _Writer:
 
 def _operand(node: Node, text: str, *, truth: bool) -> str:
     """A number of a value; vectors hold truths as 0 and 1, as do loops."""
-    item = text if node.single else f"{text}[{'i' if node.size > 1 else '0'}]"
-    said = node.truth and node.single
+    item = text if node.is_single else f"{text}[{'i' if node.size > 1 else '0'}]"
+    said = node.truth and node.is_single
     if said == truth:
         return item
     return f"({item} !== 0)" if truth else f"(+{item})"

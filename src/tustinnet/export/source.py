@@ -20,6 +20,7 @@ from tustinnet.program.program import Program
 from tustinnet.program.reading import read
 from tustinnet.signals.excitation import DeclaredHold, Excitation, excitation
 from tustinnet.simulate.range import Range
+from tustinnet.simulate.simulation import step_equations
 
 _FARTHEST = 1000  # samples away that a step may see
 _UNKNOWN = 1.0  # how far from 0 states and inputs are tried where nobody knows their range
@@ -118,10 +119,7 @@ class Source:
     @cached_property
     def equations(self) -> Equations:
         """The step as the engine takes it, for one state at a time."""
-        return Equations(
-            lambda x, u, p, c: self.function(x, u), n_x=self.n_x, n_u=self.n_w,
-            continuous=False, where=f"the model ({type(self.model).__name__})",
-        )  # fmt: skip
+        return step_equations(self.model, (self.n_w,), self.function)
 
     @cached_property
     def many(self) -> Formula:

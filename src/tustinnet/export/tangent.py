@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from tustinnet.errors import InputError
 from tustinnet.export.source import Source
-from tustinnet.simulate.linearise import with_slopes
+from tustinnet.simulate.linearise import value_and_jacobians
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def tangent(source: Source, x: Float[np.ndarray, " n_x"], u: Float[np.ndarray, "
         )  # fmt: skip
     state = np.asarray(x, float)
     inputs = np.tile(np.asarray(u, float), len(source.seen.offsets))
-    reached, slopes = jax.jit(partial(with_slopes, source.function))(state, inputs)
+    reached, slopes = jax.jit(partial(value_and_jacobians, source.function))(state, inputs)
     moved, a, b = (np.asarray(of) for of in (reached, *slopes))
     if not all(np.isfinite(values).all() for values in (moved, a, b)):
         raise InputError(

@@ -30,7 +30,7 @@ from tustinnet.models.state_encoder import StateEncoder, encoder_features
 from tustinnet.registry import FAMILIES
 from tustinnet.signals.excitation import Excitation
 from tustinnet.simulate.along import states_along
-from tustinnet.simulate.drive import drive_of
+from tustinnet.simulate.input_signal import input_signal
 from tustinnet.simulate.state_fits import FEWEST
 
 _HIDDEN = 32  # units
@@ -172,7 +172,7 @@ def _examples(
     for e, x in zip(long, states_along(model, long, velocity), strict=True):
         last = np.arange(samples - 1, len(e), every)
         rows = last[:, None] + np.arange(1 - samples, 1)
-        u = np.asarray(drive_of(model, e).u)
+        u = np.asarray(input_signal(model, e).u)
         seen.append(np.asarray(look(e.q[rows], u[rows[:, :-1]])))
         wanted.append(x[last])
     return np.concatenate(seen), np.concatenate(wanted)

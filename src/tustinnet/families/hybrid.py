@@ -41,8 +41,8 @@ from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.registry import DEFAULT_FAMILY, FAMILIES
 from tustinnet.signals.excitation import Excitation
 from tustinnet.signals.stacking import stack_padded
-from tustinnet.simulate.along import followed
-from tustinnet.simulate.drive import drives_of
+from tustinnet.simulate.along import predictions_along
+from tustinnet.simulate.input_signal import input_signals
 from tustinnet.simulate.substeps import fewest_substeps
 
 _HIDDEN = 0.1  # of the physics' error: what its integration may add
@@ -350,8 +350,8 @@ def _left_by(
     1 for a coordinate that never moves.
     """
     measured = [e.measured_states(velocity) for e in experiments]
-    drive = drives_of(physics, experiments)
-    said = np.asarray(followed(physics, jnp.asarray(stack_padded(measured)), drive))
+    drive = input_signals(physics, experiments)
+    said = np.asarray(predictions_along(physics, jnp.asarray(stack_padded(measured)), drive))
     at = physics.channels.velocity
     left = [
         x[1:, at] - run[1 : len(x), at] for x, run in zip(measured, said, strict=True)

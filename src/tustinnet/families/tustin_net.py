@@ -44,7 +44,7 @@ from tustinnet.models.contract import (
 from tustinnet.registry import SCALINGS
 from tustinnet.signals.rest import usual_positions
 from tustinnet.simulate.along import states_along
-from tustinnet.simulate.drive import drive_of
+from tustinnet.simulate.input_signal import input_signal
 
 _REMEMBERED = 0.5  # somebody turned the coordinate not long before, and part of that is left
 _UNKNOWN = 0.1  # of their size, what is not known of them then; freer ones explain a hand's push
@@ -314,7 +314,7 @@ def _least_squares(
     """The affine map of the features that says the velocities' changes along records best."""
     of, network = model.channels, model.network
     states = states_along(model, experiments, velocity)
-    drives = [np.asarray(drive_of(model, e).u) for e in experiments]
+    drives = [np.asarray(input_signal(model, e).u) for e in experiments]
 
     def told(x: State, u: Drive) -> Array:
         features, u = network.scaling.features, model.tapped(u)

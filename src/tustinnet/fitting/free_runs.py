@@ -12,8 +12,8 @@ from jaxtyping import Array, Float
 from tustinnet.data.experiment import Experiment
 from tustinnet.models.contract import Model
 from tustinnet.signals.stacking import stack_padded
-from tustinnet.simulate.drive import drives_of
 from tustinnet.simulate.horizon import horizon_samples, pieces
+from tustinnet.simulate.input_signal import input_signals
 from tustinnet.simulate.starts import Start
 
 
@@ -52,9 +52,9 @@ def free_runs(
     filled = [piece for of in cut for piece in [*of, *of[:1] * (most - len(of))]]
     counted = [1.0 / (len(e) - start.first) * (i < len(of))
                for e, of in zip(experiments, cut, strict=True) for i in range(most)]  # fmt: skip
-    material = start.material(model, filled)
+    material = start.start_data(model, filled)
     tails = [piece[start.first :] for piece in filled]
-    u = drives_of(model, filled, slice(start.first, None)).u
+    u = input_signals(model, filled, slice(start.first, None)).u
     q = stack_padded([e.q for e in tails])
     weight = stack_padded([np.full(len(e), w) for e, w in zip(tails, counted, strict=True)])
     arrays = (material, u, q, weight)

@@ -190,7 +190,7 @@ class SearchRecipe(Declaration):
         if initial in get_args(Initial):
             return initial
         start = start_named(initial, "")
-        if start.first or start.fitted:
+        if start.first or start.fitted_samples:
             what = "after the first sample" if start.first else "that is fitted through the model"
             instead = "" if start.first else "; `refine` fits the parameters to free runs from it"
             raise ValueError(

@@ -55,7 +55,7 @@ class Residual:
         return jnp.where(np.array(self.periodic), 2 * jnp.sin(error / 2), error)
 
     @property
-    def as_compared(self) -> engine.Residual:
+    def as_compared(self) -> engine.ResidualFormula:
         """How errors count, without units, for simulations with derivatives."""
         return _as_compared(self.periodic)
 
@@ -74,8 +74,8 @@ class Residual:
 
 
 @lru_cache  # what was read once is not read again
-def _as_compared(periodic: tuple[bool, ...]) -> engine.Residual:
-    return engine.Residual(Residual(periodic, (1.0,) * len(periodic)).bent, len(periodic))
+def _as_compared(periodic: tuple[bool, ...]) -> engine.ResidualFormula:
+    return engine.ResidualFormula(Residual(periodic, (1.0,) * len(periodic)).bent, len(periodic))
 
 
 def residual_of(recipe: StageRecipe | SearchRecipe, experiments: Sequence[Experiment]) -> Residual:

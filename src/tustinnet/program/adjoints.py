@@ -1,8 +1,8 @@
-"""Derivatives of programs in reverse: of one number by all that it depends on.
+"""Derivatives of programs in reverse mode: of one number by all inputs that it depends on.
 
 The output of a program is weighted with an adjoint, the derivative of some loss by it. From the
-end of the program to its beginning, every node adds to the adjoints of what it is computed from.
-What this costs is a few times the program, however many numbers there are to differentiate by.
+end of the program to its beginning, every node adds to the adjoints of its arguments. The cost is a
+few times that of the program, however many numbers there are to differentiate by.
 
 References:
     Griewank, Walther (2008), Evaluating Derivatives, section 3.2 (reverse mode).
@@ -22,13 +22,13 @@ ADJOINT = "adjoint"  # the input that weights the output
 
 @dataclass(frozen=True)
 class Adjoints:
-    """A program in reverse.
+    """A program in reverse, and the layers that it passes.
 
     Attributes:
-        program: of the inputs of the program and of `adjoint`: the adjoint `by_NAME` of every
-            input that was asked for; of each place `i` where a layer acts, its vector `in_i` and
-            the adjoint of its product, `out_i`. The gradient of a matrix is the sum of the
-            products `out_i in_i'` over the places where it acts.
+        program: from the inputs of the program and `adjoint` to the adjoint `by_NAME` of every
+            input that is differentiated by, and for each place `i` where a layer acts to its vector
+            `in_i` and the adjoint of its product, `out_i`. The gradient of a matrix is the sum of
+            the products `out_i in_i'` over the places where it acts.
         layers: the name of the matrix that acts at each place.
     """
 
@@ -39,7 +39,7 @@ class Adjoints:
 def with_adjoints(
     program: Program, output: str, by: Sequence[str], *, value: bool = False
 ) -> Adjoints:
-    """The adjoints of a program's inputs and layers.
+    """Adjoints of a program's inputs and layers.
 
     Args:
         program: the program; its loops are written out.
@@ -50,80 +50,77 @@ def with_adjoints(
     size = program.nodes[program.outputs[output]].size
     tape = Tape({**program.inputs, ADJOINT: size}, program.matrices)
     inputs = {name: tape.input_vector(name) for name in program.inputs}
-    reached = _written_out(tape, program, inputs)[output]
-    backward = _Backward(tape, [inputs[name] for name in by], reached)
-    backward.run(reached, tape.input_vector(ADJOINT))
+    end = _unroll(tape, program, inputs)[output]
+    backward = _Backward(tape, [inputs[name] for name in by], end)
+    backward.run(end, tape.input_vector(ADJOINT))
     outputs = {f"by_{name}": tape.split(backward.adjoint(inputs[name])) for name in by}
     for i, (_, vector, adjoint) in enumerate(backward.layers):
         outputs |= {f"in_{i}": tape.split(vector), f"out_{i}": tape.split(adjoint)}
     if value:
-        outputs[output] = tape.split(reached)
+        outputs[output] = tape.split(end)
     names = tuple(factor.name for factor, _, _ in backward.layers)
     return Adjoints(tape.program(outputs), names)
 
 
-def _written_out(tape: Tape, program: Program, inputs: dict[str, int]) -> dict[str, int]:
-    """A program on a tape, its loops turn by turn; the nodes of its outputs."""
+def _unroll(tape: Tape, program: Program, inputs: dict[str, int]) -> dict[str, int]:
+    """Writes a program onto a tape, its loops turn by turn; the nodes of its outputs."""
     values: list[int] = []
     for node in program.nodes:
         args = [values[a] for a in node.args]
-        if node.op == "loop":
-            values.append(_turns(tape, node.data, args))
-        else:
-            values.append(tape.copied(program, node, args, inputs))
+        if node.op != "loop":
+            values.append(tape.copy_node(program, node, args, inputs))
+            continue
+        loop: Loop = node.data
+        first, last = loop.constants, loop.constants + loop.carried
+        constants, carried, collected = args[:first], args[first:last], args[last:]
+        rows = [np.split(np.array(tape.split(vector)), loop.length) for vector in collected]
+        for turn in range(loop.length):
+            now = [tape.vector(row[turn]) for row in rows]
+            arguments = dict(zip(loop.body.inputs, [*constants, *carried, *now], strict=True))
+            carried = list(_unroll(tape, loop.body, arguments).values())
+        values.append(tape.vector([x for vector in carried for x in tape.split(vector)]))
     return {name: values[i] for name, i in program.outputs.items()}
 
 
-def _turns(tape: Tape, loop: Loop, args: list[int]) -> int:
-    """All turns of a loop on a tape; the node of what it carries at the end."""
-    first, last = loop.constants, loop.constants + loop.carried
-    constants, carried, given = args[:first], args[first:last], args[last:]
-    rows = [np.split(np.array(tape.split(row)), loop.length) for row in given]
-    for turn in range(loop.length):
-        now = [tape.vector(row[turn]) for row in rows]
-        inputs = dict(zip(loop.body.inputs, [*constants, *carried, *now], strict=True))
-        carried = list(_written_out(tape, loop.body, inputs).values())
-    return tape.vector([x for vector in carried for x in tape.split(vector)])
-
-
 @dataclass
-class _Partial:
-    """What has been added to the adjoint of a node so far: to all of it, and number by number."""
+class _PartialSum:
+    """Terms added to the adjoint of a node so far: to all of it, and number by number."""
 
     whole: int | None = None
     numbers: dict[int, int] = field(default_factory=dict)
 
 
 class _Backward:
-    """Goes over a tape from its end to its beginning.
+    """A walk over a tape from its end to its beginning, which adds up adjoints.
 
     Attributes:
-        layers: each layer that was passed, its vector, the adjoint of its product.
+        layers: each layer that the walk passed, its vector, the adjoint of its product.
     """
 
     def __init__(self, tape: Tape, by: Sequence[int], end: int) -> None:
         self._tape = tape
-        self._sums: dict[int, _Partial] = {}
+        self._sums: dict[int, _PartialSum] = {}
         self.layers: list[tuple[Factor, int, int]] = []
-        # only what depends on what is differentiated by has an adjoint; weights always do
+        # only nodes that depend on inputs that are differentiated by have an adjoint, and layers
         self._depends: list[bool] = []
-        wanted = set(by)
+        inputs = set(by)
         for number in range(end + 1):
             node = tape[number]
-            active = number in wanted or node.op == "layer"
-            self._depends.append(active or any(self._depends[a] for a in node.args))
+            is_active = number in inputs or node.op == "layer"
+            self._depends.append(is_active or any(self._depends[a] for a in node.args))
 
     def adjoint(self, number: int) -> int:
         """The adjoint of a node, as far as it has been added up: a node of the same size."""
         tape, size = self._tape, self._tape[number].size
-        partial = self._sums.get(number, _Partial())
+        partial = self._sums.get(number, _PartialSum())
         total = partial.whole
         if partial.numbers:
             zero = tape.number(0.0)
             joined = tape.vector([partial.numbers.get(i, zero) for i in range(size)])
             total = joined if total is None else tape.apply("add", total, joined)
         if total is None:
-            return self._zeros(number)
+            is_single = tape[number].is_single
+            return tape.number(0.0) if is_single else tape.table(np.zeros(size))
         return total
 
     def run(self, end: int, adjoint: int) -> None:
@@ -134,7 +131,7 @@ class _Backward:
                 self._pass_on(self._tape[number], number, self.adjoint(number))
 
     def _pass_on(self, node: Node, value: int, adjoint: int) -> None:
-        """What a node adds to the adjoints of what it is computed from."""
+        """Adds the terms of a node to the adjoints of its arguments."""
         tape = self._tape
         match node.op:
             case "input":
@@ -156,12 +153,12 @@ class _Backward:
                 self._add(node.args[0], tape.product_vector(matrix.T.copy(), adjoint))
             case "layer":
                 factor, vector = node.data, node.args[0]
-                # a matrix that is used turned has its vector and its product change places
-                pair = (adjoint, vector) if factor.transposed else (vector, adjoint)
+                # where the transpose of a matrix multiplies, vector and product change places
+                pair = (adjoint, vector) if factor.is_transposed else (vector, adjoint)
                 self.layers.append((factor, *pair))
-                turned = Factor(factor.name, not factor.transposed)
+                transpose = Factor(factor.name, not factor.is_transposed)
                 if self._depends[vector]:
-                    self._add(vector, tape.layer(turned, adjoint))
+                    self._add(vector, tape.layer(transpose, adjoint))
             case _:
                 self._pass_operation_on(node, value, adjoint)
 
@@ -179,7 +176,7 @@ class _Backward:
             self._add(a, tape.apply("mul", partial, adjoint))
 
     def _add(self, number: int, term: int) -> None:
-        """A term of the adjoint of a node; of a number that acts on a vector, the sum."""
+        """Adds a term to the adjoint of a node; for a number that acts on a vector, its sum."""
         tape = self._tape
         if not self._depends[number] or tape.value(term) == 0.0:
             return
@@ -191,17 +188,13 @@ class _Backward:
             term = total
         elif tape[term].size < size:
             term = tape.vector([term] * size)
-        partial = self._sums.setdefault(number, _Partial())
+        partial = self._sums.setdefault(number, _PartialSum())
         partial.whole = term if partial.whole is None else tape.apply("add", partial.whole, term)
 
     def _add_numbers(self, number: int, terms: dict[int, int]) -> None:
-        """Terms of some numbers of a node's adjoint."""
+        """Adds terms to some numbers of a node's adjoint."""
         if not self._depends[number]:
             return
-        known = self._sums.setdefault(number, _Partial()).numbers
+        sums = self._sums.setdefault(number, _PartialSum()).numbers
         for i, term in terms.items():
-            known[i] = self._tape.apply("add", known[i], term) if i in known else term
-
-    def _zeros(self, like: int) -> int:
-        node = self._tape[like]
-        return self._tape.number(0.0) if node.single else self._tape.table(np.zeros(node.size))
+            sums[i] = self._tape.apply("add", sums[i], term) if i in sums else term

@@ -1,7 +1,7 @@
 """Derivatives of programs, as further operations on the same tape.
 
 Forward mode: every node has, beside its value, its derivative along each direction in which it
-has one. A derivative that is zero by the structure of the program is never written down, so the
+has one. A derivative that is zero by the structure of the program is never written, so the
 Jacobian of equations of motion costs a few operations an entry.
 
 References:
@@ -16,7 +16,7 @@ import numpy as np
 from tustinnet.program.program import OPERATIONS, Loop, Node, Program
 from tustinnet.program.tape import Tape
 
-# of a node along each direction: the number of a node of its size; no entry where it is zero
+# derivatives of a node: for each direction the number of a node of its size; no entry for zero
 Tangents = dict[int, int]
 _FEW = 0.25  # share of a vector that is not zero, up to which a product is written by columns
 
@@ -27,14 +27,14 @@ def with_derivatives(
     by: Mapping[str, str],
     columns: Mapping[str, range] | None = None,
 ) -> Program:
-    """The program with derivatives of one of its outputs beside it.
+    """A program with derivatives of one of its outputs as further outputs.
 
     Args:
         program: the program.
         output: the output that is differentiated, (n,).
-        by: input that it is differentiated by, (m,), for each further output; that one has the
+        by: for each further output the input that is differentiated by, (m,); the output is the
             Jacobian by rows, (n m,).
-        columns: of these inputs the numbers by which it is, where not by all.
+        columns: for these inputs the numbers that are differentiated by, where not all.
     """
     columns = columns or {}
     tape = Tape(dict(program.inputs), program.matrices)
@@ -47,23 +47,25 @@ def with_derivatives(
         directions[name] = range(count, count + len(unit))
         seeds[name] |= {count + i: tape.table(row) for i, row in enumerate(unit)}
         count += len(unit)
-    reached, tangents = forward(tape, program, values, seeds)
-    outputs = {name: tape.split(number) for name, number in reached.items()}
+    ends, tangents = write_with_tangents(tape, program, values, seeds)
+    outputs = {name: tape.split(number) for name, number in ends.items()}
     zero = tape.number(0.0)
     n = len(outputs[output])
-    slopes = {d: tape.split(number) for d, number in tangents[output].items()}
+    derivatives = {d: tape.split(number) for d, number in tangents[output].items()}
     for derivative, name in by.items():
         outputs[derivative] = [
-            slopes[d][i] if d in slopes else zero for i in range(n) for d in directions[name]
+            derivatives[d][i] if d in derivatives else zero
+            for i in range(n)
+            for d in directions[name]
         ]
-    # in the order of their names, as those of `read`
+    # in the order of their names, as the outputs of programs from `read`
     return tape.program({name: outputs[name] for name in sorted(outputs)})
 
 
-def forward(
+def write_with_tangents(
     tape: Tape, program: Program, inputs: Mapping[str, int], tangents: Mapping[str, Tangents]
 ) -> tuple[dict[str, int], dict[str, Tangents]]:
-    """A program written onto a tape together with its derivatives along some directions.
+    """Writes a program onto a tape together with its derivatives along some directions.
 
     Args:
         tape: the tape.
@@ -75,14 +77,14 @@ def forward(
         The nodes of its outputs, and their derivatives.
     """
     writer = _Forward(tape, program, inputs, tangents)
-    values, slopes = [], []
+    values, by_node = [], []
     for node in program.nodes:
-        value, slope = writer.node(node, [values[a] for a in node.args],
-                                   [slopes[a] for a in node.args])  # fmt: skip
+        value, derivatives = writer.node(node, [values[a] for a in node.args],
+                                         [by_node[a] for a in node.args])  # fmt: skip
         values.append(value)
-        slopes.append(slope)
+        by_node.append(derivatives)
     ends = program.outputs.items()
-    return {name: values[i] for name, i in ends}, {name: slopes[i] for name, i in ends}
+    return {name: values[i] for name, i in ends}, {name: by_node[i] for name, i in ends}
 
 
 @dataclass(frozen=True)
@@ -93,74 +95,71 @@ class _Forward:
     tangents: Mapping[str, Tangents]
 
     def node(
-        self, node: Node, args: Sequence[int], slopes: Sequence[Tangents]
+        self, node: Node, args: Sequence[int], tangents: Sequence[Tangents]
     ) -> tuple[int, Tangents]:
-        """The value of a node on the tape, and its derivatives."""
+        """The value of a node on the tape, and its derivatives by those of its arguments."""
         tape = self.tape
         if node.op == "loop":
-            return self._loop(node.data, args, slopes)
-        value = tape.copied(self.program, node, args, self.inputs)
+            return self._loop(node.data, args, tangents)
+        value = tape.copy_node(self.program, node, args, self.inputs)
         match node.op:
             case "input":
                 return value, dict(self.tangents.get(node.data, {}))
             case "number" | "table":
                 return value, {}
             case "pick":
-                picked = {d: tape.split(t)[node.data] for d, t in slopes[0].items()}
-                return value, self._nonzero(picked)
+                numbers = {d: tape.split(t)[node.data] for d, t in tangents[0].items()}
+                return value, self._nonzero(numbers)
             case "part":
                 part = slice(node.data, node.data + node.size)
-                cut = {d: tape.vector(tape.split(t)[part]) for d, t in slopes[0].items()}
-                return value, self._nonzero(cut)
+                parts = {d: tape.vector(tape.split(t)[part]) for d, t in tangents[0].items()}
+                return value, self._nonzero(parts)
             case "join":
-                each = list(zip(args, slopes, strict=True))
+                pairs = list(zip(args, tangents, strict=True))
                 return value, {
-                    d: self._joined([s.get(d, self._zeros(a)) for a, s in each])
-                    for d in _directions(slopes)
+                    d: tape.vector([x for a, t in pairs for x in tape.split(self._along(t, d, a))])
+                    for d in _directions(tangents)
                 }
             case "product":
                 matrix = self.program.tables[node.data]
-                return value, {d: self._product(matrix, t) for d, t in slopes[0].items()}
+                return value, {d: self._product(matrix, t) for d, t in tangents[0].items()}
             case "layer":
-                return value, {d: tape.layer(node.data, t) for d, t in slopes[0].items()}
-        if OPERATIONS[node.op].truth or not any(slopes):
+                return value, {d: tape.layer(node.data, t) for d, t in tangents[0].items()}
+        if OPERATIONS[node.op].truth or not any(tangents):
             return value, {}
-        return value, self._operation(node, value, args, slopes)
+        return value, self._operation(node, value, args, tangents)
 
     def _operation(
-        self, node: Node, value: int, args: Sequence[int], slopes: Sequence[Tangents]
+        self, node: Node, value: int, args: Sequence[int], tangents: Sequence[Tangents]
     ) -> Tangents:
         tape, zero = self.tape, self.tape.number(0.0)
         if node.op == "select":
-            along = {
-                d: tape.apply("select", args[0], *(s.get(d, zero) for s in slopes[1:]))
-                for d in _directions(slopes[1:])
+            selected = {
+                d: tape.apply("select", args[0], *(t.get(d, zero) for t in tangents[1:]))
+                for d in _directions(tangents[1:])
             }
-            return {d: self._sized(t, node.size) for d, t in self._nonzero(along).items()}
+            return self._nonzero(selected, node.size)
         partials = [
-            PARTIALS[node.op](tape, value, *args)[i] if slope else None
-            for i, slope in enumerate(slopes)
+            PARTIALS[node.op](tape, value, *args)[i] if tangent else None
+            for i, tangent in enumerate(tangents)
         ]
-        found: Tangents = {}
-        for d in _directions(slopes):
-            total: int | None = None
-            for partial, slope in zip(partials, slopes, strict=True):
-                if partial is None or d not in slope:
+        totals: Tangents = {}
+        for d in _directions(tangents):
+            for partial, tangent in zip(partials, tangents, strict=True):
+                if partial is None or d not in tangent:
                     continue
-                term = tape.apply("mul", partial, slope[d])
-                total = term if total is None else tape.apply("add", total, term)
-            if total is not None:
-                found[d] = total
-        return {d: self._sized(t, node.size) for d, t in self._nonzero(found).items()}
+                term = tape.apply("mul", partial, tangent[d])
+                totals[d] = tape.apply("add", totals[d], term) if d in totals else term
+        return self._nonzero(totals, node.size)
 
     def _product(self, matrix: np.ndarray, vector: int) -> int:
         """A matrix times a derivative, by columns where that has few entries."""
         tape = self.tape
         numbers = tape.split(vector)
-        known = [tape.value(n) for n in numbers]
-        if all(v is not None for v in known):
-            return tape.table(matrix @ np.array(known, float))
-        used = [i for i, v in enumerate(known) if v != 0.0]
+        values = [tape.value(n) for n in numbers]
+        if all(v is not None for v in values):
+            return tape.table(matrix @ np.array(values, float))
+        used = [i for i, v in enumerate(values) if v != 0.0]
         if len(used) > _FEW * len(numbers):
             return tape.product_vector(matrix, vector)
         total = tape.table(np.zeros(len(matrix)))
@@ -170,83 +169,86 @@ class _Forward:
         return total
 
     def _loop(
-        self, loop: Loop, args: Sequence[int], slopes: Sequence[Tangents]
+        self, loop: Loop, args: Sequence[int], tangents: Sequence[Tangents]
     ) -> tuple[int, Tangents]:
-        """A loop that carries the derivatives of what it carries along with it."""
+        """A loop that carries the derivatives of its carried vectors along with these."""
         tape, names = self.tape, list(loop.body.inputs)
         first, last = loop.constants, loop.constants + loop.carried
-        directions = _directions(slopes)
+        directions = _directions(tangents)
         if not directions:
             return tape.add(Node("loop", tuple(args), sum(loop.carried_sizes), loop)), {}
-        # each vector that the body takes, its derivatives behind it; what is carried has all
-        kinds: list[list[tuple[str, int, int]]] = []
-        tangents: dict[str, dict[int, str]] = {name: {} for name in names}
-        for place, (name, value, slope) in enumerate(zip(names, args, slopes, strict=True)):
-            carried = first <= place < last
-            size, part = loop.sizes[place], [(name, loop.sizes[place], value)]
-            for d in directions if carried else slope:
-                tangents[name][d] = f"{name}_by_{d}"
-                part.append((f"{name}_by_{d}", size, slope.get(d, self._zeros(value))))
-            kinds.append(part)
-        constants = [x for part in kinds[:first] for x in part]
-        own = [part[0] for part in kinds[first:last]]
-        moved = [part[1 + k] for k in range(len(directions)) for part in kinds[first:last]]
-        given = [x for part in kinds[last:] for x in part]
-        every = [*constants, *own, *moved, *given]
-        inner = Tape({name: size for name, size, _ in every})
+        # name, size and node of each vector that the body takes, its derivatives behind it; carried
+        # vectors have one along every direction
+        inputs: list[list[tuple[str, int, int]]] = []
+        tangent_names: dict[str, dict[int, str]] = {name: {} for name in names}
+        for place, (name, value, tangent) in enumerate(zip(names, args, tangents, strict=True)):
+            is_carried = first <= place < last
+            size = loop.sizes[place]
+            vectors = [(name, size, value)]
+            for d in directions if is_carried else tangent:
+                tangent_names[name][d] = f"{name}_by_{d}"
+                vectors.append((f"{name}_by_{d}", size, self._along(tangent, d, value)))
+            inputs.append(vectors)
+        constants = [x for vectors in inputs[:first] for x in vectors]
+        carried = [vectors[0] for vectors in inputs[first:last]]
+        carried += [
+            vectors[1 + k] for k in range(len(directions)) for vectors in inputs[first:last]
+        ]
+        collected = [x for vectors in inputs[last:] for x in vectors]
+        vectors = [*constants, *carried, *collected]
+        inner = Tape({name: size for name, size, _ in vectors})
         values = {name: inner.input_vector(name) for name in names}
         seeds = {
-            name: {d: inner.input_vector(t) for d, t in tangents[name].items()} for name in names
+            name: {d: inner.input_vector(t) for d, t in tangent_names[name].items()}
+            for name in names
         }
-        reached, slope = forward(inner, loop.body, values, seeds)
-        outputs = {name: inner.split(number) for name, number in reached.items()}
+        next_values, next_tangents = write_with_tangents(inner, loop.body, values, seeds)
+        outputs = {name: inner.split(number) for name, number in next_values.items()}
         for d in directions:
-            for name, number in reached.items():
-                nothing = [inner.number(0.0)] * inner[number].size
-                ahead = slope[name].get(d)
-                outputs[f"{name}_by_{d}"] = nothing if ahead is None else inner.split(ahead)
-        body = inner.program(outputs)
-        carried_count = len(own) + len(moved)
-        together = Loop(body, loop.length, len(constants), carried_count)
-        ends = tape.loop(together, [tape.split(number) for _, _, number in every])
+            for name, number in next_values.items():
+                zeros = [inner.number(0.0)] * inner[number].size
+                tangent = next_tangents[name].get(d)
+                outputs[f"{name}_by_{d}"] = zeros if tangent is None else inner.split(tangent)
+        with_tangents = Loop(inner.program(outputs), loop.length, len(constants), len(carried))
+        ends = tape.loop(with_tangents, [tape.split(number) for _, _, number in vectors])
         size = sum(loop.carried_sizes)
         return tape.vector(ends[:size]), {
             d: tape.vector(ends[(k + 1) * size : (k + 2) * size]) for k, d in enumerate(directions)
         }
 
-    def _joined(self, numbers: Sequence[int]) -> int:
-        return self.tape.vector([x for number in numbers for x in self.tape.split(number)])
+    def _along(self, tangents: Tangents, direction: int, number: int) -> int:
+        """The derivative of a node along a direction, also where it is zero."""
+        if direction in tangents:
+            return tangents[direction]
+        tape, node = self.tape, self.tape[number]
+        return tape.number(0.0) if node.is_single else tape.table(np.zeros(node.size))
 
-    def _zeros(self, like: int) -> int:
-        node = self.tape[like]
-        zero = self.tape.number(0.0)
-        return zero if node.single else self.tape.table(np.zeros(node.size))
-
-    def _sized(self, number: int, size: int) -> int:
-        """A derivative in the size of its node; a number that acts on a vector is repeated."""
-        node = self.tape[number]
-        return number if node.size == size else self.tape.vector([number] * size)
-
-    def _nonzero(self, tangents: Tangents) -> Tangents:
-        return {d: t for d, t in tangents.items() if not self._vanishes(t)}
-
-    def _vanishes(self, number: int) -> bool:
-        if self.tape[number].op == "table":
-            return all(self.tape.value(x) == 0.0 for x in self.tape.split(number))
-        return self.tape.value(number) == 0.0
-
-
-def _directions(slopes: Sequence[Tangents]) -> list[int]:
-    return sorted({d for slope in slopes for d in slope})
+    def _nonzero(self, tangents: Tangents, size: int | None = None) -> Tangents:
+        """Derivatives that are not zero; of a vector's size, numbers that act on it repeated."""
+        tape = self.tape
+        result: Tangents = {}
+        for d, t in tangents.items():
+            numbers = tape.split(t) if tape[t].op == "table" else [t]
+            if all(tape.value(x) == 0.0 for x in numbers):
+                continue
+            if size is None or tape[t].size == size:
+                result[d] = t
+            else:
+                result[d] = tape.vector([t] * size)
+        return result
 
 
-# --- partial derivatives of the operations: of (tape, value, *arguments), one an argument ---
+def _directions(tangents: Sequence[Tangents]) -> list[int]:
+    return sorted({d for tangent in tangents for d in tangent})
+
+
+# --- partial derivatives of operations: from (tape, value, *arguments) to one for each argument ---
 
 Partials = Callable[..., tuple[int, ...]]
 
 
-def _one(formula: Callable[[Tape, int, int], int]) -> Partials:
-    """The rule of a function of one number, by its value and its argument."""
+def _unary(formula: Callable[[Tape, int, int], int]) -> Partials:
+    """The rule of a function of one number, from a formula of its value and its argument."""
     return lambda tape, value, x: (formula(tape, value, x),)
 
 
@@ -272,15 +274,15 @@ def _quotient(tape: Tape, value: int, a: int, b: int) -> tuple[int, ...]:
 
 
 def _larger(first: str) -> Partials:
-    """The rule of max and min; where both are equal, half of each, as in JAX."""
+    """The rule of max and min; the derivative is half of each where both are equal, as in JAX."""
 
     def rule(tape: Tape, value: int, a: int, b: int) -> tuple[int, ...]:
         one, half, zero = (tape.number(x) for x in (1.0, 0.5, 0.0))
-        same, wins = tape.apply("eq", a, b), tape.apply(first, a, b)
-        tie = tape.apply("select", same, half, zero)
+        is_equal, is_first = tape.apply("eq", a, b), tape.apply(first, a, b)
+        tie = tape.apply("select", is_equal, half, zero)
         return (
-            tape.apply("select", wins, one, tie),
-            tape.apply("select", tape.apply("or", wins, same), tie, one),
+            tape.apply("select", is_first, one, tie),
+            tape.apply("select", tape.apply("or", is_first, is_equal), tie, one),
         )
 
     return rule
@@ -316,7 +318,7 @@ def _angle(tape: Tape, value: int, a: int, b: int) -> tuple[int, ...]:
 
 def _over_root(inside: Callable[[Tape, int], int], sign: float = 1.0) -> Partials:
     """The rule of inverse functions whose derivative is one over a root."""
-    return _one(
+    return _unary(
         lambda tape, value, x: tape.apply(
             "div", tape.number(sign), tape.apply("sqrt", inside(tape, x))
         )
@@ -328,31 +330,31 @@ PARTIALS: dict[str, Partials] = {
     "sub": lambda tape, value, a, b: (tape.number(1.0), tape.number(-1.0)),
     "mul": lambda tape, value, a, b: (b, a),
     "div": _quotient,
-    "neg": _one(lambda tape, value, x: tape.number(-1.0)),
+    "neg": _unary(lambda tape, value, x: tape.number(-1.0)),
     "max": _larger("gt"),
     "min": _larger("lt"),
     "pow": _power,
     "rem": _remainder,
     "atan2": _angle,
-    "abs": _one(_side),
-    "sign": _one(lambda tape, value, x: tape.number(0.0)),
-    "floor": _one(lambda tape, value, x: tape.number(0.0)),
-    "ceil": _one(lambda tape, value, x: tape.number(0.0)),
-    "sqrt": _one(lambda tape, value, x: tape.apply("div", tape.number(0.5), value)),
-    "exp": _one(lambda tape, value, x: value),
-    "expm1": _one(lambda tape, value, x: _plus(tape, value, 1.0)),
-    "log": _one(lambda tape, value, x: _over(tape, x)),
-    "log1p": _one(lambda tape, value, x: _over(tape, _plus(tape, x, 1.0))),
-    "sin": _one(lambda tape, value, x: tape.apply("cos", x)),
-    "cos": _one(lambda tape, value, x: tape.apply("neg", tape.apply("sin", x))),
-    "tan": _one(lambda tape, value, x: _plus(tape, _square(tape, value), 1.0)),
+    "abs": _unary(_side),
+    "sign": _unary(lambda tape, value, x: tape.number(0.0)),
+    "floor": _unary(lambda tape, value, x: tape.number(0.0)),
+    "ceil": _unary(lambda tape, value, x: tape.number(0.0)),
+    "sqrt": _unary(lambda tape, value, x: tape.apply("div", tape.number(0.5), value)),
+    "exp": _unary(lambda tape, value, x: value),
+    "expm1": _unary(lambda tape, value, x: _plus(tape, value, 1.0)),
+    "log": _unary(lambda tape, value, x: _over(tape, x)),
+    "log1p": _unary(lambda tape, value, x: _over(tape, _plus(tape, x, 1.0))),
+    "sin": _unary(lambda tape, value, x: tape.apply("cos", x)),
+    "cos": _unary(lambda tape, value, x: tape.apply("neg", tape.apply("sin", x))),
+    "tan": _unary(lambda tape, value, x: _plus(tape, _square(tape, value), 1.0)),
     "asin": _over_root(lambda tape, x: _minus(tape, 1.0, _square(tape, x))),
     "acos": _over_root(lambda tape, x: _minus(tape, 1.0, _square(tape, x)), -1.0),
-    "atan": _one(lambda tape, value, x: _over(tape, _plus(tape, _square(tape, x), 1.0))),
-    "sinh": _one(lambda tape, value, x: tape.apply("cosh", x)),
-    "cosh": _one(lambda tape, value, x: tape.apply("sinh", x)),
-    "tanh": _one(lambda tape, value, x: _minus(tape, 1.0, _square(tape, value))),
+    "atan": _unary(lambda tape, value, x: _over(tape, _plus(tape, _square(tape, x), 1.0))),
+    "sinh": _unary(lambda tape, value, x: tape.apply("cosh", x)),
+    "cosh": _unary(lambda tape, value, x: tape.apply("sinh", x)),
+    "tanh": _unary(lambda tape, value, x: _minus(tape, 1.0, _square(tape, value))),
     "asinh": _over_root(lambda tape, x: _plus(tape, _square(tape, x), 1.0)),
     "acosh": _over_root(lambda tape, x: _plus(tape, _square(tape, x), -1.0)),
-    "atanh": _one(lambda tape, value, x: _over(tape, _minus(tape, 1.0, _square(tape, x)))),
+    "atanh": _unary(lambda tape, value, x: _over(tape, _minus(tape, 1.0, _square(tape, x)))),
 }

@@ -1,20 +1,20 @@
-"""When the vectors of a program are computed and when they are read for the last time."""
+"""Lifetimes of vectors: when they are computed and when they are read for the last time."""
 
 from dataclasses import dataclass
 
 from tustinnet.program.program import OPERATIONS, Node, Program
 
-_VIEWS = ("part", "pick")  # read out of the vector that they are taken from
+_VIEWS = ("part", "pick")  # they are read out of the vector that they are taken from
 
 
 @dataclass(frozen=True)
-class Lives:
-    """What a target has to know that gives vectors memory and uses it again.
+class Lifetimes:
+    """Lifetimes of a program's vectors, for targets that use memory again.
 
     Attributes:
-        root: for each node, the one with which it is computed: of what is only used, number by
-            number, in the loop that computes another vector, that vector; of all others itself.
-        last: for each node, the last one that reads it; of what is returned, one beyond all.
+        root: for each node, the one with which it is computed: for a vector that is only used,
+            number by number, in the loop that computes another vector, that one; else itself.
+        last: for each node, the last one that reads it; for outputs one beyond all.
     """
 
     root: tuple[int, ...]
@@ -22,12 +22,12 @@ class Lives:
 
 
 def is_elementwise(node: Node) -> bool:
-    """Whether a node is a vector, computed number by number."""
+    """Whether a node is a vector that is computed number by number."""
     return node.op in OPERATIONS and node.size > 1
 
 
-def lives_of(program: Program) -> Lives:
-    """When the vectors of a program live."""
+def lifetimes(program: Program) -> Lifetimes:
+    """Lifetimes of the vectors of a program."""
     nodes, ends = program.nodes, set(program.outputs.values())
     users: list[list[int]] = [[] for _ in nodes]
     for i, node in enumerate(nodes):
@@ -43,4 +43,4 @@ def lives_of(program: Program) -> Lives:
         read = last[i] if nodes[i].op in _VIEWS else root[i]
         for a in nodes[i].args:
             last[a] = max(last[a], read)
-    return Lives(tuple(root), tuple(last))
+    return Lifetimes(tuple(root), tuple(last))

@@ -1,4 +1,4 @@
-"""Programs done with NumPy: what every target has to compute."""
+"""Programs run with NumPy, the reference for all targets."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ Vector = Float[np.ndarray, " _"] | Bool[np.ndarray, " _"]
 
 
 def run(program: Program, **inputs: np.ndarray) -> dict[str, Vector]:
-    """What a program returns, by name.
+    """Outputs of a program by name, computed with NumPy.
 
     Args:
         program: the program.
@@ -41,23 +41,23 @@ def _value(program: Program, node: Node, args: list[Any], inputs: dict[str, np.n
             return program.tables[node.data] @ args[0]
         case "layer":
             matrix = np.asarray(inputs[node.data.name], np.float64)
-            return (matrix.T if node.data.transposed else matrix) @ _numbers(args[0])
+            return (matrix.T if node.data.is_transposed else matrix) @ _numbers(args[0])
         case "loop":
-            return _looped(node.data, [_numbers(a) for a in args])
+            return _run_loop(node.data, [_numbers(a) for a in args])
     with np.errstate(all="ignore"):
         return OPERATIONS[node.op].apply(*args)
 
 
 def _numbers(value: Any) -> Vector:
-    """What is returned or carried: truths as 0 and 1."""
+    """A value as a vector of numbers, truths as 0 and 1."""
     return np.atleast_1d(np.asarray(value, np.float64))
 
 
-def _looped(loop: Loop, args: list[Vector]) -> Vector:
+def _run_loop(loop: Loop, args: list[Vector]) -> Vector:
     first, last = loop.constants, loop.constants + loop.carried
-    constants, state, given = args[:first], args[first:last], args[last:]
+    constants, state, collected = args[:first], args[first:last], args[last:]
     names = list(loop.body.inputs)
-    rows = [g.reshape(loop.length, -1) for g in given]
+    rows = [vector.reshape(loop.length, -1) for vector in collected]
     for i in range(loop.length):
         now = [*constants, *state, *(row[i] for row in rows)]
         state = list(run(loop.body, **dict(zip(names, now, strict=True))).values())

@@ -1,7 +1,7 @@
-"""Programs: what a step of a model computes, as numbers and vectors without JAX.
+"""Programs: computations of numbers and vectors without JAX, such as a step of a model.
 
 A program is a list of nodes in the order of computation. Most nodes are single numbers; layers of
-networks are products of matrices and vectors, and what follows them acts on whole vectors.
+networks are products of matrices and vectors, and operations after them act on whole vectors.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -16,15 +16,15 @@ class Operation(NamedTuple):
     """An operation on single numbers, or on every number of vectors.
 
     Attributes:
-        apply: what it computes, with NumPy.
-        truth: whether it says true or false.
+        apply: its function in NumPy.
+        truth: whether its value is true or false.
     """
 
     apply: Callable[..., Any]
     truth: bool = False
 
 
-# all that a target has to know beside the nodes that move or multiply
+# all that a target has to support beside the nodes that move or multiply
 OPERATIONS: dict[str, Operation] = {
     "add": Operation(np.add),
     "sub": Operation(np.subtract),
@@ -77,16 +77,16 @@ class Factor(NamedTuple):
 
     Attributes:
         name: its name.
-        transposed: whether its transpose does.
+        is_transposed: whether its transpose multiplies.
     """
 
     name: str
-    transposed: bool = False
+    is_transposed: bool = False
 
 
 @dataclass(frozen=True)
 class Node:
-    """One thing that is computed.
+    """One value of a program.
 
     Attributes:
         op: a key of `OPERATIONS`, or one of
@@ -98,12 +98,12 @@ class Node:
             `join`: vectors and numbers one after the other;
             `product`: the matrix `Program.tables[data]` times a vector;
             `layer`: a matrix that the program is given times a vector; `data` is a `Factor`;
-            `loop`: a `Loop`, which is `data`; its value is all that it carries, at the end.
+            `loop`: a `Loop`, which is `data`; its value is all carried vectors at the end.
         args: the nodes that it is computed from. An operation takes vectors of its own size and
             single numbers, which act on all.
-        size: how many numbers it is; more than 1 for vectors only.
+        size: how many numbers it has; more than 1 for vectors only.
         data: see `op`.
-        truth: whether it says true or false.
+        truth: whether its value is true or false.
     """
 
     op: str
@@ -113,12 +113,12 @@ class Node:
     truth: bool = False
 
     @property
-    def single(self) -> bool:
+    def is_single(self) -> bool:
         """Whether it is a number, not a vector."""
         return self.op in ("number", "pick") or (self.op in OPERATIONS and self.size == 1)
 
     def takes_truth(self, place: int) -> bool:
-        """Whether an operation takes what it is given at `place` as true or false, not a number."""
+        """Whether an operation takes its argument at `place` as true or false, not as a number."""
         if self.op == "select":
             return place == 0 or self.truth
         return self.op in ("and", "or", "not")
@@ -126,17 +126,17 @@ class Node:
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """A program that is done several times, each time with what it computed before.
+    """A program that is run several times, each time with vectors that it carries on.
 
-    The nodes that a loop is computed from are, in this order, the constants, what the carried
-    vectors are at first, and what is given every time, laid out one time after the other.
+    The nodes that a loop is computed from are, in this order, the constants, the first values of
+    the carried vectors, and the collected vectors of all turns, one turn after the other.
 
     Attributes:
-        body: its inputs are the constants, the carried vectors and what is given; its outputs are
-            the carried vectors.
-        length: how often.
-        constants: how many vectors are the same every time.
-        carried: how many are carried.
+        body: its inputs are the constants, the carried vectors and the collected vectors of one
+            turn; its outputs are the carried vectors.
+        length: the number of turns.
+        constants: how many vectors are the same in every turn.
+        carried: how many vectors are carried.
     """
 
     body: "Program"
@@ -146,18 +146,18 @@ class Loop:
 
     @cached_property
     def sizes(self) -> tuple[int, ...]:
-        """Of the body's inputs, in their order."""
+        """Sizes of the body's inputs, in their order."""
         return tuple(self.body.inputs.values())
 
     @property
     def carried_sizes(self) -> tuple[int, ...]:
-        """Of what is carried."""
+        """Sizes of the carried vectors."""
         return self.sizes[self.constants : self.constants + self.carried]
 
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """What a function computes.
+    """A computation of vectors from vectors, as a list of nodes.
 
     Attributes:
         inputs: the vectors that it is given, and their sizes.
@@ -175,71 +175,71 @@ class Program:
 
     @cached_property
     def uses(self) -> tuple[int, ...]:
-        """How often each node is used, by others and as output."""
+        """The number of uses of each node, by others and as output."""
         counts = [0] * len(self.nodes)
         for used in (*(a for node in self.nodes for a in node.args), *self.outputs.values()):
             counts[used] += 1
         return tuple(counts)
 
-    def depending_on(self, name: str) -> set[int]:
+    def nodes_depending_on(self, name: str) -> set[int]:
         """The nodes that depend on an input."""
-        found: set[int] = set()
+        nodes: set[int] = set()
         for i, node in enumerate(self.nodes):
-            if (node.op == "input" and node.data == name) or not found.isdisjoint(node.args):
-                found.add(i)
-        return found
+            if (node.op == "input" and node.data == name) or not nodes.isdisjoint(node.args):
+                nodes.add(i)
+        return nodes
 
     def dependencies(self, output: str) -> list[frozenset[tuple[str, int]]]:
-        """Of every number of an output, the numbers of inputs that it depends on, by structure."""
-        nothing: frozenset[tuple[str, int]] = frozenset()
-        found: list[list[frozenset[tuple[str, int]]]] = []
+        """For every number of an output, the numbers of inputs that it depends on, by structure."""
+        empty: frozenset[tuple[str, int]] = frozenset()
+        by_node: list[list[frozenset[tuple[str, int]]]] = []
         for node in self.nodes:
-            args = [found[a] for a in node.args]
-            every = nothing.union(*(numbers for of in args for numbers in of))
+            args = [by_node[a] for a in node.args]
             match node.op:
                 case "input":
-                    own = [frozenset([(node.data, i)]) for i in range(node.size)]
+                    numbers = [frozenset([(node.data, i)]) for i in range(node.size)]
                 case "pick":
-                    own = [args[0][node.data]]
+                    numbers = [args[0][node.data]]
                 case "part":
-                    own = args[0][node.data : node.data + node.size]
+                    numbers = args[0][node.data : node.data + node.size]
                 case "join":
-                    own = [numbers for of in args for numbers in of]
+                    numbers = [number for arg in args for number in arg]
                 case "product" | "layer" | "loop":
-                    own = [every] * node.size
+                    numbers = [empty.union(*(number for arg in args for number in arg))] * node.size
                 case _:  # number by number; single ones act on all
-                    own = [
-                        nothing.union(*(of[i if len(of) > 1 else 0] for of in args))
+                    numbers = [
+                        empty.union(*(arg[i if len(arg) > 1 else 0] for arg in args))
                         for i in range(node.size)
                     ]
-            found.append(own)
-        return found[self.outputs[output]]
+            by_node.append(numbers)
+        return by_node[self.outputs[output]]
 
     def copies(self, output: str, name: str) -> list[int | None]:
-        """Of every number of an output, which number of an input it is, if any."""
-        return [place if of == name else None for of, place in self._origin(self.outputs[output])]
+        """For every number of an output, the number of an input that it copies, if any."""
+        origins = self._origins(self.outputs[output])
+        return [place if source == name else None for source, place in origins]
 
-    def _origin(self, number: int) -> list[tuple[str | None, int]]:
-        """For every number of a node, the input that it is taken from, and its place there."""
+    def _origins(self, number: int) -> list[tuple[str | None, int]]:
+        """For every number of a node, the input that it copies, and its place there."""
         node = self.nodes[number]
         match node.op:
             case "input":
                 return [(node.data, i) for i in range(node.size)]
             case "pick":
-                return [self._origin(node.args[0])[node.data]]
+                return [self._origins(node.args[0])[node.data]]
             case "part":
-                return self._origin(node.args[0])[node.data : node.data + node.size]
+                return self._origins(node.args[0])[node.data : node.data + node.size]
             case "join":
-                return [origin for a in node.args for origin in self._origin(a)]
+                return [origin for a in node.args for origin in self._origins(a)]
         return [(None, 0)] * node.size
 
     @property
     def loops(self) -> Iterator[Loop]:
-        """The loops in it, not those inside of them."""
+        """The loops of the program, without those inside of them."""
         return (node.data for node in self.nodes if node.op == "loop")
 
     @property
     def operations(self) -> int:
-        """How many operations on numbers and vectors are written in it, loops included."""
-        own = sum(node.op in OPERATIONS or node.op in PRODUCTS for node in self.nodes)
-        return own + sum(loop.body.operations for loop in self.loops)
+        """The number of operations on numbers and vectors written in it, loops included."""
+        outside = sum(node.op in OPERATIONS or node.op in PRODUCTS for node in self.nodes)
+        return outside + sum(loop.body.operations for loop in self.loops)

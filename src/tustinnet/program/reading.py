@@ -1,4 +1,4 @@
-"""Reading a function of JAX arrays as a program: the one way from models to all targets."""
+"""Reading functions of JAX arrays as programs, the one way from models to all targets."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -14,10 +14,10 @@ from tustinnet.program.primitives import (
     INDEXED,
     MOVES,
     RULES,
-    Refused,
-    moved_by_index,
-    multiplied,
-    scattered,
+    UnsupportedPrimitive,
+    move_by_index,
+    multiply,
+    scatter_add,
 )
 from tustinnet.program.program import OPERATIONS, Factor, Loop, Program
 from tustinnet.program.tape import Tape
@@ -25,7 +25,7 @@ from tustinnet.program.tape import Tape
 _UNROLLED = 300  # operations up to which a loop is written out
 _MOST = 200_000  # operations of a loop that can only be written out
 _TURNS = 10_000  # of a loop that ends by a condition
-# what holds a program of its own that is done once, and where
+# primitives with a program of their own that is run once, and the parameter that holds it
 _CALLS = {
     "jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr",
     "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr", "remat": "jaxpr",
@@ -45,24 +45,24 @@ class Numbers:
 
 
 class Matrix:
-    """A matrix that a program is given: it only multiplies vectors.
+    """An input matrix of a program: it only multiplies vectors.
 
     Attributes:
-        factor: which one, and whether its transpose is meant.
-        shape: of what is meant.
+        factor: its name, and whether its transpose is meant.
+        shape: shape of the matrix, or of its transpose if that is meant.
     """
 
     def __init__(self, factor: Factor, shape: tuple[int, int]) -> None:
         self.factor, self.shape = factor, shape
 
-    def turned(self) -> "Matrix":
-        """Its transpose."""
-        name, transposed = self.factor
+    def transpose(self) -> "Matrix":
+        """The transpose of the matrix."""
+        name, is_transposed = self.factor
         rows, columns = self.shape
-        return Matrix(Factor(name, not transposed), (columns, rows))
+        return Matrix(Factor(name, not is_transposed), (columns, rows))
 
 
-Value = np.ndarray | Numbers | Matrix  # known while reading, computed by the program, or given
+Value = np.ndarray | Numbers | Matrix  # a constant, computed by the program, or an input matrix
 
 
 def read(
@@ -71,16 +71,16 @@ def read(
     what: str = "program",
     matrices: Mapping[str, tuple[int, int]] | None = None,
 ) -> Program:
-    """A function as a program.
+    """Reads a function as a program.
 
     Args:
         function: of vectors in float64, and matrices behind them; returns vectors by name.
-        inputs: the vectors that it is given, by name, and how many numbers each is.
-        what: what is read, for messages.
-        matrices: the matrices that it is given, by name, and their shapes.
+        inputs: sizes of its input vectors, by name.
+        what: its name in messages.
+        matrices: shapes of its input matrices, by name.
 
     Raises:
-        Unreadable: it uses what no rule is there for, or loops whose end depends on the state.
+        Unreadable: it uses primitives without a rule, or loops whose end depends on the state.
     """
     # in single precision where JAX knows no other; the program itself computes in double
     kind = jax.dtypes.canonicalize_dtype(np.float64)
@@ -88,12 +88,12 @@ def read(
     sizes = [*((size,) for size in inputs.values()), *matrices.values()]
     shapes = [jax.ShapeDtypeStruct(size, kind) for size in sizes]
     tape = Tape(dict(inputs), matrices)
-    given: list[Value] = [Numbers(np.array(tape.input(name), int)) for name in inputs]
-    given += [Matrix(Factor(name), size) for name, size in matrices.items()]
+    arguments: list[Value] = [Numbers(np.array(tape.input(name), int)) for name in inputs]
+    arguments += [Matrix(Factor(name), size) for name, size in matrices.items()]
     reader = _Reader(tape, what)
     closed, shape = jax.make_jaxpr(function, return_shape=True)(*shapes)
     with jax.ensure_compile_time_eval():  # a program may be read while another is compiled
-        values = reader.run(closed.jaxpr, closed.consts, given)
+        values = reader.run(closed.jaxpr, closed.consts, arguments)
     names = jax.tree.unflatten(jax.tree.structure(shape), range(len(values)))
     return tape.program({name: reader.ids(values[i]).ravel() for name, i in names.items()})
 
@@ -105,245 +105,238 @@ class _Reader:
         self._tape, self._what = tape, what
 
     def ids(self, value: Value) -> np.ndarray:
-        """The numbers of nodes of an array; constants are noted."""
+        """Numbers of the nodes of an array; constants become nodes."""
         if isinstance(value, Numbers):
             return value.ids
         if isinstance(value, Matrix):
-            raise Refused("on the weights of a layer")
+            raise UnsupportedPrimitive("on the weights of a layer")
         array = np.asarray(value)
         if array.dtype.kind not in "bifu":
-            raise Refused(f"of {array.dtype} numbers")
+            raise UnsupportedPrimitive(f"of {array.dtype} numbers")
         array = array if array.dtype == bool else array.astype(np.float64)
         numbers = [self._tape.number(x) for x in array.ravel().tolist()]
         return np.array(numbers, int).reshape(array.shape)
 
-    def run(self, jaxpr: Jaxpr, consts: Sequence[Any], given: Sequence[Value]) -> list[Value]:
-        """What a jaxpr returns."""
-        known: dict[Any, Value] = {}
+    def run(self, jaxpr: Jaxpr, consts: Sequence[Any], arguments: Sequence[Value]) -> list[Value]:
+        """Results of a jaxpr for its arguments."""
+        values: dict[Any, Value] = dict(zip(jaxpr.constvars, map(np.asarray, consts), strict=True))
+        values.update(zip(jaxpr.invars, arguments, strict=True))
 
-        def value(of: Any) -> Value:
-            return np.asarray(of.val) if isinstance(of, Literal) else known[of]
+        def value(variable: Any) -> Value:
+            if isinstance(variable, Literal):
+                return np.asarray(variable.val)
+            return values[variable]
 
-        known.update(zip(jaxpr.constvars, map(_constant, consts), strict=True))
-        known.update(zip(jaxpr.invars, given, strict=True))
         for eqn in jaxpr.eqns:
             try:
-                found = self._one(eqn, [value(v) for v in eqn.invars])
-            except Refused as refused:
-                raise self._refusal(eqn, str(refused)) from None
-            known.update(zip(eqn.outvars, found, strict=True))
+                results = self._equation(eqn, [value(v) for v in eqn.invars])
+            except UnsupportedPrimitive as error:
+                raise Unreadable(
+                    self._what,
+                    f"the model uses '{eqn.primitive.name}' {error}".rstrip() + _place(eqn),
+                    "arithmetic, functions as sin and exp, matrices, loops of a fixed length",
+                    "write that function with these",
+                ) from None
+            values.update(zip(eqn.outvars, results, strict=True))
         return [value(v) for v in jaxpr.outvars]
 
-    def _one(self, eqn: Any, operands: list[Value]) -> list[Value]:
+    def _equation(self, eqn: Any, operands: list[Value]) -> list[Value]:
+        """Results of an equation of a jaxpr."""
         name, params = eqn.primitive.name, eqn.params
         if name in _CALLS:
             inner = params[_CALLS[name]]
             closed = inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
             return self.run(closed.jaxpr, closed.consts, operands)
         if any(isinstance(o, Matrix) for o in operands):
-            return [self._by_matrix(eqn, operands)]
-        known = not any(isinstance(o, Numbers) for o in operands)
+            return [self._with_matrix(eqn, operands)]
+        is_constant = not any(isinstance(o, Numbers) for o in operands)
         if name in MOVES:
-            found = MOVES[name](params, *(operands if known else map(self.ids, operands)))
-            several = found if isinstance(found, list) else [found]
-            return several if known else [Numbers(np.asarray(f)) for f in several]
-        if known:
-            return _computed(eqn, operands)
+            moved = MOVES[name](params, *(operands if is_constant else map(self.ids, operands)))
+            results = moved if isinstance(moved, list) else [moved]
+            return results if is_constant else [Numbers(np.asarray(ids)) for ids in results]
+        if is_constant:
+            return _constant_results(eqn, operands)
         if name in ("scan", "cond", "while"):
             return getattr(self, f"_{name}")(params, operands)
-        return [Numbers(self._ruled(eqn, operands))]
+        return [Numbers(self._by_rule(eqn, operands))]
 
-    def _by_matrix(self, eqn: Any, operands: list[Value]) -> Value:
-        """A matrix that the program is given: it is turned, or multiplies a vector."""
+    def _with_matrix(self, eqn: Any, operands: list[Value]) -> Value:
+        """The result for an input matrix, which is transposed, or multiplies a vector."""
         name, params = eqn.primitive.name, eqn.params
         first = operands[0]
         if name == "convert_element_type" and isinstance(first, Matrix):
             return first
         if name == "transpose" and isinstance(first, Matrix):
-            return first.turned() if tuple(params["permutation"]) == (1, 0) else first
+            return first.transpose() if tuple(params["permutation"]) == (1, 0) else first
         if name == "dot_general":
-            (of_left, of_right), (many, _) = params["dimension_numbers"]
-            left, right = operands
-            matrix, vector, along = (
-                (left, right, of_left) if isinstance(left, Matrix) else (right, left, of_right)
-            )
-            if isinstance(matrix, Matrix) and not isinstance(vector, Matrix) and not many:
+            contracted, (batched, _) = params["dimension_numbers"]
+            at = 0 if isinstance(first, Matrix) else 1
+            matrix, vector, axes = operands[at], operands[1 - at], contracted[at]
+            if isinstance(matrix, Matrix) and not isinstance(vector, Matrix) and not batched:
                 ids = self.ids(vector)
-                if ids.ndim == 1 and len(along) == 1:
-                    # what is summed over are the columns of the factor
-                    factor = (matrix if along[0] == 1 else matrix.turned()).factor
+                if ids.ndim == 1 and len(axes) == 1:
+                    # the sum is over the columns of the factor
+                    factor = (matrix if axes[0] == 1 else matrix.transpose()).factor
                     tape = self._tape
                     return Numbers(np.array(tape.split(tape.layer(factor, tape.vector(ids))), int))
-        raise Refused("on the weights of a layer")
+        raise UnsupportedPrimitive("on the weights of a layer")
 
-    def _ruled(self, eqn: Any, operands: list[Value]) -> np.ndarray:
+    def _by_rule(self, eqn: Any, operands: list[Value]) -> np.ndarray:
         name, params = eqn.primitive.name, eqn.params
         if name in INDEXED:
             fixed = [o for i, o in enumerate(operands) if i not in INDEXED[name]]
             if any(isinstance(o, Numbers) for o in fixed):
-                raise Refused("by an index that depends on the state or the inputs")
+                raise UnsupportedPrimitive("by an index that depends on the state or the inputs")
             moved = [self.ids(o) if i in INDEXED[name] else o for i, o in enumerate(operands)]
-            return moved_by_index(eqn.primitive, params, moved)
+            return move_by_index(eqn.primitive, params, moved)
         if name == "scatter-add":
             into, where, added = operands
             if isinstance(where, Numbers):
-                raise Refused("by an index that depends on the state or the inputs")
-            return scattered(
+                raise UnsupportedPrimitive("by an index that depends on the state or the inputs")
+            return scatter_add(
                 self._tape, eqn.primitive, params, [self.ids(into), where, self.ids(added)]
             )
         if name == "dot_general":
             sides = [
                 o.ids if isinstance(o, Numbers) else np.asarray(o, np.float64) for o in operands
             ]
-            return multiplied(self._tape, params, *sides)
+            return multiply(self._tape, params, *sides)
         if name not in RULES:
-            raise Refused("")
+            raise UnsupportedPrimitive("")
         if name in ("div", "rem") and np.dtype(eqn.outvars[0].aval.dtype).kind in "iu":
-            raise Refused("of whole numbers")
+            raise UnsupportedPrimitive("of whole numbers")
         return RULES[name](self._tape, params, *map(self.ids, operands))
 
     def _scan(self, params: dict[str, Any], operands: list[Value]) -> list[Value]:
-        """A loop; written out where that is short, or what it collects is wanted."""
+        """Results of a loop; it is written out where it is short, or collects results."""
         n_constants, n_carried = params["num_consts"], params["num_carry"]
         constants = operands[:n_constants]
         carried = operands[n_constants : n_constants + n_carried]
         rows = operands[n_constants + n_carried :]
-        loop = self._looped(params, constants, carried, rows)
-        if loop is not None:
-            return loop
+        results = self._loop_node(params, constants, carried, rows)
+        if results is not None:
+            return results
         order = range(params["length"])
         collected = []
         for i in reversed(order) if params["reverse"] else order:
-            given = [_row(row, i) for row in rows]
-            out = self._turn(params["jaxpr"], [*constants, *carried, *given])
+            now: list[Value] = []
+            for row in rows:
+                if isinstance(row, Matrix):
+                    raise UnsupportedPrimitive("over the weights of a layer")
+                if isinstance(row, Numbers):
+                    now.append(Numbers(np.asarray(row.ids[i])))
+                else:
+                    now.append(np.asarray(row[i]))
+            out = self._turn(params["jaxpr"], [*constants, *carried, *now])
             carried = out[:n_carried]
             collected.append(out[n_carried:])
             if len(collected) * (i + 1) > _MOST:
-                raise Refused("of too many turns")
+                raise UnsupportedPrimitive("of too many turns")
         if params["reverse"]:
             collected.reverse()
-        return [*carried, *(self._stacked(of) for of in zip(*collected, strict=True))]
+        stacked: list[Value] = []
+        for values in zip(*collected, strict=True):
+            if any(isinstance(v, Numbers) for v in values):
+                stacked.append(Numbers(np.stack([self.ids(v) for v in values])))
+            else:
+                stacked.append(np.stack([np.asarray(v) for v in values]))
+        return [*carried, *stacked]
 
-    def _turn(self, closed: Any, given: list[Value]) -> list[Value]:
-        return self.run(closed.jaxpr, closed.consts, given)
+    def _turn(self, closed: Any, arguments: list[Value]) -> list[Value]:
+        return self.run(closed.jaxpr, closed.consts, arguments)
 
-    def _stacked(self, values: Sequence[Value]) -> Value:
-        if any(isinstance(v, Numbers) for v in values):
-            return Numbers(np.stack([self.ids(v) for v in values]))
-        return np.stack([np.asarray(v) for v in values])
-
-    def _looped(
+    def _loop_node(
         self, params: dict[str, Any], constants: list[Value], carried: list[Value],
         rows: list[Value],
     ) -> list[Value] | None:  # fmt: skip
-        """The loop as one node; None where it is better written out."""
+        """Results of a loop as one node; None where it is better written out."""
         length, closed = params["length"], params["jaxpr"]
         if length < 2 or len(closed.out_avals) > len(carried) or params["reverse"]:
             return None
         if any(isinstance(v, Matrix) for v in constants):
-            return None  # the body of a loop is given vectors only
-        # what is computed is handed in, what is known stands in the body
-        asked = {f"constant{i}": self.ids(v).ravel() for i, v in enumerate(constants)
-                 if isinstance(v, Numbers)}  # fmt: skip
+            return None  # inputs of a loop's body are vectors only
+        # computed constants are passed in, other constants stand in the body
+        passed = {f"constant{i}": self.ids(v).ravel() for i, v in enumerate(constants)
+                  if isinstance(v, Numbers)}  # fmt: skip
         starts = {f"carried{i}": self.ids(v).ravel() for i, v in enumerate(carried)}
-        given = {f"given{i}": self.ids(v).ravel() for i, v in enumerate(rows)}
-        sizes = {k: len(ids) for k, ids in (asked | starts).items()}
-        sizes |= {k: len(ids) // length for k, ids in given.items()}
+        collected = {f"given{i}": self.ids(v).ravel() for i, v in enumerate(rows)}
+        sizes = {k: len(ids) for k, ids in (passed | starts).items()}
+        sizes |= {k: len(ids) // length for k, ids in collected.items()}
         if not all(sizes.values()):
             return None
         tape = Tape(sizes)
 
-        def part(name: str, like: Value | None, aval: Any) -> Value:
-            if name not in sizes:
-                return np.asarray(like)
-            return Numbers(np.array(tape.input(name), int).reshape(aval.shape))
-
-        names = [*(f"constant{i}" for i in range(len(constants))), *starts, *given]
-        likes = [*constants, *([None] * (len(starts) + len(given)))]
-        inputs = [part(*of) for of in zip(names, likes, closed.in_avals, strict=True)]
+        names = [*(f"constant{i}" for i in range(len(constants))), *starts, *collected]
+        inputs: list[Value] = []
+        for i, (name, aval) in enumerate(zip(names, closed.in_avals, strict=True)):
+            if name in sizes:
+                inputs.append(Numbers(np.array(tape.input(name), int).reshape(aval.shape)))
+            else:
+                inputs.append(np.asarray(constants[i]))
         inner = _Reader(tape, self._what)
         try:
             out = inner.run(closed.jaxpr, closed.consts, inputs)
         except Unreadable:
-            return None  # as a counter that is an index: written out it is known
+            return None  # such as a counter that is an index: written out it is a constant
         body = tape.program({k: inner.ids(v).ravel() for k, v in zip(starts, out, strict=True)})
         if body.operations * length <= _UNROLLED:
             return None
-        loop = Loop(body, length, len(asked), len(starts))
-        found = self._tape.loop(loop, [*asked.values(), *starts.values(), *given.values()])
+        loop = Loop(body, length, len(passed), len(starts))
+        numbers = self._tape.loop(loop, [*passed.values(), *starts.values(), *collected.values()])
         ends = np.cumsum([len(ids) for ids in starts.values()])[:-1]
         shapes = [aval.shape for aval in closed.out_avals]
-        parts = np.split(np.array(found, int), ends)
+        parts = np.split(np.array(numbers, int), ends)
         return [Numbers(p.reshape(shape)) for p, shape in zip(parts, shapes, strict=True)]
 
     def _cond(self, params: dict[str, Any], operands: list[Value]) -> list[Value]:
-        """A choice; of an index that is computed, all are computed and one is taken."""
-        which, *given = operands
+        """Results of a choice; where its index is computed, one of all results is selected."""
+        which, *arguments = operands
         branches = params["branches"]
         if not isinstance(which, Numbers):
-            taken = branches[int(np.clip(np.asarray(which), 0, len(branches) - 1))]
-            return self._turn(taken, given)
-        cases = [self._turn(branch, given) for branch in branches]
-        select = RULES["select_n"]
-        return [
-            Numbers(np.reshape(select(self._tape, {}, which.ids, *map(self.ids, of)), shape))
-            for of, shape in ((of, np.shape(self.ids(of[0]))) for of in zip(*cases, strict=True))
-        ]
+            branch = branches[int(np.clip(np.asarray(which), 0, len(branches) - 1))]
+            return self._turn(branch, arguments)
+        cases = [self._turn(branch, arguments) for branch in branches]
+        results: list[Value] = []
+        for values in zip(*cases, strict=True):
+            ids = list(map(self.ids, values))
+            selected = RULES["select_n"](self._tape, {}, which.ids, *ids)
+            results.append(Numbers(np.reshape(selected, ids[0].shape)))
+        return results
 
     def _while(self, params: dict[str, Any], operands: list[Value]) -> list[Value]:
-        """A loop that ends by a condition, where that is known while reading."""
+        """Results of a loop that ends by a condition, where that is constant while reading."""
         n_cond, n_body = params["cond_nconsts"], params["body_nconsts"]
-        of_cond, of_body = operands[:n_cond], operands[n_cond : n_cond + n_body]
+        cond_constants, body_constants = operands[:n_cond], operands[n_cond : n_cond + n_body]
         state = operands[n_cond + n_body :]
         for _ in range(_TURNS):
-            (goes_on,) = self._turn(params["cond_jaxpr"], [*of_cond, *state])
-            if isinstance(goes_on, Numbers):
-                raise Refused("whose end depends on the state or the inputs")
-            if not goes_on:
+            (has_more,) = self._turn(params["cond_jaxpr"], [*cond_constants, *state])
+            if isinstance(has_more, Numbers):
+                raise UnsupportedPrimitive("whose end depends on the state or the inputs")
+            if not has_more:
                 return state
-            state = self._turn(params["body_jaxpr"], [*of_body, *state])
-        raise Refused(f"of more than {_TURNS} turns")
-
-    def _refusal(self, eqn: Any, why: str) -> InputError:
-        return Unreadable(
-            self._what, f"the model uses '{eqn.primitive.name}' {why}".rstrip() + _place(eqn),
-            "arithmetic, functions as sin and exp, matrices, loops of a fixed length",
-            "write that function with these",
-        )  # fmt: skip
+            state = self._turn(params["body_jaxpr"], [*body_constants, *state])
+        raise UnsupportedPrimitive(f"of more than {_TURNS} turns")
 
 
 class Unreadable(InputError):
-    """A function that no program can hold: of what its primitives do there is no rule."""
+    """A function that cannot be read as a program: some of its primitives have no rule."""
 
 
-def _constant(value: Any) -> np.ndarray:
-    return np.asarray(value)
-
-
-def _row(value: Value, i: int) -> Value:
-    if isinstance(value, Matrix):
-        raise Refused("over the weights of a layer")
-    return Numbers(np.asarray(value.ids[i])) if isinstance(value, Numbers) else np.asarray(value[i])
-
-
-def _computed(eqn: Any, operands: list[Value]) -> list[Value]:
-    """What JAX makes of constants; NumPy does the most usual, which JAX would compile for that."""
+def _constant_results(eqn: Any, operands: list[Value]) -> list[Value]:
+    """Results of a primitive for constants, by NumPy for usual ones, as JAX would compile them."""
     name, params, out = eqn.primitive.name, eqn.params, eqn.outvars[0].aval
     kind = np.dtype(out.dtype)
-    known = _BY_NUMPY.get(name)
-    whole = name in ("div", "rem") and kind.kind in "iu"  # rounded otherwise than by NumPy
-    if known is None and name in OPERATIONS and name != "select" and not whole:
-        known = _operation(name)
-    if known is not None:
+    by_numpy = _BY_NUMPY.get(name)
+    is_rounded = name in ("div", "rem") and kind.kind in "iu"  # otherwise than by NumPy
+    if by_numpy is None and name in OPERATIONS and name != "select" and not is_rounded:
+        operation = OPERATIONS[name].apply
+        by_numpy = lambda params, *operands: operation(*operands)  # noqa: E731
+    if by_numpy is not None:
         with np.errstate(all="ignore"):
-            return [np.asarray(known(params, *operands), kind)]
+            return [np.asarray(by_numpy(params, *operands), kind)]
     bound = eqn.primitive.bind(*map(jnp.asarray, operands), **params)
-    several = bound if eqn.primitive.multiple_results else [bound]
-    return [np.asarray(b) for b in several]
-
-
-def _operation(name: str) -> Callable[..., Any]:
-    return lambda params, *operands: OPERATIONS[name].apply(*operands)
+    results = bound if eqn.primitive.multiple_results else [bound]
+    return [np.asarray(result) for result in results]
 
 
 def _iota(params: dict[str, Any]) -> np.ndarray:
@@ -352,7 +345,7 @@ def _iota(params: dict[str, Any]) -> np.ndarray:
     return np.broadcast_to(counts, shape)
 
 
-# primitives on constants by NumPy, beside the operations: of (params, *operands)
+# functions of NumPy for primitives on constants, beside the operations: of (params, *operands)
 _BY_NUMPY: dict[str, Callable[..., Any]] = {
     "iota": _iota,
     "convert_element_type": lambda params, x: np.asarray(x).astype(params["new_dtype"]),
@@ -364,13 +357,16 @@ _BY_NUMPY: dict[str, Callable[..., Any]] = {
 
 
 def _place(eqn: Any) -> str:
-    """Where a primitive was written, outside of JAX and of this package where it can be."""
+    """Function and line in which a primitive was written, for messages; empty if not known.
+
+    Outside of JAX, and of this package where there is such a line.
+    """
     trace = eqn.source_info.traceback
     frames = [] if trace is None else list(trace.frames)
-    ours = Path(__file__).parents[1].as_posix()
-    foreign = [f for f in frames if "/jax/" not in f.file_name and "/equinox/" not in f.file_name]
-    theirs = [f for f in foreign if not f.file_name.startswith(ours)]
-    for frame in [*theirs, *foreign][:1] if theirs else foreign[:1]:
+    package = Path(__file__).parents[1].as_posix()
+    frames = [f for f in frames if "/jax/" not in f.file_name and "/equinox/" not in f.file_name]
+    outside = [f for f in frames if not f.file_name.startswith(package)]
+    for frame in (outside or frames)[:1]:
         name = frame.function_name.rsplit(".", 1)[-1]
         return f", in {name} ({Path(frame.file_name).name}, line {frame.line_num})"
     return ""

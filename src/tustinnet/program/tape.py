@@ -9,36 +9,36 @@ import numpy as np
 
 from tustinnet.program.program import OPERATIONS, Factor, Loop, Node, Program
 
-LONG = 8  # numbers from which a vector is treated as one thing
+LONG = 8  # numbers from which a vector is treated as one value
 
 Ids = Sequence[int] | np.ndarray
 
 
 @dataclass
 class Tape:
-    """A program while it is written: the same thing is computed once, constants at once.
+    """A program while it is written: equal nodes are computed once, constants while writing.
 
     Attributes:
-        inputs: the vectors that it is given, and their sizes.
-        matrices: the matrices that it is given, and their shapes.
+        inputs: its input vectors, and their sizes.
+        matrices: its input matrices, and their shapes.
     """
 
     inputs: dict[str, int]
     matrices: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     _nodes: list[Node] = field(default_factory=list)
-    _known: dict[Node, int] = field(default_factory=dict)
+    _numbers: dict[Node, int] = field(default_factory=dict)
     _tables: list[np.ndarray] = field(default_factory=list)
-    _known_tables: dict[tuple[Any, ...], int] = field(default_factory=dict)
+    _table_indices: dict[tuple[Any, ...], int] = field(default_factory=dict)
 
     def __getitem__(self, number: int) -> Node:
         return self._nodes[number]
 
     def add(self, node: Node) -> int:
-        """The number of a node, an old one where there is the same already."""
-        if node not in self._known:
-            self._known[node] = len(self._nodes)
+        """The number of a node, an old one where there is an equal node already."""
+        if node not in self._numbers:
+            self._numbers[node] = len(self._nodes)
             self._nodes.append(node)
-        return self._known[node]
+        return self._numbers[node]
 
     def input(self, name: str) -> list[int]:
         """The numbers of an input."""
@@ -49,14 +49,14 @@ class Tape:
         return self.add(Node("input", size=self.inputs[name], data=name))
 
     def number(self, value: float | bool) -> int:
-        """A constant; 0.0 and -0.0 are told apart."""
+        """The node of a constant; 0.0 and -0.0 are different constants."""
         truth = isinstance(value, bool | np.bool_)
         data = bool(value) if truth else float(value)
         # as nodes are compared by ==, by which 0.0 is -0.0 and True is 1.0
         return self.add(Node("number", data=_Exact(data), truth=truth))
 
     def value(self, number: int) -> float | bool | None:
-        """What a node is, where it is constant."""
+        """The value of a node that is a constant number; None of others."""
         node = self._nodes[number]
         return node.data.value if node.op == "number" else None
 
@@ -69,23 +69,23 @@ class Tape:
             return [x for part in node.args for x in self.split(part)]
         if node.op == "part":
             return self.split(node.args[0])[node.data : node.data + node.size]
-        if node.single:
+        if node.is_single:
             return [number]
         return [self.add(Node("pick", (number,), 1, i, truth=node.truth)) for i in range(node.size)]
 
     def vector(self, ids: Ids) -> int:
-        """Single numbers as a vector; where they are one already, or a part of one, that."""
+        """The node of a vector of single numbers: the vector that they are already, if they are."""
         ids = [int(i) for i in ids]
         values = [self.value(i) for i in ids]
         if all(value is not None for value in values):
             return self.table(np.array(values))
         pieces = list(self._pieces(ids))
-        if len(pieces) == 1 and not self._nodes[pieces[0]].single:
+        if len(pieces) == 1 and not self._nodes[pieces[0]].is_single:
             return pieces[0]
         return self.add(Node("join", tuple(pieces), len(ids), truth=self._nodes[pieces[0]].truth))
 
     def _pieces(self, ids: list[int]) -> Iterator[int]:
-        """Runs of numbers that stand in one vector one after the other, as parts of it."""
+        """Nodes of numbers in order; parts of a vector where they follow one another in it."""
         first = 0
         while first < len(ids):
             last, node = first + 1, self._nodes[ids[first]]
@@ -106,7 +106,7 @@ class Tape:
         return b.op == "pick" and b.args == a.args and b.data == a.data + 1
 
     def is_vector(self, ids: Ids) -> bool:
-        """Whether numbers stand one after the other in a long vector that is computed as one."""
+        """Whether numbers stand one after the other in a long vector, which is one node."""
         first = self._nodes[int(ids[0])]
         return (
             len(ids) >= LONG
@@ -115,8 +115,10 @@ class Tape:
         )
 
     def table(self, values: np.ndarray) -> int:
-        """A constant vector."""
-        return self.add(Node("table", (), len(values), self._kept(values), values.dtype == bool))
+        """The node of a constant vector."""
+        return self.add(
+            Node("table", (), len(values), self._table_index(values), values.dtype == bool)
+        )
 
     def product(self, matrix: np.ndarray, vector: Ids) -> list[int]:
         """The numbers of a constant matrix, (rows, columns), times a vector, (columns,)."""
@@ -124,29 +126,29 @@ class Tape:
 
     def product_vector(self, matrix: np.ndarray, vector: int) -> int:
         """The node of a constant matrix times a vector node."""
-        return self.add(Node("product", (vector,), len(matrix), self._kept(matrix)))
+        return self.add(Node("product", (vector,), len(matrix), self._table_index(matrix)))
 
     def matrix(self, number: int) -> np.ndarray:
-        """The constant matrix of that number, as the nodes of products have it."""
+        """The constant matrix of that number in nodes of products."""
         return self._tables[number]
 
     def layer(self, factor: Factor, vector: int) -> int:
-        """The node of a matrix that the program is given times a vector node."""
+        """The node of an input matrix times a vector node."""
         rows, columns = self.matrices[factor.name]
-        size = columns if factor.transposed else rows
+        size = columns if factor.is_transposed else rows
         return self.add(Node("layer", (vector,), size, factor))
 
-    def _kept(self, values: np.ndarray) -> int:
+    def _table_index(self, values: np.ndarray) -> int:
         key = values.shape, values.dtype.kind, values.tobytes()
-        if key not in self._known_tables:
-            self._known_tables[key] = len(self._tables)
+        if key not in self._table_indices:
+            self._table_indices[key] = len(self._tables)
             self._tables.append(values)
-        return self._known_tables[key]
+        return self._table_indices[key]
 
-    def copied(
+    def copy_node(
         self, program: Program, node: Node, args: Sequence[int], inputs: Mapping[str, int]
     ) -> int:
-        """A node of another program, no loop, on this tape.
+        """A copy of a node of another program on this tape; not of a loop.
 
         Args:
             program: that program.
@@ -174,19 +176,19 @@ class Tape:
         return self.apply(node.op, *args)
 
     def loop(self, loop: Loop, args: Sequence[Ids]) -> list[int]:
-        """The numbers of all that a loop carries, at its end."""
+        """The numbers of the vectors that a loop carries, at its end."""
         vectors = tuple(self.vector(ids) for ids in args)
         return self.split(self.add(Node("loop", vectors, sum(loop.carried_sizes), loop)))
 
     def apply(self, op: str, *args: int) -> int:
-        """An operation on single numbers, or on vectors of one size."""
+        """The node of an operation on single numbers, or on vectors of one size."""
         values = [self.value(a) for a in args]
         if all(value is not None for value in values):
             with np.errstate(all="ignore"):
                 return self.number(OPERATIONS[op].apply(*values).item())
-        simple = self._simplified(op, args, values)
-        if simple is not None:
-            return simple
+        simplified = self._simplify(op, args, values)
+        if simplified is not None:
+            return simplified
         size = max(self._nodes[a].size for a in args)
         truth = OPERATIONS[op].truth
         if op == "select":
@@ -195,8 +197,8 @@ class Tape:
             args = tuple(sorted(args))
         return self.add(Node(op, tuple(args), size, truth=truth))
 
-    def _simplified(self, op: str, args: Sequence[int], values: Sequence[Any]) -> int | None:
-        """A node that is the same as an operation, without it; factors of 0 give 0."""
+    def _simplify(self, op: str, args: Sequence[int], values: Sequence[Any]) -> int | None:
+        """A node equal to an operation, without the operation; factors of 0 give 0."""
         match op, values:
             case ("add", [0.0, _]) | ("mul", [1.0, _]):
                 return args[1]
@@ -224,35 +226,32 @@ class Tape:
         return None
 
     def program(self, outputs: Mapping[str, Ids]) -> Program:
-        """The program that returns some vectors, with nothing in it that they do not need."""
+        """The program that returns some vectors, without nodes that they do not need."""
         ends = {name: self.vector(ids) for name, ids in outputs.items()}
         needed = set(ends.values())
         for number in range(len(self._nodes) - 1, -1, -1):
             if number in needed:
                 needed |= set(self._nodes[number].args)
-        kept = sorted(needed)
-        place = {number: i for i, number in enumerate(kept)}
-        used = sorted(
-            {self._nodes[n].data for n in kept if self._nodes[n].op in ("table", "product")}
-        )
-        nodes = tuple(self._moved(self._nodes[n], place, used) for n in kept)
+        order = [self._nodes[number] for number in sorted(needed)]
+        place = {number: i for i, number in enumerate(sorted(needed))}
+        used = sorted({node.data for node in order if node.op in ("table", "product")})
+        nodes = []
+        for node in order:
+            data = node.data
+            if node.op in ("table", "product"):
+                data = used.index(data)
+            elif node.op == "number":
+                data = data.value
+            args = tuple(place[a] for a in node.args)
+            nodes.append(Node(node.op, args, node.size, data, node.truth))
         tables = tuple(self._tables[i] for i in used)
         returned = {name: place[number] for name, number in ends.items()}
-        return Program(dict(self.inputs), nodes, returned, tables, dict(self.matrices))
-
-    def _moved(self, node: Node, place: dict[int, int], used: list[int]) -> Node:
-        data = node.data
-        if node.op in ("table", "product"):
-            data = used.index(data)
-        elif node.op == "number":
-            data = data.value
-        args = tuple(place[a] for a in node.args)
-        return Node(node.op, args, node.size, data, node.truth)
+        return Program(dict(self.inputs), tuple(nodes), returned, tables, dict(self.matrices))
 
 
 @dataclass(frozen=True)
 class _Exact:
-    """A constant that equals only what has the same bits."""
+    """A constant that equals only constants with the same bits."""
 
     value: float | bool
 

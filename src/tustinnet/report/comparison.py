@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from tustinnet.data.experiment import Experiment
 from tustinnet.evaluate.scores import Score, mean_rmse
 from tustinnet.report.tables import Table, number, scale_of
-from tustinnet.simulate.horizon import over
+from tustinnet.simulate.horizon import horizon_words
 
 
 def comparison_table(
@@ -31,6 +31,6 @@ def comparison_table(
         inside = [i for i, e in enumerate(records) if (e.split or "all") == name]
         groups = [mean_rmse([found[i] for i in inside]) for found in scores.values()]
         rows.append(["mean", name, *map(told, groups)])
-    horizon = over(next(iter(scores.values()))[0].horizon)
+    horizon = horizon_words(next(iter(scores.values()))[0].horizon)
     title = f"Free-run RMSE [{records[0].channels.unit}], start '{start}'{horizon}"
     return Table(["record", "split", *scores], rows, title=title)

@@ -20,7 +20,7 @@ from tustinnet.evaluate.bands import Band
 from tustinnet.evaluate.scores import Score
 from tustinnet.report.figure_file import format_of
 from tustinnet.report.page.signals import bounded
-from tustinnet.simulate.horizon import over
+from tustinnet.simulate.horizon import horizon_words
 from tustinnet.store.files import write_into
 
 MEASURED = "#111111"
@@ -116,7 +116,7 @@ def free_run_figure(
         figure.align_ylabels()
         panels[-1].set_xlabel("time [s]")
         starts = sorted({score.start for score in runs.values()})
-        horizon = over(next((score.horizon for score in runs.values()), None))
+        horizon = horizon_words(next((score.horizon for score in runs.values()), None))
         title = f"{e.name}: free run, start '{', '.join(starts)}'{horizon}"
         panels[0].set_title(title, loc="left")
         handles, labels = panels[0].get_legend_handles_labels()

@@ -7,7 +7,7 @@ from tustinnet.evaluate.folds import Validated
 from tustinnet.evaluate.scores import rmse_by_record
 from tustinnet.fitting.report import Estimate, Identification
 from tustinnet.report.tables import Table, number, numbers, scale_of
-from tustinnet.simulate.horizon import over
+from tustinnet.simulate.horizon import horizon_words
 from tustinnet.store.run import Run
 
 
@@ -36,7 +36,7 @@ def members_table(run: Run) -> Table:
         ["seed", f"mean RMSE [{unit}]", "windows", "epochs", "kept", seconds, "outcome"],
         rows,
         title=f"{run.best.result.recipe.name}, {run.judged} free runs, start '{run.start}'"
-        + over(run.best.scores[0].horizon),
+        + horizon_words(run.best.scores[0].horizon),
     )
 
 
@@ -108,7 +108,7 @@ def _error(value: float | None) -> str:
 def judged_table(run: Run) -> Table:
     """The free runs that judge the best model of a run."""
     best = run.best
-    title = f"{run.judged} free runs, start '{run.start}'{over(best.scores[0].horizon)}"
+    title = f"{run.judged} free runs, start '{run.start}'{horizon_words(best.scores[0].horizon)}"
     return _by_record({**rmse_by_record(best.scores), "mean": best.mean}, title)
 
 
@@ -116,7 +116,7 @@ def fitted_table(run: Run) -> Table:
     """What the best model of a run leaves of each training record."""
     found = run.best.result.identification
     begin = (
-        f"free runs, start '{run.start}'{over(run.best.scores[0].horizon)}"
+        f"free runs, start '{run.start}'{horizon_words(run.best.scores[0].horizon)}"
         if found is None
         else "from the initial states found"
         + (" by the search, with its values" if found.refined else "")

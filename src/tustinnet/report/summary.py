@@ -9,7 +9,7 @@ from tustinnet.evaluate.scores import Score, mean_rmse
 from tustinnet.fitting.recipe import TrainingRecipe
 from tustinnet.report.progress import duration
 from tustinnet.report.tables import number
-from tustinnet.simulate.horizon import over
+from tustinnet.simulate.horizon import horizon_words
 from tustinnet.store.run import MODEL, Run
 
 
@@ -46,7 +46,7 @@ def _how_good(run: Run) -> str:
     )
     diverged = f"; {len(scores) - len(sound)} diverge" if len(sound) < len(scores) else ""
     return (
-        f"free runs{over(scores[0].horizon)} of {_which(run, sound)} are off by "
+        f"free runs{horizon_words(scores[0].horizon)} of {_which(run, sound)} are off by "
         f"{number(mean_rmse(sound))} {channels.unit} (mean RMSE): {told} "
         f"standard deviation{diverged}{_honest(run)}"
     )

@@ -18,7 +18,7 @@ from tustinnet.selection.ending import Final, Found
 from tustinnet.selection.jobs import LEFT_OUT, Workplace
 from tustinnet.selection.ranking import CLEAR, Standing, hanging, paired
 from tustinnet.simulate.range import KEY as RANGE
-from tustinnet.simulate.range import Cloud, cloud_of, range_of
+from tustinnet.simulate.range import TrainingSupport, recorded_range, training_support
 from tustinnet.store.kept_system import CANDIDATES, header_of
 from tustinnet.store.run import MODEL
 
@@ -77,8 +77,8 @@ class Choice:
         return taking_part(self.at.data)
 
     @cached_property
-    def _cloud(self) -> Cloud | None:
-        return cloud_of(self.at.data.channels, self._recorded)
+    def _cloud(self) -> TrainingSupport | None:
+        return training_support(self.at.data.channels, self._recorded)
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -166,7 +166,7 @@ class Choice:
         return {
             **final.about,
             "data": data_header(self.at.data.name, list(self.at.data)),
-            RANGE: range_of(final.model, self._recorded, self._cloud).as_header(),
+            RANGE: recorded_range(final.model, self._recorded, self._cloud).as_header(),
             "selection": {"plan": self.found.plan.name, "chosen": name, "made": self.made[name]},
             "scores": {
                 **scores_header(LEFT_OUT, standing.starts[0], channels, horizon, rmse),

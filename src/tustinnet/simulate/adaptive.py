@@ -31,7 +31,7 @@ class Adaptive(FromContinuous):
     tolerance: float = eqx.field(static=True)
 
     def advance(self, x: State, u: Drive, period: Array | float) -> State:
-        """One period, in as many steps as the tolerance asks for; arguments as `Discretised`."""
+        """The state a period later, in as many steps as the tolerance needs, see `Discretised`."""
         import diffrax
 
         def derivative(t: Any, state: State, model: ContinuousModel) -> State:

@@ -10,16 +10,16 @@ from jaxtyping import Array, Float
 from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.models.contract import Model
 from tustinnet.signals.stacking import stack_padded
-from tustinnet.simulate.batches import in_batches
-from tustinnet.simulate.drive import Drive, drives_of
+from tustinnet.simulate.batches import map_in_batches
+from tustinnet.simulate.input_signal import InputSignal, input_signals
 from tustinnet.simulate.rollout import rollout
-from tustinnet.simulate.simulation import beginnings, simulated
+from tustinnet.simulate.simulation import initial_states, simulate_runs
 
 
 def states_along(
     model: Model, experiments: Sequence[Experiment], velocity: VelocitySource = "auto"
 ) -> list[Float[np.ndarray, "_ n_x"]]:
-    """Of each record the states [q, v, z] along it, (n, n_x).
+    """States [q, v, z] along each record, (n, n_x).
 
     Internal states begin as the model expects and step with it; its positions and velocities are
     put back to the measured ones at every sample.
@@ -29,38 +29,41 @@ def states_along(
         experiments: the records.
         velocity: where the velocities come from, see `Experiment.velocities`.
     """
-    known = [e.measured_states(velocity) for e in experiments]
+    measured = [e.measured_states(velocity) for e in experiments]
     if not model.internal:
-        return known
-    internal = in_batches(model, experiments, lambda own, some: _internal(own, some, velocity))
-    return [np.concatenate([x, z[: len(x)]], axis=1) for x, z in zip(known, internal, strict=True)]
+        return measured
 
+    def internal_states(
+        model: Model, batch: Sequence[Experiment]
+    ) -> Float[np.ndarray, "records n n_z"]:
+        # all of one length, so that one program serves them; nobody reads what follows a record's
+        # end
+        rows = stack_padded([e.measured_states(velocity) for e in batch])
+        start = initial_states(model, rows[:, 0])
+        runs = simulate_runs(model, start, input_signals(model, batch), rows)
+        return runs[..., model.channels.internal]
 
-def _internal(
-    model: Model, experiments: Sequence[Experiment], velocity: VelocitySource
-) -> Float[np.ndarray, "records n n_z"]:
-    # all of one length, so that one program serves them; nobody reads what follows a record's end
-    known = stack_padded([e.measured_states(velocity) for e in experiments])
-    start = beginnings(model, known[:, 0])
-    runs = simulated(model, start, drives_of(model, experiments), known)
-    return runs[..., model.channels.internal]
+    internal = map_in_batches(model, experiments, internal_states)
+    return [
+        np.concatenate([x, z[: len(x)]], axis=1) for x, z in zip(measured, internal, strict=True)
+    ]
 
 
 @eqx.filter_jit
-def followed(
-    model: Model, known: Float[Array, "records n n_measured"], drive: Drive
+def predictions_along(
+    model: Model, measured: Float[Array, "records n n_measured"], signal: InputSignal
 ) -> Float[Array, "records n n_x"]:
-    """What a model says of every sample from the measured one before it.
+    """Predictions of every sample of records from the measured sample before it.
 
     Internal states begin as the model expects.
 
     Args:
         model: the model.
-        known: positions and velocities, (records, n, 2 n_q).
-        drive: what acts between the samples.
+        measured: positions and velocities, (records, n, 2 n_q).
+        signal: what acts between the samples.
     """
 
-    def one(known: Array, drive: Drive) -> Array:
-        return rollout(model, model.beginning(known[0]), drive, known)
+    def predict(rows: Array, signal: InputSignal) -> Array:
+        return rollout(model, model.beginning(rows[0]), signal, rows)
 
-    return jax.vmap(one)(known, drive)
+    return jax.vmap(predict)(measured, signal)

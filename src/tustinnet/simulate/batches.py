@@ -8,7 +8,7 @@ import equinox as eqx
 from tustinnet.data.experiment import Experiment
 from tustinnet.models.contract import AnyModel
 
-Answer = TypeVar("Answer")
+Result = TypeVar("Result")
 
 
 def batches(model: AnyModel, experiments: Sequence[Experiment]) -> list[tuple[AnyModel, list[int]]]:
@@ -17,26 +17,31 @@ def batches(model: AnyModel, experiments: Sequence[Experiment]) -> list[tuple[An
     Raises:
         InputError: a record of a group that the model does not know.
     """
-    found: list[tuple[AnyModel, list[int]]] = []
+    shared: list[tuple[AnyModel, list[int]]] = []
     for i, e in enumerate(experiments):
-        own = model.of(e)
-        for shared, rows in found:
-            if own is shared or eqx.tree_equal(own, shared):
+        model_of_record = model.of(e)
+        for other, rows in shared:
+            if model_of_record is other or eqx.tree_equal(model_of_record, other):
                 rows.append(i)
                 break
         else:
-            found.append((own, [i]))
-    return found
+            shared.append((model_of_record, [i]))
+    return shared
 
 
-def in_batches(
+def map_in_batches(
     model: AnyModel,
     experiments: Sequence[Experiment],
-    run: Callable[[AnyModel, Sequence[Experiment]], Iterable[Answer]],
-) -> list[Answer]:
-    """What `run` answers of every record, asked batch by batch with the model of each."""
-    answers: dict[int, Answer] = {}
-    for own, rows in batches(model, experiments):
-        found = run(own, [experiments[i] for i in rows])
-        answers.update(zip(rows, found, strict=True))
-    return [answers[i] for i in range(len(experiments))]
+    function: Callable[[AnyModel, Sequence[Experiment]], Iterable[Result]],
+) -> list[Result]:
+    """Results of a function for every record; it is called once for all that share a model.
+
+    Args:
+        model: the model.
+        experiments: the records.
+        function: from a model and the records of one batch to a result for each of them.
+    """
+    results: dict[int, Result] = {}
+    for shared, rows in batches(model, experiments):
+        results.update(zip(rows, function(shared, [experiments[i] for i in rows]), strict=True))
+    return [results[i] for i in range(len(experiments))]

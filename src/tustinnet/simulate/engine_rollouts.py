@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from tustinnet.engine import runs as engine
 from tustinnet.engine import xla
-from tustinnet.engine.equations import Equations, Residual
+from tustinnet.engine.equations import Equations, ResidualFormula
 from tustinnet.engine.xla import Rollouts
 from tustinnet.models.blocks import Affine, is_layer
 from tustinnet.models.contract import Model
@@ -47,7 +47,7 @@ class LayeredSteps(NamedTuple):
     others: Array
 
     def states(
-        self, x0: Float[Array, "batch n_x"], u: Float[Array, "batch steps *drive"]
+        self, x0: Float[Array, "batch n_x"], u: Float[Array, "batch steps *input"]
     ) -> Float[Array, "batch samples n_x"]:
         """The states of rollouts, with derivatives by layers and initial states alone."""
         stop = jax.lax.stop_gradient
@@ -58,8 +58,8 @@ class LayeredSteps(NamedTuple):
     def compare(
         self,
         x0: Float[Array, "batch n_x"],
-        u: Float[Array, "batch steps *drive"],
-        residual: Residual,
+        u: Float[Array, "batch steps *input"],
+        residual: ResidualFormula,
         target: Float[Array, "batch samples n_y"],
         weight: Float[Array, "batch samples n_y"],
     ) -> tuple[Array, Array, Array]:
@@ -70,14 +70,14 @@ class LayeredSteps(NamedTuple):
 
 
 def layered_steps(
-    model: Model, drive: tuple[int, ...], kind: np.dtype | type
+    model: Model, input_shape: tuple[int, ...], kind: np.dtype | type
 ) -> LayeredSteps | None:
     """The steps of a model by machine code; its numbers may be traced.
 
     Args:
         model: the model.
-        drive: the shape of what a step takes.
-        kind: the precision that is computed in.
+        input_shape: shape of the input that a step takes.
+        kind: precision of the computation.
 
     Returns:
         None where XLA does them as well, or machine code cannot: for networks without physics or
@@ -89,7 +89,7 @@ def layered_steps(
     layers = [leaf for leaf in leaves if is_layer(leaf)]
     if not layers or not all(eqx.is_inexact_array(leaf) for leaf in others):
         return None
-    if engine.engine() != "llvm" or not xla.available():
+    if engine.current_engine() != "llvm" or not xla.available():
         return None
     shapes = tuple(
         (leaf.weight.shape, leaf.bias is not None) if is_layer(leaf) else leaf.shape
@@ -97,50 +97,51 @@ def layered_steps(
     )
     if sum(len(layer.weight) for layer in layers) > _WIDEST:
         return None
-    found = _rollouts(structure, shapes, model.state_size, drive)
-    if found is None:
+    rollouts = _rollouts(structure, shapes, model.state_size, input_shape)
+    if rollouts is None:
         return None
     biases = [layer.bias for layer in layers if layer.bias is not None]
-    nothing = jnp.zeros(0, kind)
+    empty = jnp.zeros(0, kind)
     return LayeredSteps(
-        found,
+        rollouts,
         [layer.weight.astype(kind) for layer in layers],
-        jnp.concatenate([nothing, *biases]).astype(kind),
-        jnp.concatenate([nothing, *map(jnp.ravel, others)]).astype(kind),
+        jnp.concatenate([empty, *biases]).astype(kind),
+        jnp.concatenate([empty, *map(jnp.ravel, others)]).astype(kind),
     )
 
 
 def _flat(x0: Array, u: Array) -> Array:
-    """What drives each step as numbers."""
+    """The input of each step as a vector of numbers."""
     return u.reshape(*u.shape[:2], math.prod(u.shape[2:])).astype(x0.dtype)
 
 
 @lru_cache(maxsize=64)
 def _rollouts(
-    structure: Any, shapes: tuple[Any, ...], n_x: int, drive: tuple[int, ...]
+    structure: Any, shapes: tuple[Any, ...], n_x: int, input_shape: tuple[int, ...]
 ) -> Rollouts | None:
     """Rollouts of models of one structure; None where machine code cannot do them."""
-    layered = [isinstance(shape[-1], bool) if shape else False for shape in shapes]
-    matrices = {f"layer{i}": s[0] for i, s in enumerate(shapes) if layered[i]}
-    biased = [s[0][0] if s[1] else 0 for i, s in enumerate(shapes) if layered[i]]
-    other = [math.prod(s) for i, s in enumerate(shapes) if not layered[i]]
+    are_layers = [isinstance(shape[-1], bool) if shape else False for shape in shapes]
+    matrices = {f"layer{i}": s[0] for i, s in enumerate(shapes) if are_layers[i]}
+    bias_sizes = [s[0][0] if s[1] else 0 for i, s in enumerate(shapes) if are_layers[i]]
+    other_sizes = [math.prod(s) for i, s in enumerate(shapes) if not are_layers[i]]
 
     def step(x: Array, u: Array, p: Array, c: Array, *weights: Array) -> Array:
-        biases = iter(_cut(p, biased))
-        numbers, given = iter(_cut(c, other)), iter(weights)
+        biases = iter(_cut(p, bias_sizes))
+        numbers, matrices = iter(_cut(c, other_sizes)), iter(weights)
         leaves = []
-        for shape, weighs in zip(shapes, layered, strict=True):
-            if weighs:
+        for shape, has_weight in zip(shapes, are_layers, strict=True):
+            if has_weight:
                 bias = next(biases)
-                leaves.append(Affine(next(given), bias if shape[1] else None))
+                leaves.append(Affine(next(matrices), bias if shape[1] else None))
             else:
                 leaves.append(next(numbers).reshape(shape))
         model = jax.tree.unflatten(structure, leaves)
-        return model.step(x, u.reshape(drive))
+        return model.step(x, u.reshape(input_shape))
 
     equations = Equations(
-        step, n_x, math.prod(drive), sum(biased), sum(other), continuous=False, matrices=matrices
-    )
+        step, n_x, math.prod(input_shape), sum(bias_sizes), sum(other_sizes), continuous=False,
+        matrices=matrices,
+    )  # fmt: skip
     try:
         size = equations.adjoints.program.operations
     except Unreadable:

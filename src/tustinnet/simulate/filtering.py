@@ -1,6 +1,5 @@
-"""The states that a model has along a record, by a filter that is told the positions only."""
+"""Estimates of a model's states along a record, by a Kalman filter that sees positions only."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -11,8 +10,8 @@ from jaxtyping import Array, Float
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model, require_fit
-from tustinnet.simulate.drive import drive_of
-from tustinnet.simulate.linearise import with_slopes
+from tustinnet.simulate.input_signal import input_signal
+from tustinnet.simulate.linearise import value_and_jacobians
 
 Deviations = Float[Array | np.ndarray, " _"]
 Rows = Float[Array | np.ndarray, "..."]
@@ -22,7 +21,7 @@ Covariance = Float[np.ndarray, "n_x n_x"]
 
 @dataclass(frozen=True)
 class FilterNoise:
-    """Standard deviations of what a filter does not know.
+    """Standard deviations of the errors that a filter assumes.
 
     Attributes:
         start: of the first state, (n_x,), in units of the state.
@@ -36,12 +35,12 @@ class FilterNoise:
 
 
 @dataclass(frozen=True)
-class Filtered:
-    """What a filter says of a record.
+class FilterResult:
+    """Estimates of a filter along a record.
 
     Attributes:
-        states: after the positions of the same sample are known, (n, n_x).
-        deviations: the standard deviation that it has for each of them, (n, n_x).
+        states: estimates after the positions of the same sample are known, (n, n_x).
+        deviations: the standard deviation of each of them, (n, n_x).
     """
 
     states: Float[np.ndarray, "n n_x"]
@@ -50,8 +49,8 @@ class Filtered:
 
 def kalman_filter(
     model: Model, experiment: Experiment, x0: Float[Array | np.ndarray, " n_x"], noise: FilterNoise
-) -> Filtered:
-    """Follows a record with an extended Kalman filter over the steps of a model.
+) -> FilterResult:
+    """Estimates states along a record by an extended Kalman filter over the steps of a model.
 
     It sees the positions up to each sample, never later ones: what a controller can do, and what
     `estimate.c` of an export to C computes. Positions are not wrapped.
@@ -70,30 +69,9 @@ def kalman_filter(
             deviation that is negative or not finite; no noise at a position that is measured.
     """
     require_fit(model, experiment)
-    values = _checked(
-        {"x0": x0, "start": noise.start, "process": noise.process, "measured": noise.measured},
-        model.state_size, model.channels.n_q,
-    )  # fmt: skip
-    x, start, process, measured = values
-    p, folded = np.diag(start**2), model.folded()
-    u = np.asarray(drive_of(model, experiment).u)
-    states, variances = [], []
-    for k, q in enumerate(experiment.q):
-        x, p = _corrected(x, p, q, measured**2)
-        states.append(x)
-        variances.append(np.diag(p))
-        if k < len(u):
-            following, derivatives = _predicted(folded, x, u[k])
-            x, a = np.asarray(following), np.asarray(derivatives)
-            p = a @ p @ a.T + np.diag(process**2)
-    return Filtered(np.stack(states), np.sqrt(np.stack(variances)))
+    n_x = model.state_size
 
-
-def _checked(given: Mapping[str, Rows], n_x: int, n_q: int) -> list[Vector]:
-    """What a filter is given, as arrays; raises unless it can be computed with."""
-    found = []
-    for name, value in given.items():
-        size = n_q if name == "measured" else n_x
+    def checked(name: str, value: Rows, size: int = n_x) -> Vector:
         array = np.asarray(value, np.float64)
         if array.shape != (size,) or not np.isfinite(array).all():
             raise InputError("kalman_filter", f"{name} {value}", f"{size} finite numbers")
@@ -101,19 +79,36 @@ def _checked(given: Mapping[str, Rows], n_x: int, n_q: int) -> list[Vector]:
             raise InputError(
                 "kalman_filter", f"{name} {value}", "standard deviations, those measured above 0"
             )
-        found.append(array)
-    return found
+        return array
+
+    x, start = checked("x0", x0), checked("start", noise.start)
+    process = checked("process", noise.process)
+    measured = checked("measured", noise.measured, model.channels.n_q)
+    p, folded = np.diag(start**2), model.folded()
+    u = np.asarray(input_signal(model, experiment).u)
+    states, variances = [], []
+    for k, q in enumerate(experiment.q):
+        x, p = _correct(x, p, q, measured**2)
+        states.append(x)
+        variances.append(np.diag(p))
+        if k < len(u):
+            x, a = map(np.asarray, _predict(folded, x, u[k]))
+            p = a @ p @ a.T + np.diag(process**2)
+    return FilterResult(np.stack(states), np.sqrt(np.stack(variances)))
 
 
 @eqx.filter_jit
-def _predicted(model: Model, x: Rows, u: Rows) -> tuple[Array, Array]:
-    """The next state, and its derivatives by this one."""
-    following, (a,) = with_slopes(lambda x: model.step(x, jnp.asarray(u)), jnp.asarray(x))
-    return following, a
+def _predict(model: Model, x: Rows, u: Rows) -> tuple[Array, Array]:
+    """The next state, and its Jacobian by this one."""
+    x_next, (a,) = value_and_jacobians(lambda x: model.step(x, jnp.asarray(u)), jnp.asarray(x))
+    return x_next, a
 
 
-def _corrected(x: Vector, p: Covariance, q: Vector, variance: Vector) -> tuple[Vector, Covariance]:
-    """One position after the other; the form of Joseph, which keeps the covariance symmetric."""
+def _correct(x: Vector, p: Covariance, q: Vector, variance: Vector) -> tuple[Vector, Covariance]:
+    """State and covariance after one position after the other is known.
+
+    In the form of Joseph, which keeps the covariance symmetric.
+    """
     for i in range(len(q)):
         row = p[i]
         spread = row[i] + variance[i]

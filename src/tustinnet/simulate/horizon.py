@@ -5,19 +5,19 @@ from itertools import pairwise
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
-from tustinnet.simulate.starts import Start
+from tustinnet.simulate.start_rules import Start
 
 
 def horizon_samples(
     horizon: float | None, experiments: Sequence[Experiment], start: Start, where: str = "horizon"
 ) -> int | None:
-    """A horizon in samples, None where there is none.
+    """Samples of a horizon, None where there is none.
 
     Args:
         horizon: how long a free run lasts at most [s], or None for whole records.
         experiments: the records.
         start: where free runs start.
-        where: what messages call it.
+        where: the name of the horizon in messages.
 
     Raises:
         InputError: a horizon shorter than two samples or than the start needs, or longer than
@@ -31,7 +31,7 @@ def horizon_samples(
             where, f"{horizon:g} s", f"more than 0 and at most the longest record's "
             f"{(longest - 1) * dt:g} s", "leave it out for whole records",
         )  # fmt: skip
-    samples, fewest = round(horizon / dt), _fewest(start)
+    samples, fewest = round(horizon / dt), _fewest_samples(start)
     if samples < fewest:
         needed = "two samples" if fewest == 2 else f"what the start '{start.name}' needs"
         raise InputError(
@@ -42,7 +42,7 @@ def horizon_samples(
 
 
 def pieces(experiment: Experiment, samples: int | None, start: Start) -> list[Experiment]:
-    """A record's segments end to end, each behind the samples that its warm-up needs.
+    """Segments of a record end to end, each behind the samples that its warm-up needs.
 
     From the sample `start.first` on they share no sample and leave none out: free runs of all of
     them, one after the other, are as long as the record. A rest that is too short to start in
@@ -57,22 +57,22 @@ def pieces(experiment: Experiment, samples: int | None, start: Start) -> list[Ex
     if samples is None or n - lead <= samples:
         return [experiment]
     edges = [*range(lead, n, samples), n]
-    if edges[-1] - edges[-2] < _fewest(start):
+    if edges[-1] - edges[-2] < _fewest_samples(start):
         del edges[-2]
     return [experiment[a - lead : b] for a, b in pairwise(edges)]
 
 
-def within(horizon: float | None, experiments: Sequence[Experiment]) -> float | None:
-    """A horizon where some record is longer; else None: all are compared as a whole anyway."""
-    reached = horizon and any(len(e) > round(horizon / e.dt) for e in experiments)
-    return horizon if reached else None
+def effective_horizon(horizon: float | None, experiments: Sequence[Experiment]) -> float | None:
+    """The horizon where some record is longer; else None: all are compared as a whole anyway."""
+    is_reached = horizon and any(len(e) > round(horizon / e.dt) for e in experiments)
+    return horizon if is_reached else None
 
 
-def over(horizon: float | None) -> str:
-    """What titles say of a horizon; nothing of whole records."""
+def horizon_words(horizon: float | None) -> str:
+    """The horizon as titles say it behind a comma; an empty text for whole records."""
     return "" if horizon is None else f", over segments of {horizon:g} s"
 
 
-def _fewest(start: Start) -> int:
-    """Samples that a segment needs at least."""
+def _fewest_samples(start: Start) -> int:
+    """The smallest number of samples of a segment."""
     return max(2, start.samples - start.first)

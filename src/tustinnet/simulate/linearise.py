@@ -47,37 +47,40 @@ def linearize(
         InputError: shapes that the model does not have.
     """
     n_x, n_u = model.state_size, model.channels.n_u
-    at, inputs = jnp.asarray(x), jnp.asarray(u)
-    if at.shape != (n_x,) or inputs.shape != (n_u,):
+    state, inputs = jnp.asarray(x), jnp.asarray(u)
+    if state.shape != (n_x,) or inputs.shape != (n_u,):
         raise InputError(
             "linearize",
-            f"x of shape {at.shape}, u of shape {inputs.shape}",
+            f"x of shape {state.shape}, u of shape {inputs.shape}",
             f"({n_x},) and ({n_u},)",
         )
     discrete = isinstance(model, Model)
-    moved, (a, b) = with_slopes(model.step if discrete else model.derivative, at, inputs)
+    function = model.step if discrete else model.derivative
+    value, (a, b) = value_and_jacobians(function, state, inputs)
     return Linearisation(
         np.asarray(a),
         np.asarray(b),
-        np.asarray(moved - at if discrete else moved),
+        np.asarray(value - state if discrete else value),
         model.dt if discrete else None,
     )
 
 
-def with_slopes(function: Callable[..., Array], *at: Any) -> tuple[Array, tuple[Array, ...]]:
-    """What a function returns at a point, and its derivatives by each argument; computed once.
+def value_and_jacobians(
+    function: Callable[..., Array], *point: Any
+) -> tuple[Array, tuple[Array, ...]]:
+    """The value of a function at a point and its Jacobians by each argument, computed once.
 
     Args:
-        function: of vectors, (n,) each, to a vector, (m,).
-        at: the vectors.
+        function: from vectors, (n,) each, to a vector, (m,).
+        point: the vectors.
 
     Returns:
         The value, (m,), and for each argument the derivatives, (m, n).
     """
 
-    def twice(*at: Array) -> tuple[Array, Array]:
-        value = function(*at)
+    def twice(*point: Array) -> tuple[Array, Array]:
+        value = function(*point)
         return value, value
 
-    slopes, value = jax.jacfwd(twice, argnums=tuple(range(len(at))), has_aux=True)(*at)
-    return value, slopes
+    jacobians, value = jax.jacfwd(twice, argnums=tuple(range(len(point))), has_aux=True)(*point)
+    return value, jacobians

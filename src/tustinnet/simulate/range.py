@@ -1,4 +1,4 @@
-"""Where records lie: the smallest and largest states and inputs, and what came together."""
+"""Range of records: the smallest and largest states and inputs, and which came together."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,20 +15,20 @@ from tustinnet.models.contract import Model
 from tustinnet.simulate.along import states_along
 
 KEY = "range"  # in headers of model files
-_POINTS = 300  # of a cloud
-_TRIED = 4000  # samples that they are taken from, at most
+_POINTS = 300  # of a training support
+_CANDIDATES = 4000  # samples that they are taken from, at most
 _DIGITS = 3  # of their numbers
 _MARGIN = 0.1  # of the span, beyond which a value counts as outside
 _LEAST = 1e-9  # span of what never moved
 
 
 @dataclass(frozen=True)
-class Cloud:
-    """What positions, velocities and inputs of records came together.
+class TrainingSupport:
+    """Points of positions, velocities and inputs that came together in records.
 
     Attributes:
-        points: some of them, that no other is far from, in units of their spread; of angles sine
-            and cosine, (k, n_features).
+        points: some of the samples, which no other is far from, in units of their spread; of
+            angles sine and cosine, (k, n_features).
         spread: these units, (n_features,).
         reach: how far from the nearest point a record is that was not among them.
     """
@@ -38,25 +38,25 @@ class Cloud:
     reach: float
 
     def distance(self, features: Float[np.ndarray, "n n_features"]) -> Float[np.ndarray, " n"]:
-        """How far from the nearest point, in times of `reach`, (n,)."""
+        """Distance from the nearest point, in multiples of `reach`, (n,)."""
         return _nearest(features / self.spread, self.points) / self.reach
 
 
 @dataclass(frozen=True)
-class Left:
-    """Where a free run leaves what was recorded.
+class ExtrapolationPoint:
+    """The point at which a free run leaves the range of the records.
 
     Attributes:
-        sample: the first one outside.
-        what: the coordinate, velocity or input that is farthest outside, or "" where each by
+        sample: the first sample outside.
+        signal: the coordinate, velocity or input that is farthest outside, or "" where each by
             itself was recorded, but not together.
-        value: the farthest value of it; of what did not come together how far it is from what
-            was recorded, in times of the usual distance.
+        value: its farthest value; where signals did not come together, their distance from the
+            records, in multiples of the usual distance.
         recorded: its smallest and largest recorded value.
     """
 
     sample: int
-    what: str
+    signal: str
     value: float
     recorded: tuple[float, float]
 
@@ -68,34 +68,34 @@ class Range:
     Attributes:
         states: of [q, v, z], (n_x, 2).
         inputs: (n_u, 2).
-        cloud: what came together, None of one record and in older files.
+        support: the points that came together, None of one record and in older files.
     """
 
     states: Float[np.ndarray, "n_x 2"]
     inputs: Float[np.ndarray, "n_u 2"]
-    cloud: Cloud | None = None
+    support: TrainingSupport | None = None
 
     def as_header(self) -> dict[str, Any]:
-        """The same as plain values, as model files have it."""
-        told: dict[str, Any] = {"states": self.states.tolist(), "inputs": self.inputs.tolist()}
-        if self.cloud is not None:
-            told["cloud"] = {
-                "points": np.round(self.cloud.points, _DIGITS).tolist(),
-                "spread": self.cloud.spread.tolist(),
-                "reach": self.cloud.reach,
+        """The range as plain values for the header of a model file."""
+        header: dict[str, Any] = {"states": self.states.tolist(), "inputs": self.inputs.tolist()}
+        if self.support is not None:
+            header["cloud"] = {
+                "points": np.round(self.support.points, _DIGITS).tolist(),
+                "spread": self.support.spread.tolist(),
+                "reach": self.support.reach,
             }
-        return told
+        return header
 
-    def left(
+    def extrapolation_point(
         self,
         channels: Channels,
         states: Float[np.ndarray, "n n_x"],
         u: Float[np.ndarray, "n n_u"],
-    ) -> Left | None:
-        """Where a free run leaves what was recorded; None where it does not.
+    ) -> ExtrapolationPoint | None:
+        """The point at which a free run leaves the range of the records; None where it does not.
 
         Values count as outside that are beyond the recorded ones by a tenth of their span;
-        positions of angles only by what came together with them, as they may turn on.
+        positions of angles only by the signals that came together with them, as they may turn on.
 
         Args:
             channels: of the model.
@@ -118,81 +118,92 @@ class Range:
         with np.errstate(invalid="ignore"):
             beyond = np.maximum(ends[:, 0] - values, values - ends[:, 1]) / span
         beyond = np.where(np.isfinite(values), beyond, np.inf)
-        apart = beyond.max(axis=1, initial=-np.inf) > _MARGIN
-        far = np.zeros(len(values))
-        if self.cloud is not None:
+        outside_range = beyond.max(axis=1, initial=-np.inf) > _MARGIN
+        distance = np.zeros(len(values))
+        if self.support is not None:
             finite = np.isfinite(values).all(axis=1)
-            far[finite] = self.cloud.distance(features(channels, states, u)[finite])
-        outside = np.flatnonzero(apart | (far > 1))
+            distance[finite] = self.support.distance(features(channels, states, u)[finite])
+        outside = np.flatnonzero(outside_range | (distance > 1))
         if not len(outside):
             return None
-        if not apart.any():
-            return Left(int(outside[0]), "", float(far.max()), (0.0, 1.0))
+        if not outside_range.any():
+            return ExtrapolationPoint(int(outside[0]), "", float(distance.max()), (0.0, 1.0))
         _, j = np.unravel_index(np.argmax(beyond), beyond.shape)
         k = int(np.argmax(beyond[:, j]))
         low, high = ends[j].tolist()
-        return Left(int(outside[0]), names[j], float(values[k, j]), (low, high))
+        return ExtrapolationPoint(int(outside[0]), names[j], float(values[k, j]), (low, high))
 
     @classmethod
     def from_header(cls, header: Mapping[str, Any], model: Model) -> "Range | None":
-        """What the header of a model's file says; None where it says nothing.
+        """The range in the header of a model's file; None where it has none.
 
         Args:
             header: the whole header.
             model: the model of the file.
 
         Raises:
-            InputError: it says something that is no range of this model.
+            InputError: a range that is not one of this model.
         """
-        told = header.get(KEY)
-        if told is None:
+        plain = header.get(KEY)
+        if plain is None:
             return None
-        n_x, n_u = model.state_size, model.channels.n_u
+        channels, n_x, n_u = model.channels, model.state_size, model.channels.n_u
         expected = f"smallest and largest values of {n_x} states and {n_u} inputs"
         with convert_errors(KEY, "no range of the model", expected):
-            states, inputs = (np.array(told[part], float) for part in ("states", "inputs"))
-            found = cls(states.reshape(n_x, 2), inputs.reshape(n_u, 2), _cloud_from(told, model))
+            states, inputs = (np.array(plain[part], float) for part in ("states", "inputs"))
+            support, points = None, plain.get("cloud")
+            if points is not None:
+                size = channels.n_q + int(channels.angular.sum()) + channels.n_q + n_u
+                support = TrainingSupport(
+                    np.array(points["points"], float).reshape(-1, size),
+                    np.array(points["spread"], float).reshape(size),
+                    float(points["reach"]),
+                )
+            result = cls(states.reshape(n_x, 2), inputs.reshape(n_u, 2), support)
         # internal states of a model that diverged are no numbers along its records
-        return found if all(np.isfinite(e).all() for e in (states, inputs)) else None
+        return result if all(np.isfinite(e).all() for e in (states, inputs)) else None
 
 
-def range_of(model: Model, experiments: Sequence[Experiment], cloud: Cloud | None = None) -> Range:
-    """Where records lie, internal states as the model has them along the records.
+def recorded_range(
+    model: Model, experiments: Sequence[Experiment], support: TrainingSupport | None = None
+) -> Range:
+    """The range of records, internal states as the model has them along the records.
 
     Args:
         model: the model.
         experiments: the records.
-        cloud: what came together in them, where it is known: it is the same for every model.
+        support: their training support, if known: it is the same for every model.
     """
     states = np.concatenate(states_along(model, experiments))
     inputs = np.concatenate([e.u for e in experiments])
-    known = cloud_of(model.channels, experiments) if cloud is None else cloud
-    return Range(_ends(states), _ends(inputs), known)
+    if support is None:
+        support = training_support(model.channels, experiments)
+    return Range(_ends(states), _ends(inputs), support)
 
 
-def joined(ranges: Sequence[Range], channels: Channels) -> Range:
+def join_ranges(ranges: Sequence[Range], channels: Channels) -> Range:
     """The range of models that step together, their internal states one after the other.
 
-    What came together is known where all are of the same records.
+    It has a training support where all are of the same records.
 
     Args:
-        ranges: of each model.
-        channels: what they share.
+        ranges: the range of each model.
+        channels: the channels that they share.
     """
-    measured = [of.states[channels.measured] for of in ranges]
-    internal = [of.states[channels.internal] for of in ranges]
-    clouds = [of.cloud for of in ranges if of.cloud is not None]
-    same = len(clouds) == len(ranges) and all(
-        np.array_equal(cloud.points, clouds[0].points) for cloud in clouds
+    measured = [r.states[channels.measured] for r in ranges]
+    internal = [r.states[channels.internal] for r in ranges]
+    supports = [r.support for r in ranges if r.support is not None]
+    is_shared = len(supports) == len(ranges) and all(
+        np.array_equal(support.points, supports[0].points) for support in supports
     )
     return Range(
-        np.concatenate([_around(measured), *internal]),
-        _around([of.inputs for of in ranges]),
-        clouds[0] if same else None,
+        np.concatenate([_enclosing(measured), *internal]),
+        _enclosing([r.inputs for r in ranges]),
+        supports[0] if is_shared else None,
     )
 
 
-def _around(ends: Sequence[Float[np.ndarray, "c 2"]]) -> Float[np.ndarray, "c 2"]:
+def _enclosing(ends: Sequence[Float[np.ndarray, "c 2"]]) -> Float[np.ndarray, "c 2"]:
     low, high = np.moveaxis(np.stack(ends), -1, 0)
     return np.stack([low.min(axis=0), high.max(axis=0)], axis=1)
 
@@ -201,8 +212,10 @@ def _ends(signals: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "c 2"]:
     return np.stack([signals.min(axis=0), signals.max(axis=0)], axis=1)
 
 
-def cloud_of(channels: Channels, experiments: Sequence[Experiment]) -> Cloud | None:
-    """What came together in records; None of a single one.
+def training_support(
+    channels: Channels, experiments: Sequence[Experiment]
+) -> TrainingSupport | None:
+    """Points that came together in records; None of a single one.
 
     The reach is the largest distance of any record from the points of the others.
 
@@ -212,17 +225,17 @@ def cloud_of(channels: Channels, experiments: Sequence[Experiment]) -> Cloud | N
     """
     if len(experiments) < 2:  # nothing says how far another record would be
         return None
-    every = [features(channels, e.measured_states(), e.u) for e in experiments]
-    step = max(1, sum(map(len, every)) // _TRIED)
-    some = [of[::step] for of in every]
-    spread = np.maximum(np.concatenate(some).std(axis=0), _LEAST)
-    some = [of / spread for of in some]
-    away = []
-    for i, own in enumerate(some):
-        others = np.concatenate([of for j, of in enumerate(some) if j != i])
-        away.append(_nearest(own, _spread_out(others)).max())
-    reach = max(float(max(away)), _LEAST)
-    return Cloud(_spread_out(np.concatenate(some)), spread, reach)
+    by_record = [features(channels, e.measured_states(), e.u) for e in experiments]
+    step = max(1, sum(map(len, by_record)) // _CANDIDATES)
+    by_record = [rows[::step] for rows in by_record]
+    spread = np.maximum(np.concatenate(by_record).std(axis=0), _LEAST)
+    by_record = [rows / spread for rows in by_record]
+    distances = []
+    for i, rows in enumerate(by_record):
+        others = np.concatenate([other for j, other in enumerate(by_record) if j != i])
+        distances.append(_nearest(rows, _spread_points(others)).max())
+    reach = max(float(max(distances)), _LEAST)
+    return TrainingSupport(_spread_points(np.concatenate(by_record)), spread, reach)
 
 
 def features(
@@ -234,30 +247,20 @@ def features(
     return np.concatenate([*parts, states[:, channels.velocity], u], axis=1)
 
 
-def _spread_out(points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "k d"]:
-    """Points of a set that no other is far from: each the farthest from those before it.
+def _spread_points(points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "k d"]:
+    """Points of a set that no other is far from: each is the farthest from those before it.
 
     References:
         Gonzalez (1985), Clustering to minimize the maximum intercluster distance.
     """
-    chosen, far = [0], np.sum((points - points[0]) ** 2, axis=1)
-    while len(chosen) < min(_POINTS, len(points)):
-        chosen.append(int(np.argmax(far)))
-        far = np.minimum(far, np.sum((points - points[chosen[-1]]) ** 2, axis=1))
-    return points[chosen]
+    indices, distance = [0], np.sum((points - points[0]) ** 2, axis=1)
+    while len(indices) < min(_POINTS, len(points)):
+        indices.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.sum((points - points[indices[-1]]) ** 2, axis=1))
+    return points[indices]
 
 
 def _nearest(
     values: Float[np.ndarray, "n d"], points: Float[np.ndarray, "k d"]
 ) -> Float[np.ndarray, " n"]:
     return scipy.spatial.KDTree(points).query(values)[0]
-
-
-def _cloud_from(told: Mapping[str, Any], model: Model) -> Cloud | None:
-    of = told.get("cloud")
-    if of is None:
-        return None
-    channels = model.channels
-    size = channels.n_q + int(channels.angular.sum()) + channels.n_q + channels.n_u
-    points = np.array(of["points"], float).reshape(-1, size)
-    return Cloud(points, np.array(of["spread"], float).reshape(size), float(of["reach"]))

@@ -1,26 +1,85 @@
 """Free runs of models by the engine, several records side by side."""
 
+from collections.abc import Callable
 from functools import lru_cache
+from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.engine.equations import Equations, Formula
 from tustinnet.engine.runs import Runs, evaluate, simulate
-from tustinnet.models.contract import ContinuousModel, Model
+from tustinnet.models.contract import Model
 from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
-from tustinnet.simulate.drive import Drive
+from tustinnet.models.sensors import delay_of
+from tustinnet.simulate.input_signal import InputSignal
 
 _RECENT = 8  # models whose equations are at hand
 
 
+def step_equations(
+    model: Model, shape: tuple[int, ...], step: Callable[..., Any] | None = None
+) -> Equations:
+    """The step of a discrete model as equations for the engine.
+
+    Args:
+        model: the model.
+        shape: shape of the input that a step takes.
+        step: the step, where it is not the model's own: from state and input to the next state.
+    """
+    function = model.step if step is None else step
+    return Equations(
+        lambda x, u, p, c: function(x, u.reshape(shape)),
+        n_x=model.state_size, n_u=int(np.prod(shape)), continuous=False,
+        where=f"the model ({type(model).__name__})",
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=32)  # one machine code serves a system whatever its parameters' values
+def system_motion(
+    system: LagrangianSystem, searched: tuple[str, ...], others: tuple[str, ...], *, delays: bool
+) -> Equations:
+    """The derivative of the state of a system, by its state, inputs and parameters.
+
+    Args:
+        system: the system.
+        searched: names of the parameters that derivatives are needed by.
+        others: names of all other parameters.
+        delays: whether the inputs are followed by their derivatives by their delays, and the
+            parameters by the delays that the inputs were made with.
+    """
+    n_u, n_others = len(system.inputs), len(others)
+    delay_names = [delay_of(i) for i in system.inputs]
+
+    def derivative(x: Array, u: Array, p: Array, c: Array) -> Array:
+        values = {name: p[i] for i, name in enumerate(searched)}
+        values |= {name: c[i] for i, name in enumerate(others)}
+        if delays:
+            made = c[n_others:]
+            moved = [values.get(name, made[i]) - made[i] for i, name in enumerate(delay_names)]
+            u = u[:n_u] + u[n_u:] * jnp.stack(moved)
+        return system.model(values).derivative(x, u)
+
+    return Equations(
+        derivative,
+        n_x=system.channels.measured.stop + len(system.internal),
+        n_u=2 * n_u if delays else n_u,
+        n_p=len(searched),
+        n_c=n_others + (n_u if delays else 0),
+        where=f"system '{system.name}'",
+    )
+
+
 class ModelEquations:
-    """A model as the engine takes it.
+    """Equations of a model for the engine, with the values of its parameters.
 
     Attributes:
+        model: the model.
+        shape: shape of the input that a step takes.
         equations: its equations of motion, or its step.
-        parameters: what the equations are given of its parameters, (n_c,).
+        parameters: values of the parameters of the equations, (n_c,).
         substeps: integration steps in a period.
         dt: its sampling period [s].
     """
@@ -29,41 +88,46 @@ class ModelEquations:
         self.model, self.shape = model, shape
         self.dt, self.substeps = float(model.dt), 1
         self.parameters: Float[np.ndarray, " n_c"] = np.zeros(0)
-        if isinstance(model, Discretised):
-            self.substeps = model.substeps
-            self.equations, self.parameters = _motion(model.continuous, model.channels.n_u)
+        if not isinstance(model, Discretised):
+            self.equations = step_equations(model, shape)
+            return
+        self.substeps, continuous = model.substeps, model.continuous
+        if isinstance(continuous, LagrangianModel):
+            names = tuple(sorted(continuous.values))
+            self.equations = system_motion(continuous.system, (), names, delays=False)
+            self.parameters = np.array([float(continuous.values[name]) for name in names])
         else:
             self.equations = Equations(
-                lambda x, u, p, c: model.step(x, u.reshape(shape)),
-                n_x=model.state_size, n_u=int(np.prod(shape)), continuous=False,
-                where=f"the model ({type(model).__name__})",
+                lambda x, u, p, c: continuous.derivative(x, u),
+                n_x=continuous.state_size, n_u=model.channels.n_u,
+                where=f"the model ({type(continuous).__name__})",
             )  # fmt: skip
 
     def runs(
         self,
         start: Float[np.ndarray, "runs n_x"],
-        drive: Drive,
-        known: Float[np.ndarray, "runs known n_m"] | None = None,
+        signal: InputSignal,
+        measured: Float[np.ndarray, "runs known n_m"] | None = None,
     ) -> Runs:
         """Runs over inputs, which stand in rows run after run; a row more than steps for each.
 
         Args:
             start: states at the beginning, (runs, n_x).
-            drive: what acts between the samples, (runs, steps, ...).
-            known: positions and velocities of the first samples, which replace the model's own.
+            signal: what acts between the samples, (runs, steps, ...).
+            measured: positions and velocities of the first samples, which replace the model's own.
         """
-        u = np.asarray(drive.u, np.float64)
+        u = np.asarray(signal.u, np.float64)
         count, steps = u.shape[:2]
         rows = np.zeros((count, steps + 1, *u.shape[2:]))
         rows[:, :steps] = u
         periods = np.full((count, steps + 1), self.dt)
-        if drive.periods is not None:
-            periods[:, :steps] = drive.periods
+        if signal.periods is not None:
+            periods[:, :steps] = signal.periods
         order = u.shape[2] if self.equations.continuous and u.ndim == 4 else 1
-        measured = None
-        if known is not None:
-            measured = np.zeros((count, steps + 1, known.shape[2]))
-            measured[:, : known.shape[1]] = known[:, : steps + 1]
+        padded = None
+        if measured is not None:
+            padded = np.zeros((count, steps + 1, measured.shape[2]))
+            padded[:, : measured.shape[1]] = measured[:, : steps + 1]
         return Runs(
             start=np.asarray(start, np.float64),
             parameters=np.tile(self.parameters, (count, 1)),
@@ -71,52 +135,55 @@ class ModelEquations:
             first=np.arange(count) * (steps + 1),
             drive=rows.reshape(count * (steps + 1), order, self.equations.n_u),
             periods=periods.ravel(),
-            known=None if measured is None else measured.reshape(-1, measured.shape[2]),
-            measured=None if known is None else np.full(count, min(known.shape[1], steps)),
+            measured=None if padded is None else padded.reshape(-1, padded.shape[2]),
+            measured_samples=(
+                None if measured is None else np.full(count, min(measured.shape[1], steps))
+            ),
         )
 
 
-def equations_of(model: Model, drive: Drive) -> ModelEquations:
-    """A model as the engine takes it; it is read once while it is in use."""
-    shape = np.shape(drive.u)[2:]
-    for known in _recent:
-        if known.model is model and known.shape == shape:
-            return known
-    made = ModelEquations(model, shape)
-    _recent.insert(0, made)
+def model_equations(model: Model, signal: InputSignal) -> ModelEquations:
+    """Equations of a model for the engine; the model is read once while it is in use."""
+    shape = np.shape(signal.u)[2:]
+    for equations in _recent:
+        if equations.model is model and equations.shape == shape:
+            return equations
+    equations = ModelEquations(model, shape)
+    _recent.insert(0, equations)
     del _recent[_RECENT:]
-    return made
+    return equations
 
 
 _recent: list[ModelEquations] = []
 
 
-def simulated(
+def simulate_runs(
     model: Model,
     x0: Float[Array | np.ndarray, "runs n_x"],
-    drive: Drive,
-    known: Float[Array | np.ndarray, "runs known n_m"] | None = None,
+    signal: InputSignal,
+    measured: Float[Array | np.ndarray, "runs known n_m"] | None = None,
 ) -> Float[np.ndarray, "runs samples n_x"]:
-    """Free runs side by side, in double precision; what `rollout` does for each.
+    """Free runs side by side, in double precision, each as by `rollout`.
 
     Args:
         model: the model.
         x0: states at the beginning, (runs, n_x).
-        drive: what acts between the samples, (runs, steps, ...).
-        known: positions and velocities [q, v] of the first samples, which take the place of the
+        signal: what acts between the samples, (runs, steps, ...).
+        measured: positions and velocities [q, v] of the first samples, which take the place of the
             model's own before it steps on, (runs, known, 2 n_q).
 
     Returns:
         The states, (runs, steps + 1, n_x).
     """
-    of = equations_of(model, drive)
+    equations = model_equations(model, signal)
     start = np.asarray(x0, np.float64)
-    given = None if known is None else np.asarray(known, np.float64)
-    states = simulate(of.equations, of.runs(start, drive, given), of.substeps)
+    rows = None if measured is None else np.asarray(measured, np.float64)
+    runs = equations.runs(start, signal, rows)
+    states = simulate(equations.equations, runs, equations.substeps)
     return states.reshape(len(start), -1, start.shape[1])
 
 
-def beginnings(
+def initial_states(
     model: Model, measured: Float[np.ndarray, "runs n_measured"]
 ) -> Float[np.ndarray, "runs n_x"]:
     """The states in which records begin, by their first [q, v], see `Model.initial_internal`."""
@@ -127,27 +194,3 @@ def beginnings(
         model.initial_internal, measured.shape[1], where=f"the model ({type(model).__name__})"
     )
     return np.concatenate([measured, evaluate(formula, measured)], axis=1)
-
-
-def _motion(model: ContinuousModel, n_u: int) -> tuple[Equations, Float[np.ndarray, " n_c"]]:
-    if isinstance(model, LagrangianModel):
-        names = tuple(sorted(model.values))
-        return _system_motion(model.system, names), np.array(
-            [float(model.values[n]) for n in names]
-        )
-    equations = Equations(
-        lambda x, u, p, c: model.derivative(x, u), n_x=model.state_size, n_u=n_u,
-        where=f"the model ({type(model).__name__})",
-    )  # fmt: skip
-    return equations, np.zeros(0)
-
-
-@lru_cache(maxsize=32)  # one machine code serves a system whatever its parameters' values
-def _system_motion(system: LagrangianSystem, names: tuple[str, ...]) -> Equations:
-    def derivative(x: Array, u: Array, p: Array, c: Array) -> Array:
-        return system.model({name: c[i] for i, name in enumerate(names)}).derivative(x, u)
-
-    return Equations(
-        derivative, n_x=2 * len(system.coordinates) + len(system.internal),
-        n_u=len(system.inputs), n_c=len(names), where=f"system '{system.name}'",
-    )  # fmt: skip

@@ -1,7 +1,7 @@
 """Initial states from which a model explains the first samples of a record best."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache, partial
 from typing import Any
 
@@ -10,23 +10,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tustinnet.engine.equations import Equations, Residual
-from tustinnet.engine.runs import Comparison, Directions, Samples, compare
+from tustinnet.engine.equations import Equations, ResidualFormula
+from tustinnet.engine.runs import Directions, Samples, compare
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import Discretised
-from tustinnet.simulate.drive import Drive
 from tustinnet.simulate.engine_rollouts import layered_steps
+from tustinnet.simulate.input_signal import InputSignal
 from tustinnet.simulate.rollout import precision, rollout
-from tustinnet.simulate.simulation import equations_of
+from tustinnet.simulate.simulation import model_equations
 
 FEWEST = 3  # samples that say something of a velocity
-TURNS = 12  # Levenberg-Marquardt steps; from a parabola 3 or 4 are enough
-HELD_TURNS = 8  # before them, with internal states held
-HELD = 30.0  # times as near to the guess as they are kept in the end
+ITERATIONS = 12  # of Levenberg-Marquardt; from a parabola 3 or 4 are enough
+CONSTRAINED_ITERATIONS = 8  # before them, with internal states kept near the guess
+CONSTRAINT = 30.0  # times as near to it as in the end
 FIRST_DAMPING = 1e-3
 _RISING = 4  # power of its place among the samples with which one weighs
-_FEW = 5  # samples for each of these powers: what is left must say a velocity, too
-EXPLAINED = 2.5  # standard deviations (root mean square) that a model may leave
+_FEW = 5  # samples for each of these powers: those that weigh must say a velocity, too
+EXPLAINED = 2.5  # standard deviations (root mean square) of errors that a model explains
 _UNKNOWN_ERROR = 1e-3  # [rad or m], of positions whose resolution nobody declared
 
 
@@ -42,34 +42,21 @@ def position_weights(model: Model) -> Float[np.ndarray, " n_q"]:
 def sample_shares(
     samples: int,
 ) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
-    """What errors weigh by their place among the samples: the more the later, and all the same."""
+    """Weights of errors by their place among the samples: the more the later, and all the same."""
     places = np.arange(1, samples + 1) / samples
     return places ** min(_RISING, samples / _FEW), np.ones(samples)
 
 
-@dataclass(frozen=True)
-class StateFit:
-    """States fitted to the first samples of records.
-
-    Attributes:
-        x: the states, (records, n_x).
-        share: what the samples of each weigh, (records, samples).
-    """
-
-    x: Float[np.ndarray, "records n_x"]
-    share: Float[np.ndarray, "records samples"]
-
-
 @lru_cache  # so that it is read and compiled once
-def positions(n_q: int) -> Residual:
-    """Errors of positions that count as they are."""
-    return Residual(lambda error: error, n_q)
+def position_residual(n_q: int) -> ResidualFormula:
+    """The residual of positions: their errors as they are."""
+    return ResidualFormula(lambda error: error, n_q)
 
 
-def fitted_states(
+def fit_states(
     model: Model,
     guess: Float[np.ndarray, "records n_x"],
-    drive: Drive,
+    signal: InputSignal,
     q: Float[np.ndarray, "records samples n_q"],
 ) -> Float[np.ndarray, "records n_x"]:
     """Initial states by least squares through the model.
@@ -77,94 +64,82 @@ def fitted_states(
     Minimises the squared position errors over the samples, each over the encoder's standard
     deviation; internal states are kept near the guess, with the model's `internal_spread` as
     standard deviations. Errors weigh the more, the later they are: that of the k-th of N samples
-    (k/N)^4, or (k/N)^(N/5) where there are fewer than 20. At first something else often still acts,
-    as a rule the hand that lets go, and a model that is nearly right can take that for an internal
-    state. Where more than 2.5 standard deviations (root mean square, weighed) are left, the fault
-    is the model's, and all samples weigh the same.
+    (k/N)^4, or (k/N)^(N/5) where there are fewer than 20. The first samples are often disturbed, as
+    a rule by the hand that releases the system, and a model that is nearly right can take that for
+    an internal state. Where errors of more than 2.5 standard deviations (root mean square, weighed)
+    remain, the fault is the model's, and all samples weigh the same.
 
-    Levenberg-Marquardt with exact derivatives, in few turns. Where a hand acted, the parabola may
-    be far from the motion after it, and internal states then grow to explain that, from where the
-    search does not come back in time. So where it explains nothing, it is also begun with internal
-    states that are held near the guess.
+    Levenberg-Marquardt with exact derivatives, in few iterations. Where a hand acted, the parabola
+    may be far from the motion after it, and internal states then grow to explain that, from where
+    the search does not come back in time. So where it explains nothing, it is also started with
+    internal states that are kept near the guess.
 
     Args:
         model: the model.
-        guess: where the search begins, (records, n_x).
-        drive: what acts between the samples, (records, samples - 1, ...).
+        guess: states at which the search begins, (records, n_x).
+        signal: what acts between the samples, (records, samples - 1, ...).
         q: measured positions, (records, samples, n_q).
     """
-    of = equations_of(model, drive)
-    parameters = np.tile(of.parameters, (len(guess), 1))
-    return _fit(model, of.equations, parameters, guess, drive, q).x
+    engine_model = model_equations(model, signal)
+    parameters = np.tile(engine_model.parameters, (len(guess), 1))
+    return _fit(model, engine_model.equations, parameters, guess, signal, q)[0]
 
 
-def fitted_states_in_training(
+def fit_states_traced(
     model: Model,
     guess: Float[Array, "records n_x"],
-    drive: Drive,
+    signal: InputSignal,
     q: Float[Array | np.ndarray, "records samples n_q"],
 ) -> Float[Array, "records n_x"]:
-    """What `fitted_states` says, as a part of a program that JAX compiles.
+    """Initial states by `fit_states`, as a part of a program that JAX compiles.
 
     Args:
         model: the model, whose numbers may be traced.
-        guess: where the search begins, (records, n_x).
-        drive: what acts between the samples, (records, samples - 1, ...).
+        guess: states at which the search begins, (records, n_x).
+        signal: what acts between the samples, (records, samples - 1, ...).
         q: measured positions, (records, samples, n_q).
     """
-    kind = precision(model, guess, jnp.asarray(drive.u), jnp.asarray(q))
+    kind = precision(model, guess, jnp.asarray(signal.u), jnp.asarray(q))
     variants = _Variants(jnp, model, len(guess), q.shape[1])
-    start, each, measured = (
-        variants.repeated(jax.tree.map(jnp.asarray, a)) for a in (guess.astype(kind), drive, q)
+    start, repeated, measured = (
+        variants.repeat(jax.tree.map(jnp.asarray, a)) for a in (guess.astype(kind), signal, q)
     )
     weight = jnp.asarray(variants.share[:, :, None] * position_weights(model), kind)
-    internal = np.arange(guess.shape[1])[model.channels.internal]
     spread = model.internal_spread.astype(kind)
-    by_engine = None
-    if drive.periods is None:
-        by_engine = layered_steps(model, each.u.shape[2:], kind)
+    engine_steps = None
+    if signal.periods is None:
+        engine_steps = layered_steps(model, repeated.u.shape[2:], kind)
 
-    def products(x: Array) -> tuple[Array, Array, Array]:
-        if by_engine is not None:
-            residual = positions(q.shape[2])
-            return by_engine.compare(x, each.u, residual, measured.astype(kind), weight)
-        return jax.vmap(partial(_products, model))(x, each, measured, weight)
+    def products_by_jax(
+        x: Array, signal: InputSignal, q: Array, weight: Array
+    ) -> tuple[Array, Array, Array]:
+        def residuals(x: Array) -> tuple[Array, Array]:
+            errors = ((rollout(model, x, signal)[:, model.channels.position] - q) * weight).ravel()
+            return errors, errors
 
-    def squares(x: Array, near: Array) -> tuple[Array, Array, Array]:
-        by_two, by_one, cost = products(x)
-        precisions = (near[:, None] / spread) ** 2
-        away = (x - start)[:, internal]
-        return (
-            by_two.at[:, internal, internal].add(precisions),
-            by_one.at[:, internal].add(precisions * away),
-            cost + jnp.sum(precisions * away**2, axis=1),
-        )
+        jacobian, errors = jax.jacfwd(residuals, has_aux=True)(x)
+        return jacobian.T @ jacobian, jacobian.T @ errors, jnp.sum(errors**2)
+
+    def squares(x: Array, constraint: Array) -> tuple[Array, Array, Array]:
+        if engine_steps is not None:
+            residual = position_residual(q.shape[2])
+            terms = engine_steps.compare(x, repeated.u, residual, measured.astype(kind), weight)
+        else:
+            terms = jax.vmap(products_by_jax)(x, repeated, measured, weight)
+        departure = (x - start)[:, model.channels.internal]
+        return _with_departures(jnp, terms, departure, (constraint[:, None] / spread) ** 2)
 
     x, cost = variants.search(squares, start, jax.lax.fori_loop)
-    chosen = variants.chosen(cost, q.shape[2])
-    return x[chosen]
+    return x[variants.choose(cost, q.shape[2])]
 
 
-def _products(
-    model: Model, x: Array, drive: Drive, q: Array, weight: Array
-) -> tuple[Array, Array, Array]:
-    """Products of position errors and their derivatives by the initial state, by JAX."""
-
-    def residuals(x: Array) -> tuple[Array, Array]:
-        errors = ((rollout(model, x, drive)[:, model.channels.position] - q) * weight).ravel()
-        return errors, errors
-
-    jacobian, found = jax.jacfwd(residuals, has_aux=True)(x)
-    return jacobian.T @ jacobian, jacobian.T @ found, jnp.sum(found**2)
-
-
-def fitted_with_derivatives(
+def fit_states_with_derivatives(
     model: Discretised,
     equations: Equations,
     parameters: Float[np.ndarray, "records n_c"],
     guess: Float[np.ndarray, "records n_x"],
     by_guess: Float[np.ndarray, "records n_p n_x"],
-    drive: Drive,
+    signal: InputSignal,
     q: Float[np.ndarray, "records samples n_q"],
 ) -> tuple[Float[np.ndarray, "records n_x"], Float[np.ndarray, "records n_p n_x"]]:
     """Initial states fitted to samples, and their derivatives by parameters of the equations.
@@ -175,60 +150,83 @@ def fitted_with_derivatives(
     Args:
         model: the model, for the layout of its states and how inputs act.
         equations: its equations, with derivatives by `n_p` parameters.
-        parameters: what the equations take of parameters, one row a record.
-        guess: where the search begins.
+        parameters: values of the parameters of the equations, one row a record.
+        guess: states at which the search begins.
         by_guess: derivatives of the guess by the parameters.
-        drive: what acts between the samples, (records, samples - 1, ...).
+        signal: what acts between the samples, (records, samples - 1, ...).
         q: measured positions.
     """
-    fit = _fit(model, equations, parameters, guess, drive, q)
-    count, n_x = fit.x.shape
-    n_p = equations.n_p
-    squares = _Squares(model, equations, parameters, guess, drive, q, fit.share)
+    x, share = _fit(model, equations, parameters, guess, signal, q)
+    count, n_x = x.shape
+    n_p, ones = equations.n_p, np.ones(len(x))
+    squares = _Squares(model, equations, parameters, guess, signal, q, share)
     seeds = np.zeros((count, n_p + n_x, n_x))
     seeds[:, n_p:] = np.eye(n_x)
-    there = squares.at(fit.x, np.ones(count), Directions(seeds, parameters=True))
-    mixed = there.products[:, n_p:, :n_p]
-    internal = np.arange(n_x)[model.channels.internal]
-    # the guess itself moves, and with it what internal states are kept near
-    mixed[:, internal] -= squares.precision(np.ones(count))[:, :, None] * np.swapaxes(
+    products, _, _ = squares.evaluate(x, ones, Directions(seeds, parameters=True))
+    mixed = products[:, n_p:, :n_p]
+    internal = model.channels.internal
+    # the guess itself moves, and with it the states near which internal ones are kept
+    mixed[:, internal] -= squares.precision(ones)[:, :, None] * np.swapaxes(
         by_guess[:, :, internal], 1, 2
     )
     columns = [
-        -newton_step(there.products[:, n_p:, n_p:], mixed[:, :, i], np.zeros(count))
-        for i in range(n_p)
+        -newton_step(products[:, n_p:, n_p:], mixed[:, :, i], np.zeros(count)) for i in range(n_p)
     ]
-    return fit.x, np.stack(columns, axis=1) if columns else np.zeros((count, 0, n_x))
+    return x, np.stack(columns, axis=1) if columns else np.zeros((count, 0, n_x))
 
 
 def _fit(
-    model: Model, equations: Equations, parameters: np.ndarray, guess: np.ndarray, drive: Drive,
-    q: np.ndarray,
-) -> StateFit:  # fmt: skip
+    model: Model, equations: Equations, parameters: np.ndarray, guess: np.ndarray,
+    signal: InputSignal, q: np.ndarray,
+) -> tuple[Float[np.ndarray, "records n_x"], Float[np.ndarray, "records samples"]]:  # fmt: skip
+    """States fitted to the first samples of records, and the weights of these samples."""
     guess, q = np.asarray(guess, np.float64), np.asarray(q, np.float64)
     n_x = guess.shape[1]
     variants = _Variants(np, model, len(guess), q.shape[1])
-    start, each, measured, driven = (
-        variants.repeated(a) for a in (guess, parameters, q, np.asarray(drive.u))
+    start, values, measured, u = (
+        variants.repeat(a) for a in (guess, parameters, q, np.asarray(signal.u))
     )
-    squares = _Squares(model, equations, each, start, Drive(driven), measured, variants.share)
+    squares = _Squares(model, equations, values, start, InputSignal(u), measured, variants.share)
     directions = Directions(np.tile(np.eye(n_x), (len(start), 1, 1)), parameters=False)
 
-    def at(x: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, ...]:
-        there = squares.at(x, near, directions)
-        return there.products, there.gradient, there.cost
+    def loop(begin: int, end: int, body: Callable[[int, Any], Any], carry: Any) -> Any:
+        for i in range(begin, end):
+            carry = body(i, carry)
+        return carry
 
-    with np.errstate(over="ignore", invalid="ignore"):  # of what diverges
-        x, cost = variants.search(at, start, _loop)
-    chosen = variants.chosen(cost, q.shape[2])
-    return StateFit(x[chosen], variants.share[chosen])
+    with np.errstate(over="ignore", invalid="ignore"):  # of runs that diverge
+        x, cost = variants.search(partial(squares.evaluate, directions=directions), start, loop)
+    best = variants.choose(cost, q.shape[2])
+    return x[best], variants.share[best]
 
 
-def _loop(begin: int, end: int, turn: Callable[[int, Any], Any], carry: Any) -> Any:
-    """What `jax.lax.fori_loop` does."""
-    for i in range(begin, end):
-        carry = turn(i, carry)
-    return carry
+def _with_departures(
+    xp: Any, terms: tuple[Any, Any, Any], departure: Any, precision: Any
+) -> tuple[Any, Any, Any]:
+    """Products, gradient and cost of errors, with squared departures of internal states added.
+
+    Args:
+        xp: NumPy, or JAX's.
+        terms: products of derivatives (records, n_d, n_d), of derivatives and errors
+            (records, n_d), and the cost (records,); the last directions are internal states.
+        departure: how far these are from the guess, (records, n_z).
+        precision: weights of their squares, (records, n_z).
+    """
+    products, gradient, cost = terms
+    n_d, n_z = gradient.shape[1], departure.shape[1]
+    internal = np.arange(n_d - n_z, n_d)
+
+    def add(array: Any, places: tuple[Any, ...], values: Any) -> Any:
+        if isinstance(array, np.ndarray):
+            array[places] += values
+            return array
+        return array.at[places].add(values)
+
+    return (
+        add(products, (slice(None), internal, internal), precision),
+        add(gradient, (slice(None), internal), precision * departure),
+        cost + xp.sum(precision * departure**2, axis=1),
+    )
 
 
 class _Variants:
@@ -243,68 +241,69 @@ class _Variants:
 
     def __init__(self, xp: Any, model: Model, count: int, samples: int) -> None:
         self._xp, self._count = xp, count
-        self._most = HELD_TURNS if model.internal else 0
+        self._constrained = CONSTRAINED_ITERATIONS if model.internal else 0
         rising, even = sample_shares(samples)
         # the first that explains the samples is taken, or the last
-        shares = [rising, rising, even] if self._most else [rising, even]
-        self._held = np.tile([0, self._most, 0] if self._most else [0, 0], count)
+        shares = [rising, rising, even] if self._constrained else [rising, even]
+        iterations = [0, self._constrained, 0] if self._constrained else [0, 0]
+        self._iterations = np.tile(iterations, count)  # with internal states kept near the guess
         self._ways = len(shares)
         self.share = np.tile(np.stack(shares), (count, 1))
 
-    def repeated(self, arrays: Any) -> Any:
+    def repeat(self, arrays: Any) -> Any:
         """Arrays of the records, for every variant."""
         return jax.tree.map(lambda a: self._xp.repeat(a, self._ways, axis=0), arrays)
 
     def search(
         self, squares: Callable[..., tuple[Any, ...]], start: Any, loop: Callable[..., Any]
     ) -> tuple[Any, Any]:
-        """Levenberg-Marquardt, some turns with internal states held, then with free ones.
+        """Best states by Levenberg-Marquardt, first with internal states kept near the guess.
 
         Args:
-            squares: of states, and of how near to the guess internal ones are kept: products of
+            squares: from states, and how near to the guess internal ones are kept, to products of
                 derivatives, of derivatives and residuals, and the cost.
-            start: where it begins.
-            loop: what does turns one after the other, as `jax.lax.fori_loop`.
+            start: states at which it begins.
+            loop: a loop over iterations, as `jax.lax.fori_loop`.
 
         Returns:
             The best states and their cost.
         """
-        xp, held = self._xp, self._held
+        xp, constrained = self._xp, self._iterations
         count, n_x = start.shape
         first = xp.full(count, 10 * FIRST_DAMPING, start.dtype)
 
-        def turn(i: Any, carry: tuple[Any, ...]) -> tuple[Any, ...]:
-            best, tried, cost, products, gradient, damping = carry
-            # from the first free turn on costs are others: what was best is tried again
-            fresh = i == held
-            cost = xp.where(fresh, xp.inf, cost).astype(start.dtype)
-            tried = xp.where(fresh[:, None], best, tried)
-            damping = xp.where(fresh, first, damping)
-            near = xp.where(i < held, HELD, 1.0).astype(start.dtype)
-            by_two, by_one, there = squares(tried, near)
-            better = (there < cost) & (i <= held + TURNS)
-            best = xp.where(better[:, None], tried, best)
-            cost = xp.where(better, there, cost)
-            products = xp.where(better[:, None, None], by_two, products)
-            gradient = xp.where(better[:, None], by_one, gradient)
-            damping = xp.where(better, damping / 10, damping * 10)
-            tried = best - newton_step(products, gradient, damping, xp)
-            return best, tried, cost, products, gradient, damping
+        def iterate(i: Any, carry: tuple[Any, ...]) -> tuple[Any, ...]:
+            best, candidate, cost, products, gradient, damping = carry
+            # from the first free iteration on costs are others: the best is evaluated again
+            is_fresh = i == constrained
+            cost = xp.where(is_fresh, xp.inf, cost).astype(start.dtype)
+            candidate = xp.where(is_fresh[:, None], best, candidate)
+            damping = xp.where(is_fresh, first, damping)
+            constraint = xp.where(i < constrained, CONSTRAINT, 1.0).astype(start.dtype)
+            new_products, new_gradient, new_cost = squares(candidate, constraint)
+            is_better = (new_cost < cost) & (i <= constrained + ITERATIONS)
+            best = xp.where(is_better[:, None], candidate, best)
+            cost = xp.where(is_better, new_cost, cost)
+            products = xp.where(is_better[:, None, None], new_products, products)
+            gradient = xp.where(is_better[:, None], new_gradient, gradient)
+            damping = xp.where(is_better, damping / 10, damping * 10)
+            candidate = best - newton_step(products, gradient, damping, xp)
+            return best, candidate, cost, products, gradient, damping
 
-        begun = (
+        initial = (
             start, start, xp.full(count, xp.inf, start.dtype),
             xp.zeros((count, n_x, n_x), start.dtype), xp.zeros((count, n_x), start.dtype), first,
         )  # fmt: skip
-        best, _, cost, *_ = loop(0, self._most + 1 + TURNS, turn, begun)
+        best, _, cost, *_ = loop(0, self._constrained + 1 + ITERATIONS, iterate, initial)
         return best, cost
 
-    def chosen(self, cost: Any, n_q: int) -> Any:
-        """Of every record the first variant that explains its samples, or the last."""
+    def choose(self, cost: Any, n_q: int) -> Any:
+        """Indices of the first variant of every record that explains its samples, or the last."""
         xp = self._xp
-        explained = cost <= EXPLAINED**2 * n_q * np.sum(self.share**2, axis=1)
-        last = np.arange(self._ways) == self._ways - 1
-        explained = explained.reshape(self._count, self._ways) | last
-        return xp.argmax(explained, axis=1) + self._ways * np.arange(self._count)
+        is_explained = cost <= EXPLAINED**2 * n_q * np.sum(self.share**2, axis=1)
+        is_last = np.arange(self._ways) == self._ways - 1
+        is_chosen = is_explained.reshape(self._count, self._ways) | is_last
+        return xp.argmax(is_chosen, axis=1) + self._ways * np.arange(self._count)
 
 
 class _Squares:
@@ -312,35 +311,33 @@ class _Squares:
 
     def __init__(
         self, model: Model, equations: Equations, parameters: np.ndarray, guess: np.ndarray,
-        drive: Drive, q: np.ndarray, share: np.ndarray,
+        signal: InputSignal, q: np.ndarray, share: np.ndarray,
     ) -> None:  # fmt: skip
-        of = equations_of(model, drive)
-        self._equations, self._guess, self._substeps = equations, guess, of.substeps
-        self._runs = replace(of.runs(guess, drive), parameters=parameters)
-        self._internal = np.arange(guess.shape[1])[model.channels.internal]
+        engine_model = model_equations(model, signal)
+        self._equations, self._guess, self._substeps = equations, guess, engine_model.substeps
+        self._runs = replace(engine_model.runs(guess, signal), parameters=parameters)
+        self._internal = model.channels.internal
         self._spread = np.asarray(model.internal_spread, np.float64)
         weight, n_q = share[:, :, None] * position_weights(model), q.shape[2]
         self._samples = Samples(q.reshape(-1, n_q), weight.reshape(-1, n_q))
-        self._residual = positions(n_q)
+        self._residual = position_residual(n_q)
 
-    def precision(self, near: np.ndarray) -> Float[np.ndarray, "records n_z"]:
-        """What squared departures of internal states weigh, kept so many times as near."""
-        return (near[:, None] / self._spread) ** 2
+    def precision(self, constraint: np.ndarray) -> Float[np.ndarray, "records n_z"]:
+        """Weights of squared departures of internal states, kept so many times as near."""
+        return (constraint[:, None] / self._spread) ** 2
 
-    def at(self, x: np.ndarray, near: np.ndarray, directions: Directions) -> Comparison:
-        """The products at some states, the last directions those of the states."""
+    def evaluate(
+        self, x: np.ndarray, constraint: np.ndarray, directions: Directions
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Products, gradient and cost at some states; the last directions are those of states."""
         runs = replace(self._runs, start=x)
-        found = compare(
+        errors = compare(
             self._equations, self._residual, runs, self._substeps, directions, self._samples
         )
-        precision = self.precision(near)
-        away = (x - self._guess)[:, self._internal]
-        places = directions.seeds.shape[1] - x.shape[1] + self._internal
-        found.products[:, places, places] += precision
-        found.gradient[:, places] += precision * away
+        terms = errors.products, errors.gradient, errors.cost
+        departure = (x - self._guess)[:, self._internal]
         with np.errstate(over="ignore", invalid="ignore"):
-            found.cost[...] += np.sum(precision * away**2, axis=1)
-        return found
+            return _with_departures(np, terms, departure, self.precision(constraint))
 
 
 def newton_step(

@@ -1,4 +1,4 @@
-"""How many integration steps a sampling period needs."""
+"""The number of integration steps that a sampling period needs."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -11,9 +11,10 @@ from tustinnet.errors import InputError
 from tustinnet.models.contract import ContinuousModel
 from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.simulate.batches import batches
-from tustinnet.simulate.drive import drives_of
-from tustinnet.simulate.simulation import simulated
-from tustinnet.simulate.starts import DERIVED, default_start, start_states
+from tustinnet.simulate.input_signal import input_signals
+from tustinnet.simulate.simulation import simulate_runs
+from tustinnet.simulate.start_rules import PARABOLA_SAMPLES
+from tustinnet.simulate.starts import default_start, start_states
 
 PROBED_SECONDS = 2.0  # of each record
 _MOST_SUBSTEPS = 64
@@ -22,7 +23,7 @@ _MOST_SUBSTEPS = 64
 def choose_substeps(
     model: ContinuousModel, experiments: Sequence[Experiment], tolerance: float
 ) -> int:
-    """How many Runge-Kutta steps a sampling period needs.
+    """The number of Runge-Kutta steps that a sampling period needs.
 
     The first 2 s of every record are simulated with 1, 2, 4, ... substeps until the positions are
     within the tolerance.
@@ -37,46 +38,61 @@ def choose_substeps(
     """
     if not tolerance > 0:
         raise InputError("choose_substeps", f"tolerance {tolerance:g}", "a positive number")
-    probed = _probed(experiments)
+    heads = _heads(experiments)
+
+    def substeps_of_batch(model: ContinuousModel, batch: Sequence[Experiment]) -> int:
+        discrete = discretise(model, batch[0].dt, inputs=batch[0].inputs)
+        x0 = start_states(discrete, batch, default_start(batch))
+        signal = input_signals(discrete, batch)
+
+        def positions(substeps: int) -> np.ndarray:
+            run = simulate_runs(replace(discrete, substeps=substeps), x0, signal)
+            return run[..., model.channels.position]
+
+        return enough_substeps(positions, tolerance)
+
     return max(
-        _enough(own, [probed[i] for i in rows], tolerance) for own, rows in batches(model, probed)
+        substeps_of_batch(shared, [heads[i] for i in rows])
+        for shared, rows in batches(model, heads)
     )
 
 
 def fewest_substeps(model: Discretised, experiments: Sequence[Experiment], share: float) -> int:
-    """As few Runge-Kutta steps in a period as the errors of the model itself hide.
+    """The smallest number of Runge-Kutta steps in a period whose error the model's own errors hide.
 
     The first 2 s of every record are simulated with 1, 2, 4, ... substeps, until for every
-    coordinate the steps change the positions by less than a share of what the model misses (root
-    mean squares over all records).
+    coordinate the steps change the positions by less than a share of the model's error (root mean
+    squares over all records).
 
     Args:
         model: the model, with as many steps as it needs to be exact.
         experiments: records that show how wrong it is.
-        share: how much of its error integration may make.
+        share: share of its error that integration may make.
 
     Returns:
         Fewer than the model has, or as many.
     """
-    probed = [e for e in _probed(experiments) if len(e) >= DERIVED]
-    if not probed:
+    heads = [e for e in _heads(experiments) if len(e) >= PARABOLA_SAMPLES]
+    if not heads:
         return model.substeps
-    start = default_start(probed)
+    start = default_start(heads)
 
     runs = []
-    for own, rows in batches(model, probed):
-        some = [probed[i] for i in rows]
-        runs.append((own, some, start_states(own, some, start), drives_of(own, some)))
+    for shared, rows in batches(model, heads):
+        batch = [heads[i] for i in rows]
+        x0 = start_states(shared, batch, start)
+        runs.append((shared, batch, x0, input_signals(shared, batch)))
 
     def positions(substeps: int) -> np.ndarray:
-        found = []
-        for own, some, x0, drive in runs:
-            run = simulated(replace(own, substeps=substeps), x0, drive)
-            found += [x[: len(e), own.channels.position] for x, e in zip(run, some, strict=True)]
-        return np.concatenate(found)
+        parts = []
+        for shared, batch, x0, signal in runs:
+            run = simulate_runs(replace(shared, substeps=substeps), x0, signal)
+            at = shared.channels.position
+            parts += [x[: len(e), at] for x, e in zip(run, batch, strict=True)]
+        return np.concatenate(parts)
 
     exact = positions(model.substeps)
-    measured = np.concatenate([e.q for _, some, _, _ in runs for e in some])
+    measured = np.concatenate([e.q for _, batch, _, _ in runs for e in batch])
     allowed = share**2 * np.mean((exact - measured) ** 2, axis=0)
     for doublings in range(math.ceil(math.log2(model.substeps))):
         changed = np.mean((positions(2**doublings) - exact) ** 2, axis=0)
@@ -85,36 +101,22 @@ def fewest_substeps(model: Discretised, experiments: Sequence[Experiment], share
     return model.substeps
 
 
-def _probed(experiments: Sequence[Experiment]) -> list[Experiment]:
+def _heads(experiments: Sequence[Experiment]) -> list[Experiment]:
     """The first 2 s of records."""
     steps = max(1, round(PROBED_SECONDS / experiments[0].dt))
     return [e[: steps + 1] for e in experiments]
 
 
-def _enough(model: ContinuousModel, probed: Sequence[Experiment], tolerance: float) -> int:
-    """Of records that share a model."""
-    dt = probed[0].dt
-    stepped = discretise(model, dt, inputs=probed[0].inputs)
-    x0 = start_states(stepped, probed, default_start(probed))
-    drive = drives_of(stepped, probed)
-
-    def positions(substeps: int) -> np.ndarray:
-        run = simulated(replace(stepped, substeps=substeps), x0, drive)
-        return run[..., model.channels.position]
-
-    return enough_substeps(positions, tolerance)
-
-
 def enough_substeps(positions: Callable[[int], np.ndarray], tolerance: float) -> int:
     """The least power of two whose positions are within a tolerance, at most 64.
 
-    Positions that stay infinite whatever the number get 1: more steps would not mend them.
+    Positions that diverge whatever the number get 1: more steps would not help.
 
     Compared with twice as many; a fourth-order method leaves 15/16 of that difference to the
     coarser one's error.
 
     Args:
-        positions: simulates with a number of substeps.
+        positions: positions that are simulated with a number of substeps.
         tolerance: largest error allowed [rad or m].
     """
     substeps, coarse = 1, positions(1)

@@ -31,9 +31,9 @@ from tustinnet.fitting.listener import EpochReport, Iteration, Listener, Searche
 from tustinnet.fitting.report import FitResult, data_header
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Member, Task
-from tustinnet.simulate.horizon import within
+from tustinnet.simulate.horizon import effective_horizon
 from tustinnet.simulate.range import KEY as RANGE
-from tustinnet.simulate.range import Cloud, cloud_of, range_of
+from tustinnet.simulate.range import TrainingSupport, recorded_range, training_support
 from tustinnet.store.checkpoint import Checkpointer, read_checkpoint
 from tustinnet.store.files import (
     owned,
@@ -123,14 +123,14 @@ class Run:
             return result.identification.rmse
         if self.roles.judging is self.roles.train:
             return rmse_by_record(self.best.scores)
-        horizon = within(result.horizon, self.roles.train)
+        horizon = effective_horizon(result.horizon, self.roles.train)
         return rmse_by_record(
             evaluate(result.model, self.roles.train, result.start, horizon=horizon)
         )
 
     @cached_property
-    def _cloud(self) -> Cloud | None:
-        return cloud_of(self.roles.train[0].channels, self.roles.train)
+    def _cloud(self) -> TrainingSupport | None:
+        return training_support(self.roles.train[0].channels, self.roles.train)
 
     @property
     def judged(self) -> str:
@@ -154,7 +154,7 @@ class Run:
         return {
             **of.result.as_header(),
             "data": data_header(self.data, self.roles.all),
-            RANGE: range_of(of.result.model, self.roles.train, self._cloud).as_header(),
+            RANGE: recorded_range(of.result.model, self.roles.train, self._cloud).as_header(),
             "scores": scores_header(
                 self.judged, self.start, channels, of.scores[0].horizon, rmse_by_record(of.scores)
             ),
@@ -243,7 +243,7 @@ def _fitted(task: Task, data: str, folder: Path, tell: Tell, *, resume: bool) ->
     fitted = fit_in(folder, task, tell, resume=resume)
     runs = []
     for member, result in zip(task.members, fitted, strict=True):
-        horizon = within(result.horizon, roles.judging)
+        horizon = effective_horizon(result.horizon, roles.judging)
         scores = tuple(evaluate(result.model, roles.judging, result.start, horizon=horizon))
         runs.append(MemberRun(result, scores, folder / member.name if trains else folder))
     origin = task.folds[0].origin

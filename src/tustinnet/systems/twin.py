@@ -15,7 +15,7 @@ from tustinnet.models.contract import ContinuousModel, Model
 from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.signals.derivatives import five_point_stencil
 from tustinnet.signals.stacking import stack_padded
-from tustinnet.simulate.drive import Drive
+from tustinnet.simulate.input_signal import InputSignal
 from tustinnet.simulate.rollout import rollout
 
 _LEAD, _TRAIL = 3, 2  # rows at a record's ends whose velocities are stored as 0, as in real logs
@@ -127,7 +127,7 @@ def log_runs(
     t = np.arange(longest) * logger.dt + logger.jitter * generator.normal(size=(len(runs), longest))
     t -= t[:, :1]
     u = stack_padded([run.u for run in runs])[:, :-1]
-    drive = Drive(u, np.diff(t, axis=1))
+    drive = InputSignal(u, np.diff(t, axis=1))
     x0 = jnp.asarray(np.stack([run.x0 for run in runs]))
     x = np.asarray(_simulate(discretise(model, logger.dt, logger.substeps), x0, drive))
     channels = replace(channels, dt=logger.dt)
@@ -152,6 +152,6 @@ def log_runs(
 
 @eqx.filter_jit
 def _simulate(
-    model: Model, x0: Float[Array, "runs n_x"], drive: Drive
+    model: Model, x0: Float[Array, "runs n_x"], drive: InputSignal
 ) -> Float[Array, "runs samples n_x"]:
     return jax.vmap(lambda x, u: rollout(model, x, u))(x0, drive)

@@ -11,7 +11,7 @@ from test_holds import DT, SYSTEM, TRUTH, logged
 import tustinnet as tn
 from tustinnet.channels import Hold
 from tustinnet.models.integrate import discretise
-from tustinnet.simulate.drive import drive_of
+from tustinnet.simulate.input_signal import input_signal
 
 RECIPE = {"name": "late", "model": {"kind": "euler-lagrange", "free": ["force.delay"]}}
 
@@ -29,7 +29,7 @@ def late(delay: float, hold: Hold = "first-order") -> tn.DataSet:
         acting = (tn.Input("force", "N", hold, delay=delay),)
         model = discretise(SYSTEM.model({k: jnp.asarray(v) for k, v in TRUTH.items()}), DT, 4,
                            inputs=acting)  # fmt: skip
-        q = np.asarray(tn.rollout(model, np.zeros(2), drive_of(model, e)))[:, :1]
+        q = np.asarray(tn.rollout(model, np.zeros(2), input_signal(model, e)))[:, :1]
         records.append(replace(e, q=np.round(q / 1e-4) * 1e-4))
     return tn.DataSet("late", tuple(records))
 

@@ -12,7 +12,7 @@ from tustinnet.fitting.fit import fit_task
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.task import Origin, make_task
 from tustinnet.models.integrate import discretise
-from tustinnet.simulate.drive import drive_of
+from tustinnet.simulate.input_signal import input_signal
 
 DT = 0.05
 SYSTEM = tn.LagrangianSystem(
@@ -43,7 +43,7 @@ def logged(hold: Hold, seed: int, n: int = 300) -> tn.Experiment:
     )  # fmt: skip
     values = {name: jnp.asarray(value) for name, value in TRUTH.items()}
     model = discretise(SYSTEM.model(values), DT, 4, inputs=e.inputs)
-    q = np.asarray(tn.rollout(model, np.zeros(2), drive_of(model, e)))[:, :1]
+    q = np.asarray(tn.rollout(model, np.zeros(2), input_signal(model, e)))[:, :1]
     return replace(e, q=np.round(q / 1e-4) * 1e-4)
 
 

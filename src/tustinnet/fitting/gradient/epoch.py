@@ -432,7 +432,7 @@ def validation_rmse(
         lambda a: a[chosen].reshape(count, *a.shape[2:]),
         (runs.material, runs.u, runs.q, runs.weight),
     )
-    x0 = runs.start.states(simulator, material)
+    x0 = runs.start.traced_states(simulator, material)
     # nothing is differentiated
     states = rollouts(simulator, x0, u, only_layers=True)
     simulated = states[..., model.channels.position]

@@ -15,7 +15,7 @@ from tustinnet.fitting.recipe import WindowRecipe
 from tustinnet.models.contract import Model
 from tustinnet.signals.windows import random_windows, strided_windows
 from tustinnet.simulate.along import states_along
-from tustinnet.simulate.drive import drive_of
+from tustinnet.simulate.input_signal import input_signal
 
 _LONGEST = 4  # an adapted window is at most this many times the recipe's length
 _USUAL_SHARE = 4  # and at most the median record over this
@@ -79,7 +79,7 @@ class Pool:
     def records(self, model: Model, velocity: VelocitySource) -> Records:
         """The records laid end to end."""
         x = [e.measured_states(velocity) for e in self.experiments]
-        seen = [np.asarray(drive_of(model, e).u) for e in self.experiments]
+        seen = [np.asarray(input_signal(model, e).u) for e in self.experiments]
         u = [np.append(u, np.zeros((1, *u.shape[1:])), axis=0) for u in seen]
         return Records(*(jnp.asarray(np.concatenate(a), jnp.float32) for a in (x, u)))
 

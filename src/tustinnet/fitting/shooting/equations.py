@@ -16,6 +16,7 @@ from tustinnet.fitting.shooting.space import Space
 from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.sensors import delay_of
+from tustinnet.simulate.simulation import system_motion
 
 Pick = Int[np.ndarray, "n n_g"]
 
@@ -52,25 +53,7 @@ class SystemEquations:
     @cached_property
     def motion(self) -> Equations:
         """The derivative of the state."""
-        system, n_u = self.system, len(self.system.inputs)
-        late = [delay_of(i) for i in system.inputs]
-
-        def derivative(x: Array, u: Array, p: Array, c: Array) -> Array:
-            values = self._named(p, c)
-            if self.delays:
-                made = c[len(self.others) :]
-                moved = [values.get(name, made[i]) - made[i] for i, name in enumerate(late)]
-                u = u[:n_u] + u[n_u:] * jnp.stack(moved)
-            return system.model(values).derivative(x, u)
-
-        return Equations(
-            derivative,
-            n_x=system.channels.measured.stop + len(system.internal),
-            n_u=2 * n_u if self.delays else n_u,
-            n_p=self.n_p,
-            n_c=self.size - self.n_p,
-            where=f"system '{system.name}'",
-        )
+        return system_motion(self.system, self.searched, self.others, delays=self.delays)
 
     @cached_property
     def expected(self) -> Formula:

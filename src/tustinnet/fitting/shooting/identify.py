@@ -174,7 +174,7 @@ def _require_refinable(problem: Problem) -> None:
             "samples", f"records of at least {start.samples}",
             "leave the record out, or say search.refine=none",
         )  # fmt: skip
-    start.material(problem.nominal, problem.records)  # as `file`, where no velocities are stored
+    start.start_data(problem.nominal, problem.records)  # as `file`, where no velocities are stored
 
 
 def _as_asked(

@@ -23,14 +23,8 @@ from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 from tustinnet.models.sensors import delayed, delays_among
 from tustinnet.simulate.horizon import horizon_samples, pieces
-from tustinnet.simulate.starts import (
-    DERIVED,
-    FITTED,
-    Start,
-    default_start,
-    start_named,
-    start_states,
-)
+from tustinnet.simulate.start_rules import FIT_SAMPLES, PARABOLA_SAMPLES, Start, start_named
+from tustinnet.simulate.starts import default_start, start_states
 
 _FIRST_VARIANCE = 1e-4  # of residuals, before any are known
 
@@ -76,7 +70,7 @@ class Problem:
     def start(self) -> Start:
         """Where free runs start without a model."""
         usual = self.usual_start
-        return start_named(f"derived-{DERIVED}") if usual.fitted else usual
+        return start_named(f"derived-{PARABOLA_SAMPLES}") if usual.fitted_samples else usual
 
     def judging_start(self, horizon: int | None) -> Start:
         """Where the free runs start that judge, over a horizon or as a whole.
@@ -84,7 +78,7 @@ class Problem:
         What errs in a velocity that was read from a few samples grows over a horizon to more
         than any model misses; a state fitted through the model has no such error.
         """
-        fitted = start_named(f"model-{FITTED}")
+        fitted = start_named(f"model-{FIT_SAMPLES}")
         return self.usual_start if horizon is None or horizon < fitted.samples else fitted
 
     @cached_property
@@ -220,7 +214,7 @@ def score(problem: Problem, state: State) -> float:
     cut = [pieces(e, state.horizon, start) for e in problem.validation]
     every = [piece for of in cut for piece in of]
     runs = problem.free_runs(every)
-    if start.fitted:
+    if start.fitted_samples:
         model = model_of(problem, state)
         runs = runs.beginning_at(start_states(model, every, start))
     errors = errors_of(problem, state, runs, state.substeps)

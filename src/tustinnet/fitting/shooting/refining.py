@@ -23,10 +23,10 @@ from tustinnet.fitting.shooting.problem import Problem, State, model_of, score
 from tustinnet.fitting.shooting.space import Space
 from tustinnet.models.integrate import Discretised
 from tustinnet.models.parameters import Parameter
-from tustinnet.simulate.drive import drive_of
 from tustinnet.simulate.horizon import horizon_samples, pieces
-from tustinnet.simulate.starts import Fitted, Start
-from tustinnet.simulate.state_fits import fitted_with_derivatives, positions
+from tustinnet.simulate.input_signal import input_signal
+from tustinnet.simulate.start_rules import FittedStart, Start
+from tustinnet.simulate.state_fits import fit_states_with_derivatives, position_residual
 
 _ITERATIONS = 10
 _ENOUGH = 1e-3  # converged: gained by an iteration, of the cost
@@ -124,7 +124,7 @@ class _Task:
             periods=np.full(len(self._drive), self.model.dt),
         )
         result = compare(
-            equations.motion, positions(self.model.channels.n_q), runs, self.model.substeps,
+            equations.motion, position_residual(self.model.channels.n_q), runs, self.model.substeps,
             Directions(by_parameter, parameters=True), self._samples,
         )  # fmt: skip
         base = equations.base(self.space)
@@ -141,7 +141,7 @@ class _Task:
     @cached_property
     def _material(self) -> Any:
         """What the start needs of the records."""
-        return self.start.material(self.model, self.pieces)
+        return self.start.start_data(self.model, self.pieces)
 
     @cached_property
     def _lengths(self) -> Int[np.ndarray, " n_s"]:
@@ -152,7 +152,7 @@ class _Task:
     def _drive(self) -> Float[np.ndarray, "rows order n_u"]:
         """What acts between the samples, run after run, a row of zeros at the end of each."""
         first = self.start.first
-        drives = [np.asarray(drive_of(self.model, e).u)[first:] for e in self.pieces]
+        drives = [np.asarray(input_signal(self.model, e).u)[first:] for e in self.pieces]
         drive = np.concatenate([np.concatenate([u, np.zeros_like(u[:1])]) for u in drives])
         return drive[:, None] if drive.ndim == 2 else drive
 
@@ -170,10 +170,10 @@ class _Task:
     ) -> tuple[Float[np.ndarray, "n_s n_x"], Float[np.ndarray, "n_s n_b n_x"]]:
         """States in which the free runs start, and their derivatives by the parameters."""
         material = self._material
-        if isinstance(self.start, Fitted):
+        if isinstance(self.start, FittedStart):
             guess, drive, q = material
             x0, by_guess = self._expected(guess, values)
-            return fitted_with_derivatives(
+            return fit_states_with_derivatives(
                 self.model, self.equations.motion, values, x0, by_guess, drive, q
             )
         if not self.start.first:
@@ -196,7 +196,9 @@ class _Task:
 
         def states(values: np.ndarray) -> np.ndarray:
             made = [
-                self.start.estimated(model, jax.tree.map(lambda a, i=i: a[i : i + 1], material))
+                self.start.numeric_states(
+                    model, jax.tree.map(lambda a, i=i: a[i : i + 1], material)
+                )
                 for i, model in enumerate(self.equations.models(self.model, values))
             ]
             return np.concatenate(made)

@@ -15,7 +15,7 @@ from tustinnet.models.kinematics import Link, carriers
 from tustinnet.report.page.judged import Judged
 from tustinnet.report.page.signals import bounded, kept, packed
 from tustinnet.report.page.subject import History
-from tustinnet.simulate.range import Cloud
+from tustinnet.simulate.range import TrainingSupport
 from tustinnet.store.log import is_end
 
 # points of a signal that are tried, the most that a screen shows first
@@ -213,7 +213,7 @@ def _ranges(found: Sequence[Judged], channels: Channels) -> dict[str, Any]:
         if (known := of.range) is None:
             ranges.append(None)
             continue
-        cloud = None if known.cloud is None else _cloud(known.cloud)
+        cloud = None if known.support is None else _cloud(known.support)
         if cloud is not None and cloud not in clouds:
             clouds.append(cloud)
         ranges.append({
@@ -225,8 +225,8 @@ def _ranges(found: Sequence[Judged], channels: Channels) -> dict[str, Any]:
     return {"ranges": ranges, "clouds": clouds}
 
 
-def _cloud(cloud: Cloud) -> dict[str, Any]:
-    """See `tustinnet.simulate.range.Cloud`."""
+def _cloud(cloud: TrainingSupport) -> dict[str, Any]:
+    """See `tustinnet.simulate.range.TrainingSupport`."""
     return {
         "points": cloud.points.tolist(), "spread": cloud.spread.tolist(), "reach": cloud.reach,
     }  # fmt: skip

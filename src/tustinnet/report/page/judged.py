@@ -15,7 +15,7 @@ from tustinnet.evaluate.energy import energy_along
 from tustinnet.evaluate.residuals import ResidualReport, residual_reports
 from tustinnet.evaluate.scores import Score, evaluate
 from tustinnet.report.page.subject import Subject
-from tustinnet.simulate.range import Left, Range
+from tustinnet.simulate.range import ExtrapolationPoint, Range
 from tustinnet.simulate.starts import start_named
 
 _STEPS = 100  # ahead
@@ -46,7 +46,7 @@ class Judged:
     subject: Subject
     scores: Sequence[Score]
     range: Range | None
-    left: Sequence[Left | None]
+    left: Sequence[ExtrapolationPoint | None]
     ahead: Float[np.ndarray, " horizon"]
     every: int
     residuals: Sequence[ResidualReport]
@@ -74,7 +74,7 @@ def judged(
     runs = [score.simulated for score in scores]
     known = Range.from_header(dict(subject.header), model) if subject.header else None
     left = [
-        None if known is None else known.left(model.channels, x, e.u)
+        None if known is None else known.extrapolation_point(model.channels, x, e.u)
         for e, x in zip(records, runs, strict=True)
     ]
     residuals: list[ResidualReport] = []

@@ -25,7 +25,7 @@ from tustinnet.report.page.judged import Judged
 from tustinnet.report.page.subject import Subject
 from tustinnet.report.tables import Table, number, numbers
 from tustinnet.selection.jobs import LEFT_OUT
-from tustinnet.simulate.horizon import over
+from tustinnet.simulate.horizon import horizon_words
 from tustinnet.store.header import records_in
 from tustinnet.store.model_file import package_versions
 
@@ -76,7 +76,7 @@ def verdict(of: Judged, records: Sequence[Experiment], whole: int | None = None)
     worst, best = max(scores, key=lambda s: s.rmse), min(scores, key=lambda s: s.rmse)
     mean, high, low = numbers([mean_rmse(scores), worst.rmse, best.rmse])
     spread = f" ({low} on {best.experiment}, {high} on {worst.experiment})" if scores[1:] else ""
-    begin = "Simulated from its start alone" + over(scores[0].horizon)
+    begin = "Simulated from its start alone" + horizon_words(scores[0].horizon)
     return (
         f"{begin}, it is off by {mean} {unit} {'on average over' if scores[1:] else 'on'} "
         f"{_records(of.subject, records, whole)}{spread}."

@@ -1,4 +1,4 @@
-"""What drives a simulation."""
+"""Input signals of simulations: what acts on a model from sample to sample."""
 
 from collections.abc import Sequence
 
@@ -11,8 +11,8 @@ from tustinnet.models.contract import Model
 from tustinnet.signals.stacking import stack_padded
 
 
-class Drive(eqx.Module):
-    """What acts from sample to sample, and how long each period is.
+class InputSignal(eqx.Module):
+    """Inputs that act from sample to sample, and how long each period is.
 
     Attributes:
         u: what the model is given in every period, as its `seen` makes it of a record's inputs,
@@ -24,13 +24,13 @@ class Drive(eqx.Module):
     u: Float[Array | np.ndarray, "..."]
     periods: Float[Array | np.ndarray, "..."] | None = None
 
-    def __getitem__(self, part: slice) -> "Drive":
+    def __getitem__(self, part: slice) -> "InputSignal":
         """A part of it in time, of a single one."""
-        return Drive(self.u[part], None if self.periods is None else self.periods[part])
+        return InputSignal(self.u[part], None if self.periods is None else self.periods[part])
 
 
-def drive_of(model: Model, experiment: Experiment, *, timestamps: bool = False) -> Drive:
-    """What a model is given at every step of a record's free run.
+def input_signal(model: Model, experiment: Experiment, *, timestamps: bool = False) -> InputSignal:
+    """The input signal of a record's free run, as the steps of a model take it.
 
     Args:
         model: the model to be simulated. Its holds and delays are used where the record does not
@@ -39,30 +39,27 @@ def drive_of(model: Model, experiment: Experiment, *, timestamps: bool = False) 
         timestamps: whether to step from timestamp to timestamp instead of by the sampling period.
 
     Returns:
-        The inputs as the steps of the model take them.
+        The inputs of every step, and its period.
 
     Raises:
         InputError: an input whose hold or delay is unknown; a record too short for its hold.
     """
-    seen = model.seen(experiment.excitation(model.channels.inputs))
-    return Drive(seen, np.diff(experiment.t) if timestamps else None)
+    u = model.seen(experiment.excitation(model.channels.inputs))
+    return InputSignal(u, np.diff(experiment.t) if timestamps else None)
 
 
-def drives_of(
+def input_signals(
     model: Model, experiments: Sequence[Experiment], samples: slice = slice(None)
-) -> Drive:
-    """The same of several records side by side, zeros after the end of shorter ones.
+) -> InputSignal:
+    """Input signals of several records side by side, zeros after the end of shorter ones.
 
     Args:
-        model: who is to simulate them.
+        model: the model to be simulated.
         experiments: the records.
         samples: from which sample to which; what neighbours a period stays as in the record.
     """
-    each = [np.asarray(drive_of(model, e).u) for e in experiments]
-    parts = [
-        u[first : max(last - 1, first)]
-        for u, (first, last, _) in zip(
-            each, (samples.indices(len(e)) for e in experiments), strict=True
-        )
-    ]
-    return Drive(stack_padded(parts))
+    parts = []
+    for e in experiments:
+        first, last, _ = samples.indices(len(e))
+        parts.append(np.asarray(input_signal(model, e).u)[first : max(last - 1, first)])
+    return InputSignal(stack_padded(parts))

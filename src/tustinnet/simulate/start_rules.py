@@ -1,0 +1,307 @@
+"""Starts of free runs: rules that find the state at a sample of a record from samples around it.
+
+A start is one class here and one entry of `STARTS`: its name, the command's help and the list of
+starts in messages come from the class. This module is read for that help, and so it loads neither
+NumPy nor JAX before a state is computed.
+"""
+
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from tustinnet.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from jaxtyping import Array
+
+    from tustinnet.data.experiment import Experiment
+    from tustinnet.models.contract import Model
+
+    Numbers = np.ndarray
+else:
+    Array = Experiment = Model = Numbers = Any
+
+PARABOLA_SAMPLES = 6  # of the usual parabola
+FIT_SAMPLES = 20  # that a state is usually fitted to
+_FEWEST_PARABOLA_SAMPLES = 3
+
+
+@dataclass(frozen=True)
+class Start(ABC):
+    """A rule that finds the state at a sample of a record.
+
+    Attributes:
+        form: its name, with `N` in the place of the number of samples.
+        usual_samples: the usual number of samples.
+        summary: what the rule does, for the command's help, with `N` for the number of samples.
+        samples: how many samples it uses, from the record's first on.
+    """
+
+    form: ClassVar[str]
+    usual_samples: ClassVar[int]
+    summary: ClassVar[str]
+
+    samples: int
+
+    @classmethod
+    def from_name(cls, name: str) -> "Start | None":
+        """The start of that name; None where the name is one of another start."""
+        match = re.fullmatch(cls.form.replace("N", r"(\d+)"), name)
+        if not match:
+            return None
+        return cls(int(match[1]) if match.groups() else cls.usual_samples)
+
+    @classmethod
+    def usual_name(cls) -> str:
+        """The name of the start with its usual number of samples."""
+        return cls(cls.usual_samples).name
+
+    @property
+    def name(self) -> str:
+        """The name of the start in recipes, options and scores, such as `model-20`."""
+        return self.form.replace("N", str(self.samples))
+
+    @property
+    def first(self) -> int:
+        """The sample at which the free run begins."""
+        return 0
+
+    @property
+    def fitted_samples(self) -> int:
+        """Samples that any model then simulates well, because the state was chosen for them."""
+        return 0
+
+    @abstractmethod
+    def start_data(self, model: Model, experiments: Sequence[Experiment]) -> Any:
+        """Arrays of records that the states are computed from, with the record first.
+
+        Raises:
+            InputError: a record that does not have what the start requires.
+        """
+
+    def traced_states(self, model: Model, start_data: Any) -> Array:
+        """States at the start as a part of a program that JAX compiles, (records, n_x).
+
+        They can be differentiated by the model. Here of positions and velocities,
+        (records, 2 n_q), with the internal states that the model expects there.
+        """
+        import jax
+        import jax.numpy as jnp
+
+        return jax.vmap(model.beginning)(jnp.asarray(start_data))
+
+    def numeric_states(self, model: Model, start_data: Any) -> Numbers:
+        """States at the start as numbers, computed by the engine, (records, n_x).
+
+        They are those of `traced_states`, for models that are not being trained.
+        """
+        import numpy as np
+
+        from tustinnet.simulate.simulation import initial_states
+
+        return initial_states(model, np.asarray(start_data))
+
+    def _require_samples(self, e: Experiment, fewest: int, purpose: str) -> None:
+        if self.samples < fewest:
+            raise InputError("start", f"'{self.name}'", f"at least {fewest} samples for {purpose}")
+        if self.samples > len(e):
+            raise InputError(
+                e.name, f"{len(e)} samples",
+                f"at least {self.samples} for the start '{self.name}'",
+                "leave the record out, or take another start",
+            )  # fmt: skip
+
+
+class StoredStart(Start):
+    """`file`: the first row of a record as it is stored, velocities included."""
+
+    form = "file"
+    usual_samples = 1
+    summary = "first row of the record"
+
+    def start_data(self, model: Model, experiments: Sequence[Experiment]) -> Any:
+        """The first rows, (records, 2 n_q)."""
+        import numpy as np
+
+        return np.stack([self.measured_state(e) for e in experiments])
+
+    def measured_state(self, e: Experiment) -> Numbers:
+        """The first row of a record [q, v], (2 n_q,)."""
+        import numpy as np
+
+        if e.v is None:
+            raise InputError(
+                e.name,
+                "start 'file' without velocity columns",
+                "velocities in the file",
+                f"use the start '{DerivedStart.usual_name()}'",
+            )
+        return np.concatenate([e.q[0], e.v[0]])
+
+
+class DerivedStart(Start):
+    """`derived-N`: the least-squares parabola through the first N samples, at their times."""
+
+    form = "derived-N"
+    usual_samples = PARABOLA_SAMPLES
+    summary = "parabola through the first N samples"
+
+    def start_data(self, model: Model, experiments: Sequence[Experiment]) -> Any:
+        """Values and slopes of the parabolas at the first sample, (records, 2 n_q)."""
+        import numpy as np
+
+        return np.stack([self.measured_state(e) for e in experiments])
+
+    def measured_state(self, e: Experiment) -> Numbers:
+        """Value and slope of the parabola at the first sample of a record [q, v], (2 n_q,)."""
+        self._require_samples(e, _FEWEST_PARABOLA_SAMPLES, "the parabola")
+        return parabola(e, 0, self.samples)
+
+
+class FittedStart(Start):
+    """`model-N`: the state from which the model explains the first N samples best."""
+
+    form = "model-N"
+    usual_samples = FIT_SAMPLES
+    summary = "state with which the model fits the first N samples best"
+
+    @property
+    def fitted_samples(self) -> int:
+        """All N samples."""
+        return self.samples
+
+    def start_data(self, model: Model, experiments: Sequence[Experiment]) -> Any:
+        """Parabolas, at which the search begins; inputs and positions of the first samples."""
+        import numpy as np
+
+        from tustinnet.simulate.input_signal import input_signals
+        from tustinnet.simulate.state_fits import FEWEST
+
+        for e in experiments:
+            self._require_samples(e, FEWEST, "the fit")
+        samples = min(self.samples, PARABOLA_SAMPLES)
+        guess = np.stack([parabola(e, 0, samples) for e in experiments])
+        signal = input_signals(model, experiments, slice(self.samples))
+        return guess, signal, np.stack([e.q[: self.samples] for e in experiments])
+
+    def traced_states(self, model: Model, start_data: Any) -> Array:
+        """States by least squares through the model, (records, n_x), see `fit_states_traced`."""
+        from tustinnet.simulate.state_fits import fit_states_traced
+
+        guess, signal, q = start_data
+        return fit_states_traced(model, super().traced_states(model, guess), signal, q)
+
+    def numeric_states(self, model: Model, start_data: Any) -> Numbers:
+        """States by least squares through the model, (records, n_x), see `fit_states`."""
+        from tustinnet.simulate.state_fits import fit_states
+
+        guess, signal, q = start_data
+        return fit_states(model, super().numeric_states(model, guess), signal, q)
+
+
+class WarmUpStart(Start):
+    """`warm-up-N`: internal states follow the first N samples; the run begins at the last of them.
+
+    Positions and velocities there are those of the parabola through the 6 samples up to it, so
+    that nothing later is used. For models whose internal states say what the past was.
+    """
+
+    form = "warm-up-N"
+    usual_samples = FIT_SAMPLES
+    summary = "the model first follows N measured samples"
+
+    @property
+    def first(self) -> int:
+        """The last of the N samples."""
+        return self.samples - 1
+
+    @property
+    def fitted_samples(self) -> int:
+        """All N samples."""
+        return self.samples
+
+    def start_data(self, model: Model, experiments: Sequence[Experiment]) -> Any:
+        """Positions and velocities along the first N samples, and the inputs."""
+        import numpy as np
+
+        from tustinnet.simulate.input_signal import input_signals
+
+        for e in experiments:
+            self._require_samples(e, PARABOLA_SAMPLES, "the warm-up")
+        heads = [e[: self.samples] for e in experiments]
+        measured = [e.measured_states("stencil") for e in heads]
+        for x, e in zip(measured, heads, strict=True):
+            x[-1] = parabola(e, self.first, PARABOLA_SAMPLES)
+        return np.stack(measured), input_signals(model, experiments, slice(self.samples))
+
+    def traced_states(self, model: Model, start_data: Any) -> Array:
+        """Measured states with the internal states that the samples led to, (records, n_x)."""
+        import jax.numpy as jnp
+
+        from tustinnet.simulate.along import predictions_along
+
+        measured, signal = start_data
+        run = predictions_along(model, jnp.asarray(measured), signal)
+        internal = run[:, -1, model.channels.internal]
+        return jnp.concatenate([jnp.asarray(measured)[:, -1].astype(run.dtype), internal], axis=1)
+
+    def numeric_states(self, model: Model, start_data: Any) -> Numbers:
+        """Measured states with the internal states that the samples led to, (records, n_x)."""
+        import numpy as np
+
+        from tustinnet.simulate.simulation import initial_states, simulate_runs
+
+        measured, signal = start_data
+        run = simulate_runs(model, initial_states(model, measured[:, 0]), signal, measured)
+        return np.concatenate([measured[:, -1], run[:, -1, model.channels.internal]], axis=1)
+
+
+STARTS: tuple[type[Start], ...] = (StoredStart, DerivedStart, FittedStart, WarmUpStart)
+
+
+def start_named(name: str, where: object = "start") -> Start:
+    """A start by its name: `file`, `derived-6`, `model-20`, `warm-up-20`, with any number.
+
+    Args:
+        name: the name.
+        where: what names it, for messages; empty in a declaration, which says the key itself.
+
+    Raises:
+        InputError: no such start.
+    """
+    for kind in STARTS:
+        start = kind.from_name(name)
+        if start is not None:
+            return start
+    forms = [
+        f"'{kind.form}'" if kind.form == kind.usual_name()
+        else f"'{kind.form}' such as {kind.usual_name()}"
+        for kind in STARTS
+    ]  # fmt: skip
+    raise InputError(where, f"unknown start '{name}'", f"{', '.join(forms[:-1])} or {forms[-1]}")
+
+
+def starts_help() -> str:
+    """The starts and what each does, in a line for the command's help."""
+    lines = [
+        f"{kind.usual_name()} ({kind.summary.replace('N', str(kind.usual_samples))})"
+        for kind in STARTS
+    ]
+    return f"{', '.join(lines[:-1])} or {lines[-1]}; other numbers of samples are possible"
+
+
+def parabola(e: Experiment, k: int, samples: int) -> Numbers:
+    """Value and slope at sample k of the least-squares parabola through so many samples there.
+
+    At the beginning of a record these are the first ones, else those up to sample k.
+    """
+    import numpy as np
+
+    from tustinnet.signals.derivatives import polynomial_fit
+
+    near = slice(max(0, k + 1 - samples), max(k + 1, samples))
+    q, v = polynomial_fit(e.t[near], e.q[near], 2, at=e.t[k : k + 1])
+    return np.concatenate([q[0], v[0]])
