@@ -65,7 +65,6 @@ FAMILIES: Registry[Any] = Registry(
         "neural-ode": "tustinnet.families.neural_ode:FAMILY",
         "linear": "tustinnet.families.linear:FAMILY",
         "committee": "tustinnet.families.committee:FAMILY",
-        "encoded": "tustinnet.families.encoded:FAMILY",
     },
 )
 # what `show` prints of a kind, without loading its models and JAX; others have `Family.shown`
@@ -80,9 +79,13 @@ SHOWN: Registry[Any] = Registry(
         "neural-ode": "tustinnet.families.shown:neural_ode",
         "linear": "tustinnet.families.shown:linear",
         "committee": "tustinnet.families.shown:committee",
-        "encoded": "tustinnet.families.shown:encoded",
     },
 )
+# kinds of model files that earlier versions wrote, and what to do instead
+REMOVED_KINDS = {
+    "encoded": "retrain it with a start such as `model-20`: networks that estimate the initial "
+    "state are no longer supported",
+}
 USUAL = next(iter(FAMILIES.places))  # the kind of a recipe that names none
 SCALINGS: Registry[Any] = Registry(
     "scaling",

@@ -48,7 +48,6 @@ WITH_VALIDATION = ("train", "train", "validation", "validation")
     ("of", "keys", "splits"),
     [
         *((name, {}, WITH_VALIDATION) for name in TRAINED),
-        ("tustin-net", {"start": "encoder-5"}, WITH_VALIDATION),
         ("tustin-net", {"horizon": 0.8}, WITH_VALIDATION),
         ("tustin-net", {"start": "model-10"}, WITH_VALIDATION),
         ("tustin-net", {}, ("train",)),

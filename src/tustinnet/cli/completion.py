@@ -39,4 +39,4 @@ def _targets() -> Iterable[str]:
 
 recipe, plan, system, target = _of(_recipes), _of(_plans), _of(_systems), _of(_targets)
 split = _of(lambda: ("train", "validation", "test"))
-start = _of(lambda: ("file", "derived-6", "model-20", "warm-up-20", "encoder-20"))
+start = _of(lambda: ("file", "derived-6", "model-20", "warm-up-20"))

@@ -92,11 +92,10 @@ Start = Annotated[
         autocompletion=completion.start,
         help="Initial states of the free runs: file (first row of the record), derived-6 (parabola "
         "through the first 6 samples), model-20 (state with which the model fits the first 20 "
-        "samples best), warm-up-20 (the model first follows 20 measured samples) or encoder-20 "
-        "(the model's encoder estimates it); other numbers of samples are possible. Default: "
-        "encoder-N or warm-up-N where the model has an encoder or needs a warm-up, else file where "
-        "records have velocity columns, else model-20 for oscillations with fewer than 20 samples "
-        "per period, else derived-6.",
+        "samples best) or warm-up-20 (the model first follows 20 measured samples); other numbers "
+        "of samples are possible. Default: warm-up-N where the model needs a warm-up, else file "
+        "where records have velocity columns, else model-20 for oscillations with fewer than 20 "
+        "samples per period, else derived-6.",
     ),
 ]
 Horizon = Annotated[

@@ -16,7 +16,7 @@ from tustinnet.fitting.fit import fit_task
 from tustinnet.fitting.gradient.plan import groups_alike, plan
 from tustinnet.fitting.gradient.train import train_plan
 from tustinnet.fitting.listener import SILENT, Listener
-from tustinnet.fitting.recipe import Recipe, horizon_of, rates_of
+from tustinnet.fitting.recipe import Recipe, horizon_of
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.roles import Roles
@@ -213,9 +213,6 @@ def make_question(
         raise InputError("--seeds", "an identification has no seeds", "a recipe with weights")
     if seeds is not None and (not seeds or len(set(seeds)) < len(seeds)):
         raise InputError("--seeds", f"{list(seeds)}", "at least one, all different")
-    if (rates := rates_of(chosen)) != (1.0,):
-        raise InputError(f"recipe '{chosen.name}', rates", f"{list(rates)}", "no `rates`",
-                         "every fold is trained at the rates of the stages")  # fmt: skip
     identifying = read_recipe(physics or PHYSICS) if corrects else chosen
     if corrects and not identifying.family.correctable:
         raise InputError(

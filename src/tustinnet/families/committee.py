@@ -203,8 +203,7 @@ def committee(models: Sequence[Model], weights: Weights | None = None) -> Commit
     Models that are alike, as those of several folds and seeds of one recipe, run as one program.
 
     Args:
-        models: models of the same coordinates, inputs and period, of any families; encoders are
-            left out, because each tells the state of its own model only.
+        models: models of the same coordinates, inputs and period, of any families.
         weights: what each counts, numbers from 0 on; they are divided by their sum. By default all
             count the same.
 
@@ -214,7 +213,6 @@ def committee(models: Sequence[Model], weights: Weights | None = None) -> Commit
     """
     for i, model in enumerate(models, 1):
         _require_member(model, models[0], f"model {i} of the committee")
-    models = [model.dynamics for model in models]
     given = np.ones(len(models)) if weights is None else np.asarray(weights, np.float64)
     with np.errstate(over="ignore"):
         total = given.sum()

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray, PyTree
+from jaxtyping import Float, PRNGKeyArray, PyTree
 from pydantic import Field
 
 from tustinnet.data.declaration import Declaration
@@ -23,7 +23,6 @@ from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.registry import FAMILIES, SHOWN
 
 Vector = Float[np.ndarray, " _"]
-Regulariser = Callable[[Model, Float[Array, " n_x"], Array], Float[Array, ""]]
 Given = Literal["system", "physics"]
 
 # far beyond what anybody needs; beyond them memory ends before any message
@@ -160,13 +159,6 @@ class Family(ABC):
             experiments: the training records.
         """
         return physics
-
-    def regulariser(self, stage: Any) -> Regulariser | None:
-        """What a stage adds to the loss at every step, from model, state and input; None for none.
-
-        Two that are alike must be equal, so that one compiled program serves both.
-        """
-        return None
 
     @abstractmethod
     def describe(self, model: Any) -> tuple[Header, Arrays]:

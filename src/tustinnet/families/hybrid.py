@@ -1,7 +1,7 @@
 """Known physics plus a network for what it leaves."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -22,7 +22,6 @@ from tustinnet.families.family import (
     Header,
     Hyper,
     LayeredStage,
-    Regulariser,
     family_of,
 )
 from tustinnet.families.shown import CORRECTION, PHYSICS, below, hybrid_as_now
@@ -163,10 +162,6 @@ class HybridModel(Model):
         level = jnp.mean(motion**2)
         return f * level / (level + _REST), remember
 
-    def effort(self, x: State, u: Drive) -> Float[Array, ""]:
-        """The squared correction in the network's units."""
-        return jnp.sum((self.corrected_by(x, u) / self.correction.scaling.acceleration) ** 2)
-
     def folded(self) -> "HybridModel":
         """The same with folded parts."""
         correction = cast(AccelerationModel, self.correction.folded())
@@ -202,35 +197,12 @@ def _hyper(content: Any) -> Hyper:
     return declare({"kind": family.kind, **content}, family.hyper, "correction")
 
 
-class HybridStage(LayeredStage):
-    """Stages of hybrids.
-
-    Attributes:
-        frozen_layers: of the correction, if it has layers that can be frozen.
-        penalty: weight of the mean squared correction, in the network's units: the physics
-            explains what it can.
-    """
-
-    penalty: float = Field(default=0.0, ge=0, le=1e6)
-
-
-@dataclass(frozen=True)
-class Effort:
-    """The squared correction times a weight, added to the loss."""
-
-    weight: float
-
-    def __call__(self, model: Any, x: Float[Array, " n_x"], u: Array) -> Float[Array, ""]:
-        """At a state under an input."""
-        return self.weight * model.effort(x, u)
-
-
 class HybridFamily(Family):
     """Hybrids."""
 
     kind = "hybrid"
     hyper = HybridHyper
-    stage = HybridStage
+    stage = LayeredStage
     needs = frozenset({"physics"})
     model = HybridModel
 
@@ -255,7 +227,7 @@ class HybridFamily(Family):
 
         return build
 
-    def check(self, hyper: HybridHyper, stage: HybridStage) -> None:
+    def check(self, hyper: HybridHyper, stage: LayeredStage) -> None:
         """What the correction's family says of the stage."""
         family = FAMILIES[hyper.correction.kind]
         if issubclass(family.stage, LayeredStage):
@@ -263,7 +235,7 @@ class HybridFamily(Family):
         elif stage.frozen_layers:
             raise ValueError(f"`frozen_layers` means nothing to kind '{family.kind}'")
 
-    def trainable(self, model: HybridModel, stage: HybridStage) -> PyTree:
+    def trainable(self, model: HybridModel, stage: LayeredStage) -> PyTree:
         """What trains of the correction; the physics does not."""
         of_correction = family_of(model.correction).trainable(model.correction, stage)
         nothing = jax.tree.map(lambda _: False, model)
@@ -298,10 +270,6 @@ class HybridFamily(Family):
     def corrected(self, model: HybridModel) -> Model:
         """The physics."""
         return model.physics
-
-    def regulariser(self, stage: HybridStage) -> Regulariser | None:
-        """The penalty on the correction."""
-        return Effort(stage.penalty) if stage.penalty else None
 
     def describe(self, model: HybridModel) -> tuple[Header, Arrays]:
         """Both parts as their families describe them."""

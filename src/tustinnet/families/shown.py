@@ -16,7 +16,6 @@ Lines = list[tuple[str, str]]  # words, and what they say
 # keys of headers, and names of arrays
 PHYSICS, CORRECTION = "physics", "correction"  # of a hybrid
 MEMBERS, WEIGHT = "members", "weight"  # of a committee
-DYNAMICS, ENCODER = "dynamics", "encoder"  # of a model with an encoder
 VALUES = "values"  # of the parameters of a system
 REST = "rest"  # the position at which the memory of a Tustin-Net rests
 
@@ -87,14 +86,6 @@ def hybrid(header: Header, arrays: Arrays) -> Lines:
         lines.append((name, part["kind"] + remark))
         lines += shown_of(part, below(f"{name}.", arrays))
     return lines
-
-
-def encoded(header: Header, arrays: Arrays) -> Lines:
-    """The encoder, and the lines of the model that it belongs to."""
-    part, sizes = header[DYNAMICS], header[ENCODER]
-    told = f"the state from {sizes['samples']} samples, {sizes['hidden']} hidden units"
-    own = shown_of(part, below(f"{DYNAMICS}.", arrays))
-    return [(DYNAMICS, part["kind"]), *own, (ENCODER, told)]
 
 
 def committee(header: Header, arrays: Arrays) -> Lines:

@@ -6,11 +6,9 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.fitting.gradient.plan import plan
 from tustinnet.fitting.gradient.train import train_plan
 from tustinnet.fitting.listener import SILENT, Listener
-from tustinnet.fitting.recipe import rates_of
-from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.shooting.identify import identify_task
-from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task, usual_recipe
+from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task
 from tustinnet.models.contract import Model
 from tustinnet.simulate.programs import make_room
 from tustinnet.systems.files import AnySystem
@@ -52,7 +50,7 @@ def fit_many(
     data: DataSet,
     recipe: AnyRecipe | None = None,
     seeds: Sequence[int] = (0,),
-    rates: Sequence[float] | None = None,
+    rates: Sequence[float] = (1.0,),
     *,
     physics: Model | None = None,
     listener: Listener = SILENT,
@@ -66,8 +64,7 @@ def fit_many(
         data: as for `fit`.
         recipe: as for `fit`.
         seeds: one training each.
-        rates: factors of the recipe's rates, by default those that it names; every seed is
-            trained with each.
+        rates: factors of the recipe's rates; every seed is trained with each.
         physics: as for `fit`.
         listener: as for `fit`.
 
@@ -78,10 +75,8 @@ def fit_many(
     Raises:
         InputError: no seed, a rate that is not positive; see `fit`.
     """
-    chosen = read_recipe(recipe or usual_recipe(system=False, physics=physics is not None))
-    factors = rates_of(chosen) if rates is None else rates
-    members = [Member(seed, rate) for seed in seeds for rate in factors]
-    return fit_task(make_task(data, chosen, members, physics=physics), listener)
+    members = [Member(seed, rate) for seed in seeds for rate in rates]
+    return fit_task(make_task(data, recipe, members, physics=physics), listener)
 
 
 def fit_task(task: Task, listener: Listener = SILENT) -> list[FitResult]:

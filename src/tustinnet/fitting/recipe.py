@@ -154,8 +154,6 @@ class SearchRecipe(Declaration):
         periodic: whether angles are compared by the periodic distance `2 (1 - cos e)`.
         scaled: whether velocities count in units in which they spread as their positions do, see
             `Residual`.
-        times: `recorded`: step from timestamp to timestamp; `nominal`: by the sampling period, for
-            logs whose timestamps jitter more than their sampling does.
         robust: how residuals that are much larger than most are weighed: `none` as all others,
             `huber` less, `student` far less (t with 4 degrees of freedom), see `robust_weights`.
         part: `whole` records, or `transients`: up to `k_bar`, without the standstill after it.
@@ -174,7 +172,6 @@ class SearchRecipe(Declaration):
     loss: Compared = "position"
     periodic: bool = False
     scaled: bool = True
-    times: Literal["recorded", "nominal"] = "recorded"
     robust: Robust = "none"
     part: Literal["whole", "transients"] = "whole"
     method: Literal["levenberg-marquardt"] = "levenberg-marquardt"
@@ -256,17 +253,12 @@ class TrainingRecipe(Recipe):
             needs one, else `file` where velocities are stored, else `derived-6`.
         horizon: how long a validation free run lasts at most [s]: longer records are cut end to
             end into segments with a start each; none for whole records.
-        rates: factors of the stages' rates; the command `fit` and `fit_many` train every seed
-            with each.
         stages: at least one.
     """
 
     velocity: VelocitySource = "auto"
     start: str | None = None
     horizon: Horizon | None = None
-    rates: tuple[Annotated[float, Field(ge=1e-6, le=1e6)], ...] = Field(
-        default=(1.0,), min_length=1, max_length=_STAGES
-    )
     stages: list[SerializeAsAny[StageRecipe]] = Field(min_length=1, max_length=_STAGES)
 
     @field_validator("start")
@@ -279,8 +271,6 @@ class TrainingRecipe(Recipe):
         names = [stage.name for stage in self.stages]
         if len(set(names)) < len(names):
             raise ValueError("two stages have the same name")
-        if len(set(self.rates)) < len(self.rates):
-            raise ValueError("two of the rates are the same")
         for stage in self.stages:
             try:
                 self.family.check(self.model, stage)
@@ -297,11 +287,6 @@ class TrainingRecipe(Recipe):
         """The same recipe with other values in every stage."""
         stages = [stage.model_copy(update=changes) for stage in self.stages]
         return self.model_copy(update={"stages": stages})
-
-
-def rates_of(recipe: Recipe) -> tuple[float, ...]:
-    """The factors with which every seed is trained; an identification is like one training."""
-    return recipe.rates if isinstance(recipe, TrainingRecipe) else (1.0,)
 
 
 class IdentificationRecipe(Recipe):
@@ -327,6 +312,44 @@ def horizon_of(recipe: Recipe) -> float | None:
     if isinstance(recipe, IdentificationRecipe):
         return recipe.search.horizon
     return recipe.horizon if isinstance(recipe, TrainingRecipe) else None
+
+
+_REMOVED_KEYS = {  # keys of earlier versions: values that change nothing, what to do instead
+    "rates": (
+        ([1.0], (1.0,)),
+        "train each rate by itself: --set stages.*.rate=RATE; in Python use fit_many(rates=...)",
+    ),
+    "search.times": (
+        ("recorded",),
+        "give `dt` in the data card and no [time], where timestamps are worth nothing",
+    ),
+    "stages.penalty": ((0.0,), "train fewer epochs, or a smaller correction"),
+}
+
+
+def _without_removed_keys(content: Mapping[str, Any], where: object) -> dict[str, Any]:
+    """The content of a recipe without keys that earlier versions wrote and that change nothing.
+
+    Raises:
+        InputError: such a key with a value that changed something.
+    """
+
+    def cleaned(table: Any, prefix: str, place: str) -> Any:
+        if not isinstance(table, Mapping):
+            return table
+        for key, (harmless, instead) in _REMOVED_KEYS.items():
+            name = key.removeprefix(prefix)
+            if name in table and table[name] not in harmless:
+                raise InputError(f"{where}, {place}{name}", "a key that was removed", "", instead)
+        return {key: x for key, x in table.items() if f"{prefix}{key}" not in _REMOVED_KEYS}
+
+    kept = cleaned(content, "", "")
+    if "search" in kept:
+        kept["search"] = cleaned(kept["search"], "search.", "search.")
+    if isinstance(kept.get("stages"), list | tuple):
+        stages = enumerate(kept["stages"])
+        kept["stages"] = [cleaned(stage, "stages.", f"stages.{i}.") for i, stage in stages]
+    return kept
 
 
 @cache
@@ -365,5 +388,5 @@ def declared(content: Mapping[str, Any], where: object) -> Recipe:
         what = f"kind '{kind}', made of other models" if exists else f"no kind of model '{kind}'"
         instead = FAMILIES[kind].instead if exists else ""
         raise InputError(f"{where}, model.kind", what, f"one of {', '.join(known)}", instead)
-    complete = {**content, "model": {"kind": kind, **table}}
+    complete = {**_without_removed_keys(content, where), "model": {"kind": kind, **table}}
     return declare(complete, recipe_type(FAMILIES[kind]), where)

@@ -8,7 +8,7 @@ from typing import Any
 from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
 from tustinnet.families.family import family_of
-from tustinnet.fitting.recipe import Recipe, rates_of
+from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.roles import Roles, roles
 from tustinnet.models.contract import Model, require_fit
@@ -121,8 +121,8 @@ def make_task(
     chosen = read_recipe(usual if recipe is None else recipe)
     family = chosen.family
     if origin is not None:
-        family.require_own(origin.model.dynamics)
-        given["physics"] = physics = physics or family.corrected(origin.model.dynamics)
+        family.require_own(origin.model)
+        given["physics"] = physics = physics or family.corrected(origin.model)
     if system is None:
         given["system"] = system = system_for(chosen, None)
     for what, thing in given.items():
@@ -179,10 +179,4 @@ def _require_members(members: Sequence[Member], recipe: Recipe) -> None:
         raise InputError(
             "fit", f"seeds {[m.seed for m in members]}, rates {rates}",
             "different seeds and different factors above 0",
-        )  # fmt: skip
-    asked = rates_of(recipe)
-    if asked != (1.0,) and set(rates) != set(asked):
-        raise InputError(
-            f"recipe '{recipe.name}'", f"rates {list(asked)}, of which {rates} would be trained",
-            "no `rates`", "they are for the command fit and for fit_many",
         )  # fmt: skip

@@ -285,11 +285,8 @@ def _scored(
 
 
 def starts_of(model: Model, at: Workplace) -> tuple[str, ...]:
-    """Where free runs of a model start: first the start that judges, then the usual one.
-
-    Encoders have no part in it: what is made of candidates is a committee, which has none.
-    """
-    usual = default_start(list(at.data), model.dynamics)
+    """Where free runs of a model start: first the start that judges, then the usual one."""
+    usual = default_start(list(at.data), model)
     return (usual,) if model.warm_up else tuple(dict.fromkeys((at.judging.start, usual)))
 
 

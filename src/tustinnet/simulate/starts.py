@@ -7,7 +7,6 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, ClassVar
 
 import jax
@@ -17,8 +16,6 @@ from jaxtyping import Array, Float
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.inspection import scales_of
-from tustinnet.engine.equations import Formula
-from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
 from tustinnet.signals.derivatives import polynomial_fit
@@ -201,64 +198,13 @@ class WarmUp(_AfterSamples):
         return np.concatenate([known[:, -1], run[:, -1, model.channels.internal]], axis=1)
 
 
-class Encoder(_AfterSamples):
-    """`encoder-N`: the model's encoder says the state at the last of the first N samples.
-
-    The run begins there. For models that were trained with this start.
-    """
-
-    pattern: ClassVar[str] = r"encoder(?:-(\d+))?"
-    usual: ClassVar[int] = FITTED
-
-    @property
-    def name(self) -> str:
-        """`encoder-N`."""
-        return f"encoder-{self.samples}"
-
-    def material(self, model: Model, experiments: Sequence[Experiment]) -> Any:
-        """Positions of the first N samples, and the inputs."""
-        known = None if model.encoder is None else model.encoder.samples
-        if known != self.samples:
-            has = f"with an encoder of {known} samples" if known else "without encoder"
-            usual = f"use the start 'encoder-{known}'" if known else "use the start 'model-20'"
-            raise InputError(
-                "start", f"'{self.name}' for a model {has}", f"a model trained with `start = "
-                f'"{self.name}"`', usual,
-            )  # fmt: skip
-        for e in experiments:
-            _require_samples(e, self.name, self.samples, 1, "the encoder")
-        q = np.stack([e.q[: self.samples] for e in experiments])
-        return q, drives_of(model, experiments, slice(self.samples)).u
-
-    def states(self, model: Model, material: Any) -> Float[Array, "records n_x"]:
-        """What the encoder says."""
-        assert model.encoder is not None
-        q, u = (jnp.asarray(a) for a in material)
-        return jax.vmap(partial(model.encoder, model.channels))(q, u)
-
-    def estimated(self, model: Model, material: Any) -> Float[np.ndarray, "records n_x"]:
-        """What the encoder says."""
-        encoder, channels = model.encoder, model.channels
-        assert encoder is not None
-        q, u = (np.asarray(a, np.float64) for a in material)
-        points = np.concatenate([q.reshape(len(q), -1), u.reshape(len(u), -1)], axis=1)
-        size = q[0].size
-
-        def estimate(point: Array) -> Array:
-            return encoder(
-                channels, point[:size].reshape(q.shape[1:]), point[size:].reshape(u.shape[1:])
-            )
-
-        return evaluate(Formula(estimate, points.shape[1], where="the encoder"), points)
-
-
-STARTS: tuple[type[Start], ...] = (Stored, Derived, Fitted, WarmUp, Encoder)
+STARTS: tuple[type[Start], ...] = (Stored, Derived, Fitted, WarmUp)
 
 
 def start_named(name: str, where: object = "start") -> Start:
-    """A start by its name: `file`, `derived-6`, `model-20`, `warm-up-20`, `encoder-20`.
+    """A start by its name: `file`, `derived-6`, `model-20`, `warm-up-20`.
 
-    Any number may stand in its place; `encoder` is `encoder-20`.
+    Any number may stand in its place.
 
     Args:
         name: the name.
@@ -275,22 +221,18 @@ def start_named(name: str, where: object = "start") -> Start:
     raise InputError(
         where,
         f"unknown start '{name}'",
-        "'file', 'derived-N' such as derived-6, 'model-N' such as model-20, 'warm-up-N' or "
-        "'encoder-N'",
+        "'file', 'derived-N' such as derived-6, 'model-N' such as model-20, or 'warm-up-N'",
     )
 
 
 def default_start(experiments: Sequence[Experiment], *models: Model) -> str:
     """The start that is used where nobody names one, the same for all of some models.
 
-    The encoder, where every model has one of as many samples; a warm-up where a model needs one;
+    A warm-up where a model needs one;
     else `file` where every record stores velocities; else `derived-6`, or `model-20` where a
     coordinate swings with few samples in a period: a parabola through 6 samples is then far from
     the motion.
     """
-    encoders = {model.encoder.samples if model.encoder else 0 for model in models}
-    if len(encoders) == 1 and max(encoders):
-        return Encoder(max(encoders)).name
     warm_up = max((model.warm_up for model in models), default=0)
     if warm_up:
         return WarmUp(warm_up).name

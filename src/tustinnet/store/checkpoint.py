@@ -65,7 +65,7 @@ class Checkpointer:
 def fingerprint(task: Task, member: Member) -> str:
     """What a checkpoint belongs to: the recipe, the member, its records, physics and origin."""
     fold = task.folds[member.fold]
-    digest = hashlib.sha256(task.recipe.model_dump_json(exclude={"rates"}).encode())
+    digest = hashlib.sha256(task.recipe.model_dump_json().encode())
     digest.update(member.name.encode())
     for given in (fold.physics, fold.origin and fold.origin.model):
         if given is not None:

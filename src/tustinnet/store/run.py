@@ -10,7 +10,7 @@ folder/seed-0/model.safetensors       of trainings: the best weights of that see
 folder/seed-0/log.jsonl               one line an epoch
 folder/seed-0/checkpoint.safetensors  what `resume` goes on from, of all that train together
 
-Seeds that are trained at several rates have folders like seed-0-rate-0.5.
+Members whose rates have a factor have folders like seed-0-rate-0.5.
 """
 
 import statistics

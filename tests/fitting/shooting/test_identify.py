@@ -188,14 +188,6 @@ def test_an_unknown_start_is_refused():
         tn.identify(data_set(records()), SWING, grey("initial=guessed"))
 
 
-def test_timestamps_that_jitter_more_than_the_sampling_did_can_be_left_aside():
-    late = np.random.default_rng(0).uniform(-4e-3, 4e-3, 200)
-    experiments = [replace(e, t=e.t + late[: len(e)]) for e in records()]
-    nominal = tn.identify(data_set(experiments), SWING, grey("times=nominal"))
-    assert worst(nominal) < 1e-4
-    assert worst(tn.identify(data_set(experiments), SWING)) > 1e-3
-
-
 def test_integration_steps_are_chosen_unless_they_are_given():
     assert tn.identify(data_set(records()), SWING, grey("substeps=2")).substeps == 2
 

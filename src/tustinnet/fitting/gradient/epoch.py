@@ -1,7 +1,7 @@
 """The compiled parts of training: epochs of all members, and the figures they are judged by."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -14,7 +14,6 @@ from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as Spec
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from tustinnet.families.family import Regulariser
 from tustinnet.fitting.free_runs import FreeRuns
 from tustinnet.fitting.gradient.layout import MEMBERS, WINDOWS
 from tustinnet.fitting.gradient.material import Records
@@ -47,14 +46,12 @@ class WindowLoss:
         residual: what is compared.
         length: steps in a window that are.
         lead: steps before them, see `StageWindows`.
-        regulariser: what the model's family adds to the loss at every step, if anything.
         only_layers: whether nothing trains but `Affine` layers, see `rollouts`.
     """
 
     residual: Residual
     length: int
     lead: int = 0
-    regulariser: Regulariser | None = None
     only_layers: bool = False
 
 
@@ -109,7 +106,6 @@ def compiled_epochs(prepared: Plan, stage: Stage) -> EpochsFunction:
             stage.residual,
             windows.length,
             windows.lead,
-            stage.regulariser,
             only_layers=_only_layers(prepared.models, stage.trainable),
         ),
         watched=stage.watched is not None and validation is not None,
@@ -347,9 +343,8 @@ def _watched_loss(model: Model, material: _Material, program: _Program) -> Float
     first = jax.lax.axis_index(WINDOWS) * share
     filled = jnp.pad(rows, (0, share * devices - len(rows)))
     mine = jax.lax.dynamic_slice_in_dim(filled, first, share)
-    plain = replace(program.loss, regulariser=None)
-    target, u = gathered(material.records, material.own.internal, mine, plain)
-    losses = window_losses(model, target, u, plain)
+    target, u = gathered(material.records, material.own.internal, mine, program.loss)
+    losses = window_losses(model, target, u, program.loss)
     real = first + jnp.arange(share) < len(rows)
     loss = jnp.sum(jnp.where(real, losses, 0.0)) / len(rows)
     return _sum_over_windows(program.mesh, loss, ())[0]
@@ -389,24 +384,13 @@ def window_losses(
         loss: what is compared.
     """
     # a stem is folded once a batch, not applied at every step; its gradient passes the fold
-    simulator, encoder, of = model.folded().dynamics, model.encoder, model.channels
-    lead, compared = target[:, : loss.lead + 1], slice(loss.lead, None)
-    if encoder is not None:
-        begin = jax.vmap(partial(encoder, of))(lead[..., of.position], u[:, : loss.lead])
-        simulated = rollouts(simulator, begin, u[:, compared], only_layers=loss.only_layers)
-    else:
-        blank = ((0, 0), (0, model.state_size - target.shape[-1]))
-        measured = lead[..., of.measured] if loss.lead else None
-        begin = jnp.pad(target[:, 0], blank)
-        states = rollouts(simulator, begin, u, measured, only_layers=loss.only_layers)
-        simulated = states[:, compared]
-    losses = jax.vmap(loss.residual.window_loss)(
-        simulated[..., of.measured], target[:, compared, of.measured]
+    simulator, measured = model.folded(), model.channels.measured
+    lead = target[:, : loss.lead + 1, measured] if loss.lead else None
+    x0 = jnp.pad(target[:, 0], ((0, 0), (0, model.state_size - target.shape[-1])))
+    simulated = rollouts(simulator, x0, u, lead, only_layers=loss.only_layers)
+    return jax.vmap(loss.residual.window_loss)(
+        simulated[:, loss.lead :, measured], target[:, loss.lead :, measured]
     )
-    if loss.regulariser is not None:
-        added = jax.vmap(jax.vmap(partial(loss.regulariser, simulator)))
-        losses += jnp.mean(added(simulated[:, :-1], u[:, compared]), axis=1)
-    return losses
 
 
 @eqx.filter_jit

@@ -43,8 +43,7 @@ class StageWindows:
         rows: the row of `Records` at which each window begins, (count,); of several members
             that train together (members, count).
         length: steps in a window that are compared.
-        lead: steps before them from which the state at their beginning follows: the warm-up of
-            internal states, or what an encoder sees.
+        lead: steps before them that internal states follow: the warm-up of the model.
     """
 
     rows: Int[np.ndarray, "*members count"]
@@ -54,7 +53,7 @@ class StageWindows:
 
 def lead_of(model: Model) -> int:
     """The samples before those compared in a window, see `StageWindows`."""
-    return model.warm_up if model.encoder is None else model.encoder.samples - 1
+    return model.warm_up
 
 
 def sameness(e: Experiment) -> Hashable:

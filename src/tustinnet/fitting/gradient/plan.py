@@ -13,7 +13,6 @@ from jaxtyping import Array, Float, Int, Key
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
-from tustinnet.families.encoded import EncodedModel, with_encoder
 from tustinnet.families.family import family_of
 from tustinnet.fitting.free_runs import FreeRuns, free_runs
 from tustinnet.fitting.gradient.layout import lay_out_devices
@@ -35,7 +34,7 @@ from tustinnet.fitting.task import Fold, Member, Task
 from tustinnet.models.contract import Model, with_dtype
 from tustinnet.simulate.batches import batches
 from tustinnet.simulate.horizon import horizon_samples, within
-from tustinnet.simulate.starts import Encoder, Start, default_start, start_named
+from tustinnet.simulate.starts import Start, default_start, start_named
 
 
 @dataclass(frozen=True)
@@ -121,8 +120,7 @@ def plan(task: Task, devices: Sequence[Any] | None = None) -> Plan:
         for f in used
     }
     given = tuple(
-        _begun(task, m.fold, make[m.fold](key), key)
-        for m, (key, _) in zip(members, keys, strict=True)
+        _begun(task, m.fold, make[m.fold](key)) for m, (key, _) in zip(members, keys, strict=True)
     )
     single = [with_dtype(model, np.float32) for model in given]
     require_alike(single)
@@ -152,23 +150,13 @@ def plan(task: Task, devices: Sequence[Any] | None = None) -> Plan:
     )
 
 
-def _begun(task: Task, fold: int, built: Model, key: Key[Array, ""]) -> Model:
-    """A model as it was built, or with the weights of the one that its fold begins with.
-
-    With an encoder, where free runs start by one.
-    """
+def _begun(task: Task, fold: int, built: Model) -> Model:
+    """A model as it was built, or with the weights of the one that its fold begins with."""
     recipe, origin = task.recipe, task.folds[fold].origin
     assert isinstance(recipe, TrainingRecipe)
     if origin is not None:
-        built = recipe.family.begun(built, origin.model.dynamics)
-    start = None if recipe.start is None else start_named(recipe.start)
-    if not isinstance(start, Encoder):
-        return built
-    known = None if origin is None else origin.model.encoder
-    if known is not None and known.samples == start.samples:
-        return EncodedModel(built, known)
-    train = task.folds[fold].roles.train
-    return with_encoder(built, train, recipe.velocity, start.samples, key)
+        built = recipe.family.begun(built, origin.model)
+    return built
 
 
 def _shared_physics(fold: Fold) -> Model | None:
@@ -269,7 +257,6 @@ def _plan_stage(index: int, task: Task, model: Model, pool: Pool, peers: Sequenc
         windows=StageWindows(_side_by_side(drawn, len(roles)), length, lead),
         trainable=family_of(model).trainable(model, recipe),
         residual=residuals.pop(),
-        regulariser=task.recipe.family.regulariser(recipe),
         watched=watched,
     )
 

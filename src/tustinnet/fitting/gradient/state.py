@@ -15,7 +15,6 @@ import numpy as np
 import optax
 from jaxtyping import Array, Bool, Float, Int, Key, PyTree
 
-from tustinnet.families.family import Regulariser
 from tustinnet.fitting.gradient.material import StageWindows
 from tustinnet.fitting.gradient.plateau import Plateau, new_plateau
 from tustinnet.fitting.recipe import StageRecipe
@@ -134,7 +133,6 @@ class Stage:
         windows: what each member is trained on, rows of shape (members, count).
         trainable: a tree like the model, True where an array trains.
         residual: what is compared.
-        regulariser: what the model's family adds to the loss, if anything.
         watched: windows of the validation records, where the scheduler watches their loss.
     """
 
@@ -142,7 +140,6 @@ class Stage:
     windows: StageWindows
     trainable: PyTree
     residual: Residual
-    regulariser: Regulariser | None = None
     watched: StageWindows | None = None
 
 

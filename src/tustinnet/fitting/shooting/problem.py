@@ -142,7 +142,6 @@ class Problem:
             length=length,
             start="estimated" if searched else initial,
             anchored=initial != "unanchored",
-            timestamps=self.search.times == "recorded",
             horizons=horizons,
             delays=bool(self.delays),
         )
