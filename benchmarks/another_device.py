@@ -85,7 +85,7 @@ def begun(question: Question, origin: tn.Model) -> Question:
     """The same identification, beginning at the values of another."""
     assert question.physics is not None
     family, table = question.physics.family, question.physics.model
-    there = family.beginning(table, origin, question.system)
+    there = family.with_initial_values(table, origin, question.system)
     return Question(question.recipe, question.physics.model_copy(update={"model": there}),
                     question.system)  # fmt: skip
 

@@ -67,18 +67,18 @@ FAMILIES: Registry[Any] = Registry(
         "committee": "tustinnet.families.committee:FAMILY",
     },
 )
-# what `show` prints of a kind, without loading its models and JAX; others have `Family.shown`
-SHOWN: Registry[Any] = Registry(
+# summaries that `show` prints, without loading its models and JAX; others have `Family.summarise`
+SUMMARIES: Registry[Any] = Registry(
     "kind of model that `show` prints",
     "tustinnet.shown",
     {
-        "tustin-net": "tustinnet.families.shown:tustin_net",
-        "euler-lagrange": "tustinnet.families.shown:euler_lagrange",
-        "hybrid": "tustinnet.families.shown:hybrid",
-        "gru": "tustinnet.families.shown:gru",
-        "neural-ode": "tustinnet.families.shown:neural_ode",
-        "linear": "tustinnet.families.shown:linear",
-        "committee": "tustinnet.families.shown:committee",
+        "tustin-net": "tustinnet.families.summaries:tustin_net",
+        "euler-lagrange": "tustinnet.families.summaries:euler_lagrange",
+        "hybrid": "tustinnet.families.summaries:hybrid",
+        "gru": "tustinnet.families.summaries:gru",
+        "neural-ode": "tustinnet.families.summaries:neural_ode",
+        "linear": "tustinnet.families.summaries:linear",
+        "committee": "tustinnet.families.summaries:committee",
     },
 )
 # kinds of model files that earlier versions wrote, and what to do instead

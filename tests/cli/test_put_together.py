@@ -84,7 +84,7 @@ def test_members_of_a_users_system_share_its_file(
     assert code == 0
     loaded = tn.load_model(out, system)
     assert isinstance(loaded, tn.Committee)
-    assert [of.numbers for of in loaded.alike] == [(0, 2), (1,)]
+    assert [of.numbers for of in loaded.groups] == [(0, 2), (1,)]
     scores = tn.evaluate(loaded, list(tn.load(folder).split("validation")), "derived-6")
     assert json.loads(told)["mean"] == pytest.approx(tn.mean_rmse(scores), rel=1e-9)
 

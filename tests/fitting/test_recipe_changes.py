@@ -119,7 +119,7 @@ def test_a_change_that_cannot_be_made_is_refused_by_name(change, told):
 @pytest.mark.parametrize(
     ("recipe", "change", "told"),
     [
-        ("standard", "stages.0.penalty=0.1", r"stages\.0\.penalty: a key that was removed"),
+        ("standard", "stages.0.penalty=0.1", r"stages\.0 .*: `penalty` was removed"),
         ("gru", "stages.0.frozen_layers=1", r"stages\.0\.frozen_layers: unknown key"),
         ("standard", "search.loss=state", "search: unknown key"),
         ("standard", "model.fades_at_rest=true", r"model\.fades_at_rest: unknown key"),
@@ -132,7 +132,7 @@ def test_a_change_that_cannot_be_made_is_refused_by_name(change, told):
         ("linear", "model.internal=1000000", r"model\.internal: .*less than or equal"),
         ("neural-ode", "model.substeps=1000000", r"model\.substeps: .*less than or equal"),
         ("neural-ode", "model.fades_at_rest=true", r"model\.fades_at_rest: unknown key"),
-        ("best-hybrid", "stages.0.penalty=inf", r"stages\.0\.penalty: a key that was removed"),
+        ("best-hybrid", "stages.0.penalty=inf", r"stages\.0 .*: `penalty` was removed"),
         ("best-hybrid", "model.correction.stem=100000", r"stem: .*less than or equal"),
         ("grey", "search.iterations=1000000000000", r"search\.iterations: .*less than or equal"),
         ("grey", "search.substeps=1000000000000", r"search\.substeps: .*less than or equal"),
@@ -188,7 +188,7 @@ def test_a_recipe_is_changed_like_the_file_it_came_from():
         assert training(*changes, which=recipe) == training(*changes, which=which)
         assert tn.read_recipe(recipe) is recipe
     assert training("model.hidden.0=3", which=training()).model.model_dump()["hidden"] == (3, 6)
-    changed = training("name=mine", which=training().each(epochs=2))
+    changed = training("name=mine", which=training().with_stages(epochs=2))
     assert [s.epochs for s in changed.stages] == [2, 2]
 
 

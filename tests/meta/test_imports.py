@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tustinnet.registry import FAMILIES, SHOWN
+from tustinnet.registry import FAMILIES, SUMMARIES
 
 HEAVY = {"jax", "equinox", "scipy", "matplotlib", "polars", "rich", "pint", "h5py", "jinja2"}
 READING = {"polars", "rich"}  # records of text, and tables of them
@@ -66,7 +66,7 @@ def test_a_header_is_shown_without_jax_and_polars(model):
 
 
 def test_every_packaged_kind_is_shown_without_its_models():
-    assert set(SHOWN.places) == set(FAMILIES.places)
+    assert set(SUMMARIES.places) == set(FAMILIES.places)
 
 
 @pytest.mark.parametrize("verb", ["evaluate", "compare", "fit"])

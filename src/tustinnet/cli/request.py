@@ -40,9 +40,9 @@ def recipe_of(
 ) -> "Recipe":
     """The recipe that was asked for, or the usual one for what was given, with its changes."""
     from tustinnet.fitting.recipe_reading import read_recipe
-    from tustinnet.fitting.task import usual_recipe
+    from tustinnet.fitting.task import default_recipe_name
 
-    usual = usual_recipe(system=system is not None, physics=physics is not None)
+    usual = default_recipe_name(system=system is not None, physics=physics is not None)
     return read_recipe(name or usual, changes or ())
 
 

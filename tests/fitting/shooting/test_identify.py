@@ -363,7 +363,7 @@ def test_residuals_are_compared_with_the_encoders_counts():
 
 def test_a_fit_of_a_system_is_its_identification(clean):
     told: list[Iteration] = []
-    found = tn.fit(data_set(records()), system=SWING, listener=Listener(iteration=told.append))
+    found = tn.fit(data_set(records()), system=SWING, listener=Listener(on_iteration=told.append))
     assert found.recipe.name == "grey"
     assert found.identification is not None
     assert found.identification.values == pytest.approx(clean.values, rel=1e-4)
@@ -371,7 +371,7 @@ def test_a_fit_of_a_system_is_its_identification(clean):
     assert (found.outcome, found.sound) == (found.identification.outcome, True)
     assert (found.start, found.validation_rmse) == ("file", None)
     assert found.details == {"identification": found.identification.as_plain()}
-    assert found.told("fixed") == {"inertia": 0.05}
+    assert found.detail("fixed") == {"inertia": 0.05}
     assert {i.stage for i in told} >= {"first values", "whole records, anchored start"}
     with pytest.raises(tn.InputError, match="an identification has no seeds"):
         tn.fit(data_set(records()), system=SWING, seed=3)
