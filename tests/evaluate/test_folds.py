@@ -200,7 +200,7 @@ def test_no_member_sees_the_records_that_it_is_scored_on(done, pendulum):
         assert prepared.task.folds[member.fold].roles == deal.roles
         rows = prepared.stages[0].windows.rows[m]
         own = {
-            int(pool.rows(np.array([[i, k]]), deal.roles.train)[0]): e.name
+            int(pool.window_rows(np.array([[i, k]]), deal.roles.train)[0]): e.name
             for i, e in enumerate(deal.roles.train)
             for k in range(len(e) - length)
         }
@@ -246,7 +246,7 @@ def test_members_of_folds_are_what_they_are_alone(done):
     _, [prepared], results = done
     [alone] = folds.train_plan(folds.make_plan(prepared.task.with_members(prepared.members[:1])))
     assert alone.member == results[0].member == Member(4, fold=0)
-    assert alone.told("windows") == results[0].told("windows")
+    assert alone.detail("windows") == results[0].detail("windows")
     assert alone.validation_rmse == pytest.approx(results[0].validation_rmse, rel=1e-3)
 
 

@@ -79,7 +79,7 @@ def test_the_codes_standard_and_transfer_recipes_process_as_many_points(real_dat
         (("[8, 6]", "[]"), "at least 1 item"),
         (("batch = 16", 'batch = 16\ndecay = "cosine"'), "`decay` .* leave out `plateau`"),
         (("frozen_layers = 1", 'patience = 3\ndecay = "cosine"'), "leave out `patience`"),
-        (("frozen_layers = 1", 'patience = 3\nkeep = "last"'), "`patience` means nothing"),
+        (("frozen_layers = 1", 'patience = 3\nkeep = "last"'), "`patience` is not applicable"),
     ],
 )
 def test_a_wrong_recipe_is_refused_with_the_key(small_recipe, change, told):

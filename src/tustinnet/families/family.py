@@ -268,7 +268,7 @@ class TrainedFamily(Family):
 class IdentifiedFamily(Family):
     """A kind of model whose parameters are identified, by an `IdentificationRecipe`."""
 
-    hyper: ClassVar[type[IdentifiedHyper]] = IdentifiedHyper
+    hyper = IdentifiedHyper
     needs = frozenset({"system"})
 
     @abstractmethod

@@ -221,10 +221,12 @@ class SearchRecipe(Declaration):
             return initial
         start = start_named(initial, "")
         if start.first or start.fitted:
-            reason = "after the first sample" if start.first else "that is fitted through the model"
-            remedy = "" if start.first else "; `refine` fits the parameters to free runs from it"
+            known = "expected choose, anchored, unanchored, file or derived-6"
+            if start.first:
+                raise ValueError(f"a start after the first sample; {known}")
             raise ValueError(
-                f"a start {reason}; expected choose, anchored, unanchored, file or derived-6{remedy}"
+                f"a start that is fitted through the model; {known}; `refine` fits the parameters "
+                "to free runs from it"
             )
         return start.name
 
@@ -366,7 +368,7 @@ class IdentificationRecipe(Recipe):
         search: how to search.
     """
 
-    model: SerializeAsAny[IdentifiedHyper]
+    model: SerializeAsAny[IdentifiedHyper]  # pyright: ignore[reportIncompatibleVariableOverride]
     search: SearchRecipe = SearchRecipe()
 
     @property

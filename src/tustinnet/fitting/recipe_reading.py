@@ -66,9 +66,11 @@ def _apply_change(content: dict[str, Any], change: str) -> None:
                 raise InputError("--set", f"'{change}': '{part}' is no table", "a key of a table")
         places = inner
     for place in places:
-        keys = _indices(place, last, change) if isinstance(place, list) else [last]
-        for key in keys:
-            place[key] = _parse_value(text)
+        if isinstance(place, list):
+            for index in _indices(place, last, change):
+                place[index] = _parse_value(text)
+        else:
+            place[last] = _parse_value(text)
 
 
 def _indices(place: Sequence[Any], part: str, change: str) -> Sequence[int]:

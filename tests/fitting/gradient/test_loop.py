@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import tustinnet as tn
-from tustinnet.families.family import family_of
 from tustinnet.fitting.fit import fit_many
 from tustinnet.fitting.gradient.epoch import (
     WindowLoss,
@@ -32,7 +31,7 @@ def run(prepared: TrainingPlan, resume=None):
     """Trains and keeps everything that listeners were told."""
     reports: list[EpochReport] = []
     states: list[tuple[TrainingState, tuple[Progress, ...]]] = []
-    listener = Listener(epoch=reports.append, state=lambda s, p: states.append((s, p)))
+    listener = Listener(on_epoch=reports.append, on_state=lambda s, p: states.append((s, p)))
     models, progress = train(prepared, listener, resume)
     return models, progress, reports, states
 
@@ -115,7 +114,7 @@ def test_frozen_arrays_are_bit_identical_after_the_second_stage_and_the_others_m
 def test_the_output_layer_always_trains_and_the_scaling_never(prepared, frozen):
     model = one(prepared.models)
     stage = prepared.stages[0].recipe.model_copy(update={"frozen_layers": frozen})
-    mask = family_of(model).trainable_mask(model, stage).network
+    mask = prepared.recipe.family.trainable_mask(model, stage).network
     assert mask.output.weight is True
     assert [layer.weight for layer in mask.hidden] == [False] * frozen + [True] * (2 - frozen)
     assert mask.stem.weight is (frozen == 0)
@@ -440,9 +439,14 @@ def test_the_published_scaling_is_refused_for_linear_coordinates():
 )
 def test_a_kept_epoch_at_an_end_of_the_last_stage_is_told(prepared, kept, said):
     progress = Progress(stage=1, epochs=(5, 100), best_epoch=kept, outcome="finished")
-    found = " ".join(ends(with_stages(prepared, epochs=100), progress))
+    found = " ".join(describe_kept_epoch(with_stages(prepared, epochs=100), progress))
     assert bool(found) is bool(said)
     assert re.search(said, found)
     assert not said or "validation" in found
-    assert ends(with_stages(prepared, epochs=100), Progress(best_epoch=kept, outcome="")) == ()
-    assert ends(with_stages(prepared, epochs=100, keep="last"), progress) == ()
+    assert (
+        describe_kept_epoch(
+            with_stages(prepared, epochs=100), Progress(best_epoch=kept, outcome="")
+        )
+        == ()
+    )
+    assert describe_kept_epoch(with_stages(prepared, epochs=100, keep="last"), progress) == ()

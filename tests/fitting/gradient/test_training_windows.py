@@ -11,7 +11,7 @@ from tustinnet.fitting.free_runs import make_free_runs
 from tustinnet.fitting.gradient.epoch import compute_validation_rmse
 from tustinnet.fitting.gradient.plan import make_plan
 from tustinnet.fitting.gradient.windows import (
-    Pool,
+    RecordPool,
     adapt_length,
     describe_windows,
     draw_stage_windows,
@@ -49,7 +49,7 @@ def rows_of(pendulum: tn.DataSet) -> list[range]:
 )
 def test_no_window_crosses_from_one_record_into_the_next(pendulum, recipe):
     windows, length = draw_stage_windows(list(pendulum), recipe, generator())
-    rows = Pool(list(pendulum)).rows(windows, list(pendulum))
+    rows = RecordPool(list(pendulum)).window_rows(windows, list(pendulum))
     assert len(rows) > 0
     for row in rows.tolist():
         record = next(r for r in rows_of(pendulum) if row in r)
@@ -93,7 +93,7 @@ def test_held_windows_leave_out_records_that_are_too_short(pendulum):
     held = [pendulum["noise2"], pendulum["fall1"]]
     windows = draw_windows(held, recipe, 200, generator())
     assert set(windows[:, 0].tolist()) == {1}
-    assert min(Pool(held).rows(windows, held)) >= len(pendulum["noise2"])
+    assert min(RecordPool(held).window_rows(windows, held)) >= len(pendulum["noise2"])
     assert not len(draw_windows(held, recipe, 400, generator()))
 
 
@@ -111,7 +111,7 @@ def test_adapted_windows_grow_when_little_happens_in_a_sample():
 
 
 def test_records_end_to_end_keep_states_and_held_inputs(pendulum):
-    records = Pool(list(pendulum)).records(model_of(pendulum), "auto")
+    records = RecordPool(list(pendulum)).records(model_of(pendulum), "auto")
     second = rows_of(pendulum)[1]
     np.testing.assert_allclose(
         records.x[second.start : second.stop, 0], pendulum[1].q[:, 0], rtol=1e-6
@@ -121,14 +121,14 @@ def test_records_end_to_end_keep_states_and_held_inputs(pendulum):
 
 
 def test_a_record_that_several_members_use_is_laid_out_once(pendulum):
-    pool = Pool([pendulum[0], pendulum[1], pendulum[0]])
+    pool = RecordPool([pendulum[0], pendulum[1], pendulum[0]])
     assert [e.name for e in pool.experiments] == ["fall1", "fall2"]
     of = [pendulum[1], pendulum[0]]
-    assert pool.rows(np.array([[0, 7], [1, 3]]), of).tolist() == [len(pendulum[0]) + 7, 3]
+    assert pool.window_rows(np.array([[0, 7], [1, 3]]), of).tolist() == [len(pendulum[0]) + 7, 3]
 
 
 def test_windows_begin_with_internal_states_that_followed_their_record(pendulum):
-    pool = Pool(list(pendulum))
+    pool = RecordPool(list(pendulum))
     assert pool.internal_states(model_of(pendulum), "auto").shape[1] == 0
     model = model_of(pendulum, memory="[0.5]")
     states = pool.internal_states(model, "auto")

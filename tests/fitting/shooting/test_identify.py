@@ -411,5 +411,5 @@ def test_a_start_outside_its_range_is_refused():
 
 
 def test_a_recipe_that_trains_is_refused():
-    with pytest.raises(tn.InputError, match="means nothing to a recipe of kind 'tustin-net'"):
+    with pytest.raises(tn.InputError, match="not applicable to a recipe of kind 'tustin-net'"):
         tn.identify(data_set(records()), SWING, "standard")

@@ -4,14 +4,13 @@ import time
 
 import jax
 
-_COMPILED = (
-    "/jax/core/compile/backend_compile_duration"  # an event when it ends, of a cached one too
-)
+# an event at the end of a compilation, also of a cached one
+_COMPILED = "/jax/core/compile/backend_compile_duration"
 _last = 0.0
 
 
 def last_compiled() -> float:
-    """The time at which the last compilation of this process ended, by `time.perf_counter`; 0 before any."""
+    """The time by `time.perf_counter` at which the last compilation ended; 0 before any."""
     return _last
 
 

@@ -189,9 +189,8 @@ def _as_asked(
 def _beginning(problem: Problem, model: IdentifiedHyper) -> tuple[Space, Searched]:
     """What is searched for, and where the search begins, by a recipe's table `[model]`."""
     known = {p.name: p for p in problem.parameters}
-    begin, fixed = (
-        spread(problem.system, problem.parameters, values) for values in (model.begin, model.fixed)
-    )
+    begin = spread(problem.system, problem.parameters, model.begin)
+    fixed = spread(problem.system, problem.parameters, model.fixed)
     fixed = {n: known[n].nominal if isinstance(x, str) else x for n, x in fixed.items()}
     space = make_space(problem.system, begin, fixed, problem.parameters)
     nominal = {name: p.nominal for name, p in known.items()}
