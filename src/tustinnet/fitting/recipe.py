@@ -7,7 +7,7 @@ for kinds with weights, `search` for kinds with parameters.
 from abc import abstractmethod
 from collections.abc import Mapping
 from functools import cache
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, SerializeAsAny, create_model, field_validator, model_validator
 
@@ -220,10 +220,10 @@ class SearchRecipe(Declaration):
         if initial in get_args(Initial):
             return initial
         start = start_named(initial, "")
-        if start.first or start.fitted:
-            known = "expected choose, anchored, unanchored, file or derived-6"
-            if start.first:
-                raise ValueError(f"a start after the first sample; {known}")
+        known = "expected choose, anchored, unanchored, file or derived-6"
+        if start.first:
+            raise ValueError(f"a start after the first sample; {known}")
+        if start.fitted:
             raise ValueError(
                 f"a start that is fitted through the model; {known}; `refine` fits the parameters "
                 "to free runs from it"
@@ -271,7 +271,7 @@ class Recipe(Declaration):
     def longest_run(self) -> float | None:
         """Length of the longest free run that is compared [s], None for whole records."""
 
-    def from_model(self, model: Model, system: LagrangianSystem | None) -> Self:
+    def from_model(self, model: Model, system: LagrangianSystem | None) -> "Recipe":
         """The recipe of a fit that begins with a fitted model of its kind.
 
         Args:
@@ -386,7 +386,7 @@ class IdentificationRecipe(Recipe):
         """Length of the longest segment that is compared [s], None for whole records."""
         return self.search.horizon
 
-    def from_model(self, model: Model, system: LagrangianSystem | None) -> Self:
+    def from_model(self, model: Model, system: LagrangianSystem | None) -> "IdentificationRecipe":
         """The recipe of an identification that begins at the values of an identified model.
 
         Args:

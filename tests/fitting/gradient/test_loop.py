@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import tustinnet as tn
-from tustinnet.fitting.fit import fit_many
+from tustinnet.fitting.fit import fit_many, fit_task
 from tustinnet.fitting.gradient.epoch import (
     WindowLoss,
     compute_validation_rmse,
@@ -20,11 +20,11 @@ from tustinnet.fitting.gradient.epoch import (
 )
 from tustinnet.fitting.gradient.layout import lay_out_devices
 from tustinnet.fitting.gradient.loop import train
-from tustinnet.fitting.gradient.plan import TrainingPlan, make_plan
+from tustinnet.fitting.gradient.plan import TrainingPlan, make_plan, restore_untrained
 from tustinnet.fitting.gradient.state import Progress, TrainingState
 from tustinnet.fitting.gradient.train import train_plan
 from tustinnet.fitting.listener import EpochReport, Listener
-from tustinnet.fitting.task import Member, make_task
+from tustinnet.fitting.task import Member, Task, make_task
 
 
 def run(prepared: TrainingPlan, resume=None):
@@ -392,6 +392,24 @@ def test_many_seeds_and_rates_are_fitted_at_once(pendulum, prepared):
     for seeds, rates in (((), (1.0,)), ((0, 0), (1.0,)), ((0,), (0.0,))):
         with pytest.raises(tn.InputError, match="different seeds"):
             fit_many(pendulum, prepared.recipe, seeds, rates)
+
+
+def test_a_task_tells_its_plan_before_training_and_goes_on_from_a_state(prepared, whole):
+    model, _, _, states = whole
+    plans: list[TrainingPlan | Task] = []
+
+    def listen(plan: TrainingPlan | Task) -> Listener:
+        plans.append(plan)
+        return Listener()
+
+    later = Member(5)
+    task = prepared.task.with_members([later, *prepared.members])
+    new, resumed = fit_task(task, listen, [(prepared.members, states[0])])
+    assert [p.members for p in plans if isinstance(p, TrainingPlan)] == [
+        (later,), prepared.members,
+    ]  # fmt: skip
+    assert (new.member, resumed.member) == (later, prepared.members[0])
+    assert same_bits(resumed.model, restore_untrained(prepared, 0, one(model)).folded())
 
 
 def test_fit_returns_a_folded_model_that_computes_what_was_trained(whole, prepared):
