@@ -161,7 +161,7 @@ class Committee(Model):
             if ends[-1] == len(u):
                 parts = zip(pairwise(ends), shapes, strict=True)
                 return [u[a:b].reshape(shape) for (a, b), shape in parts]
-        raise ValueError(f"{len(u)} rows of inputs in a period, not what `seen` makes of them")
+        raise ValueError(f"{len(u)} rows of inputs in a period fit no input layout of the members")
 
     def _input_shapes(self, order: int) -> list[tuple[int, ...]]:
         """The shapes of each group's inputs in a period, for polynomials of `order` terms."""

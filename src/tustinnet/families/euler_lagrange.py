@@ -170,21 +170,21 @@ class EulerLagrangeFamily(IdentifiedFamily):
         errors = np.nan_to_num(errors)
         covariance = np.nan_to_num(np.array(correlation, float)) * np.outer(errors, errors)
         equations = self.equations(model)
-        known = equations.values
+        current = equations.values
         values = [
-            float(known[estimate["name"]]) if estimate["name"] in known else estimate["value"]
+            float(current[estimate["name"]]) if estimate["name"] in current else estimate["value"]
             for estimate in estimates
         ]
         drawn = np.random.default_rng(0).multivariate_normal(
             values, covariance, _ALTERNATIVES, check_valid="ignore"
         )
         # a delay, for instance, is no parameter of the equations
-        columns = [i for i, estimate in enumerate(estimates) if estimate["name"] in known]
+        columns = [i for i, estimate in enumerate(estimates) if estimate["name"] in current]
         names = [estimates[i]["name"] for i in columns]
         drawn = np.clip(drawn[:, columns], lower[columns], upper[columns])
         return [
             replace(model, continuous=LagrangianModel(
-                equations.system, known | dict(zip(names, map(jnp.asarray, row), strict=True))
+                equations.system, current | dict(zip(names, map(jnp.asarray, row), strict=True))
             ))
             for row in drawn
         ]  # fmt: skip

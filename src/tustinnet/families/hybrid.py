@@ -65,7 +65,7 @@ class HybridModel(Model):
 
     Attributes:
         physics: the model that is corrected, as a rule a discretised Lagrangian system; often with
-            fewer integration steps than the model that was given, see `HybridHyper`.
+            fewer integration steps than the original model, see `HybridHyper`.
         correction: whose accelerations correct it; its own trapezoidal step is not used.
         fades_at_rest: whether the correction does.
     """

@@ -192,7 +192,7 @@ class SearchRecipe(Declaration):
         substeps: integration steps in a period; none to choose them from the error target, a
             quarter of an encoder count within 2 s.
         refine: start of free runs to which the parameters are fitted once more after the search,
-            as `model-20`; `none` for the parameters as they were found.
+            as `model-20`; `none` for the parameters as the search ends.
     """
 
     initial: Initial | str = "choose"
@@ -220,13 +220,13 @@ class SearchRecipe(Declaration):
         if initial in get_args(Initial):
             return initial
         start = start_named(initial, "")
-        known = "expected choose, anchored, unanchored, file or derived-6"
+        expected = "expected choose, anchored, unanchored, file or derived-6"
         if start.first:
-            raise ValueError(f"a start after the first sample; {known}")
+            raise ValueError(f"a start after the first sample; {expected}")
         if start.fitted:
             raise ValueError(
-                f"a start that is fitted through the model; {known}; `refine` fits the parameters "
-                "to free runs from it"
+                f"a start that is fitted through the model; {expected}; `refine` fits the "
+                "parameters to free runs from it"
             )
         return start.name
 
@@ -249,7 +249,7 @@ class Recipe(Declaration):
     Attributes:
         name: what it is called.
         description: a sentence for people.
-        model: the kind of model and what there is to say of it.
+        model: the table `[model]`, the kind of model and its keys.
     """
 
     name: Name
@@ -300,7 +300,7 @@ class TrainingRecipe(Recipe):
     Attributes:
         name: what it is called.
         description: a sentence for people.
-        model: the kind of model and what there is to say of it.
+        model: the table `[model]`, the kind of model and its keys.
         velocity: where the training velocities come from (`Experiment.velocities`).
         start: where the validation free runs start; when left out, the model's warm-up if it
             needs one, else `file` where velocities are stored, else `derived-6`.
@@ -364,7 +364,7 @@ class IdentificationRecipe(Recipe):
     Attributes:
         name: what it is called.
         description: a sentence for people.
-        model: the kind of model and what there is to say of it.
+        model: the table `[model]`, the kind of model and its keys.
         search: how to search.
     """
 

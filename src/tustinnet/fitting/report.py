@@ -134,8 +134,8 @@ class Identification:
         autocorrelation: of the residuals from one sample to the next, per channel, (n_y,).
         disagreements: what records disagree about, by group and one by one.
         initial: how initial states were treated, see `SearchRecipe`.
-        initial_states: those found at the records' beginnings, by name, (n_x,) each.
-        start: where the free runs start that judge: the usual start; over a horizon of 20 samples
+        initial_states: the estimated states at the records' beginnings, by name, (n_x,) each.
+        start: the start of the free runs that rank: the default start; over a horizon of 20 samples
             or more `model-20`.
         horizons: length of the segments [s] that records were compared over, by name; validation
             records too. Records that are not named were compared as a whole.
@@ -230,7 +230,7 @@ class FitResult:
             `windows`, `window_lengths`, `epochs` of each stage and `kept_epoch`, the epoch of the
             last one whose weights the model has; `identification` has the estimates.
         findings: what one should know before using the model, in plain language.
-        identification: all that an identification found, None of a training.
+        identification: the result of an identification, None of a training.
     """
 
     model: Model
