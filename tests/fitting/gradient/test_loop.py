@@ -22,7 +22,7 @@ from tustinnet.fitting.gradient.layout import lay_out_devices
 from tustinnet.fitting.gradient.loop import train
 from tustinnet.fitting.gradient.plan import TrainingPlan, make_plan, restore_untrained
 from tustinnet.fitting.gradient.state import Progress, TrainingState
-from tustinnet.fitting.gradient.train import train_plan
+from tustinnet.fitting.gradient.train import describe_kept_epoch, train_plan
 from tustinnet.fitting.listener import EpochReport, Listener
 from tustinnet.fitting.task import Member, Task, make_task
 
