@@ -250,8 +250,10 @@ def test_a_share_needs_memory_and_rest(changed):
 
 def test_a_recipe_with_memory_remembers_half_unless_it_says_otherwise(pendulum):
     train = tuple(e[:60] for e in pendulum.split("train"))
-    for said, share in (([], 0.5), (["model.remembered=0.2"], 0.2), (["model.remembered=0"], 0.0)):
-        recipe = tn.read_recipe("standard", ["model.memory=[0.2]", "model.hidden=[4]", *said])
+    for changes, share in (
+        ([], 0.5), (["model.remembered=0.2"], 0.2), (["model.remembered=0"], 0.0),
+    ):  # fmt: skip
+        recipe = tn.read_recipe("standard", ["model.memory=[0.2]", "model.hidden=[4]", *changes])
         model = FAMILIES["tustin-net"].builder(recipe.model, train, "stencil", None)(
             jax.random.key(0)
         )
