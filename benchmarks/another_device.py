@@ -84,10 +84,8 @@ def first_device() -> Place:
 def begun(question: Question, origin: tn.Model) -> Question:
     """The same identification, beginning at the values of another."""
     assert question.physics is not None
-    family, table = question.physics.family, question.physics.model
-    there = family.beginning(table, origin, question.system)
-    return Question(question.recipe, question.physics.model_copy(update={"model": there}),
-                    question.system)  # fmt: skip
+    recipe = question.physics.from_model(origin, question.system)
+    return Question(question.recipe, recipe, question.system)
 
 
 def model_of(of: Maybe) -> tn.Model:

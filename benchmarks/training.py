@@ -28,9 +28,9 @@ jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
 
 import tustinnet as tn
 from tustinnet.engine.runs import VARIABLE
-from tustinnet.fitting.gradient.epoch import EPOCHS_A_CALL, compiled_epochs
-from tustinnet.fitting.gradient.material import StageWindows
-from tustinnet.fitting.gradient.plan import Plan, plan
+from tustinnet.fitting.gradient.epoch import EPOCHS_A_CALL, compile_epochs
+from tustinnet.fitting.gradient.plan import TrainingPlan, make_plan
+from tustinnet.fitting.gradient.windows import StageWindows
 from tustinnet.fitting.task import Member, make_task
 from tustinnet.simulate.rollout import rollout
 
@@ -51,19 +51,19 @@ def median_seconds(call: Callable[[], object], repetitions: int = REPETITIONS) -
     return statistics.median(times)
 
 
-def prepared(folder: str, batch: int, seeds: int = 1) -> Plan:
+def prepared(folder: str, batch: int, seeds: int = 1) -> TrainingPlan:
     """Stage 1 of the public code's transfer recipe without its stem, which folds away."""
     recipe = tn.read_recipe("paper-code-transfer").model_dump()
     recipe["model"]["stem"] = None
     recipe["stages"] = [recipe["stages"][0] | {"batch": batch}]
     members = [Member(seed) for seed in range(seeds)]
-    return plan(make_task(tn.load(folder), recipe, members))
+    return make_plan(make_task(tn.load(folder), recipe, members))
 
 
-def this_package(work: Plan) -> Call:
+def this_package(work: TrainingPlan) -> Call:
     """The epochs of a compiled call as the training loop makes it, without validation."""
-    blind = replace(work, validation=None)
-    epochs = compiled_epochs(blind, blind.stages[0])
+    blind = replace(work, validation_runs=None)
+    epochs = compile_epochs(blind, blind.stages[0])
     state = work.begin(0)
 
     def call() -> None:
@@ -72,7 +72,7 @@ def this_package(work: Plan) -> Call:
     return call
 
 
-def plain_scan(work: Plan, batch: int) -> Call:
+def plain_scan(work: TrainingPlan, batch: int) -> Call:
     """What one would write in JAX: a jitted step on copied-out windows, called from Python."""
     length, model = work.stages[0].windows.length, jax.tree.map(lambda a: a[0], work.models)
     rows = work.stages[0].windows.rows[0]
@@ -104,7 +104,7 @@ def plain_scan(work: Plan, batch: int) -> Call:
     return call
 
 
-def eager_torch(work: Plan, batch: int) -> Call:
+def eager_torch(work: TrainingPlan, batch: int) -> Call:
     """The same as a user of PyTorch would write it."""
     import torch
 
@@ -151,7 +151,7 @@ def product_rate() -> float:
     return 2 * 2048**3 / median_seconds(lambda: jax.block_until_ready(product(a)))
 
 
-def flops(work: Plan) -> float:
+def flops(work: TrainingPlan) -> float:
     """Arithmetic of the products of an epoch: forward once, backward twice."""
     windows = work.stages[0].windows
     per_step = 2 * (7 * HIDDEN + HIDDEN * HIDDEN + HIDDEN * 2)
@@ -196,9 +196,9 @@ def several_seeds(folder: str, seeds: int = 8) -> None:
     print(f"gain over one after another: {seeds * seconds['1'] / seconds['8']:.2f} x")
 
 
-def seconds_an_epoch(work: Plan) -> float:
+def seconds_an_epoch(work: TrainingPlan) -> float:
     """Median time of an epoch with all that a training does in it."""
-    epochs = compiled_epochs(work, work.stages[0])
+    epochs = compile_epochs(work, work.stages[0])
     state = work.begin(0)
     return median_seconds(lambda: jax.block_until_ready(epochs(state))) / EPOCHS_A_CALL
 
@@ -232,9 +232,9 @@ def engines(folder: str) -> None:
         for engine in ("llvm", "jax"):
             os.environ[VARIABLE] = engine
             jax.clear_caches()
-            work = plan(make_task(data, name, [Member(0)], physics=given))
+            work = make_plan(make_task(data, name, [Member(0)], physics=given))
             begun = time.perf_counter()
-            jax.block_until_ready(compiled_epochs(work, work.stages[0])(work.begin(0)))
+            jax.block_until_ready(compile_epochs(work, work.stages[0])(work.begin(0)))
             first, each = time.perf_counter() - begun, seconds_an_epoch(work)
             seconds[engine] = first - EPOCHS_A_CALL * each, each
         (compiling, fast), (by_xla, slow) = seconds["llvm"], seconds["jax"]

@@ -9,7 +9,6 @@ from swinging import CART, CREEPING, DT, SWING, records, swing_model
 
 import tustinnet as tn
 from tustinnet.export.source import Source, source_of
-from tustinnet.families.encoded import with_encoder
 from tustinnet.families.gru import random_gru
 from tustinnet.families.linear import FAMILY as LINEAR
 from tustinnet.families.linear import LinearHyper
@@ -85,9 +84,6 @@ _FAMILIES = (
 )  # fmt: skip
 _OTHERS = {
     "committee": lambda: tn.committee(every_family()),
-    "encoded": lambda: with_encoder(
-        network(0, times=(0.5,)), records(), "auto", 10, jax.random.key(0)
-    ),
     "qube": lambda: nominal(SYSTEM, 1),
     "qube memory": lambda: nominal(WITH_MEMORY, 4),
     "qube rubbing": lambda: nominal(RUBBING, 2),

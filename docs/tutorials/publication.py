@@ -194,7 +194,7 @@ draw(data["fallVal3"], {"with spring": "tab:orange", "without spring": "tab:purp
 # %%
 recipe = tn.read_recipe("paper-standard", ["stages.0.epochs=20"])
 standard = tn.fit(data, recipe, seed=0)
-print(f"{standard.told('windows')[0]} windows, mean RMSE {standard.validation_rmse:.3f} rad")
+print(f"{standard.detail('windows')[0]} windows, mean RMSE {standard.validation_rmse:.3f} rad")
 
 # %% [markdown]
 # ## Section 3.2: Algorithm 1

@@ -65,24 +65,27 @@ FAMILIES: Registry[Any] = Registry(
         "neural-ode": "tustinnet.families.neural_ode:FAMILY",
         "linear": "tustinnet.families.linear:FAMILY",
         "committee": "tustinnet.families.committee:FAMILY",
-        "encoded": "tustinnet.families.encoded:FAMILY",
     },
 )
-# what `show` prints of a kind, without loading its models and JAX; others have `Family.shown`
+# summaries that `show` prints, without loading its models and JAX; others have `Family.summarise`
 SUMMARIES: Registry[Any] = Registry(
     "kind of model that `show` prints",
     "tustinnet.shown",
     {
-        "tustin-net": "tustinnet.families.shown:tustin_net",
-        "euler-lagrange": "tustinnet.families.shown:euler_lagrange",
-        "hybrid": "tustinnet.families.shown:hybrid",
-        "gru": "tustinnet.families.shown:gru",
-        "neural-ode": "tustinnet.families.shown:neural_ode",
-        "linear": "tustinnet.families.shown:linear",
-        "committee": "tustinnet.families.shown:committee",
-        "encoded": "tustinnet.families.shown:encoded",
+        "tustin-net": "tustinnet.families.summaries:tustin_net",
+        "euler-lagrange": "tustinnet.families.summaries:euler_lagrange",
+        "hybrid": "tustinnet.families.summaries:hybrid",
+        "gru": "tustinnet.families.summaries:gru",
+        "neural-ode": "tustinnet.families.summaries:neural_ode",
+        "linear": "tustinnet.families.summaries:linear",
+        "committee": "tustinnet.families.summaries:committee",
     },
 )
+# kinds of model files that earlier versions wrote, and what to do instead
+REMOVED_KINDS = {
+    "encoded": "retrain it with a start such as `model-20`: networks that estimate the initial "
+    "state are no longer supported",
+}
 DEFAULT_FAMILY = next(iter(FAMILIES.places))  # the kind of a recipe that names none
 SCALINGS: Registry[Any] = Registry(
     "scaling",

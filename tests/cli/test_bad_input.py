@@ -189,11 +189,11 @@ def test_the_data_variable_points_nowhere(tmp_path, monkeypatch, refused):
 @pytest.mark.parametrize(
     "rates", ["[]", "[0,1]", "[1,1]", "fast", "[inf]", "[-1]", "[1e9]", "[1e-300]", "1"]
 )
-def test_rates_that_are_no_factors(rates, folder, small_recipe, tmp_path, refused):
+def test_factors_of_rates_are_refused(rates, folder, small_recipe, tmp_path, refused):
     out = tmp_path / "run"
     refused(
         "fit", folder, "--recipe", small_recipe, "--out", out, "--set", f"rates={rates}",
-        names=("rates",),
+        names=("`rates` was removed", "--set stages.*.rate=RATE"),
     )  # fmt: skip
     assert not out.exists()
 
@@ -237,7 +237,7 @@ def test_seeds_that_are_none(seeds, folder, small_recipe, tmp_path, refused):
         ("model.correction.hidden=[4]", ("small.toml, model.correction", "unknown key")),
         ("model.kind=lstm", ("small.toml, model.kind", "'lstm'", "tustin-net, euler-lagrange")),
         ("stages.*.epoch=3", ("small.toml, stages.0.epoch", "did you mean 'epochs'?")),
-        ("stages.1.penalty=1", ("small.toml, stages.1.penalty", "unknown key")),
+        ("stages.1.penalty=1", ("small.toml, stages.1", "`penalty` was removed")),
         ("stages.7.epochs=3", ("--set", "no place '7' in a list of 2", "0 to 1")),
         ("stages.0.epochs=many", ("small.toml, stages.0.epochs", "integer", "'many'")),
         ("stages.0.epochs=0", ("small.toml, stages.0.epochs", "greater than 0")),

@@ -112,14 +112,14 @@ def test_the_parameters_of_a_search_that_was_stopped_are_in_its_log(
 
     def stopped(task, listener):
         told = []
-        after = replace(listener, searched=lambda of: (listener.searched(of), told.append(of)))
+        after = replace(listener, on_stage=lambda of: (listener.on_stage(of), told.append(of)))
 
         def iteration(of):
             if len(told) == 2:
                 raise KeyboardInterrupt
-            listener.iteration(of)
+            listener.on_iteration(of)
 
-        return fit_task(task, replace(after, iteration=iteration))
+        return fit_task(task, lambda _: replace(after, on_iteration=iteration))
 
     monkeypatch.setattr(run_module, "fit_task", stopped)
     task = make_task(pendulum, "grey", system=system)

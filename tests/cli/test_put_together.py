@@ -84,7 +84,7 @@ def test_members_of_a_users_system_share_its_file(
     assert code == 0
     loaded = tn.load_model(out, system)
     assert isinstance(loaded, tn.Committee)
-    assert [of.numbers for of in loaded.alike] == [(0, 2), (1,)]
+    assert [of.numbers for of in loaded.groups] == [(0, 2), (1,)]
     scores = tn.evaluate(loaded, list(tn.load(folder).split("validation")), "derived-6")
     assert json.loads(told)["mean"] == pytest.approx(tn.mean_rmse(scores), rel=1e-9)
 
@@ -100,37 +100,3 @@ def test_members_of_a_users_system_share_its_file(
     code, _, err = tustinnet(capsys, *asked, *again)
     assert code == 1
     assert "has changed since the model was identified" in err
-
-
-def test_an_encoder_goes_with_its_model_and_stays_behind_elsewhere(
-    folder, small_recipe, tmp_path, capsys
-):
-    out = tmp_path / "run"
-    fit = ("fit", folder, "--recipe", small_recipe, "--set", "start=encoder-10", "--out", out)
-    code, _, err = tustinnet(capsys, *fit, "--seeds", 2, "--quiet", "--no-report")
-    assert code == 0, err
-    model = out / "model.safetensors"
-    code, told, _ = tustinnet(capsys, "evaluate", model, folder, "--json")
-    assert (code, json.loads(told)["start"]) == (0, "encoder-10")
-    code, told, _ = tustinnet(capsys, "show", model)
-    assert code == 0
-    for words in ("encoded", "tustin-net", "the state from 10 samples, 32 hidden units"):
-        assert words in told
-    code, _, err = tustinnet(capsys, "evaluate", model, folder, "--start", "encoder")
-    assert code == 1
-    assert "a model with an encoder of 10 samples" in err
-    assert "use the start 'encoder-10'" in err
-    code, _, err = tustinnet(capsys, "compare", model, folder, "--start", "encoder")
-    assert (code, err.count("\n")) == (1, 1)
-    assert err.startswith(f"error: {model}: start: 'encoder-20'")
-    # as part of a committee, and outside of Python, it is its dynamics
-    both, members = tmp_path / "both.safetensors", sorted(out.glob("seed-*/model.safetensors"))
-    code, _, err = tustinnet(capsys, "committee", *members, "--out", both)
-    assert code == 0
-    assert "note: a committee does without the encoders of its members" in err
-    code, told, _ = tustinnet(capsys, "compare", both, model, folder, "--json")
-    assert (code, json.loads(told)["start"]) == (0, "derived-6")
-    export = ("export", model, "--to", "js", "--out", tmp_path / "js")
-    code, told, err = tustinnet(capsys, *export)
-    assert code == 0, err
-    assert "the encoder, which estimates the state from 10 samples, is not part" in told + err

@@ -105,19 +105,6 @@ def test_fit_reports_the_spread_of_several_seeds_and_keeps_model_and_figures(
     assert figures == {"training.png", "fall3.png", "noise2.png"}
 
 
-def test_fit_trains_every_seed_at_several_rates(folder, small_recipe, tmp_path, capsys):
-    code, out, _ = tustinnet(
-        capsys, "fit", folder, "--recipe", small_recipe, "--out", tmp_path / "run", "--seeds", 2,
-        "--set", "rates=[1,0.5]", "--device", "cpu", "--json",
-    )  # fmt: skip
-    assert code == 0
-    told = [(s["seed"], s["rate"], s["model"]) for s in json.loads(out)["seeds"]]
-    assert told == [
-        (0, 1.0, "seed-0/model.safetensors"), (0, 0.5, "seed-0-rate-0.5/model.safetensors"),
-        (1, 1.0, "seed-1/model.safetensors"), (1, 0.5, "seed-1-rate-0.5/model.safetensors"),
-    ]  # fmt: skip
-
-
 def test_fit_takes_seeds_by_name_and_changes_of_the_recipe(folder, small_recipe, tmp_path, capsys):
     code, out, _ = tustinnet(
         capsys, "fit", folder, "--recipe", small_recipe, "--out", tmp_path / "run",

@@ -20,8 +20,8 @@ from tustinnet.evaluate.folds import (
     dealt,
     make_question,
 )
-from tustinnet.fitting.gradient.material import Pool
-from tustinnet.fitting.gradient.plan import Plan, groups_alike
+from tustinnet.fitting.gradient.plan import TrainingPlan, groups_alike
+from tustinnet.fitting.gradient.windows import RecordPool
 from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Fold, Member, Task
@@ -150,9 +150,9 @@ def test_a_recipe_may_name_the_system():
 
 
 @pytest.fixture(scope="module")
-def done(pendulum) -> tuple[Validated, list[Plan], list[FitResult]]:
+def done(pendulum) -> tuple[Validated, list[TrainingPlan], list[FitResult]]:
     """Three folds and two seeds, and every plan that was trained, and what came of it."""
-    plans: list[Plan] = []
+    plans: list[TrainingPlan] = []
     results: list[FitResult] = []
 
     def train(prepared, listener):
@@ -193,28 +193,28 @@ def test_members_of_all_folds_train_together(done):
 def test_no_member_sees_the_records_that_it_is_scored_on(done, pendulum):
     _, [prepared], _ = done
     deals = dealt(pendulum, 3)
-    pool = Pool([e for d in deals for e in d.roles.all])
+    pool = RecordPool([e for d in deals for e in d.roles.all])
     length = prepared.stages[0].windows.length
     for m, member in enumerate(prepared.members):
         deal = deals[member.fold]
         assert prepared.task.folds[member.fold].roles == deal.roles
         rows = prepared.stages[0].windows.rows[m]
         own = {
-            int(pool.rows(np.array([[i, k]]), deal.roles.train)[0]): e.name
+            int(pool.window_rows(np.array([[i, k]]), deal.roles.train)[0]): e.name
             for i, e in enumerate(deal.roles.train)
             for k in range(len(e) - length)
         }
         assert {own[row] for row in rows.tolist()} == set(names(deal.roles.train))
-        assert prepared.validation is not None
-        counted = np.asarray(prepared.chosen[m])[np.asarray(prepared.counted[m]) > 0]
+        assert prepared.validation_runs is not None
+        counted = np.asarray(prepared.run_indices[m])[np.asarray(prepared.run_counts[m]) > 0]
         assert len(counted) == len(deal.roles.validation)
         for i, e in zip(counted, deal.roles.validation, strict=True):
-            judged = np.asarray(prepared.validation.q[i, 0, : len(e)])
+            judged = np.asarray(prepared.validation_runs.q[i, 0, : len(e)])
             np.testing.assert_allclose(judged, e.q, rtol=1e-6)
 
 
 def test_records_that_have_nothing_to_choose_train(pendulum, monkeypatch):
-    plans: list[Plan] = []
+    plans: list[TrainingPlan] = []
     train_plan = folds.train_plan
 
     def train(prepared, listener):
@@ -244,9 +244,9 @@ def test_the_score_of_a_record_is_that_of_its_folds_model(done, pendulum):
 def test_members_of_folds_are_what_they_are_alone(done):
     # the first fold trains on the fewest windows: together, all have as many
     _, [prepared], results = done
-    [alone] = folds.train_plan(folds.plan(prepared.task.of(prepared.members[:1])))
+    [alone] = folds.train_plan(folds.make_plan(prepared.task.with_members(prepared.members[:1])))
     assert alone.member == results[0].member == Member(4, fold=0)
-    assert alone.told("windows") == results[0].told("windows")
+    assert alone.detail("windows") == results[0].detail("windows")
     assert alone.validation_rmse == pytest.approx(results[0].validation_rmse, rel=1e-3)
 
 
@@ -342,13 +342,13 @@ def test_records_that_choose_how_to_begin_are_left_to_an_identification_that_nee
 
 def test_a_hybrid_corrects_the_physics_of_its_own_fold(identified, monkeypatch):
     data, deals = swinging()
-    plans: list[Plan] = []
+    plans: list[TrainingPlan] = []
 
     def train_plan(prepared, listener):
         plans.append(prepared)
         return [
             FitResult(model, prepared.recipe, m, "finished", True, "file", None, 1.0)
-            for m, model in zip(prepared.members, prepared.given, strict=True)
+            for m, model in zip(prepared.members, prepared.initial_models, strict=True)
         ]
 
     monkeypatch.setattr(folds, "train_plan", train_plan)
@@ -359,7 +359,7 @@ def test_a_hybrid_corrects_the_physics_of_its_own_fold(identified, monkeypatch):
     assert prepared.task.system is None
     assert [f.roles for f in prepared.task.folds] == [d.roles for d in deals]
     gains = []
-    for model in prepared.given:
+    for model in prepared.initial_models:
         assert isinstance(model, tn.HybridModel)
         assert isinstance(model.physics, Discretised)
         assert isinstance(model.physics.continuous, tn.LagrangianModel)

@@ -46,7 +46,7 @@ def test_without_a_correction_it_is_the_physics(name, fades):
     assert silent.state_size == model.state_size
     x0, u = np.linspace(0.1, 0.5, model.state_size), np.full((15, 1), 0.3)
     np.testing.assert_array_equal(rollout(silent, x0, u), rollout(model, x0, u))
-    assert float(silent.effort(jnp.asarray(x0), jnp.asarray(u[0]))) == 0
+    assert float(silent.acceleration_correction(jnp.asarray(x0), jnp.asarray(u[0]))[0]) == 0
 
 
 def test_a_correction_enters_velocities_and_by_the_trapezoidal_rule_positions():
@@ -77,7 +77,7 @@ def test_the_network_may_remember_beside_the_physics():
     np.testing.assert_allclose(following[1], plain[1] + DT * f[0], rtol=1e-12)
     np.testing.assert_allclose(following[2], plain[2], rtol=1e-12)
     speed = (x[1:2] + following[1:2]) / 2
-    np.testing.assert_allclose(following[3:], correction.relaxed(x[3:], speed), rtol=1e-12)
+    np.testing.assert_allclose(following[3:], correction.relax(x[3:], speed), rtol=1e-12)
 
 
 def test_a_correction_that_fades_at_rest_leaves_a_free_integrator_where_it_is(tmp_path):
@@ -92,8 +92,8 @@ def test_a_correction_that_fades_at_rest_leaves_a_free_integrator_where_it_is(tm
     # in motion it is the correction as it was
     fast, drive = jnp.array([0.7, 50.0]), jnp.array([1.0])
     np.testing.assert_allclose(
-        fading.corrected_by(fast, drive),
-        HybridModel(model, network_of_it).corrected_by(fast, drive),
+        fading.acceleration_correction(fast, drive),
+        HybridModel(model, network_of_it).acceleration_correction(fast, drive),
         rtol=0.03,
     )
     tn.save(fading, tmp_path / "fading.safetensors")
@@ -168,7 +168,7 @@ RECIPE = {
     "stages": [
         {
             "name": "one", "windows": {"draw": "strided", "length": 10, "count": 60},
-            "rate": 3e-3, "epochs": 10, "batch": 16, "penalty": 1e-3, "averaging": 0.9,
+            "rate": 3e-3, "epochs": 10, "batch": 16, "averaging": 0.9,
         }
     ],
 }  # fmt: skip
@@ -222,22 +222,6 @@ def test_training_corrects_what_the_physics_leaves_and_the_file_keeps_it(records
     other = jax.tree.map(lambda value: value * 1.01, model)
     with pytest.raises(tn.InputError, match="asked otherwise: another physics;"):
         run_task(task(other), records.name, folder, "resume")
-
-
-def test_a_stronger_penalty_leaves_less_to_the_network(records):
-    efforts = []
-    for penalty in (0.0, 1e4):
-        recipe = {
-            **RECIPE,
-            "start": "file",
-            "stages": [{**RECIPE["stages"][0], "penalty": penalty, "keep": "training"}],
-        }
-        result = tn.fit(records, recipe, physics=physics())
-        assert isinstance(result.model, HybridModel)
-        e = records[0]
-        x = jnp.asarray(np.concatenate([e.q, e.velocities("file")], axis=1))
-        efforts.append(float(jnp.mean(jax.vmap(result.model.effort)(x, jnp.asarray(e.u)))))
-    assert efforts[1] < 0.1 * efforts[0]
 
 
 def test_the_physics_takes_no_more_steps_than_its_own_errors_are_worth(records):

@@ -81,7 +81,7 @@ def test_a_correction_sees_its_taps_and_the_physics_what_it_always_did(swings):
     both = HybridModel(physics, correction)
     given = jnp.asarray(input_signal(both, e).u)[5]
     expected = correction.acceleration(jnp.asarray(x), jnp.asarray(e.u[[4, 5, 7]]))
-    np.testing.assert_allclose(both.corrected_by(jnp.asarray(x), given), expected)
+    np.testing.assert_allclose(both.acceleration_correction(jnp.asarray(x), given), expected)
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ import tustinnet as tn
 from tustinnet.channels import Channels
 from tustinnet.cli.main import run
 from tustinnet.evaluate.folds import cross_validate, make_question
-from tustinnet.families.family import Family, Hyper, filled, named_arrays
+from tustinnet.families.family import Hyper, TrainedFamily, named_arrays, restore_arrays
 from tustinnet.fitting.task import Member, make_task
 from tustinnet.models.blocks import Affine, Scaling, feature_count, learn_scaling, random_affine
 from tustinnet.models.contract import AccelerationModel
@@ -43,7 +43,7 @@ class ToyHyper(Hyper):
     bias: bool = True
 
 
-class ToyFamily(Family):
+class ToyFamily(TrainedFamily):
     kind = "toy"
     hyper = ToyHyper
     correctable = True
@@ -59,9 +59,11 @@ class ToyFamily(Family):
     def restore(self, header, arrays, system, where):
         channels = Channels.from_header(header)
         blank = Scaling(*(jnp.zeros(n) for n in (0, 0, channels.n_q, channels.n_u, channels.n_q)))
-        return filled(lambda: make(channels, blank, jax.random.key(0), header["bias"]), arrays)
+        return restore_arrays(
+            lambda: make(channels, blank, jax.random.key(0), header["bias"]), arrays
+        )
 
-    def shown(self, header, arrays):
+    def summarise(self, header, arrays):
         return [("toy", f"{arrays['layer.weight'].size} weights")]
 
 

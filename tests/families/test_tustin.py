@@ -19,6 +19,7 @@ from tustinnet.models.blocks import (
     learn_scaling,
 )
 from tustinnet.models.contract import require_fit, with_dtype
+from tustinnet.registry import FAMILIES
 from tustinnet.simulate.along import states_along
 from tustinnet.simulate.rollout import rollouts
 from tustinnet.store.header import shown
@@ -249,9 +250,13 @@ def test_a_share_needs_memory_and_rest(changed):
 
 def test_a_recipe_with_memory_remembers_half_unless_it_says_otherwise(pendulum):
     train = tuple(e[:60] for e in pendulum.split("train"))
-    for said, share in (([], 0.5), (["model.remembered=0.2"], 0.2), (["model.remembered=0"], 0.0)):
-        recipe = tn.read_recipe("standard", ["model.memory=[0.2]", "model.hidden=[4]", *said])
-        model = recipe.family.builder(recipe.model, train, "stencil", None)(jax.random.key(0))
+    for changes, share in (
+        ([], 0.5), (["model.remembered=0.2"], 0.2), (["model.remembered=0"], 0.0),
+    ):  # fmt: skip
+        recipe = tn.read_recipe("standard", ["model.memory=[0.2]", "model.hidden=[4]", *changes])
+        model = FAMILIES["tustin-net"].builder(recipe.model, train, "stencil", None)(
+            jax.random.key(0)
+        )
         assert isinstance(model, TustinNet)
         x = jnp.array([0.9, 0.0])
         rest = np.median(np.concatenate([e.q for e in train]))
@@ -262,7 +267,7 @@ def test_a_recipe_with_memory_remembers_half_unless_it_says_otherwise(pendulum):
 def test_a_linear_map_beside_the_network_begins_as_least_squares_say(pendulum, tmp_path):
     train = tuple(e[:60] for e in pendulum.split("train"))
     recipe = tn.read_recipe("standard", ["model.linear=true", "model.hidden=[4]"])
-    model = recipe.family.builder(recipe.model, train, "stencil", None)(jax.random.key(0))
+    model = FAMILIES["tustin-net"].builder(recipe.model, train, "stencil", None)(jax.random.key(0))
     assert isinstance(model, TustinNet)
     x = jnp.asarray(np.concatenate([e.measured_states("stencil")[:-1] for e in train]))
     u = jnp.asarray(np.concatenate([e.held_inputs for e in train]))
@@ -307,7 +312,7 @@ def test_a_linear_map_beside_an_odd_network_is_fitted_to_the_odd_features(pendul
     train = tuple(e[:60] for e in pendulum.split("train"))
     changes = ["model.linear=true", "model.hidden=[4]", "model.odd=true"]
     recipe = tn.read_recipe("standard", changes)
-    model = recipe.family.builder(recipe.model, train, "stencil", None)(jax.random.key(0))
+    model = FAMILIES["tustin-net"].builder(recipe.model, train, "stencil", None)(jax.random.key(0))
     assert isinstance(model, TustinNet)
     beside = model.network.bypass
     assert beside is not None

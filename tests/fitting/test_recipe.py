@@ -52,13 +52,13 @@ def test_the_papers_transfer_recipe_says_what_the_paper_says():
 
 @pytest.mark.real
 def test_the_codes_standard_and_transfer_recipes_process_as_many_points(real_data):
-    from tustinnet.fitting.gradient.plan import plan
+    from tustinnet.fitting.gradient.plan import make_plan
     from tustinnet.fitting.task import make_task
 
     data = tn.load(real_data)
     points = {}
     for name in ("paper-code-standard", "paper-code-transfer"):
-        stages = plan(make_task(data, name)).stages
+        stages = make_plan(make_task(data, name)).stages
         points[name] = sum(s.recipe.epochs * s.windows.rows.size * s.windows.length for s in stages)
     assert points["paper-code-standard"] == pytest.approx(17.3e6, rel=2e-3)
     assert points["paper-code-transfer"] == pytest.approx(17.3e6, rel=2e-3)
@@ -79,7 +79,7 @@ def test_the_codes_standard_and_transfer_recipes_process_as_many_points(real_dat
         (("[8, 6]", "[]"), "at least 1 item"),
         (("batch = 16", 'batch = 16\ndecay = "cosine"'), "`decay` .* leave out `plateau`"),
         (("frozen_layers = 1", 'patience = 3\ndecay = "cosine"'), "leave out `patience`"),
-        (("frozen_layers = 1", 'patience = 3\nkeep = "last"'), "`patience` means nothing"),
+        (("frozen_layers = 1", 'patience = 3\nkeep = "last"'), "`patience` is not applicable"),
     ],
 )
 def test_a_wrong_recipe_is_refused_with_the_key(small_recipe, change, told):
@@ -110,4 +110,4 @@ def test_a_training_asks_validation_records_where_a_stage_does(keep, plateau, as
     rule = {} if plateau is None else {"plateau": {"factor": 0.5, "patience": 2, **plateau}}
     quiet, asked = {**stage, "name": "one", "keep": "last"}, {**stage, "name": "two", "keep": keep}
     recipe = tn.read_recipe({"name": "mine", "model": {}, "stages": [quiet, {**asked, **rule}]})
-    assert recipe.asks_validation is asks
+    assert recipe.needs_validation is asks

@@ -8,7 +8,7 @@ import pytest
 
 import tustinnet as tn
 from tustinnet.fitting.recipe import SearchRecipe, StageRecipe
-from tustinnet.fitting.residual import Residual, residual_of
+from tustinnet.fitting.residual import Residual, make_residual
 
 
 def loss(difference: list[list[float]], kind: str) -> float:
@@ -85,6 +85,6 @@ def test_a_training_counts_lengths_in_their_spread_an_identification_in_metres()
         "name": "one", "windows": {"draw": "strided", "length": 20, "step": 5}, "rate": 1e-2,
         "epochs": 5, "batch": 16,
     }  # fmt: skip
-    unit = residual_of(StageRecipe.model_validate(stage), records).unit
+    unit = make_residual(StageRecipe.model_validate(stage), records).unit
     assert unit[0] == unit[1] == 2.0 ** round(np.log2(spread))
-    assert residual_of(SearchRecipe(), records).unit == (1.0,)
+    assert make_residual(SearchRecipe(), records).unit == (1.0,)

@@ -36,7 +36,7 @@ def test_the_packaged_recipes_are_there_and_valid():
 def test_a_recipe_gives_the_values_it_names(tmp_path):
     usual: dict[str, Any] = {
         "initial": "choose", "loss": "position", "periodic": False, "scaled": True,
-        "times": "recorded", "part": "whole", "method": "levenberg-marquardt",
+        "part": "whole", "method": "levenberg-marquardt",
         "tolerance": 1e-5, "iterations": 50, "substeps": None, "horizon": None,
         "robust": "none", "refine": "none",
     }  # fmt: skip
@@ -74,7 +74,7 @@ def test_a_recipe_says_what_is_fixed_and_where_the_search_begins():
     [
         ('los = "state"', r"search\.los: unknown key.*did you mean 'loss'"),
         ('loss = "speed"', r"search\.loss: .*'position' or 'state' \(got 'speed'\)"),
-        ('times = "other"', r"search\.times: .*'recorded' or 'nominal'"),
+        ('times = "nominal"', r"search: `times` was removed: to ignore timestamps, give `dt`"),
         ('part = "other"', r"search\.part: .*'whole' or 'transients'"),
         ('method = "other"', r"search\.method: .*'levenberg-marquardt'"),
         ("iterations = 0", r"search\.iterations: .*greater than 0"),
@@ -82,7 +82,6 @@ def test_a_recipe_says_what_is_fixed_and_where_the_search_begins():
         ("substeps = 0", r"search\.substeps: .*greater than 0"),
         ('initial = "guessed"', "unknown start 'guessed'"),
         ('initial = "warm-up-20"', r"a start after the first sample; expected choose, anchored"),
-        ('initial = "encoder"', r"a start after the first sample; expected choose, anchored"),
         ('initial = "model-20"', r"fitted through the model; expected .*; `refine` fits the"),
         ('refine = "guessed"', "unknown start 'guessed'"),
         ('refine = "warm-up-20"', r"a start after the first sample; expected none, model-20, file"),

@@ -8,7 +8,7 @@ import pytest
 import tustinnet as tn
 from tustinnet.channels import Kind
 from tustinnet.fitting.recipe import SearchRecipe
-from tustinnet.fitting.residual import residual_of
+from tustinnet.fitting.residual import make_residual
 from tustinnet.models.blocks import learn_scaling
 from tustinnet.reproduce.published import published_scaling
 
@@ -48,7 +48,7 @@ def test_its_units_are_one(pendulum: tn.DataSet, kind: Kind, value: float) -> No
                   .velocity[0])
         )  # fmt: skip
     for loss in ("position", "state"):
-        unit = residual_of(SearchRecipe(loss=loss), records).unit
+        unit = make_residual(SearchRecipe(loss=loss), records).unit
         assert unit[1] == 1.0
         assert np.all(np.array(unit) > 1e-3)
 

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import fields, replace
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from swinging import CREEPING, DT, TURNED, read_by_encoder, simulated, swing_mod
 
 import tustinnet as tn
 from tustinnet.errors import InputError
-from tustinnet.families.encoded import with_encoder
 from tustinnet.models.added import with_forces
 from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import Memory
@@ -84,8 +82,6 @@ def test_models_of_models_say_what_their_parts_expect():
     np.testing.assert_allclose(hybrid.initial_internal(BEGIN), [1.6])
     both = tn.committee([grey, hybrid, turned(0.5), network(1)])
     np.testing.assert_allclose(both.beginning(BEGIN), [2.0, 0.5, 1.6, 1.6, 1.0])
-    encoded = with_encoder(grey, [record()], "stencil", 10, jax.random.key(0))
-    np.testing.assert_allclose(encoded.initial_internal(BEGIN), [1.6])
 
 
 def test_models_of_models_say_how_sure_their_parts_are():
@@ -96,8 +92,6 @@ def test_models_of_models_say_how_sure_their_parts_are():
     np.testing.assert_allclose(hybrid.internal_spread, [1.0, 0.03], rtol=1e-6)
     both = tn.committee([network(1), hybrid, grey])
     np.testing.assert_allclose(both.internal_spread, [1.0, 0.03, 1.0], rtol=1e-6)
-    encoded = with_encoder(grey, [record()], "stencil", 10, jax.random.key(0))
-    np.testing.assert_allclose(encoded.internal_spread, [1.0])
 
 
 class Sure(Discretised):

@@ -13,7 +13,7 @@ from swinging import SWING, data_set, records
 
 import tustinnet as tn
 from tustinnet.evaluate.scores import Score
-from tustinnet.fitting.gradient.plan import plan
+from tustinnet.fitting.gradient.plan import make_plan
 from tustinnet.fitting.listener import EpochReport, Iteration, Listener
 from tustinnet.fitting.task import Member, make_task
 from tustinnet.report.figures import (
@@ -101,12 +101,12 @@ def test_a_long_free_run_is_drawn_by_its_extremes_with_its_error_below(tmp_path)
 
 
 def test_progress_shows_loss_validation_rate_and_time_left(pendulum, small_recipe):
-    prepared = plan(make_task(pendulum, small_recipe))
+    prepared = make_plan(make_task(pendulum, small_recipe))
     for terminal in (True, False):
         out = io.StringIO()
         console = Console(file=out, force_terminal=terminal, width=160)
         with FitProgress(console) as progress:
-            told = progress.follow(prepared).epoch
+            told = progress.follow(prepared).on_epoch
             told(EpochReport("first", 1, 0.5, 0.25, 1e-3, 0.25))
             told(EpochReport("second", 4, 0.4, 0.2, 5e-4, 0.2, "back to the last good state"))
         text = out.getvalue()
@@ -120,13 +120,13 @@ def test_progress_shows_loss_validation_rate_and_time_left(pendulum, small_recip
 def test_time_left_is_told_from_the_first_epoch_with_what_later_stages_need_to_compile(
     pendulum, small_recipe
 ):
-    prepared = plan(make_task(pendulum, small_recipe))
+    prepared = make_plan(make_task(pendulum, small_recipe))
     first, second = prepared.stages
     works = [s.windows.rows.shape[1] * s.windows.length for s in prepared.stages]
     out = io.StringIO()
     console = Console(file=out, force_terminal=True, width=160)
     with FitProgress(console) as progress:
-        told = progress.follow(prepared).epoch
+        told = progress.follow(prepared).on_epoch
         told(EpochReport("first", 1, 0.5, 0.2, 1e-3, 0.2, seconds=2.0, compiling=7.0))
     rest = 2.0 * (first.recipe.epochs - 1 + second.recipe.epochs * works[1] / works[0])
     assert f", {rest + 7:.0f} s left" in out.getvalue()
@@ -140,7 +140,7 @@ def test_a_training_tells_how_long_epochs_take_apart_from_compiling(pendulum, sm
     reports = []
     begun = time.perf_counter()
     jax.clear_caches()
-    tn.fit(pendulum, small_recipe, listener=Listener(epoch=reports.append))
+    tn.fit(pendulum, small_recipe, listener=Listener(on_epoch=reports.append))
     spent = time.perf_counter() - begun
     assert all(r.seconds > 0 for r in reports)
     compiled = sum(r.compiling for r in reports if r.epoch == 1)
@@ -151,7 +151,7 @@ def test_progress_shows_three_digits_of_small_motion(pendulum, small_recipe):
     small = tn.DataSet("small", tuple(replace(e, q=1e-4 * e.q, v=None) for e in pendulum))
     out = io.StringIO()
     with FitProgress(Console(file=out, width=160)) as progress:
-        told = progress.follow(plan(make_task(small, small_recipe))).epoch
+        told = progress.follow(make_plan(make_task(small, small_recipe))).on_epoch
         told(EpochReport("second", 4, 0.4, 1.234e-6, 5e-4, 1.2e-6))
     assert "rmse 0.0000012" in out.getvalue()
 
@@ -168,7 +168,7 @@ def test_progress_of_trainings_that_run_together_tells_the_slowest_and_the_best(
     out = io.StringIO()
     with FitProgress(Console(file=out, width=160)) as progress:
         members = [Member(3), Member(4, 0.5)]
-        told = progress.follow(plan(make_task(pendulum, small_recipe, members))).epoch
+        told = progress.follow(make_plan(make_task(pendulum, small_recipe, members))).on_epoch
         told(EpochReport("second", 4, 0.4, 0.2, 5e-4, 0.15))
         assert out.getvalue() == ""
         told(EpochReport("second", 4, 0.4, 0.2, 5e-4, 0.2, "something happened", 1))
@@ -182,7 +182,7 @@ def test_progress_of_an_identification_shows_its_stages(terminal):
     out = io.StringIO()
     task = make_task(data_set(records()), "grey", system=SWING)
     with FitProgress(Console(file=out, force_terminal=terminal, width=160)) as progress:
-        told = progress.follow(task, "swing").iteration
+        told = progress.follow(task, "swing").on_iteration
         told(Iteration("first values", 1, 0.5, 0.0))
         told(Iteration("whole records", 1, 0.25, 0.1))
         told(Iteration("whole records", 2, 0.125, 0.1))
@@ -202,14 +202,14 @@ def test_quiet_progress_of_an_identification_says_nothing():
     out = io.StringIO()
     with FitProgress(Console(file=out), quiet=True) as progress:
         task = make_task(data_set(records()), "grey", system=SWING)
-        progress.follow(task).iteration(Iteration("first values", 1, 0.5, 0.0))
+        progress.follow(task).on_iteration(Iteration("first values", 1, 0.5, 0.0))
     assert out.getvalue() == ""
 
 
 def test_quiet_progress_tells_events_only(pendulum, small_recipe):
     out = io.StringIO()
     with FitProgress(Console(file=out), quiet=True) as progress:
-        told = progress.follow(plan(make_task(pendulum, small_recipe))).epoch
+        told = progress.follow(make_plan(make_task(pendulum, small_recipe))).on_epoch
         told(EpochReport("second", 4, 0.4, 0.2, 5e-4, 0.2))
         assert out.getvalue() == ""
         told(EpochReport("second", 4, 0.4, 0.2, 5e-4, 0.2, "something happened"))

@@ -74,13 +74,13 @@ def test_the_first_call_of_a_stage_says_nothing_but_the_end_is_the_end(monkeypat
 
 def test_an_identification_ends_at_the_end(monkeypatch):
     clock, heard = Time(monkeypatch), []
-    follow = Clock(10.0).within(lambda prepared: Listener(iteration=heard.append))
+    follow = Clock(10.0).within(lambda prepared: Listener(on_iteration=heard.append))
     told = follow(SimpleNamespace())  # pyright: ignore[reportArgumentType]
     step = Iteration("whole records", 1, 0.5, 1e-3)
-    told.iteration(step)
+    told.on_iteration(step)
     clock.now = 11.0
     with pytest.raises(OutOfTime):
-        told.iteration(step)
+        told.on_iteration(step)
     assert heard == [step, step]
 
 

@@ -66,7 +66,11 @@ def test_a_candidate_may_change_its_recipe(tmp_path):
         ("folds = 3\nseeds = 2", "folds = 4", "4 of 3 folds"),
         ('start = "model-10"', 'start = "model"', "start"),
         ("folds = 3\nstart", "folds = 2\nstart", "folds"),
-        ('recipe = "small.toml"', 'recipe = "small.toml"\nset = ["rates=[1.0, 2.0]"]', "`rates`"),
+        (
+            'recipe = "small.toml"',
+            'recipe = "small.toml"\nset = ["rates=[1.0, 2.0]"]',
+            "rates: `rates` was removed",
+        ),
     ],
 )
 def test_a_plan_that_does_not_fit_is_refused_in_a_line(tmp_path, old, new, told):

@@ -62,9 +62,7 @@ def results(model: tn.Model, x0, u, seeds, *, only_layers: bool):
 
 
 @pytest.mark.parametrize("batch", [1, 11])
-@pytest.mark.parametrize(
-    "name", [name for name in NAMES if layers_of(example(name)) and name != "encoded"]
-)
+@pytest.mark.parametrize("name", [name for name in NAMES if layers_of(example(name))])
 def test_every_family_with_layers_has_the_values_and_gradients_of_jax(name, batch):
     model = with_dtype(example(name), np.float64)
     shape = drive_shape(model)

@@ -169,3 +169,9 @@ def test_a_folder_that_cannot_be_written_is_named_and_nothing_is_left(model, tmp
     with pytest.raises(tn.InputError, match="cannot be written"):
         tn.save(model, blocked / "model.safetensors")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file"]
+
+
+def test_a_model_of_a_removed_kind_is_refused_with_what_to_do(file):
+    rewrite(file, kind="encoded")
+    with pytest.raises(tn.InputError, match="the removed kind 'encoded'; retrain it with a start"):
+        tn.load_model(file)

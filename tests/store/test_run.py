@@ -14,7 +14,7 @@ import pytest
 import safetensors.numpy
 
 import tustinnet as tn
-from tustinnet.fitting.listener import Iteration, Listener, SearchedStage
+from tustinnet.fitting.listener import Iteration, Listener, StageResult
 from tustinnet.fitting.task import Member, make_task
 from tustinnet.store.log import SearchLog, read_log, read_search
 from tustinnet.store.run import MODEL, Earlier, Run, run_task
@@ -148,7 +148,7 @@ def test_a_damaged_log_is_set_aside_and_said_so(run_folder, folder, small_recipe
     sound = {"cut": 4, "list": 3, "other keys": 1}.get(damage, 0)
     told: list[str] = []
     task = make_task(tn.load(folder), small(small_recipe), [Member(0), Member(1)])
-    run_task(task, "x", run_folder, "resume", lambda prepared: Listener(remark=told.append))
+    run_task(task, "x", run_folder, "resume", lambda prepared: Listener(on_message=told.append))
     assert len(told) == 1
     assert f"seed-0/log.jsonl: {sound} sound lines, expected 9" in told[0]
     assert log.read_text() == "".join(lines[:sound])
@@ -179,7 +179,7 @@ def test_a_folder_that_is_removed_while_it_is_written_into_ends_the_run(
 
     task = make_task(tn.load(folder), small(small_recipe))
     with pytest.raises(tn.InputError, match=r"log\.jsonl: cannot be written \(No such file"):
-        run_task(task, "x", place, "refuse", lambda prepared: Listener(epoch=remove))
+        run_task(task, "x", place, "refuse", lambda prepared: Listener(on_epoch=remove))
 
 
 def test_a_run_without_validation_records_is_judged_on_its_training_records(
@@ -241,7 +241,7 @@ def test_killed_at_any_moment_and_resumed_it_ends_with_the_same_bits(
 def test_the_log_of_an_identification_is_read_up_to_its_damage(tmp_path, bad):
     log = SearchLog(tmp_path)
     log.iteration(Iteration("first values", 1, float("nan"), 0.0))
-    log.stage(SearchedStage("first values", "", 1, 0.5, "converged", {"mass": 2.0}))
+    log.stage(StageResult("first values", "", 1, 0.5, "converged", {"mass": 2.0}))
     log.close()
     assert read_log(tmp_path) == []
     whole = read_search(tmp_path)

@@ -43,8 +43,6 @@ def committee(
     copied = given if isinstance(given, SystemFile) else None
     if not overwrite:
         require_room(copied, out.parent)
-    if any(model.encoder for model in members):
-        terminal.messages().print("note: a committee does without the encoders of its members")
     header = {
         "files": [_file(path) for path in models],
         **_range(models, members),

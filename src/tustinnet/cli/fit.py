@@ -192,13 +192,13 @@ def _tell_unfinished(run: "Run", told: "Console") -> None:
 
 def _tell_windows(task: "Task", told: "Console") -> None:
     """What the windows of a training's stages were chosen by."""
-    from tustinnet.fitting.gradient.material import window_account
+    from tustinnet.fitting.gradient.windows import describe_windows
     from tustinnet.fitting.recipe import TrainingRecipe
 
     if isinstance(task.recipe, TrainingRecipe):
         train = task.folds[0].roles.train
         for stage in task.recipe.stages:
-            account = window_account(train, stage.windows)
+            account = describe_windows(train, stage.windows)
             told.print(f"{stage.name}: {account}", highlight=False, soft_wrap=True)
 
 
@@ -223,7 +223,7 @@ def _page(run: "Run", leaving: "Leaving") -> str | None:
     from tustinnet.store.run import REPORT
 
     score, folder = run.best.scores[0], run.folder
-    split = run.judged if run.roles.judging[0].split else None
+    split = run.judged if run.roles.ranking[0].split else None
     given = {"--split": split, "--start": score.start, "--horizon": score.horizon}
     return leaving.report(
         [folder], folder / REPORT, lambda command: report_of_run(run, command), given

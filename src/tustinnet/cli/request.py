@@ -40,9 +40,9 @@ def recipe_of(
 ) -> "Recipe":
     """The recipe that was asked for, or the usual one for what was given, with its changes."""
     from tustinnet.fitting.recipe_reading import read_recipe
-    from tustinnet.fitting.task import usual_recipe
+    from tustinnet.fitting.task import default_recipe_name
 
-    usual = usual_recipe(system=system is not None, physics=physics is not None)
+    usual = default_recipe_name(system=system is not None, physics=physics is not None)
     return read_recipe(name or usual, changes or ())
 
 
@@ -80,9 +80,8 @@ def begun_with(
 
 
 def members_of(seeds: str | None, recipe: "Recipe") -> "list[Member]":
-    """The members that `--seeds` and the recipe's `rates` ask for."""
+    """The members that `--seeds` asks for."""
     from tustinnet.errors import InputError
-    from tustinnet.fitting.recipe import rates_of
     from tustinnet.fitting.task import Member
 
     if seeds is not None and not recipe.family.trains:
@@ -90,7 +89,7 @@ def members_of(seeds: str | None, recipe: "Recipe") -> "list[Member]":
             "--seeds", f"an option of a training; '{recipe.name}' identifies",
             "a recipe of a kind with weights", "an identification has no seeds",
         )  # fmt: skip
-    return [Member(seed, rate) for seed in seeds_of(seeds) for rate in rates_of(recipe)]
+    return [Member(seed) for seed in seeds_of(seeds)]
 
 
 def seeds_of(seeds: str | None) -> tuple[int, ...]:

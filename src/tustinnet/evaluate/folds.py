@@ -13,14 +13,14 @@ from tustinnet.errors import InputError
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.evaluate.scores import evaluate, rmse_by_record
 from tustinnet.fitting.fit import fit_task
-from tustinnet.fitting.gradient.plan import groups_alike, plan
+from tustinnet.fitting.gradient.plan import groups_alike, make_plan
 from tustinnet.fitting.gradient.train import train_plan
 from tustinnet.fitting.listener import SILENT, Listener
-from tustinnet.fitting.recipe import Recipe, horizon_of, rates_of
+from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.roles import Roles
-from tustinnet.fitting.task import AnyRecipe, Fold, Member, Task, system_for
+from tustinnet.fitting.task import AnyRecipe, Fold, Member, Task, resolve_system
 from tustinnet.models.contract import Model
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.simulate.horizon import effective_horizon, horizon_samples
@@ -213,9 +213,6 @@ def make_question(
         raise InputError("--seeds", "an identification has no seeds", "a recipe with weights")
     if seeds is not None and (not seeds or len(set(seeds)) < len(seeds)):
         raise InputError("--seeds", f"{list(seeds)}", "at least one, all different")
-    if (rates := rates_of(chosen)) != (1.0,):
-        raise InputError(f"recipe '{chosen.name}', rates", f"{list(rates)}", "no `rates`",
-                         "every fold is trained at the rates of the stages")  # fmt: skip
     identifying = read_recipe(physics or PHYSICS) if corrects else chosen
     if corrects and not identifying.family.correctable:
         raise InputError(
@@ -224,7 +221,7 @@ def make_question(
         )  # fmt: skip
     wanted = "system" in identifying.family.needs
     if system is None:
-        system = system_for(identifying, None)
+        system = resolve_system(identifying, None)
     if (system is None) == wanted:
         found = "no system" if wanted else "a system, which means nothing to this recipe"
         raise InputError("--system", found, "a system for recipes that identify one")
@@ -267,7 +264,7 @@ def cross_validate(data: DataSet, asked: Question, tell: Tell = lambda task: SIL
     members = tuple(Member(seed, fold=f) for f in range(len(folds)) for seed in seeds)
     task, results = Task(recipe, folds, members, own), []
     for group in groups_alike(task):
-        results += fitted(task.of(group), tell)
+        results += fitted(task.with_members(group), tell)
     results.sort(key=lambda r: members.index(r.member))
     scores = [
         score
@@ -294,7 +291,7 @@ def starts_asked(data: DataSet, asked: Question) -> tuple[str, ...]:
     known = taking_part(data)
     starts = _starts(asked, known)
     for start in starts:
-        horizon_samples(horizon_of(asked.recipe), known, start_named(start))
+        horizon_samples(asked.recipe.longest_run, known, start_named(start))
     return starts
 
 
@@ -308,7 +305,7 @@ def used_by(of: Roles, recipe: Recipe) -> Roles:
 
     Those that would choose train, too, where the recipe leaves them nothing to choose.
     """
-    return of if recipe.asks_validation else Roles(of.all, ())
+    return of if recipe.needs_validation else Roles(of.all, ())
 
 
 def _physics(deals: Sequence[Deal], asked: Question, tell: Tell) -> list[Model]:
@@ -323,8 +320,8 @@ def _physics(deals: Sequence[Deal], asked: Question, tell: Tell) -> list[Model]:
 def fitted(task: Task, tell: Tell) -> list[FitResult]:
     """Members that can be fitted together, followed by whoever wants to know."""
     if not task.recipe.family.trains:
-        return fit_task(task, tell(task))
-    prepared = plan(task)
+        return fit_task(task, tell)
+    prepared = make_plan(task)
     return train_plan(prepared, tell(prepared))
 
 

@@ -131,7 +131,7 @@ class Place:
 
     def roles(self, recipe: Recipe) -> Roles:
         """What the records are for: where a recipe has validation choose, one in four does."""
-        if not recipe.asks_validation:
+        if not recipe.needs_validation:
             return Roles(self.records, ())
         chooses = max(1, self.size // _CHOOSING)
         return Roles(self.records[:-chooses], self.records[-chooses:])
@@ -345,7 +345,7 @@ def trained(
         members = tuple(Member(places[i].draw, fold=f) for f, i in enumerate(these))
         task = Task(recipe, folds, members)
         for group in groups_alike(task):
-            for result in fitted(task.of(group), tell):
+            for result in fitted(task.with_members(group), tell):
                 found[these[result.member.fold]] = result
     return found
 

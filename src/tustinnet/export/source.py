@@ -180,11 +180,6 @@ class Source:
                 f"internal states need {self.model.warm_up} samples: put measured positions and "
                 "velocities into the state before each of the first steps"
             )
-        if self.model.encoder is not None:
-            notes.append(
-                f"the encoder, which estimates the state from {self.model.encoder.samples} "
-                "samples, is not part of the export: it is given states"
-            )
         if (ahead := max(self.seen.offsets)) > 0:
             notes.append(
                 f"a step takes inputs up to {ahead} samples ahead: it can be made once they are "

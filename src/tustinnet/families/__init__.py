@@ -1,1 +1,1 @@
-"""Families of models: what a kind of model is, how it is built, kept and told, a file each."""
+"""Families of models: how each kind of model is built, stored and described, one file each."""

@@ -9,20 +9,19 @@ import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from pydantic import Field, field_validator
 
 from tustinnet.channels import Channels
 from tustinnet.engine.equations import Formula
 from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
-from tustinnet.families.family import Arrays, Family, Header, Hyper
-from tustinnet.families.shown import VALUES
+from tustinnet.families.family import Arrays, Header, IdentifiedFamily, IdentifiedHyper
+from tustinnet.families.summaries import VALUES
 from tustinnet.models.added import needed, placed, with_forces
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import Discretised, discretise
@@ -31,120 +30,90 @@ from tustinnet.models.sensors import calibrated
 from tustinnet.registry import SYSTEMS
 from tustinnet.systems.files import MadeForRecords, load_system
 
-_PROBED = "probed"  # an array: derivatives at the probes
+_PROBED = "probed"  # the name of the array of derivatives at the probes
 _PROBES = 16
 _REACH = {"q": 2.0, "v": 3.0, "z": 0.5, "u": 3.0}  # how far from 0 the probes are, SI units
-_SAME = {True: 1e-6, False: 1e-3}  # relative, in double and in single precision
+_TOLERANCE = {True: 1e-6, False: 1e-3}  # relative, in double and in single precision
+_ALTERNATIVES = 12  # sets of parameters that are drawn from their errors
 
 
-_DRAWN = 12  # sets of parameters that stand for their errors
+class EulerLagrangeHyper(IdentifiedHyper):
+    """The table `[model]` of a system whose parameters are identified."""
 
 
-class EulerLagrangeHyper(Hyper):
-    """A system whose parameters are identified.
-
-    Attributes:
-        system: a packaged system by name, where none is given beside the recipe. Not a file: a
-            recipe runs no code.
-        fixed: parameters to hold, at a value or at their `nominal` one.
-        begin: where the search for a parameter starts.
-        free: what sensors and actuators may be off by, as parameters that are searched for:
-            `CHANNEL.bias` and `CHANNEL.gain`.
-        forces: forces of the library that are added, `LAW` at every coordinate or
-            `LAW:COORDINATE`, see `models.added`.
-    """
-
-    system: str | None = None
-    fixed: dict[str, float | Literal["nominal"]] = Field(default_factory=dict)
-    begin: dict[str, float] = Field(default_factory=dict)
-    free: tuple[str, ...] = ()
-    forces: tuple[str, ...] = ()
-
-    @field_validator("fixed", "begin", mode="before")
-    @classmethod
-    def _named(cls, given: Any) -> Any:
-        """`alpha.bias = 0.1` is a table in a table for TOML, and a parameter here."""
-        if not isinstance(given, dict):
-            return given
-        tables = {name: of for name, of in given.items() if isinstance(of, dict)}
-        flat = {f"{name}.{part}": x for name, of in tables.items() for part, x in of.items()}
-        return {name: x for name, x in given.items() if name not in tables} | flat
-
-    @field_validator("system")
-    @classmethod
-    def _known(cls, system: str | None) -> str | None:
-        if system is not None and system not in SYSTEMS:
-            known = ", ".join(SYSTEMS.names())
-            raise ValueError(f"no system of that name; one of {known}, a file goes with --system")
-        return system
-
-
-class EulerLagrangeFamily(Family):
-    """Identified systems."""
+class EulerLagrangeFamily(IdentifiedFamily):
+    """The family of identified systems."""
 
     kind = "euler-lagrange"
-    spelt = "Euler-Lagrange"
+    title = "Euler-Lagrange"
     hyper = EulerLagrangeHyper
-    trains = False
-    needs = frozenset({"system"})
     correctable = True
     model = LagrangianModel
 
     def describe(self, model: Discretised) -> tuple[Header, Arrays]:
         """The system's name, its parameters, and what its equations give at fixed states."""
-        continuous = model.continuous
-        assert isinstance(continuous, LagrangianModel)
-        system, names = continuous.system, _names(continuous)
+        equations = self.equations(model)
+        system = equations.system
+        # the value that a parameter has for a record's group is one of those of all groups
+        by_record = {p.name for p in system.grouped if p.by_group(equations.values)}
+        names = sorted(set(equations.values) - by_record)
         header: Header = {
-            "system": {"name": system.name, "file": _file_of(system)},
+            "system": {"name": system.name, "file": _file_name(system)},
             "parameters": names,
             "substeps": model.substeps,
         }
-        if _made(system.name):
+        if _made_for_records(system.name):
             others = {*needed(system), *system.sensors}
-            header["terms"] = _declared(system, [n for n in system.nominal() if n not in others])
+            terms = [name for name in system.nominal() if name not in others]
+            header["terms"] = _describe_parameters(system, terms)
         if system.added:
             header["forces"] = list(system.added)
-            header["of_forces"] = _declared(system, needed(system))
+            header["of_forces"] = _describe_parameters(system, needed(system))
         if system.sensors:
-            header["sensors"] = _declared(system, system.sensors)
-        if known := continuous.groups:
+            header["sensors"] = _describe_parameters(system, system.sensors)
+        if groups := equations.groups:
             header["per"] = {p.name: p.per for p in system.grouped}
-            header["groups"] = {name: list(of) for name, of in known.items()}
-        values = np.array([float(continuous.values[name]) for name in names])
-        return header, {VALUES: values, _PROBED: _probed(continuous)}
+            header["groups"] = {name: list(values) for name, values in groups.items()}
+        values = np.array([float(equations.values[name]) for name in names])
+        return header, {VALUES: values, _PROBED: _compute_probes(equations)}
 
     def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> Discretised:
-        """The packaged system, or the one given, with the file's values."""
-        belongs = header["system"]
-        if system is None and belongs["name"] not in SYSTEMS:
-            file = belongs["file"] or "FILE.py"
+        """The model of the packaged system, or of the one given, with the file's values."""
+        name = header["system"]["name"]
+        if system is None and name not in SYSTEMS:
+            file = header["system"]["file"] or "FILE.py"
             raise InputError(
                 where,
-                f"a model of the system '{belongs['name']}', which the package does not have",
+                f"a model of the system '{name}', which the package does not have",
                 f"its file ({file})",
                 f"add --system {file} (in Python: load_model(path, system=...))",
             )
-        found = _as_stored(header) if system is None else load_system(system)
-        if found.name != belongs["name"]:
+        if system is not None:
+            loaded = load_system(system)
+        elif made := _made_for_records(name):
+            channels = Channels.from_header(header)
+            terms = [Parameter(*fields) for fields in header["terms"]]
+            loaded = made.restored(channels.coordinates, channels.inputs, terms)
+        else:
+            loaded = load_system(name)
+        if loaded.name != name:
             raise InputError(
-                where, f"the system '{found.name}'", f"'{belongs['name']}', which the model is of"
+                where, f"the system '{loaded.name}'", f"'{name}', which the model is of"
             )
-        found = found.without([n for n in found.optional if n not in header["parameters"]])
-        forces, of_forces, sensors = (
-            header.get(key, ()) for key in ("forces", "of_forces", "sensors")
-        )
-        found = with_forces(found, tuple(forces), tuple(Parameter(*of) for of in of_forces))
-        found = calibrated(found, tuple(Parameter(*of) for of in sensors))
+        loaded = loaded.without([n for n in loaded.optional if n not in header["parameters"]])
+        force_parameters = (Parameter(*fields) for fields in header.get("of_forces", ()))
+        loaded = with_forces(loaded, tuple(header.get("forces", ())), tuple(force_parameters))
+        sensors = (Parameter(*fields) for fields in header.get("sensors", ()))
+        loaded = calibrated(loaded, tuple(sensors))
         # one by one: JAX compiles a program to take an array apart
         values = dict(zip(header["parameters"], map(jnp.asarray, arrays[VALUES]), strict=True))
-        model = found.model(values)
+        model = loaded.model(values)
         expected = [
             name
-            for p in found.parameters
-            for name in ([p.at(of).name for of in p.by_group(values)] or [p.name])
+            for p in loaded.parameters
+            for name in ([p.at(group).name for group in p.by_group(values)] or [p.name])
         ]
-        per = {p.name: p.per for p in found.grouped} if model.groups else {}
+        per = {p.name: p.per for p in loaded.grouped} if model.groups else {}
         if sorted(expected) != header["parameters"] or per != header.get("per", {}):
             raise InputError(
                 where, "parameters that the system does not have", "those of the system"
@@ -154,101 +123,91 @@ class EulerLagrangeFamily(Family):
             model, header["dt"], header["substeps"], inputs=Channels.from_header(header).inputs
         )
 
-    def beginning(
-        self, hyper: EulerLagrangeHyper, origin: Model, system: LagrangianSystem
+    def with_initial_values(
+        self, hyper: EulerLagrangeHyper, origin: Model, system: LagrangianSystem | None
     ) -> EulerLagrangeHyper:
-        """Every parameter that both systems have begins at its identified value."""
+        """The table in which parameters that both systems have begin at identified values."""
         self.require_own(origin)
-        assert isinstance(origin, Discretised)
-        continuous = origin.continuous
-        assert isinstance(continuous, LagrangianModel)
-        known = {p.name for p in system.parameters if p.per is None} | set(hyper.free)
+        equations = self.equations(cast(Discretised, origin))
+        own = system.parameters if system is not None else ()
+        names = {p.name for p in own if p.per is None} | set(hyper.free)
         # forces that a term brings are not there yet when a search begins
-        added = placed(continuous.system, hyper.forces)
-        known |= {name for force in added for name in force.needs}
-        begin = {n: float(x) for n, x in continuous.values.items() if n in known}
+        added = placed(equations.system, hyper.forces)
+        names |= {name for force in added for name in force.needs}
+        begin = {name: float(x) for name, x in equations.values.items() if name in names}
         return hyper.model_copy(update={"begin": begin})
 
     def parameters(self, model: Discretised) -> Sequence[tuple[str, str, float]]:
-        """Those of the system; of values by group that of the group that was chosen."""
-        continuous = model.continuous
-        assert isinstance(continuous, LagrangianModel)
-        values = continuous.values
+        """Name, unit and value of the system's parameters; of values by group the chosen one."""
+        equations = self.equations(model)
+        values = equations.values
         return [
             (p.name, p.unit, float(values[p.name]))
-            for p in continuous.system.parameters
+            for p in equations.system.parameters
             if p.name in values
         ]
 
     def equations(self, model: Discretised) -> LagrangianModel:
-        """All of it."""
-        assert isinstance(model.continuous, LagrangianModel)
-        return model.continuous
+        """The equations of motion that the model integrates."""
+        return cast(LagrangianModel, model.continuous)
 
     def alternatives(self, model: Discretised, header: Header) -> Sequence[Model]:
-        """The same equations with parameters drawn from their errors, within their ranges.
+        """Models with parameters drawn from their errors, within their ranges.
 
-        Around the values of the model, which may be refined.
+        They are drawn around the values of the model, which may be those of a second fit.
         """
-        found = header.get("identification", {})
-        estimates, correlation = found.get("estimates", ()), found.get("correlation")
+        identification = header.get("identification", {})
+        estimates, correlation = (
+            identification.get("estimates", ()),
+            identification.get("correlation"),
+        )
         if correlation is None or not estimates:
             return ()
-        each = [[of[key] for of in estimates] for key in ("error", "lower", "upper")]
-        errors, lower, upper = (np.array(x, float) for x in each)  # None becomes NaN
+        errors, lower, upper = (
+            np.array([estimate[key] for estimate in estimates], float)  # None becomes NaN
+            for key in ("error", "lower", "upper")
+        )
         errors = np.nan_to_num(errors)
-        shape = np.nan_to_num(np.array(correlation, float)) * np.outer(errors, errors)
-        continuous = model.continuous
-        assert isinstance(continuous, LagrangianModel)
-        known = continuous.values
+        covariance = np.nan_to_num(np.array(correlation, float)) * np.outer(errors, errors)
+        equations = self.equations(model)
+        current = equations.values
         values = [
-            float(known[n]) if (n := of["name"]) in known else of["value"] for of in estimates
+            float(current[estimate["name"]]) if estimate["name"] in current else estimate["value"]
+            for estimate in estimates
         ]
         drawn = np.random.default_rng(0).multivariate_normal(
-            values, shape, _DRAWN, check_valid="ignore"
+            values, covariance, _ALTERNATIVES, check_valid="ignore"
         )
-        names = [of["name"] for of in estimates if of["name"] in known]
-        if len(names) < len(estimates):  # as a delay, which is no parameter of the equations
-            kept = np.array([of["name"] in known for of in estimates])
-            drawn, lower, upper = drawn[:, kept], lower[kept], upper[kept]
+        # a delay, for instance, is no parameter of the equations
+        columns = [i for i, estimate in enumerate(estimates) if estimate["name"] in current]
+        names = [estimates[i]["name"] for i in columns]
+        drawn = np.clip(drawn[:, columns], lower[columns], upper[columns])
         return [
             replace(model, continuous=LagrangianModel(
-                continuous.system,
-                known | dict(zip(names, map(jnp.asarray, of), strict=True)),
+                equations.system, current | dict(zip(names, map(jnp.asarray, row), strict=True))
             ))
-            for of in np.clip(drawn, lower, upper)
+            for row in drawn
         ]  # fmt: skip
 
 
 FAMILY = EulerLagrangeFamily()
 
 
-def _made(name: str) -> MadeForRecords | None:
-    """What makes the packaged system of a name, where it is made for records."""
+def _made_for_records(name: str) -> MadeForRecords | None:
+    """The maker of the packaged system of a name, where it is made for records."""
     if name not in SYSTEMS:
         return None
-    found = SYSTEMS[name]
-    return found if isinstance(found, MadeForRecords) else None
+    system = SYSTEMS[name]
+    return system if isinstance(system, MadeForRecords) else None
 
 
-def _as_stored(header: Header) -> LagrangianSystem:
-    """The packaged system that a file names, one that is made for records as it was for these."""
-    name = header["system"]["name"]
-    made = _made(name)
-    if made is None:
-        return load_system(name)
-    channels = Channels.from_header(header)
-    terms = [Parameter(*of) for of in header["terms"]]
-    return made.restored(channels.coordinates, channels.inputs, terms)
+def _describe_parameters(system: LagrangianSystem, names: Iterable[str]) -> list[list[Any]]:
+    """The parameters that were added to a system, as a file keeps them."""
+    parameters = [system.parameter(name) for name in names]
+    return [[p.name, p.unit, p.nominal, p.lower, p.upper, p.fixed] for p in parameters]
 
 
-def _declared(system: LagrangianSystem, names: Iterable[str]) -> list[list[Any]]:
-    """Parameters that were added to a system, as a file keeps them."""
-    of = [system.parameter(name) for name in names]
-    return [[p.name, p.unit, p.nominal, p.lower, p.upper, p.fixed] for p in of]
-
-
-def _file_of(system: LagrangianSystem) -> str:
+def _file_name(system: LagrangianSystem) -> str:
     """The name of the file that a system is written in, empty where it is in none."""
     try:
         return Path(inspect.getsourcefile(inspect.unwrap(system.kinetic)) or "").name
@@ -256,33 +215,27 @@ def _file_of(system: LagrangianSystem) -> str:
         return ""
 
 
-def _names(model: LagrangianModel) -> list[str]:
-    """The names of its values, without that of a group that a record took."""
-    taken = {p.name for p in model.system.grouped if p.by_group(model.values)}
-    return sorted(set(model.values) - taken)
-
-
-def _probed(model: LagrangianModel) -> Float[np.ndarray, "probes n_x"]:
+def _compute_probes(model: LagrangianModel) -> Float[np.ndarray, "probes n_x"]:
     """The derivatives at states that are the same for every model of the same size.
 
-    Of values by group those of each group's first value.
+    Of values by group those of each group's first value count.
     """
-    model = model.of_groups({name: known[0] for name, known in model.groups.items()}, "probes")
-    of, generator = model.channels, np.random.default_rng(0)
-    sizes = {"q": of.n_q, "v": of.n_q, "z": len(model.internal), "u": of.n_u}
+    model = model.of_groups({name: values[0] for name, values in model.groups.items()}, "probes")
+    channels, generator = model.channels, np.random.default_rng(0)
+    sizes = {"q": channels.n_q, "v": channels.n_q, "z": len(model.internal), "u": channels.n_u}
     drawn = {k: _REACH[k] * generator.uniform(-1, 1, (_PROBES, n)) for k, n in sizes.items()}
-    x = np.concatenate([drawn["q"], drawn["v"], drawn["z"]], axis=1)
-    n_x, memory = x.shape[1], model.system.memory
-    begins = memory is not None and memory.initial is not None
+    points = np.concatenate([drawn["q"], drawn["v"], drawn["z"], drawn["u"]], axis=1)
+    n_x, memory = points.shape[1] - channels.n_u, model.system.memory
+    has_initial = memory is not None and memory.initial is not None
 
-    def at(point: Array) -> Array:
+    def probe(point: Array) -> Array:
         parts = [model.derivative(point[:n_x], point[n_x:])]
-        if begins:
-            parts.append(model.initial_internal(point[of.measured]))
+        if has_initial:
+            parts.append(model.initial_internal(point[channels.measured]))
         return jnp.concatenate(parts)
 
-    points = np.concatenate([x, drawn["u"]], axis=1)
-    return evaluate(Formula(at, points.shape[1], where=f"system '{model.system.name}'"), points)
+    where = f"system '{model.system.name}'"
+    return evaluate(Formula(probe, points.shape[1], where=where), points)
 
 
 def _require_same(model: LagrangianModel, stored: np.ndarray | None, where: Path) -> None:
@@ -295,7 +248,7 @@ def _require_same(model: LagrangianModel, stored: np.ndarray | None, where: Path
                 stacklevel=2,
             )
         return
-    now = _probed(model)
+    now = _compute_probes(model)
     if now.shape != stored.shape:
         raise InputError(
             where, f"the system '{model.system.name}' has changed since the model was identified: "
@@ -307,14 +260,10 @@ def _require_same(model: LagrangianModel, stored: np.ndarray | None, where: Path
     unit = np.max(np.abs(stored), axis=0, where=np.isfinite(stored), initial=1e-12)
     off = np.where(both, np.abs(now - stored) / unit, np.isfinite(stored) != np.isfinite(now))
     worst = int(np.argmax(off.max(axis=0)))
-    if off.max() > _SAME[bool(jax.config.read("jax_enable_x64"))]:
-        of = model.channels
-        names = [
-            *(c.name for c in of.coordinates),
-            *(c.name for c in of.coordinates),
-            *model.internal,
-            *(f"{name} at a record's beginning" for name in model.internal),
-        ]
+    if off.max() > _TOLERANCE[bool(jax.config.read("jax_enable_x64"))]:
+        coordinates = [c.name for c in model.channels.coordinates]
+        internal = [*model.internal, *(f"{z} at a record's beginning" for z in model.internal)]
+        names = [*coordinates, *coordinates, *internal]
         raise InputError(
             where,
             f"the system '{model.system.name}' has changed since the model was identified: "

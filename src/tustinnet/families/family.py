@@ -1,4 +1,4 @@
-"""What every family of models answers; all that the rest of the package knows of it."""
+"""The interface of every family of models; the rest of the package knows nothing else of one."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -9,24 +9,22 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray, PyTree
-from pydantic import Field
+from jaxtyping import PRNGKeyArray, PyTree
+from pydantic import Field, field_validator
 
 from tustinnet.data.declaration import Declaration
 from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.errors import InputError
-from tustinnet.families.shown import Arrays, Header
+from tustinnet.families.summaries import Arrays, Header
 from tustinnet.models.blocks import Affine
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import FromContinuous
-from tustinnet.models.lagrangian import LagrangianModel
-from tustinnet.registry import FAMILIES, SUMMARIES
+from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
+from tustinnet.registry import FAMILIES, SUMMARIES, SYSTEMS
 
-Vector = Float[np.ndarray, " _"]
-Regulariser = Callable[[Model, Float[Array, " n_x"], Array], Float[Array, ""]]
-Given = Literal["system", "physics"]
+Requirement = Literal["system", "physics"]
 
-# far beyond what anybody needs; beyond them memory ends before any message
+# larger values exhaust memory before any message
 MOST_LAYERS, MOST_UNITS, MOST_STATES = 100, 10_000, 1000
 
 
@@ -40,20 +38,75 @@ class Hyper(Declaration):
     kind: str
 
 
+class IdentifiedHyper(Hyper):
+    """The table `[model]` of a recipe whose system is identified.
+
+    Attributes:
+        system: a packaged system by name, where none is given beside the recipe. Not a file: a
+            recipe runs no code.
+        fixed: parameters to hold, at a value or at their `nominal` one.
+        begin: where the search for a parameter starts.
+        free: what sensors and actuators may be off by, as parameters that are searched for:
+            `CHANNEL.bias` and `CHANNEL.gain`.
+        forces: forces of the library that are added, `LAW` at every coordinate or
+            `LAW:COORDINATE`, see `models.added`.
+    """
+
+    system: str | None = None
+    fixed: dict[str, float | Literal["nominal"]] = Field(default_factory=dict)
+    begin: dict[str, float] = Field(default_factory=dict)
+    free: tuple[str, ...] = ()
+    forces: tuple[str, ...] = ()
+
+    @field_validator("fixed", "begin", mode="before")
+    @classmethod
+    def _join_names(cls, content: Any) -> Any:
+        """`alpha.bias = 0.1` is a table in a table for TOML, and a parameter here."""
+        if not isinstance(content, dict):
+            return content
+        flat = {}
+        for name, value in content.items():
+            if isinstance(value, dict):
+                flat |= {f"{name}.{part}": x for part, x in value.items()}
+            else:
+                flat[name] = value
+        return flat
+
+    @field_validator("system")
+    @classmethod
+    def _check_system(cls, system: str | None) -> str | None:
+        if system is not None and system not in SYSTEMS:
+            names = ", ".join(SYSTEMS.names())
+            raise ValueError(f"no system of that name; one of {names}, a file goes with --system")
+        return system
+
+
 class StageKeys(Declaration):
     """Keys of a training stage that only some families know."""
+
+
+class LayeredStage(StageKeys):
+    """Keys of a training stage of networks with hidden layers.
+
+    Attributes:
+        frozen_layers: how many hidden layers, from the first on, do not train (a stem counts
+            with the first). The output layer always trains.
+    """
+
+    frozen_layers: int = Field(default=0, ge=0, le=MOST_LAYERS)
 
 
 class Family(ABC):
     """A kind of model.
 
+    Kinds that a recipe may name are a `TrainedFamily` or an `IdentifiedFamily`.
+
     Attributes:
         kind: its name in recipes and model files.
-        spelt: its name in headings, where that is not `kind`.
-        hyper: what the table `[model]` of a recipe may say.
-        stage: keys of a training stage beside those that all families know.
-        trains: whether it has weights that are trained; else parameters that are identified.
-        instead: what to do instead of naming it in a recipe, of kinds whose models are made of
+        title: its name in headings, where that is not `kind`.
+        hyper: the keys of the table `[model]` of a recipe.
+        trains: whether it has weights that are trained.
+        remedy: what to do instead of naming it in a recipe, of kinds whose models are made of
             others; empty where a recipe may name it.
         needs: what has to be given beside a recipe, a `system` or the `physics` to correct.
         correctable: whether a network may correct its models.
@@ -61,12 +114,11 @@ class Family(ABC):
     """
 
     kind: ClassVar[str]
-    spelt: ClassVar[str] = ""
+    title: ClassVar[str] = ""
     hyper: ClassVar[type[Hyper]]
-    stage: ClassVar[type[StageKeys]] = StageKeys
-    trains: ClassVar[bool] = True
-    instead: ClassVar[str] = ""
-    needs: ClassVar[frozenset[Given]] = frozenset()
+    trains: ClassVar[bool] = False
+    remedy: ClassVar[str] = ""
+    needs: ClassVar[frozenset[Requirement]] = frozenset()
     correctable: ClassVar[bool] = False
     model: ClassVar[type]
 
@@ -75,6 +127,75 @@ class Family(ABC):
         core = model.continuous if isinstance(model, FromContinuous) else model
         return isinstance(core, self.model)
 
+    def require_own(self, model: Model) -> None:
+        """Raises unless a model to begin with is of this family."""
+        if not self.owns(model):
+            raise InputError(
+                "--from", f"a model of kind '{family_of(model).kind}'",
+                f"one of kind '{self.kind}', which the recipe makes",
+                "leave --recipe out to go on with the model's own recipe",
+            )  # fmt: skip
+
+    @abstractmethod
+    def describe(self, model: Any) -> tuple[Header, Arrays]:
+        """The entries of a model file's header beside the channels, and its arrays by name."""
+
+    @abstractmethod
+    def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> Model:
+        """The model of a file.
+
+        A header that does not fit raises KeyError, TypeError or ValueError.
+
+        Args:
+            header: as `describe` made it, with the channels.
+            arrays: as `describe` made them.
+            system: the system that the user has given, or None.
+            where: the file, for messages.
+        """
+
+    def parts(self, header: Header) -> Sequence[Header]:
+        """The descriptions of other models in that of a model; most have none."""
+        return ()
+
+    def summarise(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
+        """The lines on the structure of a model file that `show` prints, as words and values.
+
+        The default is the function that the registry names in `SUMMARIES`.
+        """
+        return SUMMARIES[self.kind](header, arrays)
+
+    def parameters(self, model: Any) -> Sequence[tuple[str, str, float]]:
+        """Name, unit and value of a model's physical parameters; networks have none."""
+        return ()
+
+    def equations(self, model: Any) -> LagrangianModel | None:
+        """The equations of motion that a model has in it, for its energy; networks have none."""
+        return None
+
+    def alternatives(self, model: Any, header: Header) -> Sequence[Model]:
+        """Other models that the records of a model allow; their differences show how sure it is.
+
+        Args:
+            model: the model.
+            header: the header of its file.
+
+        Returns:
+            At least two; none of a model that does not know its own errors.
+        """
+        return ()
+
+
+class TrainedFamily(Family):
+    """A kind of model whose weights are trained, by a `TrainingRecipe`.
+
+    Attributes:
+        stage: keys of a training stage beside those that all families know.
+    """
+
+    stage: ClassVar[type[StageKeys]] = StageKeys
+    trains = True
+
+    @abstractmethod
     def builder(
         self,
         hyper: Any,
@@ -82,7 +203,7 @@ class Family(ABC):
         velocity: VelocitySource,
         physics: Model | None,
     ) -> Callable[[PRNGKeyArray], Model]:
-        """How a model is made from a key, once what records say of it has been learnt.
+        """A function that makes a model from a key, with units and the like from records.
 
         Args:
             hyper: the recipe's table `[model]`.
@@ -93,66 +214,48 @@ class Family(ABC):
         Raises:
             InputError: records that the family cannot be built for.
         """
-        raise InputError(f"kind '{self.kind}'", "nothing to train", "a kind of model with weights")
 
-    def check(self, hyper: Any, stage: Any) -> None:  # noqa: B027 (most have nothing to check)
+    def check(self, hyper: Any, stage: Any) -> None:
         """Raises `ValueError` where a stage of a recipe does not fit the model it describes."""
 
-    def trainable(self, model: Any, stage: Any) -> PyTree:
-        """A tree like the model, True at the arrays that train in a stage; here all layers."""
-        return mask_of(model, layers_in(model))
+    def trainable_mask(self, model: Any, stage: Any) -> PyTree:
+        """A tree like the model, True at the arrays that train in a stage; by default layers."""
+        return make_mask(model, layers_in(model))
 
-    def begun(self, built: Any, origin: Model) -> Model:
+    def with_weights_from(self, model: Any, origin: Model) -> Model:
         """A model as a recipe builds it with the arrays of a trained one, to go on from there.
 
         Args:
-            built: what the recipe makes of the records.
+            model: the model that the recipe builds for the records.
             origin: the trained model.
 
         Raises:
             InputError: the trained model is of another kind, or of other sizes.
         """
         self.require_own(origin)
-        fresh, trained = built.folded(), origin.folded()
-        (said, ours), (says, theirs) = self.describe(fresh), self.describe(trained)
-        sizes = [{name: a.shape for name, a in of.items()} for of in (ours, theirs)]
-        if said != says or sizes[0] != sizes[1]:
+        fresh, trained = model.folded(), origin.folded()
+        (header, arrays), (trained_header, trained_arrays) = (
+            self.describe(fresh), self.describe(trained),
+        )  # fmt: skip
+        shapes = {name: a.shape for name, a in arrays.items()}
+        if header != trained_header or shapes != {n: a.shape for n, a in trained_arrays.items()}:
             raise InputError(
-                "--from", f"a model with {_differing(says, said)}",
-                f"{_differing(said, says)}, as the recipe has it",
+                "--from", f"a model with {_differences(trained_header, header)}",
+                f"{_differences(header, trained_header)}, as the recipe has it",
                 "leave --recipe and --set of [model] out: the model's own recipe is the usual one",
             )  # fmt: skip
         leaves, structure = jax.tree.flatten(fresh)
-        arrays = zip(jax.tree.leaves(trained), leaves, strict=True)
-        return jax.tree.unflatten(structure, [jnp.asarray(a, b.dtype) for a, b in arrays])
+        pairs = zip(jax.tree.leaves(trained), leaves, strict=True)
+        return jax.tree.unflatten(structure, [jnp.asarray(a, b.dtype) for a, b in pairs])
 
-    def require_own(self, origin: Model) -> None:
-        """Raises unless a model to begin with is of this family."""
-        if not self.owns(origin):
-            raise InputError(
-                "--from", f"a model of kind '{family_of(origin).kind}'",
-                f"one of kind '{self.kind}', which the recipe makes",
-                "leave --recipe out to go on with the model's own recipe",
-            )  # fmt: skip
-
-    def beginning(self, hyper: Any, origin: Model, system: Any) -> Any:
-        """The table `[model]` of an identification that begins where another one ended.
-
-        Args:
-            hyper: the table.
-            origin: the identified model.
-            system: the system whose parameters are identified.
-        """
-        raise InputError(f"kind '{self.kind}'", "no parameters", "a kind that is identified")
-
-    def corrected(self, model: Any) -> Model | None:
+    def physics_in(self, model: Any) -> Model | None:
         """The physics that a model corrects, None of most."""
         return None
 
-    def stepped(
+    def physics_for_training(
         self, hyper: Any, physics: Model | None, experiments: Sequence[Experiment]
     ) -> Model | None:
-        """The physics as models of this family step it; here as it is given.
+        """The physics as models of this family step it; by default as it is given.
 
         Args:
             hyper: the recipe's table `[model]`.
@@ -161,68 +264,41 @@ class Family(ABC):
         """
         return physics
 
-    def regulariser(self, stage: Any) -> Regulariser | None:
-        """What a stage adds to the loss at every step, from model, state and input; None for none.
 
-        Two that are alike must be equal, so that one compiled program serves both.
-        """
-        return None
+class IdentifiedFamily(Family):
+    """A kind of model whose parameters are identified, by an `IdentificationRecipe`."""
 
-    @abstractmethod
-    def describe(self, model: Any) -> tuple[Header, Arrays]:
-        """What a model file says of a model, beside its channels, and its arrays by name."""
+    hyper = IdentifiedHyper
+    needs = frozenset({"system"})
 
     @abstractmethod
-    def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> Model:
-        """The model of a file; `system` is what the user gave for one of his own, `where` the file.
-
-        A header that does not fit raises KeyError, TypeError or ValueError.
-        """
-
-    def parts(self, header: Header) -> Sequence[Header]:
-        """The descriptions of other models in that of a model; most have none."""
-        return ()
-
-    def shown(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
-        """What `show` tells of a file beside what it tells of all, as words and what they say.
-
-        Here from what the registry names in `SHOWN`.
-        """
-        return SUMMARIES[self.kind](header, arrays)
-
-    def parameters(self, model: Any) -> Sequence[tuple[str, str, float]]:
-        """Name, unit and value of its physical parameters; networks have none."""
-        return ()
-
-    def equations(self, model: Any) -> LagrangianModel | None:
-        """The equations of motion that a model has in it, for its energy; networks have none."""
-        return None
-
-    def alternatives(self, model: Any, header: Header) -> Sequence[Model]:
-        """Other models that its records allow as well; their differences say how sure it is.
+    def with_initial_values(
+        self, hyper: Any, origin: Model, system: LagrangianSystem | None
+    ) -> IdentifiedHyper:
+        """The table `[model]` of an identification that begins at the values of another one.
 
         Args:
-            model: the model.
-            header: what its file says.
+            hyper: the table.
+            origin: the identified model.
+            system: the system whose parameters are identified.
 
-        Returns:
-            At least two; none of a model that does not know its own errors.
+        Raises:
+            InputError: a model of another kind.
         """
-        return ()
 
 
-def _differing(said: Header, other: Header) -> str:
-    """What a description says that another one does not; its sizes where it says the same."""
-    flat = [
-        {
-            key: x
-            for k, of in header.items()
-            for key, x in (of if isinstance(of, dict) else {k: of}).items()
-        }
-        for header in (said, other)
-    ]
-    told = [f"{key} {x}" for key, x in flat[0].items() if flat[1].get(key) != x]
-    return ", ".join(told) or "other sizes"
+def _differences(header: Header, other: Header) -> str:
+    """The entries of a description that another one does not have; its sizes where it has all."""
+
+    def flat(header: Header) -> Header:
+        entries: Header = {}
+        for key, value in header.items():
+            entries |= value if isinstance(value, dict) else {key: value}
+        return entries
+
+    known = flat(other)
+    differing = [f"{key} {x}" for key, x in flat(header).items() if known.get(key) != x]
+    return ", ".join(differing) or "other sizes"
 
 
 def family_of(model: Any) -> Family:
@@ -249,25 +325,14 @@ def systems_in(header: Header) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-class LayeredStage(StageKeys):
-    """Of networks with hidden layers.
-
-    Attributes:
-        frozen_layers: how many hidden layers, from the first on, do not train (a stem counts
-            with the first). The output layer always trains.
-    """
-
-    frozen_layers: int = Field(default=0, ge=0, le=MOST_LAYERS)
-
-
 def layers_in(tree: PyTree) -> list[Affine]:
     """The layers of a model."""
     leaves = jax.tree.leaves(tree, is_leaf=lambda node: isinstance(node, Affine))
     return [leaf for leaf in leaves if isinstance(leaf, Affine)]
 
 
-def mask_of(model: Model, training: PyTree) -> PyTree:
-    """A tree like the model, True at the arrays that also stand in `training`."""
+def make_mask(model: Model, training: PyTree) -> PyTree:
+    """A tree like the model, True at the arrays that are also in `training`."""
     trained = {id(leaf) for leaf in jax.tree.leaves(training)}
     return jax.tree.map(lambda leaf: id(leaf) in trained, model)
 
@@ -281,8 +346,8 @@ def named_arrays(tree: PyTree, prefix: str = "") -> Arrays:
     }
 
 
-def filled(make: Callable[[], PyTree], arrays: Arrays, prefix: str = "") -> Any:
-    """What `make` builds, with the arrays of a file in it; nothing is computed.
+def restore_arrays(make: Callable[[], PyTree], arrays: Arrays, prefix: str = "") -> Any:
+    """The tree that `make` builds, with the arrays of a file in it; nothing is computed.
 
     Raises:
         KeyError: an array is missing.

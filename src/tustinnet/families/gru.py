@@ -15,11 +15,11 @@ from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.families.family import (
     MOST_UNITS,
     Arrays,
-    Family,
     Header,
     Hyper,
-    filled,
+    TrainedFamily,
     named_arrays,
+    restore_arrays,
 )
 from tustinnet.families.networks import InputTaps, blank_scaling
 from tustinnet.models.blocks import Affine, Scaling, feature_count, learn_scaling, random_affine
@@ -34,25 +34,25 @@ from tustinnet.models.contract import (
 
 
 class GRU(AccelerationModel):
-    """A gated recurrent unit that is told its own positions and velocities again.
+    """A gated recurrent unit with its own positions and velocities among the features.
 
         r = s(W_r phi + U_r h + b_r),  g = s(W_g phi + U_g h + b_g),  s the logistic function
         h[k+1] = g h + (1 - g) tanh(W_n phi + r (U_n h + c_n) + b_n)
         q[k+1] = q[k] + dt (v[k] + y_q),  v[k+1] = v[k] + dt y_v,  [y_q, y_v] = W_y h[k+1] + b_y
 
-    `phi` are the features that a Tustin-Net sees, scaled. No rule binds positions to velocities:
-    what the trapezoidal rule is worth shows in the difference to a Tustin-Net. The hidden state
-    `h` begins at 0 and means nothing before it has followed `warm_up` samples of a record. As a
+    `phi` are the scaled features of a Tustin-Net. No rule binds positions to velocities: the
+    difference to a Tustin-Net shows what the trapezoidal rule is worth. The hidden state `h`
+    begins at 0 and is valid only after it has followed `warm_up` samples of a record. As a
     correction of another model only its accelerations `y_v` count.
 
     Attributes:
         by_features: `[W_r, W_g, W_n]` and their biases.
         by_hidden: `[U_r, U_g, U_n]`, and `c_n` behind zeros.
         output: `W_y`, `b_y`, in units of the velocities and accelerations.
-        scaling: units of what it sees and says.
+        scaling: units of inputs and outputs.
         channels: its coordinates, inputs and period.
         needed: samples of a record that the hidden state needs.
-        taps: the samples of the inputs that it sees, see `AccelerationModel`.
+        taps: the samples of the inputs that it takes, see `AccelerationModel`.
 
     References:
         Cho et al. (2014), Learning phrase representations using RNN encoder-decoder for
@@ -76,21 +76,21 @@ class GRU(AccelerationModel):
 
     @property
     def internal(self) -> tuple[str, ...]:
-        """The hidden units."""
+        """The names of the hidden units."""
         return tuple(f"hidden {i}" for i in range(self.by_hidden.weight.shape[1]))
 
     def silent(self) -> "GRU":
-        """The same with an output layer of zeros."""
+        """The model with an output layer of zeros."""
         return eqx.tree_at(lambda m: m.output, self, self.output.zeros())
 
-    def _said(self, x: State, u: Drive) -> tuple[Array, Array]:
+    def _rates(self, x: State, u: Drive) -> tuple[Array, Array]:
         """The rates of positions and velocities, in SI units, and the new hidden state."""
         h = x[self.channels.internal]
         phi = self.by_features(self.scaling.features(self.channels, x, self.tapped(u)))
         n = len(h)
-        told = self.by_hidden(h)
-        reset, gate = jax.nn.sigmoid(phi[: 2 * n] + told[: 2 * n]).reshape(2, n)
-        new = jnp.tanh(phi[2 * n :] + reset * told[2 * n :])
+        recurrent = self.by_hidden(h)
+        reset, gate = jax.nn.sigmoid(phi[: 2 * n] + recurrent[: 2 * n]).reshape(2, n)
+        new = jnp.tanh(phi[2 * n :] + reset * recurrent[2 * n :])
         h = gate * h + (1 - gate) * new
         unit = jnp.concatenate([self.scaling.velocity, self.scaling.acceleration])
         return unit * self.output(h), h
@@ -98,25 +98,25 @@ class GRU(AccelerationModel):
     def accelerate(
         self, x: State, u: Drive
     ) -> tuple[Coordinates, Callable[[Coordinates], Internal]]:
-        """Its accelerations; the hidden state does not depend on the mean velocity."""
-        said, h = self._said(x, u)
-        return said[self.channels.velocity], lambda mean: h
+        """The accelerations; the hidden state does not depend on the mean velocity."""
+        rates, h = self._rates(x, u)
+        return rates[self.channels.velocity], lambda mean: h
 
     def step(self, x: State, u: Drive) -> State:
-        """One period, by what it says of positions and velocities."""
-        of = self.channels
-        said, h = self._said(x, u)
-        drift = jnp.concatenate([x[of.velocity], jnp.zeros(of.n_q, x.dtype)])
-        return jnp.concatenate([x[of.measured] + self.dt * (drift + said), h])
+        """The state after one period, by the rates of positions and velocities."""
+        channels = self.channels
+        rates, h = self._rates(x, u)
+        drift = jnp.concatenate([x[channels.velocity], jnp.zeros(channels.n_q, x.dtype)])
+        return jnp.concatenate([x[channels.measured] + self.dt * (drift + rates), h])
 
 
 class GRUHyper(Hyper):
-    """A gated recurrent unit.
+    """The table `[model]` of a gated recurrent unit.
 
     Attributes:
         hidden: its hidden units.
         warm_up: samples of a record that its hidden state follows before a free run.
-        input_taps: samples of the inputs that it sees in every period, as `[-1, 0, 1]`, counted
+        input_taps: samples of the inputs that it takes in every period, as `[-1, 0, 1]`, counted
             from the period's beginning; those above 0 look ahead. None: the period's mean.
     """
 
@@ -125,11 +125,11 @@ class GRUHyper(Hyper):
     input_taps: InputTaps = ()
 
 
-class GRUFamily(Family):
-    """Gated recurrent units."""
+class GRUFamily(TrainedFamily):
+    """The family of gated recurrent units."""
 
     kind = "gru"
-    spelt = "GRU"
+    title = "GRU"
     hyper = GRUHyper
     model = GRU
 
@@ -140,25 +140,25 @@ class GRUFamily(Family):
         velocity: VelocitySource,
         physics: Model | None,
     ) -> Callable[[PRNGKeyArray], GRU]:
-        """Random weights, units from the records."""
+        """A function that makes random weights; units come from the records."""
         channels, scaling = experiments[0].channels, learn_scaling(experiments, velocity)
         sizes = hyper.hidden, hyper.warm_up, hyper.input_taps
         return lambda key: random_gru(channels, scaling, key, *sizes)
 
     def describe(self, model: GRU) -> tuple[Header, Arrays]:
-        """Hidden units and warm-up; all arrays."""
+        """Hidden units, warm-up and taps for the header; all arrays."""
         structure = {
             "hidden": len(model.internal), "warm_up": model.warm_up, "input_taps": list(model.taps),
         }  # fmt: skip
         return {"structure": structure}, named_arrays(model)
 
     def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> GRU:
-        """From structure and arrays."""
+        """The GRU of a file, from structure and arrays."""
         channels, s = Channels.from_header(header), header["structure"]
         blank = blank_scaling(channels)
         key = jax.random.key(0)
         sizes = s["hidden"], s["warm_up"], tuple(s.get("input_taps", ()))
-        return filled(lambda: random_gru(channels, blank, key, *sizes), arrays)
+        return restore_arrays(lambda: random_gru(channels, blank, key, *sizes), arrays)
 
 
 FAMILY = GRUFamily()
@@ -172,7 +172,7 @@ def random_gru(
     warm_up: int,
     taps: tuple[int, ...] = (),
 ) -> GRU:
-    """A unit with random float32 weights, uniform within 1/sqrt(n_in) of 0."""
+    """A gated recurrent unit with random float32 weights, uniform within 1/sqrt(n_in) of 0."""
     first, second, third = jax.random.split(key, 3)
     return GRU(
         by_features=random_affine(feature_count(channels, 0, len(taps) or 1), 3 * hidden, first),

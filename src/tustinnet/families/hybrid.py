@@ -1,7 +1,7 @@
-"""Known physics plus a network for what it leaves."""
+"""Hybrids: identified physics, and a network that corrects its accelerations."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -18,14 +18,13 @@ from tustinnet.data.experiment import Experiment, VelocitySource, moving_coordin
 from tustinnet.errors import InputError
 from tustinnet.families.family import (
     Arrays,
-    Family,
     Header,
     Hyper,
     LayeredStage,
-    Regulariser,
+    TrainedFamily,
     family_of,
 )
-from tustinnet.families.shown import CORRECTION, PHYSICS, below, hybrid_as_now
+from tustinnet.families.summaries import CORRECTION, PHYSICS, arrays_below, upgrade_hybrid
 from tustinnet.models.blocks import root_mean_square
 from tustinnet.models.contract import (
     AccelerationModel,
@@ -45,8 +44,8 @@ from tustinnet.simulate.along import predictions_along
 from tustinnet.simulate.input_signal import input_signals
 from tustinnet.simulate.substeps import fewest_substeps
 
-_HIDDEN = 0.1  # of the physics' error: what its integration may add
-_REST = 0.01  # a mean square of scaled velocities and inputs: a tenth of what is usual
+_INTEGRATION_SHARE = 0.1  # of the physics' error: what its integration may add
+_REST_LEVEL = 0.01  # a mean square of scaled velocities and inputs: a tenth of what is usual
 
 
 class HybridModel(Model):
@@ -66,7 +65,7 @@ class HybridModel(Model):
 
     Attributes:
         physics: the model that is corrected, as a rule a discretised Lagrangian system; often with
-            fewer integration steps than the model that was given, see `HybridHyper`.
+            fewer integration steps than the original model, see `HybridHyper`.
         correction: whose accelerations correct it; its own trapezoidal step is not used.
         fades_at_rest: whether the correction does.
     """
@@ -84,7 +83,7 @@ class HybridModel(Model):
 
     @property
     def channels(self) -> Channels:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Those of the physics."""
+        """The channels of the physics."""
         return self.physics.channels
 
     @property
@@ -94,143 +93,120 @@ class HybridModel(Model):
 
     @property
     def warm_up(self) -> int:
-        """The longer of both."""
+        """The longer warm-up of both parts."""
         return max(self.physics.warm_up, self.correction.warm_up)
 
     def initial_internal(self, measured: Float[Array, " n_measured"]) -> Internal:
-        """Those of the physics, then those of the correction."""
-        each = (of.initial_internal(measured) for of in (self.physics, self.correction))
-        return jnp.concatenate(list(each))
+        """The expected internal states of the physics, then those of the correction."""
+        parts = (self.physics, self.correction)
+        return jnp.concatenate([part.initial_internal(measured) for part in parts])
 
     @property
     def internal_spread(self) -> Internal:
-        """That of the physics, then that of the correction."""
+        """The standard deviations of the physics, then those of the correction."""
         return jnp.concatenate([self.physics.internal_spread, self.correction.internal_spread])
 
     def of(self, experiment: Experiment) -> "HybridModel":
-        """The same with the physics of the record."""
+        """The hybrid with the physics of the record."""
         physics = self.physics.of(experiment)
         return self if physics is self.physics else replace(self, physics=physics)
 
     def seen(self, inputs: Excitation) -> Seen:
-        """What the physics is driven by, and behind it the samples that the correction sees."""
-        of_physics = self.physics.seen(inputs)
+        """The inputs of the physics, and behind them the samples that the correction takes."""
+        for_physics = self.physics.seen(inputs)
         if not self.correction.taps:
-            return of_physics
-        rows = of_physics[:, None] if of_physics.ndim == 2 else of_physics
+            return for_physics
+        rows = for_physics[:, None] if for_physics.ndim == 2 else for_physics
         return np.concatenate([rows, self.correction.seen(inputs)], axis=1)
 
-    def _parted(self, u: Drive) -> tuple[Array, Array]:
-        """What the physics is driven by, and what the correction sees; without taps the sample."""
+    def _split_inputs(self, u: Drive) -> tuple[Array, Array]:
+        """The inputs of the physics and those of the correction; without taps the sample."""
         taps = len(self.correction.taps)
         if u.ndim == 1:
             return u, u
         if not taps:
             return u, u[0]
-        of_physics = u[:-taps]
-        return of_physics[0] if len(of_physics) == 1 else of_physics, u[-taps:]
+        for_physics = u[:-taps]
+        return for_physics[0] if len(for_physics) == 1 else for_physics, u[-taps:]
 
     def step(self, x: State, u: Drive) -> State:
-        """One period: the physics, then the correction."""
-        of, n_p = self.channels, self.physics.state_size
-        acting, _ = self._parted(u)
-        f, remember = self._corrected(x, u)
+        """The state after one period: the physics, then the correction."""
+        channels, n_p = self.channels, self.physics.state_size
+        for_physics, _ = self._split_inputs(u)
+        f, update_internal = self._correct(x, u)
         change = self.dt * f
-        following = self.physics.step(x[:n_p], acting)
-        v_next = following[of.velocity] + change
+        physics_next = self.physics.step(x[:n_p], for_physics)
+        v_next = physics_next[channels.velocity] + change
         return jnp.concatenate(
             [
-                following[of.position] + self.dt / 2 * change,
+                physics_next[channels.position] + self.dt / 2 * change,
                 v_next,
-                following[of.internal],
-                remember((x[of.velocity] + v_next) / 2),
+                physics_next[channels.internal],
+                update_internal((x[channels.velocity] + v_next) / 2),
             ]
         )
 
-    def corrected_by(self, x: State, u: Drive) -> Float[Array, " n_q"]:
+    def acceleration_correction(self, x: State, u: Drive) -> Float[Array, " n_q"]:
         """`f`, what the network adds to the accelerations, (n_q,) [rad/s^2 or m/s^2]."""
-        return self._corrected(x, u)[0]
+        return self._correct(x, u)[0]
 
-    def _corrected(self, x: State, u: Drive) -> tuple[Array, Callable[[Array], Array]]:
-        acting, told = self._parted(u)
-        begin = acting if acting.ndim == 1 else acting[0]
-        of, unit = self.channels, self.correction.scaling
-        seen = jnp.concatenate([x[of.measured], x[self.physics.state_size :]])
-        f, remember = self.correction.accelerate(seen, told)
+    def _correct(self, x: State, u: Drive) -> tuple[Array, Callable[[Array], Array]]:
+        """`f`, and a function from mean velocities to the next internal states of the network."""
+        for_physics, for_correction = self._split_inputs(u)
+        first_input = for_physics if for_physics.ndim == 1 else for_physics[0]
+        channels, unit = self.channels, self.correction.scaling
+        own_state = jnp.concatenate([x[channels.measured], x[self.physics.state_size :]])
+        f, update_internal = self.correction.accelerate(own_state, for_correction)
         if not self.fades_at_rest:
-            return f, remember
-        motion = jnp.concatenate([x[of.velocity] / unit.velocity, begin / unit.input])
+            return f, update_internal
+        motion = jnp.concatenate([x[channels.velocity] / unit.velocity, first_input / unit.input])
         level = jnp.mean(motion**2)
-        return f * level / (level + _REST), remember
-
-    def effort(self, x: State, u: Drive) -> Float[Array, ""]:
-        """The squared correction in the network's units."""
-        return jnp.sum((self.corrected_by(x, u) / self.correction.scaling.acceleration) ** 2)
+        return f * level / (level + _REST_LEVEL), update_internal
 
     def folded(self) -> "HybridModel":
-        """The same with folded parts."""
+        """The hybrid with folded parts."""
         correction = cast(AccelerationModel, self.correction.folded())
         return HybridModel(self.physics.folded(), correction, self.fades_at_rest)
 
 
 class HybridHyper(Hyper):
-    """A network that corrects physics.
+    """The table `[model]` of a network that corrects physics.
 
     Attributes:
-        correction: the network: the table `[model]` of a kind that says accelerations.
+        correction: the network: the table `[model]` of a kind that computes accelerations.
         fades_at_rest: whether the correction fades at standstill without input.
         substeps: Runge-Kutta steps of the physics in a period; none for as few as change its free
             runs by less than a tenth of what they miss.
     """
 
-    correction: SerializeAsAny[Hyper] = Field(default_factory=lambda: _hyper({}))
+    correction: SerializeAsAny[Hyper] = Field(default_factory=lambda: _read_correction({}))
     fades_at_rest: bool = False
     substeps: int | None = Field(default=None, gt=0, le=MOST_SUBSTEPS)
 
     @field_validator("correction", mode="before")
     @classmethod
-    def _of_its_kind(cls, content: Any) -> Any:
-        return content if isinstance(content, Hyper) else _hyper(content)
+    def _check_correction(cls, content: Any) -> Any:
+        return content if isinstance(content, Hyper) else _read_correction(content)
 
 
-def _hyper(content: Any) -> Hyper:
+def _read_correction(content: Any) -> Hyper:
+    """The table of a correction, checked by its family."""
     if not isinstance(content, dict):
         raise InputError("correction", f"{content!r}", "a table of a kind of network")
     family = FAMILIES[content.get("kind", DEFAULT_FAMILY)]
     if not issubclass(family.model, AccelerationModel):
-        raise InputError("correction", f"kind '{family.kind}'", "a kind that says accelerations")
+        raise InputError(
+            "correction", f"kind '{family.kind}'", "a kind that computes accelerations"
+        )
     return declare({"kind": family.kind, **content}, family.hyper, "correction")
 
 
-class HybridStage(LayeredStage):
-    """Stages of hybrids.
-
-    Attributes:
-        frozen_layers: of the correction, if it has layers that can be frozen.
-        penalty: weight of the mean squared correction, in the network's units: the physics
-            explains what it can.
-    """
-
-    penalty: float = Field(default=0.0, ge=0, le=1e6)
-
-
-@dataclass(frozen=True)
-class Effort:
-    """The squared correction times a weight, added to the loss."""
-
-    weight: float
-
-    def __call__(self, model: Any, x: Float[Array, " n_x"], u: Array) -> Float[Array, ""]:
-        """At a state under an input."""
-        return self.weight * model.effort(x, u)
-
-
-class HybridFamily(Family):
-    """Hybrids."""
+class HybridFamily(TrainedFamily):
+    """The family of hybrids."""
 
     kind = "hybrid"
     hyper = HybridHyper
-    stage = HybridStage
+    stage = LayeredStage
     needs = frozenset({"physics"})
     model = HybridModel
 
@@ -241,108 +217,119 @@ class HybridFamily(Family):
         velocity: VelocitySource,
         physics: Model | None,
     ) -> Callable[[PRNGKeyArray], HybridModel]:
-        """A correction that does not correct anything yet, in units of what the physics leaves."""
-        physics = self.stepped(hyper, physics, experiments)
-        assert physics is not None
+        """A function that makes a correction of 0, in units of what the physics leaves."""
+        physics = self.physics_for_training(hyper, physics, experiments)
         # holds that only the physics knows are those of the correction, too
-        known = [e.with_timing(physics.inputs) for e in experiments]
-        make = FAMILIES[hyper.correction.kind].builder(hyper.correction, known, velocity, None)
-        left = _left_by(physics, experiments, velocity)
+        driven = [e.with_timing(physics.inputs) for e in experiments]
+        family = FAMILIES[hyper.correction.kind]
+        build_correction = family.builder(hyper.correction, driven, velocity, None)
+        unit = _remaining_acceleration(physics, experiments, velocity)
 
         def build(key: PRNGKeyArray) -> HybridModel:
-            correction = eqx.tree_at(lambda m: m.scaling.acceleration, make(key), left)
+            correction = eqx.tree_at(lambda m: m.scaling.acceleration, build_correction(key), unit)
             return HybridModel(physics, correction.silent(), hyper.fades_at_rest)
 
         return build
 
-    def check(self, hyper: HybridHyper, stage: HybridStage) -> None:
-        """What the correction's family says of the stage."""
+    def check(self, hyper: HybridHyper, stage: LayeredStage) -> None:
+        """Checks the stage by the family of the correction."""
         family = FAMILIES[hyper.correction.kind]
         if issubclass(family.stage, LayeredStage):
             family.check(hyper.correction, stage)
         elif stage.frozen_layers:
-            raise ValueError(f"`frozen_layers` means nothing to kind '{family.kind}'")
+            raise ValueError(f"`frozen_layers` is not applicable to kind '{family.kind}'")
 
-    def trainable(self, model: HybridModel, stage: HybridStage) -> PyTree:
-        """What trains of the correction; the physics does not."""
-        of_correction = family_of(model.correction).trainable(model.correction, stage)
-        nothing = jax.tree.map(lambda _: False, model)
-        return eqx.tree_at(lambda m: m.correction, nothing, of_correction)
+    def trainable_mask(self, model: HybridModel, stage: LayeredStage) -> PyTree:
+        """A tree like the model, True at what trains of the correction; the physics does not."""
+        family = _trained_family(model.correction)
+        mask = jax.tree.map(lambda _: False, model)
+        trainable = family.trainable_mask(model.correction, stage)
+        return eqx.tree_at(lambda m: m.correction, mask, trainable)
 
-    def begun(self, built: HybridModel, origin: Model) -> HybridModel:
-        """The physics that is given, with the correction of the trained model."""
+    def with_weights_from(self, model: HybridModel, origin: Model) -> HybridModel:
+        """The hybrid with the correction of the trained one; its physics stays."""
         self.require_own(origin)
-        assert isinstance(origin, HybridModel)
-        if built.fades_at_rest != origin.fades_at_rest:
+        trained = cast(HybridModel, origin)
+        if model.fades_at_rest != trained.fades_at_rest:
             raise InputError(
-                "--from", f"a correction with fades_at_rest = {origin.fades_at_rest}",
-                f"{built.fades_at_rest}, as the recipe has it", "leave --recipe and --set out",
+                "--from", f"a correction with fades_at_rest = {trained.fades_at_rest}",
+                f"{model.fades_at_rest}, as the recipe has it", "leave --recipe and --set out",
             )  # fmt: skip
-        correction = family_of(built.correction).begun(built.correction, origin.correction)
-        return replace(built, correction=cast(AccelerationModel, correction))
+        family = _trained_family(model.correction)
+        correction = family.with_weights_from(model.correction, trained.correction)
+        return replace(model, correction=cast(AccelerationModel, correction))
 
-    def stepped(
+    def physics_for_training(
         self, hyper: HybridHyper, physics: Model | None, experiments: Sequence[Experiment]
-    ) -> Model | None:
-        """With as many integration steps as a correction is worth."""
-        assert physics is not None
+    ) -> Model:
+        """The physics with no more integration steps than its own errors are worth."""
+        if physics is None:
+            raise InputError(f"a recipe of kind '{self.kind}'", "no physics", "physics to correct")
         for e in experiments:
             require_fit(physics, e)
         if isinstance(physics, Discretised):
-            few = hyper.substeps or fewest_substeps(physics, experiments, _HIDDEN)
-            return replace(physics, substeps=few)
+            substeps = hyper.substeps or fewest_substeps(physics, experiments, _INTEGRATION_SHARE)
+            return replace(physics, substeps=substeps)
         if hyper.substeps is not None:
             raise InputError("model.substeps", "physics that is not integrated", "no `substeps`")
         return physics
 
-    def corrected(self, model: HybridModel) -> Model:
-        """The physics."""
+    def physics_in(self, model: HybridModel) -> Model:
+        """The physics that the network corrects."""
         return model.physics
 
-    def regulariser(self, stage: HybridStage) -> Regulariser | None:
-        """The penalty on the correction."""
-        return Effort(stage.penalty) if stage.penalty else None
-
     def describe(self, model: HybridModel) -> tuple[Header, Arrays]:
-        """Both parts as their families describe them."""
+        """Physics and correction as their families describe them."""
         header: Header = {"fades_at_rest": model.fades_at_rest}
         arrays: Arrays = {}
         for name in (PHYSICS, CORRECTION):
             part = getattr(model, name)
             family = family_of(part)
-            described, own = family.describe(part)
-            header[name] = {"kind": family.kind, **described, **part.channels.as_header()}
-            arrays |= {f"{name}.{n}": a for n, a in own.items()}
+            part_header, part_arrays = family.describe(part)
+            header[name] = {"kind": family.kind, **part_header, **part.channels.as_header()}
+            arrays |= {f"{name}.{n}": a for n, a in part_arrays.items()}
         return header, arrays
 
     def parts(self, header: Header) -> Sequence[Header]:
-        """Both; files of format 1 have the system beside them."""
+        """The descriptions of physics and correction; files of format 1 have none."""
         return [header[name] for name in (PHYSICS, CORRECTION) if name in header]
 
     def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> HybridModel:
-        """Both parts; files of format 1 have them side by side in the header."""
-        header, arrays = hybrid_as_now(header, arrays)
+        """The hybrid of a file; files of format 1 have both parts side by side in the header."""
+        header, arrays = upgrade_hybrid(header, arrays)
         physics, correction = (
             FAMILIES[header[name]["kind"]].restore(
-                header[name], below(f"{name}.", arrays), system, where
+                header[name], arrays_below(f"{name}.", arrays), system, where
             )
             for name in (PHYSICS, CORRECTION)
         )
         return HybridModel(physics, correction, bool(header["fades_at_rest"]))
 
     def parameters(self, model: HybridModel) -> Sequence[tuple[str, str, float]]:
-        """Those of the physics."""
+        """Name, unit and value of the parameters of the physics."""
         return family_of(model.physics).parameters(model.physics)
 
     def equations(self, model: HybridModel) -> LagrangianModel | None:
-        """Those of the physics."""
+        """The equations of motion of the physics."""
         return family_of(model.physics).equations(model.physics)
 
 
 FAMILY = HybridFamily()
 
 
-def _left_by(
+def _trained_family(model: Model) -> TrainedFamily:
+    """The family of a correction.
+
+    Raises:
+        InputError: a model that is not trained.
+    """
+    family = family_of(model)
+    if not isinstance(family, TrainedFamily):
+        raise InputError("correction", f"kind '{family.kind}'", "a kind with weights")
+    return family
+
+
+def _remaining_acceleration(
     physics: Model, experiments: Sequence[Experiment], velocity: VelocitySource
 ) -> Float[Array, " n_q"]:
     """Root mean square of what physics leaves of the accelerations, the unit of a correction.
@@ -351,10 +338,8 @@ def _left_by(
     """
     measured = [e.measured_states(velocity) for e in experiments]
     drive = input_signals(physics, experiments)
-    said = np.asarray(predictions_along(physics, jnp.asarray(stack_padded(measured)), drive))
+    predicted = np.asarray(predictions_along(physics, jnp.asarray(stack_padded(measured)), drive))
     at = physics.channels.velocity
-    left = [
-        x[1:, at] - run[1 : len(x), at] for x, run in zip(measured, said, strict=True)
-    ]  # fmt: skip
-    left = root_mean_square(np.concatenate(left) / physics.dt)
-    return jnp.asarray(np.where(moving_coordinates(experiments), left, 1.0), jnp.float32)
+    errors = [x[1:, at] - run[1 : len(x), at] for x, run in zip(measured, predicted, strict=True)]
+    remaining = root_mean_square(np.concatenate(errors) / physics.dt)
+    return jnp.asarray(np.where(moving_coordinates(experiments), remaining, 1.0), jnp.float32)

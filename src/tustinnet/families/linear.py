@@ -16,23 +16,23 @@ from tustinnet.data.experiment import Experiment, VelocitySource, moving_coordin
 from tustinnet.families.family import (
     MOST_STATES,
     Arrays,
-    Family,
     Header,
     Hyper,
-    filled,
+    TrainedFamily,
     named_arrays,
+    restore_arrays,
 )
 from tustinnet.models.blocks import Affine, root_mean_square
 from tustinnet.models.contract import InputVector, Model, State
 
-_FIRST_COUPLING = 0.1  # standard deviation of the weights that random internal states begin with
+_INITIAL_COUPLING = 0.1  # standard deviation of the weights that random internal states begin with
 
 
 class LinearModel(Model):
     """`x[k+1] = x[k] + U (W [(x[k] - o) / s; u[k] / s_u] + b)` with one unit `s` a state.
 
-    The same as `x[k+1] = A x[k] + B u[k] + c`, written so that all weights are of one size.
-    Angles enter as they are: the model is about one place, where the records are on average.
+    It equals `x[k+1] = A x[k] + B u[k] + c`, written so that all weights are of one size. Angles
+    enter as they are: the model is linear about the mean of the records.
 
     Attributes:
         change: `W` and `b`, from the scaled state and inputs to the scaled change in a period.
@@ -56,17 +56,17 @@ class LinearModel(Model):
 
     @property
     def internal(self) -> tuple[str, ...]:
-        """States beside positions and velocities."""
+        """The names of the states beside positions and velocities."""
         return tuple(f"state {i}" for i in range(len(self.offset) - 2 * self.channels.n_q))
 
     def step(self, x: State, u: InputVector) -> State:
-        """One period."""
-        seen = jnp.concatenate([(x - self.offset) / self.unit, u / self.input])
-        return x + self.moved * self.change(seen)
+        """The state after one period."""
+        scaled = jnp.concatenate([(x - self.offset) / self.unit, u / self.input])
+        return x + self.moved * self.change(scaled)
 
 
 class LinearHyper(Hyper):
-    """A linear state-space model.
+    """The table `[model]` of a linear state-space model.
 
     Attributes:
         internal: states beside positions and velocities.
@@ -75,8 +75,8 @@ class LinearHyper(Hyper):
     internal: int = Field(default=0, ge=0, le=MOST_STATES)
 
 
-class LinearFamily(Family):
-    """Linear state-space models."""
+class LinearFamily(TrainedFamily):
+    """The family of linear state-space models."""
 
     kind = "linear"
     hyper = LinearHyper
@@ -90,7 +90,7 @@ class LinearFamily(Family):
         velocity: VelocitySource,
         physics: Model | None,
     ) -> Callable[[PRNGKeyArray], LinearModel]:
-        """One-step least squares on the records; internal states begin at random."""
+        """A function that makes a model by one-step least squares, random in internal states."""
         channels, n_z = experiments[0].channels, hyper.internal
         x = [e.measured_states(velocity) for e in experiments]
         before, change = (
@@ -101,26 +101,27 @@ class LinearFamily(Family):
         moving = np.tile(moving_coordinates(experiments), 2)
         unit = np.where(moving, root_mean_square(before - offset), 1.0)
         moved = root_mean_square(change)
-        seen = np.hstack([(before - offset) / unit, u / (size := root_mean_square(u))])
-        affine = np.hstack([seen, np.ones((len(seen), 1))])
-        found = np.linalg.lstsq(affine, change / moved, rcond=None)[0].T
-        plain = [
+        scaled = np.hstack([(before - offset) / unit, u / (size := root_mean_square(u))])
+        affine = np.hstack([scaled, np.ones((len(scaled), 1))])
+        solution = np.linalg.lstsq(affine, change / moved, rcond=None)[0].T
+        padded = [
             np.pad(a, (0, n_z), constant_values=fill)
             for a, fill in ((offset, 0.0), (unit, 1.0), (moved, channels.dt))
         ]
-        arrays = [jnp.asarray(a, jnp.float32) for a in (*plain, size)]
+        arrays = [jnp.asarray(a, jnp.float32) for a in (*padded, size)]
 
         def build(key: PRNGKeyArray) -> LinearModel:
-            return LinearModel(_begun(found, channels, n_z, key), *arrays, channels=channels)
+            change = _widen_map(solution, channels, n_z, key)
+            return LinearModel(change, *arrays, channels=channels)
 
         return build
 
     def describe(self, model: LinearModel) -> tuple[Header, Arrays]:
-        """The number of internal states; all arrays."""
+        """The number of internal states for the header; all arrays."""
         return {"structure": {"internal": len(model.internal)}}, named_arrays(model)
 
     def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> LinearModel:
-        """From structure and arrays."""
+        """The linear model of a file, from structure and arrays."""
         channels = Channels.from_header(header)
         n_x = 2 * channels.n_q + header["structure"]["internal"]
 
@@ -129,18 +130,19 @@ class LinearFamily(Family):
             sizes = (n_x, n_x, n_x, channels.n_u)
             return LinearModel(change, *(jnp.zeros(n) for n in sizes), channels=channels)
 
-        return filled(make, arrays)
+        return restore_arrays(make, arrays)
 
 
 FAMILY = LinearFamily()
 
 
-def _begun(found: np.ndarray, channels: Channels, n_z: int, key: PRNGKeyArray) -> Affine:
+def _widen_map(solution: np.ndarray, channels: Channels, n_z: int, key: PRNGKeyArray) -> Affine:
     """The least-squares map, widened by internal states that decay and are weakly coupled."""
     n, n_u = 2 * channels.n_q, channels.n_u
-    drawn = _FIRST_COUPLING * jax.random.normal(key, (n + n_z, n + n_z + n_u), jnp.float32)
+    drawn = _INITIAL_COUPLING * jax.random.normal(key, (n + n_z, n + n_z + n_u), jnp.float32)
     drawn = drawn.at[:n].set(0.0).at[:n, n : n + n_z].set(drawn[:n, n : n + n_z])
-    known = jnp.asarray(found, jnp.float32)
-    weight = drawn.at[:n, :n].set(known[:, :n]).at[:n, n + n_z :].set(known[:, n:-1])
+    least_squares = jnp.asarray(solution, jnp.float32)
+    weight = drawn.at[:n, :n].set(least_squares[:, :n])
+    weight = weight.at[:n, n + n_z :].set(least_squares[:, n:-1])
     weight = weight.at[n:, n : n + n_z].add(-jnp.eye(n_z, dtype=jnp.float32))
-    return Affine(weight, jnp.pad(known[:, -1], (0, n_z)))
+    return Affine(weight, jnp.pad(least_squares[:, -1], (0, n_z)))

@@ -1,4 +1,4 @@
-"""What the families with a feedforward network share: its recipe keys, its place in files."""
+"""Feedforward networks in models: their recipe keys and their place in files, for all families."""
 
 from typing import Annotated, Any, Literal
 
@@ -12,14 +12,14 @@ from tustinnet.families.family import (
     MOST_UNITS,
     Arrays,
     Hyper,
-    filled,
+    restore_arrays,
 )
 from tustinnet.models.blocks import Layers, Network, Scaling, feature_count, random_network
 from tustinnet.registry import SCALINGS
 
 
 class NetworkHyper(Hyper):
-    """The feedforward network in a model.
+    """The table `[model]` of kinds with a feedforward network.
 
     Attributes:
         hidden: units of each hidden layer.
@@ -42,35 +42,36 @@ class NetworkHyper(Hyper):
 
     @field_validator("scaling")
     @classmethod
-    def _known(cls, scaling: str) -> str:
+    def _check_scaling(cls, scaling: str) -> str:
         if scaling not in SCALINGS:
             raise ValueError(f"no scaling '{scaling}'; known: {', '.join(SCALINGS.names())}")
         return scaling
 
     @model_validator(mode="after")
-    def _bias_counts(self) -> "NetworkHyper":
+    def _check_bias(self) -> "NetworkHyper":
         if self.odd and self.output_bias:
             raise ValueError("an odd network has no `output_bias`: leave one out")
         return self
 
     @property
     def layers(self) -> dict[str, Any]:
-        """The same as `Layers` takes it."""
+        """The keys that `Layers` takes."""
         return self.model_dump(include={"hidden", "stem", "activation", "output_bias", "odd"})
 
 
-def _distinct(taps: tuple[int, ...]) -> tuple[int, ...]:
+def _check_taps(taps: tuple[int, ...]) -> tuple[int, ...]:
+    """The taps, all different."""
     if len(set(taps)) < len(taps):
         raise ValueError(f"a tap twice: {list(taps)}")
     return taps
 
 
 Tap = Annotated[int, Field(ge=-1000, le=1000)]
-InputTaps = Annotated[tuple[Tap, ...], Field(max_length=100), AfterValidator(_distinct)]
+InputTaps = Annotated[tuple[Tap, ...], Field(max_length=100), AfterValidator(_check_taps)]
 
 
-def structure_of(network: Network) -> dict[str, Any]:
-    """What a model file says of a network."""
+def describe_network(network: Network) -> dict[str, Any]:
+    """The entries of a model file's header on a network."""
     return {
         "hidden": [layer.weight.shape[0] for layer in network.hidden],
         "stem": None if network.stem is None else network.stem.weight.shape[0],
@@ -81,21 +82,22 @@ def structure_of(network: Network) -> dict[str, Any]:
     }
 
 
-def network_from(
-    structure: dict[str, Any], arrays: Arrays, channels: Channels, said: int, memory: int = 0
+def restore_network(
+    structure: dict[str, Any], arrays: Arrays, channels: Channels, outputs: int, memory: int = 0
 ) -> Network:
     """The network of a model file."""
     taps = len(structure.get("input_taps", ())) or 1
-    seen = feature_count(channels, memory, taps)
-    keys = ("hidden", "stem", "activation", "output_bias")
-    later = {k: structure.get(k, False) for k in ("linear", "odd")}
-    layers = Layers(**{k: structure[k] for k in keys}, **later)
+    features = feature_count(channels, memory, taps)
+    layers = Layers(
+        **{key: structure[key] for key in ("hidden", "stem", "activation", "output_bias")},
+        **{key: structure.get(key, False) for key in ("linear", "odd")},
+    )
 
     def make() -> Network:
         scaling = blank_scaling(channels, memory)
-        return random_network(scaling, jax.random.key(0), seen, said, layers)
+        return random_network(scaling, jax.random.key(0), features, outputs, layers)
 
-    return filled(make, arrays)
+    return restore_arrays(make, arrays)
 
 
 def blank_scaling(channels: Channels, memory: int = 0) -> Scaling:
@@ -106,7 +108,7 @@ def blank_scaling(channels: Channels, memory: int = 0) -> Scaling:
 
 
 def check_stage(hyper: NetworkHyper, stage: Any) -> None:
-    """Raises `ValueError` where a stage asks for what the network does not have or need.
+    """Raises `ValueError` where a stage does not fit the network.
 
     Args:
         hyper: the network.
@@ -116,5 +118,5 @@ def check_stage(hyper: NetworkHyper, stage: Any) -> None:
         raise ValueError(f"freezes {stage.frozen_layers} of {len(hyper.hidden)} hidden layers")
     if hyper.odd and stage.mirror:
         raise ValueError(
-            "`mirror` says of the windows what `odd` says of the network: leave one out"
+            "`mirror` does to the windows what `odd` does to the network: leave one out"
         )

@@ -13,17 +13,17 @@ from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.families.family import (
     Arrays,
-    Family,
     Header,
     LayeredStage,
-    mask_of,
+    TrainedFamily,
+    make_mask,
     named_arrays,
 )
 from tustinnet.families.networks import (
     NetworkHyper,
     check_stage,
-    network_from,
-    structure_of,
+    describe_network,
+    restore_network,
 )
 from tustinnet.models.blocks import Layers, Network, feature_count, random_network
 from tustinnet.models.contract import ContinuousModel, InputVector, Model, State
@@ -32,11 +32,11 @@ from tustinnet.registry import SCALINGS
 
 
 class NeuralODE(ContinuousModel):
-    """`dx/dt = f(sin q, cos q, v, u)`, positions and velocities alike.
+    """A neural ODE: `dx/dt = f(sin q, cos q, v, u)`, positions and velocities alike.
 
-    The network sees what a Tustin-Net sees. It says the derivatives of positions, in units of the
-    velocities, and those of velocities, in units of the accelerations; nothing tells it that the
-    first are the velocities.
+    The network has the inputs of a Tustin-Net. Its outputs are the derivatives of positions, in
+    units of the velocities, and those of velocities, in units of the accelerations; that the first
+    are the velocities is not built in.
 
     Attributes:
         network: `f`.
@@ -59,22 +59,22 @@ class NeuralODE(ContinuousModel):
 
 
 class NeuralODEHyper(NetworkHyper):
-    """A neural ODE.
+    """The table `[model]` of a neural ODE.
 
     Attributes:
         substeps: Runge-Kutta steps in a period.
 
-    The others are those of the network.
+    The other keys are those of the network.
     """
 
     substeps: int = Field(default=1, gt=0, le=MOST_UNROLLED)
 
 
-class NeuralODEFamily(Family):
-    """Neural ODEs."""
+class NeuralODEFamily(TrainedFamily):
+    """The family of neural ODEs."""
 
     kind = "neural-ode"
-    spelt = "neural ODE"
+    title = "neural ODE"
     hyper = NeuralODEHyper
     stage = LayeredStage
     correctable = True
@@ -87,40 +87,41 @@ class NeuralODEFamily(Family):
         velocity: VelocitySource,
         physics: Model | None,
     ) -> Callable[[PRNGKeyArray], Discretised]:
-        """Random weights, units from the records."""
+        """A function that makes random weights; units come from the records."""
         channels = experiments[0].channels
         scaling = SCALINGS[hyper.scaling](experiments, velocity, ())
-        seen, said = feature_count(channels), 2 * channels.n_q
+        layers, outputs = Layers(**hyper.layers), 2 * channels.n_q
 
         def build(key: PRNGKeyArray) -> Discretised:
-            network = random_network(scaling, key, seen, said, Layers(**hyper.layers))
-            return _discrete(network, channels, hyper.substeps)
+            network = random_network(scaling, key, feature_count(channels), outputs, layers)
+            return _make_discrete(network, channels, hyper.substeps)
 
         return build
 
     def check(self, hyper: NeuralODEHyper, stage: LayeredStage) -> None:
-        """Frozen layers exist, and windows are not mirrored for an odd network."""
+        """Checks that frozen layers exist, and that windows of an odd network are not mirrored."""
         check_stage(hyper, stage)
 
-    def trainable(self, model: Any, stage: LayeredStage) -> PyTree:
-        """The layers that are not frozen."""
-        return mask_of(model, model.continuous.network.layers_from(stage.frozen_layers))
+    def trainable_mask(self, model: Any, stage: LayeredStage) -> PyTree:
+        """A tree like the model, True at the layers that are not frozen."""
+        return make_mask(model, model.continuous.network.layers_from(stage.frozen_layers))
 
     def describe(self, model: Any) -> tuple[Header, Arrays]:
-        """The structure of the network; arrays by their places in it."""
+        """Structure and substeps for the header; arrays by their places in the network."""
         network = model.continuous.network
-        header = {"structure": structure_of(network), "substeps": model.substeps}
+        header = {"structure": describe_network(network), "substeps": model.substeps}
         return header, named_arrays(network)
 
     def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> Discretised:
-        """From structure and arrays."""
+        """The neural ODE of a file, from structure and arrays."""
         channels = Channels.from_header(header)
-        network = network_from(header["structure"], arrays, channels, 2 * channels.n_q)
-        return _discrete(network, channels, header["substeps"])
+        network = restore_network(header["structure"], arrays, channels, 2 * channels.n_q)
+        return _make_discrete(network, channels, header["substeps"])
 
 
 FAMILY = NeuralODEFamily()
 
 
-def _discrete(network: Network, channels: Channels, substeps: int) -> Discretised:
+def _make_discrete(network: Network, channels: Channels, substeps: int) -> Discretised:
+    """The neural ODE of a network, integrated by Runge-Kutta steps that are unrolled."""
     return discretise(NeuralODE(network, channels), channels.dt, substeps, unrolled=True)

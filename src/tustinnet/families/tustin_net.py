@@ -17,21 +17,21 @@ from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.errors import InputError
 from tustinnet.families.family import (
     Arrays,
-    Family,
     Header,
     LayeredStage,
-    filled,
-    mask_of,
+    TrainedFamily,
+    make_mask,
     named_arrays,
+    restore_arrays,
 )
 from tustinnet.families.networks import (
     InputTaps,
     NetworkHyper,
     check_stage,
-    network_from,
-    structure_of,
+    describe_network,
+    restore_network,
 )
-from tustinnet.families.shown import REST
+from tustinnet.families.summaries import REST
 from tustinnet.models.blocks import Affine, Layers, Network, Scaling, feature_count, random_network
 from tustinnet.models.contract import (
     AccelerationModel,
@@ -46,12 +46,12 @@ from tustinnet.signals.rest import usual_positions
 from tustinnet.simulate.along import states_along
 from tustinnet.simulate.input_signal import input_signal
 
-_REMEMBERED = 0.5  # somebody turned the coordinate not long before, and part of that is left
-_UNKNOWN = 0.1  # of their size, what is not known of them then; freer ones explain a hand's push
+_USUAL_SHARE = 0.5  # somebody turned the coordinate not long before, and part of that remains
+_SPREAD = 0.1  # of their size, as a standard deviation; freer ones explain a hand's push
 
 
 class TustinNet(AccelerationModel):
-    """Tustin-Net.
+    """A Tustin-Net: trapezoidal positions, and a network for the accelerations.
 
         q[k+1] = q[k] + dt (v[k] + v[k+1]) / 2
         v[k+1] = v[k] + dt f(cat(sin q[k], cos q[k], v[k], u[k]))
@@ -60,20 +60,20 @@ class TustinNet(AccelerationModel):
     `f(z) = a * (W_{M+1} sigma(W_M ... sigma(W_1 z + b_1) ... + b_M))`. Linear coordinates enter
     as they are instead of by sine and cosine.
 
-    With memory, `f` also sees internal states, which follow each velocity and relax:
+    With memory, `f` also has internal states as inputs, which follow each velocity and relax:
 
         z[k+1] = exp(-dt/t) z[k] + t (1 - exp(-dt/t)) (v[k] + v[k+1]) / 2
 
-    for each relaxation time t, exact for the mean velocity of the period. They are what the
-    deflection of a Maxwell element is: what a cable, rubber or creeping friction remembers. Before
-    a record begins somebody may have turned a coordinate away from where it rests: a share of that
-    is what they are expected to be then.
+    for each relaxation time t, exact for the mean velocity of the period. They act like the
+    deflection of a Maxwell element, as in a cable, rubber or creeping friction. Before a record
+    begins somebody may have turned a coordinate away from where it rests: their expected value is
+    a share of that.
 
     Attributes:
         network: the network.
         channels: the coordinates, in the order of q, the inputs, in the order of u, the period.
         relaxation_times: t of the internal states [s]; each gives one a coordinate.
-        taps: the samples of the inputs that it sees, see `AccelerationModel`.
+        taps: the samples of the inputs that the network takes, see `AccelerationModel`.
         remembered: the share of the way from `rest` that internal states begin with.
         rest: where the coordinates rest, (n_q,) [rad or m], with a share above 0; never trained.
 
@@ -95,18 +95,18 @@ class TustinNet(AccelerationModel):
             raise InputError(
                 "memory", f"relaxation times {self.relaxation_times} s", "times above 0 s"
             )
-        begins = self.remembered > 0
-        if begins != (self.rest is not None) or (begins and not self.internal):
+        deflected = self.remembered > 0
+        if deflected != (self.rest is not None) or (deflected and not self.internal):
             raise InputError(
                 "remembered", f"a share of {self.remembered:g} with memory of "
                 f"{self.relaxation_times} s and rest {self.rest}", "memory and rest beside a share",
             )  # fmt: skip
-        seen = feature_count(self.channels, len(self.internal), len(self.taps) or 1)
-        self.network.require_shape(seen, self.channels.n_q)
+        features = feature_count(self.channels, len(self.internal), len(self.taps) or 1)
+        self.network.require_shape(features, self.channels.n_q)
 
     @property
     def internal(self) -> tuple[str, ...]:
-        """What its internal states are called."""
+        """The names of the internal states: of each coordinate one for each relaxation time."""
         return tuple(
             f"{c.name}, relaxing in {time:g} s"
             for time in self.relaxation_times
@@ -114,18 +114,18 @@ class TustinNet(AccelerationModel):
         )
 
     def initial_internal(self, measured: Float[Array, " n_measured"]) -> Internal:
-        """A share of the way from where each coordinate rests, for angles the shorter way."""
+        """The expected internal states: a share of the way from rest, of angles the shorter."""
         if self.rest is None:
             return super().initial_internal(measured)
-        of = self.channels
-        away = measured[of.position] - self.rest.astype(measured.dtype)
-        turned = jnp.where(of.angular, jnp.arctan2(jnp.sin(away), jnp.cos(away)), away)
-        return jnp.tile(self.remembered * turned, len(self.relaxation_times))
+        away = measured[self.channels.position] - self.rest.astype(measured.dtype)
+        wrapped = jnp.arctan2(jnp.sin(away), jnp.cos(away))
+        deflection = jnp.where(self.channels.angular, wrapped, away)
+        return jnp.tile(self.remembered * deflection, len(self.relaxation_times))
 
     @property
     def internal_spread(self) -> Internal:
-        """A tenth of the root mean square of each along the training records."""
-        return _UNKNOWN * self.network.scaling.memory
+        """The standard deviations of internal states: a tenth of their size in training."""
+        return _SPREAD * self.network.scaling.memory
 
     @property
     def scaling(self) -> Scaling:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -133,29 +133,29 @@ class TustinNet(AccelerationModel):
         return self.network.scaling
 
     def silent(self) -> "TustinNet":
-        """The same with an output layer of zeros."""
+        """The model with an output layer of zeros."""
         return eqx.tree_at(lambda m: m.network, self, self.network.silent())
 
     def acceleration(self, x: State, u: Drive) -> Coordinates:
         """`f`, the mean acceleration over the coming period, (n_q,) [rad/s^2 or m/s^2]."""
-        said = self.network(self.channels, x, self.tapped(u))
-        return self.network.scaling.acceleration * said
+        output = self.network(self.channels, x, self.tapped(u))
+        return self.network.scaling.acceleration * output
 
     def accelerate(
         self, x: State, u: Drive
     ) -> tuple[Coordinates, Callable[[Coordinates], Internal]]:
         """The acceleration, and how the internal states follow the mean velocity."""
         z = x[self.channels.internal]
-        return self.acceleration(x, u), lambda mean: self.relaxed(z, mean)
+        return self.acceleration(x, u), lambda mean: self.relax(z, mean)
 
-    def relaxed(self, z: Internal, v: Coordinates) -> Internal:
+    def relax(self, z: Internal, v: Coordinates) -> Internal:
         """The internal states after a period with the mean velocity `v`."""
         if not self.relaxation_times:
             return z
         return jnp.asarray(relax(z, v, self.dt, self.relaxation_times))
 
     def folded(self) -> "TustinNet":
-        """The same function with the stem merged into the first hidden layer."""
+        """The model with the stem merged into the first hidden layer; it computes the same."""
         if self.network.stem is None:
             return self
         return replace(self, network=self.network.folded())
@@ -167,26 +167,26 @@ def relax(
     dt: float,
     times: Sequence[float],
 ) -> Float[Array | np.ndarray, " n_z"]:
-    """`exp(-dt/t) z + t (1 - exp(-dt/t)) v`, first all coordinates of the first time."""
+    """Relaxed states, `exp(-dt/t) z + t (1 - exp(-dt/t)) v`, of one time after the other."""
     time = np.repeat(np.asarray(times), len(v))
-    left = np.exp(-dt / time)
-    moved = v[np.tile(np.arange(len(v)), len(times))]
-    return (left * z + (time * (1 - left)) * moved).astype(z.dtype)
+    decay = np.exp(-dt / time)
+    speed = v[np.tile(np.arange(len(v)), len(times))]
+    return (decay * z + (time * (1 - decay)) * speed).astype(z.dtype)
 
 
 class TustinNetHyper(NetworkHyper):
-    """A Tustin-Net.
+    """The table `[model]` of a Tustin-Net.
 
     Attributes:
         memory: relaxation times of internal states [s], none by default (see `TustinNet`).
         remembered: the share of a coordinate's way from its usual position with which these begin
             a record; none for a half.
-        input_taps: samples of the inputs that it sees in every period, as `[-1, 0, 1]`, counted
+        input_taps: samples of the inputs that it takes in every period, as `[-1, 0, 1]`, counted
             from the period's beginning; those above 0 look ahead. None: the period's mean.
-        linear: whether a linear model stands beside the network: at first it says what least
-            squares over the training records find, and the network nothing.
+        linear: whether a linear map is added to the network: at first it is the least-squares map
+            of the training records, and the output of the network 0.
 
-    The others are those of the network.
+    The other keys are those of the network.
     """
 
     memory: tuple[Annotated[float, Field(gt=0, le=1e6)], ...] = Field(default=(), max_length=100)
@@ -196,18 +196,18 @@ class TustinNetHyper(NetworkHyper):
 
     @property
     def layers(self) -> dict[str, Any]:
-        """The same as `Layers` takes it."""
+        """The keys that `Layers` takes."""
         return {**super().layers, "linear": self.linear}
 
     @property
     def share(self) -> float:
-        """Of the way from where a coordinate rests, that internal states begin with."""
+        """The share of a coordinate's way from rest with which internal states begin."""
         if not self.memory:
             return 0.0
-        return _REMEMBERED if self.remembered is None else self.remembered
+        return _USUAL_SHARE if self.remembered is None else self.remembered
 
     @model_validator(mode="after")
-    def _scaled(self) -> "TustinNetHyper":
+    def _check_memory(self) -> "TustinNetHyper":
         if self.memory and self.scaling != "records":
             raise ValueError(f"the scaling '{self.scaling}' has none for `memory`")
         if self.remembered is not None and not self.memory:
@@ -215,11 +215,11 @@ class TustinNetHyper(NetworkHyper):
         return self
 
 
-class TustinNetFamily(Family):
-    """Tustin-Nets."""
+class TustinNetFamily(TrainedFamily):
+    """The family of Tustin-Nets."""
 
     kind = "tustin-net"
-    spelt = "Tustin-Net"
+    title = "Tustin-Net"
     hyper = TustinNetHyper
     stage = LayeredStage
     model = TustinNet
@@ -231,7 +231,7 @@ class TustinNetFamily(Family):
         velocity: VelocitySource,
         physics: Model | None,
     ) -> Callable[[PRNGKeyArray], TustinNet]:
-        """Random weights; units, and where coordinates rest, from the records."""
+        """A function that makes random weights; units and rest positions come from the records."""
         channels = experiments[0].channels
         share, rest = hyper.share, None
         if share:
@@ -241,28 +241,28 @@ class TustinNetFamily(Family):
         scaling = learn(experiments, velocity, hyper.memory)
 
         def build(key: PRNGKeyArray) -> TustinNet:
-            made = random_tustin_net(
+            model = random_tustin_net(
                 channels, scaling, key,
                 relaxation_times=hyper.memory, taps=hyper.input_taps, **hyper.layers,
             )  # fmt: skip
-            return replace(made, remembered=share, rest=rest)
+            return replace(model, remembered=share, rest=rest)
 
         if not hyper.linear:
             return build
-        linear = _least_squares(build(jax.random.key(0)), experiments, velocity)
+        linear = _fit_linear_map(build(jax.random.key(0)), experiments, velocity)
         return lambda key: eqx.tree_at(lambda m: m.network.bypass, build(key).silent(), linear)
 
     def check(self, hyper: TustinNetHyper, stage: LayeredStage) -> None:
-        """Frozen layers exist, and windows are not mirrored for an odd network."""
+        """Checks that frozen layers exist, and that windows of an odd network are not mirrored."""
         check_stage(hyper, stage)
 
-    def trainable(self, model: TustinNet, stage: LayeredStage) -> PyTree:
-        """The layers that are not frozen."""
-        return mask_of(model, model.network.layers_from(stage.frozen_layers))
+    def trainable_mask(self, model: TustinNet, stage: LayeredStage) -> PyTree:
+        """A tree like the model, True at the layers that are not frozen."""
+        return make_mask(model, model.network.layers_from(stage.frozen_layers))
 
     def describe(self, model: TustinNet) -> tuple[Header, Arrays]:
-        """The structure of the network; arrays by their places in it."""
-        structure = structure_of(model.network)
+        """The structure of the network for the header; arrays by their places in it."""
+        structure = describe_network(model.network)
         structure["relaxation_times"] = list(model.relaxation_times)
         structure["input_taps"] = list(model.taps)
         structure["remembered"] = model.remembered
@@ -270,14 +270,14 @@ class TustinNetFamily(Family):
         return {"structure": structure}, named_arrays(model.network) | rest
 
     def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> TustinNet:
-        """From structure and arrays."""
+        """The Tustin-Net of a file, from structure and arrays."""
         channels = Channels.from_header(header)
         structure = header["structure"]
         times, taps = (tuple(structure.get(key, ())) for key in ("relaxation_times", "input_taps"))
         memory = len(times) * channels.n_q
-        network = network_from(structure, arrays, channels, channels.n_q, memory)
+        network = restore_network(structure, arrays, channels, channels.n_q, memory)
         share = float(structure.get("remembered", 0.0))
-        rest = filled(lambda: jnp.zeros(channels.n_q), arrays, REST) if share else None
+        rest = restore_arrays(lambda: jnp.zeros(channels.n_q), arrays, REST) if share else None
         return TustinNet(network, channels, times, taps, share, rest)
 
 
@@ -299,38 +299,38 @@ def random_tustin_net(
         channels: its coordinates, inputs and period.
         scaling: units of the network's inputs and outputs.
         key: the source of randomness.
-        relaxation_times: those of the internal states [s].
-        taps: the samples of the inputs that it sees.
+        relaxation_times: relaxation times of the internal states [s].
+        taps: the samples of the inputs that it takes.
         layers: hidden, stem, activation and output_bias, see `Layers`.
     """
-    seen = feature_count(channels, len(relaxation_times) * channels.n_q, len(taps) or 1)
-    network = random_network(scaling, key, seen, channels.n_q, Layers(**layers))
+    features = feature_count(channels, len(relaxation_times) * channels.n_q, len(taps) or 1)
+    network = random_network(scaling, key, features, channels.n_q, Layers(**layers))
     return TustinNet(network, channels, tuple(relaxation_times), tuple(taps))
 
 
-def _least_squares(
+def _fit_linear_map(
     model: TustinNet, experiments: Sequence[Experiment], velocity: VelocitySource
 ) -> Affine:
-    """The affine map of the features that says the velocities' changes along records best."""
-    of, network = model.channels, model.network
+    """The least-squares affine map from features to the changes of velocities along records."""
+    channels, network = model.channels, model.network
     states = states_along(model, experiments, velocity)
     drives = [np.asarray(input_signal(model, e).u) for e in experiments]
 
-    def told(x: State, u: Drive) -> Array:
+    def compute_features(x: State, u: Drive) -> Array:
         features, u = network.scaling.features, model.tapped(u)
         if not network.odd:
-            return features(of, x, u)
-        return (features(of, x, u) - features(of, -x, -u)) / 2
+            return features(channels, x, u)
+        return (features(channels, x, u) - features(channels, -x, -u)) / 2
 
-    seen = np.concatenate(
+    features = np.concatenate(
         [
-            np.asarray(jax.vmap(told)(jnp.asarray(x[:-1]), jnp.asarray(u)))
+            np.asarray(jax.vmap(compute_features)(jnp.asarray(x[:-1]), jnp.asarray(u)))
             for x, u in zip(states, drives, strict=True)
         ]
     )
-    change = np.concatenate([np.diff(x[:, of.velocity], axis=0) for x in states])
-    said = change / of.dt / np.asarray(network.scaling.acceleration)
-    constant = np.full(len(seen), 0.0 if network.odd else 1.0)
-    found = np.linalg.lstsq(np.column_stack([seen, constant]), said, rcond=None)[0]
-    weight, bias = (jnp.asarray(a, jnp.float32) for a in (found[:-1].T, found[-1]))
+    change = np.concatenate([np.diff(x[:, channels.velocity], axis=0) for x in states])
+    target = change / channels.dt / np.asarray(network.scaling.acceleration)
+    constant = np.full(len(features), 0.0 if network.odd else 1.0)
+    solution = np.linalg.lstsq(np.column_stack([features, constant]), target, rcond=None)[0]
+    weight, bias = (jnp.asarray(a, jnp.float32) for a in (solution[:-1].T, solution[-1]))
     return Affine(weight, bias)

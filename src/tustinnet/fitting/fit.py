@@ -1,19 +1,21 @@
-"""The verb: a model from records and a recipe, whatever the way of fitting."""
+"""Fits: a model from records and a recipe, by training or by identification."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from tustinnet.data.dataset import DataSet
-from tustinnet.fitting.gradient.plan import plan
+from tustinnet.fitting.gradient.loop import ResumePoint
+from tustinnet.fitting.gradient.plan import TrainingPlan, groups_alike, make_plan
 from tustinnet.fitting.gradient.train import train_plan
 from tustinnet.fitting.listener import SILENT, Listener
-from tustinnet.fitting.recipe import rates_of
-from tustinnet.fitting.recipe_reading import read_recipe
+from tustinnet.fitting.recipe import TrainingRecipe
 from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.shooting.identify import identify_task
-from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task, usual_recipe
+from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task
 from tustinnet.models.contract import Model
 from tustinnet.simulate.programs import make_room
 from tustinnet.systems.files import AnySystem
+
+MakeListener = Callable[[TrainingPlan | Task], Listener]
 
 
 def fit(
@@ -29,7 +31,7 @@ def fit(
 
     Args:
         data: records with the splits `train` and, if free runs are to choose, `validation`.
-        recipe: a packaged recipe's name, a TOML file, the same as a mapping, or a `Recipe`; by
+        recipe: a packaged recipe's name, a TOML file, its content as a mapping, or a `Recipe`; by
             default `standard`, with a `system` `grey`, with `physics` `best-hybrid`.
         seed: initial weights, windows and shuffling follow from it; an identification has none.
         physics: a model to correct, as an identification gives it; it stays as it is.
@@ -42,17 +44,17 @@ def fit(
 
     Raises:
         InputError: records too short for a window, no training split, a recipe that does not fit
-            or has no use for what is given; see also `identify`.
+            or to which an argument is not applicable; see also `identify`.
     """
     task = make_task(data, recipe, [Member(seed)], physics=physics, system=system)
-    return fit_task(task, listener)[0]
+    return fit_task(task, lambda _: listener)[0]
 
 
 def fit_many(
     data: DataSet,
     recipe: AnyRecipe | None = None,
     seeds: Sequence[int] = (0,),
-    rates: Sequence[float] | None = None,
+    rates: Sequence[float] = (1.0,),
     *,
     physics: Model | None = None,
     listener: Listener = SILENT,
@@ -66,8 +68,7 @@ def fit_many(
         data: as for `fit`.
         recipe: as for `fit`.
         seeds: one training each.
-        rates: factors of the recipe's rates, by default those that it names; every seed is
-            trained with each.
+        rates: factors of the recipe's rates; every seed is trained with each.
         physics: as for `fit`.
         listener: as for `fit`.
 
@@ -78,15 +79,41 @@ def fit_many(
     Raises:
         InputError: no seed, a rate that is not positive; see `fit`.
     """
-    chosen = read_recipe(recipe or usual_recipe(system=False, physics=physics is not None))
-    factors = rates_of(chosen) if rates is None else rates
-    members = [Member(seed, rate) for seed in seeds for rate in factors]
-    return fit_task(make_task(data, chosen, members, physics=physics), listener)
+    members = [Member(seed, rate) for seed in seeds for rate in rates]
+    return fit_task(make_task(data, recipe, members, physics=physics), lambda _: listener)
 
 
-def fit_task(task: Task, listener: Listener = SILENT) -> list[FitResult]:
-    """Fits all members of a task, those that can together."""
+def fit_task(
+    task: Task,
+    make_listener: MakeListener = lambda _: SILENT,
+    resume: Sequence[tuple[Sequence[Member], ResumePoint]] = (),
+) -> list[FitResult]:
+    """Fits all members of a task; those that are alike train together.
+
+    Args:
+        task: what is to be fitted.
+        make_listener: returns the listener of fits that run together; called before they begin
+            with the plan of a training, whose records are then known to fit the recipe, or with
+            the task of an identification.
+        resume: members whose training goes on together, and from where; the others begin anew.
+
+    Returns:
+        One result for each member, in their order.
+
+    Raises:
+        InputError: see `fit`.
+    """
     make_room()
-    if task.recipe.family.trains:
-        return train_plan(plan(task), listener)
-    return [identify_task(task, member, listener) for member in task.members]
+    if not isinstance(task.recipe, TrainingRecipe):
+        listener = make_listener(task)
+        return [identify_task(task, member, listener) for member in task.members]
+    resumed = {member for members, _ in resume for member in members}
+    fresh = [member for member in task.members if member not in resumed]
+    groups: list[tuple[Sequence[Member], ResumePoint | None]] = [
+        (group, None) for group in groups_alike(task.with_members(fresh))
+    ]
+    results: dict[Member, FitResult] = {}
+    for members, state in [*groups, *resume]:
+        plan = make_plan(task.with_members(members))
+        results.update(zip(members, train_plan(plan, make_listener(plan), state), strict=True))
+    return [results[member] for member in task.members]

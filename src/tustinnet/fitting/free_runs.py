@@ -1,4 +1,4 @@
-"""Free runs of records as arrays: what judges and refines models while they are fitted."""
+"""Free runs of records as arrays, which rank and refine models while they are fitted."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -25,20 +25,20 @@ class FreeRuns(eqx.Module):
 
     Attributes:
         start: where they start.
-        material: what the start needs of the segments, arrays (records, segments, ...).
+        start_data: what the start needs of the segments, arrays (records, segments, ...).
         u: what drives them from the start on, (records, segments, steps, ...), 0 after the end.
         q: measured positions from the start on, (records, segments, steps + 1, n_q).
         weight: 1 / length of the record within a segment, else 0, (records, segments, steps + 1).
     """
 
     start: Start = eqx.field(static=True)
-    material: Any
+    start_data: Any
     u: Float[Array, "records segments steps *drive"]
     q: Float[Array, "records segments samples n_q"]
     weight: Float[Array, "records segments samples"]
 
 
-def free_runs(
+def make_free_runs(
     model: Model, experiments: Sequence[Experiment], start: Start, horizon: float | None = None
 ) -> FreeRuns:
     """Prepares the free runs of records from a start, over a horizon [s] or as a whole.
@@ -47,19 +47,22 @@ def free_runs(
         InputError: a horizon that is too short or too long, see `horizon_samples`.
     """
     samples = horizon_samples(horizon, experiments, start)
-    cut = [pieces(e, samples, start) for e in experiments]
-    most = max(map(len, cut))
-    filled = [piece for of in cut for piece in [*of, *of[:1] * (most - len(of))]]
-    counted = [1.0 / (len(e) - start.first) * (i < len(of))
-               for e, of in zip(experiments, cut, strict=True) for i in range(most)]  # fmt: skip
-    material = start.start_data(model, filled)
-    tails = [piece[start.first :] for piece in filled]
-    u = input_signals(model, filled, slice(start.first, None)).u
-    q = stack_padded([e.q for e in tails])
-    weight = stack_padded([np.full(len(e), w) for e, w in zip(tails, counted, strict=True)])
-    arrays = (material, u, q, weight)
+    by_record = [pieces(e, samples, start) for e in experiments]
+    most = max(map(len, by_record))
+    segments, weights = [], []
+    for e, own in zip(experiments, by_record, strict=True):
+        for i in range(most):
+            segments.append(own[i] if i < len(own) else own[0])
+            weights.append(1.0 / (len(e) - start.first) * (i < len(own)))
+    tails = [segment[start.first :] for segment in segments]
+    arrays = (
+        start.material(model, segments),
+        input_signals(model, segments, slice(start.first, None)).u,
+        stack_padded([e.q for e in tails]),
+        stack_padded([np.full(len(e), w) for e, w in zip(tails, weights, strict=True)]),
+    )
 
-    def by_record(a: Array | np.ndarray) -> Array:
-        return jnp.asarray(a, jnp.float32).reshape(len(cut), most, *np.shape(a)[1:])
+    def arrange(a: Array | np.ndarray) -> Array:
+        return jnp.asarray(a, jnp.float32).reshape(len(by_record), most, *np.shape(a)[1:])
 
-    return FreeRuns(start, *jax.tree.map(by_record, arrays))
+    return FreeRuns(start, *jax.tree.map(arrange, arrays))

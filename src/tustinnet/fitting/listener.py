@@ -1,4 +1,4 @@
-"""Who is told while a fit goes on, and what."""
+"""Listeners: functions that are called while a fit goes on, and the reports that they get."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -7,7 +7,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class EpochReport:
-    """What an epoch of a member did.
+    """The figures of an epoch of a member.
 
     Attributes:
         stage: the stage's name.
@@ -36,7 +36,7 @@ class EpochReport:
 
 @dataclass(frozen=True)
 class Iteration:
-    """Where the search is.
+    """An iteration of an identification.
 
     Attributes:
         stage: what it is doing.
@@ -54,8 +54,8 @@ class Iteration:
 
 
 @dataclass(frozen=True)
-class SearchedStage:
-    """What a stage of an identification came to.
+class StageResult:
+    """The result of a stage of an identification.
 
     Attributes:
         stage: what it was doing.
@@ -76,22 +76,22 @@ class SearchedStage:
 
 @dataclass(frozen=True)
 class Listener:
-    """Who is told while a fit goes on; each call may be slow.
+    """Functions that are called while a fit goes on; each call may be slow.
 
     Attributes:
-        epoch: of every epoch of every member.
-        state: of a training's state and the members' progress, after every compiled call, which
-            does several epochs, and at the ends of stages: all that a resumed run needs.
-        iteration: of every iteration of an identification.
-        remark: of what is unusual, as a sentence.
-        searched: of every stage of an identification, at its end.
+        on_epoch: with every epoch of every member.
+        on_state: with a training's state and the members' progress, after every compiled call,
+            which does several epochs, and at the ends of stages: all that a resumed run needs.
+        on_iteration: with every iteration of an identification.
+        on_message: with a sentence on what is unusual.
+        on_stage: with every stage of an identification, at its end.
     """
 
-    epoch: Callable[[EpochReport], None] = field(default=lambda report: None)
-    state: Callable[[Any, Any], None] = field(default=lambda state, progress: None)
-    iteration: Callable[[Iteration], None] = field(default=lambda iteration: None)
-    remark: Callable[[str], None] = field(default=lambda sentence: None)
-    searched: Callable[[SearchedStage], None] = field(default=lambda stage: None)
+    on_epoch: Callable[[EpochReport], None] = field(default=lambda report: None)
+    on_state: Callable[[Any, Any], None] = field(default=lambda state, progress: None)
+    on_iteration: Callable[[Iteration], None] = field(default=lambda iteration: None)
+    on_message: Callable[[str], None] = field(default=lambda message: None)
+    on_stage: Callable[[StageResult], None] = field(default=lambda result: None)
 
 
-SILENT = Listener()  # nobody is told
+SILENT = Listener()  # does nothing

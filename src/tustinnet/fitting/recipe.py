@@ -14,9 +14,17 @@ from pydantic import Field, SerializeAsAny, create_model, field_validator, model
 from tustinnet.data.declaration import Declaration, Name, Sentence, declare
 from tustinnet.data.experiment import VelocitySource
 from tustinnet.errors import InputError
-from tustinnet.families.family import Family, Hyper
+from tustinnet.families.family import (
+    Family,
+    Hyper,
+    IdentifiedFamily,
+    IdentifiedHyper,
+    TrainedFamily,
+)
+from tustinnet.models.contract import Model
 from tustinnet.models.integrate import MOST_SUBSTEPS
-from tustinnet.registry import DEFAULT_FAMILY, FAMILIES
+from tustinnet.models.lagrangian import LagrangianSystem
+from tustinnet.registry import FAMILIES, USUAL
 from tustinnet.simulate.starts import start_named
 
 Compared = Literal["position", "state"]
@@ -25,7 +33,7 @@ Kept = Literal[Criterion, "last"]
 Robust = Literal["none", "huber", "student"]
 Initial = Literal["choose", "anchored", "unanchored"]
 
-# far beyond what anybody needs; beyond them memory or patience ends before any message
+# larger values exhaust memory or patience before any message
 _MANY = 10**6  # epochs, samples, windows in a step
 _WINDOWS = 10**7
 _STAGES = 100
@@ -33,8 +41,21 @@ Count = Annotated[int, Field(gt=0, le=_MANY)]
 Horizon = Annotated[float, Field(gt=0, le=_MANY)]  # s
 
 
+def _without_removed_key(content: Any, key: str, unchanged: Any, remedy: str) -> Any:
+    """The content of a table without a key of earlier versions that changes nothing.
+
+    Raises:
+        ValueError: the key has another value than `unchanged`.
+    """
+    if not isinstance(content, Mapping) or key not in content:
+        return content
+    if content[key] != unchanged:
+        raise ValueError(f"`{key}` was removed: {remedy}")
+    return {name: value for name, value in content.items() if name != key}
+
+
 class WindowRecipe(Declaration):
-    """Which windows of the records a stage is trained on.
+    """The windows of the records that a stage is trained on.
 
     Attributes:
         draw: `strided` from the first row on, or `random`.
@@ -57,7 +78,7 @@ class WindowRecipe(Declaration):
     until: Literal["k_bar", "end"] = "end"
 
     @model_validator(mode="after")
-    def _complete(self) -> "WindowRecipe":
+    def _check_draw(self) -> "WindowRecipe":
         if self.draw == "random" and (self.count is None or self.step or self.part != 1.0):
             raise ValueError("random windows take `count`, not `step` or `part`")
         if self.draw == "strided" and (self.step is None) == (self.count is None):
@@ -66,7 +87,7 @@ class WindowRecipe(Declaration):
 
 
 class PlateauRecipe(Declaration):
-    """When the rate is reduced.
+    """The rule by which the rate is reduced.
 
     A criterion is the mean RMSE of the `validation` free runs, the `validation-loss` over the
     windows that the stage's rule gives in the validation records, or the `training` loss.
@@ -83,7 +104,7 @@ class PlateauRecipe(Declaration):
 
 
 class StageRecipe(Declaration):
-    """One stage of training; kinds of models may know more keys.
+    """A stage of training; kinds of models may have further keys.
 
     Attributes:
         name: what it is called.
@@ -100,12 +121,12 @@ class StageRecipe(Declaration):
         decay: `cosine` to let the rate fall to nothing over the stage's epochs, by half a period
             of a cosine (Loshchilov and Hutter, 2017, without restarts).
         keep: the criterion whose lowest value marks the best weights (see `PlateauRecipe`), or
-            `last` for those of the last epoch.
+            `last` for the weights of the last epoch.
         mirror: whether the system behaves alike when all positions, velocities and inputs change
             their sign; in every epoch half of the windows are then mirrored, by chance.
         clip: largest norm of the gradient, if it is limited.
         averaging: share of the running average of the weights that a step of the optimiser
-            leaves; the average is what is validated and kept. None keeps the weights themselves.
+            keeps; the average is what is validated and saved. None saves the weights themselves.
     """
 
     name: Name
@@ -124,29 +145,35 @@ class StageRecipe(Declaration):
     clip: float | None = Field(default=None, gt=0, le=1e6)
     averaging: float | None = Field(default=None, gt=0, lt=1)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _drop_penalty(cls, content: Any) -> Any:
+        remedy = "train fewer epochs, or a smaller correction"
+        return _without_removed_key(content, "penalty", 0.0, remedy)
+
     @model_validator(mode="after")
-    def _one_rule(self) -> "StageRecipe":
+    def _check_rate_and_keep(self) -> "StageRecipe":
         if self.decay and self.plateau:
             raise ValueError("`decay` says the rate of every epoch: leave out `plateau`")
         if self.keep == "last" and self.patience:
-            raise ValueError("`patience` means nothing where the last epoch is kept")
+            raise ValueError("`patience` is not applicable where the last epoch is kept")
         if self.decay and self.patience:
             raise ValueError("`decay` takes all `epochs`: leave out `patience`")
         return self
 
     @property
-    def asks_validation(self) -> bool:
+    def needs_validation(self) -> bool:
         """Whether validation records decide over the weights that are kept, or the rate."""
-        watched = self.plateau.watch if self.plateau else "training"
-        return self.keep.startswith("validation") or watched.startswith("validation")
+        watch = self.plateau.watch if self.plateau else "training"
+        return self.keep.startswith("validation") or watch.startswith("validation")
 
 
 class SearchRecipe(Declaration):
-    """How parameters are identified.
+    """The table `[search]`: how parameters are identified.
 
     Attributes:
         initial: what is done with every record's initial state while identifying. `anchored`:
-            searched for, positions kept near what the encoder read; `unanchored`: searched for
+            searched for, positions kept near the encoder's reading; `unanchored`: searched for
             freely, which lets a model with missing physics start where it fits; `choose`: both,
             and the better free run on the validation records decides (`anchored` without them); or
             a start without a model (`file`, `derived-6`), which is then not searched for.
@@ -154,8 +181,6 @@ class SearchRecipe(Declaration):
         periodic: whether angles are compared by the periodic distance `2 (1 - cos e)`.
         scaled: whether velocities count in units in which they spread as their positions do, see
             `Residual`.
-        times: `recorded`: step from timestamp to timestamp; `nominal`: by the sampling period, for
-            logs whose timestamps jitter more than their sampling does.
         robust: how residuals that are much larger than most are weighed: `none` as all others,
             `huber` less, `student` far less (t with 4 degrees of freedom), see `robust_weights`.
         part: `whole` records, or `transients`: up to `k_bar`, without the standstill after it.
@@ -167,14 +192,13 @@ class SearchRecipe(Declaration):
         substeps: integration steps in a period; none to choose them from the error target, a
             quarter of an encoder count within 2 s.
         refine: start of free runs to which the parameters are fitted once more after the search,
-            as `model-20`; `none` for the parameters as they were found.
+            as `model-20`; `none` for the parameters as the search ends.
     """
 
     initial: Initial | str = "choose"
     loss: Compared = "position"
     periodic: bool = False
     scaled: bool = True
-    times: Literal["recorded", "nominal"] = "recorded"
     robust: Robust = "none"
     part: Literal["whole", "transients"] = "whole"
     method: Literal["levenberg-marquardt"] = "levenberg-marquardt"
@@ -184,23 +208,31 @@ class SearchRecipe(Declaration):
     substeps: int | None = Field(default=None, gt=0, le=MOST_SUBSTEPS)
     refine: str = "none"
 
+    @model_validator(mode="before")
+    @classmethod
+    def _drop_times(cls, content: Any) -> Any:
+        remedy = "to ignore timestamps, give `dt` and no [time] in the data card"
+        return _without_removed_key(content, "times", "recorded", remedy)
+
     @field_validator("initial")
     @classmethod
-    def _known(cls, initial: str) -> str:
+    def _check_initial(cls, initial: str) -> str:
         if initial in get_args(Initial):
             return initial
         start = start_named(initial, "")
-        if start.first or start.fitted_samples:
-            what = "after the first sample" if start.first else "that is fitted through the model"
-            instead = "" if start.first else "; `refine` fits the parameters to free runs from it"
+        expected = "expected choose, anchored, unanchored, file or derived-6"
+        if start.first:
+            raise ValueError(f"a start after the first sample; {expected}")
+        if start.fitted:
             raise ValueError(
-                f"a start {what}; expected choose, anchored, unanchored, file or derived-6{instead}"
+                f"a start that is fitted through the model; {expected}; `refine` fits the "
+                "parameters to free runs from it"
             )
         return start.name
 
     @field_validator("refine")
     @classmethod
-    def _starts(cls, refine: str) -> str:
+    def _check_refine(cls, refine: str) -> str:
         if refine == "none":
             return refine
         start = start_named(refine, "")
@@ -212,12 +244,12 @@ class SearchRecipe(Declaration):
 
 
 class Recipe(Declaration):
-    """How a model is built and fitted.
+    """A recipe: how a model is built and fitted.
 
     Attributes:
         name: what it is called.
         description: a sentence for people.
-        model: the kind of model and what there is to say of it.
+        model: the table `[model]`, the kind of model and its keys.
     """
 
     name: Name
@@ -231,56 +263,78 @@ class Recipe(Declaration):
 
     @property
     @abstractmethod
-    def asks_validation(self) -> bool:
+    def needs_validation(self) -> bool:
         """Whether validation records decide over anything while a model is fitted."""
+
+    @property
+    @abstractmethod
+    def longest_run(self) -> float | None:
+        """Length of the longest free run that is compared [s], None for whole records."""
+
+    def from_model(self, model: Model, system: LagrangianSystem | None) -> "Recipe":
+        """The recipe of a fit that begins with a fitted model of its kind.
+
+        Args:
+            model: the fitted model.
+            system: the system whose parameters are identified, if any.
+
+        Raises:
+            InputError: a model of another kind.
+        """
+        self.family.require_own(model)
+        return self
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled as data: the class of a recipe is made where it is first needed."""
-        return declared, (self.content, f"recipe '{self.name}'")
+        return declare_recipe, (self.content, f"recipe '{self.name}'")
 
     @property
     def content(self) -> dict[str, Any]:
-        """What a file would say: without keys that were left out, lists instead of tuples."""
+        """The content of its file: without keys that were left out, lists instead of tuples."""
         return self.model_dump(mode="json", exclude_unset=True)
 
 
 class TrainingRecipe(Recipe):
-    """How a model with weights is trained.
+    """The recipe of a model with weights, which are trained.
 
     Attributes:
         name: what it is called.
         description: a sentence for people.
-        model: the kind of model and what there is to say of it.
+        model: the table `[model]`, the kind of model and its keys.
         velocity: where the training velocities come from (`Experiment.velocities`).
         start: where the validation free runs start; when left out, the model's warm-up if it
             needs one, else `file` where velocities are stored, else `derived-6`.
         horizon: how long a validation free run lasts at most [s]: longer records are cut end to
             end into segments with a start each; none for whole records.
-        rates: factors of the stages' rates; the command `fit` and `fit_many` train every seed
-            with each.
         stages: at least one.
     """
 
     velocity: VelocitySource = "auto"
     start: str | None = None
     horizon: Horizon | None = None
-    rates: tuple[Annotated[float, Field(ge=1e-6, le=1e6)], ...] = Field(
-        default=(1.0,), min_length=1, max_length=_STAGES
-    )
     stages: list[SerializeAsAny[StageRecipe]] = Field(min_length=1, max_length=_STAGES)
+
+    @property
+    def family(self) -> TrainedFamily:
+        """The family of its models."""
+        return FAMILIES[self.model.kind]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _drop_rates(cls, content: Any) -> Any:
+        remedy = "train each by itself with --set stages.*.rate=RATE, or use tn.fit_many(rates=...)"
+        return _without_removed_key(content, "rates", [1.0], remedy)
 
     @field_validator("start")
     @classmethod
-    def _known(cls, start: str | None) -> str | None:
+    def _check_start(cls, start: str | None) -> str | None:
         return start and start_named(start, "").name
 
     @model_validator(mode="after")
-    def _stages_fit(self) -> "TrainingRecipe":
+    def _check_stages(self) -> "TrainingRecipe":
         names = [stage.name for stage in self.stages]
         if len(set(names)) < len(names):
             raise ValueError("two stages have the same name")
-        if len(set(self.rates)) < len(self.rates):
-            raise ValueError("two of the rates are the same")
         for stage in self.stages:
             try:
                 self.family.check(self.model, stage)
@@ -289,50 +343,67 @@ class TrainingRecipe(Recipe):
         return self
 
     @property
-    def asks_validation(self) -> bool:
+    def needs_validation(self) -> bool:
         """Whether validation records choose the epochs or the rate of a stage."""
-        return any(stage.asks_validation for stage in self.stages)
+        return any(stage.needs_validation for stage in self.stages)
 
-    def each(self, **changes: Any) -> "TrainingRecipe":
-        """The same recipe with other values in every stage."""
+    @property
+    def longest_run(self) -> float | None:
+        """Length of the longest validation free run [s], None for whole records."""
+        return self.horizon
+
+    def with_stages(self, **changes: Any) -> "TrainingRecipe":
+        """This recipe with other values in every stage."""
         stages = [stage.model_copy(update=changes) for stage in self.stages]
         return self.model_copy(update={"stages": stages})
 
 
-def rates_of(recipe: Recipe) -> tuple[float, ...]:
-    """The factors with which every seed is trained; an identification is like one training."""
-    return recipe.rates if isinstance(recipe, TrainingRecipe) else (1.0,)
-
-
 class IdentificationRecipe(Recipe):
-    """How the parameters of a system are identified.
+    """The recipe of a system whose parameters are identified.
 
     Attributes:
         name: what it is called.
         description: a sentence for people.
-        model: the kind of model and what there is to say of it.
+        model: the table `[model]`, the kind of model and its keys.
         search: how to search.
     """
 
+    model: SerializeAsAny[IdentifiedHyper]  # pyright: ignore[reportIncompatibleVariableOverride]
     search: SearchRecipe = SearchRecipe()
 
     @property
-    def asks_validation(self) -> bool:
+    def family(self) -> IdentifiedFamily:
+        """The family of its models."""
+        return FAMILIES[self.model.kind]
+
+    @property
+    def needs_validation(self) -> bool:
         """Whether validation records choose how initial states are treated."""
         return self.search.initial == "choose"
 
+    @property
+    def longest_run(self) -> float | None:
+        """Length of the longest segment that is compared [s], None for whole records."""
+        return self.search.horizon
 
-def horizon_of(recipe: Recipe) -> float | None:
-    """The horizon that a recipe asks for [s], None for none."""
-    if isinstance(recipe, IdentificationRecipe):
-        return recipe.search.horizon
-    return recipe.horizon if isinstance(recipe, TrainingRecipe) else None
+    def from_model(self, model: Model, system: LagrangianSystem | None) -> "IdentificationRecipe":
+        """The recipe of an identification that begins at the values of an identified model.
+
+        Args:
+            model: the identified model.
+            system: the system whose parameters are identified.
+
+        Raises:
+            InputError: a model of another kind.
+        """
+        table = self.family.with_initial_values(self.model, model, system)
+        return self.model_copy(update={"model": table})
 
 
 @cache
-def recipe_type(family: Family) -> type[Recipe]:
-    """What a recipe of a family may say."""
-    if not family.trains:
+def recipe_type(family: TrainedFamily | IdentifiedFamily) -> type[Recipe]:
+    """The type of the recipes of a family, with its keys of `[model]` and of stages."""
+    if isinstance(family, IdentifiedFamily):
         return create_model(
             "IdentificationRecipe", __base__=IdentificationRecipe, model=(family.hyper, ...)
         )
@@ -345,11 +416,11 @@ def recipe_type(family: Family) -> type[Recipe]:
     )
 
 
-def declared(content: Mapping[str, Any], where: object) -> Recipe:
-    """The recipe that a mapping declares; without `kind` it is that of the usual family.
+def declare_recipe(content: Mapping[str, Any], where: object) -> Recipe:
+    """The recipe that a mapping declares; of the family `tustin-net` where it names no `kind`.
 
     Args:
-        content: what a file of a recipe says.
+        content: the content of a file of a recipe.
         where: what is declared, for messages.
 
     Raises:
@@ -358,12 +429,12 @@ def declared(content: Mapping[str, Any], where: object) -> Recipe:
     table = content.get("model", {})
     if not isinstance(table, dict):
         raise InputError(f"{where}, model", f"{table!r}", 'a table with `kind = "..."`')
-    kind = str(table.get("kind", DEFAULT_FAMILY))
-    known = [name for name in FAMILIES.names() if not FAMILIES[name].instead]
-    if kind not in known:
-        exists = kind in FAMILIES
-        what = f"kind '{kind}', made of other models" if exists else f"no kind of model '{kind}'"
-        instead = FAMILIES[kind].instead if exists else ""
-        raise InputError(f"{where}, model.kind", what, f"one of {', '.join(known)}", instead)
+    kind = str(table.get("kind", USUAL))
+    kinds = [name for name in FAMILIES.names() if not FAMILIES[name].remedy]
+    if kind not in kinds:
+        problem, remedy = f"no kind of model '{kind}'", ""
+        if kind in FAMILIES:
+            problem, remedy = f"kind '{kind}', made of other models", FAMILIES[kind].remedy
+        raise InputError(f"{where}, model.kind", problem, f"one of {', '.join(kinds)}", remedy)
     complete = {**content, "model": {"kind": kind, **table}}
     return declare(complete, recipe_type(FAMILIES[kind]), where)

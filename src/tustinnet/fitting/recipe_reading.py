@@ -1,4 +1,4 @@
-"""Recipes read: packaged ones, TOML files and mappings, with single values changed."""
+"""Reading of recipes: packaged ones, TOML files and mappings, with single values changed."""
 
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -8,7 +8,7 @@ from typing import Any
 
 from tustinnet.data.declaration import list_packaged, parse_toml, read_packaged, require_plain
 from tustinnet.errors import InputError, convert_errors
-from tustinnet.fitting.recipe import Recipe, declared
+from tustinnet.fitting.recipe import Recipe, declare_recipe
 from tustinnet.registry import RECIPE_HOMES
 
 
@@ -20,7 +20,7 @@ def packaged_recipes() -> list[str]:
 def read_recipe(
     which: "str | Path | Mapping[str, Any] | Recipe", changes: Sequence[str] = ()
 ) -> Recipe:
-    """A packaged recipe by name, or a recipe from a TOML file, or from the same as a mapping.
+    """A packaged recipe by name, or a recipe from a TOML file or a mapping.
 
     Args:
         which: the recipe.
@@ -30,7 +30,10 @@ def read_recipe(
     Raises:
         InputError: no such recipe; an unknown key, one that is changed twice, or a wrong value.
     """
-    _require_once(changes)
+    keys = [change.partition("=")[0].strip() for change in changes]
+    for i, key in enumerate(keys):
+        if key in keys[:i]:
+            raise InputError("--set", f"'{key}' twice", "once")
     if isinstance(which, Recipe):
         if not changes:
             return which
@@ -41,18 +44,11 @@ def read_recipe(
     else:
         content, where = read_packaged(which, RECIPE_HOMES)
     for change in changes:
-        _change(content, change)
-    return declared(content, where)
+        _apply_change(content, change)
+    return declare_recipe(content, where)
 
 
-def _require_once(changes: Sequence[str]) -> None:
-    keys = [change.partition("=")[0].strip() for change in changes]
-    for i, key in enumerate(keys):
-        if key in keys[:i]:
-            raise InputError("--set", f"'{key}' twice", "once")
-
-
-def _change(content: dict[str, Any], change: str) -> None:
+def _apply_change(content: dict[str, Any], change: str) -> None:
     """Puts the value of `KEY=VALUE` into the content of a recipe."""
     key, equals, text = change.partition("=")
     if not equals or not key.strip():
@@ -60,24 +56,25 @@ def _change(content: dict[str, Any], change: str) -> None:
     *path, last = key.strip().split(".")
     places: list[Any] = [content]
     for part in path:
-        places = [found for place in places for found in _inside(place, part, change)]
+        inner = []
+        for place in places:
+            if isinstance(place, list):
+                inner += [place[i] for i in _indices(place, part, change)]
+            elif isinstance(place.setdefault(part, {}), dict | list):
+                inner.append(place[part])
+            else:
+                raise InputError("--set", f"'{change}': '{part}' is no table", "a key of a table")
+        places = inner
     for place in places:
         if isinstance(place, list):
             for index in _indices(place, last, change):
-                place[index] = _value(text)
+                place[index] = _parse_value(text)
         else:
-            place[last] = _value(text)
-
-
-def _inside(place: Any, part: str, change: str) -> list[Any]:
-    if isinstance(place, list):
-        return [place[i] for i in _indices(place, part, change)]
-    if not isinstance(place.setdefault(part, {}), dict | list):
-        raise InputError("--set", f"'{change}': '{part}' is no table", "a key of a table")
-    return [place[part]]
+            place[last] = _parse_value(text)
 
 
 def _indices(place: Sequence[Any], part: str, change: str) -> Sequence[int]:
+    """The indices that a part of a key names in a list."""
     if part == "*":
         return range(len(place))
     if not part.isdigit() or int(part) >= len(place):
@@ -88,7 +85,8 @@ def _indices(place: Sequence[Any], part: str, change: str) -> Sequence[int]:
     return [int(part)]
 
 
-def _value(text: str) -> Any:
+def _parse_value(text: str) -> Any:
+    """A value as TOML has it; a text also without quotes."""
     with convert_errors("--set", f"'{text.strip()[:30]}'", "a value as TOML has it"):
         try:
             content = parse_toml(f"value = {text}")

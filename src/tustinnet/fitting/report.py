@@ -1,4 +1,4 @@
-"""The account of a fit: what every way of fitting returns, and the same in plain values."""
+"""Results of fits: what training and identification return, and their plain values for files."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -20,18 +20,18 @@ FINISHED = "finished"
 
 @dataclass(frozen=True)
 class Estimate:
-    """One parameter as identified.
+    """An identified parameter.
 
     Attributes:
         name: the parameter.
         unit: its SI unit.
-        value: the value found.
-        error: standard error to trust, None where the value stands at the end of its range.
+        value: the identified value.
+        error: standard error to trust, None where the value is at its bound.
         naive_error: standard error from `J'J`, which takes residuals for independent noise.
         interval: 95 % interval that goes with `error`, or None.
         lower: smallest value allowed.
         upper: largest.
-        bound: `lower` or `upper` where it stands at the end of its range, else "".
+        bound: `lower` or `upper` where it is at this bound, else "".
     """
 
     name: str
@@ -64,7 +64,7 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Side:
-    """What some of the records say of a parameter by themselves.
+    """The estimate of a parameter from some of the records alone.
 
     Attributes:
         what: the records: a record's name, a group's value as `payload=1kg`, `the 5 others`.
@@ -85,8 +85,8 @@ class Disagreement:
         parameter: its name.
         unit: its SI unit.
         group: the group that divides the records, empty where one record contradicts the others.
-        sides: what the records of either side say; a contradicting record comes first.
-        chance: probability of one such difference among all that were looked at, if they agreed.
+        sides: the estimates of either side; a contradicting record comes first.
+        chance: probability of one such difference among all that were tested, if they agreed.
     """
 
     parameter: str
@@ -97,12 +97,12 @@ class Disagreement:
 
 
 @dataclass(frozen=True)
-class Refined:
-    """What fitting parameters once more to free runs came to.
+class Refit:
+    """The result of fitting parameters once more to free runs.
 
     Attributes:
         before: mean free-run RMSE of the training records before it [rad or m].
-        after: the same after it.
+        after: mean free-run RMSE of the training records after it [rad or m].
         iterations: how many steps were taken.
         values: the parameters that were searched for, by name.
     """
@@ -115,11 +115,11 @@ class Refined:
 
 @dataclass(frozen=True)
 class Identification:
-    """What an identification found.
+    """The result of an identification.
 
     Attributes:
         system: the system.
-        model: the model with the values found, or as `refined`.
+        model: the model with the identified values, or those of `refit`.
         estimates: the parameters that were searched for.
         fixed: the parameters that were not, by name.
         correlation: of the estimates' errors, (n_p, n_p), NaN for those at a bound.
@@ -134,8 +134,8 @@ class Identification:
         autocorrelation: of the residuals from one sample to the next, per channel, (n_y,).
         disagreements: what records disagree about, by group and one by one.
         initial: how initial states were treated, see `SearchRecipe`.
-        initial_states: those found at the records' beginnings, by name, (n_x,) each.
-        start: where the free runs start that judge: the usual start; over a horizon of 20 samples
+        initial_states: the estimated states at the records' beginnings, by name, (n_x,) each.
+        start: the start of the free runs that rank: the default start; over a horizon of 20 samples
             or more `model-20`.
         horizons: length of the segments [s] that records were compared over, by name; validation
             records too. Records that are not named were compared as a whole.
@@ -144,8 +144,8 @@ class Identification:
         iterations: of the last stage.
         seconds: time it took.
         downweighted: stretches that weigh less than half, where the search was robust.
-        refined: the values of the model and what they are worth, where a recipe asks for them to
-            be fitted once more; `estimates`, their errors and `rmse` are of the search before it.
+        refit: the values of the model and what they are worth, where the recipe has a second fit
+            to free runs; `estimates`, their errors and `rmse` are of the search before it.
     """
 
     system: LagrangianSystem
@@ -171,7 +171,7 @@ class Identification:
     iterations: int
     seconds: float = 0.0
     downweighted: tuple[Stretch, ...] = ()
-    refined: Refined | None = None
+    refit: Refit | None = None
 
     @property
     def sound(self) -> bool:
@@ -180,16 +180,16 @@ class Identification:
 
     @property
     def horizon(self) -> float | None:
-        """How long the validation free runs last at most [s], None where they are whole records."""
+        """Length of the longest validation free run [s], None where they are whole records."""
         return min(self.horizons.values(), default=None)
 
     @property
     def values(self) -> dict[str, float]:
-        """All values found by the search, by name, those fixed included."""
+        """All values after the search, by name, those fixed included."""
         return dict(self.fixed) | {e.name: e.value for e in self.estimates}
 
     def as_plain(self) -> dict[str, Any]:
-        """The same as plain values, as files have it."""
+        """The identification as plain values, as files have it."""
         return {
             "system": self.system.name,
             "converged": self.converged,
@@ -208,7 +208,7 @@ class Identification:
             "downweighted": [dataclasses.asdict(s) for s in self.downweighted],
             "disagreements": [dataclasses.asdict(d) for d in self.disagreements],
             "initial_states": {name: list(x) for name, x in self.initial_states.items()},
-            **({"refined": dataclasses.asdict(self.refined)} if self.refined else {}),
+            **({"refined": dataclasses.asdict(self.refit)} if self.refit else {}),
         }
 
 
@@ -230,7 +230,7 @@ class FitResult:
             `windows`, `window_lengths`, `epochs` of each stage and `kept_epoch`, the epoch of the
             last one whose weights the model has; `identification` has the estimates.
         findings: what one should know before using the model, in plain language.
-        identification: all that an identification found, None of a training.
+        identification: the result of an identification, None of a training.
     """
 
     model: Model
@@ -248,7 +248,7 @@ class FitResult:
 
     @property
     def seed(self) -> int:
-        """The seed."""
+        """The seed of the member."""
         return self.member.seed
 
     @property
@@ -258,16 +258,16 @@ class FitResult:
 
     @property
     def failure(self) -> str:
-        """What went wrong, of a fit that is not sound: a reversed sign first, else the outcome."""
-        found = self.identification
-        return self.findings[0] if found and found.reversed_signs else self.outcome
+        """The failure of a fit that is not sound: a reversed sign first, else the outcome."""
+        result = self.identification
+        return self.findings[0] if result and result.reversed_signs else self.outcome
 
-    def told(self, key: str) -> Any:
+    def detail(self, key: str) -> Any:
         """One of the details, None where this way of fitting does not have it."""
-        return next((of[key] for of in self.details.values() if key in of), None)
+        return next((values[key] for values in self.details.values() if key in values), None)
 
     def as_header(self) -> dict[str, Any]:
-        """What a model file says of the fit."""
+        """The entries of a model file's header on the fit."""
         common = {
             "seed": self.seed,
             "rate": self.member.rate,
@@ -276,12 +276,12 @@ class FitResult:
         }
         return {
             "recipe": self.recipe.model_dump(mode="json"),
-            **{way: {**common, **of} for way, of in self.details.items()},
+            **{way: {**common, **values} for way, values in self.details.items()},
         }
 
 
 def data_header(name: str, records: Sequence[Experiment]) -> dict[str, Any]:
-    """The records that a model was made from, with their checksums."""
+    """The header entries on the records that a model was made from, with their checksums."""
     return {
         "name": name,
         "records": [

@@ -1,4 +1,4 @@
-"""What is compared: the one residual that training and identification share."""
+"""The residual: how simulated and recorded states are compared, in every kind of fit."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,10 +12,10 @@ from tustinnet.data.experiment import Experiment, moving_coordinates
 from tustinnet.engine import equations as engine
 from tustinnet.fitting.recipe import Robust, SearchRecipe, StageRecipe
 
-_NOTHING = 1.0  # the unit of a signal that never changes
+_STILL_UNIT = 1.0  # the unit of a signal that never changes
 TO_DEVIATION = 1.4826  # the standard deviation of normal residuals over their median size
 _HUBER = 1.345  # standard deviations from which on a residual weighs less
-_FREEDOM = 4.0  # degrees of Student's t
+_DEGREES_OF_FREEDOM = 4.0  # of Student's t
 _LEAST_SCALE = 1e-12  # where most residuals are 0
 
 
@@ -40,24 +40,24 @@ class Residual:
 
     @property
     def channels(self) -> int:
-        """`n_y`, how many channels are compared."""
+        """`n_y`, the number of channels that are compared."""
         return len(self.unit)
 
     @property
     def weight(self) -> Float[np.ndarray, " n_y"]:
-        """One over the units."""
+        """The inverse units."""
         return 1.0 / np.array(self.unit)
 
-    def bent(self, error: Float[Array, "*any n_y"]) -> Float[Array, "*any n_y"]:
-        """Errors as they count, without units."""
+    def wrapped_residual(self, error: Float[Array, "*any n_y"]) -> Float[Array, "*any n_y"]:
+        """Residuals of errors before they are divided by the units; periodic ones are wrapped."""
         if not any(self.periodic):
             return error
         return jnp.where(np.array(self.periodic), 2 * jnp.sin(error / 2), error)
 
     @property
-    def as_compared(self) -> engine.ResidualFormula:
-        """How errors count, without units, for simulations with derivatives."""
-        return _as_compared(self.periodic)
+    def formula(self) -> engine.ResidualFormula:
+        """The wrapped residual for simulations with derivatives, without units."""
+        return _residual_formula(self.periodic)
 
     def window_loss(
         self, simulated: Float[Array, "samples n_x"], target: Float[Array, "samples n_x"]
@@ -70,24 +70,28 @@ class Residual:
         """
         error = (simulated - target)[1:, : self.channels]
         weight = jnp.asarray(self.weight, error.dtype)
-        return jnp.mean(jnp.sum((weight * self.bent(error)) ** 2, axis=1))
+        return jnp.mean(jnp.sum((weight * self.wrapped_residual(error)) ** 2, axis=1))
 
 
 @lru_cache  # what was read once is not read again
-def _as_compared(periodic: tuple[bool, ...]) -> engine.ResidualFormula:
-    return engine.ResidualFormula(Residual(periodic, (1.0,) * len(periodic)).bent, len(periodic))
+def _residual_formula(periodic: tuple[bool, ...]) -> engine.ResidualFormula:
+    return engine.ResidualFormula(
+        Residual(periodic, (1.0,) * len(periodic)).wrapped_residual, len(periodic)
+    )
 
 
-def residual_of(recipe: StageRecipe | SearchRecipe, experiments: Sequence[Experiment]) -> Residual:
-    """The residual that a recipe asks for.
+def make_residual(
+    recipe: StageRecipe | SearchRecipe, experiments: Sequence[Experiment]
+) -> Residual:
+    """The residual that a recipe describes, in units of the training records.
 
     Scaled, each velocity counts in the unit in which it spreads as much as its position does, and
     where coordinates are of different kinds each position is measured by its spread. Not scaled,
     all channels count in SI units, but for lengths in a training.
 
     A training counts lengths in their spread, rounded to a power of two: else its rate, its clip
-    and Adam's epsilon would mean something else for a stage of 0.1 mm than for one of 1 m. (Not so
-    angles: their radian means the same everywhere.) The rounding lets folds share a program.
+    and Adam's epsilon would act differently on a stage of 0.1 mm and on one of 1 m. (Angles need
+    no such unit: a radian is the same everywhere.) The rounding lets folds share a program.
 
     Args:
         recipe: the keys `loss`, `periodic` and `scaled` of it.
@@ -101,16 +105,16 @@ def residual_of(recipe: StageRecipe | SearchRecipe, experiments: Sequence[Experi
         moving_coordinates(experiments), _spread([e.q.var(axis=0) for e in experiments]), 0.0
     )
     length = ~channels.angular & (span > 0) & isinstance(recipe, StageRecipe)
-    plain = np.where(length, 2.0 ** np.round(np.log2(np.where(length, span, 1.0))), _NOTHING)
+    plain = np.where(length, 2.0 ** np.round(np.log2(np.where(length, span, 1.0))), _STILL_UNIT)
     if not recipe.scaled:
         return Residual(periodic, tuple(np.tile(plain, 2 if state else 1).tolist()))
     mixed = len({c.kind for c in channels.coordinates}) > 1
-    position = np.where(span > 0, span, _NOTHING) if mixed else plain
+    position = np.where(span > 0, span, _STILL_UNIT) if mixed else plain
     if not state:
         return Residual(periodic, tuple(position.tolist()))
     speed = _spread([np.mean(e.velocities() ** 2, axis=0) for e in experiments])
-    speed = np.where(speed > 0, speed, _NOTHING)
-    # a coordinate that never moves has no say
+    speed = np.where(speed > 0, speed, _STILL_UNIT)
+    # a coordinate that never moves does not count
     velocity = np.where(span > 0, position * speed / np.where(span > 0, span, 1.0), np.inf)
     return Residual(periodic, (*position.tolist(), *velocity.tolist()))
 
@@ -118,16 +122,16 @@ def residual_of(recipe: StageRecipe | SearchRecipe, experiments: Sequence[Experi
 def robust_weights(
     kind: Robust, errors: Float[np.ndarray, "n n_y"], counts: Float[np.ndarray, " n_q"]
 ) -> Float[np.ndarray, "n n_y"]:
-    """What every squared residual weighs in the next of iteratively reweighted least squares.
+    """The weights of squared residuals in the next step of iteratively reweighted least squares.
 
     With `z` the residual over its channel's scale: `min(1, 1.345 / |z|)` (Huber), or
     `1 / (1 + z^2 / 4)` (Student's t). The scale is 1.4826 times the median absolute deviation,
     never below the error that rounding to an encoder's counts makes.
 
     Args:
-        kind: which weights.
+        kind: the rule.
         errors: simulated minus measured, (n, n_y) [rad, m, or over s].
-        counts: the encoders' counts, 0 where none is known, (n_q,) [rad or m].
+        counts: the encoders' counts, 0 where unknown, (n_q,) [rad or m].
 
     Returns:
         Weights of 0 to 1.
@@ -145,8 +149,9 @@ def robust_weights(
     z = np.abs(errors) / np.maximum(TO_DEVIATION * deviation, least)
     if kind == "huber":
         return _HUBER / np.maximum(z, _HUBER)
-    return 1 / (1 + z**2 / _FREEDOM)
+    return 1 / (1 + z**2 / _DEGREES_OF_FREEDOM)
 
 
 def _spread(squares: Sequence[np.ndarray]) -> np.ndarray:
+    """The square root of the mean over records."""
     return np.sqrt(np.mean(squares, axis=0))

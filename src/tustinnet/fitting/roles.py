@@ -1,4 +1,4 @@
-"""Which records train, which choose and judge: one rule for everything that fits."""
+"""Roles of records: which train, which choose and rank; one rule for everything that fits."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ TRAIN, VALIDATION = "train", "validation"
 
 @dataclass(frozen=True)
 class Roles:
-    """What the records of a data set are for.
+    """The records of a data set by what they are for.
 
     Attributes:
         train: the model is fitted to them.
@@ -22,22 +22,22 @@ class Roles:
     validation: tuple[Experiment, ...]
 
     @property
-    def judging(self) -> tuple[Experiment, ...]:
-        """The records whose free runs rank what was fitted: validation, or training without."""
+    def ranking(self) -> tuple[Experiment, ...]:
+        """The records whose free runs rank the fits: validation, or training without."""
         return self.validation or self.train
 
     @property
-    def judged(self) -> str:
-        """The name of their split."""
+    def ranking_split(self) -> str:
+        """The name of the split of the ranking records."""
         return VALIDATION if self.validation else TRAIN
 
     @property
     def all(self) -> tuple[Experiment, ...]:
-        """All of them."""
+        """All records, training records first."""
         return (*self.train, *self.validation)
 
 
-def roles(data: DataSet) -> Roles:
+def assign_roles(data: DataSet) -> Roles:
     """The split `train` trains, `validation` chooses; `test` records take part in nothing.
 
     A data set without splits is trained on as a whole.
@@ -53,5 +53,5 @@ def roles(data: DataSet) -> Roles:
             "use tn.load(folder) or tn.DataSet(name, experiments)",
         )
     train = data.split(TRAIN) if data.splits else data
-    chosen = data.split(VALIDATION) if VALIDATION in data.splits else ()
-    return Roles(tuple(train), tuple(chosen))
+    validation = data.split(VALIDATION) if VALIDATION in data.splits else ()
+    return Roles(tuple(train), tuple(validation))

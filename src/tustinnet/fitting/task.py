@@ -1,4 +1,4 @@
-"""What is to be fitted: records, a recipe, members that may be fitted together."""
+"""Tasks: records, a recipe, and members that may be fitted together."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -8,15 +8,15 @@ from typing import Any
 from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
 from tustinnet.families.family import family_of
-from tustinnet.fitting.recipe import Recipe, rates_of
+from tustinnet.fitting.recipe import IdentificationRecipe, Recipe, TrainingRecipe
 from tustinnet.fitting.recipe_reading import read_recipe
-from tustinnet.fitting.roles import Roles, roles
+from tustinnet.fitting.roles import Roles, assign_roles
 from tustinnet.models.contract import Model, require_fit
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.systems.files import AnySystem, MadeForRecords, to_identify
 
 DEFAULT_RECIPE = "standard"
-_DEFAULT_FOR = {"system": "grey", "physics": "best-hybrid"}  # where one of them is given
+_DEFAULT_RECIPES = {"system": "grey", "physics": "best-hybrid"}  # where one of them is given
 
 AnyRecipe = Recipe | str | Path | Mapping[str, Any]
 
@@ -37,7 +37,7 @@ class Member:
 
     @property
     def name(self) -> str:
-        """What it is called in files and messages."""
+        """The name of the member in files and messages."""
         fold = f"fold-{self.fold}-" if self.fold else ""
         return f"{fold}seed-{self.seed}" + ("" if self.rate == 1.0 else f"-rate-{self.rate:g}")
 
@@ -48,11 +48,11 @@ class Origin:
 
     Attributes:
         model: the model.
-        account: what the files of the fit say of it.
+        provenance: its file and records, as the files of the fit name them.
     """
 
     model: Model
-    account: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Fold:
     """The records of a fit, the physics that it corrects, and the model that it begins with.
 
     Attributes:
-        roles: which records train, which choose.
+        roles: the records that train, and those that choose.
         physics: the model that a network corrects, or None.
         origin: the model whose weights are trained on, or None to begin anew.
     """
@@ -86,8 +86,32 @@ class Task:
     members: tuple[Member, ...] = (Member(),)
     system: LagrangianSystem | MadeForRecords | None = None
 
-    def of(self, members: Sequence[Member]) -> "Task":
-        """The same for some of the members."""
+    @property
+    def training_recipe(self) -> TrainingRecipe:
+        """The recipe, of a training.
+
+        Raises:
+            InputError: the recipe of an identification.
+        """
+        if not isinstance(self.recipe, TrainingRecipe):
+            raise InputError(f"recipe '{self.recipe.name}'", "nothing to train",
+                             "a recipe with stages")  # fmt: skip
+        return self.recipe
+
+    @property
+    def identification_recipe(self) -> IdentificationRecipe:
+        """The recipe, of an identification.
+
+        Raises:
+            InputError: the recipe of a training.
+        """
+        if not isinstance(self.recipe, IdentificationRecipe):
+            raise InputError(f"recipe '{self.recipe.name}'", "nothing to identify",
+                             "a recipe of a kind that is identified")  # fmt: skip
+        return self.recipe
+
+    def with_members(self, members: Sequence[Member]) -> "Task":
+        """This task for some of the members."""
         return replace(self, members=tuple(members))
 
 
@@ -100,7 +124,7 @@ def make_task(
     system: AnySystem | None = None,
     origin: Origin | None = None,
 ) -> Task:
-    """What is to be fitted, checked.
+    """Makes a task after checking that its parts fit together.
 
     Args:
         data: the records.
@@ -114,63 +138,45 @@ def make_task(
             its values.
 
     Raises:
-        InputError: something is given that the recipe has no use for, or something is missing.
+        InputError: an argument that is not applicable to the recipe, or one that is missing.
     """
-    given = {"system": system, "physics": physics}
-    usual = usual_recipe(system=system is not None, physics=physics is not None)
-    chosen = read_recipe(usual if recipe is None else recipe)
-    family = chosen.family
+    if recipe is None:
+        recipe = default_recipe_name(system=system is not None, physics=physics is not None)
+    recipe = read_recipe(recipe)
+    family = recipe.family
     if origin is not None:
-        family.require_own(origin.model.dynamics)
-        given["physics"] = physics = physics or family.corrected(origin.model.dynamics)
+        family.require_own(origin.model)
+        if physics is None and isinstance(recipe, TrainingRecipe):
+            physics = recipe.family.physics_in(origin.model)
     if system is None:
-        given["system"] = system = system_for(chosen, None)
-    for what, thing in given.items():
+        system = resolve_system(recipe, None)
+    for name, part in {"system": system, "physics": physics}.items():
         kind = f"a recipe of kind '{family.kind}'"
-        if thing is None and what in family.needs:
-            raise InputError(f"recipe '{chosen.name}'", f"no {what}", f"a {what}: --{what} ...",
+        if part is None and name in family.needs:
+            raise InputError(f"recipe '{recipe.name}'", f"no {name}", f"a {name}: --{name} ...",
                              f"{kind} needs it")  # fmt: skip
-        if thing is not None and what not in family.needs:
-            raise InputError(f"--{what}", f"means nothing to {kind}",
-                             f"a recipe that takes a {what}",
-                             f"leave it out, or add --recipe {_DEFAULT_FOR[what]}")  # fmt: skip
+        if part is not None and name not in family.needs:
+            raise InputError(f"--{name}", f"not applicable to {kind}",
+                             f"a recipe that takes a {name}",
+                             f"leave it out, or add --recipe {_DEFAULT_RECIPES[name]}")  # fmt: skip
     if physics is not None and not family_of(physics).correctable:
         raise InputError(
             "--physics", f"a model of kind '{family_of(physics).kind}', which is trained already",
             "a model that a network can correct", "identify one with --system first",
         )  # fmt: skip
-    _require_members(members, chosen)
-    found = None if system is None else to_identify(system)
+    _require_members(members, recipe)
+    loaded = None if system is None else to_identify(system)
     if origin is not None:
         for e in data:
             require_fit(origin.model, e)
-        if not family.trains:
-            known = found.of(list(data)) if isinstance(found, MadeForRecords) else found
-            table = family.beginning(chosen.model, origin.model, known)
-            chosen = chosen.model_copy(update={"model": table})
-    return Task(chosen, (Fold(roles(data), physics, origin),), tuple(members), found)
-
-
-def system_for(recipe: Recipe, given: AnySystem | None) -> LagrangianSystem | MadeForRecords | None:
-    """The system whose parameters a recipe identifies: what is given, or else what it names.
-
-    None for recipes that identify none, and where nobody says which.
-    """
-    if "system" not in recipe.family.needs:
-        return None
-    which = getattr(recipe.model, "system", None) if given is None else given
-    return None if which is None else to_identify(which)
-
-
-def usual_recipe(*, system: bool, physics: bool) -> str:
-    """The recipe where nobody names one, by what is given."""
-    if physics:
-        return _DEFAULT_FOR["physics"]
-    return _DEFAULT_FOR["system"] if system else DEFAULT_RECIPE
+        for_records = loaded.of(list(data)) if isinstance(loaded, MadeForRecords) else loaded
+        recipe = recipe.from_model(origin.model, for_records)
+    return Task(recipe, (Fold(assign_roles(data), physics, origin),), tuple(members), loaded)
 
 
 def _require_members(members: Sequence[Member], recipe: Recipe) -> None:
-    if not recipe.family.trains and list(members) != [Member()]:
+    """Raises unless seeds and rates of members are possible for a recipe, and all different."""
+    if isinstance(recipe, IdentificationRecipe) and list(members) != [Member()]:
         raise InputError(
             "seeds", "an identification has no seeds", "a recipe of a kind with weights"
         )  # fmt: skip
@@ -180,9 +186,23 @@ def _require_members(members: Sequence[Member], recipe: Recipe) -> None:
             "fit", f"seeds {[m.seed for m in members]}, rates {rates}",
             "different seeds and different factors above 0",
         )  # fmt: skip
-    asked = rates_of(recipe)
-    if asked != (1.0,) and set(rates) != set(asked):
-        raise InputError(
-            f"recipe '{recipe.name}'", f"rates {list(asked)}, of which {rates} would be trained",
-            "no `rates`", "they are for the command fit and for fit_many",
-        )  # fmt: skip
+
+
+def resolve_system(
+    recipe: Recipe, system: AnySystem | None
+) -> LagrangianSystem | MadeForRecords | None:
+    """The system whose parameters a recipe identifies: `system`, or else the one that it names.
+
+    None for recipes that identify none, and where no system is named.
+    """
+    if not isinstance(recipe, IdentificationRecipe):
+        return None
+    named = recipe.model.system if system is None else system
+    return None if named is None else to_identify(named)
+
+
+def default_recipe_name(*, system: bool, physics: bool) -> str:
+    """The name of the default recipe, where a system or physics is given or not."""
+    if physics:
+        return _DEFAULT_RECIPES["physics"]
+    return _DEFAULT_RECIPES["system"] if system else DEFAULT_RECIPE

@@ -15,7 +15,6 @@ from tustinnet.channels import HasChannels
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.blocks import Scaling
-from tustinnet.models.state_encoder import StateEncoder
 from tustinnet.signals.excitation import Excitation
 
 State = Float[Array, " n_x"]
@@ -109,16 +108,6 @@ class Model(Stateful):
 
     def folded(self) -> "Model":
         """The cheapest form of the model that computes the same; what a rollout should use."""
-        return self
-
-    @property
-    def encoder(self) -> StateEncoder | None:
-        """What estimates the state in which a free run starts; None of most models."""
-        return None
-
-    @property
-    def dynamics(self) -> "Model":
-        """What steps: the model without its encoder."""
         return self
 
 

@@ -18,9 +18,9 @@ def members_table(run: Run) -> Table:
         [
             of.result.member.name.removeprefix("seed-"),
             mean,
-            " + ".join(map(str, of.result.told("windows"))),
-            " + ".join(map(str, of.result.told("epochs"))),
-            str(of.result.told("kept_epoch")),
+            " + ".join(map(str, of.result.detail("windows"))),
+            " + ".join(map(str, of.result.detail("epochs"))),
+            str(of.result.detail("kept_epoch")),
             f"{of.result.seconds:.0f}",
             of.result.outcome.split(":")[0],
         ]
@@ -45,7 +45,7 @@ def parameter_table(result: Identification) -> Table:
     rows = [estimate_cells(e) for e in result.estimates]
     rows += [[name, f"{value:.4g}", result.system.parameter(name).unit, "fixed", "", "", ""]
              for name, value in result.fixed.items()]  # fmt: skip
-    refined = result.refined and result.refined.values
+    refined = result.refit and result.refit.values
     title = f"{result.system.name}; {estimates_title(result.trust, refined)}"
     return estimates_table(rows, refined, title)
 
@@ -119,7 +119,7 @@ def fitted_table(run: Run) -> Table:
         f"free runs, start '{run.start}'{horizon_words(run.best.scores[0].horizon)}"
         if found is None
         else "from the initial states found"
-        + (" by the search, with its values" if found.refined else "")
+        + (" by the search, with its values" if found.refit else "")
         + _scaled(run)
     )
     return _by_record(run.fitted, f"train, {begin}")

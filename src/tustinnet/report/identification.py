@@ -22,8 +22,8 @@ def correlation_figure(result: Identification) -> Figure:
             left.plot(
                 place(e, e.value), i, "o", color=COLOURS[0] if e.bound else "#111111", zorder=3
             )
-            if result.refined and e.name in result.refined.values:
-                at = place(e, result.refined.values[e.name])
+            if result.refit and e.name in result.refit.values:
+                at = place(e, result.refit.values[e.name])
                 left.plot(at, i, "x", color="#111111", markersize=7, zorder=3)
         left.set_yticks(range(n), [e.name for e in estimates])
         left.set_xticks([0, 1], ["lower", "upper"])
@@ -36,7 +36,7 @@ def correlation_figure(result: Identification) -> Figure:
         right.set_yticks(range(n), [e.name for e in estimates])
         right.grid(visible=False)
         right.set_title("correlation of the errors", loc="left")
-        cross = "; cross: in the model" if result.refined else ""
+        cross = "; cross: in the model" if result.refit else ""
         left.set_xlabel(
             f"range, logarithmic where all of it is positive; red: at an end{cross}", fontsize=8
         )

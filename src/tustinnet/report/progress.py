@@ -12,7 +12,7 @@ from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn
 from rich.progress import Task as Bar
 from rich.text import Text
 
-from tustinnet.fitting.gradient.plan import Plan
+from tustinnet.fitting.gradient.plan import TrainingPlan
 from tustinnet.fitting.listener import EpochReport, Iteration, Listener
 from tustinnet.fitting.task import Task
 from tustinnet.report.tables import number
@@ -58,15 +58,15 @@ class FitProgress(AbstractContextManager["FitProgress"]):
         if self._bars:
             self._bars.stop()
 
-    def follow(self, prepared: Plan | Task, label: str = "") -> Listener:
+    def follow(self, prepared: TrainingPlan | Task, label: str = "") -> Listener:
         """Who is to be told of fits that run together."""
-        if isinstance(prepared, Plan):
+        if isinstance(prepared, TrainingPlan):
             return Listener(
-                epoch=_Trainings(self._console, self._bars, prepared, label, self._quiet),
-                remark=self._console.print,
+                on_epoch=_Trainings(self._console, self._bars, prepared, label, self._quiet),
+                on_message=self._console.print,
             )
         name = label or prepared.recipe.name
-        return Listener(iteration=_Identification(self._console, self._bars, name, self._quiet))
+        return Listener(on_iteration=_Identification(self._console, self._bars, name, self._quiet))
 
 
 class _Figures(ProgressColumn):
@@ -102,7 +102,7 @@ class _Trainings:
     """
 
     def __init__(
-        self, console: Console, bars: Progress | None, plan: Plan, label: str, quiet: bool
+        self, console: Console, bars: Progress | None, plan: TrainingPlan, label: str, quiet: bool
     ) -> None:
         self._console, self._bars, self._quiet = console, bars, quiet
         # what was done before each stage: in steps of windows, and in epochs

@@ -205,8 +205,8 @@ def build_rows(
                     what=result.model,
                     file=run.folder / MODEL,
                     train_seconds=result.seconds,
-                    windows=result.told("windows"),
-                    epochs=result.told("epochs"),
+                    windows=result.detail("windows"),
+                    epochs=result.detail("epochs"),
                 )
             )
     return rows
@@ -236,7 +236,7 @@ def _keeping(recipe: Recipe, criterion: Criterion | None) -> Recipe:
     if criterion is None or not isinstance(recipe, TrainingRecipe):
         return recipe
     name = f"{recipe.name}, keep {criterion}"
-    return recipe.each(keep=criterion).model_copy(update={"name": name})
+    return recipe.with_stages(keep=criterion).model_copy(update={"name": name})
 
 
 def as_json(rows: Sequence[Row], split: str) -> dict[str, Any]:

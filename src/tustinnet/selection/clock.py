@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from tustinnet.fitting.gradient.plan import Plan
+from tustinnet.fitting.gradient.plan import TrainingPlan
 from tustinnet.fitting.gradient.state import Progress
 from tustinnet.fitting.listener import Iteration, Listener
 from tustinnet.fitting.task import Task
@@ -40,26 +40,28 @@ class Clock:
         """Seconds until then."""
         return float("inf") if self.end is None else self.end - time.monotonic()
 
-    def within(self, tell: Callable[[Plan | Task], Listener]) -> Callable[[Plan | Task], Listener]:
+    def within(
+        self, tell: Callable[[TrainingPlan | Task], Listener]
+    ) -> Callable[[TrainingPlan | Task], Listener]:
         """The same listeners, which end a fit with `OutOfTime` when it cannot end in time."""
         if self.end is None:
             return tell
 
-        def follow(prepared: Plan | Task) -> Listener:
+        def follow(prepared: TrainingPlan | Task) -> Listener:
             told = tell(prepared)
-            watch = Watch(self, prepared) if isinstance(prepared, Plan) else None
+            watch = Watch(self, prepared) if isinstance(prepared, TrainingPlan) else None
 
             def state(of: Any, progress: Sequence[Progress]) -> None:
-                told.state(of, progress)
+                told.on_state(of, progress)
                 if watch is not None:
                     watch(progress)
 
             def iteration(of: Iteration) -> None:
-                told.iteration(of)
+                told.on_iteration(of)
                 if self.left < 0:
                     raise OutOfTime(None)
 
-            return replace(told, state=state, iteration=iteration)
+            return replace(told, on_state=state, on_iteration=iteration)
 
         return follow
 
@@ -74,7 +76,7 @@ class Watch:
         plan: the training.
     """
 
-    def __init__(self, clock: Clock, plan: Plan) -> None:
+    def __init__(self, clock: Clock, plan: TrainingPlan) -> None:
         self._clock, self._stages = clock, plan.stages
         self._ended: tuple[int, int, float] | None = None  # stage, epochs, when the last call did
 

@@ -8,7 +8,7 @@ from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.folds import taking_part
 from tustinnet.families.committee import committee
 from tustinnet.fitting.roles import Roles
-from tustinnet.fitting.task import Fold, Task, system_for
+from tustinnet.fitting.task import Fold, Task, resolve_system
 from tustinnet.models.contract import Model
 from tustinnet.selection.averages import Judged, judge_average, weights_of
 from tustinnet.selection.clock import OutOfTime
@@ -148,7 +148,9 @@ def _whole(
     if recipe.family.trains:
         return averaged
     records = tuple(taking_part(at.data))
-    task = Task(recipe, (Fold(Roles(records, ())),), system=system_for(recipe, at.loaded_system))
+    task = Task(
+        recipe, (Fold(Roles(records, ())),), system=resolve_system(recipe, at.loaded_system)
+    )
     folder = at.folder / CANDIDATES / standing.name / WHOLE
     job = Job(standing.name, recipe, fold=0)
     try:

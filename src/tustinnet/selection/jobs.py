@@ -23,7 +23,7 @@ from tustinnet.evaluate.folds import Deal, dealt, taking_part, used_by
 from tustinnet.evaluate.scores import evaluate, rmse_by_record, scores_header
 from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.report import FitResult, data_header
-from tustinnet.fitting.task import Fold, Member, Task, system_for
+from tustinnet.fitting.task import Fold, Member, Task, resolve_system
 from tustinnet.models.contract import Model
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.selection.clock import Clock, OutOfTime
@@ -223,7 +223,7 @@ def _task(job: Job, at: Workplace) -> tuple[Task, Deal]:
     physics = None if job.physics is None else loaded(job.physics, at)
     folds = tuple(Fold(used_by(deal.roles, job.recipe), physics) for deal in deals)
     members = tuple(Member(seed, fold=job.fold) for seed in job.seeds)
-    own = system_for(job.recipe, at.loaded_system)
+    own = resolve_system(job.recipe, at.loaded_system)
     return Task(job.recipe, folds, members, own), deals[job.fold]
 
 
@@ -285,11 +285,8 @@ def _scored(
 
 
 def starts_of(model: Model, at: Workplace) -> tuple[str, ...]:
-    """Where free runs of a model start: first the start that judges, then the usual one.
-
-    Encoders have no part in it: what is made of candidates is a committee, which has none.
-    """
-    usual = default_start(list(at.data), model.dynamics)
+    """Where free runs of a model start: first the start that judges, then the usual one."""
+    usual = default_start(list(at.data), model)
     return (usual,) if model.warm_up else tuple(dict.fromkeys((at.judging.start, usual)))
 
 

@@ -16,7 +16,7 @@ from tustinnet.data.declaration import (
     read_packaged,
 )
 from tustinnet.errors import InputError
-from tustinnet.fitting.recipe import Horizon, Recipe, rates_of
+from tustinnet.fitting.recipe import Horizon, Recipe
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.simulate.starts import start_named
 
@@ -205,9 +205,6 @@ def _check(candidate: Candidate, plan: SelectionPlan) -> None:
         recipe = candidate.content
     except InputError as error:
         raise InputError(where, str(error)) from error
-    if rates_of(recipe) != (1.0,):
-        raise InputError(where, "a recipe with `rates`", "a recipe without",
-                         "each rate is a candidate of its own")  # fmt: skip
     takes = "physics" in recipe.family.needs
     if takes != bool(candidate.corrects):
         found = "no `corrects`" if takes else "`corrects`"

@@ -13,7 +13,7 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.data.inspection import coordinate_timescales
 from tustinnet.errors import InputError
 from tustinnet.fitting.listener import Listener
-from tustinnet.fitting.task import system_for
+from tustinnet.fitting.task import resolve_system
 from tustinnet.selection.calibration import calibrated_on_folds
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.clock import Clock
@@ -187,7 +187,7 @@ def _taking_part(
             lacking[c.name] = f"only for {other} records"
         elif c.when == "no-system" and asked.system is not None:
             lacking[c.name] = "only without a system"
-        elif _identifies(c) and (asked.system or system_for(c.content, None)) is None:
+        elif _identifies(c) and (asked.system or resolve_system(c.content, None)) is None:
             lacking[c.name] = "for want of a system (--system)"
         elif c.corrects and lacking.keys() >= set(c.corrects):
             lacking[c.name] = lacking[c.corrects[0]]

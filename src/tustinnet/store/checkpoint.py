@@ -20,8 +20,8 @@ from pydantic import TypeAdapter
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError, convert_errors
 from tustinnet.families.family import family_of
-from tustinnet.fitting.gradient.loop import Resumed
-from tustinnet.fitting.gradient.plan import plan
+from tustinnet.fitting.gradient.loop import ResumePoint
+from tustinnet.fitting.gradient.plan import make_plan
 from tustinnet.fitting.gradient.state import Progress, TrainingState
 from tustinnet.fitting.task import Member, Task
 from tustinnet.models.contract import Model
@@ -65,7 +65,7 @@ class Checkpointer:
 def fingerprint(task: Task, member: Member) -> str:
     """What a checkpoint belongs to: the recipe, the member, its records, physics and origin."""
     fold = task.folds[member.fold]
-    digest = hashlib.sha256(task.recipe.model_dump_json(exclude={"rates"}).encode())
+    digest = hashlib.sha256(task.recipe.model_dump_json().encode())
     digest.update(member.name.encode())
     for given in (fold.physics, fold.origin and fold.origin.model):
         if given is not None:
@@ -117,7 +117,7 @@ def write_checkpoint(
     write_sealed(path.parent, path.name, header, arrays)
 
 
-def read_checkpoint(path: Path, task: Task) -> tuple[tuple[Member, ...], Resumed | None]:
+def read_checkpoint(path: Path, task: Task) -> tuple[tuple[Member, ...], ResumePoint | None]:
     """Those members of a task that a checkpoint has, their state and progress; None of nobody.
 
     Raises:
@@ -141,7 +141,7 @@ def read_checkpoint(path: Path, task: Task) -> tuple[tuple[Member, ...], Resumed
         if not members:
             return (), None
         progress = tuple(_progress_in(header["progress"][row]) for row in rows)
-        template = _plain(plan(task.of(members)).begin(header["stage"]))
+        template = _plain(make_plan(task.with_members(members)).begin(header["stage"]))
         leaves, structure = jax.tree.flatten(template)
         stored = [arrays[name] for name in sorted(arrays)]
         if [(a.shape, a.dtype) for a in leaves] != [

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tustinnet.fitting.gradient.state import Progress
-from tustinnet.fitting.listener import EpochReport, Iteration, SearchedStage
+from tustinnet.fitting.listener import EpochReport, Iteration, StageResult
 from tustinnet.store.files import finite, unwritable, write_into
 
 LOG = "log.jsonl"
@@ -158,7 +158,7 @@ class SearchLog:
         told = dataclasses.asdict(of)
         self._lines.write({"stage": told.pop("stage"), "iteration": told.pop("number"), **told})
 
-    def stage(self, of: SearchedStage) -> None:
+    def stage(self, of: StageResult) -> None:
         """Adds the end of a stage."""
         self._lines.write(dataclasses.asdict(of))
 

@@ -23,12 +23,12 @@ Question = Mapping[str, Any]  # plain values: `recipe` or `plan`, `data`, `syste
 
 
 def question_of(task: Task, system: SystemFile | None) -> Question:
-    """What a run of a recipe is asked; seeds and rates may join later."""
+    """What a run of a recipe is asked; seeds may join later."""
     (fold,) = task.folds
     origin = None if fold.origin is None else fold.origin.model
     named = None if task.system is None else task.system.name
     return {
-        "recipe": task.recipe.model_dump(mode="json", exclude={"rates"}),
+        "recipe": task.recipe.model_dump(mode="json"),
         "data": {
             "train": data_of(fold.roles.train), "validation": data_of(fold.roles.validation),
         },

@@ -10,7 +10,7 @@ folder/seed-0/model.safetensors       of trainings: the best weights of that see
 folder/seed-0/log.jsonl               one line an epoch
 folder/seed-0/checkpoint.safetensors  what `resume` goes on from, of all that train together
 
-Seeds that are trained at several rates have folders like seed-0-rate-0.5.
+Members whose rates have a factor have folders like seed-0-rate-0.5.
 """
 
 import statistics
@@ -23,11 +23,11 @@ from typing import Any, Literal
 from tustinnet.errors import InputError
 from tustinnet.evaluate.scores import Score, evaluate, mean_rmse, rmse_by_record, scores_header
 from tustinnet.fitting.fit import fit_task
-from tustinnet.fitting.gradient.loop import Resumed
-from tustinnet.fitting.gradient.plan import Plan, plan
+from tustinnet.fitting.gradient.loop import ResumePoint
+from tustinnet.fitting.gradient.plan import TrainingPlan, make_plan
 from tustinnet.fitting.gradient.state import Progress, TrainingState
 from tustinnet.fitting.gradient.train import train_plan
-from tustinnet.fitting.listener import EpochReport, Iteration, Listener, SearchedStage
+from tustinnet.fitting.listener import EpochReport, Iteration, Listener, StageResult
 from tustinnet.fitting.report import FitResult, data_header
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Member, Task
@@ -121,7 +121,7 @@ class Run:
         result = self.best.result
         if result.identification is not None:
             return result.identification.rmse
-        if self.roles.judging is self.roles.train:
+        if self.roles.ranking is self.roles.train:
             return rmse_by_record(self.best.scores)
         horizon = effective_horizon(result.horizon, self.roles.train)
         return rmse_by_record(
@@ -135,7 +135,7 @@ class Run:
     @property
     def judged(self) -> str:
         """The split whose free runs rank them."""
-        return self.roles.judged
+        return self.roles.ranking_split
 
     def spread(self) -> dict[str, float]:
         """Median, mean, standard deviation, lowest and highest mean RMSE [rad or m]."""
@@ -192,7 +192,7 @@ class Run:
         }
 
 
-Tell = Callable[[Plan | Task], Listener]
+Tell = Callable[[TrainingPlan | Task], Listener]
 
 
 def run_task(
@@ -226,8 +226,9 @@ def run_task(
         question = question_of(task, system)
         _make_room(folder, earlier, question, trains=task.recipe.family.trains)
 
-        def begin(prepared: Plan | Task) -> Listener:
-            if isinstance(prepared, Plan):  # a training whose records are known to fit the recipe
+        def begin(prepared: TrainingPlan | Task) -> Listener:
+            # the records of a training are known to fit the recipe
+            if isinstance(prepared, TrainingPlan):
                 write_question(folder, question)
             return tell(prepared)
 
@@ -243,11 +244,11 @@ def _fitted(task: Task, data: str, folder: Path, tell: Tell, *, resume: bool) ->
     fitted = fit_in(folder, task, tell, resume=resume)
     runs = []
     for member, result in zip(task.members, fitted, strict=True):
-        horizon = effective_horizon(result.horizon, roles.judging)
-        scores = tuple(evaluate(result.model, roles.judging, result.start, horizon=horizon))
+        horizon = effective_horizon(result.horizon, roles.ranking)
+        scores = tuple(evaluate(result.model, roles.ranking, result.start, horizon=horizon))
         runs.append(MemberRun(result, scores, folder / member.name if trains else folder))
     origin = task.folds[0].origin
-    known = {} if origin is None else origin.account
+    known = {} if origin is None else origin.provenance
     return Run(tuple(runs), data, roles, fitted[0].start, folder, origin=known)
 
 
@@ -318,14 +319,14 @@ def _searched(task: Task, folder: Path, tell: Tell) -> list[FitResult]:
 
     def iteration(of: Iteration) -> None:
         log.iteration(of)
-        told.iteration(of)
+        told.on_iteration(of)
 
-    def stage(of: SearchedStage) -> None:
+    def stage(of: StageResult) -> None:
         log.stage(of)
-        told.searched(of)
+        told.on_stage(of)
 
     try:
-        return fit_task(task, replace(told, iteration=iteration, searched=stage))
+        return fit_task(task, lambda _: replace(told, on_iteration=iteration, on_stage=stage))
     finally:
         log.close()
 
@@ -334,20 +335,22 @@ def _trained(task: Task, folder: Path, tell: Tell, *, resume: bool) -> list[FitR
     """The results of all members, in their order, those in the same stage trained together."""
     results: dict[Member, FitResult] = {}
     for group, states in _groups(task, folder, resume=resume):
-        prepared = plan(task.of(group))
+        prepared = make_plan(task.with_members(group))
         trained = _train_together(prepared, folder, states, tell(prepared))
         results.update(zip(group, trained, strict=True))
     return [results[member] for member in task.members]
 
 
-def _groups(task: Task, folder: Path, *, resume: bool) -> list[tuple[list[Member], Resumed | None]]:
+def _groups(
+    task: Task, folder: Path, *, resume: bool
+) -> list[tuple[list[Member], ResumePoint | None]]:
     """Members that train together: those that begin, and those that did when they stopped."""
-    groups: list[tuple[list[Member], Resumed | None]] = []
+    groups: list[tuple[list[Member], ResumePoint | None]] = []
     fresh = list(task.members)
     paths = folder.glob(f"*/{_CHECKPOINT}") if resume else ()
     # the newest first: a member may since have gone on without some of the others
     for path in sorted(paths, key=lambda path: path.stat().st_mtime_ns, reverse=True):
-        members, resumed = read_checkpoint(path, task.of(fresh))
+        members, resumed = read_checkpoint(path, task.with_members(fresh))
         if resumed:
             groups.append((list(members), resumed))
             fresh = [member for member in fresh if member not in members]
@@ -355,7 +358,7 @@ def _groups(task: Task, folder: Path, *, resume: bool) -> list[tuple[list[Member
 
 
 def _train_together(
-    prepared: Plan, folder: Path, resumed: Resumed | None, told: Listener
+    prepared: TrainingPlan, folder: Path, resumed: ResumePoint | None, told: Listener
 ) -> list[FitResult]:
     folders = [folder / member.name for member in prepared.members]
     for place in folders:
@@ -363,16 +366,17 @@ def _train_together(
     keeps = Checkpointer(folders[0] / _CHECKPOINT, prepared.task)
     begun = resumed[1] if resumed else (None,) * len(folders)
     logs = [
-        Log(place, progress, told.remark) for place, progress in zip(folders, begun, strict=True)
+        Log(place, progress, told.on_message)
+        for place, progress in zip(folders, begun, strict=True)
     ]
 
     def epoch(report: EpochReport) -> None:
         logs[report.member].write(report)
-        told.epoch(report)
+        told.on_epoch(report)
 
     def state(of: TrainingState, progress: tuple[Progress, ...]) -> None:
         keeps(of, progress)
-        told.state(of, progress)
+        told.on_state(of, progress)
 
     try:
         return train_plan(prepared, Listener(epoch, state), resumed)

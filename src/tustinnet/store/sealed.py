@@ -11,6 +11,7 @@ import safetensors
 import safetensors.numpy
 
 from tustinnet.errors import InputError, convert_errors
+from tustinnet.registry import REMOVED_KINDS
 from tustinnet.store.files import write_into
 
 # 1 had other names in the headers of hybrids and a digest of a system's code, 2 no SHA-256
@@ -72,6 +73,8 @@ def read_sealed(path: Path, kinds: Sequence[str]) -> tuple[dict[str, Any], dict[
         raise InputError(
             path, f"format version {version}", f"at most {FORMAT}", "upgrade tustinnet to read it"
         )
+    if found in REMOVED_KINDS and len(kinds) > 1:
+        raise InputError(path, f"a model of the removed kind '{found}'", "", REMOVED_KINDS[found])
     if found not in kinds:
         raise InputError(path, f"a file of kind '{found}'", f"kind {' or '.join(kinds)}")
     seal = header.pop(SEAL, None)

@@ -11,23 +11,27 @@ import numpy as np
 import pytest
 
 import tustinnet as tn
-from tustinnet.families.family import family_of
-from tustinnet.fitting.fit import fit_many
-from tustinnet.fitting.gradient.epoch import WindowLoss, gathered, validation_rmse, window_losses
+from tustinnet.fitting.fit import fit_many, fit_task
+from tustinnet.fitting.gradient.epoch import (
+    WindowLoss,
+    compute_validation_rmse,
+    compute_window_losses,
+    gather_windows,
+)
 from tustinnet.fitting.gradient.layout import lay_out_devices
 from tustinnet.fitting.gradient.loop import train
-from tustinnet.fitting.gradient.plan import Plan, plan
+from tustinnet.fitting.gradient.plan import TrainingPlan, make_plan, restore_untrained
 from tustinnet.fitting.gradient.state import Progress, TrainingState
-from tustinnet.fitting.gradient.train import ends, train_plan
+from tustinnet.fitting.gradient.train import describe_kept_epoch, train_plan
 from tustinnet.fitting.listener import EpochReport, Listener
-from tustinnet.fitting.task import Member, make_task
+from tustinnet.fitting.task import Member, Task, make_task
 
 
-def run(prepared: Plan, resume=None):
+def run(prepared: TrainingPlan, resume=None):
     """Trains and keeps everything that listeners were told."""
     reports: list[EpochReport] = []
     states: list[tuple[TrainingState, tuple[Progress, ...]]] = []
-    listener = Listener(epoch=reports.append, state=lambda s, p: states.append((s, p)))
+    listener = Listener(on_epoch=reports.append, on_state=lambda s, p: states.append((s, p)))
     models, progress = train(prepared, listener, resume)
     return models, progress, reports, states
 
@@ -35,9 +39,9 @@ def run(prepared: Plan, resume=None):
 ALONE = (Member(),)
 
 
-def planned(data, recipe, members=ALONE, devices=None) -> Plan:
+def planned(data, recipe, members=ALONE, devices=None) -> TrainingPlan:
     """A plan for a recipe on a data set."""
-    return plan(make_task(data, recipe, members), devices)
+    return make_plan(make_task(data, recipe, members), devices)
 
 
 def one(tree, member=0):
@@ -45,7 +49,7 @@ def one(tree, member=0):
     return jax.tree.map(lambda a: a[member], eqx.filter(tree, eqx.is_array))
 
 
-def with_stages(prepared: Plan, **update) -> Plan:
+def with_stages(prepared: TrainingPlan, **update) -> TrainingPlan:
     """The same plan with other values in the recipe of every stage."""
     stages = tuple(
         dataclasses.replace(s, recipe=s.recipe.model_copy(update=update)) for s in prepared.stages
@@ -53,11 +57,11 @@ def with_stages(prepared: Plan, **update) -> Plan:
     return dataclasses.replace(prepared, stages=stages)
 
 
-def free_runs(prepared: Plan, model, member=0) -> float:
+def free_runs(prepared: TrainingPlan, model, member=0) -> float:
     """Mean RMSE of a member's validation free runs."""
-    assert prepared.validation is not None
-    mine = prepared.chosen[member], prepared.counted[member]
-    return float(validation_rmse(model, prepared.validation, *mine))
+    assert prepared.validation_runs is not None
+    mine = prepared.run_indices[member], prepared.run_counts[member]
+    return float(compute_validation_rmse(model, prepared.validation_runs, *mine))
 
 
 def same_bits(a, b) -> bool:
@@ -72,7 +76,7 @@ def bits(array) -> bytes:
 
 
 @pytest.fixture(scope="module")
-def prepared(pendulum, tmp_path_factory) -> Plan:
+def prepared(pendulum, tmp_path_factory) -> TrainingPlan:
     from conftest import SMALL_RECIPE
 
     path = tmp_path_factory.mktemp("recipe") / "small.toml"
@@ -110,7 +114,7 @@ def test_frozen_arrays_are_bit_identical_after_the_second_stage_and_the_others_m
 def test_the_output_layer_always_trains_and_the_scaling_never(prepared, frozen):
     model = one(prepared.models)
     stage = prepared.stages[0].recipe.model_copy(update={"frozen_layers": frozen})
-    mask = family_of(model).trainable(model, stage).network
+    mask = prepared.recipe.family.trainable_mask(model, stage).network
     assert mask.output.weight is True
     assert [layer.weight for layer in mask.hidden] == [False] * frozen + [True] * (2 - frozen)
     assert mask.stem.weight is (frozen == 0)
@@ -124,7 +128,7 @@ def test_the_second_stage_starts_from_the_best_weights_with_a_fresh_optimiser(wh
     assert progress[0].epoch == 0
     assert same_bits(state.weights.model, first_end.best)
     assert all(not np.asarray(leaf).any() for leaf in jax.tree.leaves(state.weights.optimiser))
-    assert float(state.course.plateau.rate[0]) == pytest.approx(1e-3)
+    assert float(state.progress.plateau.rate[0]) == pytest.approx(1e-3)
 
 
 def test_the_best_weights_are_those_of_the_lowest_validation_free_run(whole, prepared):
@@ -134,7 +138,7 @@ def test_the_best_weights_are_those_of_the_lowest_validation_free_run(whole, pre
     assert free_runs(prepared, one(model)) == pytest.approx(lowest, rel=1e-5)
 
 
-def mirrored_records(prepared: Plan) -> Plan:
+def mirrored_records(prepared: TrainingPlan) -> TrainingPlan:
     """The same plan with records of the mirrored system."""
     return dataclasses.replace(prepared, records=jax.tree.map(jnp.negative, prepared.records))
 
@@ -164,11 +168,13 @@ def test_mirrored_training_learns_the_side_that_was_never_recorded(prepared):
     both_sides = with_stages(prepared, mirror=True, averaging=None)
     loss = WindowLoss(prepared.stages[0].residual, 10)
     rows = jnp.asarray(prepared.stages[0].windows.rows[0])
-    target, u = gathered(mirrored_records(prepared).records, prepared.internal[0], rows, loss)
+    target, u = gather_windows(
+        mirrored_records(prepared).records, prepared.internal_states[0], rows, loss
+    )
     losses = []
     for plan_of_a_side in (one_sided, both_sides):
         model = jax.tree.map(lambda a: a[0], run(plan_of_a_side)[0])
-        losses.append(float(jnp.mean(window_losses(model, target, u, loss))))
+        losses.append(float(jnp.mean(compute_window_losses(model, target, u, loss))))
     assert losses[1] < losses[0]
 
 
@@ -178,11 +184,11 @@ def test_the_best_weights_can_be_those_of_the_lowest_training_loss(prepared):
 
 
 @pytest.fixture(scope="module")
-def decaying(prepared) -> Plan:
+def decaying(prepared) -> TrainingPlan:
     """Two members whose rate decays and whose last epochs are kept; several compiled calls."""
     changes = {"stages.0.epochs": 12, "stages.1.epochs": 7, "stages.*.decay": "cosine",
                "stages.*.keep": "last", "stages.*.averaging": 0.9}  # fmt: skip
-    plain = prepared.recipe.each(plateau=None)
+    plain = prepared.recipe.with_stages(plateau=None)
     return plan_of(tn.read_recipe(plain, [f"{key}={value}" for key, value in changes.items()]))
 
 
@@ -229,7 +235,7 @@ def test_an_average_of_the_weights_is_kept_where_one_is_asked_for(prepared):
 
 def test_a_stage_ends_when_its_figure_has_not_fallen_for_its_patience(prepared):
     # a rate at which nothing changes: the first epoch stays the best
-    still = prepared.task.of([Member(0, 1e-30)])
+    still = prepared.task.with_members([Member(0, 1e-30)])
     patient = dataclasses.replace(with_stages(prepared, patience=2), task=still)
     _, progress, reports, _ = run(patient)
     assert progress[0].outcome == "finished"
@@ -247,11 +253,11 @@ def test_without_validation_records_the_training_loss_decides(pendulum, prepared
 def test_watching_the_validation_loss_needs_its_own_windows(pendulum, prepared):
     recipe = tn.read_recipe(prepared.recipe, ["stages.0.plateau.watch=validation-loss"])
     watching = planned(pendulum, recipe)
-    assert watching.stages[0].watched is not None
-    assert watching.stages[1].watched is None
+    assert watching.stages[0].validation_windows is not None
+    assert watching.stages[1].validation_windows is None
     _, progress, _, states = run(watching)
     assert progress[0].outcome == "finished"
-    watched = [float(s.course.plateau.best[0]) for s, p in states if p[0].stage == 0]
+    watched = [float(s.progress.plateau.best[0]) for s, p in states if p[0].stage == 0]
     assert watched
     assert all(math.isfinite(b) for b in watched)
 
@@ -262,7 +268,7 @@ def test_the_same_seed_gives_the_same_bits_and_another_seed_others(whole, prepar
 
 
 @pytest.fixture(scope="module")
-def longer(prepared) -> Plan:
+def longer(prepared) -> TrainingPlan:
     """Two members, several compiled calls a stage."""
     return plan_of(tn.read_recipe(prepared.recipe, ["stages.0.epochs=12", "stages.1.epochs=7"]))
 
@@ -270,7 +276,7 @@ def longer(prepared) -> Plan:
 PAIR = (Member(0), Member(1))
 
 
-def plan_of(recipe, members=PAIR, devices=None) -> Plan:
+def plan_of(recipe, members=PAIR, devices=None) -> TrainingPlan:
     from conftest import record
 
     data = tn.DataSet(
@@ -388,11 +394,29 @@ def test_many_seeds_and_rates_are_fitted_at_once(pendulum, prepared):
             fit_many(pendulum, prepared.recipe, seeds, rates)
 
 
+def test_a_task_tells_its_plan_before_training_and_goes_on_from_a_state(prepared, whole):
+    model, _, _, states = whole
+    plans: list[TrainingPlan | Task] = []
+
+    def listen(plan: TrainingPlan | Task) -> Listener:
+        plans.append(plan)
+        return Listener()
+
+    later = Member(5)
+    task = prepared.task.with_members([later, *prepared.members])
+    new, resumed = fit_task(task, listen, [(prepared.members, states[0])])
+    assert [p.members for p in plans if isinstance(p, TrainingPlan)] == [
+        (later,), prepared.members,
+    ]  # fmt: skip
+    assert (new.member, resumed.member) == (later, prepared.members[0])
+    assert same_bits(resumed.model, restore_untrained(prepared, 0, one(model)).folded())
+
+
 def test_fit_returns_a_folded_model_that_computes_what_was_trained(whole, prepared):
     [result] = train_plan(prepared)
     assert result.finished
     assert result.model.folded() is result.model
-    assert result.told("windows") == [s.windows.rows.shape[1] for s in prepared.stages]
+    assert result.detail("windows") == [s.windows.rows.shape[1] for s in prepared.stages]
     assert result.details["training"]["epochs"] == [5, 4]
     x, u = jnp.array([0.5, -0.2]), jnp.array([0.3])
     trained = jax.tree.map(lambda a: a[0], whole[0])
@@ -433,9 +457,14 @@ def test_the_published_scaling_is_refused_for_linear_coordinates():
 )
 def test_a_kept_epoch_at_an_end_of_the_last_stage_is_told(prepared, kept, said):
     progress = Progress(stage=1, epochs=(5, 100), best_epoch=kept, outcome="finished")
-    found = " ".join(ends(with_stages(prepared, epochs=100), progress))
+    found = " ".join(describe_kept_epoch(with_stages(prepared, epochs=100), progress))
     assert bool(found) is bool(said)
     assert re.search(said, found)
     assert not said or "validation" in found
-    assert ends(with_stages(prepared, epochs=100), Progress(best_epoch=kept, outcome="")) == ()
-    assert ends(with_stages(prepared, epochs=100, keep="last"), progress) == ()
+    assert (
+        describe_kept_epoch(
+            with_stages(prepared, epochs=100), Progress(best_epoch=kept, outcome="")
+        )
+        == ()
+    )
+    assert describe_kept_epoch(with_stages(prepared, epochs=100, keep="last"), progress) == ()

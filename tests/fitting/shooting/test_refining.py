@@ -58,8 +58,8 @@ def test_where_physics_is_missing_free_runs_get_better():
     data, steps = data_set(creeping()), list[Iteration]()
     usual = tn.identify(data, SYSTEM, recipe(refine=None))
     found = tn.identify(data, SYSTEM, recipe(), told=steps.append)
-    account = found.refined
-    assert usual.refined is None
+    account = found.refit
+    assert usual.refit is None
     assert account is not None
     assert found.estimates == usual.estimates  # with their errors
     before, after = (
@@ -94,17 +94,17 @@ def test_where_the_model_is_right_the_truth_stays():
 
 def test_what_a_recipe_fixes_is_not_refined():
     found = tn.identify(data_set(creeping()), SYSTEM, recipe("model.fixed.gravity=1.3"))
-    assert found.refined is not None
-    assert "gravity" not in found.refined.values
+    assert found.refit is not None
+    assert "gravity" not in found.refit.values
     assert values_of(found)["gravity"] == 1.3
 
 
 def test_parameters_stay_within_their_ranges():
     narrow = changed("gravity", lower=1.6, nominal=1.65, upper=5.0)  # the truth is below
     found = tn.identify(data_set([read_by_encoder(e) for e in records()]), narrow, recipe())
-    assert found.refined is not None
-    assert found.refined.values["gravity"] == pytest.approx(1.6, rel=1e-6)
-    assert found.refined.after <= found.refined.before
+    assert found.refit is not None
+    assert found.refit.values["gravity"] == pytest.approx(1.6, rel=1e-6)
+    assert found.refit.after <= found.refit.before
 
 
 def test_free_runs_that_leave_all_numbers_leave_the_model_as_it_is(monkeypatch):
@@ -115,7 +115,7 @@ def test_free_runs_that_leave_all_numbers_leave_the_model_as_it_is(monkeypatch):
     monkeypatch.setattr(refining._Task, "at", without_end)
     data = data_set(creeping())
     found = tn.identify(data, SYSTEM, recipe())
-    assert found.refined is None
+    assert found.refit is None
     assert "not fitted once more: free runs leave the range of numbers" in found.findings[-1]
     assert {e.name: values_of(found)[e.name] for e in found.estimates} == {
         e.name: pytest.approx(e.value) for e in found.estimates
@@ -142,28 +142,28 @@ def test_parameters_per_group_are_refined_for_their_records():
         for i, (place, g) in enumerate([("here", 1.5), ("there", 1.2)] * 2)
     ]
     found = tn.identify(data_set(experiments), per, recipe())
-    assert found.refined is not None
-    assert found.refined.values["gravity[here]"] == pytest.approx(1.5, rel=0.01)
-    assert found.refined.values["gravity[there]"] == pytest.approx(1.2, rel=0.01)
-    assert found.refined.after < 0.01
+    assert found.refit is not None
+    assert found.refit.values["gravity[here]"] == pytest.approx(1.5, rel=0.01)
+    assert found.refit.values["gravity[there]"] == pytest.approx(1.2, rel=0.01)
+    assert found.refit.after < 0.01
 
 
 def test_a_delay_stays_as_it_was_found():
     data = data_set([read_by_encoder(e) for e in records()])
     found = tn.identify(data, SYSTEM, recipe('model.free=["voltage.delay"]'))
-    assert found.refined is not None
+    assert found.refit is not None
     assert "voltage.delay" in found.values
-    assert "voltage.delay" not in found.refined.values
+    assert "voltage.delay" not in found.refit.values
 
 
 def test_where_nothing_is_left_to_refine_it_says_so():
     data = data_set([read_by_encoder(e) for e in records()])
     fixed = [f"model.fixed.{name}={TRUTH[name]}" for name in ("damping", "gravity", "gain")]
     found = tn.identify(data, SYSTEM, recipe('model.free=["voltage.delay"]', *fixed))
-    assert found.refined is None
+    assert found.refit is None
     assert found.findings[-1] == "not fitted once more: nothing but delays is free"
     found = tn.identify(data, SYSTEM, recipe(f"search.horizon={12 * data[0].dt}"))
-    assert found.refined is None
+    assert found.refit is None
     assert found.findings[-1] == "not fitted once more: segments shorter than model-20 needs"
 
 
@@ -187,11 +187,11 @@ def test_bands_are_about_the_model():
     result = fit(data_set(creeping()), recipe(), system=SYSTEM, listener=Listener())
     found = result.identification
     assert found is not None
-    assert found.refined is not None
+    assert found.refit is not None
     drawn = family_of(result.model).alternatives(result.model, result.as_header())
     assert len(drawn) > 1
     for e in found.estimates:
         values = [float(of.continuous.values[e.name]) for of in drawn]  # pyright: ignore[reportAttributeAccessIssue]
         middle = np.mean(values)
         assert e.error
-        assert abs(middle - found.refined.values[e.name]) < 2 * e.error, e.name
+        assert abs(middle - found.refit.values[e.name]) < 2 * e.error, e.name

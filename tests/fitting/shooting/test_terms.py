@@ -114,7 +114,7 @@ def test_what_is_kept_brings_forces_which_a_file_keeps(tmp_path):
         rtol=1e-6,
     )
     asked = EulerLagrangeHyper(kind="euler-lagrange")
-    begun = EulerLagrangeFamily().beginning(asked, again, system)
+    begun = EulerLagrangeFamily().with_initial_values(asked, again, system)
     assert begun.begin["spring"] == pytest.approx(0.8, rel=0.1)
     assert "angle.maxwell" not in begun.begin, "it is not there when a search begins"
     without = tn.identify(data_set([read_by_encoder(e) for e in records()]), system, "grey")

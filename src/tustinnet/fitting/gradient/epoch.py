@@ -1,7 +1,7 @@
 """The compiled parts of training: epochs of all members, and the figures they are judged by."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -14,20 +14,19 @@ from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as Spec
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from tustinnet.families.family import Regulariser
 from tustinnet.fitting.free_runs import FreeRuns
 from tustinnet.fitting.gradient.layout import MEMBERS, WINDOWS
-from tustinnet.fitting.gradient.material import Records
-from tustinnet.fitting.gradient.plan import Plan
-from tustinnet.fitting.gradient.plateau import after_epoch, decayed
+from tustinnet.fitting.gradient.plan import TrainingPlan
+from tustinnet.fitting.gradient.plateau import decay_rate, update_plateau
 from tustinnet.fitting.gradient.state import (
-    Course,
     EpochFigures,
+    MemberWeights,
     Stage,
+    StageProgress,
     TrainingState,
-    Weights,
     adam_without_rate,
 )
+from tustinnet.fitting.gradient.windows import Records
 from tustinnet.fitting.recipe import Criterion, Kept, StageRecipe
 from tustinnet.fitting.residual import Residual
 from tustinnet.models.blocks import is_layer
@@ -41,197 +40,190 @@ ROLLBACK_FACTOR = 0.5  # each multiplies the rate
 
 @dataclass(frozen=True)
 class WindowLoss:
-    """What a window is compared by.
+    """How a window is compared with the record.
 
     Attributes:
         residual: what is compared.
         length: steps in a window that are.
         lead: steps before them, see `StageWindows`.
-        regulariser: what the model's family adds to the loss at every step, if anything.
         only_layers: whether nothing trains but `Affine` layers, see `rollouts`.
     """
 
     residual: Residual
     length: int
     lead: int = 0
-    regulariser: Regulariser | None = None
     only_layers: bool = False
 
 
 @dataclass(frozen=True)
-class _Program:
-    """What an epoch is compiled for; the same program serves every training that is alike."""
+class _EpochProgram:
+    """The settings an epoch is compiled for; one program serves every training with the same."""
 
     recipe: StageRecipe
     loss: WindowLoss
-    watched: bool
+    has_validation_windows: bool
     trainable: tuple[bool, ...]
     keep: Criterion
     watch: Criterion
     mesh: Mesh
 
 
-class _Own(NamedTuple):
-    """What an epoch reads of each member: windows, internal states, which free runs are its."""
+class _MemberInputs(NamedTuple):
+    """The inputs of an epoch that each member has for itself, see `TrainingPlan`."""
 
     rows: Int[Array, "*members count"]
-    watched: Int[Array, "*members watched"]
-    internal: Float[Array, "*members rows n_z"]
-    chosen: Int[Array, "*members runs"]
-    counted: Float[Array, "*members runs"]
+    validation_rows: Int[Array, "*members validation"]
+    internal_states: Float[Array, "*members rows n_z"]
+    run_indices: Int[Array, "*members runs"]
+    run_counts: Float[Array, "*members runs"]
 
 
-class _Material(NamedTuple):
-    """What an epoch reads: of each member its own, and what all share."""
+class _EpochInputs(NamedTuple):
+    """The inputs of an epoch: each member's own, and those that all members share."""
 
-    own: _Own
+    member: _MemberInputs
     epochs: Int[Array, ""]
     records: Records
-    validation: FreeRuns | None
+    validation_runs: FreeRuns | None
 
 
 EpochsFunction = Callable[[TrainingState], tuple[TrainingState, EpochFigures]]
 
 
-def compiled_epochs(prepared: Plan, stage: Stage) -> EpochsFunction:
+def compile_epochs(plan: TrainingPlan, stage: Stage) -> EpochsFunction:
     """Several epochs of all members as one compiled call.
 
     Each member that has epochs left does up to `EPOCHS_A_CALL`: shuffles, scans over batches,
     runs free over its validation records, notes the best weights, adapts the rate. Weights that
     are not finite are dropped for the last good ones at a lower rate. No member sees another.
     """
-    validation, recipe, windows = prepared.validation, stage.recipe, stage.windows
-    wanted = recipe.plateau.watch if recipe.plateau else "training"
-    program = _Program(
+    recipe, windows, validation = stage.recipe, stage.windows, stage.validation_windows
+
+    def available(criterion: Kept) -> Criterion:
+        """The criterion, or the next one where there are no records or windows for it."""
+        if plan.validation_runs is None or criterion == "last":
+            return "training"
+        if criterion == "validation-loss" and validation is None:
+            return "validation"  # the validation records are shorter than a window
+        return criterion
+
+    layers = jax.tree.map(is_layer, plan.models, is_leaf=is_layer)
+    in_layers = jax.tree.map(lambda layer, mask: layer or not mask, layers, stage.trainable)
+    program = _EpochProgram(
         # the name and the number of epochs make no other program
         recipe=recipe.model_copy(update={"name": "", "epochs": 1, "rate": 1.0}),
         loss=WindowLoss(
             stage.residual,
             windows.length,
             windows.lead,
-            stage.regulariser,
-            only_layers=_only_layers(prepared.models, stage.trainable),
+            only_layers=all(jax.tree.leaves(in_layers)),
         ),
-        watched=stage.watched is not None and validation is not None,
+        has_validation_windows=validation is not None and plan.validation_runs is not None,
         trainable=tuple(jax.tree.leaves(stage.trainable)),
-        keep=_possible(recipe.keep, stage, validation),
-        watch=_possible(wanted, stage, validation),
-        mesh=prepared.mesh,
+        keep=available(recipe.keep),
+        watch=available(recipe.plateau.watch if recipe.plateau else "training"),
+        mesh=plan.mesh,
     )
-    watched = stage.watched.rows if stage.watched else jnp.zeros((len(windows.rows), 0))
-    own = _Own(
+    validation_rows = validation.rows if validation else jnp.zeros((len(windows.rows), 0))
+    member = _MemberInputs(
         rows=jnp.asarray(windows.rows, jnp.int32),
-        watched=jnp.asarray(watched, jnp.int32),
-        internal=prepared.internal,
-        chosen=prepared.chosen,
-        counted=prepared.counted,
+        validation_rows=jnp.asarray(validation_rows, jnp.int32),
+        internal_states=plan.internal_states,
+        run_indices=plan.run_indices,
+        run_counts=plan.run_counts,
     )
     epochs = jnp.asarray(recipe.epochs, jnp.int32)
-    material = _Material(own, epochs, prepared.records, validation)
+    inputs = _EpochInputs(member, epochs, plan.records, plan.validation_runs)
     # laid out as the first call takes it: arrays without entries come back laid out otherwise, and
     # another layout would be compiled for anew
-    layout = NamedSharding(prepared.mesh, Spec(MEMBERS))
-    return lambda state: _run(jax.device_put(state, layout), material, program=program)
-
-
-def _only_layers(models: Model, trainable: PyTree) -> bool:
-    """Whether all that trains belongs to layers."""
-    layers = jax.tree.map(is_layer, models, is_leaf=is_layer)
-    each = jax.tree.map(lambda layer, mask: layer or not mask, layers, trainable)
-    return all(jax.tree.leaves(each))
-
-
-def _possible(wanted: Kept, stage: Stage, validation: FreeRuns | None) -> Criterion:
-    """The criterion, or the next one where there are no records or windows for it."""
-    if validation is None or wanted == "last":
-        return "training"
-    if wanted == "validation-loss" and stage.watched is None:
-        return "validation"  # the validation records are shorter than a window
-    return wanted
+    layout = NamedSharding(plan.mesh, Spec(MEMBERS))
+    return lambda state: _run(jax.device_put(state, layout), inputs, program=program)
 
 
 @partial(jax.jit, static_argnames=("program",))
 def _run(
-    state: TrainingState, material: _Material, *, program: _Program
+    state: TrainingState, inputs: _EpochInputs, *, program: _EpochProgram
 ) -> tuple[TrainingState, EpochFigures]:
-    own, shared = Spec(MEMBERS), Spec()
-    reads = _Material(own=own, epochs=shared, records=shared, validation=shared)  # pyright: ignore[reportArgumentType]
+    member, shared = Spec(MEMBERS), Spec()
+    specs = _EpochInputs(member, shared, shared, shared)  # pyright: ignore[reportArgumentType]
 
-    def of_device(state: TrainingState, material: _Material) -> tuple[TrainingState, EpochFigures]:
-        return jax.lax.scan(lambda s, _: _epoch(s, material, program), state, length=EPOCHS_A_CALL)
+    def on_device(state: TrainingState, inputs: _EpochInputs) -> tuple[TrainingState, EpochFigures]:
+        return jax.lax.scan(lambda s, _: _epoch(s, inputs, program), state, length=EPOCHS_A_CALL)
 
-    spread = jax.shard_map(
-        of_device, mesh=program.mesh, in_specs=(own, reads), out_specs=(own, Spec(None, MEMBERS)),
-        check_vma=False,
+    sharded = jax.shard_map(
+        on_device, mesh=program.mesh, in_specs=(member, specs),
+        out_specs=(member, Spec(None, MEMBERS)), check_vma=False,
     )  # fmt: skip
-    return spread(state, material)
+    return sharded(state, inputs)
 
 
 def _epoch(
-    state: TrainingState, material: _Material, program: _Program
+    state: TrainingState, inputs: _EpochInputs, program: _EpochProgram
 ) -> tuple[TrainingState, EpochFigures]:
     """An epoch of all members of a device that have one to do."""
-    course = state.course
-    due = (course.epoch < material.epochs) & ~course.stopped
+    progress = state.progress
+    due = (progress.epoch < inputs.epochs) & ~progress.stopped
     if program.recipe.patience is not None:
-        due &= course.epoch - course.best_epoch < program.recipe.patience
+        due &= progress.epoch - progress.best_epoch < program.recipe.patience
 
-    def attempt(of: tuple[Any, ...]) -> tuple[Weights, Array, Array]:
-        mine, own, rate, due = of
+    def attempt(
+        weights: MemberWeights, member: _MemberInputs, rate: Array, due: Array
+    ) -> tuple[MemberWeights, Array, Array]:
         nothing = jnp.full((), jnp.nan, jnp.float32), jnp.zeros((), bool)
         return jax.lax.cond(
             due,
-            lambda weights: _trained(weights, rate, material._replace(own=own), program),
+            lambda weights: _train_epoch(weights, rate, inputs._replace(member=member), program),
             lambda weights: (weights, *nothing),
-            mine,
+            weights,
         )
 
-    rate = decayed(course.plateau.rate, course.epoch, material.epochs, program.recipe)
-    of = (state.weights, material.own, rate, due)
-    attempts, loss, finite = _each(program.mesh, attempt, of)
-    figures = _figures(attempts.average, loss, material, program)
-    judge = jax.vmap(partial(_judged, program=program))
-    after, told = judge(state, attempts, figures, finite, due)
-    return after, told._replace(rate=rate)
+    rate = decay_rate(progress.plateau.rate, progress.epoch, inputs.epochs, program.recipe)
+    attempts, loss, finite = _map_members(
+        program.mesh, attempt, state.weights, inputs.member, rate, due
+    )
+    figures = _compute_figures(attempts.average, loss, inputs, program)
+    update = jax.vmap(partial(_update_member, program=program))
+    after, epoch_figures = update(state, attempts, figures, finite, due)
+    return after, epoch_figures._replace(rate=rate)
 
 
-def _judged(
+def _update_member(
     before: TrainingState,
-    attempt: Weights,
+    attempt: MemberWeights,
     figures: dict[Criterion, Float[Array, ""]],
     finite: Bool[Array, ""],
     due: Bool[Array, ""],
     *,
-    program: _Program,
+    program: _EpochProgram,
 ) -> tuple[TrainingState, EpochFigures]:
-    """What becomes of a member after an epoch: its best weights, its rate, where it is."""
-    weights, course = before
-    rate, last = course.plateau.rate, program.recipe.keep == "last"
+    """A member after an epoch: its best weights, its rate, where it is."""
+    weights, progress = before
+    rate, last = progress.plateau.rate, program.recipe.keep == "last"
     score = figures[program.keep]
-    better = finite & (last | (score < course.best_score))
-    plateau = after_epoch(course.plateau, figures[program.watch], program.recipe.plateau)
+    better = finite & (last | (score < progress.best_score))
+    plateau = update_plateau(progress.plateau, figures[program.watch], program.recipe.plateau)
     attempt = attempt._replace(best=_choose(better, attempt.average, weights.best))
-    gives_up = ~finite & (course.rollbacks >= ROLLBACKS)
-    lowered = course.plateau._replace(rate=jnp.where(gives_up, rate, rate * ROLLBACK_FACTOR))
-    after = Course(
-        epoch=course.epoch + finite,
+    gives_up = ~finite & (progress.rollbacks >= ROLLBACKS)
+    lowered = progress.plateau._replace(rate=jnp.where(gives_up, rate, rate * ROLLBACK_FACTOR))
+    after = StageProgress(
+        epoch=progress.epoch + finite,
         plateau=_choose(finite, plateau, lowered),
-        best_score=jnp.where(better, score, course.best_score),
-        best_epoch=jnp.where(better, course.epoch + 1, course.best_epoch),
-        rollbacks=course.rollbacks + (~finite & ~gives_up),
+        best_score=jnp.where(better, score, progress.best_score),
+        best_epoch=jnp.where(better, progress.epoch + 1, progress.best_epoch),
+        rollbacks=progress.rollbacks + (~finite & ~gives_up),
         stopped=gives_up,
     )
-    told = EpochFigures(
+    epoch_figures = EpochFigures(
         active=due,
         finite=finite,
-        epoch=course.epoch + 1,
+        epoch=progress.epoch + 1,
         loss=jnp.where(finite, figures["training"], jnp.nan),
         validation=jnp.where(finite, figures["validation"], jnp.nan),
         rate=rate,
         best=after.best_score,
     )
-    kept = TrainingState(_choose(finite, attempt, weights), after)
-    return _choose(due, kept, before), told
+    state = TrainingState(_choose(finite, attempt, weights), after)
+    return _choose(due, state, before), epoch_figures
 
 
 class _Batches(NamedTuple):
@@ -243,15 +235,15 @@ class _Batches(NamedTuple):
     total: Float[Array, " steps"]
 
 
-def _shuffled(key: Array, count: int, program: _Program) -> _Batches:
+def _shuffle(key: Array, count: int, program: _EpochProgram) -> _Batches:
     """Batches of equal size for every device, filled up with windows that weigh nothing."""
     batch = min(program.recipe.batch, count)
     steps = -(-count // batch)
     share = -(-batch // program.mesh.shape[WINDOWS])
-    filled = ((0, 0), (0, share * program.mesh.shape[WINDOWS] - batch))
+    padding = ((0, 0), (0, share * program.mesh.shape[WINDOWS] - batch))
     order = jnp.pad(jax.random.permutation(key, count), (0, steps * batch - count))
     valid = (jnp.arange(steps * batch) < count).astype(jnp.float32)
-    order, valid = (jnp.pad(a.reshape(steps, batch), filled) for a in (order, valid))
+    order, valid = (jnp.pad(a.reshape(steps, batch), padding) for a in (order, valid))
     signs = jnp.ones(order.shape, jnp.float32)
     if program.recipe.mirror:
         signs = jax.random.rademacher(jax.random.fold_in(key, 1), order.shape, jnp.float32)
@@ -260,46 +252,46 @@ def _shuffled(key: Array, count: int, program: _Program) -> _Batches:
     return _Batches(cut(order), cut(valid), cut(signs), jnp.sum(valid, axis=1))
 
 
-def _trained(
-    weights: Weights, rate: Float[Array, ""], material: _Material, program: _Program
-) -> tuple[Weights, Float[Array, ""], Bool[Array, ""]]:
+def _train_epoch(
+    weights: MemberWeights, rate: Float[Array, ""], inputs: _EpochInputs, program: _EpochProgram
+) -> tuple[MemberWeights, Float[Array, ""], Bool[Array, ""]]:
     """A pass over the windows: new weights, mean loss, whether all of it is finite."""
-    trainable, frozen = _parted(weights.model, program.trainable)
-    average, _ = _parted(weights.average, program.trainable)
-    taken = 1.0 - (program.recipe.averaging or 0.0)
-    optimiser, own = adam_without_rate(program.recipe), material.own
+    mask = jax.tree.unflatten(jax.tree.structure(weights.model), program.trainable)
+    trainable, frozen = eqx.partition(weights.model, mask)
+    average, _ = eqx.partition(weights.average, mask)
+    share = 1.0 - (program.recipe.averaging or 0.0)
+    optimiser, member = adam_without_rate(program.recipe), inputs.member
     key, for_order = jax.random.split(weights.key)
-    batches = _shuffled(for_order, len(own.rows), program)
+    batches = _shuffle(for_order, len(member.rows), program)
 
     def advance(carry: tuple[PyTree, ...], batch: _Batches) -> tuple[Any, Array]:
         trained, average, state = carry
 
-        def loss_of(trained: PyTree) -> Float[Array, ""]:
-            model, rows = eqx.combine(trained, frozen), own.rows[batch.order]
-            target, u = gathered(material.records, own.internal, rows, program.loss)
+        def compute_loss(trained: PyTree) -> Float[Array, ""]:
+            model, rows = eqx.combine(trained, frozen), member.rows[batch.order]
+            target, u = gather_windows(inputs.records, member.internal_states, rows, program.loss)
             if program.recipe.mirror:
                 target, u = (
                     a * jnp.expand_dims(batch.sign, tuple(range(1, a.ndim))) for a in (target, u)
                 )
-            return (
-                jnp.sum(batch.weight * window_losses(model, target, u, program.loss)) / batch.total
-            )
+            losses = compute_window_losses(model, target, u, program.loss)
+            return jnp.sum(batch.weight * losses) / batch.total
 
-        loss, gradient = _sum_over_windows(program.mesh, *jax.value_and_grad(loss_of)(trained))
+        loss, gradient = _sum_over_windows(program.mesh, *jax.value_and_grad(compute_loss)(trained))
         update, state = optimiser.update(gradient, state)
         trained = jax.tree.map(lambda p, d: p - rate * d, trained, update)
-        average = optax.incremental_update(trained, average, taken)
+        average = optax.incremental_update(trained, average, share)
         return (trained, average, state), loss * batch.total
 
     (trainable, average, state), losses = jax.lax.scan(
         advance, (trainable, average, weights.optimiser), batches
     )
-    loss = jnp.sum(losses) / len(own.rows)
+    loss = jnp.sum(losses) / len(member.rows)
     finite = jnp.isfinite(loss)
     for leaf in jax.tree.leaves(trainable):
         finite &= jnp.all(jnp.isfinite(leaf))
     model, average = (eqx.combine(tree, frozen) for tree in (trainable, average))
-    return Weights(model, average, state, key, weights.best), loss, finite
+    return MemberWeights(model, average, state, key, weights.best), loss, finite
 
 
 def _sum_over_windows(
@@ -312,52 +304,57 @@ def _sum_over_windows(
     return as_tree(jax.lax.psum(flat, WINDOWS))
 
 
-def _each(mesh: Mesh, function: Callable[[Any], Any], of: Any) -> Any:
+def _map_members(mesh: Mesh, function: Callable[..., Any], *arguments: Any) -> Any:
     """A function of every member: a core does best what stays in its cache, a GPU all at once."""
-    on_cpu = mesh.devices.flat[0].platform == "cpu"
-    return jax.lax.map(function, of) if on_cpu else jax.vmap(function)(of)
+    if mesh.devices.flat[0].platform == "cpu":
+        return jax.lax.map(lambda member: function(*member), arguments)
+    return jax.vmap(function)(*arguments)
 
 
-def _figures(
-    models: Model, loss: Float[Array, " members"], material: _Material, program: _Program
+def _compute_figures(
+    models: Model, loss: Float[Array, " members"], inputs: _EpochInputs, program: _EpochProgram
 ) -> dict[Criterion, Float[Array, " members"]]:
-    """What decides over the best weights and the rate after an epoch."""
+    """The values of all criteria after an epoch, which decide over best weights and rate."""
     figures: dict[Criterion, Float[Array, " members"]] = {
         "training": loss,
         "validation": jnp.full(loss.shape, jnp.nan, jnp.float32),
     }
-    runs, own = material.validation, material.own
+    runs, member = inputs.validation_runs, inputs.member
     if runs is not None:
         # long and narrow: all members at once, also where training is member after member
-        score = jax.vmap(validation_rmse, in_axes=(0, None, 0, 0))
-        figures["validation"] = score(models, runs, own.chosen, own.counted)
-        if program.watched:
-            figures["validation-loss"] = _each(
+        score = jax.vmap(compute_validation_rmse, in_axes=(0, None, 0, 0))
+        figures["validation"] = score(models, runs, member.run_indices, member.run_counts)
+        if program.has_validation_windows:
+            figures["validation-loss"] = _map_members(
                 program.mesh,
-                lambda of: _watched_loss(of[0], material._replace(own=of[1]), program),
-                (models, own),
+                lambda model, own: _validation_loss(model, inputs._replace(member=own), program),
+                models,
+                member,
             )
     return figures
 
 
-def _watched_loss(model: Model, material: _Material, program: _Program) -> Float[Array, ""]:
+def _validation_loss(
+    model: Model, inputs: _EpochInputs, program: _EpochProgram
+) -> Float[Array, ""]:
     """The stage's loss over windows that are not trained on."""
-    rows, devices = material.own.watched, program.mesh.shape[WINDOWS]
+    rows, devices = inputs.member.validation_rows, program.mesh.shape[WINDOWS]
     share = -(-len(rows) // devices)
     first = jax.lax.axis_index(WINDOWS) * share
-    filled = jnp.pad(rows, (0, share * devices - len(rows)))
-    mine = jax.lax.dynamic_slice_in_dim(filled, first, share)
-    plain = replace(program.loss, regulariser=None)
-    target, u = gathered(material.records, material.own.internal, mine, plain)
-    losses = window_losses(model, target, u, plain)
+    padded = jnp.pad(rows, (0, share * devices - len(rows)))
+    own_rows = jax.lax.dynamic_slice_in_dim(padded, first, share)
+    target, u = gather_windows(
+        inputs.records, inputs.member.internal_states, own_rows, program.loss
+    )
+    losses = compute_window_losses(model, target, u, program.loss)
     real = first + jnp.arange(share) < len(rows)
     loss = jnp.sum(jnp.where(real, losses, 0.0)) / len(rows)
     return _sum_over_windows(program.mesh, loss, ())[0]
 
 
-def gathered(
+def gather_windows(
     records: Records,
-    internal: Float[Array, "rows n_z"],
+    internal_states: Float[Array, "rows n_z"],
     rows: Int[Array, " batch"],
     loss: WindowLoss,
 ) -> tuple[Float[Array, "batch samples n"], Float[Array, "batch steps *drive"]]:
@@ -367,14 +364,14 @@ def gathered(
     def window(row: Array) -> tuple[Array, Array]:
         cut = jax.lax.dynamic_slice_in_dim
         target = cut(records.x, row, steps + 1)
-        if internal.shape[-1]:
-            target = jnp.concatenate([target, cut(internal, row, steps + 1)], axis=1)
+        if internal_states.shape[-1]:
+            target = jnp.concatenate([target, cut(internal_states, row, steps + 1)], axis=1)
         return target, cut(records.u, row, steps)
 
     return jax.vmap(window)(rows)
 
 
-def window_losses(
+def compute_window_losses(
     model: Model,
     target: Float[Array, "batch samples n"],
     u: Float[Array, "batch steps *drive"],
@@ -389,64 +386,48 @@ def window_losses(
         loss: what is compared.
     """
     # a stem is folded once a batch, not applied at every step; its gradient passes the fold
-    simulator, encoder, of = model.folded().dynamics, model.encoder, model.channels
-    lead, compared = target[:, : loss.lead + 1], slice(loss.lead, None)
-    if encoder is not None:
-        begin = jax.vmap(partial(encoder, of))(lead[..., of.position], u[:, : loss.lead])
-        simulated = rollouts(simulator, begin, u[:, compared], only_layers=loss.only_layers)
-    else:
-        blank = ((0, 0), (0, model.state_size - target.shape[-1]))
-        measured = lead[..., of.measured] if loss.lead else None
-        begin = jnp.pad(target[:, 0], blank)
-        states = rollouts(simulator, begin, u, measured, only_layers=loss.only_layers)
-        simulated = states[:, compared]
-    losses = jax.vmap(loss.residual.window_loss)(
-        simulated[..., of.measured], target[:, compared, of.measured]
+    simulator, measured = model.folded(), model.channels.measured
+    lead = target[:, : loss.lead + 1, measured] if loss.lead else None
+    x0 = jnp.pad(target[:, 0], ((0, 0), (0, model.state_size - target.shape[-1])))
+    simulated = rollouts(simulator, x0, u, lead, only_layers=loss.only_layers)
+    return jax.vmap(loss.residual.window_loss)(
+        simulated[:, loss.lead :, measured], target[:, loss.lead :, measured]
     )
-    if loss.regulariser is not None:
-        added = jax.vmap(jax.vmap(partial(loss.regulariser, simulator)))
-        losses += jnp.mean(added(simulated[:, :-1], u[:, compared]), axis=1)
-    return losses
 
 
 @eqx.filter_jit
-def validation_rmse(
+def compute_validation_rmse(
     model: Model,
     runs: FreeRuns,
-    chosen: Int[Array, " runs"],
-    counted: Float[Array, " runs"],
+    run_indices: Int[Array, " runs"],
+    run_counts: Float[Array, " runs"],
 ) -> Float[Array, ""]:
     """Mean over records of the free run's RMSE in float32 [rad or m]; NaN counts as infinite.
 
     Args:
         model: the model.
         runs: free runs of all records.
-        chosen: which of them.
-        counted: 1 for those that count.
+        run_indices: which of them.
+        run_counts: 1 for those that count.
     """
     simulator = model.folded()
     # the segments of all records side by side; counted, for where there are no inputs the size of
     # an array says nothing of their number
-    count = len(chosen) * runs.weight.shape[1]
-    material, u, q, weight = jax.tree.map(
-        lambda a: a[chosen].reshape(count, *a.shape[2:]),
-        (runs.material, runs.u, runs.q, runs.weight),
+    count = len(run_indices) * runs.weight.shape[1]
+    start_data, u, q, weight = jax.tree.map(
+        lambda a: a[run_indices].reshape(count, *a.shape[2:]),
+        (runs.start_data, runs.u, runs.q, runs.weight),
     )
-    x0 = runs.start.traced_states(simulator, material)
+    x0 = runs.start.traced_states(simulator, start_data)
     # nothing is differentiated
     states = rollouts(simulator, x0, u, only_layers=True)
     simulated = states[..., model.channels.position]
     # beyond a record's end the model may do anything, also overflow
     error = jnp.where(weight[..., None] > 0, simulated - q, 0.0)
-    squares = (weight * jnp.sum(error**2, axis=-1)).reshape(len(chosen), -1)
-    each = jnp.sqrt(jnp.sum(squares, axis=-1))
-    mean = jnp.sum(counted * each) / jnp.sum(counted)
+    squares = (weight * jnp.sum(error**2, axis=-1)).reshape(len(run_indices), -1)
+    rmse = jnp.sqrt(jnp.sum(squares, axis=-1))
+    mean = jnp.sum(run_counts * rmse) / jnp.sum(run_counts)
     return jnp.where(jnp.isfinite(mean), mean, jnp.inf)
-
-
-def _parted(model: Model, trainable: tuple[bool, ...]) -> tuple[PyTree, PyTree]:
-    mask = jax.tree.unflatten(jax.tree.structure(model), trainable)
-    return eqx.partition(model, mask)
 
 
 def _choose(condition: Bool[Array, ""], yes: Any, no: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Which device trains what."""
+"""The layout of members and windows on devices."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,17 +9,17 @@ import numpy as np
 from jax.sharding import Mesh
 
 MEMBERS, WINDOWS = "members", "windows"  # the axes of a mesh
-_FEWEST = 8  # windows of a batch that are worth a device of their own
+_FEWEST = 8  # windows of a batch that are worth a device
 
 
 def lay_out_devices(members: int, batch: int, devices: Sequence[Any] | None = None) -> Mesh:
-    """Shares members among devices, and what devices are left over the windows of a batch.
+    """Shares members among devices, and the remaining devices among the windows of a batch.
 
     Members need nothing from one another, so that each device trains its own. The windows of a
     batch need the sum of their gradients after every step of the optimiser.
 
-    JAX sees the cores of a processor as one device unless it is told otherwise before its first
-    computation: `jax.config.update("jax_num_cpu_devices", cores)`; the command does that.
+    JAX sees the cores of a processor as one device unless its configuration says otherwise before
+    the first computation: `jax.config.update("jax_num_cpu_devices", cores)`; the command does that.
 
     Args:
         members: trainings that run together.
@@ -34,5 +34,5 @@ def lay_out_devices(members: int, batch: int, devices: Sequence[Any] | None = No
         devices = jax.devices(preferred.platform)
     for_members = max(d for d in range(1, len(devices) + 1) if members % d == 0)
     for_windows = max(1, min(len(devices) // for_members, batch // _FEWEST))
-    used = np.asarray(devices[: for_members * for_windows])
-    return Mesh(used.reshape(for_members, for_windows), (MEMBERS, WINDOWS))
+    chosen = np.asarray(devices[: for_members * for_windows])
+    return Mesh(chosen.reshape(for_members, for_windows), (MEMBERS, WINDOWS))

@@ -8,8 +8,8 @@ import jax
 import numpy as np
 
 from tustinnet.fitting.gradient.compiling import last_compiled
-from tustinnet.fitting.gradient.epoch import ROLLBACK_FACTOR, ROLLBACKS, compiled_epochs
-from tustinnet.fitting.gradient.plan import Plan
+from tustinnet.fitting.gradient.epoch import ROLLBACK_FACTOR, ROLLBACKS, compile_epochs
+from tustinnet.fitting.gradient.plan import TrainingPlan
 from tustinnet.fitting.gradient.state import (
     EpochFigures,
     Progress,
@@ -22,11 +22,11 @@ from tustinnet.fitting.report import FINISHED
 from tustinnet.models.contract import Model
 from tustinnet.simulate.rollout import LONG
 
-Resumed = tuple[TrainingState, tuple[Progress, ...]]
+ResumePoint = tuple[TrainingState, tuple[Progress, ...]]
 
 
 def train(
-    prepared: Plan, listener: Listener = SILENT, resume: Resumed | None = None
+    plan: TrainingPlan, listener: Listener = SILENT, resume: ResumePoint | None = None
 ) -> tuple[Model, tuple[Progress, ...]]:
     """Folds the epochs of all members over the stages.
 
@@ -34,27 +34,25 @@ def train(
     member that diverged for good stays where it was.
 
     Args:
-        prepared: models, stages, records.
-        listener: who is told.
+        plan: models, stages, records.
+        listener: its `on_epoch` and `on_state` are called.
         resume: a state that a listener was given, to go on from there.
 
     Returns:
         The best models of the last stage that was reached, and where training ended.
     """
-    stages, members = prepared.stages, len(prepared.members)
-    state, progress = resume or (prepared.begin(0), (Progress(),) * members)
-    going = [p.stage for p in progress if not p.outcome]
-    for index in range(going[0] if going else len(stages), len(stages)):
-        state, progress = _run_stage(prepared, index, state, progress, listener)
+    stages, members = plan.stages, len(plan.members)
+    state, progress = resume or (plan.begin(0), (Progress(),) * members)
+    unfinished = [p.stage for p in progress if not p.outcome]
+    for index in range(unfinished[0] if unfinished else len(stages), len(stages)):
+        state, progress = _run_stage(plan, index, state, progress, listener)
         if all(p.outcome for p in progress):
             break
         if index + 1 == len(stages):
             progress = tuple(replace(p, outcome=p.outcome or FINISHED) for p in progress)
         else:
-            weights, stopped = state.weights, state.course.stopped
-            state = begin_stage(
-                weights.best, stages[index + 1], weights.key, prepared.factors, stopped
-            )
+            weights, stopped = state.weights, state.progress.stopped
+            state = begin_stage(weights.best, stages[index + 1], weights.key, plan.factors, stopped)
             progress = tuple(
                 p
                 if p.outcome
@@ -63,60 +61,52 @@ def train(
                 )
                 for p in progress
             )
-        listener.state(state, progress)
+        listener.on_state(state, progress)
     return state.weights.best, progress
 
 
 def _run_stage(
-    prepared: Plan,
+    plan: TrainingPlan,
     index: int,
     state: TrainingState,
     progress: tuple[Progress, ...],
     listener: Listener,
-) -> Resumed:
-    stage = prepared.stages[index]
-    run = compiled_epochs(prepared, stage)
+) -> ResumePoint:
+    """The state and progress of all members at the end of a stage."""
+    stage = plan.stages[index]
+    run = compile_epochs(plan, stage)
     while any(_is_due(stage, p) for p in progress):
-        begun = time.perf_counter()
-        state, told = run(state)
-        told = jax.tree.map(np.asarray, told)
-        ended = time.perf_counter()
-        spent = (ended - begun) / sum(not p.outcome for p in progress)
-        computing = max(begun, last_compiled())
-        pace = (ended - computing) / len(told.epoch), computing - begun
-        reports = [r for m in range(len(progress)) for r in _reports(stage, told, m, pace)]
-        progress = _went_on(index, state, progress, reports, spent)
+        begin = time.perf_counter()
+        state, figures = run(state)
+        figures = jax.tree.map(np.asarray, figures)
+        end = time.perf_counter()
+        share = (end - begin) / sum(not p.outcome for p in progress)
+        computing = max(begin, last_compiled())
+        reports = _report_epochs(
+            stage, figures, seconds=(end - computing) / len(figures.epoch),
+            compiling=computing - begin,
+        )  # fmt: skip
+        stage_progress = jax.tree.map(np.asarray, state.progress)
+        progress = tuple(
+            p
+            if p.outcome
+            else Progress(
+                stage=index,
+                epochs=(*p.epochs[:-1], int(stage_progress.epoch[m])),
+                best_score=float(stage_progress.best_score[m]),
+                best_epoch=int(stage_progress.best_epoch[m]),
+                rollbacks=int(stage_progress.rollbacks[m]),
+                seconds=p.seconds + share,
+                reported=p.reported + sum(r.member == m for r in reports),
+                outcome=_describe_divergence(reports, m) if stage_progress.stopped[m] else "",
+            )
+            for m, p in enumerate(progress)
+        )
         # epoch by epoch, members side by side, as they happened
         for report in sorted(reports, key=lambda r: r.epoch):
-            listener.epoch(report)
-        listener.state(state, progress)
+            listener.on_epoch(report)
+        listener.on_state(state, progress)
     return state, progress
-
-
-def _went_on(
-    index: int,
-    state: TrainingState,
-    progress: tuple[Progress, ...],
-    reports: Sequence[EpochReport],
-    spent: float,
-) -> tuple[Progress, ...]:
-    """Where the members are after a compiled call that took each so many seconds."""
-    course = jax.tree.map(np.asarray, state.course)
-    return tuple(
-        p
-        if p.outcome
-        else Progress(
-            stage=index,
-            epochs=(*p.epochs[:-1], int(course.epoch[m])),
-            best_score=float(course.best_score[m]),
-            best_epoch=int(course.best_epoch[m]),
-            rollbacks=int(course.rollbacks[m]),
-            seconds=p.seconds + spent,
-            reported=p.reported + sum(r.member == m for r in reports),
-            outcome=_gave_up(reports, m) if course.stopped[m] else "",
-        )
-        for m, p in enumerate(progress)
-    )
 
 
 def _is_due(stage: Stage, progress: Progress) -> bool:
@@ -126,50 +116,55 @@ def _is_due(stage: Stage, progress: Progress) -> bool:
     return not progress.outcome and progress.epoch < stage.recipe.epochs and not stalled
 
 
-def _reports(
-    stage: Stage, told: EpochFigures, member: int, pace: tuple[float, float]
+def _report_epochs(
+    stage: Stage, figures: EpochFigures, seconds: float, compiling: float
 ) -> list[EpochReport]:
-    """The epochs that a member did in a compiled call of such seconds an epoch, and before them."""
-    figures = [
-        EpochFigures(*(field[turn, member] for field in told)) for turn in range(len(told.epoch))
-    ]
-    return [
-        EpochReport(
-            stage=stage.recipe.name,
-            epoch=int(f.epoch),
-            loss=float(f.loss),
-            validation=float(f.validation),
-            rate=float(f.rate),
-            best=float(f.best),
-            event=_note(stage, f) if f.finite else _event(stage, f),
-            member=member,
-            seconds=pace[0],
-            compiling=pace[1],
-        )
-        for f in figures
-        if f.active
-    ]
+    """The epochs of a compiled call, member by member.
+
+    Args:
+        stage: the stage.
+        figures: arrays, (epochs, members).
+        seconds: what an epoch of all members took.
+        compiling: what came before them.
+    """
+    turns, members = figures.epoch.shape
+    reports = []
+    for member in range(members):
+        for turn in range(turns):
+            f = EpochFigures(*(field[turn, member] for field in figures))
+            if not f.active:
+                continue
+            event, rate = "", float(f.rate)
+            if not f.finite:
+                event = (
+                    f"loss not finite in epoch {int(f.epoch)} of stage '{stage.recipe.name}' at "
+                    f"rate {rate:.3g}; back to the last good state with rate "
+                    f"{rate * ROLLBACK_FACTOR:.3g}"
+                )
+            elif f.epoch <= 1 and stage.windows.length > LONG:
+                event = (
+                    f"windows of {stage.windows.length} steps: the gradient keeps some states and "
+                    "computes those between them again, which saves memory and takes longer"
+                )
+            reports.append(
+                EpochReport(
+                    stage=stage.recipe.name,
+                    epoch=int(f.epoch),
+                    loss=float(f.loss),
+                    validation=float(f.validation),
+                    rate=rate,
+                    best=float(f.best),
+                    event=event,
+                    member=member,
+                    seconds=seconds,
+                    compiling=compiling,
+                )
+            )
+    return reports
 
 
-def _note(stage: Stage, figures: EpochFigures) -> str:
-    """What is worth saying when a stage begins."""
-    if figures.epoch > 1 or stage.windows.length <= LONG:
-        return ""
-    return (
-        f"windows of {stage.windows.length} steps: the gradient keeps some states and computes "
-        f"those between them again, which saves memory and takes longer"
-    )
-
-
-def _event(stage: Stage, figures: EpochFigures) -> str:
-    rate = float(figures.rate)
-    return (
-        f"loss not finite in epoch {int(figures.epoch)} of stage '{stage.recipe.name}' at rate "
-        f"{rate:.3g}; back to the last good state with rate {rate * ROLLBACK_FACTOR:.3g}"
-    )
-
-
-def _gave_up(reports: Sequence[EpochReport], member: int) -> str:
+def _describe_divergence(reports: Sequence[EpochReport], member: int) -> str:
+    """The outcome of a member that gave up, and what to change."""
     last = next(r for r in reversed(reports) if r.member == member)
     return (
         f"diverged: {last.event.split(';')[0]}, after {ROLLBACKS} returns to the last good state; "

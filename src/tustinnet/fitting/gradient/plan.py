@@ -1,4 +1,4 @@
-"""Everything that training needs, from a task."""
+"""Training plans: everything that training needs, prepared from a task."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,91 +11,83 @@ import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, Key
 
-from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
-from tustinnet.families.family import family_of
-from tustinnet.fitting.free_runs import FreeRuns, free_runs
+from tustinnet.fitting.free_runs import FreeRuns, make_free_runs
 from tustinnet.fitting.gradient.layout import lay_out_devices
-from tustinnet.fitting.gradient.material import (
-    Pool,
+from tustinnet.fitting.gradient.state import Stage, TrainingState, begin_stage
+from tustinnet.fitting.gradient.windows import (
+    RecordPool,
     Records,
     StageWindows,
-    adapted_length,
-    draw,
-    lead_of,
-    sameness,
-    stage_windows,
+    adapt_length,
+    draw_stage_windows,
+    draw_windows,
+    record_identity,
 )
-from tustinnet.fitting.gradient.state import Stage, TrainingState, begin_stage
 from tustinnet.fitting.recipe import TrainingRecipe
-from tustinnet.fitting.residual import residual_of
+from tustinnet.fitting.residual import make_residual
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Fold, Member, Task
 from tustinnet.models.contract import Model, with_dtype
 from tustinnet.simulate.batches import batches
-from tustinnet.simulate.horizon import effective_horizon, horizon_samples
+from tustinnet.simulate.horizon import horizon_samples, effective_horizon
 from tustinnet.simulate.starts import Start, default_start, start_named
 
 
 @dataclass(frozen=True)
-class Plan:
+class TrainingPlan:
     """Everything that training needs, prepared from a task.
 
     Attributes:
         task: what is to be fitted.
-        given: the members' models with their initial weights, as they were built.
-        models: the same in single precision, arrays with the member first.
+        recipe: the recipe of the task.
+        initial_models: the members' models with their initial weights, as they were built.
+        models: these models in single precision, arrays with the member first.
         stages: the stages with their windows drawn.
         records: the records, end to end.
-        internal: internal states along them, by member, (members, rows, n_z).
-        validation: the validation free runs of all members, or None.
-        chosen: which of these each member has, (members, runs).
-        counted: 1 for each that counts, 0 for what fills up, (members, runs).
+        internal_states: internal states along them, by member, (members, rows, n_z).
+        validation_runs: the validation free runs of all members, or None.
+        run_indices: which of these each member has, (members, runs).
+        run_counts: 1 for each that counts, 0 for what fills up, (members, runs).
         start: where these start.
         keys: the sources of the shuffling, one a member.
         mesh: which device trains what.
     """
 
     task: Task
-    given: tuple[Model, ...]
+    recipe: TrainingRecipe
+    initial_models: tuple[Model, ...]
     models: Model
     stages: tuple[Stage, ...]
     records: Records
-    internal: Float[Array, "members rows n_z"]
-    validation: FreeRuns | None
-    chosen: Int[Array, "members runs"]
-    counted: Float[Array, "members runs"]
+    internal_states: Float[Array, "members rows n_z"]
+    validation_runs: FreeRuns | None
+    run_indices: Int[Array, "members runs"]
+    run_counts: Float[Array, "members runs"]
     start: str
     keys: Key[Array, " members"]
     mesh: Mesh
 
     @property
-    def recipe(self) -> TrainingRecipe:
-        """The recipe."""
-        recipe = self.task.recipe
-        assert isinstance(recipe, TrainingRecipe)
-        return recipe
-
-    @property
     def members(self) -> tuple[Member, ...]:
-        """What trains together."""
+        """The members that train together."""
         return self.task.members
 
     @property
     def factors(self) -> np.ndarray:
-        """What each member multiplies the rates by."""
+        """The factor of each member's rates."""
         return np.array([member.rate for member in self.members])
 
     def begin(self, stage: int) -> TrainingState:
         """The state in which a stage begins from the initial weights."""
-        going = jnp.zeros(len(self.members), bool)
-        return begin_stage(self.models, self.stages[stage], self.keys, self.factors, going)
+        stopped = jnp.zeros(len(self.members), bool)
+        return begin_stage(self.models, self.stages[stage], self.keys, self.factors, stopped)
 
 
-def plan(task: Task, devices: Sequence[Any] | None = None) -> Plan:
+def make_plan(task: Task, devices: Sequence[Any] | None = None) -> TrainingPlan:
     """Prepares trainings that run together: initial weights, windows, validation free runs.
 
-    Material is laid out for all folds that are alike, also for those without a member here: the
+    Arrays are laid out for all folds that are alike, also for those without a member here: the
     members of one fold compile to the same program and train to the same weights, whether those of
     other folds train beside them or in a job of their own.
 
@@ -107,56 +99,60 @@ def plan(task: Task, devices: Sequence[Any] | None = None) -> Plan:
         InputError: records too short for a window, a recipe that does not fit, members that cannot
             train together.
     """
-    recipe, folds, members = task.recipe, task.folds, task.members
-    if not isinstance(recipe, TrainingRecipe):
-        raise InputError(f"recipe '{recipe.name}'", "nothing to train", "a recipe with stages")
+    recipe, folds, members = task.training_recipe, task.folds, task.members
+    family = recipe.family
     keys = [jax.random.split(jax.random.key(member.seed)) for member in members]
-    used = sorted({m.fold for m in members})
-    peers = _peers(task)
-    make = {
-        f: recipe.family.builder(
+    fold_numbers = sorted({m.fold for m in members})
+    builders = {
+        f: family.builder(
             recipe.model, folds[f].roles.train, recipe.velocity, _shared_physics(folds[f])
         )
-        for f in used
+        for f in fold_numbers
     }
-    given = tuple(
-        _begun(task, m.fold, make[m.fold](key)) for m, (key, _) in zip(members, keys, strict=True)
-    )
-    single = [with_dtype(model, np.float32) for model in given]
+    initial_models = []
+    for member, (key, _) in zip(members, keys, strict=True):
+        model, origin = builders[member.fold](key), folds[member.fold].origin
+        if origin is not None:
+            model = family.with_weights_from(model, origin.model)
+        initial_models.append(model)
+    single = [with_dtype(model, np.float32) for model in initial_models]
     require_alike(single)
-    pool = Pool([e for of in peers for e in of.all])
+    # the records of every fold that could train together with the members' folds
+    peers = [folds[f].roles for f in fold_numbers]
+    if len(folds) > len(fold_numbers):
+        programs = {f: _fold_program(recipe, fold) for f, fold in enumerate(folds)}
+        member_programs = {programs[f] for f in fold_numbers}
+        peers = [fold.roles for f, fold in enumerate(folds) if programs[f] in member_programs]
+    pool = RecordPool([e for roles in peers for e in roles.all])
     stages = tuple(
-        _plan_stage(index, task, single[0], pool, peers) for index in range(len(recipe.stages))
+        _plan_stage(index, task, recipe, single[0], pool, peers)
+        for index in range(len(recipe.stages))
     )
-    named = recipe.start or default_start(pool.experiments, single[0])
-    rule = start_named(named)
-    horizon_samples(recipe.horizon, pool.experiments, rule, f"recipe '{recipe.name}', horizon")
-    along = {m.fold: pool.internal_states(given[i], recipe.velocity)
-             for i, m in reversed(list(enumerate(members)))}  # fmt: skip
-    validation, chosen, counted = _validation(task, single[0], rule, peers)
-    return Plan(
+    start_name = recipe.start or default_start(pool.experiments, single[0])
+    start = start_named(start_name)
+    horizon_samples(recipe.horizon, pool.experiments, start, f"recipe '{recipe.name}', horizon")
+    internal_states = {
+        m.fold: pool.internal_states(initial_models[i], recipe.velocity)
+        for i, m in reversed(list(enumerate(members)))
+    }
+    validation_runs, run_indices, run_counts = _plan_validation(
+        task, recipe, single[0], start, peers
+    )
+    return TrainingPlan(
         task=task,
-        given=given,
+        recipe=recipe,
+        initial_models=tuple(initial_models),
         models=jax.tree.map(lambda *arrays: jnp.stack(arrays), *single),
         stages=stages,
         records=pool.records(single[0], recipe.velocity),
-        internal=jnp.asarray(np.stack([along[m.fold] for m in members])),
-        validation=validation,
-        chosen=chosen,
-        counted=counted,
-        start=named,
+        internal_states=jnp.asarray(np.stack([internal_states[m.fold] for m in members])),
+        validation_runs=validation_runs,
+        run_indices=run_indices,
+        run_counts=run_counts,
+        start=start_name,
         keys=jnp.stack([shuffling for _, shuffling in keys]),
         mesh=lay_out_devices(len(members), min(s.batch for s in recipe.stages), devices),
     )
-
-
-def _begun(task: Task, fold: int, built: Model) -> Model:
-    """A model as it was built, or with the weights of the one that its fold begins with."""
-    recipe, origin = task.recipe, task.folds[fold].origin
-    assert isinstance(recipe, TrainingRecipe)
-    if origin is not None:
-        built = recipe.family.begun(built, origin.model.dynamics)
-    return built
 
 
 def _shared_physics(fold: Fold) -> Model | None:
@@ -189,124 +185,113 @@ def groups_alike(task: Task) -> list[list[Member]]:
 
     Members of kinds that are identified are fitted one by one and make one group.
     """
-    recipe = task.recipe
-    if not isinstance(recipe, TrainingRecipe):
+    if not isinstance(task.recipe, TrainingRecipe):
         return [list(task.members)]
+    folds = {member.fold for member in task.members}
+    if len(folds) == 1:
+        return [list(task.members)]
+    programs = {f: _fold_program(task.recipe, task.folds[f]) for f in folds}
     groups: dict[Any, list[Member]] = {}
-    alike: dict[int, Any] = {}
     for member in task.members:
-        if member.fold not in alike:
-            alike[member.fold] = _likeness(recipe, task.folds[member.fold])
-        groups.setdefault(alike[member.fold], []).append(member)
+        groups.setdefault(programs[member.fold], []).append(member)
     return list(groups.values())
 
 
-def _likeness(recipe: TrainingRecipe, fold: Fold) -> Any:
-    """What must be the same for members to train as one program."""
+def _fold_program(recipe: TrainingRecipe, fold: Fold) -> Any:
+    """A key that is the same for folds whose members can train as one program."""
     train = fold.roles.train
     windows = [s.windows for s in recipe.stages]
-    physics = recipe.family.stepped(recipe.model, fold.physics, train)
+    physics = recipe.family.physics_for_training(recipe.model, fold.physics, train)
     return (
-        tuple(adapted_length(train, w.length) if w.adapt else w.length for w in windows),
-        tuple(residual_of(stage, train) for stage in recipe.stages),
+        tuple(adapt_length(train, w.length) if w.adapt else w.length for w in windows),
+        tuple(make_residual(stage, train) for stage in recipe.stages),
         jax.tree.structure(physics),
     )
 
 
-def _peers(task: Task) -> list[Roles]:
-    """The records of every fold that could train together with the members' folds."""
-    used = {m.fold for m in task.members}
-    if len(task.folds) == len(used):
-        return [task.folds[f].roles for f in sorted(used)]
-    assert isinstance(task.recipe, TrainingRecipe)
-    recipe = task.recipe
-    of = {f: _likeness(recipe, fold) for f, fold in enumerate(task.folds)}
-    ours = {of[f] for f in used}
-    return [fold.roles for f, fold in enumerate(task.folds) if of[f] in ours]
-
-
-def _plan_stage(index: int, task: Task, model: Model, pool: Pool, peers: Sequence[Roles]) -> Stage:
-    """The stage with the windows of every member drawn."""
-    assert isinstance(task.recipe, TrainingRecipe)
-    lead, recipe = lead_of(model), task.recipe.stages[index]
+def _plan_stage(
+    index: int,
+    task: Task,
+    recipe: TrainingRecipe,
+    model: Model,
+    pool: RecordPool,
+    peers: Sequence[Roles],
+) -> Stage:
+    """The stage of an index with the windows of every member drawn."""
+    stage, lead = recipe.stages[index], model.warm_up
     roles = [task.folds[m.fold].roles for m in task.members]
-    drawn, lengths = [], set()
-    for seed, of in _drawing(task, peers):
+    # windows are drawn for the members, then for folds without a member
+    draws = [(m.seed, r) for m, r in zip(task.members, roles, strict=True)]
+    draws += [(task.members[0].seed, r) for r in peers if all(r is not own for own in roles)]
+    rows, lengths = [], set()
+    for seed, records in draws:
         generator = np.random.default_rng([seed, index])
-        windows, length = stage_windows(of.train, recipe.windows, generator, lead)
-        drawn.append(pool.rows(windows, of.train))
+        windows, length = draw_stage_windows(records.train, stage.windows, generator, lead)
+        rows.append(pool.window_rows(windows, records.train))
         lengths.add(length)
     if len(lengths) > 1:
-        raise InputError(f"stage '{recipe.name}'", "windows of different lengths", "one length")
-    length, watched = lengths.pop(), None
-    criteria = (recipe.keep, recipe.plateau.watch if recipe.plateau else None)
+        raise InputError(f"stage '{stage.name}'", "windows of different lengths", "one length")
+    length, validation_windows = lengths.pop(), None
+    criteria = (stage.keep, stage.plateau.watch if stage.plateau else None)
     if "validation-loss" in criteria:
-        found = []
-        for seed, of in _drawing(task, peers):
+        validation_rows = []
+        for seed, records in draws:
             generator = np.random.default_rng([seed, index, 1])
-            if of.validation:
-                windows = draw(of.validation, recipe.windows, length + lead, generator)
-                found.append(pool.rows(windows, of.validation))
-        if len(found) == len(drawn) and all(len(rows) for rows in found):
-            watched = StageWindows(_side_by_side(found, len(roles)), length, lead)
-    residuals = {residual_of(recipe, of.train) for of in roles}
+            if records.validation:
+                windows = draw_windows(records.validation, stage.windows, length + lead, generator)
+                validation_rows.append(pool.window_rows(windows, records.validation))
+        if len(validation_rows) == len(draws) and all(map(len, validation_rows)):
+            stacked = _stack_rows(validation_rows, len(roles))
+            validation_windows = StageWindows(stacked, length, lead)
+    residuals = {make_residual(stage, records.train) for records in roles}
     if len(residuals) > 1:
-        raise InputError(f"stage '{recipe.name}'", "residuals of different units", "one unit")
+        raise InputError(f"stage '{stage.name}'", "residuals of different units", "one unit")
     return Stage(
-        recipe=recipe,
-        windows=StageWindows(_side_by_side(drawn, len(roles)), length, lead),
-        trainable=family_of(model).trainable(model, recipe),
+        recipe=stage,
+        windows=StageWindows(_stack_rows(rows, len(roles)), length, lead),
+        trainable=recipe.family.trainable_mask(model, stage),
         residual=residuals.pop(),
-        regulariser=task.recipe.family.regulariser(recipe),
-        watched=watched,
+        validation_windows=validation_windows,
     )
 
 
-def _drawing(task: Task, peers: Sequence[Roles]) -> list[tuple[int, Roles]]:
-    """For whom windows are drawn, seed and records: the members, then folds without a member."""
-    mine = [(m.seed, task.folds[m.fold].roles) for m in task.members]
-    others = [of for of in peers if all(of is not own for _, own in mine)]
-    return mine + [(task.members[0].seed, of) for of in others]
-
-
-def _side_by_side(rows: Sequence[np.ndarray], members: int) -> Int[np.ndarray, "members count"]:
-    """The first so many, as many windows for each as the fewest have, others thinned out evenly."""
+def _stack_rows(rows: Sequence[np.ndarray], members: int) -> Int[np.ndarray, "members count"]:
+    """The rows of the first so many, as many for each as the fewest, others thinned out evenly."""
     fewest = min(map(len, rows))
     return np.stack(
         [r[np.linspace(0, len(r) - 1, fewest).round().astype(int)] for r in rows[:members]]
     )
 
 
-def _validation(
-    task: Task, model: Model, start: Start, peers: Sequence[Roles]
+def _plan_validation(
+    task: Task, recipe: TrainingRecipe, model: Model, start: Start, peers: Sequence[Roles]
 ) -> tuple[FreeRuns | None, Int[Array, "members runs"], Float[Array, "members runs"]]:
-    """The free runs that judge, which of them each member has, and what counts of these."""
-    mine = [task.folds[m.fold].roles.validation for m in task.members]
-    if not all(mine):
-        nothing = jnp.zeros((len(mine), 0))
+    """The validation free runs, which of them each member has, and which of these count."""
+    by_member = [task.folds[m.fold].roles.validation for m in task.members]
+    if not all(by_member):
+        nothing = jnp.zeros((len(by_member), 0))
         return None, nothing.astype(jnp.int32), nothing
-    theirs = [of.validation for of in peers]
-    known = {sameness(e): e for of in theirs for e in of}
-    every: tuple[Experiment, ...] = tuple(known.values())
-    place = {same: i for i, same in enumerate(known)}
-    most = max(map(len, theirs))
-    chosen = np.zeros((len(mine), most), np.int32)
-    counted = np.zeros((len(mine), most), np.float32)
-    for m, of in enumerate(mine):
-        chosen[m, : len(of)] = [place[sameness(e)] for e in of]
-        counted[m, : len(of)] = 1.0
-    assert isinstance(task.recipe, TrainingRecipe)
-    horizon = effective_horizon(task.recipe.horizon, every)
-    runs = free_runs(model, every, start, horizon)
-    return runs, jnp.asarray(chosen), jnp.asarray(counted)
+    by_peer = [roles.validation for roles in peers]
+    distinct = {record_identity(e): e for records in by_peer for e in records}
+    index_of_record = {identity: i for i, identity in enumerate(distinct)}
+    most = max(map(len, by_peer))
+    run_indices = np.zeros((len(by_member), most), np.int32)
+    run_counts = np.zeros((len(by_member), most), np.float32)
+    for m, records in enumerate(by_member):
+        run_indices[m, : len(records)] = [index_of_record[record_identity(e)] for e in records]
+        run_counts[m, : len(records)] = 1.0
+    experiments = tuple(distinct.values())
+    runs = make_free_runs(model, experiments, start, effective_horizon(recipe.horizon, experiments))
+    return runs, jnp.asarray(run_indices), jnp.asarray(run_counts)
 
 
-def completed(prepared: Plan, member: int, trained: Model) -> Model:
-    """A trained model whose arrays that never trained are those that were given, bit for bit.
+def restore_untrained(plan: TrainingPlan, member: int, trained: Model) -> Model:
+    """A trained model whose arrays that never trained are the initial ones, bit for bit.
 
     Training is in single precision; physics that is corrected stays as it was.
     """
-    ever = jax.tree.map(lambda *of: any(of), *(stage.trainable for stage in prepared.stages))
-    new, _ = eqx.partition(trained, ever)
-    _, old = eqx.partition(prepared.given[member], ever)
+    masks = [stage.trainable for stage in plan.stages]
+    mask = jax.tree.map(lambda *trains: any(trains), *masks)
+    new, _ = eqx.partition(trained, mask)
+    _, old = eqx.partition(plan.initial_models[member], mask)
     return eqx.combine(new, old)

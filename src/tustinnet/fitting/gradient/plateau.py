@@ -1,4 +1,4 @@
-"""How the rate goes down: when a watched figure stops improving, or from epoch to epoch."""
+"""Schedulers of the rate: it falls when a watched figure stops improving, or with every epoch."""
 
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ _SMALLEST_CHANGE = 1e-8  # a smaller change of the rate is not made
 
 
 class Plateau(NamedTuple):
-    """State of the scheduler.
+    """The state of a scheduler.
 
     Attributes:
         rate: the rate in force.
@@ -26,15 +26,15 @@ class Plateau(NamedTuple):
 
 
 def new_plateau(rate: Float[Array, "..."]) -> Plateau:
-    """The state before the first epoch."""
+    """The state of a scheduler before the first epoch."""
     rate = jnp.asarray(rate, jnp.float32)
     return Plateau(rate, jnp.full_like(rate, jnp.inf), jnp.zeros(rate.shape, jnp.int32))
 
 
-def after_epoch(
+def update_plateau(
     state: Plateau, figure: Float[Array, "..."], recipe: PlateauRecipe | None
 ) -> Plateau:
-    """The state after an epoch with a figure that should fall.
+    """The state of a scheduler after an epoch with a figure that should fall.
 
     An epoch is bad unless the figure is below `best (1 - 1e-4)`. After patience + 1 bad epochs
     in a row the rate is multiplied by the factor and the count starts again: the rule of
@@ -54,15 +54,15 @@ def after_epoch(
     )
 
 
-def decayed(
+def decay_rate(
     rate: Float[Array, "..."],
     epoch: Int[Array, "..."],
     epochs: Int[Array, "..."],
     recipe: StageRecipe,
 ) -> Float[Array, "..."]:
-    """The rate of the epoch that comes after so many: `rate (1 + cos(pi epoch / epochs)) / 2`.
+    """The rate of the next epoch after `epoch` ones: `rate (1 + cos(pi epoch / epochs)) / 2`.
 
-    Where the recipe has no decay it is the rate itself.
+    Without a decay in the recipe it is the rate itself.
     """
     if recipe.decay is None:
         return rate

@@ -1,4 +1,4 @@
-"""What training is: its state, its stages, and what is told of it.
+"""The state of a training, its stages, and the progress that is reported of it.
 
 Several members, the same recipe from different seeds or at different rates, train as one. Arrays
 of a state have the member as their first axis.
@@ -15,20 +15,19 @@ import numpy as np
 import optax
 from jaxtyping import Array, Bool, Float, Int, Key, PyTree
 
-from tustinnet.families.family import Regulariser
-from tustinnet.fitting.gradient.material import StageWindows
 from tustinnet.fitting.gradient.plateau import Plateau, new_plateau
+from tustinnet.fitting.gradient.windows import StageWindows
 from tustinnet.fitting.recipe import StageRecipe
 from tustinnet.fitting.residual import Residual
 from tustinnet.models.contract import Model
 
 
-class Weights(NamedTuple):
-    """What the optimiser changes, epoch by epoch.
+class MemberWeights(NamedTuple):
+    """Models, their averages and the state of the optimiser, which change epoch by epoch.
 
     Attributes:
         model: the model.
-        average: the running average of its weights, or the model itself where none is asked for.
+        average: the running average of its weights, or the model itself where there is none.
         optimiser: the optimiser's state.
         key: the sampler's key.
         best: the best average so far in this stage.
@@ -41,7 +40,7 @@ class Weights(NamedTuple):
     best: Model
 
 
-class Course(NamedTuple):
+class StageProgress(NamedTuple):
     """Where a member is in its stage.
 
     Attributes:
@@ -62,19 +61,19 @@ class Course(NamedTuple):
 
 
 class TrainingState(NamedTuple):
-    """All that a compiled epoch changes.
+    """Everything that a compiled epoch changes.
 
     Attributes:
         weights: models and optimisers.
-        course: where each member is.
+        progress: where each member is in its stage.
     """
 
-    weights: Weights
-    course: Course
+    weights: MemberWeights
+    progress: StageProgress
 
 
 class EpochFigures(NamedTuple):
-    """What a compiled epoch tells.
+    """The figures that a compiled epoch returns.
 
     Attributes:
         active: whether there was an epoch to do.
@@ -130,27 +129,19 @@ class Stage:
     """A stage with its windows drawn.
 
     Attributes:
-        recipe: what it says.
+        recipe: its keys in the recipe.
         windows: what each member is trained on, rows of shape (members, count).
         trainable: a tree like the model, True where an array trains.
         residual: what is compared.
-        regulariser: what the model's family adds to the loss, if anything.
-        watched: windows of the validation records, where the scheduler watches their loss.
+        validation_windows: windows of the validation records, where the stage's criteria need
+            their loss.
     """
 
     recipe: StageRecipe
     windows: StageWindows
     trainable: PyTree
     residual: Residual
-    regulariser: Regulariser | None = None
-    watched: StageWindows | None = None
-
-
-def new_course(rates: Float[Array, " members"], stopped: Bool[Array, " members"]) -> Course:
-    """Where members are when a stage begins."""
-    none = jnp.zeros(rates.shape, jnp.int32)
-    unknown = jnp.full(rates.shape, jnp.inf, jnp.float32)
-    return Course(none, new_plateau(rates), unknown, none, none, stopped)
+    validation_windows: StageWindows | None = None
 
 
 def adam_without_rate(recipe: StageRecipe) -> optax.GradientTransformation:
@@ -170,6 +161,7 @@ def begin_stage(
     trainable, _ = eqx.partition(models, stage.trainable)
     optimiser = jax.vmap(adam_without_rate(stage.recipe).init)(trainable)
     rates = jnp.asarray(stage.recipe.rate * factors, jnp.float32)
-    return TrainingState(
-        Weights(models, models, optimiser, keys, models), new_course(rates, stopped)
-    )
+    zero = jnp.zeros(rates.shape, jnp.int32)
+    infinite = jnp.full(rates.shape, jnp.inf, jnp.float32)
+    progress = StageProgress(zero, new_plateau(rates), infinite, zero, zero, stopped)
+    return TrainingState(MemberWeights(models, models, optimiser, keys, models), progress)

@@ -1,22 +1,21 @@
-"""From a plan to trained models."""
+"""Training of a plan: from initial weights to fit results."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tustinnet.fitting.gradient.epoch import validation_rmse
-from tustinnet.fitting.gradient.loop import Resumed, train
-from tustinnet.fitting.gradient.plan import Plan, completed
+from tustinnet.fitting.gradient.epoch import compute_validation_rmse
+from tustinnet.fitting.gradient.loop import ResumePoint, train
+from tustinnet.fitting.gradient.plan import TrainingPlan, restore_untrained
 from tustinnet.fitting.gradient.state import Progress
 from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.fitting.report import FINISHED, FitResult
-from tustinnet.models.contract import Model
 
 _FEW = 5  # epochs at the ends of a stage
 
 
 def train_plan(
-    prepared: Plan, listener: Listener = SILENT, resume: Resumed | None = None
+    plan: TrainingPlan, listener: Listener = SILENT, resume: ResumePoint | None = None
 ) -> list[FitResult]:
     """Trains as planned, from the beginning or from a state that a listener was given.
 
@@ -24,60 +23,64 @@ def train_plan(
         The members' models and how they came about. A training that diverged returns the best
         weights it had and says so in `outcome`.
     """
-    best, progress = train(prepared, listener, resume)
-    return [_result(prepared, best, m, p) for m, p in enumerate(progress)]
+    best, progress = train(plan, listener, resume)
+    results = []
+    for m, p in enumerate(progress):
+        # off the devices that trained it: what comes now is one model's business
+        model = jax.tree.map(lambda a, m=m: jnp.asarray(np.asarray(a)[m]), best)
+        score = None
+        if plan.validation_runs is not None:
+            score = float(
+                compute_validation_rmse(
+                    model, plan.validation_runs, plan.run_indices[m], plan.run_counts[m]
+                )
+            )
+        details = {
+            "windows": [s.windows.rows.shape[1] for s in plan.stages],
+            "window_lengths": [s.windows.length for s in plan.stages],
+            "epochs": list(p.epochs),
+            "kept_epoch": p.best_epoch,
+        }
+        results.append(
+            FitResult(
+                model=restore_untrained(plan, m, model).folded(),
+                recipe=plan.recipe,
+                member=plan.members[m],
+                outcome=p.outcome,
+                sound=p.outcome == FINISHED,
+                start=plan.start,
+                validation_rmse=score,
+                seconds=p.seconds,
+                details={"training": details},
+                horizon=plan.recipe.horizon,
+                findings=describe_kept_epoch(plan, p),
+            )
+        )
+    return results
 
 
-def _result(prepared: Plan, best: Model, m: int, progress: Progress) -> FitResult:
-    # off the devices that trained it: what comes now is one model's business
-    model = jax.tree.map(lambda a: jnp.asarray(np.asarray(a)[m]), best)
-    score = None
-    if prepared.validation is not None:
-        mine = prepared.chosen[m], prepared.counted[m]
-        score = float(validation_rmse(model, prepared.validation, *mine))
-    details = {
-        "windows": [s.windows.rows.shape[1] for s in prepared.stages],
-        "window_lengths": [s.windows.length for s in prepared.stages],
-        "epochs": list(progress.epochs),
-        "kept_epoch": progress.best_epoch,
-    }
-    return FitResult(
-        model=completed(prepared, m, model).folded(),
-        recipe=prepared.recipe,
-        member=prepared.members[m],
-        outcome=progress.outcome,
-        sound=progress.outcome == FINISHED,
-        start=prepared.start,
-        validation_rmse=score,
-        seconds=progress.seconds,
-        details={"training": details},
-        horizon=prepared.recipe.horizon,
-        findings=ends(prepared, progress),
-    )
+def describe_kept_epoch(plan: TrainingPlan, progress: Progress) -> tuple[str, ...]:
+    """A finding where the kept epoch is among the first or last few of the last stage.
 
-
-def ends(prepared: Plan, progress: Progress) -> tuple[str, ...]:
-    """What to say where the kept epoch is among the first or last few of the last stage.
-
-    A few are a tenth of the epochs, at most 5. Of stages that are shorter nothing is said.
+    A few are a tenth of the epochs, at most 5. There is none for stages that are shorter.
     """
     if progress.outcome != FINISHED:
         return ()
-    index, kept, done = progress.stage, progress.best_epoch, progress.epoch
-    recipe = prepared.stages[index].recipe
+    index, best_epoch, done = progress.stage, progress.best_epoch, progress.epoch
+    recipe = plan.stages[index].recipe
     if recipe.keep == "last":
         return ()
     few = min(_FEW, recipe.epochs // 10)
-    judge = "training loss" if prepared.validation is None else f"lowest `{recipe.keep}`"
-    at = f"epoch {kept} of {done} of stage '{recipe.name}' was kept ({judge})"
-    if kept > recipe.epochs - few:
+    criterion = "training loss" if plan.validation_runs is None else f"lowest `{recipe.keep}`"
+    kept = f"epoch {best_epoch} of {done} of stage '{recipe.name}' was kept ({criterion})"
+    if best_epoch > recipe.epochs - few:
         return (
-            f"{at}, one of the last: it was still improving; train longer: --set "
+            f"{kept}, one of the last: it was still improving; train longer: --set "
             f"stages.{index}.epochs={2 * recipe.epochs}",
         )
-    if kept <= few:
+    if best_epoch <= few:
         return (
-            f"{at}, one of the first: what followed was worse; train more carefully: --set "
+            f"{kept}, one of the first: what followed was worse; train more carefully: --set "
             f"stages.*.rate={recipe.rate / 3:.1g}",
         )
     return ()

@@ -15,9 +15,8 @@ from tustinnet.data.inspection import transient_end
 from tustinnet.engine.equations import Formula
 from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
-from tustinnet.families.family import Hyper
+from tustinnet.families.family import IdentifiedHyper
 from tustinnet.fitting.listener import Iteration, Listener
-from tustinnet.fitting.recipe import IdentificationRecipe
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.report import Disagreement, FitResult, Identification
 from tustinnet.fitting.shooting import inverse_dynamics
@@ -81,7 +80,7 @@ def identify(
     given = {"begin": dict(begin or {}), "fixed": dict(fixed or {})}
     more = {key: {**getattr(chosen.model, key, {}), **values} for key, values in given.items()}
     changed = chosen.model_copy(update={"model": chosen.model.model_copy(update=more)})
-    return _identify(make_task(data, changed, system=system), Member(), Listener(iteration=told))
+    return _identify(make_task(data, changed, system=system), Member(), Listener(on_iteration=told))
 
 
 def identify_task(task: Task, member: Member, listener: Listener) -> FitResult:
@@ -106,9 +105,9 @@ def identify_task(task: Task, member: Member, listener: Listener) -> FitResult:
 def _identify(task: Task, member: Member, listener: Listener) -> Identification:
     require_float64("identify")
     begun = time.perf_counter()
-    system, recipe, roles = task.system, task.recipe, task.folds[member.fold].roles
+    recipe, roles = task.identification_recipe, task.folds[member.fold].roles
+    system = task.system
     assert system is not None
-    assert isinstance(recipe, IdentificationRecipe)
     records = list(roles.train)
     system = system.of(records) if isinstance(system, MadeForRecords) else system
     system.channels.require_same(
@@ -178,22 +177,20 @@ def _require_refinable(problem: Problem) -> None:
 
 
 def _as_asked(
-    system: LagrangianSystem, model: Hyper, records: Sequence[Experiment]
+    system: LagrangianSystem, model: IdentifiedHyper, records: Sequence[Experiment]
 ) -> LagrangianSystem:
     """The system with the forces and the parameters of sensors that a table `[model]` adds."""
-    known = {**getattr(model, "begin", {}), **getattr(model, "fixed", {})}
+    known = {**model.begin, **model.fixed}
     numbers = {name: x for name, x in known.items() if not isinstance(x, str)}
-    system = with_added(system, getattr(model, "forces", ()), records, numbers)
-    return calibrated(system, freed(system, getattr(model, "free", ()), records))
+    system = with_added(system, model.forces, records, numbers)
+    return calibrated(system, freed(system, model.free, records))
 
 
-def _beginning(problem: Problem, model: Hyper) -> tuple[Space, Searched]:
+def _beginning(problem: Problem, model: IdentifiedHyper) -> tuple[Space, Searched]:
     """What is searched for, and where the search begins, by a recipe's table `[model]`."""
     known = {p.name: p for p in problem.parameters}
-    begin, fixed = (
-        spread(problem.system, problem.parameters, getattr(model, key, {}))
-        for key in ("begin", "fixed")
-    )
+    begin = spread(problem.system, problem.parameters, model.begin)
+    fixed = spread(problem.system, problem.parameters, model.fixed)
     fixed = {n: known[n].nominal if isinstance(x, str) else x for n, x in fixed.items()}
     space = make_space(problem.system, begin, fixed, problem.parameters)
     nominal = {name: p.nominal for name, p in known.items()}

@@ -72,7 +72,7 @@ def normal_products(
     )
     seeds = np.concatenate([by_parameter, segments.searched[:, :, None] * by_state], axis=1)
     result = compare(
-        equations.motion, residual.as_compared, runs, substeps,
+        equations.motion, residual.formula, runs, substeps,
         Directions(seeds, parameters=True), Samples(segments.target, segments.weight),
     )  # fmt: skip
     # from the parameters of each segment to the coordinates of the search

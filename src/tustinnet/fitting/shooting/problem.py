@@ -11,7 +11,7 @@ from jaxtyping import Int
 from tustinnet.data.experiment import Experiment
 from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.fitting.recipe import SearchRecipe
-from tustinnet.fitting.residual import Residual, residual_of
+from tustinnet.fitting.residual import Residual, make_residual
 from tustinnet.fitting.shooting import inverse_dynamics
 from tustinnet.fitting.shooting.groups import expanded, picks
 from tustinnet.fitting.shooting.inverse_dynamics import Motion
@@ -84,7 +84,7 @@ class Problem:
     @cached_property
     def residual(self) -> Residual:
         """What is compared."""
-        return residual_of(self.search, self.records)
+        return make_residual(self.search, self.records)
 
     @cached_property
     def asked(self) -> dict[str, int] | None:
@@ -136,7 +136,6 @@ class Problem:
             length=length,
             start="estimated" if searched else initial,
             anchored=initial != "unanchored",
-            timestamps=self.search.times == "recorded",
             horizons=horizons,
             delays=bool(self.delays),
         )

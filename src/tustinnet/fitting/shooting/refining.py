@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from tustinnet.data.experiment import Experiment
 from tustinnet.engine.runs import Directions, Runs, Samples, compare
 from tustinnet.fitting.listener import Iteration
-from tustinnet.fitting.report import Identification, Refined
+from tustinnet.fitting.report import Identification, Refit
 from tustinnet.fitting.shooting.equations import SystemEquations, system_equations
 from tustinnet.fitting.shooting.problem import Problem, State, model_of, score
 from tustinnet.fitting.shooting.space import Space
@@ -61,12 +61,12 @@ def with_refined(
         found,
         model=model_of(problem, state),
         validation_rmse=score(problem, state) if problem.validation else None,
-        refined=account,
+        refit=account,
         findings=(*found.findings, _told(found, account, start)),
     )
 
 
-def _told(found: Identification, account: Refined, start: Start) -> str:
+def _told(found: Identification, account: Refit, start: Start) -> str:
     before, after = found.values, account.values
     moved = {name: abs(x / before[name] - 1) for name, x in after.items() if before[name]}
     most = sorted(moved, key=lambda name: -moved[name])[:_MOVED]
@@ -237,9 +237,7 @@ def _task(problem: Problem, ended: State, start: Start, searched: Sequence[Param
     )  # fmt: skip
 
 
-def _refined(
-    problem: Problem, ended: State, start: Start, searched: Sequence[Parameter]
-) -> Refined:
+def _refined(problem: Problem, ended: State, start: Start, searched: Sequence[Parameter]) -> Refit:
     """Minimises the mean over the records of their RMSE, not of its square.
 
     A record that no parameter explains then pulls no more than others. A parameter's change
@@ -275,12 +273,12 @@ def _refined(
             continue
         change, now, damping, count = tried, there, damping / 10, count + 1
         stage = f"refining, free runs from {start.name}"
-        problem.listener.iteration(Iteration(stage, count, now.mean, damping, start.name))
+        problem.listener.on_iteration(Iteration(stage, count, now.mean, damping, start.name))
         if gained < _ENOUGH * cost(now, change):
             break
     names = [p.name for p in searched]
     values = dict(zip(names, task.values(change).tolist(), strict=True))
-    return Refined(scale, now.mean, count, values)
+    return Refit(scale, now.mean, count, values)
 
 
 class _Runs(NamedTuple):

@@ -12,7 +12,7 @@ from functools import reduce
 import numpy as np
 
 from tustinnet.errors import InputError
-from tustinnet.fitting.listener import Iteration, SearchedStage
+from tustinnet.fitting.listener import Iteration, StageResult
 from tustinnet.fitting.residual import robust_weights
 from tustinnet.fitting.shooting import growth, inverse_dynamics
 from tustinnet.fitting.shooting.identifiability import confounded
@@ -120,12 +120,12 @@ def run(problem: Problem, state: State, stage: SearchStage) -> State:
     name = f"{_told(problem, state, length)}, {stage.initial} start"
 
     def told(iterations: int, value: float, damping: float) -> None:
-        problem.listener.iteration(Iteration(name, iterations, value, damping, stage.initial))
+        problem.listener.on_iteration(Iteration(name, iterations, value, damping, stage.initial))
 
     fitted = minimise(cost, state.vector, stage.limits, told)
     values = state.space.numbers(fitted.vector)
-    problem.listener.searched(
-        SearchedStage(name, stage.initial, fitted.iterations, fitted.cost, fitted.why, values)
+    problem.listener.on_stage(
+        StageResult(name, stage.initial, fitted.iterations, fitted.cost, fitted.why, values)
     )
     known = fitted.cost / len(problem.records) if fitted.why != "diverged" else state.variance
     weights = _weights(problem, segments, fitted) if fitted.why != "diverged" else state.weights
@@ -225,8 +225,8 @@ def _first_values(problem: Problem, state: State) -> State:
     )
     left = float(shares.max())
     name, values = "first values", state.space.numbers(found)
-    problem.listener.iteration(Iteration(name, 1, left, 0.0))
-    problem.listener.searched(SearchedStage(name, "", 1, left, "converged", values))
+    problem.listener.on_iteration(Iteration(name, 1, left, 0.0))
+    problem.listener.on_stage(StageResult(name, "", 1, left, "converged", values))
     return begun_with(problem, replace(state, vector=found, unexplained=left))
 
 

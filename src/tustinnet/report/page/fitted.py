@@ -22,7 +22,7 @@ def report_of_run(run: Run, command: str) -> Path:
     best, folder = run.best, run.folder
     subjects = subjects_of([folder / MODEL], [best.result.model])
     scored = [replace(of, scores=best.scores) for of in subjects]
-    return report_of_scored(scored, run.roles.judging, folder / REPORT, command)
+    return report_of_scored(scored, run.roles.ranking, folder / REPORT, command)
 
 
 def report_of_scored(

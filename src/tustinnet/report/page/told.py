@@ -53,7 +53,7 @@ class Parameters:
 def what_it_is(subject: Subject) -> str:
     """What a model is, as a heading."""
     family = family_of(subject.model)
-    kind = family.spelt or family.kind
+    kind = family.title or family.kind
     return f"{_article(kind)} {kind} model of {listed(_names(subject.model.channels))}"
 
 

@@ -1,4 +1,4 @@
-"""What members are trained on: records laid end to end, windows as indices."""
+"""Training windows: records laid end to end, and the rows at which windows begin."""
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from tustinnet.simulate.along import states_along
 from tustinnet.simulate.input_signal import input_signal
 
 _LONGEST = 4  # an adapted window is at most this many times the recipe's length
-_USUAL_SHARE = 4  # and at most the median record over this
+_RECORD_SHARE = 4  # and at most the median record over this
 _ROUND = 5  # adapted lengths are multiples of this
 _DECAYS = 3  # times of decay to 1/e after which a wrong start is forgotten
 
@@ -43,8 +43,7 @@ class StageWindows:
         rows: the row of `Records` at which each window begins, (count,); of several members
             that train together (members, count).
         length: steps in a window that are compared.
-        lead: steps before them from which the state at their beginning follows: the warm-up of
-            internal states, or what an encoder sees.
+        lead: steps before them that internal states follow: the warm-up of the model.
     """
 
     rows: Int[np.ndarray, "*members count"]
@@ -52,54 +51,53 @@ class StageWindows:
     lead: int = 0
 
 
-def lead_of(model: Model) -> int:
-    """The samples before those compared in a window, see `StageWindows`."""
-    return model.warm_up if model.encoder is None else model.encoder.samples - 1
+def record_identity(experiment: Experiment) -> Hashable:
+    """The name and samples of a record: records of two devices may share a name."""
+    return experiment.name, experiment.q.tobytes(), experiment.u.tobytes()
 
 
-def sameness(e: Experiment) -> Hashable:
-    """What is equal where two records are the same: records of two devices may share a name."""
-    return e.name, e.q.tobytes(), e.u.tobytes()
-
-
-class Pool:
-    """The records that any member has a use for, once each.
+class RecordPool:
+    """The records of all members, once each.
 
     Args:
         experiments: the records, perhaps several times.
     """
 
     def __init__(self, experiments: Sequence[Experiment]) -> None:
-        known = {sameness(e): e for e in experiments}
-        self.experiments = tuple(known.values())
+        distinct = {record_identity(e): e for e in experiments}
+        self.experiments = tuple(distinct.values())
         lengths = [len(e) for e in self.experiments]
-        begins = np.concatenate([[0], np.cumsum(lengths)[:-1]]).astype(int)
-        self._begin = dict(zip(known, begins.tolist(), strict=True))
+        first_rows = np.concatenate([[0], np.cumsum(lengths)[:-1]]).astype(int)
+        self._first_rows = dict(zip(distinct, first_rows.tolist(), strict=True))
 
     def records(self, model: Model, velocity: VelocitySource) -> Records:
         """The records laid end to end."""
         x = [e.measured_states(velocity) for e in self.experiments]
-        seen = [np.asarray(input_signal(model, e).u) for e in self.experiments]
-        u = [np.append(u, np.zeros((1, *u.shape[1:])), axis=0) for u in seen]
+        steps = [np.asarray(input_signal(model, e).u) for e in self.experiments]
+        u = [np.append(u, np.zeros((1, *u.shape[1:])), axis=0) for u in steps]
         return Records(*(jnp.asarray(np.concatenate(a), jnp.float32) for a in (x, u)))
 
     def internal_states(
         self, model: Model, velocity: VelocitySource
     ) -> Float[np.ndarray, "rows n_z"]:
-        """The states with which windows begin; none where every window has a lead."""
+        """The internal states with which windows begin; none where the model has a warm-up."""
         rows = sum(len(e) for e in self.experiments)
-        if lead_of(model) or not model.internal:
+        if model.warm_up or not model.internal:
             return np.zeros((rows, 0), np.float32)
-        along = states_along(model, self.experiments, velocity)
-        return np.concatenate(along)[:, model.channels.internal].astype(np.float32)
+        states = np.concatenate(states_along(model, self.experiments, velocity))
+        return states[:, model.channels.internal].astype(np.float32)
 
-    def rows(self, windows: Int[np.ndarray, "count 2"], of: Sequence[Experiment]) -> np.ndarray:
+    def window_rows(
+        self, windows: Int[np.ndarray, "count 2"], experiments: Sequence[Experiment]
+    ) -> Int[np.ndarray, " count"]:
         """The rows at which windows (record, first sample) of some of the records begin."""
-        begins = np.array([self._begin[sameness(e)] for e in of], dtype=int)
-        return begins[windows[:, 0]] + windows[:, 1]
+        first_rows = np.array(
+            [self._first_rows[record_identity(e)] for e in experiments], dtype=int
+        )
+        return first_rows[windows[:, 0]] + windows[:, 1]
 
 
-def stage_windows(
+def draw_stage_windows(
     experiments: Sequence[Experiment],
     recipe: WindowRecipe,
     generator: np.random.Generator,
@@ -110,7 +108,7 @@ def stage_windows(
     Raises:
         InputError: a record is not longer than a window, or no window fits.
     """
-    length = adapted_length(experiments, recipe.length) if recipe.adapt else recipe.length
+    length = adapt_length(experiments, recipe.length) if recipe.adapt else recipe.length
     reach, shortest = length + lead, min(experiments, key=len)
     if len(shortest) <= reach:
         before = f", {lead} of them before what is compared" if lead else ""
@@ -121,7 +119,7 @@ def stage_windows(
             f"more than a window of {reach} steps{before}",
             f"leave the record out, or shorten `length`{shorter} in the recipe",
         )
-    windows = draw(experiments, recipe, reach, generator)
+    windows = draw_windows(experiments, recipe, reach, generator)
     if not len(windows):
         raise InputError(
             "windows",
@@ -132,13 +130,13 @@ def stage_windows(
     return windows, length
 
 
-def draw(
+def draw_windows(
     experiments: Sequence[Experiment],
     recipe: WindowRecipe,
     length: int,
     generator: np.random.Generator,
 ) -> Int[np.ndarray, "count 2"]:
-    """Windows of the recipe's rule, (record, first sample); none where no record is long enough."""
+    """Draws windows by a rule, (record, first sample); none where no record is long enough."""
     lengths = [len(e) for e in experiments]
     ends = [transient_end(e) for e in experiments] if recipe.until == "k_bar" else lengths
     if recipe.draw == "random":
@@ -149,8 +147,8 @@ def draw(
     return strided_windows(reach, length, step, recipe.part)
 
 
-def adapted_length(experiments: Sequence[Experiment], length: int) -> int:
-    """A window length that fits the records.
+def adapt_length(experiments: Sequence[Experiment], length: int) -> int:
+    """A window length [steps] that fits the records.
 
     The faster a log is sampled compared to the motion, the less happens in a window. The length
     grows, up to four times, towards the samples in which the slowest coordinate covers one
@@ -161,31 +159,31 @@ def adapted_length(experiments: Sequence[Experiment], length: int) -> int:
     q = np.concatenate([e.q - e.q.mean(axis=0) for e in experiments])
     v = np.concatenate([e.velocities() for e in experiments])
     moving = v.std(axis=0) > 0
-    covered = q.std(axis=0)[moving] / (v.std(axis=0)[moving] * experiments[0].dt)
-    slowest = float(covered.max()) if moving.any() else float(length)
-    fast = [s.decay for s in coordinate_timescales(experiments).values() if s.is_fast]
-    forgotten = _DECAYS * max(fast, default=0.0)
-    usual = int(np.median([len(e) for e in experiments]))
-    longest = min(_LONGEST * length, usual // _USUAL_SHARE)
-    wanted = min(max(length, slowest, forgotten), longest)
-    return max(_ROUND, int(wanted) // _ROUND * _ROUND)
+    samples = q.std(axis=0)[moving] / (v.std(axis=0)[moving] * experiments[0].dt)
+    slowest = float(samples.max()) if moving.any() else float(length)
+    fast_decays = [s.decay for s in coordinate_timescales(experiments).values() if s.is_fast]
+    until_forgotten = _DECAYS * max(fast_decays, default=0.0)
+    median = int(np.median([len(e) for e in experiments]))
+    longest = min(_LONGEST * length, median // _RECORD_SHARE)
+    adapted = min(max(length, slowest, until_forgotten), longest)
+    return max(_ROUND, int(adapted) // _ROUND * _ROUND)
 
 
-def window_account(experiments: Sequence[Experiment], recipe: WindowRecipe) -> str:
-    """What was measured for the windows of a stage, and what was chosen."""
-    found = coordinate_timescales(experiments)
-    length = adapted_length(experiments, recipe.length) if recipe.adapt else recipe.length
-    if not found:
+def describe_windows(experiments: Sequence[Experiment], recipe: WindowRecipe) -> str:
+    """A sentence on what was measured for the windows of a stage, and which length was chosen."""
+    scales = coordinate_timescales(experiments)
+    length = adapt_length(experiments, recipe.length) if recipe.adapt else recipe.length
+    if not scales:
         return f"windows of {length} steps"
-    name, of = min(found.items(), key=lambda item: item[1].period)
-    hertz = 1 / (of.period * experiments[0].dt)
-    account = (
-        f"windows of {length} steps: {length / of.period:.1f} periods of the strongest line of "
-        f"{name}, {hertz:.3g} Hz; it decays to 1/e in {of.decay:.0f} samples"
+    name, fastest = min(scales.items(), key=lambda item: item[1].period)
+    hertz = 1 / (fastest.period * experiments[0].dt)
+    sentence = (
+        f"windows of {length} steps: {length / fastest.period:.1f} periods of the dominant "
+        f"frequency of {name}, {hertz:.3g} Hz; it decays to 1/e in {fastest.decay:.0f} samples"
     )
-    if of.is_fast:
-        account += (
-            f"; {of.period:.0f} samples a period are few: see `velocity` and `linear` in "
+    if fastest.is_fast:
+        sentence += (
+            f"; {fastest.period:.0f} samples a period are few: see `velocity` and `linear` in "
             "docs/reference/training.md"
         )
-    return account
+    return sentence

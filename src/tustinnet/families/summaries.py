@@ -1,6 +1,6 @@
-"""What `show` prints of a model file's structure: from header and arrays alone, without JAX.
+"""Summaries of model files, as `show` prints them: from header and arrays alone, without JAX.
 
-A function for each kind, named in the registry (`SHOWN`); other kinds have `Family.shown`.
+A function for each kind, named in the registry (`SUMMARIES`); other kinds have `Family.summarise`.
 """
 
 from typing import Any
@@ -11,35 +11,34 @@ from tustinnet.registry import FAMILIES, SUMMARIES
 
 Header = dict[str, Any]
 Arrays = dict[str, np.ndarray]
-Lines = list[tuple[str, str]]  # words, and what they say
+Lines = list[tuple[str, str]]  # words, and values
 
 # keys of headers, and names of arrays
 PHYSICS, CORRECTION = "physics", "correction"  # of a hybrid
 MEMBERS, WEIGHT = "members", "weight"  # of a committee
-DYNAMICS, ENCODER = "dynamics", "encoder"  # of a model with an encoder
 VALUES = "values"  # of the parameters of a system
 REST = "rest"  # the position at which the memory of a Tustin-Net rests
 
 
-def shown_of(header: Header, arrays: Arrays) -> Lines:
+def summarise(header: Header, arrays: Arrays) -> Lines:
     """The lines of a model, or of a part of one; only kinds from outside are loaded for them."""
     kind = header["kind"]
     if kind in SUMMARIES:
         return SUMMARIES[kind](header, arrays)
-    return FAMILIES[kind].shown(header, arrays)
+    return FAMILIES[kind].summarise(header, arrays)
 
 
 def tustin_net(header: Header, arrays: Arrays) -> Lines:
-    """Layers and units of a Tustin-Net, and what it remembers."""
+    """Layers, units and memory of a Tustin-Net."""
     structure = header["structure"]
-    shown = _network(structure, arrays)
-    if not structure.get("relaxation_times"):
-        return shown
-    told = "relaxing in " + ", ".join(f"{t:g} s" for t in structure["relaxation_times"])
-    if structure.get("remembered"):
-        rest = ", ".join(f"{x:.3g}" for x in arrays[REST])
-        told += f"; begins with {structure['remembered']:g} of the way from ({rest})"
-    return [*shown, ("memory", told)]
+    lines = _network(structure, arrays)
+    if structure.get("relaxation_times"):
+        memory = "relaxing in " + ", ".join(f"{t:g} s" for t in structure["relaxation_times"])
+        if structure.get("remembered"):
+            rest = ", ".join(f"{x:.3g}" for x in arrays[REST])
+            memory += f"; begins with {structure['remembered']:g} of the way from ({rest})"
+        lines.append(("memory", memory))
+    return lines
 
 
 def neural_ode(header: Header, arrays: Arrays) -> Lines:
@@ -51,8 +50,8 @@ def neural_ode(header: Header, arrays: Arrays) -> Lines:
 def gru(header: Header, arrays: Arrays) -> Lines:
     """Size, warm-up and units of a GRU."""
     s = header["structure"]
-    told = f"{s['hidden']} hidden units, warm-up of {s['warm_up']} samples"
-    return [("network", told), _units(arrays)]
+    sizes = f"{s['hidden']} hidden units, warm-up of {s['warm_up']} samples"
+    return [("network", sizes), _units(arrays)]
 
 
 def linear(header: Header, arrays: Arrays) -> Lines:
@@ -67,73 +66,66 @@ def linear(header: Header, arrays: Arrays) -> Lines:
 def euler_lagrange(header: Header, arrays: Arrays) -> Lines:
     """System and values of a grey box."""
     system = header["system"]
-    told = f"{system['name']} ({system['file']})" if system["file"] else system["name"]
+    name = f"{system['name']} ({system['file']})" if system["file"] else system["name"]
     values = dict(zip(header["parameters"], arrays[VALUES].tolist(), strict=True))
     forces = header.get("forces", ())
     return [
-        ("system", f"{told}, {header['substeps']} Runge-Kutta steps a period"),
+        ("system", f"{name}, {header['substeps']} Runge-Kutta steps a period"),
         *([("added forces", ", ".join(forces))] if forces else []),
         ("values", ", ".join(f"{name} {value:.4g}" for name, value in values.items())),
     ]
 
 
 def hybrid(header: Header, arrays: Arrays) -> Lines:
-    """Both parts of a hybrid."""
-    header, arrays = hybrid_as_now(header, arrays)
+    """The physics and the correction of a hybrid."""
+    header, arrays = upgrade_hybrid(header, arrays)
     fades = ", fading at rest" if header["fades_at_rest"] else ""
     lines = []
     for name, remark in ((PHYSICS, ""), (CORRECTION, fades)):
         part = header[name]
         lines.append((name, part["kind"] + remark))
-        lines += shown_of(part, below(f"{name}.", arrays))
+        lines += summarise(part, arrays_below(f"{name}.", arrays))
     return lines
 
 
-def encoded(header: Header, arrays: Arrays) -> Lines:
-    """The encoder, and the lines of the model that it belongs to."""
-    part, sizes = header[DYNAMICS], header[ENCODER]
-    told = f"the state from {sizes['samples']} samples, {sizes['hidden']} hidden units"
-    own = shown_of(part, below(f"{DYNAMICS}.", arrays))
-    return [(DYNAMICS, part["kind"]), *own, (ENCODER, told)]
-
-
 def committee(header: Header, arrays: Arrays) -> Lines:
-    """The weights of a committee; of members whose structure is the same what all of them say."""
+    """The weights of a committee, and the lines that members of one structure have in common."""
     kinds: dict[str, list[int]] = {}
     for i, part in enumerate(header[MEMBERS]):
         structure = {key: x for key, x in part.items() if key != WEIGHT}
         kinds.setdefault(repr(structure), []).append(i)
     lines = []
-    for of in kinds.values():
-        parts = [header[MEMBERS][i] for i in of]
-        numbers = ", ".join(str(i + 1) for i in of)
+    for indices in kinds.values():
+        parts = [header[MEMBERS][i] for i in indices]
+        numbers = ", ".join(str(i + 1) for i in indices)
         weights = [f"{part[WEIGHT]:.4g}" for part in parts]
-        told = ", ".join(weights if len(set(weights)) > 1 else weights[:1])
-        lines.append(("members", f"{parts[0]['kind']}: {numbers}; weight {told}"))
-        each = [
-            shown_of(part, below(f"{i + 1}.", arrays)) for i, part in zip(of, parts, strict=True)
+        weight = ", ".join(weights if len(set(weights)) > 1 else weights[:1])
+        lines.append(("members", f"{parts[0]['kind']}: {numbers}; weight {weight}"))
+        summaries = [
+            summarise(part, arrays_below(f"{i + 1}.", arrays))
+            for i, part in zip(indices, parts, strict=True)
         ]
-        lines += [line for line in each[0] if all(line in other for other in each)]
+        lines += [line for line in summaries[0] if all(line in other for other in summaries)]
     return lines
 
 
-def hybrid_as_now(header: Header, arrays: Arrays) -> tuple[Header, Arrays]:
+def upgrade_hybrid(header: Header, arrays: Arrays) -> tuple[Header, Arrays]:
     """Header and arrays of a hybrid's file of format 1 as they would be written today."""
     if PHYSICS in header:
         return header, arrays
-    of = {key: header[key] for key in ("coordinates", "inputs", "dt")}
+    channels = {key: header[key] for key in ("coordinates", "inputs", "dt")}
     physics = {key: header[key] for key in ("system", "parameters", "substeps")}
-    now = {
+    upgraded = {
         **header,
         "fades_at_rest": header["structure"].get("fades_at_rest", False),
-        PHYSICS: {"kind": "euler-lagrange", **physics, **of},
-        CORRECTION: {"kind": "tustin-net", "structure": header["structure"], **of},
+        PHYSICS: {"kind": "euler-lagrange", **physics, **channels},
+        CORRECTION: {"kind": "tustin-net", "structure": header["structure"], **channels},
     }
-    named = {f"{CORRECTION}.{n}": a for n, a in below("residual.", arrays).items()}
-    return now, {**named, f"{PHYSICS}.values": arrays[VALUES]}
+    correction = {f"{CORRECTION}.{n}": a for n, a in arrays_below("residual.", arrays).items()}
+    return upgraded, {**correction, f"{PHYSICS}.values": arrays[VALUES]}
 
 
-def below(prefix: str, arrays: Arrays) -> Arrays:
+def arrays_below(prefix: str, arrays: Arrays) -> Arrays:
     """The arrays whose names begin with a prefix, without it."""
     return {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}
 
@@ -141,12 +133,12 @@ def below(prefix: str, arrays: Arrays) -> Arrays:
 def _network(structure: dict[str, Any], arrays: Arrays) -> Lines:
     """Layers and units of a network."""
     bias = "with" if structure["output_bias"] else "without"
-    told = f"hidden {structure['hidden']}, {structure['activation']}, output {bias} bias"
+    layers = f"hidden {structure['hidden']}, {structure['activation']}, output {bias} bias"
     if structure.get("linear"):
-        told += ", beside a linear map"
+        layers += ", beside a linear map"
     if structure.get("odd"):
-        told += ", odd"
-    return [("network", told), _units(arrays)]
+        layers += ", odd"
+    return [("network", layers), _units(arrays)]
 
 
 def _units(arrays: Arrays) -> tuple[str, str]:
