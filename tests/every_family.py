@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from swinging import CART, CREEPING, DT, SWING, records, swing_model
 
 import tustinnet as tn
-from tustinnet.export.source import Source, source_of
+from tustinnet.export.source import Source, make_source
 from tustinnet.families.encoded import with_encoder
 from tustinnet.families.gru import random_gru
 from tustinnet.families.linear import FAMILY as LINEAR
@@ -115,7 +115,7 @@ def example(name: str) -> tn.Model:
 @cache
 def leaving(name: str) -> Source:
     """One of `NAMES` on its way out: its step is read once for all tests of a process."""
-    return source_of(example(name))
+    return make_source(example(name))
 
 
 @cache

@@ -17,7 +17,7 @@ import tustinnet as tn
 from tustinnet.errors import InputError
 from tustinnet.export.mat import Matrices
 from tustinnet.export.source import Source
-from tustinnet.export.target import Files, Stepper, Target, Unbuilt
+from tustinnet.export.target import Files, Stepper, Target, NotRunnable
 from tustinnet.program.numbers import run
 from tustinnet.registry import TARGETS
 from tustinnet.store import exported
@@ -46,7 +46,7 @@ class Other(Plain):
         return {"other.txt": "other", "notes.bin": b"\x00"}
 
     def stepper(self, folder: Path, source: Source) -> Stepper:
-        raise Unbuilt("no reader of texts here")
+        raise NotRunnable("no reader of texts here")
 
 
 class Wrong(Plain):

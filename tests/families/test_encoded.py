@@ -176,7 +176,7 @@ def test_a_training_goes_on_with_it():
     same, longer, without = (begun(start) for start in ("encoder-10", "encoder-15", "derived-6"))
     for model in (same, longer, without):
         np.testing.assert_array_equal(
-            model.dynamics.folded().network.output.weight, first.dynamics.network.output.weight
+            model.dynamics.simplify().network.output.weight, first.dynamics.network.output.weight
         )
     np.testing.assert_array_equal(same.encoder.output.weight, first.encoder.output.weight)
     assert longer.encoder.samples == 15

@@ -8,7 +8,7 @@ from swinging import CART, CREEPING, SWING
 
 import tustinnet as tn
 from tustinnet.models import forces
-from tustinnet.models.added import LAWS, needed, placed, with_forces
+from tustinnet.models.added import LAWS, added_parameters, parse_forces, with_forces
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 
 BARE = LagrangianSystem(
@@ -41,7 +41,7 @@ def declared(names: list[str]) -> tuple[Parameter, ...]:
 
 def added(system: LagrangianSystem, *names: str) -> LagrangianSystem:
     """The system with forces whose values are those above."""
-    needs = dict.fromkeys(need for force in placed(system, names) for need in force.needs)
+    needs = dict.fromkeys(need for force in parse_forces(system, names) for need in force.parameter_names)
     return with_forces(system, names, declared(list(needs)))
 
 
@@ -60,7 +60,7 @@ def test_a_force_acts_on_its_coordinate_alone(base, law):
     moved = with_it.mass_matrix(X) @ change
     np.testing.assert_allclose(moved, [0.0, -AGAINST[law]], rtol=1e-5, atol=1e-6)
     assert system.internal == (("maxwell:angle",) if law == "maxwell" else ())
-    assert needed(system) == tuple(f"angle.{need}" for need in LAWS[law].needs)
+    assert added_parameters(system) == tuple(f"angle.{need}" for need in LAWS[law].needs)
 
 
 def test_the_spring_that_relaxes_follows_its_coordinate():
@@ -92,7 +92,7 @@ def test_a_law_without_a_coordinate_is_one_at_each():
 
 def test_dry_frictions_of_a_coordinate_share_the_speed_at_which_they_turn():
     system = added(SWING, "coulomb", "rubbing")
-    assert needed(system) == ("angle.coulomb", "angle.smooth_speed", "angle.rubbing")
+    assert added_parameters(system) == ("angle.coulomb", "angle.smooth_speed", "angle.rubbing")
     both, each = nominal(system), [nominal(added(SWING, law)) for law in ("coulomb", "rubbing")]
     x, u = jnp.array([0.9, 0.05]), jnp.array([1.0])
     alone = nominal(SWING).acceleration(x, u)

@@ -353,7 +353,7 @@ def test_a_turned_cable_begins_with_a_part_of_the_arms_angle():
     turned = tn.load_system("qube-servo2-turned")
     assert turned is qube_servo2.TURNED
     values = {k: jnp.asarray(x) for k, x in turned.nominal().items()}
-    begun = turned.model(values | {"cable_turned": jnp.asarray(0.25)}).beginning(
+    begun = turned.model(values | {"cable_turned": jnp.asarray(0.25)}).initial_state(
         jnp.array([2.0, 3.0, 0.1, 0.2])
     )
     np.testing.assert_allclose(begun, [2.0, 3.0, 0.1, 0.2, 0.5])

@@ -13,7 +13,7 @@ import numpy as np
 
 from tustinnet.export.c_text import Code
 from tustinnet.export.source import Source
-from tustinnet.export.target import Files, Stepper, Target, Unbuilt, Vector
+from tustinnet.export.target import Files, Stepper, Target, NotRunnable, Vector
 
 _TEMPLATES = Path(__file__).parent / "templates"
 _SHARED = ("-std=c99", "-O1", "-fPIC", "-shared")
@@ -27,7 +27,7 @@ class C(Target):
     def files(self, source: Source) -> Files:
         """`model.h`, `model.c`, `estimate.c`, `example.c`, `README.md`."""
         return {
-            **model_files(source),
+            **make_model_files(source),
             "estimate.c": template("estimate.c"),
             "example.c": template("example.c"),
             "README.md": _readme(source),
@@ -49,7 +49,7 @@ def template(name: str, **values: object) -> str:
     return text
 
 
-def model_files(source: Source, *, linearised: bool = True) -> dict[str, str]:
+def make_model_files(source: Source, *, linearised: bool = True) -> dict[str, str]:
     """`model.h` and `model.c`.
 
     Args:
@@ -68,15 +68,15 @@ def model_files(source: Source, *, linearised: bool = True) -> dict[str, str]:
     return {"model.h": header, "model.c": template("model.c", code=code.text()) + more[1]}
 
 
-def compiler() -> list[str]:
+def find_compiler() -> list[str]:
     """The command that compiles C: `$CC`, or gcc.
 
     Raises:
-        Unbuilt: there is none.
+        NotRunnable: there is none.
     """
     command = shlex.split(os.environ.get("CC", "")) or ["gcc"]
     if shutil.which(command[0]) is None:
-        raise Unbuilt(f"not compiled, there is no {command[0]} here (set CC to a C compiler)")
+        raise NotRunnable(f"not compiled, there is no {command[0]} here (set CC to a C compiler)")
     return command
 
 
@@ -84,16 +84,16 @@ def compile_c(sources: Sequence[Path], to: Path, flags: Sequence[str]) -> None:
     """Compiles C files of one folder, in that folder.
 
     Raises:
-        Unbuilt: there is no compiler, or it does not take them.
+        NotRunnable: there is no compiler, or it does not take them.
     """
-    command = [*compiler(), *flags, *(s.name for s in sources), "-o", str(to), "-lm"]
+    command = [*find_compiler(), *flags, *(s.name for s in sources), "-o", str(to), "-lm"]
     done = subprocess.run(
         command, cwd=sources[0].parent, capture_output=True, text=True, errors="replace",
         check=False,
     )  # fmt: skip
     if done.returncode:
         told = (done.stderr.strip().splitlines() or ["without a word"])[0]
-        raise Unbuilt(f"{command[0]} does not compile it: {told}")
+        raise NotRunnable(f"{command[0]} does not compile it: {told}")
 
 
 def library_step(library: Path, n_x: int) -> Stepper:
@@ -135,7 +135,7 @@ def samples_of(source: Source) -> list[tuple[str, str, str]]:
     when = {0: "now", 1: "one sample later", -1: "one sample before"}
     return [
         (i.name, i.unit, when.get(at, f"{abs(at)} samples {'later' if at > 0 else 'before'}"))
-        for at in source.seen.offsets
+        for at in source.input_layout.offsets
         for i in source.channels.inputs
     ]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tustinnet.errors import require_package
-from tustinnet.export.source import Source, source_of
+from tustinnet.export.source import Source, make_source
 from tustinnet.export.target import Files, Stepper, Target, Vector
 from tustinnet.models.contract import Model
 from tustinnet.program.program import Loop, Node, Program
@@ -45,7 +45,7 @@ def casadi_step(model: Model) -> "Function":
         InputError: CasADi is not installed, or the model uses what no target can say.
     """
     require_package("casadi", "casadi", "casadi_step")
-    return _step_of(source_of(model))
+    return _step_of(make_source(model))
 
 
 def _step_of(source: Source) -> "Function":

@@ -16,7 +16,7 @@ _MOST = 20  # that may leave the floating-point range where nobody knows the ran
 
 
 @dataclass(frozen=True)
-class Checked:
+class CheckResult:
     """How an export compares with its model.
 
     Attributes:
@@ -30,7 +30,7 @@ class Checked:
     note: str = ""
 
 
-def checked(source: Source, target: Target, stepper: Stepper) -> Checked:
+def check_export(source: Source, target: Target, stepper: Stepper) -> CheckResult:
     """Compares a step with what the target says it should be, at random states and inputs.
 
     Raises:
@@ -56,7 +56,7 @@ def checked(source: Source, target: Target, stepper: Stepper) -> Checked:
             f"--to {target.name}", f"a step differs from the model's by {difference:.1e}",
             f"at most {target.bound:.0e}", "nothing was written",
         )  # fmt: skip
-    return Checked(len(found), difference)
+    return CheckResult(len(found), difference)
 
 
 def _told(state: Float[np.ndarray, " n_x"]) -> str:

@@ -31,7 +31,7 @@ def compiled_step(model: Model) -> Callable[[Vector, Vector], Vector]:
         InputError: float64 is off.
     """
     require_float64("compiled_step")
-    folded = with_dtype(model, np.float64).folded()
+    folded = with_dtype(model, np.float64).simplify()
     equations = Equations(
         lambda x, u, p, c: folded.step(x, u), n_x=model.state_size, n_u=model.channels.n_u,
         continuous=False, where=f"the model ({type(model).__name__})",

@@ -7,8 +7,8 @@ from jaxtyping import Array, Float
 
 from tustinnet.engine.runs import stepping
 from tustinnet.errors import require_package
-from tustinnet.export.source import Source, source_of
-from tustinnet.export.tangent import tangent
+from tustinnet.export.source import Source, make_source
+from tustinnet.export.tangent import compute_tangent
 from tustinnet.models.contract import Model
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def control_system(model: Model) -> "NonlinearIOSystem":
     require_package("control", "control", "control_system")
     from control import nlsys
 
-    source = source_of(model)
+    source = make_source(model)
     step = stepping(source.equations)
 
     def update(t: float, x: Any, u: Any, params: Any) -> np.ndarray:
@@ -61,13 +61,13 @@ def state_space(
     require_package("control", "control", "state_space")
     from control import StateSpace
 
-    source = source_of(model)
-    found = tangent(source, np.asarray(x), np.asarray(u))
+    source = make_source(model)
+    found = compute_tangent(source, np.asarray(x), np.asarray(u))
     through = np.zeros_like(found.b)
     return StateSpace(found.a, found.b, np.eye(source.n_x), through, model.dt, **_signals(source))
 
 
 def _signals(source: Source) -> dict[str, list[str]]:
     """The names of a system; a dot in one would name a part of a system."""
-    states, inputs = ([n.replace(".", "_") for n in of] for of in (source.states, source.drives))
+    states, inputs = ([n.replace(".", "_") for n in of] for of in (source.states, source.input_names))
     return {"states": states, "inputs": inputs, "outputs": states}

@@ -145,7 +145,7 @@ class Rules:
     def begun(self, x: Rows) -> Rows:
         """States with the internal ones with which the model expects a record to begin."""
         measured = jnp.asarray(x[:, self.source.channels.measured])
-        return np.asarray(jax.vmap(self.source.model.beginning)(measured), float)
+        return np.asarray(jax.vmap(self.source.model.initial_state)(measured), float)
 
     def starts(
         self, count: int, generator: np.random.Generator, options: Mapping[str, Any] | None = None
@@ -217,7 +217,7 @@ class _Bodies:
         source, one = rules.source, (count, rules.source.n_x)
         self.rules, self._rewards = rules, rules.rewards()
         self.x = np.zeros(one)
-        offsets = source.seen.offsets
+        offsets = source.input_layout.offsets
         self._before = np.full((count, max(0, -min(offsets)), len(rules.inputs)), np.nan)
         # where in [the inputs now, those before] each of the samples seen stands
         self._places = np.array([0 if offset >= 0 else -offset for offset in offsets])
@@ -239,7 +239,7 @@ class _Bodies:
         w = samples[:, self._places].reshape(len(u), -1)
         # the environment computes in double precision, whatever else JAX is used for
         with jax.enable_x64(True):
-            following = evaluate(self.rules.source.many, np.concatenate([self.x, w], axis=1))
+            following = evaluate(self.rules.source.batched_step, np.concatenate([self.x, w], axis=1))
         x, (self.x, left) = self.x, self.rules.entered(self.x, following)
         return self._rewards(x, u, self.x), left
 

@@ -11,9 +11,9 @@ from pathlib import Path
 from uuid import UUID
 from xml.etree import ElementTree as Xml
 
-from tustinnet.export.c import compile_c, compiler, library_step, model_files, template
+from tustinnet.export.c import compile_c, find_compiler, library_step, make_model_files, template
 from tustinnet.export.source import Source
-from tustinnet.export.target import Files, Stepper, Target, Unbuilt
+from tustinnet.export.target import Files, Stepper, Target, NotRunnable
 
 IDENTIFIER = "model"  # of the functions, and what the binary is called
 FILES = {2: "model-fmi2.fmu", 3: "model-fmi3.fmu"}
@@ -58,17 +58,17 @@ class Fmu(Target):
         with zipfile.ZipFile(folder / FILES[3]) as archive, tempfile.TemporaryDirectory() as place:
             if _LIBRARY[3] not in archive.namelist():
                 _require_platform()
-                compiler()
-                raise Unbuilt("the FMU has sources only, as its C was not compiled")
+                find_compiler()
+                raise NotRunnable("the FMU has sources only, as its C was not compiled")
             library = archive.extract(_LIBRARY[3], place)
             return library_step(Path(library), source.n_x)
 
 
 def _sources(source: Source, version: int) -> dict[str, str]:
     """The C of an FMU by file name, headers too."""
-    offsets = source.seen.offsets
+    offsets = source.input_layout.offsets
     return {
-        **model_files(source, linearised=False),
+        **make_model_files(source, linearised=False),
         "fmu.h": template(
             "fmu.h",
             inputs=source.channels.n_u,
@@ -88,7 +88,7 @@ def _sources(source: Source, version: int) -> dict[str, str]:
 
 def _require_platform() -> None:
     if (platform.system(), platform.machine()) != ("Linux", "x86_64"):
-        raise Unbuilt("the FMU has sources only: binaries are made on Linux on x86-64")
+        raise NotRunnable("the FMU has sources only: binaries are made on Linux on x86-64")
 
 
 def _libraries(sources: Mapping[int, Mapping[str, str]]) -> dict[int, bytes]:
@@ -104,7 +104,7 @@ def _libraries(sources: Mapping[int, Mapping[str, str]]) -> dict[int, bytes]:
             for v in sources:
                 parts = [folder / name for name in (f"fmi{v}.c", "fmu.c", "model.o")]
                 compile_c(parts, folder / f"{v}.so", (*_FLAGS, *_SHARED))
-        except Unbuilt:
+        except NotRunnable:
             return {}  # the stepper says why
         return {v: (folder / f"{v}.so").read_bytes() for v in sources}
 
@@ -274,12 +274,12 @@ def _told(source: Source) -> str:
         f"Steps of {period!r} s; a communication step is a whole multiple of it, with inputs as "
         "they are at its beginning."
     ]
-    if max(source.seen.offsets) > 0:
+    if max(source.input_layout.offsets) > 0:
         told.append(
             "A step depends on later inputs too: an importer of FMI 2.0 may tell them by the "
             "derivatives of the inputs, otherwise inputs are taken as held."
         )
-    if min(source.seen.offsets) < 0:
+    if min(source.input_layout.offsets) < 0:
         told.append("Inputs before the first step are taken as the first ones.")
     return " ".join([*told, *(f"Note: {note}." for note in source.notes)])
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from tustinnet.errors import InputError
 from tustinnet.export.source import Source
-from tustinnet.export.target import Files, Stepper, Target, Unbuilt, Vector
+from tustinnet.export.target import Files, Stepper, Target, NotRunnable, Vector
 from tustinnet.program.program import Loop, Node, Program
 
 MODULE = "model.mjs"
@@ -129,7 +129,7 @@ class JavaScript(Target):
             states=_text(source.states),
             inputs=_text([i.name for i in source.channels.inputs]),
             period=_number(source.channels.dt),
-            samples=_text(source.seen.offsets),
+            samples=_text(source.input_layout.offsets),
             range=_ranges(source),
             helpers=_helpers("\n".join(body) + writer.declarations),
             vectors=writer.declarations,
@@ -144,7 +144,7 @@ class JavaScript(Target):
         """See `Target.stepper`; node does it."""
         node = shutil.which("node")
         if node is None:
-            raise Unbuilt("node is not installed")
+            raise NotRunnable("node is not installed")
         return _Node(node, folder / MODULE)
 
 

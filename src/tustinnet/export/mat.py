@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Array
 from scipy.io import loadmat, savemat
 
-from tustinnet.export.source import Source, Stepped
-from tustinnet.export.tangent import point_of, tangent
+from tustinnet.export.source import Source, StepFunction
+from tustinnet.export.tangent import compute_tangent, operating_point
 from tustinnet.export.target import Files, Stepper, Target, Vector
 
 FILE = "linear.mat"
@@ -29,13 +29,13 @@ class Matrices(Target):
     name = "mat"
     point: Mapping[str, float] = field(default_factory=dict)
 
-    def at(self, point: Mapping[str, float]) -> "Matrices":
+    def at_operating_point(self, point: Mapping[str, float]) -> "Matrices":
         """The same about another operating point."""
         return Matrices(point)
 
-    def expected(self, source: Source) -> Stepped:
+    def expected(self, source: Source) -> StepFunction:
         """The tangent of the model's step, as JAX has it."""
-        of = tangent(source, *point_of(source, self.point))
+        of = compute_tangent(source, *operating_point(source, self.point))
         reached = of.x + of.drift
 
         def step(x: Array, u: Array) -> Array:
@@ -45,14 +45,14 @@ class Matrices(Target):
 
     def files(self, source: Source) -> Files:
         """The matrices, names, period and operating point."""
-        found = tangent(source, *point_of(source, self.point))
+        found = compute_tangent(source, *operating_point(source, self.point))
         content = BytesIO()
         columns = {"x": found.x, "u": found.u, "drift": found.drift}
         savemat(content, {
             "A": found.a, "B": found.b,
             "C": np.eye(source.n_x), "D": np.zeros((source.n_x, source.n_w)),
             "dt": source.channels.dt,
-            "states": _cells(source.states), "inputs": _cells(source.drives),
+            "states": _cells(source.states), "inputs": _cells(source.input_names),
             "outputs": _cells(source.states),
             **{name: values[:, None] for name, values in columns.items()},
         })  # fmt: skip

@@ -56,7 +56,7 @@ def _about(source: Source) -> dict[str, str]:
         "states": source.states,
         "units": source.units,
         "inputs": [i.name for i in source.channels.inputs],
-        "samples": source.seen.offsets,
+        "samples": source.input_layout.offsets,
         "period": source.channels.dt,
     }
     return {name: json.dumps(value) for name, value in told.items()}

@@ -14,7 +14,7 @@ from tustinnet.engine.equations import Equations, Formula
 from tustinnet.errors import InputError
 from tustinnet.families.family import family_of
 from tustinnet.models.contract import Model, require_float64, with_dtype
-from tustinnet.models.groups import of_groups
+from tustinnet.models.groups import model_for_groups
 from tustinnet.program.derivatives import with_derivatives
 from tustinnet.program.program import Program
 from tustinnet.program.reading import read
@@ -23,7 +23,7 @@ from tustinnet.simulate.range import Range
 
 _FARTHEST = 1000  # samples away that a step may see
 _UNKNOWN = 1.0  # how far from 0 states and inputs are tried where nobody knows their range
-Stepped = Callable[[Array, Array], Array]
+StepFunction = Callable[[Array, Array], Array]
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Source:
     @cached_property
     def seen(self) -> Seen:
         """What a step is given of the inputs."""
-        return seen_by(self.model)
+        return find_input_layout(self.model)
 
     @property
     def channels(self) -> Channels:
@@ -74,7 +74,7 @@ class Source:
     @property
     def n_w(self) -> int:
         """How many numbers a step is given of the inputs: all inputs of every sample seen."""
-        return len(self.seen.offsets) * self.channels.n_u
+        return len(self.input_layout.offsets) * self.channels.n_u
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -90,13 +90,13 @@ class Source:
         return (*units, *(f"{unit}/s" for unit in units), *internal)
 
     @property
-    def drives(self) -> tuple[str, ...]:
+    def input_names(self) -> tuple[str, ...]:
         """What the numbers that a step is given of the inputs are called.
 
         `voltage`; where it sees other samples than its own, `voltage_after_1`, `voltage_before_1`.
         """
         names = [i.name for i in self.channels.inputs]
-        return tuple(f"{name}{_counted(k)}" for k in self.seen.offsets for name in names)
+        return tuple(f"{name}{_counted(k)}" for k in self.input_layout.offsets for name in names)
 
     @property
     def parameters(self) -> tuple[tuple[str, str, float], ...]:
@@ -104,7 +104,7 @@ class Source:
         return tuple(family_of(self.model).parameters(self.model))
 
     @cached_property
-    def function(self) -> Stepped:
+    def function(self) -> StepFunction:
         """The step as a JAX function of two vectors, (n_x,) and (n_w,), in float64."""
         model, seen = self.model, self.seen
         plain = seen.offsets == (0,) and seen.shape == (self.channels.n_u,)
@@ -124,7 +124,7 @@ class Source:
         )  # fmt: skip
 
     @cached_property
-    def many(self) -> Formula:
+    def batched_step(self) -> Formula:
         """The step as the engine takes it, for many [x, w] at once."""
         n_x = self.n_x
         return Formula(
@@ -156,7 +156,7 @@ class Source:
             size = self.channels.measured.stop
             states = np.tile(ends, (self.n_x, 1)) * (np.arange(self.n_x) < size)[:, None]
             known = Range(states, np.tile(ends, (self.channels.n_u, 1)))
-        inputs = np.tile(known.inputs, (len(self.seen.offsets), 1))
+        inputs = np.tile(known.inputs, (len(self.input_layout.offsets), 1))
         generator = np.random.default_rng(seed)
 
         def drawn(ends: np.ndarray) -> np.ndarray:
@@ -187,7 +187,7 @@ class Source:
                 f"the encoder, which estimates the state from {self.model.encoder.samples} "
                 "samples, is not part of the export: it is given states"
             )
-        if (ahead := max(self.seen.offsets)) > 0:
+        if (ahead := max(self.input_layout.offsets)) > 0:
             notes.append(
                 f"a step takes inputs up to {ahead} samples ahead: it can be made once they are "
                 "known, and an FMU holds the last ones where its importer tells no derivatives"
@@ -200,7 +200,7 @@ class Source:
         return tuple(notes)
 
 
-def source_of(
+def make_source(
     model: Model,
     range: Range | None = None,
     groups: Mapping[str, str] | None = None,
@@ -220,8 +220,8 @@ def source_of(
     """
     require_stepping(model)
     # in double precision, as it is evaluated: folding in single would round once more
-    chosen = with_dtype(of_groups(model, groups or {}, "export"), np.float64)
-    return Source(chosen.folded(), range, about or {})
+    chosen = with_dtype(model_for_groups(model, groups or {}, "export"), np.float64)
+    return Source(chosen.simplify(), range, about or {})
 
 
 def require_stepping(model: object) -> None:
@@ -238,7 +238,7 @@ def require_stepping(model: object) -> None:
         )  # fmt: skip
 
 
-def seen_by(model: Model) -> Seen:
+def find_input_layout(model: Model) -> Seen:
     """What the steps of a model are given of the samples, found by trying single samples of 1."""
     inputs = model.channels.inputs
     if not inputs:
@@ -247,7 +247,7 @@ def seen_by(model: Model) -> Seen:
 
     def driven(samples: np.ndarray) -> np.ndarray:
         made: Excitation = excitation(samples, holds, [0.0] * len(inputs))
-        return np.asarray(model.seen(made))
+        return np.asarray(model.step_inputs(made))
 
     reach = 1
     while reach < _FARTHEST and _beyond(driven, reach, len(inputs)):

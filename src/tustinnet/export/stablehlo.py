@@ -49,8 +49,8 @@ def _free_run(source: Source) -> Callable[[Array, Array], Array]:
     """`rollout`, of what steps are given of the inputs."""
 
     def run(x0: Array, u: Array) -> Array:
-        seen = u @ jnp.asarray(source.seen.matrix).T
-        return rollout(source.model, x0, seen.reshape(u.shape[0], *source.seen.shape))
+        seen = u @ jnp.asarray(source.input_layout.matrix).T
+        return rollout(source.model, x0, seen.reshape(u.shape[0], *source.input_layout.shape))
 
     return run
 

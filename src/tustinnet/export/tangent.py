@@ -32,7 +32,7 @@ class Tangent:
     drift: Float[np.ndarray, " n_x"]
 
 
-def tangent(source: Source, x: Float[np.ndarray, " n_x"], u: Float[np.ndarray, " n_u"]) -> Tangent:
+def compute_tangent(source: Source, x: Float[np.ndarray, " n_x"], u: Float[np.ndarray, " n_u"]) -> Tangent:
     """A step about an operating point, by its exact derivatives.
 
     Args:
@@ -50,7 +50,7 @@ def tangent(source: Source, x: Float[np.ndarray, " n_x"], u: Float[np.ndarray, "
             f"({n_x},) and ({n_u},)",
         )  # fmt: skip
     state = np.asarray(x, float)
-    inputs = np.tile(np.asarray(u, float), len(source.seen.offsets))
+    inputs = np.tile(np.asarray(u, float), len(source.input_layout.offsets))
     reached, slopes = jax.jit(partial(with_slopes, source.function))(state, inputs)
     moved, a, b = (np.asarray(of) for of in (reached, *slopes))
     if not all(np.isfinite(values).all() for values in (moved, a, b)):
@@ -61,7 +61,7 @@ def tangent(source: Source, x: Float[np.ndarray, " n_x"], u: Float[np.ndarray, "
     return Tangent(state, inputs, a, b, moved - state)
 
 
-def point_of(
+def operating_point(
     source: Source, named: Mapping[str, float]
 ) -> tuple[Float[np.ndarray, " n_x"], Float[np.ndarray, " n_u"]]:
     """States and inputs of an operating point, 0 where they are not named.

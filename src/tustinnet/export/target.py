@@ -9,14 +9,14 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.errors import require_package
-from tustinnet.export.source import Source, Stepped
+from tustinnet.export.source import Source, StepFunction
 
 Vector = Float[np.ndarray, " _"]
 Files = dict[str, bytes | str]
 Stepper = Callable[[Vector, Vector], Vector]
 
 
-class Unbuilt(Exception):
+class NotRunnable(Exception):
     """What was written cannot be run here, and why."""
 
 
@@ -49,14 +49,14 @@ class Target(ABC):
         Takes (n_x,) and (n_w,), returns (n_x,). It is made of the files alone.
 
         Raises:
-            Unbuilt: who is to use it is not on this machine.
+            NotRunnable: who is to use it is not on this machine.
         """
 
-    def expected(self, source: Source) -> Stepped:
+    def expected(self, source: Source) -> StepFunction:
         """What the steps have to equal: those of the model."""
         return source.function
 
-    def at(self, point: Mapping[str, float]) -> "Target":
+    def at_operating_point(self, point: Mapping[str, float]) -> "Target":
         """The same target about an operating point; most have none and return themselves.
 
         Args:

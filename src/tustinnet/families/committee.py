@@ -24,7 +24,7 @@ from tustinnet.families.family import (
     systems_in,
 )
 from tustinnet.families.shown import MEMBERS, WEIGHT, below
-from tustinnet.models.contract import Drive, Internal, Model, Seen, State
+from tustinnet.models.contract import StepInput, Internal, Model, StepInputs, State
 from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.registry import FAMILIES
 from tustinnet.signals.excitation import Excitation
@@ -131,27 +131,27 @@ class Committee(Model):
         things = [thing for of in each for thing in of]
         return [things[numbers.index(number)] for number in range(len(numbers))]
 
-    def of(self, experiment: Experiment) -> "Committee":
+    def for_record(self, experiment: Experiment) -> "Committee":
         """The same with the members of the record."""
         members = self.members
-        chosen = [member.of(experiment) for member in members]
+        chosen = [member.for_record(experiment) for member in members]
         if all(one is member for one, member in zip(chosen, members, strict=True)):
             return self
         return _together(chosen, self.weights)
 
-    def folded(self) -> "Committee":
+    def simplify(self) -> "Committee":
         """The same with folded members."""
-        return _together([member.folded() for member in self.members], self.weights)
+        return _together([member.simplify() for member in self.members], self.weights)
 
-    def seen(self, inputs: Excitation) -> Seen:
+    def step_inputs(self, inputs: Excitation) -> StepInputs:
         """What the members are given; where not all are alike, the rows of each kind of them."""
-        each = [of.member().seen(inputs) for of in self.alike]
+        each = [of.member().step_inputs(inputs) for of in self.alike]
         if len(each) == 1:
             return each[0]
         rows = [s.reshape(len(s), math.prod(s.shape[1:-1]), s.shape[-1]) for s in each]
         return np.concatenate(rows, axis=1)
 
-    def _parted(self, u: Drive) -> list[Array]:
+    def _parted(self, u: StepInput) -> list[Array]:
         """What drives each kind of members; a vector acts on all."""
         if u.ndim == 1 or len(self.alike) == 1:
             return [u] * len(self.alike)
@@ -167,17 +167,17 @@ class Committee(Model):
         """Of what drives each kind of members in a period of inputs with so many coefficients."""
         n_u = self.channels.n_u
         inputs = Excitation(np.zeros((2, n_u)), np.zeros((1, order, n_u)))
-        return [of.member().seen(inputs).shape[1:] for of in self.alike]
+        return [of.member().step_inputs(inputs).shape[1:] for of in self.alike]
 
-    def step(self, x: State, u: Drive) -> State:
+    def step(self, x: State, u: StepInput) -> State:
         """One period: the mean of the members' positions and velocities, internal states of all."""
         return self._moved(x, u, lambda member, own, acting: member.step(own, acting))
 
-    def advance(self, x: State, u: Drive, period: Array | float) -> State:
+    def advance(self, x: State, u: StepInput, period: Array | float) -> State:
         """The same after a period [s], where all members can step by any."""
         return self._moved(x, u, lambda member, own, acting: member.advance(own, acting, period))
 
-    def _moved(self, x: State, u: Drive, move: Callable[[Model, State, Array], State]) -> State:
+    def _moved(self, x: State, u: StepInput, move: Callable[[Model, State, Array], State]) -> State:
         of = self.channels
         ends = np.cumsum([0, *map(len, self._internal)]).tolist()
         own = [x[of.internal][a:b] for a, b in pairwise(ends)]

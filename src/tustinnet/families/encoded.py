@@ -24,7 +24,7 @@ from tustinnet.families.family import (
 )
 from tustinnet.families.shown import DYNAMICS, ENCODER, below
 from tustinnet.models.blocks import Affine, random_affine, root_mean_square
-from tustinnet.models.contract import Drive, Internal, Model, Seen, State
+from tustinnet.models.contract import StepInput, Internal, Model, StepInputs, State
 from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.models.state_encoder import StateEncoder, encoder_features
 from tustinnet.registry import FAMILIES
@@ -86,26 +86,26 @@ class EncodedModel(Model):
         """That of the model, for starts that do without the encoder."""
         return self.model.warm_up
 
-    def seen(self, inputs: Excitation) -> Seen:
+    def step_inputs(self, inputs: Excitation) -> StepInputs:
         """What the model is given."""
-        return self.model.seen(inputs)
+        return self.model.step_inputs(inputs)
 
-    def of(self, experiment: Experiment) -> "EncodedModel":
+    def for_record(self, experiment: Experiment) -> "EncodedModel":
         """The same with the model of the record."""
-        chosen = self.model.of(experiment)
+        chosen = self.model.for_record(experiment)
         return self if chosen is self.model else EncodedModel(chosen, self.network)
 
-    def step(self, x: State, u: Drive) -> State:
+    def step(self, x: State, u: StepInput) -> State:
         """One period of the model."""
         return self.model.step(x, u)
 
-    def advance(self, x: State, u: Drive, period: Array | float) -> State:
+    def advance(self, x: State, u: StepInput, period: Array | float) -> State:
         """The model after a period [s]."""
         return self.model.advance(x, u, period)
 
-    def folded(self) -> "EncodedModel":
+    def simplify(self) -> "EncodedModel":
         """The same with the folded model."""
-        return EncodedModel(self.model.folded(), self.network)
+        return EncodedModel(self.model.simplify(), self.network)
 
 
 def with_encoder(

@@ -23,13 +23,13 @@ from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
 from tustinnet.families.family import Arrays, Family, Header, Hyper
 from tustinnet.families.shown import VALUES
-from tustinnet.models.added import needed, placed, with_forces
+from tustinnet.models.added import added_parameters, parse_forces, with_forces
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Parameter
-from tustinnet.models.sensors import calibrated
+from tustinnet.models.sensors import with_sensor_errors
 from tustinnet.registry import SYSTEMS
-from tustinnet.systems.files import MadeForRecords, load_system
+from tustinnet.systems.files import SystemTemplate, load_system
 
 _PROBED = "probed"  # an array: derivatives at the probes
 _PROBES = 16
@@ -101,11 +101,11 @@ class EulerLagrangeFamily(Family):
             "substeps": model.substeps,
         }
         if _made(system.name):
-            others = {*needed(system), *system.sensors}
+            others = {*added_parameters(system), *system.sensors}
             header["terms"] = _declared(system, [n for n in system.nominal() if n not in others])
         if system.added:
             header["forces"] = list(system.added)
-            header["of_forces"] = _declared(system, needed(system))
+            header["of_forces"] = _declared(system, added_parameters(system))
         if system.sensors:
             header["sensors"] = _declared(system, system.sensors)
         if known := continuous.groups:
@@ -135,14 +135,14 @@ class EulerLagrangeFamily(Family):
             header.get(key, ()) for key in ("forces", "of_forces", "sensors")
         )
         found = with_forces(found, tuple(forces), tuple(Parameter(*of) for of in of_forces))
-        found = calibrated(found, tuple(Parameter(*of) for of in sensors))
+        found = with_sensor_errors(found, tuple(Parameter(*of) for of in sensors))
         # one by one: JAX compiles a program to take an array apart
         values = dict(zip(header["parameters"], map(jnp.asarray, arrays[VALUES]), strict=True))
         model = found.model(values)
         expected = [
             name
             for p in found.parameters
-            for name in ([p.at(of).name for of in p.by_group(values)] or [p.name])
+            for name in ([p.for_group(of).name for of in p.by_group(values)] or [p.name])
         ]
         per = {p.name: p.per for p in found.grouped} if model.groups else {}
         if sorted(expected) != header["parameters"] or per != header.get("per", {}):
@@ -164,8 +164,8 @@ class EulerLagrangeFamily(Family):
         assert isinstance(continuous, LagrangianModel)
         known = {p.name for p in system.parameters if p.per is None} | set(hyper.free)
         # forces that a term brings are not there yet when a search begins
-        added = placed(continuous.system, hyper.forces)
-        known |= {name for force in added for name in force.needs}
+        added = parse_forces(continuous.system, hyper.forces)
+        known |= {name for force in added for name in force.parameter_names}
         begin = {n: float(x) for n, x in continuous.values.items() if n in known}
         return hyper.model_copy(update={"begin": begin})
 
@@ -223,12 +223,12 @@ class EulerLagrangeFamily(Family):
 FAMILY = EulerLagrangeFamily()
 
 
-def _made(name: str) -> MadeForRecords | None:
+def _made(name: str) -> SystemTemplate | None:
     """What makes the packaged system of a name, where it is made for records."""
     if name not in SYSTEMS:
         return None
     found = SYSTEMS[name]
-    return found if isinstance(found, MadeForRecords) else None
+    return found if isinstance(found, SystemTemplate) else None
 
 
 def _as_stored(header: Header) -> LagrangianSystem:
@@ -239,7 +239,7 @@ def _as_stored(header: Header) -> LagrangianSystem:
         return load_system(name)
     channels = Channels.from_header(header)
     terms = [Parameter(*of) for of in header["terms"]]
-    return made.restored(channels.coordinates, channels.inputs, terms)
+    return made.restore(channels.coordinates, channels.inputs, terms)
 
 
 def _declared(system: LagrangianSystem, names: Iterable[str]) -> list[list[Any]]:
@@ -267,7 +267,7 @@ def _probed(model: LagrangianModel) -> Float[np.ndarray, "probes n_x"]:
 
     Of values by group those of each group's first value.
     """
-    model = model.of_groups({name: known[0] for name, known in model.groups.items()}, "probes")
+    model = model.for_groups({name: known[0] for name, known in model.groups.items()}, "probes")
     of, generator = model.channels, np.random.default_rng(0)
     sizes = {"q": of.n_q, "v": of.n_q, "z": len(model.internal), "u": of.n_u}
     drawn = {k: _REACH[k] * generator.uniform(-1, 1, (_PROBES, n)) for k, n in sizes.items()}

@@ -113,7 +113,7 @@ class Family(ABC):
             InputError: the trained model is of another kind, or of other sizes.
         """
         self.require_own(origin)
-        fresh, trained = built.folded(), origin.folded()
+        fresh, trained = built.simplify(), origin.simplify()
         (said, ours), (says, theirs) = self.describe(fresh), self.describe(trained)
         sizes = [{name: a.shape for name, a in of.items()} for of in (ours, theirs)]
         if said != says or sizes[0] != sizes[1]:

@@ -26,7 +26,7 @@ from tustinnet.models.blocks import Affine, Scaling, feature_count, learn_scalin
 from tustinnet.models.contract import (
     AccelerationModel,
     Coordinates,
-    Drive,
+    StepInput,
     Internal,
     Model,
     State,
@@ -79,14 +79,14 @@ class GRU(AccelerationModel):
         """The hidden units."""
         return tuple(f"hidden {i}" for i in range(self.by_hidden.weight.shape[1]))
 
-    def silent(self) -> "GRU":
+    def with_zero_output(self) -> "GRU":
         """The same with an output layer of zeros."""
         return eqx.tree_at(lambda m: m.output, self, self.output.zeros())
 
-    def _said(self, x: State, u: Drive) -> tuple[Array, Array]:
+    def _said(self, x: State, u: StepInput) -> tuple[Array, Array]:
         """The rates of positions and velocities, in SI units, and the new hidden state."""
         h = x[self.channels.internal]
-        phi = self.by_features(self.scaling.features(self.channels, x, self.tapped(u)))
+        phi = self.by_features(self.scaling.features(self.channels, x, self.input_at_taps(u)))
         n = len(h)
         told = self.by_hidden(h)
         reset, gate = jax.nn.sigmoid(phi[: 2 * n] + told[: 2 * n]).reshape(2, n)
@@ -96,13 +96,13 @@ class GRU(AccelerationModel):
         return unit * self.output(h), h
 
     def accelerate(
-        self, x: State, u: Drive
+        self, x: State, u: StepInput
     ) -> tuple[Coordinates, Callable[[Coordinates], Internal]]:
         """Its accelerations; the hidden state does not depend on the mean velocity."""
         said, h = self._said(x, u)
         return said[self.channels.velocity], lambda mean: h
 
-    def step(self, x: State, u: Drive) -> State:
+    def step(self, x: State, u: StepInput) -> State:
         """One period, by what it says of positions and velocities."""
         of = self.channels
         said, h = self._said(x, u)

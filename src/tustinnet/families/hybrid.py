@@ -29,10 +29,10 @@ from tustinnet.families.shown import CORRECTION, PHYSICS, below, hybrid_as_now
 from tustinnet.models.blocks import root_mean_square
 from tustinnet.models.contract import (
     AccelerationModel,
-    Drive,
+    StepInput,
     Internal,
     Model,
-    Seen,
+    StepInputs,
     State,
     require_fit,
 )
@@ -107,20 +107,20 @@ class HybridModel(Model):
         """That of the physics, then that of the correction."""
         return jnp.concatenate([self.physics.internal_spread, self.correction.internal_spread])
 
-    def of(self, experiment: Experiment) -> "HybridModel":
+    def for_record(self, experiment: Experiment) -> "HybridModel":
         """The same with the physics of the record."""
-        physics = self.physics.of(experiment)
+        physics = self.physics.for_record(experiment)
         return self if physics is self.physics else replace(self, physics=physics)
 
-    def seen(self, inputs: Excitation) -> Seen:
+    def step_inputs(self, inputs: Excitation) -> StepInputs:
         """What the physics is driven by, and behind it the samples that the correction sees."""
-        of_physics = self.physics.seen(inputs)
+        of_physics = self.physics.step_inputs(inputs)
         if not self.correction.taps:
             return of_physics
         rows = of_physics[:, None] if of_physics.ndim == 2 else of_physics
-        return np.concatenate([rows, self.correction.seen(inputs)], axis=1)
+        return np.concatenate([rows, self.correction.step_inputs(inputs)], axis=1)
 
-    def _parted(self, u: Drive) -> tuple[Array, Array]:
+    def _parted(self, u: StepInput) -> tuple[Array, Array]:
         """What the physics is driven by, and what the correction sees; without taps the sample."""
         taps = len(self.correction.taps)
         if u.ndim == 1:
@@ -130,7 +130,7 @@ class HybridModel(Model):
         of_physics = u[:-taps]
         return of_physics[0] if len(of_physics) == 1 else of_physics, u[-taps:]
 
-    def step(self, x: State, u: Drive) -> State:
+    def step(self, x: State, u: StepInput) -> State:
         """One period: the physics, then the correction."""
         of, n_p = self.channels, self.physics.state_size
         acting, _ = self._parted(u)
@@ -147,11 +147,11 @@ class HybridModel(Model):
             ]
         )
 
-    def corrected_by(self, x: State, u: Drive) -> Float[Array, " n_q"]:
+    def corrected_by(self, x: State, u: StepInput) -> Float[Array, " n_q"]:
         """`f`, what the network adds to the accelerations, (n_q,) [rad/s^2 or m/s^2]."""
         return self._corrected(x, u)[0]
 
-    def _corrected(self, x: State, u: Drive) -> tuple[Array, Callable[[Array], Array]]:
+    def _corrected(self, x: State, u: StepInput) -> tuple[Array, Callable[[Array], Array]]:
         acting, told = self._parted(u)
         begin = acting if acting.ndim == 1 else acting[0]
         of, unit = self.channels, self.correction.scaling
@@ -163,14 +163,14 @@ class HybridModel(Model):
         level = jnp.mean(motion**2)
         return f * level / (level + _REST), remember
 
-    def effort(self, x: State, u: Drive) -> Float[Array, ""]:
+    def effort(self, x: State, u: StepInput) -> Float[Array, ""]:
         """The squared correction in the network's units."""
         return jnp.sum((self.corrected_by(x, u) / self.correction.scaling.acceleration) ** 2)
 
-    def folded(self) -> "HybridModel":
+    def simplify(self) -> "HybridModel":
         """The same with folded parts."""
-        correction = cast(AccelerationModel, self.correction.folded())
-        return HybridModel(self.physics.folded(), correction, self.fades_at_rest)
+        correction = cast(AccelerationModel, self.correction.simplify())
+        return HybridModel(self.physics.simplify(), correction, self.fades_at_rest)
 
 
 class HybridHyper(Hyper):
@@ -251,7 +251,7 @@ class HybridFamily(Family):
 
         def build(key: PRNGKeyArray) -> HybridModel:
             correction = eqx.tree_at(lambda m: m.scaling.acceleration, make(key), left)
-            return HybridModel(physics, correction.silent(), hyper.fades_at_rest)
+            return HybridModel(physics, correction.with_zero_output(), hyper.fades_at_rest)
 
         return build
 

@@ -104,7 +104,7 @@ class NeuralODEFamily(Family):
 
     def trainable(self, model: Any, stage: LayeredStage) -> PyTree:
         """The layers that are not frozen."""
-        return mask_of(model, model.continuous.network.layers_from(stage.frozen_layers))
+        return mask_of(model, model.continuous.network.trainable_layers(stage.frozen_layers))
 
     def describe(self, model: Any) -> tuple[Header, Arrays]:
         """The structure of the network; arrays by their places in it."""

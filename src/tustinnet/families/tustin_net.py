@@ -36,7 +36,7 @@ from tustinnet.models.blocks import Affine, Layers, Network, Scaling, feature_co
 from tustinnet.models.contract import (
     AccelerationModel,
     Coordinates,
-    Drive,
+    StepInput,
     Internal,
     Model,
     State,
@@ -132,17 +132,17 @@ class TustinNet(AccelerationModel):
         """The units of the network."""
         return self.network.scaling
 
-    def silent(self) -> "TustinNet":
+    def with_zero_output(self) -> "TustinNet":
         """The same with an output layer of zeros."""
-        return eqx.tree_at(lambda m: m.network, self, self.network.silent())
+        return eqx.tree_at(lambda m: m.network, self, self.network.with_zero_output())
 
-    def acceleration(self, x: State, u: Drive) -> Coordinates:
+    def acceleration(self, x: State, u: StepInput) -> Coordinates:
         """`f`, the mean acceleration over the coming period, (n_q,) [rad/s^2 or m/s^2]."""
-        said = self.network(self.channels, x, self.tapped(u))
+        said = self.network(self.channels, x, self.input_at_taps(u))
         return self.network.scaling.acceleration * said
 
     def accelerate(
-        self, x: State, u: Drive
+        self, x: State, u: StepInput
     ) -> tuple[Coordinates, Callable[[Coordinates], Internal]]:
         """The acceleration, and how the internal states follow the mean velocity."""
         z = x[self.channels.internal]
@@ -154,11 +154,11 @@ class TustinNet(AccelerationModel):
             return z
         return jnp.asarray(relax(z, v, self.dt, self.relaxation_times))
 
-    def folded(self) -> "TustinNet":
+    def simplify(self) -> "TustinNet":
         """The same function with the stem merged into the first hidden layer."""
         if self.network.stem is None:
             return self
-        return replace(self, network=self.network.folded())
+        return replace(self, network=self.network.simplify())
 
 
 def relax(
@@ -250,7 +250,7 @@ class TustinNetFamily(Family):
         if not hyper.linear:
             return build
         linear = _least_squares(build(jax.random.key(0)), experiments, velocity)
-        return lambda key: eqx.tree_at(lambda m: m.network.bypass, build(key).silent(), linear)
+        return lambda key: eqx.tree_at(lambda m: m.network.bypass, build(key).with_zero_output(), linear)
 
     def check(self, hyper: TustinNetHyper, stage: LayeredStage) -> None:
         """Frozen layers exist, and windows are not mirrored for an odd network."""
@@ -258,7 +258,7 @@ class TustinNetFamily(Family):
 
     def trainable(self, model: TustinNet, stage: LayeredStage) -> PyTree:
         """The layers that are not frozen."""
-        return mask_of(model, model.network.layers_from(stage.frozen_layers))
+        return mask_of(model, model.network.trainable_layers(stage.frozen_layers))
 
     def describe(self, model: TustinNet) -> tuple[Header, Arrays]:
         """The structure of the network; arrays by their places in it."""
@@ -316,8 +316,8 @@ def _least_squares(
     states = states_along(model, experiments, velocity)
     drives = [np.asarray(drive_of(model, e).u) for e in experiments]
 
-    def told(x: State, u: Drive) -> Array:
-        features, u = network.scaling.features, model.tapped(u)
+    def told(x: State, u: StepInput) -> Array:
+        features, u = network.scaling.features, model.input_at_taps(u)
         if not network.odd:
             return features(of, x, u)
         return (features(of, x, u) - features(of, -x, -u)) / 2

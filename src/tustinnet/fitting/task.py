@@ -13,7 +13,7 @@ from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.roles import Roles, roles
 from tustinnet.models.contract import Model, require_fit
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.systems.files import AnySystem, MadeForRecords, to_identify
+from tustinnet.systems.files import AnySystem, SystemTemplate, load_system_or_template
 
 DEFAULT_RECIPE = "standard"
 _DEFAULT_FOR = {"system": "grey", "physics": "best-hybrid"}  # where one of them is given
@@ -84,7 +84,7 @@ class Task:
     recipe: Recipe
     folds: tuple[Fold, ...]
     members: tuple[Member, ...] = (Member(),)
-    system: LagrangianSystem | MadeForRecords | None = None
+    system: LagrangianSystem | SystemTemplate | None = None
 
     def of(self, members: Sequence[Member]) -> "Task":
         """The same for some of the members."""
@@ -140,18 +140,18 @@ def make_task(
             "a model that a network can correct", "identify one with --system first",
         )  # fmt: skip
     _require_members(members, chosen)
-    found = None if system is None else to_identify(system)
+    found = None if system is None else load_system_or_template(system)
     if origin is not None:
         for e in data:
             require_fit(origin.model, e)
         if not family.trains:
-            known = found.of(list(data)) if isinstance(found, MadeForRecords) else found
+            known = found.for_records(list(data)) if isinstance(found, SystemTemplate) else found
             table = family.beginning(chosen.model, origin.model, known)
             chosen = chosen.model_copy(update={"model": table})
     return Task(chosen, (Fold(roles(data), physics, origin),), tuple(members), found)
 
 
-def system_for(recipe: Recipe, given: AnySystem | None) -> LagrangianSystem | MadeForRecords | None:
+def system_for(recipe: Recipe, given: AnySystem | None) -> LagrangianSystem | SystemTemplate | None:
     """The system whose parameters a recipe identifies: what is given, or else what it names.
 
     None for recipes that identify none, and where nobody says which.
@@ -159,7 +159,7 @@ def system_for(recipe: Recipe, given: AnySystem | None) -> LagrangianSystem | Ma
     if "system" not in recipe.family.needs:
         return None
     which = getattr(recipe.model, "system", None) if given is None else given
-    return None if which is None else to_identify(which)
+    return None if which is None else load_system_or_template(which)
 
 
 def usual_recipe(*, system: bool, physics: bool) -> str:

@@ -66,7 +66,7 @@ LAWS = {
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedForce:
     """A force at a coordinate.
 
     Attributes:
@@ -86,7 +86,7 @@ class Placed:
         return tuple(f"{self.coordinate}.{need}" for need in LAWS[self.law].needs)
 
 
-def placed(system: LagrangianSystem, names: Sequence[str]) -> tuple[Placed, ...]:
+def parse_forces(system: LagrangianSystem, names: Sequence[str]) -> tuple[PlacedForce, ...]:
     """The forces that names stand for.
 
     Args:
@@ -97,7 +97,7 @@ def placed(system: LagrangianSystem, names: Sequence[str]) -> tuple[Placed, ...]
         InputError: no such force or coordinate, or a force twice at a coordinate.
     """
     every = [c.name for c in system.coordinates]
-    found: list[Placed] = []
+    found: list[PlacedForce] = []
     for name in names:
         law, colon, coordinate = name.partition(":")
         if law not in LAWS:
@@ -107,16 +107,16 @@ def placed(system: LagrangianSystem, names: Sequence[str]) -> tuple[Placed, ...]
                 WHERE, f"'{name}': no coordinate '{coordinate}'", f"one of {', '.join(every)}"
             )
         for at in [coordinate] if colon else every:
-            if Placed(law, at) in found:
+            if PlacedForce(law, at) in found:
                 raise InputError(WHERE, f"'{law}:{at}' twice", "once")
-            found.append(Placed(law, at))
+            found.append(PlacedForce(law, at))
     return tuple(found)
 
 
-def needed(system: LagrangianSystem) -> tuple[str, ...]:
+def added_parameters(system: LagrangianSystem) -> tuple[str, ...]:
     """The names of the parameters that a system's added forces brought."""
-    added = placed(system, system.added)
-    return tuple(dict.fromkeys(name for force in added for name in force.needs))
+    added = parse_forces(system, system.added)
+    return tuple(dict.fromkeys(name for force in added for name in force.parameter_names))
 
 
 @lru_cache(maxsize=64)  # so that the same system serves the same compiled programs
@@ -129,16 +129,16 @@ def with_forces(
 
     Args:
         system: the system.
-        names: `LAW:COORDINATE` each, see `placed`; none leaves the system as it is.
+        names: `LAW:COORDINATE` each, see `parse_forces`; none leaves the system as it is.
         parameters: what the forces need, as `theta.coulomb`.
 
     Raises:
-        InputError: what `placed` refuses, or a parameter that the system or another of the forces
+        InputError: what `parse_forces` refuses, or a parameter that the system or another of the forces
             has already.
     """
     if not names:
         return system
-    added = placed(system, names)
+    added = parse_forces(system, names)
     _require_new(system, added)
     friction, rubbing, elastic = (
         _parts(system, added, part) for part in ("friction", "rubbing", "energy")
@@ -164,12 +164,12 @@ def with_forces(
     )
 
 
-def _require_new(system: LagrangianSystem, added: Sequence[Placed]) -> None:
+def _require_new(system: LagrangianSystem, added: Sequence[PlacedForce]) -> None:
     """Raises where a parameter or internal state has its name already."""
     own = dict.fromkeys(system.nominal(), f"the system '{system.name}'")
-    known, before = dict(own), needed(system)
+    known, before = dict(own), added_parameters(system)
     for force in added:
-        for name in force.needs:
+        for name in force.parameter_names:
             free = name in before or name not in own
             shared = free and name.endswith(f".{_SMOOTH}")
             if name in known and not shared:
@@ -181,7 +181,7 @@ def _require_new(system: LagrangianSystem, added: Sequence[Placed]) -> None:
 
 
 def _parts(
-    system: LagrangianSystem, added: Sequence[Placed], part: str
+    system: LagrangianSystem, added: Sequence[PlacedForce], part: str
 ) -> list[tuple[int, tuple[str, ...], Callable[..., Any]]]:
     """Of forces whose law has a part: coordinate, names of the parameters, the part."""
     of = [c.name for c in system.coordinates]
@@ -197,7 +197,7 @@ def _along(like: Any, acting: Sequence[tuple[int, Any]]) -> Any:
     return jnp.stack(each)
 
 
-def _remembering(system: LagrangianSystem, added: Sequence[Placed]) -> Memory | None:
+def _remembering(system: LagrangianSystem, added: Sequence[PlacedForce]) -> Memory | None:
     """The forces with memory that the system has, and behind them those that were added."""
     rates, pulls, begun = (_parts(system, added, part) for part in ("rate", "pull", "begun"))
     if not rates:

@@ -131,7 +131,7 @@ class Network(eqx.Module):
 
     Attributes:
         stem: an affine layer without activation before the first hidden layer, or None. It adds
-            nothing to what the network can represent but changes how it trains; `folded` merges
+            nothing to what the network can represent but changes how it trains; `simplify` merges
             it into the first hidden layer.
         hidden: the M hidden layers.
         output: the output layer, without bias unless asked for.
@@ -193,7 +193,7 @@ class Network(eqx.Module):
         said = self.output(z)
         return said if self.bypass is None else said + self.bypass(features)
 
-    def silent(self) -> "Network":
+    def with_zero_output(self) -> "Network":
         """The same with an output layer, and a bypass, of zeros."""
         bypass = None if self.bypass is None else self.bypass.zeros()
         return replace(self, output=self.output.zeros(), bypass=bypass)
@@ -206,14 +206,14 @@ class Network(eqx.Module):
                 f"{seen} and {said}",
             )  # fmt: skip
 
-    def folded(self) -> "Network":
+    def simplify(self) -> "Network":
         """The same function with the stem merged into the first hidden layer."""
         if self.stem is None:
             return self
         first = fold(self.stem, self.hidden[0])
         return replace(self, stem=None, hidden=(first, *self.hidden[1:]))
 
-    def layers_from(self, frozen: int) -> list[Affine]:
+    def trainable_layers(self, frozen: int) -> list[Affine]:
         """The layers that train when the first so many hidden ones do not; a stem counts with it.
 
         The output layer and the bypass always train.
@@ -300,7 +300,7 @@ def learn_scaling(
     velocities = [e.velocities(velocity) for e in experiments]
     change = np.concatenate([np.diff(v, axis=0) for v in velocities]) / channels.dt
     followed = [relaxing(v, channels.dt, relaxation_times) for v in velocities]
-    return scaling_of(
+    return make_scaling(
         position_offset=q.mean(axis=0),
         position_scale=np.where(moves_in(experiments)[~channels.angular], q.std(axis=0), 1.0),
         velocity=root_mean_square(np.concatenate(velocities)),
@@ -330,6 +330,6 @@ def root_mean_square(signal: Float[np.ndarray, "n c"]) -> Float[np.ndarray, " c"
     return np.where(size > 0, size, 1.0)
 
 
-def scaling_of(dtype: type = np.float32, **fields: np.ndarray) -> Scaling:
+def make_scaling(dtype: type = np.float32, **fields: np.ndarray) -> Scaling:
     """Units from plain arrays."""
     return Scaling(**{name: jnp.asarray(value, dtype) for name, value in fields.items()})

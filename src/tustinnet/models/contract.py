@@ -20,8 +20,8 @@ from tustinnet.signals.excitation import Excitation
 
 State = Float[Array, " n_x"]
 InputVector = Float[Array, " n_u"]
-Drive = Float[Array, "*between n_u"]
-Seen = Float[np.ndarray, "steps *between n_u"]
+StepInput = Float[Array, "*between n_u"]
+StepInputs = Float[np.ndarray, "steps *between n_u"]
 Internal = Float[Array, " n_z"]
 Coordinates = Float[Array, " n_q"]
 
@@ -63,11 +63,11 @@ class Stateful(HasChannels, eqx.Module):
         """
         return jnp.asarray(np.ones(len(self.internal)))
 
-    def beginning(self, measured: Float[Array, " n_measured"]) -> State:
+    def initial_state(self, measured: Float[Array, " n_measured"]) -> State:
         """The state in which a record begins, by its first [q, v]; see `initial_internal`."""
         return jnp.concatenate([measured, self.initial_internal(measured)])
 
-    def of(self: Own, experiment: Experiment) -> Own:
+    def for_record(self: Own, experiment: Experiment) -> Own:
         """The model that simulates a record: of values by group it takes the record's.
 
         Most models are the same for every record and return themselves.
@@ -82,7 +82,7 @@ class Model(Stateful):
     """A model that steps from sample to sample; `Channels` has the layout of its state."""
 
     @abstractmethod
-    def step(self, x: State, u: Drive) -> State:
+    def step(self, x: State, u: StepInput) -> State:
         """The state one period after `x`.
 
         Args:
@@ -91,14 +91,14 @@ class Model(Stateful):
                 over the period.
         """
 
-    def advance(self, x: State, u: Drive, period: Array | float) -> State:
+    def advance(self, x: State, u: StepInput, period: Array | float) -> State:
         """The state `period` [s] after `x`, for models that can step by any period."""
         raise InputError(
             f"a {type(self).__name__}", "steps from timestamp to timestamp",
             f"steps of its sampling period, {self.dt:g} s", "resample the record",
         )  # fmt: skip
 
-    def seen(self, inputs: Excitation) -> Seen:
+    def step_inputs(self, inputs: Excitation) -> StepInputs:
         """What each step is given of a record's inputs; by default the mean over the period."""
         return inputs.mean
 
@@ -107,7 +107,7 @@ class Model(Stateful):
         """Samples of a record that its internal states need before a free run; 0 for most."""
         return 0
 
-    def folded(self) -> "Model":
+    def simplify(self) -> "Model":
         """The cheapest form of the model that computes the same; what a rollout should use."""
         return self
 
@@ -148,25 +148,25 @@ class AccelerationModel(_HasScaling, Model):
         """The samples of the inputs that it sees; most models see the mean over the period."""
         return ()
 
-    def seen(self, inputs: Excitation) -> Seen:
+    def step_inputs(self, inputs: Excitation) -> StepInputs:
         """The samples at its taps, (steps, taps, n_u); beyond a record's ends its last samples."""
         if not self.taps:
-            return super().seen(inputs)
+            return super().step_inputs(inputs)
         last = len(inputs.samples) - 1
         rows = np.arange(last)[:, None] + np.array(self.taps)
         return inputs.samples[np.clip(rows, 0, last)]
 
-    def tapped(self, u: Drive) -> Float[Array, "*seen n_u"]:
+    def input_at_taps(self, u: StepInput) -> Float[Array, "*seen n_u"]:
         """Inputs as its network sees them: a vector acts unchanged, at all of its taps."""
         return jnp.tile(u, (len(self.taps), 1)) if self.taps and u.ndim == 1 else u
 
     @abstractmethod
-    def silent(self) -> "AccelerationModel":
+    def with_zero_output(self) -> "AccelerationModel":
         """The same model with an output of zero."""
 
     @abstractmethod
     def accelerate(
-        self, x: State, u: Drive
+        self, x: State, u: StepInput
     ) -> tuple[Coordinates, Callable[[Coordinates], Internal]]:
         """The mean acceleration over the coming period, and what becomes of the internal states.
 
@@ -175,7 +175,7 @@ class AccelerationModel(_HasScaling, Model):
             over the period to the internal states at its end.
         """
 
-    def step(self, x: State, u: Drive) -> State:
+    def step(self, x: State, u: StepInput) -> State:
         """`v[k+1] = v[k] + dt a`, `q[k+1] = q[k] + dt (v[k] + v[k+1]) / 2`."""
         q, v = x[self.channels.position], x[self.channels.velocity]
         acceleration, remember = self.accelerate(x, u)

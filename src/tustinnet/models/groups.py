@@ -9,7 +9,7 @@ from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
 
 
-def of_groups(model: Model, groups: Mapping[str, str], where: str) -> Model:
+def model_for_groups(model: Model, groups: Mapping[str, str], where: str) -> Model:
     """The model of a record with these groups, all of which it needs.
 
     Args:
@@ -27,7 +27,7 @@ def of_groups(model: Model, groups: Mapping[str, str], where: str) -> Model:
             np.zeros((2, model.channels.n_q)), np.zeros((2, model.channels.n_u)), dt=model.dt,
             coordinates=model.coordinates, inputs=model.inputs, name=where, groups=given,
         )  # fmt: skip
-        return model.of(record)
+        return model.for_record(record)
 
     def answers(given: Mapping[str, str]) -> bool:
         try:

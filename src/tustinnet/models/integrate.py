@@ -14,11 +14,11 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.contract import (
     ContinuousModel,
-    Drive,
+    StepInput,
     InputVector,
     Internal,
     Model,
-    Seen,
+    StepInputs,
     State,
 )
 from tustinnet.signals.excitation import Excitation
@@ -58,17 +58,17 @@ class FromContinuous(Model):
         """That of the continuous model."""
         return self.continuous.internal_spread
 
-    def of(self, experiment: Experiment) -> "FromContinuous":
+    def for_record(self, experiment: Experiment) -> "FromContinuous":
         """The same with the values of the continuous model that the record has."""
-        chosen = self.continuous.of(experiment)
+        chosen = self.continuous.for_record(experiment)
         return self if chosen is self.continuous else replace(self, continuous=chosen)
 
-    def seen(self, inputs: Excitation) -> Seen:
+    def step_inputs(self, inputs: Excitation) -> StepInputs:
         """The polynomials of every period where an input is not held, else the held inputs."""
         pieces = inputs.pieces
         return pieces[:, 0] if pieces.shape[1] == 1 else pieces
 
-    def step(self, x: State, u: Drive) -> State:
+    def step(self, x: State, u: StepInput) -> State:
         """One sampling period."""
         return self.advance(x, u, self.dt)
 
@@ -88,7 +88,7 @@ class Discretised(FromContinuous):
     substeps: int = eqx.field(static=True)
     unrolled: bool = eqx.field(static=True, default=False)
 
-    def advance(self, x: State, u: Drive, period: Array | float) -> State:
+    def advance(self, x: State, u: StepInput, period: Array | float) -> State:
         """The state after a period [s]: `substeps` Runge-Kutta steps of fourth order."""
         parts, h = self.substeps, period / self.substeps
         if self.unrolled:
@@ -137,13 +137,13 @@ def discretise(
 
 
 def between(
-    u: Drive, i: Array | int, parts: Array | int
+    u: StepInput, i: Array | int, parts: Array | int
 ) -> tuple[InputVector, InputVector, InputVector]:
     """Inputs at the beginning, the middle and the end of the i-th of so many parts of a period."""
     return at(u, i / parts), at(u, (i + 0.5) / parts), at(u, (i + 1) / parts)
 
 
-def at(u: Drive, part: Array | float) -> InputVector:
+def at(u: StepInput, part: Array | float) -> InputVector:
     """Inputs at a part of the period, 0..1: held, or on the polynomials of the period."""
     if u.ndim == 1:
         return u

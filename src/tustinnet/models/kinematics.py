@@ -68,7 +68,7 @@ def require_links(links: Sequence[Link], coordinates: Sequence[Coordinate], wher
             )  # fmt: skip
 
 
-def carriers(links: Sequence[Link]) -> list[int | None]:
+def parent_indices(links: Sequence[Link]) -> list[int | None]:
     """The place of the link that carries each link, None where it stands on the base."""
     places = {link.coordinate: i for i, link in enumerate(links)}
     return [

@@ -22,7 +22,7 @@ from tustinnet.models.contract import (
     State,
 )
 from tustinnet.models.kinematics import Link, require_links
-from tustinnet.models.parameters import Parameter, known_group
+from tustinnet.models.parameters import Parameter, require_group_value
 
 Scalar = Float[Array, ""]
 Values = Mapping[str, Any]
@@ -64,7 +64,7 @@ class LagrangianSystem:
         dissipation: `D(q, v, p)`, generalised force against the motion, (n_q,) [N m or N].
         input_map: `Q(q, v, u, p)`, generalised force of the actuators, (n_q,) [N m or N].
         memory: forces with internal states, if any.
-        sensors: which parameters are what sensors are off by, see `models.sensors.calibrated`.
+        sensors: which parameters are what sensors are off by, see `models.sensors.with_sensor_errors`.
         added: which forces were added by name, see `models.added.with_forces`.
         links: how it is drawn, none where nobody said.
     """
@@ -95,7 +95,7 @@ class LagrangianSystem:
         for p in self.grouped:
             if of := p.by_group(dict.fromkeys(names)):
                 raise InputError(
-                    f"system '{self.name}'", f"a parameter '{p.at(next(iter(of))).name}'",
+                    f"system '{self.name}'", f"a parameter '{p.for_group(next(iter(of))).name}'",
                     "another name", f"'{p.name}' has values of such names, one per {p.per}",
                 )  # fmt: skip
         if not self.coordinates:
@@ -113,7 +113,7 @@ class LagrangianSystem:
             if p.name == name:
                 return p
             if p.per is not None and (of := p.by_group({name: None})):
-                return p.at(*of)
+                return p.for_group(*of)
         known = ", ".join(p.name for p in self.parameters)
         raise InputError(f"system '{self.name}'", f"no parameter '{name}'", f"one of {known}")
 
@@ -229,7 +229,7 @@ class LagrangianModel(ContinuousModel):
     Attributes:
         system: the energies and forces.
         values: the parameters by name, SI units. Where some are by group (`mass[1kg]`), the
-            model steps only with those of a record or group, see `of` and `of_groups`.
+            model steps only with those of a record or group, see `of` and `model_for_groups`.
 
     References:
         van Esch, Bonassi, Schön, section 2.2, Euler-Lagrange equations.
@@ -257,11 +257,11 @@ class LagrangianModel(ContinuousModel):
                 known[str(p.per)] = found
         return known
 
-    def of(self, experiment: Experiment) -> "LagrangianModel":
+    def for_record(self, experiment: Experiment) -> "LagrangianModel":
         """The equations of motion with the values of a record's groups."""
-        return self.of_groups(dict(experiment.groups), f"record '{experiment.name}'")
+        return self.for_groups(dict(experiment.groups), f"record '{experiment.name}'")
 
-    def of_groups(self, groups: Mapping[str, str], where: object) -> "LagrangianModel":
+    def for_groups(self, groups: Mapping[str, str], where: object) -> "LagrangianModel":
         """The equations of motion with the values of some groups, as `{"payload": "1kg"}`.
 
         Args:
@@ -274,7 +274,7 @@ class LagrangianModel(ContinuousModel):
         chosen: dict[str, Array] = {}
         for p in self.system.grouped:
             if known := p.by_group(self.values):
-                chosen[p.name] = known[known_group(p, groups, tuple(known), where)]
+                chosen[p.name] = known[require_group_value(p, groups, tuple(known), where)]
         return LagrangianModel(self.system, self.values | chosen) if chosen else self
 
     def mass_matrix(self, q: Coordinates) -> Float[Array, "n_q n_q"]:
@@ -323,7 +323,7 @@ class LagrangianModel(ContinuousModel):
                     f"a model of the system '{self.system.name}'",
                     f"no one value of '{p.name}': it has one per {p.per}",
                     "the model of a record or of a group",
-                    f"model.of(record) takes those of the record's {p.per}",
+                    f"model.for_record(record) takes those of the record's {p.per}",
                 )
         return _derivative(self, x, u)
 

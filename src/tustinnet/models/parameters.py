@@ -90,7 +90,7 @@ class Parameter:
         """Whether all of its range is positive; it is then searched for by its logarithm."""
         return self.lower > 0
 
-    def at(self, group: str) -> "Parameter":
+    def for_group(self, group: str) -> "Parameter":
         """The parameter of the records of one value of its group: `mass[1kg]`."""
         return replace(self, name=f"{self.name}[{group}]")
 
@@ -101,7 +101,7 @@ class Parameter:
         return {name[len(begin) : -1]: values[name] for name in names}
 
 
-def known_group(
+def require_group_value(
     p: Parameter, groups: Mapping[str, str], known: Sequence[str], where: object
 ) -> str:
     """Which of the known values of a parameter's group somebody has.

@@ -15,7 +15,7 @@ _NEUTRAL = {"bias": 0.0, "gain": 1.0}
 
 
 @lru_cache(maxsize=64)  # so that the same system serves the same compiled programs
-def calibrated(system: LagrangianSystem, sensors: tuple[Parameter, ...]) -> LagrangianSystem:
+def with_sensor_errors(system: LagrangianSystem, sensors: tuple[Parameter, ...]) -> LagrangianSystem:
     """The system in measured coordinates and inputs, what its sensors are off by as parameters.
 
     Measured are `q = gain q_physical + bias` and `v = gain v_physical`; the system is given
@@ -23,7 +23,7 @@ def calibrated(system: LagrangianSystem, sensors: tuple[Parameter, ...]) -> Lagr
     of the physical motion, and a generalised force is divided by its coordinate's gain, so that
     its work stays the same. Simulation, starts and files know of nothing else.
 
-    A delay of an input changes no equation, only when the inputs act, see `delayed`.
+    A delay of an input changes no equation, only when the inputs act, see `with_delays`.
 
     Args:
         system: the system in physical coordinates and inputs.
@@ -77,19 +77,19 @@ def calibrated(system: LagrangianSystem, sensors: tuple[Parameter, ...]) -> Lagr
     )
 
 
-def delay_of(of: Input) -> str:
+def delay_name(of: Input) -> str:
     """What the parameter of an input's delay is called."""
     return f"{of.name}.delay"
 
 
-def delays_among(names: Iterable[str]) -> tuple[str, ...]:
+def delay_names(names: Iterable[str]) -> tuple[str, ...]:
     """Those of some parameters' names that are of delays."""
     return tuple(name for name in names if name.endswith(".delay"))
 
 
-def delayed(inputs: Sequence[Input], values: Mapping[str, Any]) -> tuple[Input, ...]:
+def with_delays(inputs: Sequence[Input], values: Mapping[str, Any]) -> tuple[Input, ...]:
     """Inputs with the delays [s] that are among the values of parameters."""
-    known = [values.get(delay_of(i), i.delay or 0.0) for i in inputs]
+    known = [values.get(delay_name(i), i.delay or 0.0) for i in inputs]
     return tuple(replace(i, delay=float(x)) for i, x in zip(inputs, known, strict=True))
 
 

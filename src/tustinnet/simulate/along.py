@@ -61,6 +61,6 @@ def followed(
     """
 
     def one(known: Array, drive: Drive) -> Array:
-        return rollout(model, model.beginning(known[0]), drive, known)
+        return rollout(model, model.initial_state(known[0]), drive, known)
 
     return jax.vmap(one)(known, drive)

@@ -19,7 +19,7 @@ def batches(model: AnyModel, experiments: Sequence[Experiment]) -> list[tuple[An
     """
     found: list[tuple[AnyModel, list[int]]] = []
     for i, e in enumerate(experiments):
-        own = model.of(e)
+        own = model.for_record(e)
         for shared, rows in found:
             if own is shared or eqx.tree_equal(own, shared):
                 rows.append(i)

@@ -44,7 +44,7 @@ def drive_of(model: Model, experiment: Experiment, *, timestamps: bool = False) 
     Raises:
         InputError: an input whose hold or delay is unknown; a record too short for its hold.
     """
-    seen = model.seen(experiment.excitation(model.channels.inputs))
+    seen = model.step_inputs(experiment.excitation(model.channels.inputs))
     return Drive(seen, np.diff(experiment.t) if timestamps else None)
 
 

@@ -75,7 +75,7 @@ def kalman_filter(
         model.state_size, model.channels.n_q,
     )  # fmt: skip
     x, start, process, measured = values
-    p, folded = np.diag(start**2), model.folded()
+    p, folded = np.diag(start**2), model.simplify()
     u = np.asarray(drive_of(model, experiment).u)
     states, variances = [], []
     for k, q in enumerate(experiment.q):

@@ -45,7 +45,7 @@ class SystemFile:
         return hashlib.sha256(self.text.encode()).hexdigest()
 
 
-class MadeForRecords(ABC):
+class SystemTemplate(ABC):
     """A packaged system that differs with the records: with their coordinates and inputs.
 
     Attributes:
@@ -55,11 +55,11 @@ class MadeForRecords(ABC):
     name: str
 
     @abstractmethod
-    def of(self, records: Sequence[Experiment]) -> LagrangianSystem:
+    def for_records(self, records: Sequence[Experiment]) -> LagrangianSystem:
         """The system to identify from some records."""
 
     @abstractmethod
-    def restored(
+    def restore(
         self,
         coordinates: Sequence[Coordinate],
         inputs: Sequence[Input],
@@ -68,7 +68,7 @@ class MadeForRecords(ABC):
         """The system as it was, from its coordinates, its inputs and all parameters it had."""
 
 
-AnySystem = LagrangianSystem | MadeForRecords | SystemFile | str | Path
+AnySystem = LagrangianSystem | SystemTemplate | SystemFile | str | Path
 
 
 def find_system(which: str | Path) -> SystemFile | str:
@@ -102,8 +102,8 @@ def load_system(which: AnySystem) -> LagrangianSystem:
             made for records. The functions of a system from a file raise it, too, whatever
             happens in them.
     """
-    found = to_identify(which)
-    if isinstance(found, MadeForRecords):
+    found = load_system_or_template(which)
+    if isinstance(found, SystemTemplate):
         raise InputError(
             f"system '{found.name}'", "made for the records that it is identified from",
             "no --system", "a model file of it has all that is needed",
@@ -111,9 +111,9 @@ def load_system(which: AnySystem) -> LagrangianSystem:
     return found
 
 
-def to_identify(which: AnySystem) -> "LagrangianSystem | MadeForRecords":
+def load_system_or_template(which: AnySystem) -> "LagrangianSystem | SystemTemplate":
     """The same for an identification, which also takes a system that is made for its records."""
-    if isinstance(which, LagrangianSystem | MadeForRecords):
+    if isinstance(which, LagrangianSystem | SystemTemplate):
         return which
     found = which if isinstance(which, SystemFile) else find_system(which)
     if isinstance(found, str):

@@ -20,7 +20,7 @@ from tustinnet.errors import InputError
 from tustinnet.models.blocks import root_mean_square
 from tustinnet.models.contract import Coordinates, InputVector
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter, Scalar, Values
-from tustinnet.systems.files import MadeForRecords
+from tustinnet.systems.files import SystemTemplate
 
 NAME = "mechanism"
 _MOST = 3  # coordinates; with more, terms are many and identification slow
@@ -49,12 +49,12 @@ class Wave(NamedTuple):
 Term = tuple[int, Parameter]  # how special, and what scales it
 
 
-class Mechanism(MadeForRecords):
+class Mechanism(SystemTemplate):
     """The system `mechanism`: one for every set of records, since it has their coordinates."""
 
     name = NAME
 
-    def of(self, records: Sequence[Experiment]) -> LagrangianSystem:
+    def for_records(self, records: Sequence[Experiment]) -> LagrangianSystem:
         """The system with every term that the motion of some records can say something of.
 
         Ranges are those of the motion: no term accelerates more than 10 times what the records
@@ -95,9 +95,9 @@ class Mechanism(MadeForRecords):
                 found += _springs(c, largest[k], size[k])
         # of terms that can stand for one another the later ones are left out
         found.sort(key=lambda term: term[0])
-        return self.restored(coordinates, inputs, [parameter for _, parameter in found])
+        return self.restore(coordinates, inputs, [parameter for _, parameter in found])
 
-    def restored(
+    def restore(
         self,
         coordinates: Sequence[Coordinate],
         inputs: Sequence[Input],

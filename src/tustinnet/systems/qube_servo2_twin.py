@@ -9,7 +9,7 @@ import numpy as np
 from tustinnet.channels import Channels
 from tustinnet.data.dataset import DataSet
 from tustinnet.systems.qube_servo2 import WITH_MEMORY
-from tustinnet.systems.twin import AS_LOGGED, Logger, Run, log_runs
+from tustinnet.systems.twin import AS_LOGGED, Logger, TwinRun, log_runs
 
 COUNT = 0.00306640625  # rad, 6.28 / 2048: the published logs take pi as 3.14
 TWIN_NAME = "qube-servo2-twin"
@@ -62,7 +62,7 @@ def twin(
     return DataSet(TWIN_NAME, records)
 
 
-def _fall(name: str, split: str, generator: np.random.Generator) -> Run:
+def _fall(name: str, split: str, generator: np.random.Generator) -> TwinRun:
     """Let go near upright, on either side, most often almost at rest."""
     samples = int(generator.integers(716, 800))
     side = generator.choice([-1.0, 1.0])
@@ -70,10 +70,10 @@ def _fall(name: str, split: str, generator: np.random.Generator) -> Run:
     alpha = tilt if side > 0 else 2 * np.pi + tilt
     speeds = 3.0 * generator.uniform(0, 1, 2) ** 3 * np.array([generator.choice([-1.0, 1.0]), side])
     x0 = np.array([generator.uniform(-1.7, 1.0), alpha, *speeds, 0.0])
-    return Run(name, split, x0, np.zeros((samples, 1)))
+    return TwinRun(name, split, x0, np.zeros((samples, 1)))
 
 
-def _noise(name: str, split: str, amplitude: float, generator: np.random.Generator) -> Run:
+def _noise(name: str, split: str, amplitude: float, generator: np.random.Generator) -> TwinRun:
     """Uniform white noise from rest, hanging."""
     x0 = np.array([generator.uniform(-0.05, 0.05), np.pi, 0.0, 0.0, 0.0])
-    return Run(name, split, x0, generator.uniform(-amplitude, amplitude, (1500, 1)))
+    return TwinRun(name, split, x0, generator.uniform(-amplitude, amplitude, (1500, 1)))

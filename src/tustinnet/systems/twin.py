@@ -25,7 +25,7 @@ _FAR = 10  # recorded ranges that a simulated record may leave
 
 
 @dataclass(frozen=True)
-class Run:
+class TwinRun:
     """One experiment to be made with a twin.
 
     Attributes:
@@ -62,7 +62,7 @@ class Logger:
 AS_LOGGED = Logger()
 
 
-def imitated(
+def imitate_records(
     model: Discretised,
     records: Sequence[Experiment],
     count: int,
@@ -96,8 +96,8 @@ def imitated(
                                (begins.velocities(), channels.velocity, v)):  # fmt: skip
             x0[at] = of[row] + _NEAR * all_of.std(axis=0) * generator.normal(size=channels.n_q)
         u = np.roll(drives.u, int(generator.integers(len(drives))), axis=0)
-        begin = np.asarray(model.beginning(jnp.asarray(x0[channels.measured])))
-        runs.append(Run(f"simulated{i + 1}", "train", begin, u))
+        begin = np.asarray(model.initial_state(jnp.asarray(x0[channels.measured])))
+        runs.append(TwinRun(f"simulated{i + 1}", "train", begin, u))
     logger = Logger(model.dt, 0.0, counts=bool(channels.resolution.all()), substeps=model.substeps)
     made = log_runs(model.continuous, channels, runs, logger, generator)
     middle, reach = (q.max(axis=0) + q.min(axis=0)) / 2, _FAR * np.ptp(q, axis=0) + 1e-12
@@ -107,7 +107,7 @@ def imitated(
 def log_runs(
     model: ContinuousModel,
     channels: Channels,
-    runs: Sequence[Run],
+    runs: Sequence[TwinRun],
     logger: Logger,
     generator: np.random.Generator,
 ) -> tuple[Experiment, ...]:

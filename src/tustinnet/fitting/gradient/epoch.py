@@ -389,7 +389,7 @@ def window_losses(
         loss: what is compared.
     """
     # a stem is folded once a batch, not applied at every step; its gradient passes the fold
-    simulator, encoder, of = model.folded().dynamics, model.encoder, model.channels
+    simulator, encoder, of = model.simplify().dynamics, model.encoder, model.channels
     lead, compared = target[:, : loss.lead + 1], slice(loss.lead, None)
     if encoder is not None:
         begin = jax.vmap(partial(encoder, of))(lead[..., of.position], u[:, : loss.lead])
@@ -424,7 +424,7 @@ def validation_rmse(
         chosen: which of them.
         counted: 1 for those that count.
     """
-    simulator = model.folded()
+    simulator = model.simplify()
     # the segments of all records side by side; counted, for where there are no inputs the size of
     # an array says nothing of their number
     count = len(chosen) * runs.weight.shape[1]

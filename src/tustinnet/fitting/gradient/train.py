@@ -42,7 +42,7 @@ def _result(prepared: Plan, best: Model, m: int, progress: Progress) -> FitResul
         "kept_epoch": progress.best_epoch,
     }
     return FitResult(
-        model=completed(prepared, m, model).folded(),
+        model=completed(prepared, m, model).simplify(),
         recipe=prepared.recipe,
         member=prepared.members[m],
         outcome=progress.outcome,

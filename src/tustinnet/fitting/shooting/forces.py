@@ -13,7 +13,7 @@ from tustinnet.data.inspection import turning_around
 from tustinnet.engine.equations import Formula
 from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
-from tustinnet.models.added import LAWS, WHERE, Placed, needed, placed, with_forces
+from tustinnet.models.added import LAWS, WHERE, PlacedForce, added_parameters, parse_forces, with_forces
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Parameter
 
 _MOST = 10.0  # times the largest force that the system has without it
@@ -63,7 +63,7 @@ def with_added(
 
     Args:
         system: the system.
-        names: `LAW` or `LAW:COORDINATE`, see `models.added.placed`. A spring that names no
+        names: `LAW` or `LAW:COORDINATE`, see `models.added.parse_forces`. A spring that names no
             coordinate is added at those that do not turn around.
         experiments: the training records.
         known: values of parameters that are better known than the nominal ones.
@@ -71,7 +71,7 @@ def with_added(
     Raises:
         InputError: what `models.added` refuses, and a coordinate that never moves.
     """
-    added = placed(system, _held(system, names, experiments))
+    added = parse_forces(system, _held(system, names, experiments))
     if not added:
         return system
     values = system.nominal()
@@ -86,7 +86,7 @@ def with_added(
                 "a coordinate that moves", "name those that do, as LAW:COORDINATE",
             )  # fmt: skip
         found |= {p.name: p for p in _parameters(force, system.coordinates[i], scales[i])}
-    shared = set(needed(system))  # of forces that were added before
+    shared = set(added_parameters(system))  # of forces that were added before
     new = tuple(p for name, p in found.items() if name not in shared)
     return with_forces(system, tuple(map(str, added)), new)
 
@@ -111,7 +111,7 @@ def _held(
     return found
 
 
-def _parameters(force: Placed, of: Coordinate, scale: Scale) -> list[Parameter]:
+def _parameters(force: PlacedForce, of: Coordinate, scale: Scale) -> list[Parameter]:
     """The parameters of a force, with their ranges."""
     unit = {"rad": "N m", "m": "N"}.get(of.unit, f"J/{of.unit}")
     most, slow = _MOST * scale.force, _SMOOTH * scale.speed
@@ -137,7 +137,7 @@ def _parameters(force: Placed, of: Coordinate, scale: Scale) -> list[Parameter]:
     needs = LAWS[force.law].needs
     return [
         Parameter(name, *ranges[need], fixed=need in _FIXED)
-        for name, need in zip(force.needs, needs, strict=True)
+        for name, need in zip(force.parameter_names, needs, strict=True)
     ]
 
 

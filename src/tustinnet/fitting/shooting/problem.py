@@ -21,7 +21,7 @@ from tustinnet.fitting.shooting.segments import Cut, Segments, cut
 from tustinnet.fitting.shooting.space import Searched, Space
 from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
-from tustinnet.models.sensors import delayed, delays_among
+from tustinnet.models.sensors import with_delays, delay_names
 from tustinnet.simulate.horizon import horizon_samples, pieces
 from tustinnet.simulate.starts import (
     DERIVED,
@@ -108,7 +108,7 @@ class Problem:
     @property
     def delays(self) -> tuple[str, ...]:
         """The delays of inputs that are searched for."""
-        return delays_among(self.system.sensors)
+        return delay_names(self.system.sensors)
 
     @property
     def first(self) -> str:
@@ -125,7 +125,7 @@ class Problem:
         """The system with some values; between the samples its inputs are as the records say."""
         arrays = {name: jnp.asarray(x) for name, x in values.items()}
         first = self.records[0]
-        inputs = delayed(first.inputs, values)
+        inputs = with_delays(first.inputs, values)
         return discretise(self.system.model(arrays), first.dt, substeps, inputs=inputs)
 
     def products(self, space: Space, vector: Searched, segments: Segments, substeps: int) -> Normal:
