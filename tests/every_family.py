@@ -17,7 +17,7 @@ from tustinnet.families.neural_ode import NeuralODE
 from tustinnet.families.tustin_net import random_tustin_net
 from tustinnet.models.blocks import Layers, Scaling, feature_count, random_network
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.systems.qube_servo2 import RUBBING, SYSTEM, WITH_MEMORY
+from tustinnet.systems.qube_servo2 import WITH_CABLE_FRICTION, SYSTEM, WITH_MEMORY
 
 CHANNELS = tn.Channels(SWING.coordinates, SWING.inputs, DT)
 
@@ -90,7 +90,7 @@ _OTHERS = {
     ),
     "qube": lambda: nominal(SYSTEM, 1),
     "qube memory": lambda: nominal(WITH_MEMORY, 4),
-    "qube rubbing": lambda: nominal(RUBBING, 2),
+    "qube rubbing": lambda: nominal(WITH_CABLE_FRICTION, 2),
     "cart": lambda: nominal(CART, 3),
     "qube network": lambda: pendulum_network((100, 100)),
     "qube hybrid": lambda: tn.HybridModel(nominal(WITH_MEMORY, 2), pendulum_network((40, 40))),

@@ -4,6 +4,17 @@ import warnings
 
 # public Python names, `tn.NAME`
 NAMES: dict[str, str] = {}
+# methods of models
+METHODS = {
+    "of": "for_record",
+    "of_groups": "for_groups",
+    "seen": "step_inputs",
+    "silent": "with_zero_output",
+    "folded": "simplify",
+    "beginning": "initial_state",
+}
+# forces of a recipe (`[model] forces`), and functions of `models.forces`
+FORCES = {"rubbing": "coulomb_by_position"}
 
 
 def current_name(name: str, names: dict[str, str], kind: str) -> str:

@@ -215,7 +215,7 @@ def test_a_file_gives_it_back_with_one_system_for_all(tmp_path):
 
 
 def test_a_packaged_system_is_found_and_networks_take_none(tmp_path):
-    system = tn.load_system("duffing")
+    system = tn.load_system("qube-servo2-naive")
     values = {k: jnp.asarray(v) for k, v in system.nominal().items()}
     grey = [
         tn.discretise(system.model({k: i * v for k, v in values.items()}), 0.01) for i in (1, 2)

@@ -35,7 +35,9 @@ def test_it_has_the_terms_that_the_coordinates_can_have():
     assert system.parameter("x.inertia").fixed
     always = {f"{c}.{name}" for c in ("x", "angle") for name in ("inertia", "viscous")}
     assert set(system.optional) == names - always
-    assert system.parameter("x.spring").brings == ("cubic:x", "rubbing:x", "maxwell:x")
+    assert system.parameter("x.spring").brings == (
+        "cubic:x", "coulomb_by_position:x", "maxwell:x",
+    )  # fmt: skip
 
 
 def test_a_coordinate_that_turns_around_has_no_spring():

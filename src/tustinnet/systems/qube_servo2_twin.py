@@ -1,4 +1,4 @@
-"""The twin of the Qube-Servo 2: what `tustinnet demo` runs on."""
+"""The twin of the Qube-Servo 2, whose records `tustinnet demo` uses."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -37,14 +37,13 @@ def twin(
 ) -> DataSet:
     """Records of a simulated Qube-Servo 2: free falls and white-noise voltage, in three splits.
 
-    Numbers, lengths and starts are those of the published records. The twin is a Lagrangian
-    system, so it favours Lagrangian models: what a method scores on it says nothing of what it
-    scores on the apparatus.
+    Numbers, lengths and starts are like those of the published records. The twin is a Lagrangian
+    system, so it favours Lagrangian models: scores on it say nothing about scores on the apparatus.
 
     Args:
         seed: everything random follows from it.
-        logger: how it is logged.
-        values: of its parameters, by name; others make another device.
+        logger: the sampling.
+        values: values of its parameters, by name; others make another device.
     """
     generator = np.random.default_rng(seed)
     runs = []
@@ -55,15 +54,15 @@ def twin(
             _noise(f"twin_noise{label}{i + 1}", split, _AMPLITUDES[i], generator)
             for i in range(noises)
         ]
-    own = {name: jnp.asarray(value, jnp.float64) for name, value in values.items()}
+    parameters = {name: jnp.asarray(value, jnp.float64) for name, value in values.items()}
     coordinates = tuple(replace(c, resolution=COUNT) for c in WITH_MEMORY.coordinates)
     channels = Channels(coordinates, WITH_MEMORY.inputs)
-    records = log_runs(WITH_MEMORY.model(own), channels, runs, logger, generator)
+    records = log_runs(WITH_MEMORY.model(parameters), channels, runs, logger, generator)
     return DataSet(TWIN_NAME, records)
 
 
 def _fall(name: str, split: str, generator: np.random.Generator) -> TwinRun:
-    """Let go near upright, on either side, most often almost at rest."""
+    """A fall from near upright, to either side, most often almost from rest."""
     samples = int(generator.integers(716, 800))
     side = generator.choice([-1.0, 1.0])
     tilt = side * generator.uniform(0.25, 0.76)
@@ -74,6 +73,6 @@ def _fall(name: str, split: str, generator: np.random.Generator) -> TwinRun:
 
 
 def _noise(name: str, split: str, amplitude: float, generator: np.random.Generator) -> TwinRun:
-    """Uniform white noise from rest, hanging."""
+    """A run with uniform white noise as the voltage, from rest, hanging."""
     x0 = np.array([generator.uniform(-0.05, 0.05), np.pi, 0.0, 0.0, 0.0])
     return TwinRun(name, split, x0, generator.uniform(-amplitude, amplitude, (1500, 1)))

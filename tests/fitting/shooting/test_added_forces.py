@@ -97,7 +97,7 @@ def test_a_hybrids_physics_keeps_its_forces_and_their_internal_states(tmp_path):
 
 
 def test_the_search_begins_at_the_plain_system():
-    forces = ["stribeck", "viscous", "rubbing", "spring", "cubic", "maxwell"]
+    forces = ["stribeck", "viscous", "coulomb_by_position", "spring", "cubic", "maxwell"]
     system = with_added(SWING, forces, records(), {})
     at, plain = (s.model({k: jnp.asarray(x) for k, x in s.nominal().items()})
                  for s in (system, SWING))  # fmt: skip
@@ -114,7 +114,7 @@ def test_ranges_grow_with_the_system_and_its_motion():
             for p in SWING.parameters
         ),
     )
-    forces = ["stribeck", "viscous", "rubbing", "spring", "cubic", "maxwell"]
+    forces = ["stribeck", "viscous", "coulomb_by_position", "spring", "cubic", "maxwell"]
     usual, large = (
         {p.name: p for p in with_added(s, forces, falls(), {}).parameters if "." in p.name}
         for s in (SWING, strong)
