@@ -17,7 +17,7 @@ from tustinnet.families.neural_ode import NeuralODE
 from tustinnet.families.tustin_net import random_tustin_net
 from tustinnet.models.blocks import Layers, Scaling, feature_count, random_network
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.systems.qube_servo2 import WITH_CABLE_FRICTION, SYSTEM, WITH_MEMORY
+from tustinnet.systems.qube_servo2 import SYSTEM, WITH_CABLE_FRICTION, WITH_MEMORY
 
 CHANNELS = tn.Channels(SWING.coordinates, SWING.inputs, DT)
 

@@ -17,7 +17,7 @@ import tustinnet as tn
 from tustinnet.errors import InputError
 from tustinnet.export.mat import Matrices
 from tustinnet.export.source import Source
-from tustinnet.export.target import Files, Stepper, Target, NotRunnable
+from tustinnet.export.target import Files, NotRunnable, Stepper, Target
 from tustinnet.program.numbers import run
 from tustinnet.registry import TARGETS
 from tustinnet.store import exported
@@ -316,7 +316,9 @@ def test_foreign_code_is_run_where_it_is_named(
 
 
 def test_a_network_has_no_system(model, out, refused):
-    refused(model, "--to", "plain", "--out", out, "--system", "qube-servo2", told="leave --system out")
+    refused(
+        model, "--to", "plain", "--out", out, "--system", "qube-servo2", told="leave --system out"
+    )
     refused(model.parent / "no.safetensors", "--to", "plain", "--out", out, told="no such file")
     assert not out.exists()
 

@@ -293,5 +293,5 @@ def test_without_a_compiler_the_sources_are_written(tmp_path, monkeypatch):
 
 def test_a_compiler_that_refuses_is_told(tmp_path, monkeypatch, written):
     monkeypatch.setenv("CC", "false")
-    with pytest.raises(NotRunnable, match="false does not compile it: without a word"):
+    with pytest.raises(NotRunnable, match="false does not compile it: without a message"):
         TARGET.stepper(written("linear"), source("linear"))

@@ -218,7 +218,7 @@ def test_starts_lie_within_the_range_or_near_what_is_given():
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        ({"range": None}, "does not say where its training records lie; .*give range="),
+        ({"range": None}, "the range of the model's training records is unknown; .*give range="),
         ({"range": {"states": [[0, 1]], "inputs": []}}, "range: no range of the model"),
         ({"range": {**STATES, "inputs": [[0, 0]]}}, "no input that the training records move"),
         ({"reward": "dance"}, "reward: 'dance'; expected a function, or one of hold, swing-up"),

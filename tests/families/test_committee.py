@@ -182,7 +182,10 @@ def test_members_take_the_values_of_a_records_group():
     loads = ("light", "heavy", "light", "heavy")
     some = [replace(e, groups=(("load", of),)) for e, of in zip(records(), loads, strict=True)]
     assert len(together.for_record(some[0]).alike) == 1
-    e, models = some[0][:20], [with_dtype(loaded(i).for_record(some[0]), np.float64) for i in (0, 1)]
+    e, models = (
+        some[0][:20],
+        [with_dtype(loaded(i).for_record(some[0]), np.float64) for i in (0, 1)],
+    )
     x0 = np.array([0.3, 0.0])
     found = tn.rollout(together.for_record(e), x0, e.held_inputs)
     np.testing.assert_allclose(found, by_hand(models, np.array([0.5, 0.5]), x0, e), rtol=1e-6)

@@ -109,7 +109,9 @@ def test_its_batches_have_the_gradients_of_the_plain_scan():
     u = np.full((3, 12, 1), 0.5)
 
     def loss(simulate):
-        return jax.jit(jax.grad(lambda m: jnp.mean(simulate(m.simplify())[..., :1] ** 2)))(corrected)
+        return jax.jit(jax.grad(lambda m: jnp.mean(simulate(m.simplify())[..., :1] ** 2)))(
+            corrected
+        )
 
     ours = loss(lambda m: rollouts(m, x0, u))
     plain = loss(lambda m: jax.vmap(lambda x, v: rollout(m, x, v))(x0, u))

@@ -41,7 +41,9 @@ def declared(names: list[str]) -> tuple[Parameter, ...]:
 
 def added(system: LagrangianSystem, *names: str) -> LagrangianSystem:
     """The system with forces whose values are those above."""
-    needs = dict.fromkeys(need for force in parse_forces(system, names) for need in force.parameter_names)
+    needs = dict.fromkeys(
+        need for force in parse_forces(system, names) for need in force.parameter_names
+    )
     return with_forces(system, names, declared(list(needs)))
 
 
@@ -60,9 +62,7 @@ def test_a_force_acts_on_its_coordinate_alone(base, law):
     moved = with_it.mass_matrix(X) @ change
     np.testing.assert_allclose(moved, [0.0, -AGAINST[law]], rtol=1e-5, atol=1e-6)
     assert system.internal == (("maxwell:angle",) if law == "maxwell" else ())
-    assert added_parameters(system) == tuple(
-        f"angle.{p.name}" for p in LAWS[law].parameters
-    )
+    assert added_parameters(system) == tuple(f"angle.{p.name}" for p in LAWS[law].parameters)
 
 
 def test_the_spring_that_relaxes_follows_its_coordinate():

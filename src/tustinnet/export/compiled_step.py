@@ -24,16 +24,16 @@ def compiled_step(model: Model) -> Callable[[Vector, Vector], Vector]:
 
     Returns:
         `step(x, u) -> x`, arrays of (n_x,) and (n_u,) in, (n_x,) out, in double precision. Inputs
-        are held at `u` until the next sample, also where the model knows straight lines between
-        samples.
+        are held at `u` until the next sample, also where the model's inputs are straight lines
+        between samples.
 
     Raises:
         InputError: float64 is off.
     """
     require_float64("compiled_step")
-    folded = with_dtype(model, np.float64).simplify()
+    simplified = with_dtype(model, np.float64).simplify()
     equations = Equations(
-        lambda x, u, p, c: folded.step(x, u), n_x=model.state_size, n_u=model.channels.n_u,
+        lambda x, u, p, c: simplified.step(x, u), n_x=model.state_size, n_u=model.channels.n_u,
         continuous=False, where=f"the model ({type(model).__name__})",
     )  # fmt: skip
     return stepping(equations)

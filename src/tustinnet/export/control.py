@@ -62,12 +62,13 @@ def state_space(
     from control import StateSpace
 
     source = make_source(model)
-    found = compute_tangent(source, np.asarray(x), np.asarray(u))
-    through = np.zeros_like(found.b)
-    return StateSpace(found.a, found.b, np.eye(source.n_x), through, model.dt, **_signals(source))
+    matrices = compute_tangent(source, np.asarray(x), np.asarray(u))
+    a, b, feedthrough = matrices.a, matrices.b, np.zeros_like(matrices.b)
+    return StateSpace(a, b, np.eye(source.n_x), feedthrough, model.dt, **_signals(source))
 
 
 def _signals(source: Source) -> dict[str, list[str]]:
-    """The names of a system; a dot in one would name a part of a system."""
-    states, inputs = ([n.replace(".", "_") for n in of] for of in (source.states, source.input_names))
+    """The names of signals, without dots, which would name a part of a system."""
+    states = [name.replace(".", "_") for name in source.states]
+    inputs = [name.replace(".", "_") for name in source.input_names]
     return {"states": states, "inputs": inputs, "outputs": states}

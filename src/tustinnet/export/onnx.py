@@ -44,22 +44,22 @@ class Onnx(Target):
             session = InferenceSession(path, providers=["CPUExecutionProvider"])
 
         def step(x: Vector, u: Vector) -> Vector:
-            (found,) = session.run(None, {"x": x[None], "u": u[None]})
-            return np.asarray(found)[0]
+            (following,) = session.run(None, {"x": x[None], "u": u[None]})
+            return np.asarray(following)[0]
 
         return step
 
 
 def _about(source: Source) -> dict[str, str]:
-    """Names, units and period as every ONNX file says them, each a text in JSON."""
-    told = {
+    """Names, units and period in the metadata of every ONNX file, each a text in JSON."""
+    metadata = {
         "states": source.states,
         "units": source.units,
         "inputs": [i.name for i in source.channels.inputs],
         "samples": source.input_layout.offsets,
         "period": source.channels.dt,
     }
-    return {name: json.dumps(value) for name, value in told.items()}
+    return {name: json.dumps(value) for name, value in metadata.items()}
 
 
 TARGET = Onnx()

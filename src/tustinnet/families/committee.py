@@ -24,7 +24,7 @@ from tustinnet.families.family import (
     systems_in,
 )
 from tustinnet.families.shown import MEMBERS, WEIGHT, below
-from tustinnet.models.contract import StepInput, Internal, Model, StepInputs, State
+from tustinnet.models.contract import Internal, Model, State, StepInput, StepInputs
 from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.registry import FAMILIES
 from tustinnet.signals.excitation import Excitation

@@ -24,7 +24,7 @@ from tustinnet.families.family import (
 )
 from tustinnet.families.shown import DYNAMICS, ENCODER, below
 from tustinnet.models.blocks import Affine, random_affine, root_mean_square
-from tustinnet.models.contract import StepInput, Internal, Model, StepInputs, State
+from tustinnet.models.contract import Internal, Model, State, StepInput, StepInputs
 from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.models.state_encoder import StateEncoder, encoder_features
 from tustinnet.registry import FAMILIES

@@ -26,10 +26,10 @@ from tustinnet.models.blocks import Affine, Scaling, feature_count, learn_scalin
 from tustinnet.models.contract import (
     AccelerationModel,
     Coordinates,
-    StepInput,
     Internal,
     Model,
     State,
+    StepInput,
 )
 
 

@@ -29,11 +29,11 @@ from tustinnet.families.shown import CORRECTION, PHYSICS, below, hybrid_as_now
 from tustinnet.models.blocks import root_mean_square
 from tustinnet.models.contract import (
     AccelerationModel,
-    StepInput,
     Internal,
     Model,
-    StepInputs,
     State,
+    StepInput,
+    StepInputs,
     require_fit,
 )
 from tustinnet.models.integrate import MOST_SUBSTEPS, Discretised

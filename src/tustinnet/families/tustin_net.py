@@ -36,10 +36,10 @@ from tustinnet.models.blocks import Affine, Layers, Network, Scaling, feature_co
 from tustinnet.models.contract import (
     AccelerationModel,
     Coordinates,
-    StepInput,
     Internal,
     Model,
     State,
+    StepInput,
 )
 from tustinnet.registry import SCALINGS
 from tustinnet.signals.rest import usual_positions
@@ -250,7 +250,9 @@ class TustinNetFamily(Family):
         if not hyper.linear:
             return build
         linear = _least_squares(build(jax.random.key(0)), experiments, velocity)
-        return lambda key: eqx.tree_at(lambda m: m.network.bypass, build(key).with_zero_output(), linear)
+        return lambda key: eqx.tree_at(
+            lambda m: m.network.bypass, build(key).with_zero_output(), linear
+        )
 
     def check(self, hyper: TustinNetHyper, stage: LayeredStage) -> None:
         """Frozen layers exist, and windows are not mirrored for an odd network."""

@@ -106,7 +106,9 @@ def with_forces(
     relaxing = [(force, law) for force in added if isinstance(law := force.law, RelaxingSpring)]
 
     def dissipation(q: Any, v: Any, p: Values) -> Any:
-        acting = [(f.index, law.force(q[f.index], v[f.index], *f.values(p))) for f, law in frictions]
+        acting = [
+            (f.index, law.force(q[f.index], v[f.index], *f.values(p))) for f, law in frictions
+        ]
         total = _sum_by_coordinate(v, acting)
         return total + jnp.asarray(system.dissipation(q, v, p)) if system.dissipation else total
 

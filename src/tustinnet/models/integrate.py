@@ -14,12 +14,12 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.contract import (
     ContinuousModel,
-    StepInput,
     InputVector,
     Internal,
     Model,
-    StepInputs,
     State,
+    StepInput,
+    StepInputs,
 )
 from tustinnet.signals.excitation import Excitation
 
@@ -97,7 +97,9 @@ class Discretised(FromContinuous):
             return x
 
         def substep(state: State, i: Array) -> tuple[State, None]:
-            return runge_kutta_4(self.continuous, state, stage_inputs(u, i, n), h, looped=True), None
+            return runge_kutta_4(
+                self.continuous, state, stage_inputs(u, i, n), h, looped=True
+            ), None
 
         return jax.lax.scan(substep, x, jnp.arange(n, dtype=x.dtype))[0]
 

@@ -15,7 +15,9 @@ _NEUTRAL = {"bias": 0.0, "gain": 1.0}
 
 
 @lru_cache(maxsize=64)  # so that the same system serves the same compiled programs
-def with_sensor_errors(system: LagrangianSystem, sensors: tuple[Parameter, ...]) -> LagrangianSystem:
+def with_sensor_errors(
+    system: LagrangianSystem, sensors: tuple[Parameter, ...]
+) -> LagrangianSystem:
     """The system in measured coordinates and inputs, with its sensors' errors as parameters.
 
     Measured are `q = gain q_physical + bias` and `v = gain v_physical`; the system is given
@@ -91,14 +93,10 @@ def delay_names(names: Iterable[str]) -> tuple[str, ...]:
 
 def with_delays(inputs: Sequence[Input], values: Mapping[str, Any]) -> tuple[Input, ...]:
     """Inputs with the delays [s] that are among the values of parameters."""
-    return tuple(
-        replace(i, delay=float(values.get(delay_name(i), i.delay or 0.0))) for i in inputs
-    )
+    return tuple(replace(i, delay=float(values.get(delay_name(i), i.delay or 0.0))) for i in inputs)
 
 
-def _with_physical_motion(
-    memory: Memory, physical: Callable[..., tuple[Any, Any, Any]]
-) -> Memory:
+def _with_physical_motion(memory: Memory, physical: Callable[..., tuple[Any, Any, Any]]) -> Memory:
     """Forces with memory of the physical motion that belongs to the measured one."""
 
     def rate(q: Any, v: Any, z: Any, p: Values) -> Any:

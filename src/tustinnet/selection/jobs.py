@@ -33,7 +33,7 @@ from tustinnet.store.files import require_writable_folder, sweep, to_json, write
 from tustinnet.store.kept_system import CANDIDATES, header_of
 from tustinnet.store.model_file import load_model, save, system_of
 from tustinnet.store.run import MODEL, Tell, fit_in
-from tustinnet.systems.files import AnySystem, SystemTemplate, SystemFile, load_system_or_template
+from tustinnet.systems.files import AnySystem, SystemFile, SystemTemplate, load_system_or_template
 
 SCORES = "scores.json"
 SPENT = "the budget was spent"

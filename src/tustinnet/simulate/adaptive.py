@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from tustinnet.errors import InputError, require_package
-from tustinnet.models.contract import ContinuousModel, StepInput, State
+from tustinnet.models.contract import ContinuousModel, State, StepInput
 from tustinnet.models.integrate import FromContinuous, input_at
 
 

@@ -10,8 +10,8 @@ from typing import Any
 
 from tustinnet.errors import InputError
 from tustinnet.export.check import CheckResult, check_export
-from tustinnet.export.source import Source, require_stepping, make_source
-from tustinnet.export.target import Files, Target, NotRunnable
+from tustinnet.export.source import Source, make_source, require_stepping
+from tustinnet.export.target import Files, NotRunnable, Target
 from tustinnet.families.family import family_of
 from tustinnet.models.contract import Model
 from tustinnet.program.numbers import run

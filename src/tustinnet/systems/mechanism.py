@@ -84,7 +84,9 @@ class Mechanism(SystemTemplate):
         terms = [
             *_inertias(coordinates),
             *(
-                _optional(wave.rank, f"{coordinates[k].name}.gravity_{wave.name}", "1/s^2", largest[k])
+                _optional(
+                    wave.rank, f"{coordinates[k].name}.gravity_{wave.name}", "1/s^2", largest[k]
+                )
                 for k, wave in _gravity_waves(coordinates)
             ),
         ]
@@ -129,8 +131,13 @@ def _sizes(signals: Sequence[np.ndarray]) -> list[float]:
 
 
 def _optional(
-    rank: int, name: str, unit: str, most: float, prior: float | None = None,
-    usual: tuple[float, ...] = (), brings: tuple[str, ...] = (),
+    rank: int,
+    name: str,
+    unit: str,
+    most: float,
+    prior: float | None = None,
+    usual: tuple[float, ...] = (),
+    brings: tuple[str, ...] = (),
 ) -> Term:
     """A term that may be missing, and may have either sign."""
     return rank, Parameter(
@@ -315,9 +322,7 @@ def _functions(
             sum((p.get(f"{c}.by_{i.name}", 0.0) * u[m] for m, i in enumerate(inputs)), 0.0 * v[k])
             for k, c in enumerate(names)
         ]
-        return jnp.stack(
-            [p[f"{c}.inertia"] * a for c, a in zip(names, accelerations, strict=True)]
-        )
+        return jnp.stack([p[f"{c}.inertia"] * a for c, a in zip(names, accelerations, strict=True)])
 
     return {
         "kinetic": _kinetic(coordinates), "potential": potential, "dissipation": dissipation,

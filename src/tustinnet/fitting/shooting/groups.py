@@ -27,7 +27,9 @@ def expanded(system: LagrangianSystem, experiments: Sequence[Experiment]) -> tup
             continue
         values = [e.group(p.per) for e in experiments]
         if None in values:
-            require_group_value(p, {}, sorted({v for v in values if v}), _where(experiments, values))
+            require_group_value(
+                p, {}, sorted({v for v in values if v}), _where(experiments, values)
+            )
         found += [p.for_group(value) for value in sorted({v for v in values if v})]
     return tuple(found)
 

@@ -35,7 +35,7 @@ from tustinnet.fitting.shooting.uncertainty import Uncertainty, uncertainty
 from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task
 from tustinnet.models.contract import require_float64
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
-from tustinnet.models.sensors import with_sensor_errors, with_delays
+from tustinnet.models.sensors import with_delays, with_sensor_errors
 from tustinnet.simulate.batches import batches
 from tustinnet.systems.files import AnySystem, SystemTemplate
 

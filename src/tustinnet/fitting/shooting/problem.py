@@ -21,7 +21,7 @@ from tustinnet.fitting.shooting.segments import Cut, Segments, cut
 from tustinnet.fitting.shooting.space import Searched, Space
 from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
-from tustinnet.models.sensors import with_delays, delay_names
+from tustinnet.models.sensors import delay_names, with_delays
 from tustinnet.simulate.horizon import horizon_samples, pieces
 from tustinnet.simulate.starts import (
     DERIVED,

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from tustinnet.data.experiment import Experiment
 from tustinnet.fitting.residual import Residual
 from tustinnet.models.contract import Model
-from tustinnet.models.sensors import with_delays, delay_names
+from tustinnet.models.sensors import delay_names, with_delays
 from tustinnet.signals.derivatives import polynomial_fit
 from tustinnet.signals.stacking import stacked
 from tustinnet.simulate.starts import initial_state
