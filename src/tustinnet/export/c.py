@@ -54,7 +54,7 @@ def make_model_files(source: Source, *, linearised: bool = True) -> dict[str, st
 
     Args:
         source: the model.
-        linearised: whether `model_linearise` is in it, and what a filter needs is declared.
+        linearised: whether they have `model_linearise` and the declarations for a filter.
     """
     code = Code()
     code.add("step", source.step)

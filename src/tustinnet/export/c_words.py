@@ -41,7 +41,7 @@ static void copy(int count, const model_real *from, model_real *to)
         to[i] = from[i];
 }
 """,
-    # unlike fmax and fmin, as NumPy: what is no number stays one
+    # unlike fmax and fmin, as in NumPy: NaN stays NaN
     "larger": """
 static model_real larger(model_real a, model_real b)
 {

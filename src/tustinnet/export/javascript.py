@@ -121,7 +121,7 @@ class JavaScript(Target):
     name = "js"
 
     def files(self, source: Source) -> Files:
-        """See `Target.files`."""
+        """The module `model.mjs`."""
         writer = _JavaScriptWriter()
         inputs = {"x": writer.vector(source.n_x), "u": writer.vector(source.n_w)}  # v0, v1
         body, outputs = writer.program(source.step, inputs)
@@ -145,7 +145,7 @@ class JavaScript(Target):
         return {MODULE: text}
 
     def stepper(self, folder: Path, source: Source) -> Stepper:
-        """See `Target.stepper`; it is run by node."""
+        """A step by the module, run by node."""
         node = shutil.which("node")
         if node is None:
             raise NotRunnable("node is not installed")
@@ -164,7 +164,7 @@ class _Node:
         self._finalizer = weakref.finalize(self, _end, self._process)
 
     def __call__(self, x: Vector, u: Vector) -> Vector:
-        """The next state; NaN stands for what is not finite."""
+        """The next state; NaN stands for numbers that are not finite."""
         question, answers = self._process.stdin, self._process.stdout
         assert question is not None
         assert answers is not None

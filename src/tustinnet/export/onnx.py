@@ -20,7 +20,7 @@ class Onnx(Target):
     extra = "onnx", ("onnx",)
 
     def files(self, source: Source) -> Files:
-        """See `Target.files`."""
+        """`step.onnx` and `rollout.onnx`, and both in single precision."""
         # here, as the package is an extra
         from tustinnet.export.onnx_graph import rollout_model, step_model
 
@@ -32,7 +32,7 @@ class Onnx(Target):
         }
 
     def stepper(self, folder: Path, source: Source) -> Stepper:
-        """See `Target.stepper`."""
+        """A step by `step.onnx`, run by onnxruntime or the reference of ONNX."""
         path = str(folder / STEP)
         if find_spec("onnxruntime") is None:
             from onnx.reference import ReferenceEvaluator

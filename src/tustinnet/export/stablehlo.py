@@ -27,7 +27,7 @@ class StableHLO(Target):
     extra = "stablehlo", ("flatbuffers",)
 
     def files(self, source: Source) -> Files:
-        """See `Target.files`."""
+        """`step.bin` and `rollout.bin`."""
         n_x, n_w = source.n_x, source.n_w
         (steps,) = export.symbolic_shape("steps")
         layout = source.input_layout
@@ -42,7 +42,7 @@ class StableHLO(Target):
         }
 
     def stepper(self, folder: Path, source: Source) -> Stepper:
-        """See `Target.stepper`."""
+        """A step by `step.bin`, compiled by JAX."""
         call = jax.jit(export.deserialize(bytearray((folder / STEP).read_bytes())).call)
 
         def step(x: Vector, u: Vector) -> Vector:

@@ -69,7 +69,7 @@ class FromContinuous(Model):
         return pieces[:, 0] if pieces.shape[1] == 1 else pieces
 
     def step(self, x: State, u: StepInput) -> State:
-        """One sampling period."""
+        """The state one sampling period after `x`."""
         return self.advance(x, u, self.dt)
 
 

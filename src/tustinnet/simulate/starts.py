@@ -75,7 +75,7 @@ class Start(ABC):
         Here of positions and velocities, (records, 2 n_q), with the internal states that the model
         expects there.
         """
-        return jax.vmap(model.beginning)(jnp.asarray(material))
+        return jax.vmap(model.initial_state)(jnp.asarray(material))
 
     def estimated(self, model: Model, material: Any) -> Float[np.ndarray, "records n_x"]:
         """The states, by the engine: what `states` computes, for models that are not trained."""

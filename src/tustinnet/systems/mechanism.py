@@ -119,7 +119,11 @@ class Mechanism(SystemTemplate):
             parameters: the inertia of each coordinate, and the parameters of its other terms.
         """
         channels = tuple(coordinates), tuple(inputs)
-        return LagrangianSystem(NAME, *channels, tuple(parameters), **_functions(*channels))
+        functions = _functions(*channels)
+        return LagrangianSystem(
+            NAME, *channels, tuple(parameters), functions["kinetic"], functions["potential"],
+            functions["dissipation"], functions["input_map"],
+        )  # fmt: skip
 
 
 MECHANISM = Mechanism()

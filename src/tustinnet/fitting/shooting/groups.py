@@ -39,7 +39,7 @@ def known_by(system: LagrangianSystem, values: Mapping[str, Any]) -> tuple[Param
     return tuple(
         one
         for p in system.parameters
-        for one in ([p] if p.per is None else map(p.at, p.by_group(values)))
+        for one in ([p] if p.per is None else map(p.for_group, p.by_group(values)))
     )
 
 
