@@ -24,7 +24,16 @@ class Onnx(Target):
         # here, as the package is an extra
         from tustinnet.export.onnx_graph import rollout_model, step_model
 
-        about, program = _about(source), source.step
+        # names, units and period in the metadata of every file, each a text in JSON
+        metadata = {
+            "states": source.states,
+            "units": source.units,
+            "inputs": [i.name for i in source.channels.inputs],
+            "samples": source.input_layout.offsets,
+            "period": source.channels.dt,
+        }
+        about = {name: json.dumps(value) for name, value in metadata.items()}
+        program = source.step
         return {
             name: make(program, kind, about).SerializeToString(deterministic=True)
             for kind, names in ((np.float64, (STEP, ROLLOUT)), (np.float32, SINGLE))
@@ -48,18 +57,6 @@ class Onnx(Target):
             return np.asarray(following)[0]
 
         return step
-
-
-def _about(source: Source) -> dict[str, str]:
-    """Names, units and period in the metadata of every ONNX file, each a text in JSON."""
-    metadata = {
-        "states": source.states,
-        "units": source.units,
-        "inputs": [i.name for i in source.channels.inputs],
-        "samples": source.input_layout.offsets,
-        "period": source.channels.dt,
-    }
-    return {name: json.dumps(value) for name, value in metadata.items()}
 
 
 TARGET = Onnx()

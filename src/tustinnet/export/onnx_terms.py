@@ -148,10 +148,6 @@ def _sinh(x: Term) -> Term:
     return x.signed(grown * 0.5 * ((grown + 1.0).to("Reciprocal") + 1.0))
 
 
-def _cosh(x: Term) -> Term:
-    return (x.to("Exp") + (-x).to("Exp")) * 0.5
-
-
 def _asinh(x: Term) -> Term:
     size = x.to("Abs")
     inverse = size.to("Reciprocal")
@@ -184,18 +180,6 @@ def _atan2(y: Term, x: Term) -> Term:
     return x.below().where(right + turn, right)
 
 
-def _asin(x: Term) -> Term:
-    return _atan(x / ((-x + 1.0) * (x + 1.0)).to("Sqrt"))
-
-
-def _acos(x: Term) -> Term:
-    return _atan(((-x + 1.0) / (x + 1.0)).to("Sqrt")) * 2.0
-
-
-def _select(which: Term, yes: Term, no: Term) -> Term:
-    return which.where(yes, no)
-
-
 def _op(op: str, **attributes: Any) -> Callable[..., Term]:
     """An operation that ONNX has."""
     return lambda first, *others: first.to(op, *others, **attributes)
@@ -212,8 +196,12 @@ OPERATORS: dict[str, Callable[..., Term]] = {
     "lt": _op("Less"), "le": _op("LessOrEqual"), "gt": _op("Greater"),
     "ge": _op("GreaterOrEqual"), "eq": _op("Equal"),
     "ne": lambda a, b: a.equals(b).to("Not"),
-    "and": _op("And"), "or": _op("Or"), "not": _op("Not"), "select": _select,
+    "and": _op("And"), "or": _op("Or"), "not": _op("Not"),
+    "select": lambda which, yes, no: which.where(yes, no),
     "expm1": _expm1, "log1p": _log1p, "tan": lambda x: x.to("Sin") / x.to("Cos"),
-    "asin": _asin, "acos": _acos, "atan": _atan, "atan2": _atan2,
-    "sinh": _sinh, "cosh": _cosh, "asinh": _asinh, "acosh": _acosh, "atanh": _atanh,
+    "asin": lambda x: _atan(x / ((-x + 1.0) * (x + 1.0)).to("Sqrt")),
+    "acos": lambda x: _atan(((-x + 1.0) / (x + 1.0)).to("Sqrt")) * 2.0,
+    "atan": _atan, "atan2": _atan2,
+    "sinh": _sinh, "cosh": lambda x: (x.to("Exp") + (-x).to("Exp")) * 0.5,
+    "asinh": _asinh, "acosh": _acosh, "atanh": _atanh,
 }  # fmt: skip

@@ -50,10 +50,10 @@ def twin(
     for split, (falls, noises) in _TWIN_RUNS.items():
         label = "" if split == "train" else f"_{split}"
         runs += [_fall(f"twin_fall{label}{i + 1}", split, generator) for i in range(falls)]
-        runs += [
-            _noise(f"twin_noise{label}{i + 1}", split, _AMPLITUDES[i], generator)
-            for i in range(noises)
-        ]
+        for i in range(noises):  # uniform white noise as the voltage, from rest, hanging
+            x0 = np.array([generator.uniform(-0.05, 0.05), np.pi, 0.0, 0.0, 0.0])
+            u = generator.uniform(-_AMPLITUDES[i], _AMPLITUDES[i], (1500, 1))
+            runs.append(TwinRun(f"twin_noise{label}{i + 1}", split, x0, u))
     parameters = {name: jnp.asarray(value, jnp.float64) for name, value in values.items()}
     coordinates = tuple(replace(c, resolution=COUNT) for c in WITH_MEMORY.coordinates)
     channels = Channels(coordinates, WITH_MEMORY.inputs)
@@ -70,9 +70,3 @@ def _fall(name: str, split: str, generator: np.random.Generator) -> TwinRun:
     speeds = 3.0 * generator.uniform(0, 1, 2) ** 3 * np.array([generator.choice([-1.0, 1.0]), side])
     x0 = np.array([generator.uniform(-1.7, 1.0), alpha, *speeds, 0.0])
     return TwinRun(name, split, x0, np.zeros((samples, 1)))
-
-
-def _noise(name: str, split: str, amplitude: float, generator: np.random.Generator) -> TwinRun:
-    """A run with uniform white noise as the voltage, from rest, hanging."""
-    x0 = np.array([generator.uniform(-0.05, 0.05), np.pi, 0.0, 0.0, 0.0])
-    return TwinRun(name, split, x0, generator.uniform(-amplitude, amplitude, (1500, 1)))
