@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from tustinnet.errors import InputError, require_name
+from tustinnet.renamed import FORCES, current_name
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,7 @@ class Parameter:
     brings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "brings", tuple(map(current_force, self.brings)))
         if self.per is not None:
             require_name(self.per, f"parameter '{self.name}', per")
             if self.fixed:
@@ -99,6 +101,12 @@ class Parameter:
         prefix = f"{self.name}["
         names = sorted(name for name in values if name.startswith(prefix) and name.endswith("]"))
         return {name[len(prefix) : -1]: values[name] for name in names}
+
+
+def current_force(name: str) -> str:
+    """The name of a force, `LAW` or `LAW:COORDINATE`, with a warning if it is an old one."""
+    law, colon, coordinate = name.partition(":")
+    return f"{current_name(law, FORCES, 'force')}{colon}{coordinate}"
 
 
 def require_group_value(

@@ -13,8 +13,8 @@ from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
 from tustinnet.models.added import WHERE, added_parameters, parse_forces, with_forces
 from tustinnet.models.forces import LAWS, Motion
-from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Parameter
-from tustinnet.renamed import FORCES, current_name
+from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
+from tustinnet.models.parameters import Parameter, current_force
 
 
 def with_added(
@@ -70,18 +70,16 @@ def _with_coordinates(
     around = turning_around(experiments)
     limited = [c.name for c in system.coordinates if c.name not in around]
     placed: list[str] = []
-    for name in names:
-        law, colon, coordinate = name.partition(":")
-        law = current_name(law, FORCES, "force")
-        if colon or law not in LAWS or not LAWS[law].needs_limited_travel:
-            placed.append(f"{law}{colon}{coordinate}")
+    for name in map(current_force, names):
+        if name not in LAWS or not LAWS[name].needs_limited_travel:
+            placed.append(name)
             continue
         if not limited:
             raise InputError(
-                WHERE, f"'{law}': every coordinate turns around", "a coordinate with an end",
-                f"name one, as {law}:COORDINATE, if a spring pulls at it all the same",
+                WHERE, f"'{name}': every coordinate turns around", "a coordinate with an end",
+                f"name one, as {name}:COORDINATE, if a spring pulls at it all the same",
             )  # fmt: skip
-        placed += [f"{law}:{c}" for c in limited]
+        placed += [f"{name}:{coordinate}" for coordinate in limited]
     return placed
 
 
