@@ -27,7 +27,7 @@ StepInputs = Float[np.ndarray, "steps *between n_u"]
 Internal = Float[Array, " n_z"]
 Coordinates = Float[Array, " n_q"]
 
-AnyModel = TypeVar("AnyModel", bound="Stateful")
+SameModel = TypeVar("SameModel")  # a bound by name could not be checked in other modules
 
 
 class Stateful(HasChannels, eqx.Module):
@@ -76,7 +76,7 @@ class Stateful(HasChannels, eqx.Module):
         """The state at the beginning of a record from its first [q, v]; see `initial_internal`."""
         return jnp.concatenate([measured, self.initial_internal(measured)])
 
-    def for_record(self: AnyModel, experiment: Experiment) -> AnyModel:
+    def for_record(self: SameModel, experiment: Experiment) -> SameModel:
         """The model that simulates a record, with the values of the record's groups.
 
         Most models have no values by group and return themselves.
@@ -197,6 +197,9 @@ class ContinuousModel(Stateful):
     @abstractmethod
     def derivative(self, x: State, u: InputVector) -> State:
         """`dx/dt` at a state under an input."""
+
+
+AnyModel = TypeVar("AnyModel", bound=Stateful)
 
 
 def with_dtype(model: AnyModel, dtype: DTypeLike) -> AnyModel:
