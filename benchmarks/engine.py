@@ -63,7 +63,7 @@ def both_engines(call: Callable[[], object]) -> dict[str, float]:
 
 def pendulum(records: int) -> Callable[[], object]:
     """Errors, derivatives and products of records of the rotary pendulum, 13 parameters."""
-    system = qube_servo2.TURNED
+    system = qube_servo2.WITH_INITIAL_DEFLECTION
     equations = system_equations(system, tuple(p.name for p in system.parameters if not p.fixed))
     n_x, rows, generator = 5, records * (STEPS + 1), np.random.default_rng(0)
     start = np.zeros((records, n_x))
@@ -106,7 +106,7 @@ def free_runs() -> dict[str, float]:
 
 def one_step() -> dict[str, float]:
     """One step of a grey box from Python."""
-    system = qube_servo2.TURNED
+    system = qube_servo2.WITH_INITIAL_DEFLECTION
     values = {name: jnp.asarray(x) for name, x in system.nominal().items()}
     step = tn.compiled_step(tn.discretise(system.model(values), DT, SUBSTEPS))
     x, u, count = np.full(5, 0.1), np.array([0.5]), 20_000

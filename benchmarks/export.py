@@ -26,8 +26,8 @@ jax.config.update("jax_enable_x64", True)
 import jax.numpy as jnp
 
 import tustinnet as tn
-from tustinnet.export.c import model_files
-from tustinnet.export.source import Source, source_of
+from tustinnet.export.c import make_model_files
+from tustinnet.export.source import Source, make_source
 from tustinnet.families.tustin_net import random_tustin_net
 from tustinnet.models.blocks import Scaling
 from tustinnet.registry import TARGETS
@@ -152,7 +152,7 @@ class Bench:
     def __init__(self, folder: Path, source: Source, emx: str | None, *, plain: bool) -> None:
         self.folder, self.source = folder, source
         self.names = ["ours"]
-        for name, text in model_files(source).items():
+        for name, text in make_model_files(source).items():
             (folder / name).write_text(text)
         self._write("ours.c", OURS)
         if plain:
@@ -256,7 +256,7 @@ def main() -> None:
     for title, model in models.items():
         with tempfile.TemporaryDirectory() as place:
             is_network = title.startswith("network")
-            bench = Bench(Path(place), source_of(model), args.emx, plain=is_network)
+            bench = Bench(Path(place), make_source(model), args.emx, plain=is_network)
             for name, flags in FLAGS.items():
                 times = bench.times(flags)
                 for who, (median, least) in times.items():
@@ -276,7 +276,7 @@ def fmu_times(models: dict[str, tn.Model]) -> None:
     """Seconds that FMUs of both versions take to be written and compiled."""
     rows = []
     for title, model in models.items():
-        source = source_of(model)
+        source = make_source(model)
         _ = source.step  # reading the model is part of every export
         started = time.perf_counter()
         files = TARGETS["fmu"].files(source)

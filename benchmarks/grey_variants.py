@@ -77,7 +77,7 @@ def dry_friction_of_the_pendulum() -> LagrangianSystem:
 
 def cable_that_rubs() -> LagrangianSystem:
     """Dry friction of the arm that grows with its deflection."""
-    return qube_servo2.RUBBING
+    return qube_servo2.WITH_CABLE_FRICTION
 
 
 def relaxing_part_that_stiffens() -> LagrangianSystem:

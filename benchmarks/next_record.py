@@ -38,7 +38,7 @@ from tustinnet.report.progress import FitProgress
 from tustinnet.report.tables import Table, number
 from tustinnet.systems.qube_servo2 import WITH_MEMORY
 from tustinnet.systems.qube_servo2_twin import TWIN_VALUES, twin
-from tustinnet.systems.twin import AS_LOGGED, Run, log_runs
+from tustinnet.systems.twin import AS_LOGGED, TwinRun, log_runs
 
 SAMPLES, EACH = 400, 6
 RANDOM, CHOSEN = "random", "chosen"
@@ -71,7 +71,7 @@ def proposals() -> list[Proposal]:
 def recorded(of: Sequence[Proposal], channels: tn.Experiment) -> dict[str, tn.Experiment]:
     """What the twin makes of proposals."""
     values = {name: jnp.asarray(value) for name, value in TWIN_VALUES.items()}
-    runs = [Run(p.name, "train", np.concatenate([p.q, p.v, [0.0]]), p.u) for p in of]
+    runs = [TwinRun(p.name, "train", np.concatenate([p.q, p.v, [0.0]]), p.u) for p in of]
     made = log_runs(WITH_MEMORY.model(values), channels.channels, runs, AS_LOGGED,
                     np.random.default_rng(1))  # fmt: skip
     return {e.name: e for e in made}

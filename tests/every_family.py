@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from swinging import CART, CREEPING, DT, SWING, records, swing_model
 
 import tustinnet as tn
-from tustinnet.export.source import Source, source_of
+from tustinnet.export.source import Source, make_source
 from tustinnet.families.gru import random_gru
 from tustinnet.families.linear import FAMILY as LINEAR
 from tustinnet.families.linear import LinearHyper
@@ -16,7 +16,7 @@ from tustinnet.families.neural_ode import NeuralODE
 from tustinnet.families.tustin_net import random_tustin_net
 from tustinnet.models.blocks import Layers, Scaling, feature_count, random_network
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.systems.qube_servo2 import RUBBING, SYSTEM, WITH_MEMORY
+from tustinnet.systems.qube_servo2 import SYSTEM, WITH_CABLE_FRICTION, WITH_MEMORY
 
 CHANNELS = tn.Channels(SWING.coordinates, SWING.inputs, DT)
 
@@ -86,7 +86,7 @@ _OTHERS = {
     "committee": lambda: tn.committee(every_family()),
     "qube": lambda: nominal(SYSTEM, 1),
     "qube memory": lambda: nominal(WITH_MEMORY, 4),
-    "qube rubbing": lambda: nominal(RUBBING, 2),
+    "qube rubbing": lambda: nominal(WITH_CABLE_FRICTION, 2),
     "cart": lambda: nominal(CART, 3),
     "qube network": lambda: pendulum_network((100, 100)),
     "qube hybrid": lambda: tn.HybridModel(nominal(WITH_MEMORY, 2), pendulum_network((40, 40))),
@@ -111,7 +111,7 @@ def example(name: str) -> tn.Model:
 @cache
 def leaving(name: str) -> Source:
     """One of `NAMES` on its way out: its step is read once for all tests of a process."""
-    return source_of(example(name))
+    return make_source(example(name))
 
 
 @cache

@@ -12,7 +12,7 @@ from every_family import example
 from jax import lax
 
 import tustinnet as tn
-from tustinnet.export.source import Source, source_of
+from tustinnet.export.source import Source, make_source
 from tustinnet.program.program import OPERATIONS, Program
 
 SIZE = 10  # of the vectors that operations are tried on
@@ -34,7 +34,7 @@ class Stepping(tn.Model):
 @cache
 def example_source(name: str) -> Source:
     """One of `every_family.NAMES` on its way out; it is read once."""
-    return source_of(example(name))
+    return make_source(example(name))
 
 
 def stepping(function: Callable) -> Source:
@@ -46,7 +46,7 @@ def stepping(function: Callable) -> Source:
     def filled(x, u):
         return jnp.concatenate([function(x, u), x[size:]])
 
-    return source_of(Stepping(filled, tn.Channels(coordinates, (tn.Input("force", "N"),), 0.1)))
+    return make_source(Stepping(filled, tn.Channels(coordinates, (tn.Input("force", "N"),), 0.1)))
 
 
 def every_operation(x, u):

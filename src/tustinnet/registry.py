@@ -102,9 +102,8 @@ SYSTEMS: Registry[Any] = Registry(
         "qube-servo2": "tustinnet.systems.qube_servo2:SYSTEM",
         "qube-servo2-naive": "tustinnet.systems.qube_servo2:NAIVE",
         "qube-servo2-memory": "tustinnet.systems.qube_servo2:WITH_MEMORY",
-        "qube-servo2-rubbing": "tustinnet.systems.qube_servo2:RUBBING",
-        "qube-servo2-turned": "tustinnet.systems.qube_servo2:TURNED",
-        "duffing": "tustinnet.systems.duffing:SYSTEM",
+        "qube-servo2-rubbing": "tustinnet.systems.qube_servo2:WITH_CABLE_FRICTION",
+        "qube-servo2-turned": "tustinnet.systems.qube_servo2:WITH_INITIAL_DEFLECTION",
         "mechanism": "tustinnet.systems.mechanism:MECHANISM",
     },
 )

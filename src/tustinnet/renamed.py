@@ -7,6 +7,17 @@ NAMES: dict[str, str] = {
     "Drive": "InputSignal",
     "drive_of": "input_signal",
 }
+# methods of models
+METHODS = {
+    "of": "for_record",
+    "of_groups": "for_groups",
+    "seen": "step_inputs",
+    "silent": "with_zero_output",
+    "folded": "simplify",
+    "beginning": "initial_state",
+}
+# forces of a recipe (`[model] forces`), and functions of `models.forces`
+FORCES = {"rubbing": "coulomb_by_position"}
 
 
 def current_name(name: str, names: dict[str, str], kind: str) -> str:

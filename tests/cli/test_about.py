@@ -51,7 +51,7 @@ def test_verbose_alone_is_refused(capsys):
         ("tustinnet le", "learning-curve"),
         ("tustinnet fit LOGS --recipe best-h", "best-hybrid"),
         ("tustinnet fit LOGS --plan q", "quick"),
-        ("tustinnet fit LOGS --system du", "duffing"),
+        ("tustinnet fit LOGS --system me", "mechanism"),
         ("tustinnet export m --to on", "onnx"),
         ("tustinnet evaluate m LOGS --split va", "validation"),
         ("tustinnet evaluate m LOGS --start mo", "model-20"),

@@ -17,7 +17,7 @@ import tustinnet as tn
 from tustinnet.errors import InputError
 from tustinnet.export.mat import Matrices
 from tustinnet.export.source import Source
-from tustinnet.export.target import Files, Stepper, Target, Unbuilt
+from tustinnet.export.target import Files, NotRunnable, Stepper, Target
 from tustinnet.program.numbers import run
 from tustinnet.registry import TARGETS
 from tustinnet.store import exported
@@ -46,7 +46,7 @@ class Other(Plain):
         return {"other.txt": "other", "notes.bin": b"\x00"}
 
     def stepper(self, folder: Path, source: Source) -> Stepper:
-        raise Unbuilt("no reader of texts here")
+        raise NotRunnable("no reader of texts here")
 
 
 class Wrong(Plain):
@@ -308,7 +308,7 @@ def test_foreign_code_is_run_where_it_is_named(
     refused(*asked, told="expected your consent; if you would run it yourself, add --system")
     (identified / "system.py").unlink()
     refused(*asked, told="add --system small_pendulum.py")
-    refused(*asked, "--system", "duffing", told="the system 'duffing'")
+    refused(*asked, "--system", "qube-servo2", told="the system 'qube-servo2'")
     assert not out.exists()
     code, _, err = tustinnet(capsys, "export", *asked, "--system", system)
     assert code == 0, err
@@ -316,7 +316,9 @@ def test_foreign_code_is_run_where_it_is_named(
 
 
 def test_a_network_has_no_system(model, out, refused):
-    refused(model, "--to", "plain", "--out", out, "--system", "duffing", told="leave --system out")
+    refused(
+        model, "--to", "plain", "--out", out, "--system", "qube-servo2", told="leave --system out"
+    )
     refused(model.parent / "no.safetensors", "--to", "plain", "--out", out, told="no such file")
     assert not out.exists()
 

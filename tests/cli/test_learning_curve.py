@@ -28,7 +28,7 @@ from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.report.figures import write_figure
 from tustinnet.report.learning import learning_figure
 from tustinnet.store.data_set_folder import write_data_set
-from tustinnet.systems.twin import imitated
+from tustinnet.systems.twin import imitate_records
 
 TINY = """
 name = "tiny"
@@ -226,11 +226,11 @@ def test_a_twin_stays_where_records_were(pendulum):
     values = SMALL.nominal() | {"gravity": 20.0, "damping": 0.8, "gain": 4.0}
     arrays = {name: jnp.asarray(x) for name, x in values.items()}
     model = tn.discretise(SMALL.model(arrays), 0.02, 4)
-    made = imitated(model, records, 6, np.random.default_rng(0))
+    made = imitate_records(model, records, 6, np.random.default_rng(0))
     assert len(made) == 6
     assert {e.channels for e in made} == {records[0].channels}
     assert all(np.abs(e.q).max() < 10 for e in made)
-    again = imitated(model, records, 6, np.random.default_rng(0))
+    again = imitate_records(model, records, 6, np.random.default_rng(0))
     np.testing.assert_array_equal(made[3].q, again[3].q)
 
 

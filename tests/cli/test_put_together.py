@@ -60,7 +60,7 @@ def test_what_cannot_be_put_together_is_one_line(models, tmp_path, capsys):
     refused(*models, "--out", file, "--weights", "3", told="2 models, weights [3.0]")
     refused(*models, "--out", file, "--weights", "3,-1", told="weights [3.0, -1.0]")
     refused(*models, "--out", file, "--weights", "3;1", told="--weights: '3;1'")
-    refused(*models, "--out", file, "--system", "duffing", told="which no model is of")
+    refused(*models, "--out", file, "--system", "qube-servo2", told="which no model is of")
     refused(*models, "--out", models[0], "--overwrite", told="what the command reads")
     refused(models[0], tmp_path / "no.safetensors", "--out", file, told="no such file")
     assert not file.exists()

@@ -9,7 +9,7 @@ from swinging import CREEPING, DT, SWING, simulated, swing_model, voltage
 import tustinnet as tn
 from tustinnet.evaluate import ahead
 from tustinnet.families.tustin_net import TustinNet, random_tustin_net
-from tustinnet.models.blocks import scaling_of
+from tustinnet.models.blocks import make_scaling
 from tustinnet.models.contract import with_dtype
 
 HORIZON = 20
@@ -20,7 +20,7 @@ def network(times: tuple[float, ...] = (), kind: type[TustinNet] = TustinNet) ->
     one = np.ones(1)
     channels = swing_model().channels
     channels = tn.Channels(channels.coordinates, channels.inputs, DT)
-    units = scaling_of(
+    units = make_scaling(
         position_offset=np.zeros(0), position_scale=np.zeros(0), velocity=one, input=one,
         acceleration=20 * one, memory=0.05 * np.ones(len(times)),
     )  # fmt: skip

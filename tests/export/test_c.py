@@ -17,9 +17,9 @@ from swinging import DT, SWING, swing_model
 
 import tustinnet as tn
 from tustinnet.export.c import TARGET, compile_c, library_step
-from tustinnet.export.check import checked
-from tustinnet.export.source import Source, source_of
-from tustinnet.export.target import Unbuilt
+from tustinnet.export.check import check_export
+from tustinnet.export.source import Source, make_source
+from tustinnet.export.target import NotRunnable
 from tustinnet.models.contract import Model
 from tustinnet.simulate.filtering import FilterNoise, kalman_filter
 
@@ -94,11 +94,11 @@ def turning(x, u):
 @cache
 def source(name: str) -> Source:
     if name == "odd":
-        return source_of(Odd())
+        return make_source(Odd())
     if name == "free":  # of no inputs
         system = replace(SWING, inputs=(), input_map=lambda q, v, u, p: 0.0 * v)
-        return source_of(tn.discretise(swing_model(system=system), DT))
-    return source_of(example(name))
+        return make_source(tn.discretise(swing_model(system=system), DT))
+    return make_source(example(name))
 
 
 ALL = (*NAMES, "odd", "free")
@@ -141,7 +141,7 @@ def called(library: Path, function: str, *arrays: np.ndarray) -> None:
 @pytest.mark.parametrize("name", ALL)
 def test_a_step_and_its_derivatives_are_the_models(name, compiled):
     library, of = compiled(name), source(name)
-    assert checked(of, TARGET, library_step(library, of.n_x)).difference < 1e-13
+    assert check_export(of, TARGET, library_step(library, of.n_x)).difference < 1e-13
     x, u = (values[0] for values in of.samples(1, seed=1))
     following, a, b = np.empty(of.n_x), np.empty((of.n_x, of.n_x)), np.empty((of.n_x, of.n_w))
     called(library, "model_linearise", x, u, following, a, b)
@@ -252,7 +252,7 @@ def test_the_filter_is_that_of_the_package(name, compiled):
     library = compiled(name)
     kept = np.zeros(2 * n_x + n_x**2 + channels.n_q)  # as `model_estimate` lies in memory
     called(library, "model_estimate_init", kept, x0, *noise)
-    rows = np.clip(np.arange(60)[:, None] + np.array(of.seen.offsets), 0, 59)
+    rows = np.clip(np.arange(60)[:, None] + np.array(of.input_layout.offsets), 0, 59)
     for k, samples in enumerate(rows):
         called(library, "model_estimate_correct", kept, np.ascontiguousarray(q[k]))
         covariance = kept[n_x : n_x + n_x**2].reshape(n_x, n_x)
@@ -284,7 +284,7 @@ def test_it_fits_a_microcontroller(written):
 
 def test_without_a_compiler_the_sources_are_written(tmp_path, monkeypatch):
     monkeypatch.setenv("CC", "no-such-compiler")
-    with pytest.raises(Unbuilt, match="no no-such-compiler here"):
+    with pytest.raises(NotRunnable, match="no no-such-compiler here"):
         TARGET.stepper(tmp_path, source("linear"))
     (done,) = tn.export_model(example("linear"), "c", tmp_path / "out")
     assert (tmp_path / "out/model.c").is_file()
@@ -293,5 +293,5 @@ def test_without_a_compiler_the_sources_are_written(tmp_path, monkeypatch):
 
 def test_a_compiler_that_refuses_is_told(tmp_path, monkeypatch, written):
     monkeypatch.setenv("CC", "false")
-    with pytest.raises(Unbuilt, match="false does not compile it: without a word"):
+    with pytest.raises(NotRunnable, match="false does not compile it: without a message"):
         TARGET.stepper(written("linear"), source("linear"))

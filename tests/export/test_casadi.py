@@ -87,7 +87,7 @@ def test_value_jacobian_and_hessian_are_jaxs(name):
 
 def same(program, **inputs):
     """The CasADi function of a program returns what the program does."""
-    function = target.function_of(program, "f", list(inputs), list(program.outputs))
+    function = target.make_function(program, "f", list(inputs), list(program.outputs))
     found = function.call([casadi.DM(values) for values in inputs.values()])
     for value, expected in zip(found, run(program, **inputs).values(), strict=True):
         np.testing.assert_allclose(value.full().ravel(), expected.astype(float), 1e-14, 1e-14)

@@ -83,7 +83,7 @@ def test_an_episode_is_the_free_run_of_the_model():
 @pytest.mark.parametrize("name", ["network taps", "first-order", "hybrid", "two"])
 def test_samples_seen_before_are_remembered_and_those_to_come_held(name):
     both = [example("network taps"), example("physics")]
-    model = (tn.committee(both) if name == "two" else example(name)).folded()
+    model = (tn.committee(both) if name == "two" else example(name)).simplify()
     free = [[-9.0, 9.0]] * model.state_size
     env = made(model=model, range={"states": free, "inputs": [[-1, 1]]}, margin=100.0)
     x, actions = np.full(model.state_size, 0.1), np.array([0.5, -0.7, 0.2])
@@ -218,7 +218,7 @@ def test_starts_lie_within_the_range_or_near_what_is_given():
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        ({"range": None}, "does not say where its training records lie; .*give range="),
+        ({"range": None}, "the range of the model's training records is unknown; .*give range="),
         ({"range": {"states": [[0, 1]], "inputs": []}}, "range: no range of the model"),
         ({"range": {**STATES, "inputs": [[0, 0]]}}, "no input that the training records move"),
         ({"reward": "dance"}, "reward: 'dance'; expected a function, or one of hold, swing-up"),

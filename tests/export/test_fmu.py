@@ -16,10 +16,10 @@ from every_family import example
 from swinging import DT, SWING, swing_model
 
 import tustinnet as tn
-from tustinnet.export.check import checked
+from tustinnet.export.check import check_export
 from tustinnet.export.fmu import FILES, TARGET
-from tustinnet.export.source import Source, source_of
-from tustinnet.export.target import Unbuilt
+from tustinnet.export.source import Source, make_source
+from tustinnet.export.target import NotRunnable
 from tustinnet.program.numbers import run
 
 fmpy = pytest.importorskip("fmpy")
@@ -44,13 +44,13 @@ VERSIONS = (2, 3)
 def source(name: str) -> Source:
     if name == "free":  # of no inputs
         system = replace(SWING, inputs=(), input_map=lambda q, v, u, p: 0.0 * v)
-        return source_of(tn.discretise(swing_model(system=system), DT))
+        return make_source(tn.discretise(swing_model(system=system), DT))
     if name == "hostile":
         angle = replace(SWING.coordinates[0], name=HOSTILE)
         voltage = tn.Input(f"der_{HOSTILE}", "<V>")
         system = replace(SWING, coordinates=(angle,), inputs=(voltage,))
-        return source_of(tn.discretise(swing_model(system=system), DT))
-    return source_of(example(name))
+        return make_source(tn.discretise(swing_model(system=system), DT))
+    return make_source(example(name))
 
 
 @pytest.fixture(scope="module")
@@ -201,7 +201,7 @@ def test_what_an_importer_tells_of_later_inputs_is_used(name, written):
 @pytest.mark.parametrize("version", VERSIONS)
 def test_otherwise_later_inputs_are_held_and_earlier_ones_remembered(version, written):
     of, u = source("hybrid"), inputs(source("hybrid"), 20)
-    assert of.seen.offsets == (0, 1, -1)
+    assert of.input_layout.offsets == (0, 1, -1)
     instance, x = Instance(written("hybrid"), of, version).begin(start(of)), start(of)
     for k in range(20):
         x = run(of.step, x=x, u=np.concatenate([u[k], u[k], u[max(k - 1, 0)]]))["x"]
@@ -284,7 +284,7 @@ def test_parameters_are_read_by_name_and_cannot_be_set(version, written):
 
 
 def test_the_same_model_gives_the_same_bytes(written):
-    again = TARGET.files(source_of(example("hybrid")))
+    again = TARGET.files(make_source(example("hybrid")))
     for name, content in again.items():
         assert content == (written("hybrid") / name).read_bytes()
     token = {name: told(content).get("guid") or told(content).get("instantiationToken")
@@ -322,7 +322,7 @@ def test_it_is_built_again_from_its_own_sources(version, written, tmp_path):
 
 def test_the_binary_steps_as_the_model(written):
     of = source("hybrid")
-    assert checked(of, TARGET, TARGET.stepper(written("hybrid"), of)).difference < 1e-13
+    assert check_export(of, TARGET, TARGET.stepper(written("hybrid"), of)).difference < 1e-13
 
 
 def test_without_a_compiler_it_has_sources_only(tmp_path, monkeypatch):
@@ -341,5 +341,5 @@ def test_elsewhere_it_has_sources_only(tmp_path, monkeypatch):
     for name, content in TARGET.files(source("free")).items():
         assert isinstance(content, bytes)
         (tmp_path / name).write_bytes(content)
-    with pytest.raises(Unbuilt, match="binaries are made on Linux on x86-64"):
+    with pytest.raises(NotRunnable, match="binaries are made on Linux on x86-64"):
         TARGET.stepper(tmp_path, source("free"))

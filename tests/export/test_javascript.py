@@ -23,8 +23,8 @@ from every_step import (
 import tustinnet as tn
 from tustinnet.errors import InputError
 from tustinnet.export.javascript import MODULE, TARGET
-from tustinnet.export.source import Source, source_of
-from tustinnet.export.target import Unbuilt
+from tustinnet.export.source import Source, make_source
+from tustinnet.export.target import NotRunnable
 from tustinnet.program.numbers import run
 from tustinnet.simulate.range import Range
 
@@ -76,7 +76,7 @@ def test_node_does_everything_a_program_may_hold(name, tmp_path):
 
 @by_node
 def test_a_model_without_inputs_steps(tmp_path):
-    source, x, u = source_of(without_inputs()), np.array([0.1, 0.2]), np.zeros(0)
+    source, x, u = make_source(without_inputs()), np.array([0.1, 0.2]), np.zeros(0)
     found = TARGET.stepper(written(source, tmp_path), source)(x, u)
     np.testing.assert_allclose(found, run(source.step, x=x, u=u)["x"], rtol=1e-14)
 
@@ -112,7 +112,7 @@ def hostile() -> Source:
         (tn.Coordinate(f"{HOSTILE}<!--", "angular"),), (tn.Input(f"{HOSTILE}--&gt;", "V"),), 0.02
     )
     known = Range(np.array([[-1.0, 1.0]] * 2), np.array([[-3.0, 3.0]]))
-    return source_of(network(0, channels), known)
+    return make_source(network(0, channels), known)
 
 
 @by_node
@@ -187,7 +187,7 @@ def test_a_process_that_ends_is_told_and_none_stays(tmp_path):
 
 def test_without_node_nothing_is_run(tmp_path, monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda name: None)
-    with pytest.raises(Unbuilt, match="node is not installed"):
+    with pytest.raises(NotRunnable, match="node is not installed"):
         TARGET.stepper(tmp_path, example_source("physics"))
 
 

@@ -22,7 +22,7 @@ import tustinnet as tn
 from tustinnet.errors import InputError
 from tustinnet.export import onnx as target_module
 from tustinnet.export.onnx import ROLLOUT, SINGLE, STEP, TARGET
-from tustinnet.export.source import Source, source_of
+from tustinnet.export.source import Source, make_source
 from tustinnet.program.numbers import run
 
 onnx = pytest.importorskip("onnx")
@@ -116,7 +116,7 @@ def test_1000_steps_are_a_rollout(name):
 def test_a_model_without_inputs_runs():
     model = without_inputs()
     x0, u = np.array([0.1, 0.2]), np.zeros((4, 1, 0))
-    (found,) = session(made(source_of(model), ROLLOUT)).run(None, {"x0": x0[None], "u": u})
+    (found,) = session(made(make_source(model), ROLLOUT)).run(None, {"x0": x0[None], "u": u})
     np.testing.assert_allclose(found[:, 0], tn.rollout(model, x0, u[:, 0]), rtol=1e-14)
 
 

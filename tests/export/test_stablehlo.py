@@ -14,7 +14,7 @@ from every_family import NAMES, example
 from every_step import example_source, require_same_run, without_inputs
 
 import tustinnet as tn
-from tustinnet.export.source import Source, source_of
+from tustinnet.export.source import Source, make_source
 from tustinnet.export.stablehlo import ROLLOUT, TARGET
 
 
@@ -93,14 +93,14 @@ def test_a_free_run_sees_samples_as_the_step_does():
 
 def test_a_model_without_inputs_leaves():
     model = without_inputs()
-    run = jax.export.deserialize(bytearray(made(source_of(model))[ROLLOUT]))
+    run = jax.export.deserialize(bytearray(made(make_source(model))[ROLLOUT]))
     x0, u = np.array([0.1, 0.2]), np.zeros((4, 0))
     np.testing.assert_allclose(run.call(x0, u), tn.rollout(model, x0, u), rtol=1e-14)
 
 
 def test_bytes_depend_on_the_model_only_and_hold_no_path():
-    files = made(source_of(example("physics")))
-    assert files == made(source_of(example("physics")))
+    files = made(make_source(example("physics")))
+    assert files == made(make_source(example("physics")))
     for content in files.values():
         assert b".py" not in content
         assert str(Path(tn.__file__).parent).encode() not in content

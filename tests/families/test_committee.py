@@ -98,9 +98,9 @@ def test_those_alike_run_as_one_and_the_others_beside_them():
         leaves = zip(jax.tree.leaves(given), jax.tree.leaves(kept), strict=True)
         assert jax.tree.structure(given) == jax.tree.structure(kept)
         assert all(np.array_equal(a, b) for a, b in leaves)
-    folded = together.folded()
+    folded = together.simplify()
     # a stem more is no other program once it is folded
-    assert len(tn.committee([network(0), network(1).folded()]).folded().groups) == 1
+    assert len(tn.committee([network(0), network(1).simplify()]).simplify().groups) == 1
     x, u = jnp.full(together.state_size, 0.2), jnp.array([0.3])
     np.testing.assert_allclose(stepped(folded, x, u), stepped(together, x, u), rtol=1e-4)
 
@@ -116,7 +116,7 @@ def test_internal_states_have_the_number_of_their_member_and_the_longest_warm_up
 
 
 def test_what_all_agree_on_stays_in_single_precision():
-    still = [with_dtype(network(i).silent(), np.float32) for i in range(7)]
+    still = [with_dtype(network(i).with_zero_output(), np.float32) for i in range(7)]
     together = tn.committee(still)
     x = jnp.array([3.3, 0.0], jnp.float32)
     run = tn.rollout(together, x, np.zeros((2000, 1), np.float32))
@@ -181,10 +181,13 @@ def test_members_take_the_values_of_a_records_group():
     together = tn.committee([loaded(0), loaded(1)])
     loads = ("light", "heavy", "light", "heavy")
     some = [replace(e, groups=(("load", of),)) for e, of in zip(records(), loads, strict=True)]
-    assert len(together.of(some[0]).groups) == 1
-    e, models = some[0][:20], [with_dtype(loaded(i).of(some[0]), np.float64) for i in (0, 1)]
+    assert len(together.for_record(some[0]).groups) == 1
+    e, models = (
+        some[0][:20],
+        [with_dtype(loaded(i).for_record(some[0]), np.float64) for i in (0, 1)],
+    )
     x0 = np.array([0.3, 0.0])
-    found = tn.rollout(together.of(e), x0, e.held_inputs)
+    found = tn.rollout(together.for_record(e), x0, e.held_inputs)
     np.testing.assert_allclose(found, by_hand(models, np.array([0.5, 0.5]), x0, e), rtol=1e-6)
     assert len(tn.evaluate(together, some, "file")) == 4
     with pytest.raises(tn.InputError, match="load"):
@@ -215,7 +218,7 @@ def test_a_file_gives_it_back_with_one_system_for_all(tmp_path):
 
 
 def test_a_packaged_system_is_found_and_networks_take_none(tmp_path):
-    system = tn.load_system("duffing")
+    system = tn.load_system("qube-servo2-naive")
     values = {k: jnp.asarray(v) for k, v in system.nominal().items()}
     grey = [
         tn.discretise(system.model({k: i * v for k, v in values.items()}), 0.01) for i in (1, 2)

@@ -79,7 +79,7 @@ def test_a_gru_that_says_nothing_keeps_its_velocity_and_forgets(pendulum):
     model = random_gru(channels, scaling, jax.random.key(0), 5, 8)
     assert model.internal == tuple(f"hidden {i}" for i in range(5))
     x = jnp.array([0.2, 1.5, *np.linspace(-0.5, 0.5, 5)], jnp.float32)
-    following = model.silent().step(x, jnp.array([0.3], jnp.float32))
+    following = model.with_zero_output().step(x, jnp.array([0.3], jnp.float32))
     np.testing.assert_allclose(following[:2], [0.2 + 0.02 * 1.5, 1.5], rtol=1e-6)
     assert np.abs(following[2:] - x[2:]).max() > 1e-3
 

@@ -42,7 +42,7 @@ def network(model, seed: int = 0, times: tuple[float, ...] = ()):
 @pytest.mark.parametrize(("name", "fades"), [("swing", False), ("creeping swing", True)])
 def test_without_a_correction_it_is_the_physics(name, fades):
     model = physics(name)
-    silent = HybridModel(model, network(model).silent(), fades_at_rest=fades)
+    silent = HybridModel(model, network(model).with_zero_output(), fades_at_rest=fades)
     assert silent.state_size == model.state_size
     x0, u = np.linspace(0.1, 0.5, model.state_size), np.full((15, 1), 0.3)
     np.testing.assert_array_equal(rollout(silent, x0, u), rollout(model, x0, u))
@@ -59,7 +59,7 @@ def test_a_correction_enters_velocities_and_by_the_trapezoidal_rule_positions():
     np.testing.assert_allclose(added[1:2], DT * f, rtol=1e-9)
     np.testing.assert_allclose(added[:1], DT**2 / 2 * f, rtol=1e-6)
     np.testing.assert_array_equal(added[2:], 0)
-    folded = corrected.folded()
+    folded = corrected.simplify()
     assert isinstance(folded.correction, tn.TustinNet)
     assert folded.correction.network.stem is None
     np.testing.assert_allclose(folded.step(x, u), corrected.step(x, u), rtol=1e-12)
@@ -109,7 +109,9 @@ def test_its_batches_have_the_gradients_of_the_plain_scan():
     u = np.full((3, 12, 1), 0.5)
 
     def loss(simulate):
-        return jax.jit(jax.grad(lambda m: jnp.mean(simulate(m.folded())[..., :1] ** 2)))(corrected)
+        return jax.jit(jax.grad(lambda m: jnp.mean(simulate(m.simplify())[..., :1] ** 2)))(
+            corrected
+        )
 
     ours = loss(lambda m: rollouts(m, x0, u))
     plain = loss(lambda m: jax.vmap(lambda x, v: rollout(m, x, v))(x0, u))

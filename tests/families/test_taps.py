@@ -72,7 +72,7 @@ def test_a_network_with_taps_trains_and_is_restored(kind, swings, tmp_path):
 def test_a_correction_sees_its_taps_and_the_physics_what_it_always_did(swings):
     physics, e = tn.discretise(swing_model(), DT), swings[-1]
     correction = tapped(swings)
-    silent = HybridModel(physics, correction.silent())
+    silent = HybridModel(physics, correction.with_zero_output())
     x = np.array([0.4, 0.1])
     np.testing.assert_array_equal(
         tn.rollout(silent, x, input_signal(silent, e)),

@@ -31,7 +31,7 @@ class Toy(AccelerationModel):
     scaling: Scaling
     channels: Channels = eqx.field(static=True)
 
-    def silent(self) -> "Toy":
+    def with_zero_output(self) -> "Toy":
         return eqx.tree_at(lambda m: m.layer, self, self.layer.zeros())
 
     def accelerate(self, x, u):

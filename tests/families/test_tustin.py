@@ -124,8 +124,8 @@ def test_folding_the_stem_changes_nothing():
     model = with_dtype(network(stem=9), np.float64)
     x, u = jnp.array([0.1, 0.2, -0.5, 0.9]), jnp.array([0.4])
     assert model.network.stem is not None
-    assert model.folded().network.stem is None
-    np.testing.assert_allclose(model.folded().step(x, u), model.step(x, u), rtol=1e-12)
+    assert model.simplify().network.stem is None
+    np.testing.assert_allclose(model.simplify().step(x, u), model.step(x, u), rtol=1e-12)
 
 
 def test_fold_composes_affine_maps_with_and_without_bias():
@@ -224,8 +224,8 @@ def test_internal_states_begin_with_a_share_of_the_way_from_rest():
     lifted = jnp.array([1.4, -3.0, 0.7, 0.2])  # beyond the bottom the way round is the short one
     expected = [0.2, (np.pi - 3.0) / 2] * 2
     np.testing.assert_allclose(model.initial_internal(lifted), expected, rtol=1e-6)
-    np.testing.assert_array_equal(model.beginning(lifted)[:4], lifted)
-    np.testing.assert_allclose(model.folded().beginning(lifted)[4:], expected, rtol=1e-6)
+    np.testing.assert_array_equal(model.initial_state(lifted)[:4], lifted)
+    np.testing.assert_allclose(model.simplify().initial_state(lifted)[4:], expected, rtol=1e-6)
     np.testing.assert_allclose(model.internal_spread, [0.01, 0.02, 0.03, 0.04], rtol=1e-6)
     forgetful = remembering(remembered=0.0, rest=None)
     assert not np.asarray(forgetful.initial_internal(lifted)).any()
@@ -279,7 +279,7 @@ def test_a_linear_map_beside_the_network_begins_as_least_squares_say(pendulum, t
     tn.save(model, tmp_path / "m.safetensors")
     again = tn.load_model(tmp_path / "m.safetensors")
     np.testing.assert_array_equal(again.step(x[0], u[0]), model.step(x[0], u[0]))
-    assert model.network.bypass in model.network.layers_from(1)
+    assert model.network.bypass in model.network.trainable_layers(1)
 
 
 def test_an_odd_network_accelerates_a_mirrored_mechanism_to_the_other_side(tmp_path):
@@ -287,7 +287,7 @@ def test_an_odd_network_accelerates_a_mirrored_mechanism_to_the_other_side(tmp_p
     x, u = jnp.array([0.4, -2.0, 1.0, 0.5]), jnp.array([0.7])
     np.testing.assert_allclose(model.step(-x, -u), -model.step(x, u), rtol=1e-12)
     assert float(jnp.abs(model.acceleration(x, u)).min()) > 1e-3
-    np.testing.assert_allclose(model.folded().step(x, u), model.step(x, u), rtol=1e-12)
+    np.testing.assert_allclose(model.simplify().step(x, u), model.step(x, u), rtol=1e-12)
     tn.save(model, tmp_path / "m.safetensors")
     again = tn.load_model(tmp_path / "m.safetensors")
     np.testing.assert_array_equal(again.step(x, u), model.step(x, u))

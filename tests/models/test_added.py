@@ -8,7 +8,7 @@ from swinging import CART, CREEPING, SWING
 
 import tustinnet as tn
 from tustinnet.models import forces
-from tustinnet.models.added import LAWS, needed, placed, with_forces
+from tustinnet.models.added import LAWS, added_parameters, parse_forces, with_forces
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 
 BARE = LagrangianSystem(
@@ -28,7 +28,7 @@ AGAINST = {  # what each law does against the motion of the angle
     "coulomb": forces.coulomb(V[1], 0.3, 0.1),
     "stribeck": forces.stribeck(V[1], 0.3, 0.8, 0.8, 0.1),
     "viscous": 0.2 * V[1],
-    "rubbing": forces.coulomb(V[1], 0.7 * X[1], 0.1),
+    "coulomb_by_position": forces.coulomb(V[1], 0.7 * X[1], 0.1),
     "spring": 1.5 * X[1],
     "cubic": 2.5 * X[1] ** 3,
     "maxwell": 3.0 * Z,
@@ -41,7 +41,9 @@ def declared(names: list[str]) -> tuple[Parameter, ...]:
 
 def added(system: LagrangianSystem, *names: str) -> LagrangianSystem:
     """The system with forces whose values are those above."""
-    needs = dict.fromkeys(need for force in placed(system, names) for need in force.needs)
+    needs = dict.fromkeys(
+        need for force in parse_forces(system, names) for need in force.parameter_names
+    )
     return with_forces(system, names, declared(list(needs)))
 
 
@@ -60,7 +62,7 @@ def test_a_force_acts_on_its_coordinate_alone(base, law):
     moved = with_it.mass_matrix(X) @ change
     np.testing.assert_allclose(moved, [0.0, -AGAINST[law]], rtol=1e-5, atol=1e-6)
     assert system.internal == (("maxwell:angle",) if law == "maxwell" else ())
-    assert needed(system) == tuple(f"angle.{need}" for need in LAWS[law].needs)
+    assert added_parameters(system) == tuple(f"angle.{p.name}" for p in LAWS[law].parameters)
 
 
 def test_the_spring_that_relaxes_follows_its_coordinate():
@@ -91,9 +93,10 @@ def test_a_law_without_a_coordinate_is_one_at_each():
 
 
 def test_dry_frictions_of_a_coordinate_share_the_speed_at_which_they_turn():
-    system = added(SWING, "coulomb", "rubbing")
-    assert needed(system) == ("angle.coulomb", "angle.smooth_speed", "angle.rubbing")
-    both, each = nominal(system), [nominal(added(SWING, law)) for law in ("coulomb", "rubbing")]
+    system = added(SWING, "coulomb", "coulomb_by_position")
+    assert added_parameters(system) == ("angle.coulomb", "angle.smooth_speed", "angle.rubbing")
+    laws = ("coulomb", "coulomb_by_position")
+    both, each = nominal(system), [nominal(added(SWING, law)) for law in laws]
     x, u = jnp.array([0.9, 0.05]), jnp.array([1.0])
     alone = nominal(SWING).acceleration(x, u)
     wanted = sum(model.acceleration(x, u) - alone for model in each)
@@ -108,7 +111,7 @@ def test_without_forces_a_system_is_the_same_and_with_the_same_forces_one():
 @pytest.mark.parametrize(
     ("names", "told"),
     [
-        (["glue"], "no force 'glue'; expected one of coulomb, stribeck, viscous, rubbing, spring"),
+        (["glue"], "no force 'glue'; expected one of viscous, coulomb, stribeck, spring, cubic"),
         (["cubic:tilt"], "'cubic:tilt': no coordinate 'tilt'; expected one of x, angle"),
         (["cubic:"], "'cubic:': no coordinate ''"),
         (["cubic", "cubic:x"], "'cubic:x' twice"),
@@ -127,6 +130,15 @@ def test_a_force_that_a_system_has_already_is_refused():
     told = "'viscous:angle' brings 'angle.viscous', which the system 'swing' has already"
     with pytest.raises(tn.InputError, match=told):
         added(once, "viscous")
+
+
+def test_the_name_of_an_earlier_version_stands_for_the_same_force():
+    assert added(CART, "rubbing:x").added == ("coulomb_by_position:x",)
+    with pytest.warns(FutureWarning, match="'rubbing' is called 'coulomb_by_position' now"):
+        old = forces.rubbing  # pyright: ignore[reportAttributeAccessIssue]
+    assert old is forces.coulomb_by_position
+    with pytest.raises(AttributeError, match="has no attribute 'glue'"):
+        _ = forces.glue  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def test_forces_have_derivatives_at_rest():

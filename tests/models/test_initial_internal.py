@@ -16,7 +16,7 @@ from tustinnet.models.added import with_forces
 from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import Memory
 from tustinnet.models.parameters import Parameter
-from tustinnet.models.sensors import calibrated
+from tustinnet.models.sensors import with_sensor_errors
 from tustinnet.simulate.along import states_along
 from tustinnet.simulate.starts import start_states
 
@@ -39,11 +39,11 @@ def record() -> tn.Experiment:
 def test_most_models_expect_zeros():
     for model in (network(0), tn.discretise(swing_model(system=CREEPING), DT)):
         assert not np.asarray(model.initial_internal(BEGIN)).any()
-        assert model.beginning(BEGIN).shape == (model.state_size,)
+        assert model.initial_state(BEGIN).shape == (model.state_size,)
 
 
 def test_a_system_says_what_it_expects():
-    np.testing.assert_allclose(turned().beginning(BEGIN), [2.0, 0.5, 1.6])
+    np.testing.assert_allclose(turned().initial_state(BEGIN), [2.0, 0.5, 1.6])
 
 
 def test_a_wrong_shape_is_refused():
@@ -81,7 +81,7 @@ def test_models_of_models_say_what_their_parts_expect():
     hybrid = tn.HybridModel(grey, network(0))
     np.testing.assert_allclose(hybrid.initial_internal(BEGIN), [1.6])
     both = tn.committee([grey, hybrid, turned(0.5), network(1)])
-    np.testing.assert_allclose(both.beginning(BEGIN), [2.0, 0.5, 1.6, 1.6, 1.0])
+    np.testing.assert_allclose(both.initial_state(BEGIN), [2.0, 0.5, 1.6, 1.6, 1.0])
 
 
 def test_models_of_models_say_how_sure_their_parts_are():
@@ -111,7 +111,7 @@ def test_a_fitted_start_goes_the_further_the_less_sure_a_model_is():
 
 def test_sensors_keep_it():
     bias = Parameter("angle.bias", "rad", 0.5, -1.0, 1.0)
-    off = calibrated(TURNED, (bias,))
+    off = with_sensor_errors(TURNED, (bias,))
     values = {k: jnp.asarray(x) for k, x in (off.nominal() | {"turned": 0.8}).items()}
     # the true angle is what was read without the bias
     np.testing.assert_allclose(off.model(values).initial_internal(BEGIN), [0.8 * 1.5])
@@ -129,7 +129,7 @@ def test_a_file_tells_when_it_has_changed(tmp_path):
     file = tmp_path / "model.safetensors"
     tn.save(turned(), file)
     loaded = tn.load_model(file, TURNED)
-    np.testing.assert_allclose(loaded.beginning(BEGIN), [2.0, 0.5, 1.6])
+    np.testing.assert_allclose(loaded.initial_state(BEGIN), [2.0, 0.5, 1.6])
     other = remembering(lambda q, v, p: 2 * p["turned"] * q)
     with pytest.raises(InputError, match="'creep at a record's beginning' moves otherwise"):
         tn.load_model(file, replace(TURNED, memory=other))

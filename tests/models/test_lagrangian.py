@@ -334,26 +334,26 @@ def test_a_positive_voltage_drives_the_recorded_arm_angle_negative():
 def test_a_wound_cable_rubs_in_proportion_to_its_deflection():
     rubbing, plain = (
         {k: jnp.asarray(x) for k, x in s.nominal().items()}
-        for s in (qube_servo2.RUBBING, qube_servo2.WITH_MEMORY)
+        for s in (qube_servo2.WITH_CABLE_FRICTION, qube_servo2.WITH_MEMORY)
     )
 
     def more(theta: float, speed: float) -> np.ndarray:
         q, v = jnp.array([theta, 3.0]), jnp.array([speed, 0.4])
-        found = qube_servo2.damping_and_rubbing(q, v, rubbing)
+        found = qube_servo2.damping_and_cable_friction(q, v, rubbing)
         return np.asarray(found - qube_servo2.damping_and_dry_friction(q, v, plain))
 
     np.testing.assert_allclose(more(1.0, 5.0), [1e-4, 0.0], rtol=1e-3)
     np.testing.assert_allclose(more(-2.0, 5.0), [2e-4, 0.0], rtol=1e-3)
     np.testing.assert_allclose(more(1.0, -5.0), [-1e-4, 0.0], rtol=1e-3)
     assert abs(more(0.0, 5.0)[0]) < 2e-6
-    assert tn.load_system("qube-servo2-rubbing") is qube_servo2.RUBBING
+    assert tn.load_system("qube-servo2-rubbing") is qube_servo2.WITH_CABLE_FRICTION
 
 
 def test_a_turned_cable_begins_with_a_part_of_the_arms_angle():
     turned = tn.load_system("qube-servo2-turned")
-    assert turned is qube_servo2.TURNED
+    assert turned is qube_servo2.WITH_INITIAL_DEFLECTION
     values = {k: jnp.asarray(x) for k, x in turned.nominal().items()}
-    begun = turned.model(values | {"cable_turned": jnp.asarray(0.25)}).beginning(
+    begun = turned.model(values | {"cable_turned": jnp.asarray(0.25)}).initial_state(
         jnp.array([2.0, 3.0, 0.1, 0.2])
     )
     np.testing.assert_allclose(begun, [2.0, 3.0, 0.1, 0.2, 0.5])

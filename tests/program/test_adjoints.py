@@ -8,7 +8,7 @@ from every_family import NAMES, example
 from every_step import PROGRAMS, SIZE, stepping
 from test_tape_derivatives import same, smooth
 
-from tustinnet.export.source import source_of
+from tustinnet.export.source import make_source
 from tustinnet.program.adjoints import with_adjoints
 from tustinnet.program.derivatives import with_derivatives
 from tustinnet.program.numbers import run
@@ -45,7 +45,7 @@ def test_loops_vectors_and_matrices_are_differentiated(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_steps_of_every_family_are_differentiated(name):
-    source = source_of(example(name))
+    source = make_source(example(name))
     x, w = (values[0] for values in source.samples(1))
     compare_adjoints(source.step, source.function, x, w)
 
@@ -103,7 +103,7 @@ def test_numbers_that_are_copies_of_an_input_are_known():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_derivatives_are_zero_where_structure_says_so(name):
-    source = source_of(example(name))
+    source = make_source(example(name))
     x, w = (values[0] for values in source.samples(1))
     by_x, by_w = map(np.asarray, jax.jit(jax.jacfwd(source.function, (0, 1)))(x, w))
     depends = source.step.dependencies("x")

@@ -8,7 +8,7 @@ import pytest
 from every_family import NAMES, example, leaving
 
 from tustinnet.errors import InputError
-from tustinnet.export.source import source_of
+from tustinnet.export.source import make_source
 from tustinnet.program.numbers import run
 from tustinnet.program.reading import read
 from tustinnet.registry import FAMILIES
@@ -99,7 +99,7 @@ def test_every_registered_family_is_among_the_examples():
 
 
 def test_layers_stay_matrices_and_substeps_loops():
-    network, physics = source_of(example("gru")), source_of(example("qube memory"))
+    network, physics = make_source(example("gru")), make_source(example("qube memory"))
     assert "product" in {node.op for node in network.step.nodes}
     assert physics.step.operations < 300  # though it does 4 substeps of four stages
     assert [loop.length for loop in physics.step.loops] == [4]

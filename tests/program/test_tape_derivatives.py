@@ -7,7 +7,7 @@ import pytest
 from every_family import NAMES, example
 from every_step import PROGRAMS, SIZE, stepping
 
-from tustinnet.export.source import source_of
+from tustinnet.export.source import make_source
 from tustinnet.program.derivatives import PARTIALS, with_derivatives
 from tustinnet.program.numbers import run
 from tustinnet.program.program import OPERATIONS, Program
@@ -76,7 +76,7 @@ def test_loops_vectors_and_matrices_are_differentiated(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_steps_of_every_family_are_differentiated(name):
-    source = source_of(example(name))
+    source = make_source(example(name))
     x, w = (values[0] for values in source.samples(1))
     result = jacobians(source.step, x, w)
     for i in (0, 1):

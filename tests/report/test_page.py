@@ -23,8 +23,8 @@ import tustinnet as tn
 from tustinnet.errors import InputError
 from tustinnet.evaluate.energy import energy_along
 from tustinnet.export.javascript import MODULE, TARGET
-from tustinnet.export.source import source_of
-from tustinnet.models.kinematics import carriers
+from tustinnet.export.source import make_source
+from tustinnet.models.kinematics import parent_indices
 from tustinnet.report.page import content, write
 from tustinnet.report.page.signals import bounded, kept, packed
 from tustinnet.simulate.range import Range, training_support
@@ -335,14 +335,14 @@ def test_a_tree_of_links_is_placed_as_its_frames_say():
     if shutil.which("node") is None:
         pytest.skip("node is not installed")
     names = [link.coordinate for link in TREE]
-    assert carriers(TREE) == [None, 0, 1, 0, None]
+    assert parent_indices(TREE) == [None, 0, 1, 0, None]
     kinds = ["linear", *["angular"] * 4]
     cart, arm, hand, tail, crank = q = [0.3, 0.5, -0.7, 1.1, 2.0]
     content = {
         "links": [
             {"coordinate": names.index(of.coordinate), "axis": of.axis, "reach": of.reach,
              "parent": parent, "at": of.at}
-            for of, parent in zip(TREE, carriers(TREE), strict=True)
+            for of, parent in zip(TREE, parent_indices(TREE), strict=True)
         ],
         "coordinates": [{"kind": kind} for kind in kinds], "q": q,
     }  # fmt: skip
@@ -376,7 +376,7 @@ def test_models_that_would_fill_the_page_stay_out_of_the_playground(
     trained_once, pendulum, tmp_path, monkeypatch
 ):
     model = tn.load_model(trained_once / "model.safetensors")
-    size = len(str(TARGET.files(source_of(model, None))[MODULE]))
+    size = len(str(TARGET.files(make_source(model, None))[MODULE]))
     monkeypatch.setattr(write, "_MODULES", int(1.5 * size))
     given = {"first": model, "second": model}
     file = tn.write_report(given, pendulum[0], tmp_path / "report.html", start="derived-6")

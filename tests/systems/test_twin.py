@@ -11,7 +11,7 @@ import tustinnet as tn
 from tustinnet.systems import qube_servo2, qube_servo2_twin
 from tustinnet.systems.qube_servo2 import WITH_MEMORY
 from tustinnet.systems.qube_servo2_twin import COUNT, TWIN_VALUES
-from tustinnet.systems.twin import Logger, Run, log_runs
+from tustinnet.systems.twin import Logger, TwinRun, log_runs
 
 
 @pytest.fixture(scope="module")
@@ -136,14 +136,14 @@ def test_records_are_numbers_throughout(twin):
 # --- logging ---
 
 
-def runs() -> list[Run]:
+def runs() -> list[TwinRun]:
     """Two of unequal length."""
     generator = np.random.default_rng(2)
     return [
-        Run(
+        TwinRun(
             "long", "train", np.array([0.1, 0.5, 0.0, 1.0, 0.0]), generator.uniform(-3, 3, (60, 1))
         ),
-        Run("short", "test", np.array([0.0, 1.0, 2.0, 3.0, 0.0]), np.zeros((41, 1))),
+        TwinRun("short", "test", np.array([0.0, 1.0, 2.0, 3.0, 0.0]), np.zeros((41, 1))),
     ]
 
 

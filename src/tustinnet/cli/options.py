@@ -42,7 +42,7 @@ System = Annotated[
         metavar="NAME|FILE.py",
         autocompletion=completion.system,
         help="System, that is equations of motion: qube-servo2, qube-servo2-naive, "
-        "qube-servo2-memory, qube-servo2-rubbing, qube-servo2-turned, duffing, or a Python file "
+        "qube-servo2-memory, qube-servo2-rubbing, qube-servo2-turned, or a Python file "
         "that defines SYSTEM (the file is executed).",
     ),
 ]

@@ -43,7 +43,7 @@ def rmse_ahead(
         InputError: a horizon that no record has; see also `free_run`.
     """
     require_float64("rmse_ahead")
-    evaluated = with_dtype(model, np.float64).folded()
+    evaluated = with_dtype(model, np.float64).simplify()
     longest = max(len(e) for e in experiments) - evaluated.warm_up
     if not 1 <= horizon < longest:
         raise InputError("horizon", f"{horizon} steps", f"1 to {longest - 1}")
@@ -55,7 +55,7 @@ def rmse_ahead(
     # as many at once everywhere, so that one compiled program serves records of all lengths
     size = max(1, min(_STEPS_AT_ONCE // horizon, max(map(len, begins))))
     for e, states, mine in zip(experiments, along, begins, strict=True):
-        own = evaluated.of(e)
+        own = evaluated.for_record(e)
         driven = np.asarray(input_signal(own, e).u)
         for first in range(0, len(mine), size):
             begin = mine[first : first + size]

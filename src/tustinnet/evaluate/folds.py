@@ -25,7 +25,7 @@ from tustinnet.models.contract import Model
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.simulate.horizon import effective_horizon, horizon_samples
 from tustinnet.simulate.starts import FIT_SAMPLES, default_start, start_named
-from tustinnet.systems.files import AnySystem, MadeForRecords, to_identify
+from tustinnet.systems.files import AnySystem, SystemTemplate, load_system_or_template
 
 FOLDS = 5
 
@@ -169,7 +169,7 @@ class Question:
 
     recipe: Recipe
     physics: Recipe | None = None
-    system: LagrangianSystem | MadeForRecords | None = None
+    system: LagrangianSystem | SystemTemplate | None = None
     folds: int = FOLDS
     seeds: tuple[int, ...] = (0,)
     starts: tuple[str, ...] = ()
@@ -228,7 +228,7 @@ def make_question(
     return Question(
         recipe=chosen,
         physics=identifying if corrects else None,
-        system=None if system is None else to_identify(system),
+        system=None if system is None else load_system_or_template(system),
         folds=folds,
         seeds=tuple(seeds or (0,)),
         starts=tuple(start_named(start).name for start in starts),

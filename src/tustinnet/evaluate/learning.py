@@ -39,8 +39,8 @@ from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.simulate.horizon import effective_horizon
 from tustinnet.simulate.starts import default_start, start_named
-from tustinnet.systems.files import MadeForRecords
-from tustinnet.systems.twin import imitated
+from tustinnet.systems.files import SystemTemplate
+from tustinnet.systems.twin import imitate_records
 
 ENOUGH = 1.1  # times the error that the most records leave
 FEWEST = 2  # records: one may have to choose the epoch that is kept
@@ -107,7 +107,7 @@ def make_curve_question(
     if (start := asked.get("start")) is not None:
         start_named(start)
     question = CurveQuestion(chosen, hybrid, tuple(sizes), **asked)
-    if question.twin == "nominal" and hybrid and isinstance(hybrid.system, MadeForRecords):
+    if question.twin == "nominal" and hybrid and isinstance(hybrid.system, SystemTemplate):
         raise InputError("--twin", f"'nominal', of which '{hybrid.system.name}' has none",
                          "'identified'")  # fmt: skip
     return question
@@ -376,7 +376,7 @@ def _twins(
         if twin is not None:
             assert isinstance(twin, Discretised)
             with suppress(InputError):  # a simulation that leaves all numbers
-                records = imitated(twin, place.records, _SIMULATED, generator)
+                records = imitate_records(twin, place.records, _SIMULATED, generator)
         known = len(records) >= FEWEST
         found.append(Place(place.draw, len(records), records, ()) if known else None)
     return found

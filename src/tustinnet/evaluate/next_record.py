@@ -18,7 +18,7 @@ from tustinnet.errors import InputError
 from tustinnet.evaluate.bands import alternatives_of, guesses
 from tustinnet.fitting.shooting.information import information, space_of
 from tustinnet.models.contract import Model, require_float64, with_dtype
-from tustinnet.models.groups import of_groups
+from tustinnet.models.groups import model_for_groups
 from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.simulate.input_signal import input_signals
@@ -117,14 +117,14 @@ def _imagined(model: Model, proposals: Sequence[Proposal]) -> dict[str, Experime
     for p in proposals:
         n, groups = len(p.u), frozenset(p.groups.items())
         if groups not in simulators:
-            chosen = of_groups(model, p.groups, p.name)
-            simulators[groups] = with_dtype(chosen, np.float64).folded()
+            chosen = model_for_groups(model, p.groups, p.name)
+            simulators[groups] = with_dtype(chosen, np.float64).simplify()
         simulator = simulators[groups]
         blank = Experiment(
             name=p.name, t=np.arange(n) * of.dt, q=np.zeros((n, of.n_q)), u=p.u, channels=of,
             v=np.zeros((n, of.n_q)), v_measured=True, groups=tuple(p.groups.items()),
         )  # fmt: skip
-        x0 = np.asarray(simulator.beginning(jnp.concatenate([p.q, p.v])))[None]
+        x0 = np.asarray(simulator.initial_state(jnp.concatenate([p.q, p.v])))[None]
         x = np.asarray(simulate_runs(simulator, x0, input_signals(simulator, [blank])))[0]
         sound = (np.abs(x) <= LARGEST).all()  # False of what is no number
         found[p.name] = replace(blank, q=x[:, of.position], v=x[:, of.velocity]) if sound else None

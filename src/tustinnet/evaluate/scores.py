@@ -76,7 +76,7 @@ def free_run(
     experiments, rule = _listed(experiments), _rule(start)
     for experiment in experiments:
         require_fit(model, experiment)
-    simulator = with_dtype(model, np.float64).folded()
+    simulator = with_dtype(model, np.float64).simplify()
     samples = horizon_samples(horizon, experiments, rule)
 
     def run(own: Model, some: Sequence[Experiment]) -> list[np.ndarray]:

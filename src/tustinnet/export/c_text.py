@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from tustinnet.export.c_words import HELPED, HELPERS, LOGIC, NAMES, SIGNS, literal, wrapped
+from tustinnet.export.c_words import HELPER_OF, HELPERS, LOGIC, NAMES, SIGNS, literal, wrapped
 from tustinnet.program.memory import is_elementwise, lifetimes
 from tustinnet.program.program import Loop, Node, Program
 
 
 class Code:
-    """Functions of one C file, and the constants and helpers that they share."""
+    """The code of one C file: functions, and the constants and helpers that they share."""
 
     def __init__(self) -> None:
         self._names: dict[Any, str] = {}
@@ -20,15 +20,17 @@ class Code:
         self._helpers: set[str] = set()
 
     def add(self, name: str, program: Program, changed: Sequence[str] = ()) -> None:
-        """A program as a static function: of its inputs, then of `to_` and each output's name.
+        """Adds a program as a static function.
+
+        Its arguments are the inputs, then the outputs as `to_NAME`.
 
         Args:
-            name: what the function is called.
+            name: the name of the function.
             program: the program.
             changed: the inputs that take the outputs in their order, where they may be changed.
         """
         # the functions of its loops are added before it
-        text = _Writer(self, name, program, changed).text()
+        text = _CWriter(self, name, program, changed).text()
         self._functions.append(text)
 
     def constant(self, values: np.ndarray) -> str:
@@ -45,19 +47,19 @@ class Code:
         return self._names[key]
 
     def helper(self, name: str) -> str:
-        """The name of a function of `HELPERS`, which is written then."""
+        """The name of a function of `HELPERS`, which is added to the file."""
         self._helpers.add(name)
         return name
 
     def text(self) -> str:
-        """Everything, constants first."""
+        """The text of the file, constants first."""
         helpers = [text for name, text in HELPERS.items() if name in self._helpers]
         return "\n".join(part.strip("\n") + "\n" for part in
                          (*self._arrays, *helpers, *self._functions))  # fmt: skip
 
 
-class _Writer:
-    """Writes one program as a function."""
+class _CWriter:
+    """A writer of one program as a function of C."""
 
     def __init__(
         self, code: Code, name: str, program: Program, changed: Sequence[str] = ()
@@ -67,8 +69,8 @@ class _Writer:
         self._lives = lifetimes(program)
         self._lines: list[str] = []
         self._sizes: dict[str, int] = {}  # of the arrays of the function
-        self._free: list[str] = []  # those of them that nobody needs any more
-        self._place: dict[int, str] = {}  # where vectors are
+        self._free: list[str] = []  # those of them that are not needed any more
+        self._place: dict[int, str] = {}  # the arrays of vectors
         names = changed or [f"to_{output}" for output in program.outputs]
         self._returned = list(zip(names, program.outputs.values(), strict=True))
         self._changed = changed
@@ -76,18 +78,18 @@ class _Writer:
         if not changed:
             self._ends = {i: name for name, i in reversed(self._returned)}
         self._loops = 0
-        self._groups: dict[int, list[int]] = {}  # what is computed with a node
-        self._leaving: dict[int, list[int]] = {}  # what a node is the last to read
+        self._groups: dict[int, list[int]] = {}  # nodes that are computed with a node
+        self._last_read: dict[int, list[int]] = {}  # nodes that a node is the last to read
         for i in range(len(self._nodes)):
             self._groups.setdefault(self._lives.root[i], []).append(i)
-            self._leaving.setdefault(self._lives.last[i], []).append(i)
+            self._last_read.setdefault(self._lives.last[i], []).append(i)
 
     def text(self) -> str:
-        """The function."""
+        """The text of the function."""
         for i, node in enumerate(self._nodes):
             self._write(i, node)
-            for gone in self._leaving.get(i, []):
-                place = self._place.get(gone)
+            for unneeded in self._last_read.get(i, []):
+                place = self._place.get(unneeded)
                 if place in self._sizes and place not in self._free:
                     self._free.append(place)
         for place, i in self._returned:
@@ -95,25 +97,23 @@ class _Writer:
                 self._join(place, self._nodes[i])  # now that nothing is read any more
             elif self._place.get(i) != place:
                 self._store(place, 0, i)
-        return self._signature() + "\n{\n" + "\n".join([*self._declared(), *self._lines]) + "\n}\n"
-
-    def _signature(self) -> str:
-        given = [
+        inputs = [
             f"{'' if name in self._changed else 'const '}model_real *restrict {name}"
             for name in self._program.inputs
         ]
-        made = [f"model_real *restrict {name}" for name, _ in self._returned if not self._changed]
+        outputs = [
+            f"model_real *restrict {name}" for name, _ in self._returned if not self._changed
+        ]
         start = f"static void {self._name}("
-        return start + (",\n" + " " * len(start)).join([*given, *made]) + ")"
-
-    def _declared(self) -> list[str]:
+        signature = start + (",\n" + " " * len(start)).join([*inputs, *outputs]) + ")"
         read = {node.data for node in self._nodes if node.op == "input"}
         unread = [name for name in self._program.inputs if name not in {*read, *self._changed}]
         empty = [name for name, i in self._returned if not self._nodes[i].size]
-        return [
+        declarations = [
             *(f"    model_real {name}[{size}];" for name, size in self._sizes.items()),
             *(f"    (void){name};" for name in (*unread, *empty)),
         ]
+        return signature + "\n{\n" + "\n".join([*declarations, *self._lines]) + "\n}\n"
 
     def _write(self, i: int, node: Node) -> None:
         match node.op:
@@ -124,26 +124,26 @@ class _Writer:
             case "input":
                 self._place[i] = node.data
             case "join":
-                self._join(self._room(i), node)
+                self._join(self._array_of(i), node)
             case "product":
-                self._product(self._room(i), node)
+                self._product(self._array_of(i), node)
             case "loop":
-                self._loop(self._room(i), node.data, node.args)
+                self._loop(self._array_of(i), node.data, node.args)
             case _ if not is_elementwise(node):
                 self._lines.append(f"    {self._definition(i)}")
             case _ if self._lives.root[i] == i:
                 self._elementwise(i, node)
 
-    def _room(self, i: int) -> str:
-        """An array for a vector, where it is returned or one that nobody needs any more."""
-        self._place[i] = self._ends.get(i) or self._array(self._nodes[i].size)
+    def _array_of(self, i: int) -> str:
+        """An array for a vector: where it is returned, or one that is not needed any more."""
+        self._place[i] = self._ends.get(i) or self._free_array(self._nodes[i].size)
         return self._place[i]
 
-    def _array(self, size: int) -> str:
-        fitting = sorted(self._free, key=lambda name: (self._sizes[name] < size,
+    def _free_array(self, size: int) -> str:
+        candidates = sorted(self._free, key=lambda name: (self._sizes[name] < size,
                                                        abs(self._sizes[name] - size)))  # fmt: skip
-        name = fitting[0] if fitting else f"v{len(self._sizes)}"
-        if fitting:
+        name = candidates[0] if candidates else f"v{len(self._sizes)}"
+        if candidates:
             self._free.remove(name)
         self._sizes[name] = max(size, self._sizes.get(name, 0))
         return name
@@ -173,7 +173,7 @@ class _Writer:
         )
 
     def _loop(self, place: str, loop: Loop, args: tuple[int, ...]) -> None:
-        """What is carried stays in one array; the body changes it, or it is copied."""
+        """Writes a loop; its carried state is one array, which the body changes or is copied to."""
         body = f"{self._name}_turn{self._loops}"
         self._loops += 1
         first, last = loop.constants, loop.constants + loop.carried
@@ -185,26 +185,26 @@ class _Writer:
             self._store(place, offset, a)
             carried.append(offset)
             offset += size
-        given = [f"{self._at(a)} + turn * {size}"
-                 for a, size in zip(args[last:], loop.sizes[last:], strict=True)]  # fmt: skip
-        handed = [*map(self._at, args[:first]), *(_plus(place, at) for at in carried), *given]
-        copied = []
+        rows = [f"{self._at(a)} + turn * {size}"
+                for a, size in zip(args[last:], loop.sizes[last:], strict=True)]  # fmt: skip
+        arguments = [*map(self._at, args[:first]), *(_plus(place, k) for k in carried), *rows]
+        copy = []
         if not changed:
-            after = self._array(offset)
-            handed += [_plus(after, at) for at in carried]
-            copied = [f"        {self._code.helper('copy')}({offset}, {after}, {place});"]
+            after = self._free_array(offset)
+            arguments += [_plus(after, k) for k in carried]
+            copy = [f"        {self._code.helper('copy')}({offset}, {after}, {place});"]
             self._free.append(after)
         self._lines += [
             f"    for (int turn = 0; turn < {loop.length}; turn++) {{",
-            f"        {body}({', '.join(handed)});",
-            *copied,
+            f"        {body}({', '.join(arguments)});",
+            *copy,
             "    }",
         ]
 
     def _elementwise(self, i: int, node: Node) -> None:
-        """A loop that computes a vector and those that only it needs."""
+        """Writes a loop that computes a vector and those that only it needs."""
         *inner, _ = self._groups[i]
-        place = self._in_place(i) or self._room(i)
+        place = self._in_place(i) or self._array_of(i)
         self._place[i] = place
         self._lines += [
             f"    for (int i = 0; i < {node.size}; i++) {{",
@@ -223,12 +223,12 @@ class _Writer:
             whole = place in self._sizes and self._nodes[a].size == self._nodes[i].size
             elsewhere = any(b != a and self._owner(b) == a for b in read)
             if whole and self._lives.last[a] == i and not elsewhere:
-                self._leaving[i].remove(a)
+                self._last_read[i].remove(a)
                 return place
         return None
 
     def _owner(self, i: int) -> int:
-        """The vector that a part or a number is read out of."""
+        """The vector of which a node is a part or a number."""
         while self._nodes[i].op in ("part", "pick"):
             (i,) = self._nodes[i].args
         return i
@@ -238,7 +238,7 @@ class _Writer:
         return f"const {kind} t{i} = {self._formula(i)};"
 
     def _formula(self, i: int, *, real: bool = False) -> str:
-        """What a node is of its arguments; of vectors, at one place."""
+        """The formula of a node; of a vector, that of one element."""
         node = self._nodes[i]
         op, args = node.op, node.args
         if op in SIGNS:
@@ -246,26 +246,28 @@ class _Writer:
         elif op in LOGIC:
             text = LOGIC[op].format(*map(self._truth, args))
         elif op == "select":
-            of = self._truth if node.truth else self._real
-            text = f"{self._truth(args[0])} ? {of(args[1])} : {of(args[2])}"
+            value = self._truth if node.truth else self._real
+            text = f"{self._truth(args[0])} ? {value(args[1])} : {value(args[2])}"
         elif op == "neg":
             text = f"-{self._real(args[0])}"
         else:
-            name = self._code.helper(HELPED[op]) if op in HELPED else f"M({NAMES.get(op, op)})"
+            name = (
+                self._code.helper(HELPER_OF[op]) if op in HELPER_OF else f"M({NAMES.get(op, op)})"
+            )
             text = f"{name}({', '.join(map(self._real, args))})"
         return f"(model_real)({text})" if real and node.truth else text
 
     def _real(self, a: int) -> str:
         """A number; of a vector, the one at the place of the loop."""
-        text, held = self._read(a)
-        return f"(model_real){text}" if self._nodes[a].truth and not held else text
+        text, is_real = self._read(a)
+        return f"(model_real){text}" if self._nodes[a].truth and not is_real else text
 
     def _truth(self, a: int) -> str:
-        text, held = self._read(a)
-        return text if self._nodes[a].truth and not held else f"({text} != R(0.0))"
+        text, is_real = self._read(a)
+        return text if self._nodes[a].truth and not is_real else f"({text} != R(0.0))"
 
     def _read(self, a: int) -> tuple[str, bool]:
-        """The text of a number, and whether it is held as one though it may be a truth."""
+        """The text of a number or truth, and whether its type in C is that of numbers."""
         node = self._nodes[a]
         if node.op == "number":
             return literal(float(node.data)), True
@@ -283,7 +285,7 @@ class _Writer:
         return _plus(*self._where(a))
 
     def _where(self, a: int) -> tuple[str, int]:
-        """The array in which a vector is, and from which place on."""
+        """The array in which a vector is, and the offset of its first number."""
         node = self._nodes[a]
         if node.op == "part":
             place, offset = self._where(node.args[0])
@@ -294,21 +296,21 @@ class _Writer:
 
 
 def _may_change(program: Program, carried: Sequence[str]) -> bool:
-    """Whether outputs may take the place of inputs: all are numbers that are computed before."""
+    """Whether outputs may overwrite inputs: all are numbers that are computed before."""
     nodes = program.nodes
 
-    def known(a: int) -> bool:
+    def is_independent(a: int) -> bool:
         node = nodes[a]
         if node.op == "pick":
-            of = nodes[node.args[0]]
-            return of.op == "input" and of.data not in carried
+            vector = nodes[node.args[0]]
+            return vector.op == "input" and vector.data not in carried
         return node.is_single
 
     ends = program.outputs.values()
     read = {a for node in nodes for a in node.args}
-    return all(nodes[i].op == "join" and all(map(known, nodes[i].args)) for i in ends) and (
-        not read & set(ends)
-    )
+    return all(
+        nodes[i].op == "join" and all(map(is_independent, nodes[i].args)) for i in ends
+    ) and (not read & set(ends))
 
 
 def _plus(text: str, offset: int) -> str:

@@ -1,4 +1,4 @@
-"""Operations, constants and helpers, as C has them."""
+"""Operations, constants and helper functions in C."""
 
 from collections.abc import Iterable
 
@@ -9,8 +9,8 @@ SIGNS = {
     "eq": "==", "ne": "!=",
 }  # fmt: skip
 LOGIC = {"and": "{} && {}", "or": "{} || {}", "not": "!{}"}
-NAMES = {"abs": "fabs", "rem": "fmod"}  # in math.h, where it is another one
-HELPED = {"max": "larger", "min": "smaller", "sign": "sign_of"}
+NAMES = {"abs": "fabs", "rem": "fmod"}  # in math.h, where the name differs
+HELPER_OF = {"max": "larger", "min": "smaller", "sign": "sign_of"}
 HELPERS = {
     "product": """
 /* y = matrix x. The matrix lies column by column, so that the inner loop runs along memory;
@@ -41,7 +41,7 @@ static void copy(int count, const model_real *from, model_real *to)
         to[i] = from[i];
 }
 """,
-    # unlike fmax and fmin, as NumPy: what is no number stays one
+    # unlike fmax and fmin, as in NumPy: NaN stays NaN
     "larger": """
 static model_real larger(model_real a, model_real b)
 {

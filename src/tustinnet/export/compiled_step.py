@@ -24,12 +24,12 @@ def compiled_step(model: Model) -> Callable[[Vector, Vector], Vector]:
 
     Returns:
         `step(x, u) -> x`, arrays of (n_x,) and (n_u,) in, (n_x,) out, in double precision. Inputs
-        are held at `u` until the next sample, also where the model knows straight lines between
-        samples.
+        are held at `u` until the next sample, also where the model's inputs are straight lines
+        between samples.
 
     Raises:
         InputError: float64 is off.
     """
     require_float64("compiled_step")
-    folded = with_dtype(model, np.float64).folded()
+    folded = with_dtype(model, np.float64).simplify()
     return make_step(step_equations(folded, (model.channels.n_u,)))

@@ -7,8 +7,8 @@ from jaxtyping import Array, Float
 
 from tustinnet.engine.runs import make_step
 from tustinnet.errors import require_package
-from tustinnet.export.source import Source, source_of
-from tustinnet.export.tangent import tangent
+from tustinnet.export.source import Source, make_source
+from tustinnet.export.tangent import compute_tangent
 from tustinnet.models.contract import Model
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def control_system(model: Model) -> "NonlinearIOSystem":
     require_package("control", "control", "control_system")
     from control import nlsys
 
-    source = source_of(model)
+    source = make_source(model)
     step = make_step(source.equations)
 
     def update(t: float, x: Any, u: Any, params: Any) -> np.ndarray:
@@ -61,13 +61,14 @@ def state_space(
     require_package("control", "control", "state_space")
     from control import StateSpace
 
-    source = source_of(model)
-    found = tangent(source, np.asarray(x), np.asarray(u))
-    through = np.zeros_like(found.b)
-    return StateSpace(found.a, found.b, np.eye(source.n_x), through, model.dt, **_signals(source))
+    source = make_source(model)
+    matrices = compute_tangent(source, np.asarray(x), np.asarray(u))
+    a, b, feedthrough = matrices.a, matrices.b, np.zeros_like(matrices.b)
+    return StateSpace(a, b, np.eye(source.n_x), feedthrough, model.dt, **_signals(source))
 
 
 def _signals(source: Source) -> dict[str, list[str]]:
-    """The names of a system; a dot in one would name a part of a system."""
-    states, inputs = ([n.replace(".", "_") for n in of] for of in (source.states, source.drives))
+    """The names of signals, without dots, which would name a part of a system."""
+    states = [name.replace(".", "_") for name in source.states]
+    inputs = [name.replace(".", "_") for name in source.input_names]
     return {"states": states, "inputs": inputs, "outputs": states}

@@ -11,18 +11,24 @@ from pathlib import Path
 from uuid import UUID
 from xml.etree import ElementTree as Xml
 
-from tustinnet.export.c import compile_c, compiler, library_step, model_files, template
+from tustinnet.export.c import (
+    compile_c,
+    fill_template,
+    find_compiler,
+    library_step,
+    make_model_files,
+)
 from tustinnet.export.source import Source
-from tustinnet.export.target import Files, Stepper, Target, Unbuilt
+from tustinnet.export.target import Files, NotRunnable, Stepper, Target
 
-IDENTIFIER = "model"  # of the functions, and what the binary is called
+IDENTIFIER = "model"  # prefix of the functions, and name of the binary
 FILES = {2: "model-fmi2.fmu", 3: "model-fmi3.fmu"}
 _LIBRARY = {2: f"binaries/linux64/{IDENTIFIER}.so", 3: f"binaries/x86_64-linux/{IDENTIFIER}.so"}
 _FLAGS = ("-std=c99", "-O2", "-fPIC")
 # an FMU calls its own functions, whatever others of the same names are in the process
 _SHARED = ("-shared", "-s", "-Wl,-Bsymbolic")
-_LONG_AGO = (1980, 1, 1, 0, 0, 0)  # of every file in the archive: same content, same bytes
-# of the units that coordinates have, in those that FMI knows
+_ZIP_TIME = (1980, 1, 1, 0, 0, 0)  # of every file in the archive: same content, same bytes
+# the units of coordinates in base units of FMI
 _BASES = {"rad": {"rad": "1"}, "m": {"m": "1"}, "s": {"s": "1"}}
 _BASES |= {"rad/s": {"rad": "1", "s": "-1"}, "m/s": {"m": "1", "s": "-1"}}
 
@@ -34,69 +40,70 @@ class Fmu(Target):
 
     def files(self, source: Source) -> Files:
         """`model-fmi2.fmu` and `model-fmi3.fmu`, with binaries where they can be compiled."""
-        description = _Description.of(source)
+        description = _Description.from_source(source)
         sources = {v: _sources(source, v) for v in FILES}
-        told = "".join(sorted({text for of in sources.values() for text in of.values()}))
-        # a token says which model this is, and so depends on everything in it
-        token = f"{{{UUID(sha256(f'{told}{description}'.encode()).hexdigest()[:32])}}}"
-        for of in sources.values():
-            of["fmu.h"] = of["fmu.h"].replace("@token@", token)
+        content = "".join(sorted({text for files in sources.values() for text in files.values()}))
+        # the token identifies the model, and so depends on everything in it
+        token = f"{{{UUID(sha256(f'{content}{description}'.encode()).hexdigest()[:32])}}}"
+        for files in sources.values():
+            files["fmu.h"] = files["fmu.h"].replace("@token@", token)
         libraries = _libraries(sources)
-        made: Files = {}
+        archives: Files = {}
         for v, name in FILES.items():
             contents = {"modelDescription.xml": description.xml(v, token, sources[v]).encode()}
             contents |= {f"sources/{file}": text.encode() for file, text in sources[v].items()}
             if v == 3:
-                contents["sources/buildDescription.xml"] = _build(sources[v]).encode()
+                contents["sources/buildDescription.xml"] = _build_description(sources[v]).encode()
             if v in libraries:
                 contents[_LIBRARY[v]] = libraries[v]
-            made[name] = _archive(contents)
-        return made
+            archives[name] = _archive(contents)
+        return archives
 
     def stepper(self, folder: Path, source: Source) -> Stepper:
         """A step by the binary in the FMU, without its interface."""
         with zipfile.ZipFile(folder / FILES[3]) as archive, tempfile.TemporaryDirectory() as place:
             if _LIBRARY[3] not in archive.namelist():
                 _require_platform()
-                compiler()
-                raise Unbuilt("the FMU has sources only, as its C was not compiled")
+                find_compiler()
+                raise NotRunnable("the FMU has sources only, as its C was not compiled")
             library = archive.extract(_LIBRARY[3], place)
             return library_step(Path(library), source.n_x)
 
 
 def _sources(source: Source, version: int) -> dict[str, str]:
-    """The C of an FMU by file name, headers too."""
-    offsets = source.seen.offsets
+    """The C files of an FMU by name, headers too."""
+    offsets = source.input_layout.offsets
     return {
-        **model_files(source, linearised=False),
-        "fmu.h": template(
+        **make_model_files(source, linearised=False),
+        "fmu.h": fill_template(
             "fmu.h",
             inputs=source.channels.n_u,
             samples=len(offsets),
             past=max(-min(offsets), 0),
             parameters=len(source.parameters),
         ),
-        "fmu.c": template(
+        "fmu.c": fill_template(
             "fmu.c",
             offsets=", ".join(map(str, offsets)),
             period=float(source.channels.dt),
             values=", ".join(repr(value) for _, _, value in source.parameters) or "0",
         ),
-        f"fmi{version}.c": template(f"fmi{version}.c"),
+        f"fmi{version}.c": fill_template(f"fmi{version}.c"),
     }
 
 
 def _require_platform() -> None:
+    """Raises unless binaries can be made on this machine."""
     if (platform.system(), platform.machine()) != ("Linux", "x86_64"):
-        raise Unbuilt("the FMU has sources only: binaries are made on Linux on x86-64")
+        raise NotRunnable("the FMU has sources only: binaries are made on Linux on x86-64")
 
 
 def _libraries(sources: Mapping[int, Mapping[str, str]]) -> dict[int, bytes]:
-    """Shared libraries of the FMUs; none where they cannot be compiled."""
+    """Shared libraries by version; none where they cannot be compiled."""
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
-        for of in sources.values():
-            for name, text in of.items():
+        for files in sources.values():
+            for name, text in files.items():
                 (folder / name).write_text(text, encoding="utf-8")
         try:
             _require_platform()
@@ -104,8 +111,8 @@ def _libraries(sources: Mapping[int, Mapping[str, str]]) -> dict[int, bytes]:
             for v in sources:
                 parts = [folder / name for name in (f"fmi{v}.c", "fmu.c", "model.o")]
                 compile_c(parts, folder / f"{v}.so", (*_FLAGS, *_SHARED))
-        except Unbuilt:
-            return {}  # the stepper says why
+        except NotRunnable:
+            return {}  # the stepper reports the reason
         return {v: (folder / f"{v}.so").read_bytes() for v in sources}
 
 
@@ -114,14 +121,14 @@ def _archive(contents: Mapping[str, bytes]) -> bytes:
     memory = io.BytesIO()
     with zipfile.ZipFile(memory, "w") as archive:
         for name, content in contents.items():
-            entry = zipfile.ZipInfo(name, _LONG_AGO)
+            entry = zipfile.ZipInfo(name, _ZIP_TIME)
             entry.external_attr = 0o644 << 16
             archive.writestr(entry, content, zipfile.ZIP_DEFLATED)
     return memory.getvalue()
 
 
-def _build(sources: Iterable[str]) -> str:
-    """How the sources of FMI 3.0 are compiled."""
+def _build_description(sources: Iterable[str]) -> str:
+    """`buildDescription.xml` of FMI 3.0, by which the sources are compiled."""
     root = Xml.Element("fmiBuildDescription", fmiVersion="3.0")
     build = Xml.SubElement(root, "BuildConfiguration", modelIdentifier=IDENTIFIER)
     files = Xml.SubElement(build, "SourceFileSet", language="C99")
@@ -142,15 +149,15 @@ def _document(root: Xml.Element) -> str:
 
 @dataclass(frozen=True)
 class _Description:
-    """What the model description says, in both versions.
+    """The content of the model description in both versions.
 
     Attributes:
-        title: what the model is called.
-        states: names and units, in the order of their references.
-        inputs: the same of the inputs, whose references follow.
+        title: the name of the model.
+        states: names and units of the states, in the order of their references.
+        inputs: names and units of the inputs, whose references follow.
         parameters: names, units and values of constants, whose references follow that of time.
-        period: of a step [s].
-        text: what whoever uses the FMU has to know.
+        period: the period of a step [s].
+        text: notes for users of the FMU.
     """
 
     title: str
@@ -161,21 +168,34 @@ class _Description:
     text: str
 
     @classmethod
-    def of(cls, source: Source) -> "_Description":
-        acting = [i.name for i in source.channels.inputs]
-        known = [name for name, _, _ in source.parameters]
-        names = _unique([*source.states, *acting, "time", *known])
+    def from_source(cls, source: Source) -> "_Description":
+        inputs = [i.name for i in source.channels.inputs]
+        parameters = [name for name, _, _ in source.parameters]
+        names = _unique([*source.states, *inputs, "time", *parameters])
         units = [*source.units, *(i.unit for i in source.channels.inputs)]
-        both = tuple(zip(names, units, strict=False))
+        channels = tuple(zip(names, units, strict=False))
         title = f"model of {', '.join(c.name for c in source.channels.coordinates)}"
         period = float(source.channels.dt)
         constants = tuple(
             (name, unit, value)
             for name, (_, unit, value) in zip(
-                names[len(both) + 1 :], source.parameters, strict=True
+                names[len(channels) + 1 :], source.parameters, strict=True
             )
         )
-        return cls(title, both[: source.n_x], both[source.n_x :], constants, period, _told(source))
+        notes = [
+            f"Steps of {period!r} s; a communication step is a whole multiple of it, with inputs "
+            "as they are at its beginning."
+        ]
+        if max(source.input_layout.offsets) > 0:
+            notes.append(
+                "A step depends on later inputs too: an importer of FMI 2.0 may tell them by the "
+                "derivatives of the inputs, otherwise inputs are taken as held."
+            )
+        if min(source.input_layout.offsets) < 0:
+            notes.append("Inputs before the first step are taken as the first ones.")
+        notes += [f"Note: {note}." for note in source.notes]
+        n = source.n_x
+        return cls(title, channels[:n], channels[n:], constants, period, " ".join(notes))
 
     def xml(self, version: int, token: str, sources: Iterable[str]) -> str:
         """`modelDescription.xml`."""
@@ -209,8 +229,8 @@ class _Description:
         return _document(root)
 
     def _units(self, root: Xml.Element) -> None:
-        every = [of[1] for of in (*self.states, *self.inputs, *self.parameters)]
-        used = dict.fromkeys([unit for unit in every if unit] + ["s"])
+        all_units = [variable[1] for variable in (*self.states, *self.inputs, *self.parameters)]
+        used = dict.fromkeys([unit for unit in all_units if unit] + ["s"])
         units = Xml.SubElement(root, "UnitDefinitions")
         for name in used:
             unit = Xml.SubElement(units, "Unit", name=name)
@@ -221,21 +241,25 @@ class _Description:
         variables = Xml.SubElement(root, "ModelVariables")
         structure = Xml.SubElement(root, "ModelStructure")
         outputs = structure if newer else Xml.SubElement(structure, "Outputs")
-        for reference, (name, unit) in enumerate((*self.states, *self.inputs)):
-            state = reference < len(self.states)
-            about = {
-                "name": name, "valueReference": str(reference),
-                "causality": "output" if state else "input", "variability": "continuous",
-                **({"initial": "exact"} if state else {}),
-            }  # fmt: skip
-            number = {"start": "0", **({"unit": unit} if unit else {})}
+
+        def add(about: dict[str, str], start: str, unit: str) -> None:
+            number = {"start": start, **({"unit": unit} if unit else {})}
             if newer:
                 Xml.SubElement(variables, "Float64", {**about, **number})
             else:
                 Xml.SubElement(Xml.SubElement(variables, "ScalarVariable", about), "Real", number)
-            if state and newer:
+
+        for reference, (name, unit) in enumerate((*self.states, *self.inputs)):
+            is_state = reference < len(self.states)
+            about = {
+                "name": name, "valueReference": str(reference),
+                "causality": "output" if is_state else "input", "variability": "continuous",
+                **({"initial": "exact"} if is_state else {}),
+            }  # fmt: skip
+            add(about, "0", unit)
+            if is_state and newer:
                 Xml.SubElement(outputs, "Output", valueReference=str(reference), dependencies="")
-            elif state:
+            elif is_state:
                 Xml.SubElement(outputs, "Unknown", index=str(reference + 1), dependencies="")
         time = len(self.states) + len(self.inputs)
         if newer:
@@ -248,40 +272,19 @@ class _Description:
                 "name": name, "valueReference": str(reference), "causality": "local",
                 "variability": "constant", "initial": "exact",
             }  # fmt: skip
-            number = {"start": repr(value), **({"unit": unit} if unit else {})}
-            if newer:
-                Xml.SubElement(variables, "Float64", {**about, **number})
-            else:
-                Xml.SubElement(Xml.SubElement(variables, "ScalarVariable", about), "Real", number)
+            add(about, repr(value), unit)
 
 
 def _unique(names: Iterable[str]) -> list[str]:
-    """Names, those that are there already with a number."""
-    found: list[str] = []
+    """Names, repeated ones with a number."""
+    unique: list[str] = []
     for name in names:
         candidate, count = name, 1
-        while candidate in found:
+        while candidate in unique:
             count += 1
             candidate = f"{name}_{count}"
-        found.append(candidate)
-    return found
-
-
-def _told(source: Source) -> str:
-    """What the model description says of steps and inputs."""
-    period = float(source.channels.dt)
-    told = [
-        f"Steps of {period!r} s; a communication step is a whole multiple of it, with inputs as "
-        "they are at its beginning."
-    ]
-    if max(source.seen.offsets) > 0:
-        told.append(
-            "A step depends on later inputs too: an importer of FMI 2.0 may tell them by the "
-            "derivatives of the inputs, otherwise inputs are taken as held."
-        )
-    if min(source.seen.offsets) < 0:
-        told.append("Inputs before the first step are taken as the first ones.")
-    return " ".join([*told, *(f"Note: {note}." for note in source.notes)])
+        unique.append(candidate)
+    return unique
 
 
 TARGET = Fmu()

@@ -14,12 +14,12 @@ import numpy as np
 
 from tustinnet.errors import InputError
 from tustinnet.export.source import Source
-from tustinnet.export.target import Files, Stepper, Target, Unbuilt, Vector
+from tustinnet.export.target import Files, NotRunnable, Stepper, Target, Vector
 from tustinnet.program.program import Loop, Node, Program
 
 MODULE = "model.mjs"
 
-# what operations are in JavaScript; the others are functions of `Math` of the same name
+# operations in JavaScript; all others are functions of `Math` of the same name
 _FORMS = {
     "add": "{} + {}", "sub": "{} - {}", "mul": "{} * {}", "div": "{} / {}", "rem": "{} % {}",
     "neg": "-{}", "pow": "power({}, {})",
@@ -103,8 +103,8 @@ export function step(state, u) {{
 }}
 """
 
-# what answers the check: a line with state and inputs in, a line with the next state out
-_ANSWERING = """\
+# a program for the check: a line with state and inputs in, a line with the next state out
+_SERVER = """\
 import { createInterface } from "node:readline";
 import { pathToFileURL } from "node:url";
 const { init, step } = await import(pathToFileURL(process.argv[1]).href);
@@ -121,46 +121,50 @@ class JavaScript(Target):
     name = "js"
 
     def files(self, source: Source) -> Files:
-        """See `Target.files`."""
-        writer = _Writer()
-        given = {"x": writer.vector(source.n_x), "u": writer.vector(source.n_w)}  # v0, v1
-        body, found = writer.program(source.step, given)
+        """The module `model.mjs`."""
+        writer = _JavaScriptWriter()
+        inputs = {"x": writer.vector(source.n_x), "u": writer.vector(source.n_w)}  # v0, v1
+        body, outputs = writer.program(source.step, inputs)
+        code = "\n".join(body) + writer.declarations
+        ranges = source.range and {
+            "states": source.range.states.tolist(), "inputs": source.range.inputs.tolist()
+        }  # fmt: skip
         text = _MODULE.format(
             states=_text(source.states),
             inputs=_text([i.name for i in source.channels.inputs]),
             period=_number(source.channels.dt),
-            samples=_text(source.seen.offsets),
-            range=_ranges(source),
-            helpers=_helpers("\n".join(body) + writer.declarations),
+            samples=_text(source.input_layout.offsets),
+            range=_text(ranges),
+            helpers="\n".join(text for name, text in _HELPERS.items() if f"{name}(" in code),
             vectors=writer.declarations,
             n_x=source.n_x,
             n_w=source.n_w,
             body=indent("\n".join(body), "  "),
-            following=found["x"],
+            following=outputs["x"],
         )
         return {MODULE: text}
 
     def stepper(self, folder: Path, source: Source) -> Stepper:
-        """See `Target.stepper`; node does it."""
+        """A step by the module, run by node."""
         node = shutil.which("node")
         if node is None:
-            raise Unbuilt("node is not installed")
+            raise NotRunnable("node is not installed")
         return _Node(node, folder / MODULE)
 
 
 class _Node:
-    """A process of node that steps the module; it ends with this object."""
+    """A process of node that steps the module, and that ends with this object."""
 
     def __init__(self, node: str, module: Path) -> None:
         self._process = subprocess.Popen(
-            [node, "--input-type=module", "--eval", _ANSWERING, str(module.resolve())],
+            [node, "--input-type=module", "--eval", _SERVER, str(module.resolve())],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
             encoding="utf-8",
         )  # fmt: skip
-        self._end = weakref.finalize(self, _ended, self._process)
+        self._finalizer = weakref.finalize(self, _end, self._process)
 
     def __call__(self, x: Vector, u: Vector) -> Vector:
-        """The next state; NaN stands for what is not finite."""
+        """The next state; NaN stands for numbers that are not finite."""
         question, answers = self._process.stdin, self._process.stdout
         assert question is not None
         assert answers is not None
@@ -168,20 +172,20 @@ class _Node:
             question.write(json.dumps({"x": x.tolist(), "u": u.tolist()}) + "\n")
             question.flush()
         except BrokenPipeError:
-            pass  # node has ended, and says why below
+            pass  # node has ended; its message is read below
         answer = answers.readline()
         if not answer:
-            raise InputError("--to js", f"node ended: {_ended(self._process)}", "a step")
+            raise InputError("--to js", f"node ended: {_end(self._process)}", "a step")
         return np.array(json.loads(answer), np.float64)
 
 
-def _ended(process: subprocess.Popen[str]) -> str:
-    """Ends a process; returns what it complained of."""
+def _end(process: subprocess.Popen[str]) -> str:
+    """Ends a process and returns its error messages."""
     return process.communicate()[1]
 
 
-class _Writer:
-    """Writes programs as statements of JavaScript. All vectors are global."""
+class _JavaScriptWriter:
+    """A writer of programs as statements of JavaScript. All vectors are global."""
 
     def __init__(self) -> None:
         self._declared: list[str] = []
@@ -200,19 +204,19 @@ class _Writer:
         """A new vector."""
         return self._declare(f"new Float64Array({size})")
 
-    def program(self, program: Program, given: dict[str, str]) -> tuple[list[str], dict[str, str]]:
-        """The statements of a program, and what its outputs are called.
+    def program(self, program: Program, inputs: dict[str, str]) -> tuple[list[str], dict[str, str]]:
+        """The statements of a program, and the names of its outputs in JavaScript.
 
         Args:
             program: the program.
-            given: what its inputs are called.
+            inputs: the names of its inputs in JavaScript.
         """
         lines: list[str] = []
         values: list[str] = []
         for node in program.nodes:
             args = [(program.nodes[a], values[a]) for a in node.args]
             if node.op == "input":
-                values.append(given[node.data])
+                values.append(inputs[node.data])
             elif node.op in ("table", "product"):
                 values.append(self._multiplied(node, program.tables[node.data], args, lines))
             else:
@@ -229,18 +233,18 @@ class _Writer:
             case "part":
                 return self._declare(f"{args[0][1]}.subarray({node.data}, {node.data + node.size})")
             case "join":
-                return self._joined(args, node.size, lines)
+                return self._join(args, node.size, lines)
             case "loop":
-                return self._looped(node.data, [text for _, text in args], lines)
-        operands = [_operand(*of, truth=node.takes_truth(i)) for i, of in enumerate(args)]
+                return self._loop(node.data, [text for _, text in args], lines)
+        operands = [_operand(*arg, truth=node.takes_truth(i)) for i, arg in enumerate(args)]
         form = _FORMS.get(node.op, f"Math.{node.op}({', '.join(['{}'] * len(args))})")
         if node.is_single:
             name = self._name("s")
             lines.append(f"const {name} = {form.format(*operands)};")
             return name
         name = self.vector(node.size)
-        each = f"for (let i = 0; i < {node.size}; i++)"
-        lines.append(f"{each} {name}[i] = {form.format(*operands)};")
+        loop = f"for (let i = 0; i < {node.size}; i++)"
+        lines.append(f"{loop} {name}[i] = {form.format(*operands)};")
         return name
 
     def _multiplied(
@@ -256,7 +260,7 @@ class _Writer:
         lines.append(f"product({name}, {constant}, {args[0][1]});")
         return name
 
-    def _joined(self, args: Sequence[tuple[Node, str]], size: int, lines: list[str]) -> str:
+    def _join(self, args: Sequence[tuple[Node, str]], size: int, lines: list[str]) -> str:
         name, first = self.vector(size), 0
         for node, text in args:
             lines.append(
@@ -265,27 +269,27 @@ class _Writer:
             first += node.size
         return name
 
-    def _looped(self, loop: Loop, args: list[str], lines: list[str]) -> str:
-        """A loop; what it carries is one vector, replaced at the end of a turn as a whole."""
+    def _loop(self, loop: Loop, args: list[str], lines: list[str]) -> str:
+        """A loop; its carried state is one vector, replaced at the end of a turn as a whole."""
         names, size = list(loop.body.inputs), sum(loop.carried_sizes)
         carried, following, turn = self.vector(size), self.vector(size), self._name("k")
         first, last = loop.constants, loop.constants + loop.carried
-        given = dict(zip(names[:first], args[:first], strict=True))
+        inputs = dict(zip(names[:first], args[:first], strict=True))
         ends = np.cumsum([0, *loop.carried_sizes]).tolist()
         for name, start, low, high in zip(
             names[first:last], args[first:last], ends[:-1], ends[1:], strict=True
         ):
             lines.append(f"{carried}.set({start}, {low});")
-            given[name] = self._declare(f"{carried}.subarray({low}, {high})")
+            inputs[name] = self._declare(f"{carried}.subarray({low}, {high})")
         turns: list[str] = []
         for name, rows in zip(names[last:], args[last:], strict=True):
-            given[name] = self.vector(loop.body.inputs[name])
-            turns.append(f"take({given[name]}, {rows}, {turn});")
-        body, found = self.program(loop.body, given)
+            inputs[name] = self.vector(loop.body.inputs[name])
+            turns.append(f"take({inputs[name]}, {rows}, {turn});")
+        body, outputs = self.program(loop.body, inputs)
         turns += body
         turns += [
             f"{following}.set({text}, {low});"
-            for text, low in zip(found.values(), ends[:-1], strict=True)
+            for text, low in zip(outputs.values(), ends[:-1], strict=True)
         ]
         turns.append(f"{carried}.set({following});")
         lines.append(f"for (let {turn} = 0; {turn} < {loop.length}; {turn}++) {{")
@@ -293,9 +297,9 @@ class _Writer:
         lines.append("}")
         return carried
 
-    def _declare(self, what: str) -> str:
+    def _declare(self, value: str) -> str:
         name = self._name("v")
-        self._declared.append(f"const {name} = {what};")
+        self._declared.append(f"const {name} = {value};")
         return name
 
     def _name(self, kind: str) -> str:
@@ -304,10 +308,10 @@ class _Writer:
 
 
 def _operand(node: Node, text: str, *, truth: bool) -> str:
-    """A number of a value; vectors hold truths as 0 and 1, as do loops."""
+    """A number of a value; truths in vectors and loops are 0 and 1."""
     item = text if node.is_single else f"{text}[{'i' if node.size > 1 else '0'}]"
-    said = node.truth and node.is_single
-    if said == truth:
+    is_boolean = node.truth and node.is_single
+    if is_boolean == truth:
         return item
     return f"({item} !== 0)" if truth else f"(+{item})"
 
@@ -321,18 +325,8 @@ def _number(value: float | bool) -> str:
 
 
 def _text(value: Any) -> str:
-    """Plain values; no text in them ends a script or a line."""
+    """Plain values as JSON in which no text ends a script or a line."""
     return json.dumps(value).replace("<", "\\u003c")
-
-
-def _ranges(source: Source) -> str:
-    if source.range is None:
-        return "null"
-    return _text({"states": source.range.states.tolist(), "inputs": source.range.inputs.tolist()})
-
-
-def _helpers(text: str) -> str:
-    return "\n".join(code for name, code in _HELPERS.items() if f"{name}(" in text)
 
 
 TARGET = JavaScript()

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Array
 from scipy.io import loadmat, savemat
 
-from tustinnet.export.source import Source, Stepped
-from tustinnet.export.tangent import point_of, tangent
+from tustinnet.export.source import Source, StepFunction
+from tustinnet.export.tangent import compute_tangent, operating_point
 from tustinnet.export.target import Files, Stepper, Target, Vector
 
 FILE = "linear.mat"
@@ -29,51 +29,49 @@ class Matrices(Target):
     name = "mat"
     point: Mapping[str, float] = field(default_factory=dict)
 
-    def at(self, point: Mapping[str, float]) -> "Matrices":
-        """The same about another operating point."""
+    def at_operating_point(self, point: Mapping[str, float]) -> "Matrices":
+        """Matrices about another operating point."""
         return Matrices(point)
 
-    def expected(self, source: Source) -> Stepped:
-        """The tangent of the model's step, as JAX has it."""
-        of = tangent(source, *point_of(source, self.point))
-        reached = of.x + of.drift
+    def expected(self, source: Source) -> StepFunction:
+        """The tangent of the model's step, by JAX."""
+        t = compute_tangent(source, *operating_point(source, self.point))
+        following = t.x + t.drift
 
         def step(x: Array, u: Array) -> Array:
-            return jnp.asarray(reached + of.a @ (x - of.x) + of.b @ (u - of.u))
+            return jnp.asarray(following + t.a @ (x - t.x) + t.b @ (u - t.u))
 
         return step
 
     def files(self, source: Source) -> Files:
         """The matrices, names, period and operating point."""
-        found = tangent(source, *point_of(source, self.point))
+        t = compute_tangent(source, *operating_point(source, self.point))
         content = BytesIO()
-        columns = {"x": found.x, "u": found.u, "drift": found.drift}
+        # names as MATLAB has them: a cell each
+        states, inputs = (
+            np.array(names, dtype=object) for names in (source.states, source.input_names)
+        )
+        columns = {"x": t.x, "u": t.u, "drift": t.drift}
         savemat(content, {
-            "A": found.a, "B": found.b,
+            "A": t.a, "B": t.b,
             "C": np.eye(source.n_x), "D": np.zeros((source.n_x, source.n_w)),
             "dt": source.channels.dt,
-            "states": _cells(source.states), "inputs": _cells(source.drives),
-            "outputs": _cells(source.states),
+            "states": states, "inputs": inputs, "outputs": states,
             **{name: values[:, None] for name, values in columns.items()},
         })  # fmt: skip
-        # the time at which it was written is no part of it
+        # without the time at which it was written
         title = b"MATLAB 5.0 MAT-file, written by tustinnet".ljust(_TITLE)
         return {FILE: title + content.getvalue()[_TITLE:]}
 
     def stepper(self, folder: Path, source: Source) -> Stepper:
         """An affine step by the matrices of the file, read by scipy."""
-        read = loadmat(folder / FILE)
-        x0, u0, drift = (read[name].ravel() for name in ("x", "u", "drift"))
+        content = loadmat(folder / FILE)
+        x0, u0, drift = (content[name].ravel() for name in ("x", "u", "drift"))
 
         def step(x: Vector, u: Vector) -> Vector:
-            return x0 + drift + read["A"] @ (x - x0) + read["B"] @ (u - u0)
+            return x0 + drift + content["A"] @ (x - x0) + content["B"] @ (u - u0)
 
         return step
-
-
-def _cells(names: tuple[str, ...]) -> np.ndarray:
-    """Names as MATLAB has them: a cell each."""
-    return np.array(names, dtype=object)
 
 
 TARGET = Matrices()

@@ -20,11 +20,20 @@ class Onnx(Target):
     extra = "onnx", ("onnx",)
 
     def files(self, source: Source) -> Files:
-        """See `Target.files`."""
+        """`step.onnx` and `rollout.onnx`, and both in single precision."""
         # here, as the package is an extra
         from tustinnet.export.onnx_graph import rollout_model, step_model
 
-        about, program = _about(source), source.step
+        # names, units and period in the metadata of every file, each a text in JSON
+        metadata = {
+            "states": source.states,
+            "units": source.units,
+            "inputs": [i.name for i in source.channels.inputs],
+            "samples": source.input_layout.offsets,
+            "period": source.channels.dt,
+        }
+        about = {name: json.dumps(value) for name, value in metadata.items()}
+        program = source.step
         return {
             name: make(program, kind, about).SerializeToString(deterministic=True)
             for kind, names in ((np.float64, (STEP, ROLLOUT)), (np.float32, SINGLE))
@@ -32,7 +41,7 @@ class Onnx(Target):
         }
 
     def stepper(self, folder: Path, source: Source) -> Stepper:
-        """See `Target.stepper`."""
+        """A step by `step.onnx`, run by onnxruntime or the reference of ONNX."""
         path = str(folder / STEP)
         if find_spec("onnxruntime") is None:
             from onnx.reference import ReferenceEvaluator
@@ -44,22 +53,10 @@ class Onnx(Target):
             session = InferenceSession(path, providers=["CPUExecutionProvider"])
 
         def step(x: Vector, u: Vector) -> Vector:
-            (found,) = session.run(None, {"x": x[None], "u": u[None]})
-            return np.asarray(found)[0]
+            (following,) = session.run(None, {"x": x[None], "u": u[None]})
+            return np.asarray(following)[0]
 
         return step
-
-
-def _about(source: Source) -> dict[str, str]:
-    """Names, units and period as every ONNX file says them, each a text in JSON."""
-    told = {
-        "states": source.states,
-        "units": source.units,
-        "inputs": [i.name for i in source.channels.inputs],
-        "samples": source.seen.offsets,
-        "period": source.channels.dt,
-    }
-    return {name: json.dumps(value) for name, value in told.items()}
 
 
 TARGET = Onnx()

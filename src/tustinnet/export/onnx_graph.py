@@ -15,7 +15,7 @@ from onnx.helper import (
     set_model_props,
 )
 
-from tustinnet.export.onnx_terms import OPERATORS, Graph, Shared, Term
+from tustinnet.export.onnx_terms import OPERATORS, Graph, ModelBuilder, Term
 from tustinnet.program.program import Loop, Node, Program
 
 OPSET = 17
@@ -25,11 +25,11 @@ _BATCH, _STEPS = "batch", "steps"  # sizes that are not fixed
 
 @dataclass(frozen=True, eq=False)
 class _Value:
-    """What a node of a program is in a graph.
+    """The value of a program's node in a graph.
 
     Attributes:
         term: the tensor, (batch, size).
-        truth: whether it says true or false.
+        truth: whether its elements are true or false.
         batched: False for constants, (1, size).
     """
 
@@ -46,8 +46,8 @@ def step_model(program: Program, kind: type[np.floating], about: dict[str, str])
         kind: float64 or float32.
         about: what the file says of itself.
     """
-    model = Shared(np.dtype(kind))
-    return _finished(model, _step(model, program), about)
+    model = ModelBuilder(np.dtype(kind))
+    return _make_model(model, _step(model, program), about)
 
 
 def rollout_model(program: Program, kind: type[np.floating], about: dict[str, str]) -> ModelProto:
@@ -58,63 +58,63 @@ def rollout_model(program: Program, kind: type[np.floating], about: dict[str, st
         kind: float64 or float32.
         about: what the file says of itself.
     """
-    model, (n_x, n_w) = Shared(np.dtype(kind)), program.inputs.values()
-    once = _step(model, program)
-    # what a step carries on is also what it puts out
-    once.node.append(make_node("Identity", ["x_next"], ["row"]))
-    once.output.append(_tensor(model, "row", _BATCH, n_x))
+    model, (n_x, n_w) = ModelBuilder(np.dtype(kind)), program.inputs.values()
+    step = _step(model, program)
+    # the state that a step carries on is also its output
+    step.node.append(make_node("Identity", ["x_next"], ["row"]))
+    step.output.append(_tensor(model, "row", _BATCH, n_x))
     graph = Graph(model)
     names = [model.name(), model.name()]
-    graph.nodes.append(make_node("Scan", ["x0", "u"], names, body=once, num_scan_inputs=1))
+    graph.nodes.append(make_node("Scan", ["x0", "u"], names, body=step, num_scan_inputs=1))
     first = graph.add("Unsqueeze", "x0", model.constant([0]))
     graph.nodes.append(make_node("Concat", [first.name, names[1]], ["x"], axis=0))
-    given = [_tensor(model, "x0", _BATCH, n_x), _tensor(model, "u", _STEPS, _BATCH, n_w)]
-    found = [_tensor(model, "x", None, _BATCH, n_x)]
-    return _finished(model, make_graph(graph.nodes, "rollout", given, found), about)
+    inputs = [_tensor(model, "x0", _BATCH, n_x), _tensor(model, "u", _STEPS, _BATCH, n_w)]
+    outputs = [_tensor(model, "x", None, _BATCH, n_x)]
+    return _make_model(model, make_graph(graph.nodes, "rollout", inputs, outputs), about)
 
 
-def _tensor(model: Shared, name: str, *shape: int | str | None) -> ValueInfoProto:
+def _tensor(model: ModelBuilder, name: str, *shape: int | str | None) -> ValueInfoProto:
     return make_tensor_value_info(name, model.number, shape)
 
 
-def _step(model: Shared, program: Program) -> GraphProto:
+def _step(model: ModelBuilder, program: Program) -> GraphProto:
     graph, (n_x, n_w) = Graph(model), program.inputs.values()
     batch = graph.add("Slice", graph.add("Shape", "x").name, *map(model.constant, ([0], [1])))
-    writer = _Writer(graph, batch.name)
+    writer = _OnnxWriter(graph, batch.name)
     values = writer.program(program, {"x": "x", "u": "u"})
     graph.nodes.append(make_node("Identity", [writer.whole(values["x"], n_x).name], ["x_next"]))
-    given = [_tensor(model, "x", _BATCH, n_x), _tensor(model, "u", _BATCH, n_w)]
-    return make_graph(graph.nodes, "step", given, [_tensor(model, "x_next", _BATCH, n_x)])
+    inputs = [_tensor(model, "x", _BATCH, n_x), _tensor(model, "u", _BATCH, n_w)]
+    return make_graph(graph.nodes, "step", inputs, [_tensor(model, "x_next", _BATCH, n_x)])
 
 
-def _finished(model: Shared, graph: GraphProto, about: dict[str, str]) -> ModelProto:
+def _make_model(model: ModelBuilder, graph: GraphProto, about: dict[str, str]) -> ModelProto:
     graph.initializer.extend(model.constants.values())
-    made = make_model(
+    proto = make_model(
         graph, opset_imports=[make_opsetid("", OPSET)], ir_version=_IR, producer_name="tustinnet"
     )
-    set_model_props(made, about)
-    check_model(made, full_check=True)
-    return made
+    set_model_props(proto, about)
+    check_model(proto, full_check=True)
+    return proto
 
 
-class _Writer:
-    """Writes programs into a graph."""
+class _OnnxWriter:
+    """A writer of programs into a graph."""
 
     def __init__(self, graph: Graph, batch: str) -> None:
         self._graph, self._batch = graph, batch
 
-    def program(self, program: Program, given: dict[str, str]) -> dict[str, _Value]:
-        """What a program returns.
+    def program(self, program: Program, inputs: dict[str, str]) -> dict[str, _Value]:
+        """Writes a program and returns its outputs.
 
         Args:
             program: the program.
-            given: what its inputs are called.
+            inputs: the tensors' names by those of the inputs.
         """
         values: list[_Value] = []
         for node in program.nodes:
             args = [values[a] for a in node.args]
             if node.op == "input":
-                values.append(_Value(self._graph.term(given[node.data]), False, True))
+                values.append(_Value(self._graph.term(inputs[node.data]), False, True))
             elif node.op in ("table", "product"):
                 values.append(self._multiplied(node, program.tables[node.data], args))
             else:
@@ -141,12 +141,13 @@ class _Writer:
                 return _Value(term, node.truth, batched)
             case "join":
                 parts = [
-                    self.whole(*of, truth=node.truth).name for of in zip(args, sizes, strict=True)
+                    self.whole(a, size, truth=node.truth).name
+                    for a, size in zip(args, sizes, strict=True)
                 ]
-                return _Value(self._joined(parts), node.truth, True)
+                return _Value(self._concat(parts), node.truth, True)
             case "loop":
-                starts = [self.whole(*of).name for of in zip(args, sizes, strict=True)]
-                return _Value(self._looped(node.data, starts), False, True)
+                starts = [self.whole(a, size).name for a, size in zip(args, sizes, strict=True)]
+                return _Value(self._loop(node.data, starts), False, True)
         terms = [self._as(a, truth=node.takes_truth(i)) for i, a in enumerate(args)]
         if node.op == "select" and node.truth:  # which `Where` does not choose from
             which, yes, no = terms
@@ -163,46 +164,46 @@ class _Writer:
         term = self._graph.add("MatMul", vector.name, self._constant(table.T))
         return _Value(term, False, args[0].batched)
 
-    def _looped(self, loop: Loop, args: list[str]) -> Term:
-        """A loop; its body sees the constants, and the rows that it is given, from outside."""
+    def _loop(self, loop: Loop, args: list[str]) -> Term:
+        """A loop; its body reads constants and tables from outside."""
         names, model, body = list(loop.body.inputs), self._graph.model, Graph(self._graph.model)
         first, last = loop.constants, loop.constants + loop.carried
         turn, going = model.name(), model.name()
         carried = [model.name() for _ in range(loop.carried)]
-        given = dict(zip(names[:last], [*args[:first], *carried], strict=True))
+        inputs = dict(zip(names[:last], [*args[:first], *carried], strict=True))
         for name, rows in zip(names[last:], args[last:], strict=True):
             shape = self._constant([0, loop.length, loop.body.inputs[name]])  # 0: as it is
             table = self._graph.add("Reshape", rows, shape)
-            given[name] = body.add("Gather", table.name, turn, axis=1).name
-        inside = _Writer(body, self._batch)
-        found = inside.program(loop.body, given).values()
+            inputs[name] = body.add("Gather", table.name, turn, axis=1).name
+        inside = _OnnxWriter(body, self._batch)
+        outputs = inside.program(loop.body, inputs).values()
         sizes = loop.carried_sizes
-        ends = [inside.whole(*of).name for of in zip(found, sizes, strict=True)]
-        # under names of their own: two may be the same, or stand outside of the body
+        ends = [inside.whole(x, size).name for x, size in zip(outputs, sizes, strict=True)]
+        # under new names: two may be one tensor, or stand outside of the body
         go_on, *ends = [body.add("Identity", name).name for name in (going, *ends)]
 
-        def told(going: str, names: list[str]) -> list[ValueInfoProto]:
+        def infos(going: str, names: list[str]) -> list[ValueInfoProto]:
             tensors = [
                 _tensor(model, n, _BATCH, size) for n, size in zip(names, sizes, strict=True)
             ]
             return [make_tensor_value_info(going, TensorProto.BOOL, []), *tensors]
 
-        inputs = [make_tensor_value_info(turn, TensorProto.INT64, []), *told(going, carried)]
-        turns = make_graph(body.nodes, "turn", inputs, told(go_on, ends))
+        of_turn = [make_tensor_value_info(turn, TensorProto.INT64, []), *infos(going, carried)]
+        one_turn = make_graph(body.nodes, "turn", of_turn, infos(go_on, ends))
         starts = [model.constant(np.int64(loop.length)), model.constant(True), *args[first:last]]
-        done = [model.name() for _ in carried]
-        self._graph.nodes.append(make_node("Loop", starts, done, body=turns))
-        return self._joined(done)
+        results = [model.name() for _ in carried]
+        self._graph.nodes.append(make_node("Loop", starts, results, body=one_turn))
+        return self._concat(results)
 
-    def _joined(self, parts: list[str]) -> Term:
+    def _concat(self, parts: list[str]) -> Term:
         return self._graph.add("Concat", *parts, axis=1)
 
     def _as(self, value: _Value, *, truth: bool) -> Term:
-        """A value as numbers, or as true and false."""
+        """A value as numbers, or as truths."""
         if value.truth == truth:
             return value.term
         if truth:
-            return value.term.same(0.0).to("Not")
+            return value.term.equals(0.0).to("Not")
         return value.term.cast(self._graph.model.number)
 
     def _constant(self, values: object) -> str:

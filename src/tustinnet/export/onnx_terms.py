@@ -1,4 +1,4 @@
-"""Operations on tensors as nodes of ONNX graphs, also those that run times lack in double."""
+"""Operations on tensors as nodes of ONNX graphs, also those that runtimes lack in double."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -13,11 +13,11 @@ _FAR = 1e30  # its arc tangent is that of infinity
 
 
 @dataclass
-class Shared:
-    """What the graphs of a model share.
+class ModelBuilder:
+    """The names and constants that all graphs of a model share.
 
     Attributes:
-        kind: float64 or float32, of all numbers.
+        kind: float64 or float32, for all numbers.
         constants: tensors by their bytes.
     """
 
@@ -27,7 +27,7 @@ class Shared:
 
     @property
     def number(self) -> int:
-        """What ONNX calls its numbers."""
+        """The type of its numbers in ONNX."""
         return np_dtype_to_tensor_dtype(self.kind)
 
     def name(self) -> str:
@@ -52,15 +52,15 @@ class Graph:
     """A graph, or the body of a loop, while it is written.
 
     Attributes:
-        model: what it is a part of.
+        model: the model that it is a part of.
         nodes: in the order of computation.
     """
 
-    model: Shared
+    model: ModelBuilder
     nodes: list[NodeProto] = field(default_factory=list)
 
     def add(self, op: str, *inputs: str, **attributes: Any) -> "Term":
-        """What a new node puts out."""
+        """Adds a node and returns its output."""
         name = self.model.name()
         self.nodes.append(make_node(op, list(inputs), [name], **attributes))
         return Term(self, name)
@@ -76,23 +76,23 @@ class Graph:
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """A tensor in a graph; what is done with it becomes a node.
+    """A tensor in a graph; operations on it add nodes.
 
     Attributes:
         graph: the graph.
-        name: what it is called there.
+        name: its name there.
     """
 
     graph: Graph
     name: str
 
     def to(self, op: str, *others: "Term | float", **attributes: Any) -> "Term":
-        """What an operator of ONNX makes of this and others."""
+        """The result of an operator of ONNX on this and others."""
         terms = [t if isinstance(t, Term) else self.graph.number(float(t)) for t in others]
         return self.graph.add(op, self.name, *(t.name for t in terms), **attributes)
 
     def cast(self, kind: int) -> "Term":
-        """The same as numbers of another kind."""
+        """The tensor as numbers of another type."""
         return self.to("Cast", to=kind)
 
     def __add__(self, other: "Term | float") -> "Term":
@@ -113,33 +113,33 @@ class Term:
     def __lt__(self, other: "Term | float") -> "Term":
         return self.to("Less", other)
 
-    def same(self, other: "Term | float") -> "Term":
+    def equals(self, other: "Term | float") -> "Term":
         """Whether they are equal."""
         return self.to("Equal", other)
 
     def where(self, yes: "Term | float", no: "Term | float") -> "Term":
-        """One where this is true, the other elsewhere."""
+        """The first where this is true, the second elsewhere."""
         return self.to("Where", yes, no)
 
     def signed(self, size: "Term") -> "Term":
-        """A size with the sign of this."""
+        """An absolute value with the sign of this."""
         return (self < 0.0).where(-size, size)
 
     def below(self) -> "Term":
         """Whether it is less than 0, or the negative zero."""
-        return (self < 0.0).to("Or", self.same(0.0).to("And", self.to("Reciprocal") < 0.0))
+        return (self < 0.0).to("Or", self.equals(0.0).to("And", self.to("Reciprocal") < 0.0))
 
 
 def _expm1(x: Term) -> Term:
-    # Kahan: what is lost by rounding exp(x) is lost alike in its logarithm
+    # Kahan: the rounding error of exp(x) is the same in its logarithm
     power = x.to("Exp")
-    near = power.same(1.0).where(x, (power - 1.0) * x / power.to("Log"))
+    near = power.equals(1.0).where(x, (power - 1.0) * x / power.to("Log"))
     return (x.to("Abs") < 1.0).where(near, power - 1.0)
 
 
 def _log1p(x: Term) -> Term:
     whole = x + 1.0
-    near = whole.same(1.0).where(x, whole.to("Log") * x / (whole - 1.0))
+    near = whole.equals(1.0).where(x, whole.to("Log") * x / (whole - 1.0))
     return (x.to("Abs") < 0.5).where(near, whole.to("Log"))
 
 
@@ -148,14 +148,10 @@ def _sinh(x: Term) -> Term:
     return x.signed(grown * 0.5 * ((grown + 1.0).to("Reciprocal") + 1.0))
 
 
-def _cosh(x: Term) -> Term:
-    return (x.to("Exp") + (-x).to("Exp")) * 0.5
-
-
 def _asinh(x: Term) -> Term:
     size = x.to("Abs")
-    turned = size.to("Reciprocal")
-    rest = size / (turned + (turned * turned + 1.0).to("Sqrt"))
+    inverse = size.to("Reciprocal")
+    rest = size / (inverse + (inverse * inverse + 1.0).to("Sqrt"))
     return x.signed(_log1p(size + rest))
 
 
@@ -170,7 +166,7 @@ def _atanh(x: Term) -> Term:
 
 
 def _atan(x: Term) -> Term:
-    # in single precision, then the tangent of what is left; its cube is less than a rounding
+    # in single precision, then the tangent of the remainder; its cube is less than a rounding
     size = (x.to("Abs") < _FAR).where(x, x.to("Sign") * _FAR)
     guess = size.cast(TensorProto.FLOAT).to("Atan").cast(x.graph.model.number)
     sine, cosine = guess.to("Sin"), guess.to("Cos")
@@ -179,40 +175,33 @@ def _atan(x: Term) -> Term:
 
 def _atan2(y: Term, x: Term) -> Term:
     """The angle of (x, y); of two infinities it is not a number."""
-    right = y.same(0.0).where(y, _atan(y / x))
+    right = y.equals(0.0).where(y, _atan(y / x))
     turn = y.below().where(y.graph.number(-np.pi), np.pi)
     return x.below().where(right + turn, right)
 
 
-def _asin(x: Term) -> Term:
-    return _atan(x / ((-x + 1.0) * (x + 1.0)).to("Sqrt"))
-
-
-def _acos(x: Term) -> Term:
-    return _atan(((-x + 1.0) / (x + 1.0)).to("Sqrt")) * 2.0
-
-
-def _select(which: Term, yes: Term, no: Term) -> Term:
-    return which.where(yes, no)
-
-
-def _plain(op: str, **attributes: Any) -> Callable[..., Term]:
+def _op(op: str, **attributes: Any) -> Callable[..., Term]:
+    """An operation that ONNX has."""
     return lambda first, *others: first.to(op, *others, **attributes)
 
 
-# what operations are made of; the last ones have no operator in double precision
+# operations by their names in programs; the last ones have no operator in double precision
 OPERATORS: dict[str, Callable[..., Term]] = {
-    "add": _plain("Add"), "sub": _plain("Sub"), "mul": _plain("Mul"), "div": _plain("Div"),
-    "neg": _plain("Neg"), "max": _plain("Max"), "min": _plain("Min"), "pow": _plain("Pow"),
-    "rem": _plain("Mod", fmod=1), "abs": _plain("Abs"), "sign": _plain("Sign"),
-    "floor": _plain("Floor"), "ceil": _plain("Ceil"), "sqrt": _plain("Sqrt"),
-    "exp": _plain("Exp"), "log": _plain("Log"), "sin": _plain("Sin"), "cos": _plain("Cos"),
-    "tanh": _plain("Tanh"),
-    "lt": _plain("Less"), "le": _plain("LessOrEqual"), "gt": _plain("Greater"),
-    "ge": _plain("GreaterOrEqual"), "eq": _plain("Equal"),
-    "ne": lambda a, b: a.same(b).to("Not"),
-    "and": _plain("And"), "or": _plain("Or"), "not": _plain("Not"), "select": _select,
+    "add": _op("Add"), "sub": _op("Sub"), "mul": _op("Mul"), "div": _op("Div"),
+    "neg": _op("Neg"), "max": _op("Max"), "min": _op("Min"), "pow": _op("Pow"),
+    "rem": _op("Mod", fmod=1), "abs": _op("Abs"), "sign": _op("Sign"),
+    "floor": _op("Floor"), "ceil": _op("Ceil"), "sqrt": _op("Sqrt"),
+    "exp": _op("Exp"), "log": _op("Log"), "sin": _op("Sin"), "cos": _op("Cos"),
+    "tanh": _op("Tanh"),
+    "lt": _op("Less"), "le": _op("LessOrEqual"), "gt": _op("Greater"),
+    "ge": _op("GreaterOrEqual"), "eq": _op("Equal"),
+    "ne": lambda a, b: a.equals(b).to("Not"),
+    "and": _op("And"), "or": _op("Or"), "not": _op("Not"),
+    "select": lambda which, yes, no: which.where(yes, no),
     "expm1": _expm1, "log1p": _log1p, "tan": lambda x: x.to("Sin") / x.to("Cos"),
-    "asin": _asin, "acos": _acos, "atan": _atan, "atan2": _atan2,
-    "sinh": _sinh, "cosh": _cosh, "asinh": _asinh, "acosh": _acosh, "atanh": _atanh,
+    "asin": lambda x: _atan(x / ((-x + 1.0) * (x + 1.0)).to("Sqrt")),
+    "acos": lambda x: _atan(((-x + 1.0) / (x + 1.0)).to("Sqrt")) * 2.0,
+    "atan": _atan, "atan2": _atan2,
+    "sinh": _sinh, "cosh": lambda x: (x.to("Exp") + (-x).to("Exp")) * 0.5,
+    "asinh": _asinh, "acosh": _acosh, "atanh": _atanh,
 }  # fmt: skip

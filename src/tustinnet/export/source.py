@@ -14,7 +14,7 @@ from tustinnet.engine.equations import Equations, Formula
 from tustinnet.errors import InputError
 from tustinnet.families.family import family_of
 from tustinnet.models.contract import Model, require_float64, with_dtype
-from tustinnet.models.groups import of_groups
+from tustinnet.models.groups import model_for_groups
 from tustinnet.program.derivatives import with_derivatives
 from tustinnet.program.program import Program
 from tustinnet.program.reading import read
@@ -22,35 +22,35 @@ from tustinnet.signals.excitation import DeclaredHold, Excitation, excitation
 from tustinnet.simulate.range import Range
 from tustinnet.simulate.simulation import step_equations
 
-_FARTHEST = 1000  # samples away that a step may see
-_UNKNOWN = 1.0  # how far from 0 states and inputs are tried where nobody knows their range
-Stepped = Callable[[Array, Array], Array]
+_FARTHEST = 1000  # most samples between a step and an input on which it depends
+_DEFAULT_RANGE = 1.0  # of states and inputs to both sides of 0, where their range is unknown
+StepFunction = Callable[[Array, Array], Array]
 
 
 @dataclass(frozen=True)
-class Seen:
-    """What a step is given of the samples of the inputs.
+class InputLayout:
+    """The samples of the inputs on which a step depends.
 
     Attributes:
         offsets: the samples, counted from the one at which the period begins: that one first, then
             those after it, then those before it.
-        matrix: what makes of them, (offsets n_u,), the step's own drive, flattened.
-        shape: that of the step's own drive.
+        matrix: the linear map from these samples, (offsets n_u,), to the step's input, flattened.
+        shape: the shape of the step's input.
     """
 
     offsets: tuple[int, ...]
-    matrix: Float[np.ndarray, "drive samples"]
+    matrix: Float[np.ndarray, "input samples"]
     shape: tuple[int, ...]
 
 
 @dataclass(frozen=True)
 class Source:
-    """A model on its way out.
+    """A model that is exported.
 
     Attributes:
-        model: the model, in its cheapest form, of one group.
-        range: where its training records lie, None where nobody knows.
-        about: what its file says of it, for the card.
+        model: the model, in its cheapest form, with the values of one group.
+        range: the range of its training records, None if unknown.
+        about: the header of its file, for the card.
     """
 
     model: Model
@@ -58,9 +58,9 @@ class Source:
     about: Mapping[str, Any] = field(default_factory=dict)
 
     @cached_property
-    def seen(self) -> Seen:
-        """What a step is given of the inputs."""
-        return seen_by(self.model)
+    def input_layout(self) -> InputLayout:
+        """The samples of the inputs on which a step depends."""
+        return find_input_layout(self.model)
 
     @property
     def channels(self) -> Channels:
@@ -69,61 +69,64 @@ class Source:
 
     @property
     def n_x(self) -> int:
-        """How many numbers a state has."""
+        """The number of states."""
         return self.model.state_size
 
     @property
     def n_w(self) -> int:
-        """How many numbers a step is given of the inputs: all inputs of every sample seen."""
-        return len(self.seen.offsets) * self.channels.n_u
+        """The number of inputs of the exported step: all inputs at every sample of the layout."""
+        return len(self.input_layout.offsets) * self.channels.n_u
 
     @property
     def states(self) -> tuple[str, ...]:
-        """What the numbers of a state are called: `theta`, `der_theta`, internal states."""
+        """The names of the states: `theta`, `der_theta`, internal states."""
         names = [c.name for c in self.channels.coordinates]
         return (*names, *(f"der_{name}" for name in names), *self.model.internal)
 
     @property
     def units(self) -> tuple[str, ...]:
-        """The units of the numbers of a state; of internal states nobody knows."""
+        """The units of the states; empty for internal states, where they are unknown."""
         units = [c.unit for c in self.channels.coordinates]
-        internal = [""] * len(self.model.internal)
-        return (*units, *(f"{unit}/s" for unit in units), *internal)
+        return (*units, *(f"{unit}/s" for unit in units), *("" for _ in self.model.internal))
 
     @property
-    def drives(self) -> tuple[str, ...]:
-        """What the numbers that a step is given of the inputs are called.
+    def input_names(self) -> tuple[str, ...]:
+        """The names of the inputs of the exported step.
 
-        `voltage`; where it sees other samples than its own, `voltage_after_1`, `voltage_before_1`.
+        `voltage`; of other samples than the step's own, `voltage_after_1`, `voltage_before_1`.
         """
-        names = [i.name for i in self.channels.inputs]
-        return tuple(f"{name}{_counted(k)}" for k in self.seen.offsets for name in names)
+        suffixes = [
+            f"_{'after' if k > 0 else 'before'}_{abs(k)}" if k else ""
+            for k in self.input_layout.offsets
+        ]
+        return tuple(f"{i.name}{suffix}" for suffix in suffixes for i in self.channels.inputs)
 
     @property
     def parameters(self) -> tuple[tuple[str, str, float], ...]:
-        """Name, unit and value of its physical parameters, which are constants of the step."""
+        """Name, unit and value of the physical parameters, which are constants of the step."""
         return tuple(family_of(self.model).parameters(self.model))
 
     @cached_property
-    def function(self) -> Stepped:
+    def function(self) -> StepFunction:
         """The step as a JAX function of two vectors, (n_x,) and (n_w,), in float64."""
-        model, seen = self.model, self.seen
-        plain = seen.offsets == (0,) and seen.shape == (self.channels.n_u,)
+        model, layout = self.model, self.input_layout
+        is_held = layout.offsets == (0,) and layout.shape == (self.channels.n_u,)
 
         def step(x: Array, w: Array) -> Array:
             # from NumPy in here: an array of JAX made while a step is read would belong to that
-            return model.step(x, w if plain else (jnp.asarray(seen.matrix) @ w).reshape(seen.shape))
+            u = w if is_held else (jnp.asarray(layout.matrix) @ w).reshape(layout.shape)
+            return model.step(x, u)
 
         return step
 
     @cached_property
     def equations(self) -> Equations:
-        """The step as the engine takes it, for one state at a time."""
+        """The step for the engine, one state at a time."""
         return step_equations(self.model, (self.n_w,), self.function)
 
     @cached_property
-    def many(self) -> Formula:
-        """The step as the engine takes it, for many [x, w] at once."""
+    def batched_step(self) -> Formula:
+        """The step for the engine, many [x, w] at once."""
         n_x = self.n_x
         return Formula(
             lambda point: self.function(point[:n_x], point[n_x:]), n_x + self.n_w,
@@ -133,39 +136,36 @@ class Source:
     @cached_property
     def step(self) -> Program:
         """The step as a program: `x`, `u` to `x`."""
-        return read(lambda x, u: {"x": self.function(x, u)}, self._inputs)
+        sizes = {"x": self.n_x, "u": self.n_w}
+        return read(lambda x, u: {"x": self.function(x, u)}, sizes)
 
     @cached_property
     def linearised(self) -> Program:
         """The step and its derivatives by rows: `x`, `u` to `x`, `a` (n_x n_x), `b` (n_x n_w)."""
         return with_derivatives(self.step, "x", {"a": "x", "b": "u"})
 
-    @property
-    def _inputs(self) -> dict[str, int]:
-        return {"x": self.n_x, "u": self.n_w}
-
     def samples(
         self, count: int, seed: int = 0
     ) -> tuple[Float[np.ndarray, "count n_x"], Float[np.ndarray, "count n_w"]]:
         """Random states and inputs within the range of the training records."""
-        known = self.range
-        if known is None:
-            ends = np.array([-_UNKNOWN, _UNKNOWN])
+        within = self.range
+        if within is None:
+            ends = np.array([-_DEFAULT_RANGE, _DEFAULT_RANGE])
             size = self.channels.measured.stop
             states = np.tile(ends, (self.n_x, 1)) * (np.arange(self.n_x) < size)[:, None]
-            known = Range(states, np.tile(ends, (self.channels.n_u, 1)))
-        inputs = np.tile(known.inputs, (len(self.seen.offsets), 1))
+            within = Range(states, np.tile(ends, (self.channels.n_u, 1)))
+        inputs = np.tile(within.inputs, (len(self.input_layout.offsets), 1))
         generator = np.random.default_rng(seed)
 
-        def drawn(ends: np.ndarray) -> np.ndarray:
+        def draw(ends: np.ndarray) -> np.ndarray:
             low, high = ends.T
             return generator.uniform(low, high, (count, len(ends)))
 
-        return drawn(known.states), drawn(inputs)
+        return draw(within.states), draw(inputs)
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
-        """What whoever uses the export has to know beside the layout."""
+        """Notes for users of the export."""
         notes = []
         for i in self.channels.inputs:
             if i.hold == "band-limited":
@@ -180,7 +180,7 @@ class Source:
                 f"internal states need {self.model.warm_up} samples: put measured positions and "
                 "velocities into the state before each of the first steps"
             )
-        if (ahead := max(self.seen.offsets)) > 0:
+        if (ahead := max(self.input_layout.offsets)) > 0:
             notes.append(
                 f"a step takes inputs up to {ahead} samples ahead: it can be made once they are "
                 "known, and an FMU holds the last ones where its importer tells no derivatives"
@@ -193,28 +193,28 @@ class Source:
         return tuple(notes)
 
 
-def source_of(
+def make_source(
     model: Model,
     range: Range | None = None,
     groups: Mapping[str, str] | None = None,
     about: Mapping[str, Any] | None = None,
 ) -> Source:
-    """A model as it is exported.
+    """A model prepared for its export.
 
     Args:
         model: a model that steps from sample to sample.
-        range: where its training records lie.
-        groups: of models with values by group those to take, as `{"payload": "1kg"}`.
-        about: what its file says of it.
+        range: the range of its training records.
+        groups: the groups of a model with values by group, as `{"payload": "1kg"}`.
+        about: the header of its file.
 
     Raises:
-        InputError: JAX computes in single precision; a model of no sampling period; groups that
-            are missing, that the model does not have or whose values it does not know.
+        InputError: JAX computes in single precision; a model without a sampling period; groups
+            that are missing, that the model does not have or has no values for.
     """
     require_stepping(model)
     # in double precision, as it is evaluated: folding in single would round once more
-    chosen = with_dtype(of_groups(model, groups or {}, "export"), np.float64)
-    return Source(chosen.folded(), range, about or {})
+    chosen = with_dtype(model_for_groups(model, groups or {}, "export"), np.float64)
+    return Source(chosen.simplify(), range, about or {})
 
 
 def require_stepping(model: object) -> None:
@@ -231,45 +231,41 @@ def require_stepping(model: object) -> None:
         )  # fmt: skip
 
 
-def seen_by(model: Model) -> Seen:
-    """What the steps of a model are given of the samples, found by trying single samples of 1."""
+def find_input_layout(model: Model) -> InputLayout:
+    """The input samples on which a model's steps depend, from the responses to single samples."""
     inputs = model.channels.inputs
     if not inputs:
-        return Seen((0,), np.zeros((0, 0)), (0,))
-    holds: list[DeclaredHold] = [_hold(i.hold) for i in inputs]
+        return InputLayout((0,), np.zeros((0, 0)), (0,))
+    linear = ("first-order", "band-limited")
+    holds: list[DeclaredHold] = [
+        "first-order" if i.hold in linear else "zero-order" for i in inputs
+    ]
 
-    def driven(samples: np.ndarray) -> np.ndarray:
-        made: Excitation = excitation(samples, holds, [0.0] * len(inputs))
-        return np.asarray(model.seen(made))
+    def step_inputs(samples: np.ndarray) -> np.ndarray:
+        signal: Excitation = excitation(samples, holds, [0.0] * len(inputs))
+        return np.asarray(model.step_inputs(signal))
+
+
+    def depends_beyond(reach: int) -> bool:
+        """Whether a step depends on samples farther away."""
+        samples = np.ones((2 * _FARTHEST + 2, len(inputs)))
+        samples[_FARTHEST - reach : _FARTHEST + reach + 1] = 0.0
+        return bool(np.any(step_inputs(samples)[_FARTHEST]))
 
     reach = 1
-    while reach < _FARTHEST and _beyond(driven, reach, len(inputs)):
+    while reach < _FARTHEST and depends_beyond(reach):
         reach *= 2
     blank = np.zeros((2 * reach + 2, len(inputs)))
-    shape = driven(blank)[reach].shape
+    shape = step_inputs(blank)[reach].shape
     columns = {}
     for offset in range(-reach, reach + 1):
         rows = []
         for i in range(len(inputs)):
             blank[reach + offset, i] = 1.0
-            rows.append(driven(blank)[reach].ravel())
+            rows.append(step_inputs(blank)[reach].ravel())
             blank[reach + offset, i] = 0.0
         if np.any(rows) or offset == 0:
             columns[offset] = np.stack(rows, axis=1)
     offsets = sorted(columns, key=lambda offset: (offset < 0, abs(offset)))
-    return Seen(tuple(offsets), np.concatenate([columns[o] for o in offsets], axis=1), shape)
-
-
-def _beyond(driven: Callable[[np.ndarray], np.ndarray], reach: int, n_u: int) -> bool:
-    """Whether a step sees samples farther away than `reach`."""
-    samples = np.ones((2 * _FARTHEST + 2, n_u))
-    samples[_FARTHEST - reach : _FARTHEST + reach + 1] = 0.0
-    return bool(np.any(driven(samples)[_FARTHEST]))
-
-
-def _counted(offset: int) -> str:
-    return f"_{'after' if offset > 0 else 'before'}_{abs(offset)}" if offset else ""
-
-
-def _hold(hold: str | None) -> DeclaredHold:
-    return "first-order" if hold in ("first-order", "band-limited") else "zero-order"
+    matrix = np.concatenate([columns[offset] for offset in offsets], axis=1)
+    return InputLayout(tuple(offsets), matrix, shape)

@@ -1,4 +1,4 @@
-"""StableHLO: a step and a free run for whoever has JAX and not this package."""
+"""StableHLO: a step and a free run for programs with JAX and without this package."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -27,16 +27,22 @@ class StableHLO(Target):
     extra = "stablehlo", ("flatbuffers",)
 
     def files(self, source: Source) -> Files:
-        """See `Target.files`."""
+        """`step.bin` and `rollout.bin`."""
         n_x, n_w = source.n_x, source.n_w
         (steps,) = export.symbolic_shape("steps")
+        layout = source.input_layout
+
+        def run(x0: Array, u: Array) -> Array:
+            step_inputs = u @ jnp.asarray(layout.matrix).T
+            return rollout(source.model, x0, step_inputs.reshape(u.shape[0], *layout.shape))
+
         return {
             STEP: _serialized(source.function, (n_x,), (n_w,)),
-            ROLLOUT: _serialized(_free_run(source), (n_x,), (steps, n_w)),
+            ROLLOUT: _serialized(run, (n_x,), (steps, n_w)),
         }
 
     def stepper(self, folder: Path, source: Source) -> Stepper:
-        """See `Target.stepper`."""
+        """A step by `step.bin`, compiled by JAX."""
         call = jax.jit(export.deserialize(bytearray((folder / STEP).read_bytes())).call)
 
         def step(x: Vector, u: Vector) -> Vector:
@@ -45,27 +51,18 @@ class StableHLO(Target):
         return step
 
 
-def _free_run(source: Source) -> Callable[[Array, Array], Array]:
-    """`rollout`, of what steps are given of the inputs."""
-
-    def run(x0: Array, u: Array) -> Array:
-        seen = u @ jnp.asarray(source.seen.matrix).T
-        return rollout(source.model, x0, seen.reshape(u.shape[0], *source.seen.shape))
-
-    return run
-
-
 def _serialized(function: Callable[..., Array], *shapes: tuple[Any, ...]) -> bytes:
-    given = [jax.ShapeDtypeStruct(shape, np.float64) for shape in shapes]
-    with _without_places():
-        return bytes(export.export(jax.jit(function), platforms=PLATFORMS)(*given).serialize())
+    arguments = [jax.ShapeDtypeStruct(shape, np.float64) for shape in shapes]
+    with _without_locations():
+        exported = export.export(jax.jit(function), platforms=PLATFORMS)(*arguments)
+        return bytes(exported.serialize())
 
 
 @contextmanager
-def _without_places() -> Iterator[None]:
-    """Leaves out where in which files operations were written.
+def _without_locations() -> Iterator[None]:
+    """Leaves out the files and lines of operations.
 
-    Those are paths of this machine, and the same model would give other bytes elsewhere.
+    They are paths of this machine, and the same model would give other bytes elsewhere.
     """
     frames = getattr(jax.config, _FRAMES)
     jax.config.update(_FRAMES, 0)

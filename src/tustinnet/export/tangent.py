@@ -19,7 +19,7 @@ class Tangent:
 
     Attributes:
         x: the state of the operating point, (n_x,).
-        u: the inputs there, of all samples that a step sees, (n_w,).
+        u: the inputs there, of all samples that a step takes, (n_w,).
         a: derivatives by the state, (n_x, n_x).
         b: derivatives by the inputs, (n_x, n_w).
         drift: how far a step leads away from the point, (n_x,); 0 at an equilibrium.
@@ -32,13 +32,15 @@ class Tangent:
     drift: Float[np.ndarray, " n_x"]
 
 
-def tangent(source: Source, x: Float[np.ndarray, " n_x"], u: Float[np.ndarray, " n_u"]) -> Tangent:
+def compute_tangent(
+    source: Source, x: Float[np.ndarray, " n_x"], u: Float[np.ndarray, " n_u"]
+) -> Tangent:
     """A step about an operating point, by its exact derivatives.
 
     Args:
         source: the model.
         x: the state, (n_x,).
-        u: the inputs, (n_u,), the same at all samples that a step sees.
+        u: the inputs, (n_u,), equal at all samples that a step takes.
 
     Raises:
         InputError: other shapes, or derivatives that are not finite there.
@@ -50,18 +52,18 @@ def tangent(source: Source, x: Float[np.ndarray, " n_x"], u: Float[np.ndarray, "
             f"({n_x},) and ({n_u},)",
         )  # fmt: skip
     state = np.asarray(x, float)
-    inputs = np.tile(np.asarray(u, float), len(source.seen.offsets))
-    reached, slopes = jax.jit(partial(value_and_jacobians, source.function))(state, inputs)
-    moved, a, b = (np.asarray(of) for of in (reached, *slopes))
-    if not all(np.isfinite(values).all() for values in (moved, a, b)):
+    inputs = np.tile(np.asarray(u, float), len(source.input_layout.offsets))
+    value, slopes = jax.jit(partial(value_and_jacobians, source.function))(state, inputs)
+    following, a, b = map(np.asarray, (value, *slopes))
+    if not all(np.isfinite(values).all() for values in (following, a, b)):
         raise InputError(
             "operating point", "derivatives that are not finite",
             "a point where the model is smooth",
         )  # fmt: skip
-    return Tangent(state, inputs, a, b, moved - state)
+    return Tangent(state, inputs, a, b, following - state)
 
 
-def point_of(
+def operating_point(
     source: Source, named: Mapping[str, float]
 ) -> tuple[Float[np.ndarray, " n_x"], Float[np.ndarray, " n_u"]]:
     """States and inputs of an operating point, 0 where they are not named.
@@ -70,13 +72,13 @@ def point_of(
         InputError: a name that the model does not have, or a value that is not finite.
     """
     inputs = tuple(i.name for i in source.channels.inputs)
-    known = (*source.states, *inputs)
+    names = (*source.states, *inputs)
     for name, value in named.items():
-        if name not in known:
+        if name not in names:
             raise InputError(
-                "operating point", f"no state or input '{name}'", f"some of {', '.join(known)}"
+                "operating point", f"no state or input '{name}'", f"some of {', '.join(names)}"
             )
         if not np.isfinite(value):
             raise InputError("operating point", f"{name} = {value}", "a finite value")
-    x, u = (np.array([named.get(n, 0.0) for n in names]) for names in (source.states, inputs))
-    return x, u
+    x = np.array([named.get(name, 0.0) for name in source.states])
+    return x, np.array([named.get(name, 0.0) for name in inputs])

@@ -1,4 +1,4 @@
-"""What every target of an export answers."""
+"""The interface of targets of an export."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -9,23 +9,23 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.errors import require_package
-from tustinnet.export.source import Source, Stepped
+from tustinnet.export.source import Source, StepFunction
 
 Vector = Float[np.ndarray, " _"]
 Files = dict[str, bytes | str]
 Stepper = Callable[[Vector, Vector], Vector]
 
 
-class Unbuilt(Exception):
-    """What was written cannot be run here, and why."""
+class NotRunnable(Exception):
+    """The files of a target cannot be run on this machine; the message has the reason."""
 
 
 class Target(ABC):
-    """A form that models leave the house in.
+    """A form of exported models.
 
     Attributes:
-        name: what `--to` calls it.
-        bound: the largest difference from the model's own step that is let out, relative to
+        name: its name for `--to`.
+        bound: the largest accepted difference from the model's own step, relative to
             1 + the state.
         extra: the extra of this package that it needs, and the packages of it.
     """
@@ -39,25 +39,25 @@ class Target(ABC):
         """The files by name.
 
         Raises:
-            InputError: the target cannot say what the model does.
+            InputError: the model has an operation that the target does not support.
         """
 
     @abstractmethod
     def stepper(self, folder: Path, source: Source) -> Stepper:
-        """A step by what was written into a folder, done by who is to use it.
+        """A step by the files in a folder, computed by the tool for which they are meant.
 
         Takes (n_x,) and (n_w,), returns (n_x,). It is made of the files alone.
 
         Raises:
-            Unbuilt: who is to use it is not on this machine.
+            NotRunnable: that tool is not on this machine.
         """
 
-    def expected(self, source: Source) -> Stepped:
-        """What the steps have to equal: those of the model."""
+    def expected(self, source: Source) -> StepFunction:
+        """The step that the files must equal: that of the model."""
         return source.function
 
-    def at(self, point: Mapping[str, float]) -> "Target":
-        """The same target about an operating point; most have none and return themselves.
+    def at_operating_point(self, point: Mapping[str, float]) -> "Target":
+        """A target about an operating point; most have none and return themselves.
 
         Args:
             point: values of states and inputs by name; those that are not named are 0.
@@ -65,7 +65,7 @@ class Target(ABC):
         return self
 
     def require_extra(self) -> None:
-        """Raises unless the libraries are here that the target needs."""
+        """Raises unless the packages are installed that the target needs."""
         extra, packages = self.extra or ("", ())
         for package in packages:
             require_package(package, extra, f"--to {self.name}")

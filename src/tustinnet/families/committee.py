@@ -24,7 +24,7 @@ from tustinnet.families.family import (
     systems_in,
 )
 from tustinnet.families.summaries import MEMBERS, WEIGHT, arrays_below
-from tustinnet.models.contract import Drive, Internal, Model, Seen, State
+from tustinnet.models.contract import Internal, Model, State, StepInput, StepInputs
 from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.registry import FAMILIES
 from tustinnet.signals.excitation import Excitation
@@ -131,27 +131,27 @@ class Committee(Model):
         values = [value for group in by_group for value in group]
         return [values[numbers.index(number)] for number in range(len(numbers))]
 
-    def of(self, experiment: Experiment) -> "Committee":
+    def for_record(self, experiment: Experiment) -> "Committee":
         """The committee with the members of the record."""
         members = self.members
-        for_record = [member.of(experiment) for member in members]
+        for_record = [member.for_record(experiment) for member in members]
         if all(own is member for own, member in zip(for_record, members, strict=True)):
             return self
         return _group_members(for_record, self.weights)
 
-    def folded(self) -> "Committee":
+    def simplify(self) -> "Committee":
         """The committee with folded members."""
-        return _group_members([member.folded() for member in self.members], self.weights)
+        return _group_members([member.simplify() for member in self.members], self.weights)
 
-    def seen(self, inputs: Excitation) -> Seen:
+    def step_inputs(self, inputs: Excitation) -> StepInputs:
         """The inputs of the members; of several groups the rows of each, one after the other."""
-        by_group = [group.member().seen(inputs) for group in self.groups]
+        by_group = [group.member().step_inputs(inputs) for group in self.groups]
         if len(by_group) == 1:
             return by_group[0]
         rows = [s.reshape(len(s), math.prod(s.shape[1:-1]), s.shape[-1]) for s in by_group]
         return np.concatenate(rows, axis=1)
 
-    def _split_inputs(self, u: Drive) -> list[Array]:
+    def _split_inputs(self, u: StepInput) -> list[Array]:
         """The inputs of each group of members; a vector acts on all."""
         if u.ndim == 1 or len(self.groups) == 1:
             return [u] * len(self.groups)
@@ -167,17 +167,17 @@ class Committee(Model):
         """The shapes of each group's inputs in a period, for polynomials of `order` terms."""
         n_u = self.channels.n_u
         inputs = Excitation(np.zeros((2, n_u)), np.zeros((1, order, n_u)))
-        return [group.member().seen(inputs).shape[1:] for group in self.groups]
+        return [group.member().step_inputs(inputs).shape[1:] for group in self.groups]
 
-    def step(self, x: State, u: Drive) -> State:
+    def step(self, x: State, u: StepInput) -> State:
         """The state after one period: mean positions and velocities, internal states of all."""
         return self._step_all(x, u, lambda member, own, inputs: member.step(own, inputs))
 
-    def advance(self, x: State, u: Drive, period: Array | float) -> State:
+    def advance(self, x: State, u: StepInput, period: Array | float) -> State:
         """The state after a period [s], where all members can step by any."""
         return self._step_all(x, u, lambda member, own, inputs: member.advance(own, inputs, period))
 
-    def _step_all(self, x: State, u: Drive, move: Callable[[Model, State, Array], State]) -> State:
+    def _step_all(self, x: State, u: StepInput, move: Callable[[Model, State, Array], State]) -> State:
         """The state after `move` has stepped every member."""
         channels = self.channels
         ends = np.cumsum([0, *map(len, self._internal_names)]).tolist()

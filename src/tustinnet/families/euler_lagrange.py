@@ -22,13 +22,13 @@ from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
 from tustinnet.families.family import Arrays, Header, IdentifiedFamily, IdentifiedHyper
 from tustinnet.families.summaries import VALUES
-from tustinnet.models.added import needed, placed, with_forces
+from tustinnet.models.added import added_parameters, parse_forces, with_forces
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Parameter
-from tustinnet.models.sensors import calibrated
+from tustinnet.models.sensors import with_sensor_errors
 from tustinnet.registry import SYSTEMS
-from tustinnet.systems.files import MadeForRecords, load_system
+from tustinnet.systems.files import SystemTemplate, load_system
 
 _PROBED = "probed"  # the name of the array of derivatives at the probes
 _PROBES = 16
@@ -63,12 +63,12 @@ class EulerLagrangeFamily(IdentifiedFamily):
             "substeps": model.substeps,
         }
         if _made_for_records(system.name):
-            others = {*needed(system), *system.sensors}
+            others = {*added_parameters(system), *system.sensors}
             terms = [name for name in system.nominal() if name not in others]
             header["terms"] = _describe_parameters(system, terms)
         if system.added:
             header["forces"] = list(system.added)
-            header["of_forces"] = _describe_parameters(system, needed(system))
+            header["of_forces"] = _describe_parameters(system, added_parameters(system))
         if system.sensors:
             header["sensors"] = _describe_parameters(system, system.sensors)
         if groups := equations.groups:
@@ -104,14 +104,14 @@ class EulerLagrangeFamily(IdentifiedFamily):
         force_parameters = (Parameter(*fields) for fields in header.get("of_forces", ()))
         loaded = with_forces(loaded, tuple(header.get("forces", ())), tuple(force_parameters))
         sensors = (Parameter(*fields) for fields in header.get("sensors", ()))
-        loaded = calibrated(loaded, tuple(sensors))
+        loaded = with_sensor_errors(loaded, tuple(sensors))
         # one by one: JAX compiles a program to take an array apart
         values = dict(zip(header["parameters"], map(jnp.asarray, arrays[VALUES]), strict=True))
         model = loaded.model(values)
         expected = [
             name
             for p in loaded.parameters
-            for name in ([p.at(group).name for group in p.by_group(values)] or [p.name])
+            for name in ([p.for_group(group).name for group in p.by_group(values)] or [p.name])
         ]
         per = {p.name: p.per for p in loaded.grouped} if model.groups else {}
         if sorted(expected) != header["parameters"] or per != header.get("per", {}):
@@ -132,8 +132,8 @@ class EulerLagrangeFamily(IdentifiedFamily):
         own = system.parameters if system is not None else ()
         names = {p.name for p in own if p.per is None} | set(hyper.free)
         # forces that a term brings are not there yet when a search begins
-        added = placed(equations.system, hyper.forces)
-        names |= {name for force in added for name in force.needs}
+        added = parse_forces(equations.system, hyper.forces)
+        names |= {name for force in added for name in force.parameter_names}
         begin = {name: float(x) for name, x in equations.values.items() if name in names}
         return hyper.model_copy(update={"begin": begin})
 
@@ -193,12 +193,12 @@ class EulerLagrangeFamily(IdentifiedFamily):
 FAMILY = EulerLagrangeFamily()
 
 
-def _made_for_records(name: str) -> MadeForRecords | None:
+def _made_for_records(name: str) -> SystemTemplate | None:
     """The maker of the packaged system of a name, where it is made for records."""
     if name not in SYSTEMS:
         return None
     system = SYSTEMS[name]
-    return system if isinstance(system, MadeForRecords) else None
+    return system if isinstance(system, SystemTemplate) else None
 
 
 def _describe_parameters(system: LagrangianSystem, names: Iterable[str]) -> list[list[Any]]:
@@ -220,7 +220,7 @@ def _compute_probes(model: LagrangianModel) -> Float[np.ndarray, "probes n_x"]:
 
     Of values by group those of each group's first value count.
     """
-    model = model.of_groups({name: values[0] for name, values in model.groups.items()}, "probes")
+    model = model.for_groups({name: values[0] for name, values in model.groups.items()}, "probes")
     channels, generator = model.channels, np.random.default_rng(0)
     sizes = {"q": channels.n_q, "v": channels.n_q, "z": len(model.internal), "u": channels.n_u}
     drawn = {k: _REACH[k] * generator.uniform(-1, 1, (_PROBES, n)) for k, n in sizes.items()}

@@ -233,7 +233,7 @@ class TrainedFamily(Family):
             InputError: the trained model is of another kind, or of other sizes.
         """
         self.require_own(origin)
-        fresh, trained = model.folded(), origin.folded()
+        fresh, trained = model.simplify(), origin.simplify()
         (header, arrays), (trained_header, trained_arrays) = (
             self.describe(fresh), self.describe(trained),
         )  # fmt: skip

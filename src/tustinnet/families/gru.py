@@ -26,10 +26,10 @@ from tustinnet.models.blocks import Affine, Scaling, feature_count, learn_scalin
 from tustinnet.models.contract import (
     AccelerationModel,
     Coordinates,
-    Drive,
     Internal,
     Model,
     State,
+    StepInput,
 )
 
 
@@ -79,14 +79,14 @@ class GRU(AccelerationModel):
         """The names of the hidden units."""
         return tuple(f"hidden {i}" for i in range(self.by_hidden.weight.shape[1]))
 
-    def silent(self) -> "GRU":
+    def with_zero_output(self) -> "GRU":
         """The model with an output layer of zeros."""
         return eqx.tree_at(lambda m: m.output, self, self.output.zeros())
 
-    def _rates(self, x: State, u: Drive) -> tuple[Array, Array]:
+    def _rates(self, x: State, u: StepInput) -> tuple[Array, Array]:
         """The rates of positions and velocities, in SI units, and the new hidden state."""
         h = x[self.channels.internal]
-        phi = self.by_features(self.scaling.features(self.channels, x, self.tapped(u)))
+        phi = self.by_features(self.scaling.features(self.channels, x, self.input_at_taps(u)))
         n = len(h)
         recurrent = self.by_hidden(h)
         reset, gate = jax.nn.sigmoid(phi[: 2 * n] + recurrent[: 2 * n]).reshape(2, n)
@@ -96,13 +96,13 @@ class GRU(AccelerationModel):
         return unit * self.output(h), h
 
     def accelerate(
-        self, x: State, u: Drive
+        self, x: State, u: StepInput
     ) -> tuple[Coordinates, Callable[[Coordinates], Internal]]:
         """The accelerations; the hidden state does not depend on the mean velocity."""
         rates, h = self._rates(x, u)
         return rates[self.channels.velocity], lambda mean: h
 
-    def step(self, x: State, u: Drive) -> State:
+    def step(self, x: State, u: StepInput) -> State:
         """The state after one period, by the rates of positions and velocities."""
         channels = self.channels
         rates, h = self._rates(x, u)

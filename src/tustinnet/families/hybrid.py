@@ -28,11 +28,11 @@ from tustinnet.families.summaries import CORRECTION, PHYSICS, arrays_below, upgr
 from tustinnet.models.blocks import root_mean_square
 from tustinnet.models.contract import (
     AccelerationModel,
-    Drive,
     Internal,
     Model,
-    Seen,
     State,
+    StepInput,
+    StepInputs,
     require_fit,
 )
 from tustinnet.models.integrate import MOST_SUBSTEPS, Discretised
@@ -108,18 +108,18 @@ class HybridModel(Model):
 
     def of(self, experiment: Experiment) -> "HybridModel":
         """The hybrid with the physics of the record."""
-        physics = self.physics.of(experiment)
+        physics = self.physics.for_record(experiment)
         return self if physics is self.physics else replace(self, physics=physics)
 
-    def seen(self, inputs: Excitation) -> Seen:
+    def seen(self, inputs: Excitation) -> StepInputs:
         """The inputs of the physics, and behind them the samples that the correction takes."""
-        for_physics = self.physics.seen(inputs)
+        for_physics = self.physics.step_inputs(inputs)
         if not self.correction.taps:
             return for_physics
         rows = for_physics[:, None] if for_physics.ndim == 2 else for_physics
-        return np.concatenate([rows, self.correction.seen(inputs)], axis=1)
+        return np.concatenate([rows, self.correction.step_inputs(inputs)], axis=1)
 
-    def _split_inputs(self, u: Drive) -> tuple[Array, Array]:
+    def _split_inputs(self, u: StepInput) -> tuple[Array, Array]:
         """The inputs of the physics and those of the correction; without taps the sample."""
         taps = len(self.correction.taps)
         if u.ndim == 1:
@@ -129,7 +129,7 @@ class HybridModel(Model):
         for_physics = u[:-taps]
         return for_physics[0] if len(for_physics) == 1 else for_physics, u[-taps:]
 
-    def step(self, x: State, u: Drive) -> State:
+    def step(self, x: State, u: StepInput) -> State:
         """The state after one period: the physics, then the correction."""
         channels, n_p = self.channels, self.physics.state_size
         for_physics, _ = self._split_inputs(u)
@@ -146,11 +146,11 @@ class HybridModel(Model):
             ]
         )
 
-    def acceleration_correction(self, x: State, u: Drive) -> Float[Array, " n_q"]:
+    def acceleration_correction(self, x: State, u: StepInput) -> Float[Array, " n_q"]:
         """`f`, what the network adds to the accelerations, (n_q,) [rad/s^2 or m/s^2]."""
         return self._correct(x, u)[0]
 
-    def _correct(self, x: State, u: Drive) -> tuple[Array, Callable[[Array], Array]]:
+    def _correct(self, x: State, u: StepInput) -> tuple[Array, Callable[[Array], Array]]:
         """`f`, and a function from mean velocities to the next internal states of the network."""
         for_physics, for_correction = self._split_inputs(u)
         first_input = for_physics if for_physics.ndim == 1 else for_physics[0]
@@ -165,8 +165,8 @@ class HybridModel(Model):
 
     def folded(self) -> "HybridModel":
         """The hybrid with folded parts."""
-        correction = cast(AccelerationModel, self.correction.folded())
-        return HybridModel(self.physics.folded(), correction, self.fades_at_rest)
+        correction = cast(AccelerationModel, self.correction.simplify())
+        return HybridModel(self.physics.simplify(), correction, self.fades_at_rest)
 
 
 class HybridHyper(Hyper):
@@ -227,7 +227,7 @@ class HybridFamily(TrainedFamily):
 
         def build(key: PRNGKeyArray) -> HybridModel:
             correction = eqx.tree_at(lambda m: m.scaling.acceleration, build_correction(key), unit)
-            return HybridModel(physics, correction.silent(), hyper.fades_at_rest)
+            return HybridModel(physics, correction.with_zero_output(), hyper.fades_at_rest)
 
         return build
 

@@ -104,7 +104,7 @@ class NeuralODEFamily(TrainedFamily):
 
     def trainable_mask(self, model: Any, stage: LayeredStage) -> PyTree:
         """A tree like the model, True at the layers that are not frozen."""
-        return make_mask(model, model.continuous.network.layers_from(stage.frozen_layers))
+        return make_mask(model, model.continuous.network.trainable_layers(stage.frozen_layers))
 
     def describe(self, model: Any) -> tuple[Header, Arrays]:
         """Structure and substeps for the header; arrays by their places in the network."""

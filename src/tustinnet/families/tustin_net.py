@@ -36,10 +36,10 @@ from tustinnet.models.blocks import Affine, Layers, Network, Scaling, feature_co
 from tustinnet.models.contract import (
     AccelerationModel,
     Coordinates,
-    Drive,
     Internal,
     Model,
     State,
+    StepInput,
 )
 from tustinnet.registry import SCALINGS
 from tustinnet.signals.rest import usual_positions
@@ -132,17 +132,17 @@ class TustinNet(AccelerationModel):
         """The units of the network."""
         return self.network.scaling
 
-    def silent(self) -> "TustinNet":
+    def with_zero_output(self) -> "TustinNet":
         """The model with an output layer of zeros."""
-        return eqx.tree_at(lambda m: m.network, self, self.network.silent())
+        return eqx.tree_at(lambda m: m.network, self, self.network.with_zero_output())
 
-    def acceleration(self, x: State, u: Drive) -> Coordinates:
+    def acceleration(self, x: State, u: StepInput) -> Coordinates:
         """`f`, the mean acceleration over the coming period, (n_q,) [rad/s^2 or m/s^2]."""
-        output = self.network(self.channels, x, self.tapped(u))
+        output = self.network(self.channels, x, self.input_at_taps(u))
         return self.network.scaling.acceleration * output
 
     def accelerate(
-        self, x: State, u: Drive
+        self, x: State, u: StepInput
     ) -> tuple[Coordinates, Callable[[Coordinates], Internal]]:
         """The acceleration, and how the internal states follow the mean velocity."""
         z = x[self.channels.internal]
@@ -154,11 +154,11 @@ class TustinNet(AccelerationModel):
             return z
         return jnp.asarray(relax(z, v, self.dt, self.relaxation_times))
 
-    def folded(self) -> "TustinNet":
+    def simplify(self) -> "TustinNet":
         """The model with the stem merged into the first hidden layer; it computes the same."""
         if self.network.stem is None:
             return self
-        return replace(self, network=self.network.folded())
+        return replace(self, network=self.network.simplify())
 
 
 def relax(
@@ -250,7 +250,9 @@ class TustinNetFamily(TrainedFamily):
         if not hyper.linear:
             return build
         linear = _fit_linear_map(build(jax.random.key(0)), experiments, velocity)
-        return lambda key: eqx.tree_at(lambda m: m.network.bypass, build(key).silent(), linear)
+        return lambda key: eqx.tree_at(
+            lambda m: m.network.bypass, build(key).with_zero_output(), linear
+        )
 
     def check(self, hyper: TustinNetHyper, stage: LayeredStage) -> None:
         """Checks that frozen layers exist, and that windows of an odd network are not mirrored."""
@@ -258,7 +260,7 @@ class TustinNetFamily(TrainedFamily):
 
     def trainable_mask(self, model: TustinNet, stage: LayeredStage) -> PyTree:
         """A tree like the model, True at the layers that are not frozen."""
-        return make_mask(model, model.network.layers_from(stage.frozen_layers))
+        return make_mask(model, model.network.trainable_layers(stage.frozen_layers))
 
     def describe(self, model: TustinNet) -> tuple[Header, Arrays]:
         """The structure of the network for the header; arrays by their places in it."""
@@ -316,8 +318,8 @@ def _fit_linear_map(
     states = states_along(model, experiments, velocity)
     drives = [np.asarray(input_signal(model, e).u) for e in experiments]
 
-    def compute_features(x: State, u: Drive) -> Array:
-        features, u = network.scaling.features, model.tapped(u)
+    def compute_features(x: State, u: StepInput) -> Array:
+        features, u = network.scaling.features, model.input_at_taps(u)
         if not network.odd:
             return features(channels, x, u)
         return (features(channels, x, u) - features(channels, -x, -u)) / 2

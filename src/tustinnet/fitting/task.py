@@ -13,7 +13,7 @@ from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.roles import Roles, assign_roles
 from tustinnet.models.contract import Model, require_fit
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.systems.files import AnySystem, MadeForRecords, to_identify
+from tustinnet.systems.files import AnySystem, SystemTemplate, load_system_or_template
 
 DEFAULT_RECIPE = "standard"
 _DEFAULT_RECIPES = {"system": "grey", "physics": "best-hybrid"}  # where one of them is given
@@ -84,7 +84,7 @@ class Task:
     recipe: Recipe
     folds: tuple[Fold, ...]
     members: tuple[Member, ...] = (Member(),)
-    system: LagrangianSystem | MadeForRecords | None = None
+    system: LagrangianSystem | SystemTemplate | None = None
 
     @property
     def training_recipe(self) -> TrainingRecipe:
@@ -165,11 +165,11 @@ def make_task(
             "a model that a network can correct", "identify one with --system first",
         )  # fmt: skip
     _require_members(members, recipe)
-    loaded = None if system is None else to_identify(system)
+    loaded = None if system is None else load_system_or_template(system)
     if origin is not None:
         for e in data:
             require_fit(origin.model, e)
-        for_records = loaded.of(list(data)) if isinstance(loaded, MadeForRecords) else loaded
+        for_records = loaded.for_record(list(data)) if isinstance(loaded, SystemTemplate) else loaded
         recipe = recipe.from_model(origin.model, for_records)
     return Task(recipe, (Fold(assign_roles(data), physics, origin),), tuple(members), loaded)
 

@@ -1,6 +1,6 @@
-"""Forces that are added to a system by name, each at one of its coordinates."""
+"""Forces by name, added to a system, each at one of its coordinates."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -8,115 +8,74 @@ from typing import Any
 import jax.numpy as jnp
 
 from tustinnet.errors import InputError
-from tustinnet.models import forces
+from tustinnet.models.forces import LAWS, Friction, Law, RelaxingSpring, Spring
 from tustinnet.models.lagrangian import LagrangianSystem, Memory, Parameter, Values
+from tustinnet.renamed import FORCES
 
 WHERE = "model.forces"
-_SMOOTH = "smooth_speed"  # the dry frictions of a coordinate have one together
 
 
 @dataclass(frozen=True)
-class Law:
-    """A force of the library: a friction, a spring, or a force that remembers.
-
-    Attributes:
-        needs: its parameters; that of the coordinate `theta` is called `theta.NEED`.
-        friction: force against the motion, `friction(v, *values)` [N m or N].
-        rubbing: one that a deflection brings, `rubbing(q, v, *values)` [N m or N].
-        energy: `energy(q, *values)` [J].
-        rate: of its internal state, `rate(v, z, *values)`.
-        begun: that state where a record begins, `begun(q, *values)`.
-        pull: what that state does to the coordinate, `pull(z, *values)` [N m or N].
-    """
-
-    needs: tuple[str, ...]
-    friction: Callable[..., Any] | None = None
-    rubbing: Callable[..., Any] | None = None
-    energy: Callable[..., Any] | None = None
-    rate: Callable[..., Any] | None = None
-    begun: Callable[..., Any] | None = None
-    pull: Callable[..., Any] | None = None
-
-    @property
-    def elastic(self) -> bool:
-        """Whether it is of a deflection, which a coordinate that turns around has not."""
-        return any(part is not None for part in (self.rubbing, self.energy, self.rate))
-
-
-def _stribeck(v: Any, level: Any, more: Any, stribeck_speed: Any, speed: Any) -> Any:
-    return forces.stribeck(v, level, level + more, stribeck_speed, speed)
-
-
-LAWS = {
-    "coulomb": Law(("coulomb", _SMOOTH), friction=forces.coulomb),
-    "stribeck": Law(
-        ("coulomb", "breakaway", "stribeck_speed", _SMOOTH), friction=_stribeck
-    ),
-    "viscous": Law(("viscous",), friction=forces.viscous),
-    "rubbing": Law(("rubbing", _SMOOTH), rubbing=forces.rubbing),
-    "spring": Law(("spring",), energy=forces.linear_spring),
-    "cubic": Law(("cubic",), energy=forces.cubic_spring),
-    "maxwell": Law(
-        ("maxwell", "relaxation", "turned"),
-        rate=lambda v, z, stiffness, relaxation, turned: forces.maxwell_rate(v, z, relaxation),
-        begun=lambda q, stiffness, relaxation, turned: turned * q,
-        pull=lambda z, stiffness, relaxation, turned: forces.maxwell_force(z, stiffness),
-    ),
-}  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Placed:
+class PlacedForce:
     """A force at a coordinate.
 
     Attributes:
-        law: which of `LAWS`.
+        law: its law.
         coordinate: the name of the coordinate.
+        index: the coordinate's place in q.
     """
 
-    law: str
+    law: Law
     coordinate: str
+    index: int
 
     def __str__(self) -> str:
-        return f"{self.law}:{self.coordinate}"
+        return f"{self.law.name}:{self.coordinate}"
 
     @property
-    def needs(self) -> tuple[str, ...]:
-        """What its parameters are called, in the order of its law."""
-        return tuple(f"{self.coordinate}.{need}" for need in LAWS[self.law].needs)
+    def parameter_names(self) -> tuple[str, ...]:
+        """The names of its parameters, in the order of its law."""
+        return tuple(f"{self.coordinate}.{p.name}" for p in self.law.parameters)
+
+    def values(self, p: Values) -> list[Any]:
+        """The values of its parameters, in the order of its law."""
+        return [p[name] for name in self.parameter_names]
 
 
-def placed(system: LagrangianSystem, names: Sequence[str]) -> tuple[Placed, ...]:
-    """The forces that names stand for.
+def parse_forces(system: LagrangianSystem, names: Sequence[str]) -> tuple[PlacedForce, ...]:
+    """The forces of some names.
 
     Args:
         system: the system that they are to be added to.
-        names: `LAW` for a force at every coordinate, `LAW:COORDINATE` for one.
+        names: `LAW` for a force at every coordinate, `LAW:COORDINATE` for one; also laws by the
+            names that they had in earlier versions, as files have them.
 
     Raises:
         InputError: no such force or coordinate, or a force twice at a coordinate.
     """
-    every = [c.name for c in system.coordinates]
-    found: list[Placed] = []
+    coordinates = [c.name for c in system.coordinates]
+    forces: list[PlacedForce] = []
     for name in names:
         law, colon, coordinate = name.partition(":")
+        law = FORCES.get(law, law)
         if law not in LAWS:
             raise InputError(WHERE, f"no force '{law}'", f"one of {', '.join(LAWS)}")
-        if colon and coordinate not in every:
+        if colon and coordinate not in coordinates:
             raise InputError(
-                WHERE, f"'{name}': no coordinate '{coordinate}'", f"one of {', '.join(every)}"
+                WHERE, f"'{name}': no coordinate '{coordinate}'", f"one of {', '.join(coordinates)}"
             )
-        for at in [coordinate] if colon else every:
-            if Placed(law, at) in found:
-                raise InputError(WHERE, f"'{law}:{at}' twice", "once")
-            found.append(Placed(law, at))
-    return tuple(found)
+        for place in [coordinate] if colon else coordinates:
+            force = PlacedForce(LAWS[law], place, coordinates.index(place))
+            if force in forces:
+                raise InputError(WHERE, f"'{force}' twice", "once")
+            forces.append(force)
+    return tuple(forces)
 
 
-def needed(system: LagrangianSystem) -> tuple[str, ...]:
-    """The names of the parameters that a system's added forces brought."""
-    added = placed(system, system.added)
-    return tuple(dict.fromkeys(name for force in added for name in force.needs))
+def added_parameters(system: LagrangianSystem) -> tuple[str, ...]:
+    """The names of the parameters of a system's added forces."""
+    added = parse_forces(system, system.added)
+    return tuple(dict.fromkeys(name for force in added for name in force.parameter_names))
 
 
 @lru_cache(maxsize=64)  # so that the same system serves the same compiled programs
@@ -129,102 +88,100 @@ def with_forces(
 
     Args:
         system: the system.
-        names: `LAW:COORDINATE` each, see `placed`; none leaves the system as it is.
-        parameters: what the forces need, as `theta.coulomb`.
+        names: `LAW:COORDINATE` each, see `parse_forces`; none leaves the system as it is.
+        parameters: the parameters of the forces, as `theta.coulomb`.
 
     Raises:
-        InputError: what `placed` refuses, or a parameter that the system or another of the forces
-            has already.
+        InputError: a force that `parse_forces` refuses, or a parameter that the system or another
+            of the forces has already.
     """
     if not names:
         return system
-    added = placed(system, names)
+    added = parse_forces(system, names)
     _require_new(system, added)
-    friction, rubbing, elastic = (
-        _parts(system, added, part) for part in ("friction", "rubbing", "energy")
-    )
+    springs = [(force, law) for force in added if isinstance(law := force.law, Spring)]
+    frictions = [(force, law) for force in added if isinstance(law := force.law, Friction)]
+    # those that depend on a deflection are added last, in whatever order the names stand
+    frictions.sort(key=lambda pair: pair[1].needs_limited_travel)
+    relaxing = [(force, law) for force in added if isinstance(law := force.law, RelaxingSpring)]
 
     def dissipation(q: Any, v: Any, p: Values) -> Any:
-        dry = [(i, law(v[i], *(p[n] for n in needs))) for i, needs, law in friction]
-        wound = [(i, law(q[i], v[i], *(p[n] for n in needs))) for i, needs, law in rubbing]
-        lost = _along(v, [*dry, *wound])
-        return lost + jnp.asarray(system.dissipation(q, v, p)) if system.dissipation else lost
+        acting = [
+            (f.index, law.force(q[f.index], v[f.index], *f.values(p))) for f, law in frictions
+        ]
+        total = _sum_by_coordinate(v, acting)
+        return total + jnp.asarray(system.dissipation(q, v, p)) if system.dissipation else total
 
     def potential(q: Any, p: Values) -> Any:
-        stored = sum(law(q[i], *(p[n] for n in needs)) for i, needs, law in elastic)
-        return stored + system.potential(q, p) if system.potential else stored
+        energy = sum(law.energy(q[f.index], *f.values(p)) for f, law in springs)
+        return energy + system.potential(q, p) if system.potential else energy
 
     return replace(
         system,
         parameters=(*system.parameters, *parameters),
-        dissipation=dissipation if friction or rubbing else system.dissipation,
-        potential=potential if elastic else system.potential,
-        memory=_remembering(system, added),
+        dissipation=dissipation if frictions else system.dissipation,
+        potential=potential if springs else system.potential,
+        memory=_memory_with(system, relaxing) if relaxing else system.memory,
         added=(*system.added, *map(str, added)),
     )
 
 
-def _require_new(system: LagrangianSystem, added: Sequence[Placed]) -> None:
-    """Raises where a parameter or internal state has its name already."""
-    own = dict.fromkeys(system.nominal(), f"the system '{system.name}'")
-    known, before = dict(own), needed(system)
+def _require_new(system: LagrangianSystem, added: Sequence[PlacedForce]) -> None:
+    """Raises where a parameter of an added force exists already and cannot be shared."""
+    of_system = system.nominal()
+    owners = dict.fromkeys(of_system, f"the system '{system.name}'")
+    added_before = added_parameters(system)
     for force in added:
-        for name in force.needs:
-            free = name in before or name not in own
-            shared = free and name.endswith(f".{_SMOOTH}")
-            if name in known and not shared:
+        for parameter, name in zip(force.law.parameters, force.parameter_names, strict=True):
+            shared = parameter.shared and (name in added_before or name not in of_system)
+            if name in owners and not shared:
                 raise InputError(
-                    WHERE, f"'{force}' brings '{name}', which {known[name]} has already",
+                    WHERE, f"'{force}' brings '{name}', which {owners[name]} has already",
                     "forces that differ", "leave it out, or call the other one otherwise",
                 )  # fmt: skip
-            known[name] = f"'{force}'"
+            owners[name] = f"'{force}'"
 
 
-def _parts(
-    system: LagrangianSystem, added: Sequence[Placed], part: str
-) -> list[tuple[int, tuple[str, ...], Callable[..., Any]]]:
-    """Of forces whose law has a part: coordinate, names of the parameters, the part."""
-    of = [c.name for c in system.coordinates]
-    laws = [(f, getattr(LAWS[f.law], part)) for f in added]
-    return [(of.index(f.coordinate), f.needs, law) for f, law in laws if law]
-
-
-def _along(like: Any, acting: Sequence[tuple[int, Any]]) -> Any:
-    """The sum of forces at coordinates, (n_q,)."""
-    each = [jnp.zeros_like(x) for x in like]
+def _sum_by_coordinate(like: Any, acting: Sequence[tuple[int, Any]]) -> Any:
+    """The sum of forces at each coordinate, (n_q,), from pairs of coordinate and force."""
+    total = [jnp.zeros_like(x) for x in like]
     for i, force in acting:
-        each[i] = each[i] + force
-    return jnp.stack(each)
+        total[i] = total[i] + force
+    return jnp.stack(total)
 
 
-def _remembering(system: LagrangianSystem, added: Sequence[Placed]) -> Memory | None:
-    """The forces with memory that the system has, and behind them those that were added."""
-    rates, pulls, begun = (_parts(system, added, part) for part in ("rate", "pull", "begun"))
-    if not rates:
-        return system.memory
-    n = len(system.internal)
+def _memory_with(
+    system: LagrangianSystem, springs: Sequence[tuple[PlacedForce, RelaxingSpring]]
+) -> Memory:
+    """The memory of a system followed by that of added springs."""
+    before, n = system.memory, len(system.internal)
 
     def rate(q: Any, v: Any, z: Any, p: Values) -> Any:
-        each = zip(rates, z[n:], strict=True)
-        found = jnp.stack([law(v[i], x, *(p[m] for m in needs)) for (i, needs, law), x in each])
-        if system.memory is None:
-            return found
-        return jnp.concatenate([jnp.asarray(system.memory.rate(q, v, z[:n], p)), found])
+        added = jnp.stack(
+            [
+                law.rate(v[f.index], state, *f.values(p))
+                for (f, law), state in zip(springs, z[n:], strict=True)
+            ]
+        )
+        if before is None:
+            return added
+        return jnp.concatenate([jnp.asarray(before.rate(q, v, z[:n], p)), added])
 
     def force(q: Any, v: Any, z: Any, p: Values) -> Any:
-        each = zip(pulls, z[n:], strict=True)
-        found = _along(v, [(i, law(x, *(p[m] for m in needs))) for (i, needs, law), x in each])
-        if system.memory is None:
-            return found
-        return jnp.asarray(system.memory.force(q, v, z[:n], p)) + found
+        acting = [
+            (f.index, law.force(state, *f.values(p)))
+            for (f, law), state in zip(springs, z[n:], strict=True)
+        ]
+        added = _sum_by_coordinate(v, acting)
+        return added if before is None else jnp.asarray(before.force(q, v, z[:n], p)) + added
 
     def initial(q: Any, v: Any, p: Values) -> Any:
-        found = jnp.stack([law(q[i], *(p[m] for m in needs)) for i, needs, law in begun])
-        if system.memory is None:
-            return found
-        before = system.memory.initial
-        own = jnp.asarray(before(q, v, p)) if before else jnp.zeros(n, found.dtype)
-        return jnp.concatenate([own, found])
+        added = jnp.stack([law.initial(q[f.index], *f.values(p)) for f, law in springs])
+        if before is None:
+            return added
+        first = before.initial
+        first_states = jnp.asarray(first(q, v, p)) if first else jnp.zeros(n, added.dtype)
+        return jnp.concatenate([first_states, added])
 
-    names = tuple(str(force) for force in added if LAWS[force.law].rate)
-    return Memory((*system.internal, *names), rate, force, initial)
+    names = (*system.internal, *(str(f) for f, _ in springs))
+    return Memory(names, rate, force, initial)

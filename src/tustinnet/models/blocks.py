@@ -1,4 +1,4 @@
-"""What networks are made of: layers, units, features of a state."""
+"""Parts of networks: layers, units, features of a state."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -40,7 +40,7 @@ class Affine(eqx.Module):
         return product if self.bias is None else product + self.bias
 
     def zeros(self) -> "Affine":
-        """A map of the same shape that gives zero."""
+        """A map of the same shape with an output of zero."""
         return jax.tree.map(jnp.zeros_like, self)
 
 
@@ -69,14 +69,14 @@ def random_affine(n_in: int, n_out: int, key: PRNGKeyArray, *, bias: bool = True
 
 
 class Scaling(eqx.Module):
-    """Units of what a network sees and says. Never trained.
+    """Units of a network's features and outputs. Never trained.
 
     Attributes:
         position_offset: subtracted from linear positions [m], (n_linear,).
         position_scale: divides linear positions [m], (n_linear,).
         velocity: divides velocities [rad/s or m/s], (n_q,).
         input: divides inputs, (n_u,).
-        acceleration: multiplies the accelerations that a network says [rad/s^2 or m/s^2], (n_q,).
+        acceleration: multiplies the accelerations of a network [rad/s^2 or m/s^2], (n_q,).
         memory: divides internal states that are fed to a network, (n_z,).
     """
 
@@ -90,12 +90,12 @@ class Scaling(eqx.Module):
     def features(
         self, channels: Channels, x: Float[Array, " n_x"], u: Float[Array, "*taps n_u"]
     ) -> Float[Array, " n_0"]:
-        """What a network sees: sines, cosines, linear positions, velocities, inputs, scaled.
+        """The inputs of a network: sines, cosines, linear positions, velocities, inputs, scaled.
 
         As many of the internal states as `memory` has units for stand before the inputs. Of
         several samples of the inputs one stands after the other.
         """
-        angle, length = _parted(x[channels.position], channels.angular)
+        angle, length = _split_by_kind(x[channels.position], channels.angular)
         features = [
             jnp.sin(angle),
             jnp.cos(angle),
@@ -108,14 +108,15 @@ class Scaling(eqx.Module):
 
 
 def feature_count(channels: Channels, memory: int = 0, taps: int = 1) -> int:
-    """Three features per angular coordinate, two per linear one, one per internal state.
+    """The number of features of a network.
 
-    And one per input and sample of it that is seen.
+    Three per angular coordinate, two per linear one, one per internal state, and one per input
+    and tap.
     """
     return 2 * channels.n_q + int(channels.angular.sum()) + memory + taps * channels.n_u
 
 
-def _parted(q: Float[Array, " n_q"], angular: np.ndarray) -> tuple[Array, Array]:
+def _split_by_kind(q: Float[Array, " n_q"], angular: np.ndarray) -> tuple[Array, Array]:
     """Angular and linear positions; no gather, whose gradient is slow, where all are of a kind."""
     if angular.all():
         return q, q[:0]
@@ -131,15 +132,15 @@ class Network(eqx.Module):
 
     Attributes:
         stem: an affine layer without activation before the first hidden layer, or None. It adds
-            nothing to what the network can represent but changes how it trains; `folded` merges
+            nothing to what the network can represent but changes how it trains; `simplify` merges
             it into the first hidden layer.
         hidden: the M hidden layers.
         output: the output layer, without bias unless asked for.
-        scaling: units of what it sees and says.
+        scaling: units of its features and outputs.
         activation: name of sigma, a key of `ACTIVATIONS`.
         bypass: an affine map of the features that is added to the output, or None.
-        odd: whether it says `(f(x, u) - f(-x, -u)) / 2` of these layers `f`: a symmetric mechanism
-            turned to the other side accelerates to the other side.
+        odd: whether its output is `(f(x, u) - f(-x, -u)) / 2` with these layers as `f`: a symmetric
+            mechanism on the other side accelerates to the other side.
     """
 
     stem: Affine | None
@@ -170,50 +171,50 @@ class Network(eqx.Module):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """How many features it takes, how many values it says."""
+        """The numbers of its features and of its outputs."""
         first = self.stem if self.stem is not None else self.hidden[0]
         return first.weight.shape[1], self.output.weight.shape[0]
 
     def __call__(
         self, channels: Channels, x: Float[Array, " n_x"], u: Float[Array, "*taps n_u"]
     ) -> Float[Array, " n_out"]:
-        """What it says of a state and an input, in its own units."""
-        said = self._said(self.scaling.features(channels, x, u))
+        """Its output at a state and an input, in its own units."""
+        output = self._output(self.scaling.features(channels, x, u))
         if not self.odd:
-            return said
-        return (said - self._said(self.scaling.features(channels, -x, -u))) / 2
+            return output
+        return (output - self._output(self.scaling.features(channels, -x, -u))) / 2
 
-    def _said(self, features: Float[Array, " n_0"]) -> Float[Array, " n_out"]:
+    def _output(self, features: Float[Array, " n_0"]) -> Float[Array, " n_out"]:
         sigma = ACTIVATIONS[self.activation]
         z = features
         if self.stem is not None:
             z = self.stem(z)
         for layer in self.hidden:
             z = sigma(layer(z))
-        said = self.output(z)
-        return said if self.bypass is None else said + self.bypass(features)
+        output = self.output(z)
+        return output if self.bypass is None else output + self.bypass(features)
 
-    def silent(self) -> "Network":
-        """The same with an output layer, and a bypass, of zeros."""
+    def with_zero_output(self) -> "Network":
+        """A network whose output layer and bypass are zero."""
         bypass = None if self.bypass is None else self.bypass.zeros()
         return replace(self, output=self.output.zeros(), bypass=bypass)
 
-    def require_shape(self, seen: int, said: int) -> None:
-        """Raises unless it takes and says so many values."""
-        if self.shape != (seen, said):
+    def require_shape(self, n_features: int, n_outputs: int) -> None:
+        """Raises unless it has so many features and outputs."""
+        if self.shape != (n_features, n_outputs):
             raise InputError(
                 "network", f"{self.shape[0]} features and {self.shape[1]} outputs",
-                f"{seen} and {said}",
+                f"{n_features} and {n_outputs}",
             )  # fmt: skip
 
-    def folded(self) -> "Network":
-        """The same function with the stem merged into the first hidden layer."""
+    def simplify(self) -> "Network":
+        """An equal network with the stem merged into the first hidden layer."""
         if self.stem is None:
             return self
         first = fold(self.stem, self.hidden[0])
         return replace(self, stem=None, hidden=(first, *self.hidden[1:]))
 
-    def layers_from(self, frozen: int) -> list[Affine]:
+    def trainable_layers(self, frozen: int) -> list[Affine]:
         """The layers that train when the first so many hidden ones do not; a stem counts with it.
 
         The output layer and the bypass always train.
@@ -249,31 +250,31 @@ class Layers:
 
 
 def random_network(
-    scaling: Scaling, key: PRNGKeyArray, seen: int, said: int, layers: Layers
+    scaling: Scaling, key: PRNGKeyArray, n_features: int, n_outputs: int, layers: Layers
 ) -> Network:
     """A network with random float32 weights, uniform within 1/sqrt(n_in) of 0.
 
     Args:
-        scaling: units of what it sees and says.
+        scaling: units of its features and outputs.
         key: the source of randomness.
-        seen: how many features it takes.
-        said: how many values it says.
+        n_features: number of features.
+        n_outputs: number of outputs.
         layers: its layers.
     """
     stem, hidden = layers.stem, layers.hidden
-    widths = [seen, *([stem] if stem else []), *hidden]
+    widths = [n_features, *([stem] if stem else []), *hidden]
     keys = jax.random.split(key, len(widths))
-    made = [
+    affine = [
         random_affine(n_in, n_out, k)
         for n_in, n_out, k in zip(widths[:-1], widths[1:], keys[:-1], strict=True)
     ]
     return Network(
-        stem=made[0] if stem else None,
-        hidden=tuple(made[1 if stem else 0 :]),
-        output=random_affine(widths[-1], said, keys[-1], bias=layers.output_bias),
+        stem=affine[0] if stem else None,
+        hidden=tuple(affine[1 if stem else 0 :]),
+        output=random_affine(widths[-1], n_outputs, keys[-1], bias=layers.output_bias),
         scaling=scaling,
         activation=layers.activation,
-        bypass=random_affine(seen, said, keys[-1]).zeros() if layers.linear else None,
+        bypass=random_affine(n_features, n_outputs, keys[-1]).zeros() if layers.linear else None,
         odd=layers.odd,
     )
 
@@ -293,14 +294,14 @@ def learn_scaling(
     Args:
         experiments: the training records.
         velocity: which velocities to use.
-        relaxation_times: those of the internal states [s].
+        relaxation_times: relaxation times of the internal states [s].
     """
     channels = experiments[0].channels
     q = np.concatenate([e.q for e in experiments])[:, ~channels.angular]
     velocities = [e.velocities(velocity) for e in experiments]
     change = np.concatenate([np.diff(v, axis=0) for v in velocities]) / channels.dt
-    followed = [relaxing(v, channels.dt, relaxation_times) for v in velocities]
-    return scaling_of(
+    internal = [relaxing_states(v, channels.dt, relaxation_times) for v in velocities]
+    return make_scaling(
         position_offset=q.mean(axis=0),
         position_scale=np.where(
             moving_coordinates(experiments)[~channels.angular], q.std(axis=0), 1.0
@@ -308,22 +309,22 @@ def learn_scaling(
         velocity=root_mean_square(np.concatenate(velocities)),
         input=root_mean_square(np.concatenate([e.u for e in experiments])),
         acceleration=root_mean_square(change),
-        memory=root_mean_square(np.concatenate(followed)),
+        memory=root_mean_square(np.concatenate(internal)),
     )
 
 
-def relaxing(
+def relaxing_states(
     v: Float[np.ndarray, "n n_q"], dt: float, times: Sequence[float]
 ) -> Float[np.ndarray, "n n_z"]:
     """States along a record that follow each velocity and relax, from 0; see `TustinNet`."""
     import scipy.signal  # takes a second, and few networks remember
 
     mean = np.concatenate([np.zeros((1, v.shape[1])), (v[:-1] + v[1:]) / 2])
-    followed = [
-        scipy.signal.lfilter([time * (1 - left)], [1.0, -left], mean, axis=0)
-        for time, left in ((time, np.exp(-dt / time)) for time in times)
+    states = [
+        scipy.signal.lfilter([time * (1 - decay)], [1.0, -decay], mean, axis=0)
+        for time, decay in ((time, np.exp(-dt / time)) for time in times)
     ]
-    return np.concatenate([np.zeros((len(v), 0)), *followed], axis=1)
+    return np.concatenate([np.zeros((len(v), 0)), *states], axis=1)
 
 
 def root_mean_square(signal: Float[np.ndarray, "n c"]) -> Float[np.ndarray, " c"]:
@@ -332,6 +333,6 @@ def root_mean_square(signal: Float[np.ndarray, "n c"]) -> Float[np.ndarray, " c"
     return np.where(size > 0, size, 1.0)
 
 
-def scaling_of(dtype: type = np.float32, **fields: np.ndarray) -> Scaling:
+def make_scaling(dtype: type = np.float32, **fields: np.ndarray) -> Scaling:
     """Units from plain arrays."""
     return Scaling(**{name: jnp.asarray(value, dtype) for name, value in fields.items()})

@@ -1,8 +1,8 @@
-"""What every model answers."""
+"""The interface of models: states, inputs, steps."""
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -15,30 +15,39 @@ from tustinnet.channels import HasChannels
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.blocks import Scaling
+from tustinnet.renamed import METHODS, current_name
 from tustinnet.signals.excitation import Excitation
 
 State = Float[Array, " n_x"]
 InputVector = Float[Array, " n_u"]
-Drive = Float[Array, "*between n_u"]
-Seen = Float[np.ndarray, "steps *between n_u"]
+# the inputs of one step: (n_u,) where they are held, else with samples or coefficients before that
+StepInput = Float[Array, "*between n_u"]
+StepInputs = Float[np.ndarray, "steps *between n_u"]
 Internal = Float[Array, " n_z"]
 Coordinates = Float[Array, " n_q"]
 
-
-Own = TypeVar("Own")
+SameModel = TypeVar("SameModel")  # a bound by name could not be checked in other modules
 
 
 class Stateful(HasChannels, eqx.Module):
-    """What discrete and continuous models have in common.
+    """A model with a state, in discrete or in continuous time.
 
     Attributes:
-        channels: the coordinates and inputs that it speaks of, and its sampling period; a field
-            or a property of every model.
+        channels: its coordinates and inputs, and its sampling period; a field or a property of
+            every model.
     """
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            current = current_name(name, METHODS, "method")
+            if current == name:
+                raise AttributeError(f"'{type(self).__name__}' has no attribute '{name}'")
+            return getattr(self, current)
 
     @property
     def internal(self) -> tuple[str, ...]:
-        """What its internal states are called; most models have none."""
+        """Names of its internal states; most models have none."""
         return ()
 
     @property
@@ -47,7 +56,7 @@ class Stateful(HasChannels, eqx.Module):
         return 2 * self.channels.n_q + len(self.internal)
 
     def initial_internal(self, measured: Float[Array, " n_measured"]) -> Internal:
-        """The internal states that are expected where a record begins, (n_z,); mostly 0.
+        """Expected internal states at the beginning of a record, (n_z,); mostly 0.
 
         Args:
             measured: the record's first positions and velocities [q, v], (2 n_q,).
@@ -56,23 +65,23 @@ class Stateful(HasChannels, eqx.Module):
 
     @property
     def internal_spread(self) -> Internal:
-        """How far internal states may be from those expected, as standard deviations, (n_z,).
+        """Standard deviations of internal states from the expected ones, (n_z,); mostly 1.
 
-        In their units, where a record begins; mostly 1. Starts that search for them use it.
+        In the states' units, at the beginning of a record. Starts that search for them use it.
         """
         return jnp.asarray(np.ones(len(self.internal)))
 
-    def beginning(self, measured: Float[Array, " n_measured"]) -> State:
-        """The state in which a record begins, by its first [q, v]; see `initial_internal`."""
+    def initial_state(self, measured: Float[Array, " n_measured"]) -> State:
+        """The state at the beginning of a record from its first [q, v]; see `initial_internal`."""
         return jnp.concatenate([measured, self.initial_internal(measured)])
 
-    def of(self: Own, experiment: Experiment) -> Own:
-        """The model that simulates a record: of values by group it takes the record's.
+    def for_record(self: SameModel, experiment: Experiment) -> SameModel:
+        """The model that simulates a record, with the values of the record's groups.
 
-        Most models are the same for every record and return themselves.
+        Most models have no values by group and return themselves.
 
         Raises:
-            InputError: a record without the group, or of a value that the model does not know.
+            InputError: a record without the group, or of a value that the model does not have.
         """
         return self
 
@@ -81,38 +90,37 @@ class Model(Stateful):
     """A model that steps from sample to sample; `Channels` has the layout of its state."""
 
     @abstractmethod
-    def step(self, x: State, u: Drive) -> State:
+    def step(self, x: State, u: StepInput) -> State:
         """The state one period after `x`.
 
         Args:
             x: the state, (n_x,).
-            u: a row of what `seen` makes of the inputs; a vector of inputs, (n_u,), acts unchanged
-                over the period.
+            u: a row of `step_inputs`; a vector of inputs, (n_u,), is constant over the period.
         """
 
-    def advance(self, x: State, u: Drive, period: Array | float) -> State:
+    def advance(self, x: State, u: StepInput, period: Array | float) -> State:
         """The state `period` [s] after `x`, for models that can step by any period."""
         raise InputError(
             f"a {type(self).__name__}", "steps from timestamp to timestamp",
             f"steps of its sampling period, {self.dt:g} s", "resample the record",
         )  # fmt: skip
 
-    def seen(self, inputs: Excitation) -> Seen:
-        """What each step is given of a record's inputs; by default the mean over the period."""
+    def step_inputs(self, inputs: Excitation) -> StepInputs:
+        """The inputs of every step along a record; by default their means over the period."""
         return inputs.mean
 
     @property
     def warm_up(self) -> int:
-        """Samples of a record that its internal states need before a free run; 0 for most."""
+        """Number of samples that internal states need before a free run; 0 for most models."""
         return 0
 
-    def folded(self) -> "Model":
-        """The cheapest form of the model that computes the same; what a rollout should use."""
+    def simplify(self) -> "Model":
+        """An equal model that is cheaper to compute; rollouts should use it."""
         return self
 
 
 class _HasScaling:
-    """Something with the units of what a network sees and says.
+    """A model with the units of a network's features and outputs.
 
     Attributes:
         scaling: the units.
@@ -122,59 +130,58 @@ class _HasScaling:
 
 
 class AccelerationModel(_HasScaling, Model):
-    """A model that says accelerations; positions follow the velocities by the trapezoidal rule.
+    """A model of accelerations; positions follow the velocities by the trapezoidal rule.
 
     Such a model can also correct another one (see `HybridModel`).
-
-    Attributes:
-        taps: the samples of the inputs that it sees in every period, counted from the sample at
-            which the period begins: -1 is the one before, 1 the one after. None to see the mean
-            over the period.
     """
 
     @property
     def taps(self) -> tuple[int, ...]:
-        """The samples of the inputs that it sees; most models see the mean over the period."""
+        """Input samples of a step, counted from the beginning of its period.
+
+        -1 is the sample before, 1 the one after. Most models have none: their input is the mean
+        over the period.
+        """
         return ()
 
-    def seen(self, inputs: Excitation) -> Seen:
-        """The samples at its taps, (steps, taps, n_u); beyond a record's ends its last samples."""
+    def step_inputs(self, inputs: Excitation) -> StepInputs:
+        """Input samples at the taps, (steps, taps, n_u); beyond a record's ends its end samples."""
         if not self.taps:
-            return super().seen(inputs)
+            return super().step_inputs(inputs)
         last = len(inputs.samples) - 1
         rows = np.arange(last)[:, None] + np.array(self.taps)
         return inputs.samples[np.clip(rows, 0, last)]
 
-    def tapped(self, u: Drive) -> Float[Array, "*seen n_u"]:
-        """Inputs as its network sees them: a vector acts unchanged, at all of its taps."""
+    def input_at_taps(self, u: StepInput) -> Float[Array, "*taps n_u"]:
+        """Inputs at all taps; a vector, (n_u,), is repeated."""
         return jnp.tile(u, (len(self.taps), 1)) if self.taps and u.ndim == 1 else u
 
     @abstractmethod
-    def silent(self) -> "AccelerationModel":
-        """The same model with an output of zero."""
+    def with_zero_output(self) -> "AccelerationModel":
+        """A model of the same structure whose accelerations are zero."""
 
     @abstractmethod
     def accelerate(
-        self, x: State, u: Drive
+        self, x: State, u: StepInput
     ) -> tuple[Coordinates, Callable[[Coordinates], Internal]]:
-        """The mean acceleration over the coming period, and what becomes of the internal states.
+        """The mean acceleration over the coming period, and the step of the internal states.
 
         Returns:
             The acceleration, (n_q,) [rad/s^2 or m/s^2], and a function from the mean velocity
             over the period to the internal states at its end.
         """
 
-    def step(self, x: State, u: Drive) -> State:
+    def step(self, x: State, u: StepInput) -> State:
         """`v[k+1] = v[k] + dt a`, `q[k+1] = q[k] + dt (v[k] + v[k+1]) / 2`."""
         q, v = x[self.channels.position], x[self.channels.velocity]
-        acceleration, remember = self.accelerate(x, u)
+        acceleration, step_internal = self.accelerate(x, u)
         v_next = v + self.dt * acceleration
         mean = (v + v_next) / 2
-        return jnp.concatenate([q + self.dt * mean, v_next, remember(mean)])
+        return jnp.concatenate([q + self.dt * mean, v_next, step_internal(mean)])
 
 
 class ContinuousModel(Stateful):
-    """A model that says how fast the state changes; `discretise` makes it a discrete one."""
+    """A model of the state's derivative; `discretise` makes it a discrete one."""
 
     @abstractmethod
     def derivative(self, x: State, u: InputVector) -> State:
@@ -185,14 +192,14 @@ AnyModel = TypeVar("AnyModel", bound=Stateful)
 
 
 def with_dtype(model: AnyModel, dtype: DTypeLike) -> AnyModel:
-    """The same model with its floating-point arrays in another precision."""
+    """A model with its floating-point arrays in another precision."""
     return jax.tree.map(
         lambda leaf: leaf.astype(dtype) if eqx.is_inexact_array(leaf) else leaf, model
     )
 
 
 def require_fit(model: Model, experiment: Experiment) -> None:
-    """Raises unless a model speaks of the coordinates, inputs and period of a record."""
+    """Raises unless a model has the coordinates, inputs and sampling period of a record."""
     model.channels.require_same(experiment.channels, experiment.name, "the model")
 
 

@@ -1,16 +1,34 @@
-"""Forces and elastic energies that mechanical systems are made of.
+"""Forces and elastic energies of mechanical systems, and the laws among them that have a name.
 
-Everything works on numbers as well as on arrays. A friction returns the force against the motion,
-as `LagrangianSystem.dissipation` wants it; a spring returns its energy, as `potential` wants it;
-forces that act return a force in the direction of the coordinate.
+The functions work on numbers as well as on arrays. A friction returns the force against the motion,
+as `LagrangianSystem.dissipation` returns it; a spring returns its energy, as `potential` returns
+it; forces that act return a force in the direction of the coordinate.
+
+A law of `LAWS` can be added to any system by its name (`[model] forces` of a recipe). All that the
+package knows of it stands in its entry: messages, ranges, the table in `docs/reference/training.md`
+and the springs of the system `mechanism` follow from it.
 """
 
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from tustinnet.channels import Coordinate
+from tustinnet.models.parameters import Parameter
+from tustinnet.renamed import FORCES, current_name
+
 Value = Float[Array, "..."] | float
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> Any:
+        current = current_name(name, FORCES, "function")
+        if current == name:
+            raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+        return globals()[current]
 
 
 def viscous(v: Value, damping: Value) -> Any:
@@ -54,10 +72,10 @@ def stribeck(v: Value, level: Value, breakaway: Value, stribeck_speed: Value, sp
     return (level + (breakaway - level) * falling) * jnp.tanh(v / speed)
 
 
-def rubbing(q: Value, v: Value, growth: Value, speed: Value) -> Any:
-    """Dry friction that grows with the deflection: `g |q| tanh(v / w)` [N m or N].
+def coulomb_by_position(q: Value, v: Value, growth: Value, speed: Value) -> Any:
+    """Coulomb friction that grows with the deflection: `g |q| tanh(v / w)` [N m or N].
 
-    A cable that is wound, or a seal that is squeezed, rubs the more the further it is turned.
+    A cable that is wound, or a seal that is squeezed, rubs the more the further it is deflected.
 
     Args:
         q: deflection [rad or m].
@@ -144,3 +162,249 @@ def dc_motor(
     """
     supplied = jnp.clip(voltage, -limit, limit)
     return torque_constant * (supplied - back_emf * speed) / resistance
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The motion of a coordinate in the records, from which ranges of parameters follow.
+
+    Attributes:
+        force: generalised force [N m or N], the largest of inertia, springs and gravity, and
+            actuators; root mean squares.
+        position: distance from 0, root mean square [rad or m].
+        travel: distance from the mean, root mean square [rad or m].
+        speed: root mean square [rad/s or m/s].
+        dt: sampling period [s].
+        longest: duration of the longest record [s].
+    """
+
+    force: float
+    position: float
+    travel: float
+    speed: float
+    dt: float
+    longest: float
+
+    @property
+    def largest_force(self) -> float:
+        """The largest value of a force that the system lacks [N m or N]: 10 times `force`."""
+        return 10.0 * self.force
+
+    @property
+    def slow(self) -> float:
+        """The width of the smoothed sign of a dry friction [rad/s or m/s]: 2 % of the speed."""
+        return 0.02 * self.speed
+
+
+SearchRange = tuple[float, float, float]  # initial value, lower and upper end
+
+
+@dataclass(frozen=True)
+class ForceParameter:
+    """A parameter of a law; that of the coordinate `theta` is called `theta.NAME`.
+
+    Attributes:
+        name: its name, as files keep it.
+        symbol: its letter in the formula of the law.
+        unit: its unit, with `{force}` and `{position}` for those of the coordinate.
+        range: initial value, lower and upper end of the search, from the motion in the records.
+        fixed: whether the search leaves it at its initial value.
+        shared: whether the laws of a coordinate share one parameter of this name.
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    range: Callable[[Motion], SearchRange]
+    fixed: bool = False
+    shared: bool = False
+
+    def for_coordinate(self, coordinate: Coordinate, motion: Motion) -> Parameter:
+        """The parameter of the law at a coordinate that moves in some way."""
+        force = {"rad": "N m", "m": "N"}.get(coordinate.unit, f"J/{coordinate.unit}")
+        unit = self.unit.format(force=force, position=coordinate.unit)
+        return Parameter(
+            f"{coordinate.name}.{self.name}", unit, *self.range(motion), fixed=self.fixed
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Law:
+    """A force with a name.
+
+    Attributes:
+        name: its name in recipes.
+        help: what it is, in a line of the documentation.
+        parameters: its parameters, in the order in which its functions take their values.
+        needs_limited_travel: whether it depends on a deflection. Where no coordinate is named, it
+            is not added at those that turn around, which have none.
+        joins_springs: whether a spring of the system `mechanism` brings it along.
+    """
+
+    name: str
+    help: str
+    parameters: tuple[ForceParameter, ...]
+    needs_limited_travel: bool = False
+    joins_springs: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Friction(Law):
+    """A force against the motion.
+
+    Attributes:
+        force: `force(q, v, *values)` [N m or N].
+    """
+
+    force: Callable[..., Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spring(Law):
+    """A force with a potential.
+
+    Attributes:
+        energy: `energy(q, *values)` [J].
+    """
+
+    energy: Callable[..., Any]
+    needs_limited_travel: bool = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class RelaxingSpring(Law):
+    """A force with an internal state z.
+
+    Attributes:
+        rate: the derivative of z, `rate(v, z, *values)`.
+        initial: z as it is expected at the beginning of a record, `initial(q, *values)`.
+        force: the force of z on the coordinate, `force(z, *values)` [N m or N].
+    """
+
+    rate: Callable[..., Any]
+    initial: Callable[..., Any]
+    force: Callable[..., Any]
+    needs_limited_travel: bool = True
+
+
+def _from_zero(most: Callable[[Motion], float]) -> Callable[[Motion], SearchRange]:
+    """A range from 0 on, where the search begins."""
+    return lambda motion: (0.0, 0.0, most(motion))
+
+
+def _either_sign(most: Callable[[Motion], float]) -> Callable[[Motion], SearchRange]:
+    """A range to both sides of 0, where the search begins."""
+    return lambda motion: (0.0, -most(motion), most(motion))
+
+
+def _positive(most: Callable[[Motion], float]) -> Callable[[Motion], SearchRange]:
+    """A range of what has no derivative at 0: the search begins at a thousandth of the largest."""
+    return lambda motion: (1e-3 * most(motion), 1e-6 * most(motion), most(motion))
+
+
+def _relaxation_rates(motion: Motion) -> SearchRange:
+    """From one over the longest record to a quarter of the sampling rate."""
+    slowest, fastest = 1 / motion.longest, 1 / (4 * motion.dt)
+    return min(max(motion.speed / motion.travel, slowest), fastest), slowest, fastest
+
+
+_COULOMB = ForceParameter("coulomb", "c", "{force}", _from_zero(lambda m: m.largest_force))
+# over a whole record the search would make up for other errors by it, so it is fixed
+_SMOOTH_SPEED = ForceParameter(
+    "smooth_speed", "w", "{position}/s", lambda m: (m.slow, m.slow / 10.0, m.slow * 10.0),
+    fixed=True, shared=True,
+)  # fmt: skip
+
+_LAWS: tuple[Law, ...] = (
+    Friction(
+        name="viscous",
+        help="viscous friction, `b v` against the motion",
+        parameters=(
+            ForceParameter(
+                "viscous", "b", "{force} s/{position}",
+                _from_zero(lambda m: m.largest_force / m.speed),
+            ),
+        ),
+        force=lambda q, v, damping: viscous(v, damping),
+    ),
+    Friction(
+        name="coulomb",
+        help="Coulomb friction, `c tanh(v / w)` against the motion",
+        parameters=(_COULOMB, _SMOOTH_SPEED),
+        force=lambda q, v, level, speed: coulomb(v, level, speed),
+    ),
+    Friction(
+        name="stribeck",
+        help="Stribeck friction, `(c + b exp(-(v / v_s)²)) tanh(v / w)` against the motion",
+        parameters=(
+            _COULOMB,
+            ForceParameter("breakaway", "b", "{force}", _positive(lambda m: m.largest_force)),
+            ForceParameter(
+                "stribeck_speed", "v_s", "{position}/s",
+                lambda m: (10.0 * m.slow, 2.0 * m.slow, 100.0 * m.slow),
+            ),
+            _SMOOTH_SPEED,
+        ),
+        force=lambda q, v, level, more, stribeck_speed, speed: stribeck(
+            v, level, level + more, stribeck_speed, speed
+        ),
+    ),
+    Spring(
+        name="spring",
+        help="linear spring, `k q` towards q = 0; k of either sign",
+        parameters=(
+            ForceParameter(
+                "spring", "k", "{force}/{position}",
+                _either_sign(lambda m: m.largest_force / m.position),
+            ),
+        ),
+        energy=linear_spring,
+    ),
+    Spring(
+        name="cubic",
+        help="cubic spring, `k q³` towards q = 0; k of either sign",
+        parameters=(
+            ForceParameter(
+                "cubic", "k", "{force}/{position}^3",
+                _either_sign(lambda m: m.largest_force / m.position**3),
+            ),
+        ),
+        joins_springs=True,
+        energy=cubic_spring,
+    ),
+    Friction(
+        name="coulomb_by_position",
+        help="Coulomb friction that grows with the deflection, `g abs(q) tanh(v / w)` against the "
+        "motion: the more a cable is wound, the more it rubs",
+        parameters=(
+            ForceParameter(
+                "rubbing", "g", "{force}/{position}",
+                _from_zero(lambda m: m.largest_force / m.position),
+            ),
+            _SMOOTH_SPEED,
+        ),
+        needs_limited_travel=True,
+        joins_springs=True,
+        force=coulomb_by_position,
+    ),
+    RelaxingSpring(
+        name="maxwell",
+        help="spring that relaxes (Maxwell element), `k z` against its deflection z, an internal "
+        "state: `dz/dt = v - r z`. At the beginning of a record z is `s q`: s is 0 after a long "
+        "rest, 1 where the coordinate was deflected just now",
+        parameters=(
+            ForceParameter(
+                "maxwell", "k", "{force}/{position}",
+                _positive(lambda m: m.largest_force / m.travel),
+            ),
+            ForceParameter("relaxation", "r", "1/s", _relaxation_rates),
+            # records do not show what was before them: between the two cases, and fixed
+            ForceParameter("turned", "s", "1", lambda m: (0.5, 0.0, 1.0), fixed=True),
+        ),
+        joins_springs=True,
+        rate=lambda v, z, stiffness, relaxation, share: maxwell_rate(v, z, relaxation),
+        initial=lambda q, stiffness, relaxation, share: share * q,
+        force=lambda z, stiffness, relaxation, share: maxwell_force(z, stiffness),
+    ),
+)  # fmt: skip
+LAWS = {law.name: law for law in _LAWS}

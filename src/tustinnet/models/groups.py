@@ -1,4 +1,4 @@
-"""The model of records that are made with something, as a payload: its values by group."""
+"""The model for records of a group, as of one payload."""
 
 from collections.abc import Mapping
 
@@ -9,38 +9,34 @@ from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
 
 
-def of_groups(model: Model, groups: Mapping[str, str], where: str) -> Model:
+def model_for_groups(model: Model, groups: Mapping[str, str], where: str) -> Model:
     """The model of a record with these groups, all of which it needs.
 
     Args:
         model: the model.
-        groups: what a record would be made with, as `{"payload": "1kg"}`.
+        groups: the groups of a record, as `{"payload": "1kg"}`.
         where: what the record is called, for messages.
 
     Raises:
         InputError: groups that are missing, that the model does not have, or whose values it does
-            not know.
+            not have.
     """
 
-    def chosen(given: Mapping[str, str]) -> Model:
+    def with_groups(some: Mapping[str, str]) -> Model:
         record = from_arrays(
             np.zeros((2, model.channels.n_q)), np.zeros((2, model.channels.n_u)), dt=model.dt,
-            coordinates=model.coordinates, inputs=model.inputs, name=where, groups=given,
+            coordinates=model.coordinates, inputs=model.inputs, name=where, groups=some,
         )  # fmt: skip
-        return model.of(record)
+        return model.for_record(record)
 
-    def answers(given: Mapping[str, str]) -> bool:
-        try:
-            chosen(given)
-        except InputError:
-            return False
-        return True
-
-    found = chosen(groups)
+    chosen = with_groups(groups)
     for name in groups:
-        if answers({other: value for other, value in groups.items() if other != name}):
-            raise InputError(
-                where, f"group '{name}', which nothing in the model is per",
-                "groups that its values are by", "leave it out",
-            )  # fmt: skip
-    return found
+        try:
+            with_groups({other: value for other, value in groups.items() if other != name})
+        except InputError:
+            continue
+        raise InputError(
+            where, f"group '{name}', which nothing in the model is per",
+            "groups that its values are by", "leave it out",
+        )  # fmt: skip
+    return chosen

@@ -14,20 +14,20 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.contract import (
     ContinuousModel,
-    Drive,
     InputVector,
     Internal,
     Model,
-    Seen,
     State,
+    StepInput,
+    StepInputs,
 )
 from tustinnet.signals.excitation import Excitation
 
-# the classical method: where along the step each stage looks, and what it counts
 MOST_SUBSTEPS = 10_000  # more would be a period far too long for the system
 MOST_UNROLLED = 100  # each is compiled
-_REACH = (0.0, 0.5, 0.5, 1.0)
-_SHARE = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
+# the classical method: the stages' places along the step, and their weights
+_NODES = (0.0, 0.5, 0.5, 1.0)
+_WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
 
 
 class FromContinuous(Model):
@@ -46,30 +46,30 @@ class FromContinuous(Model):
 
     @property
     def internal(self) -> tuple[str, ...]:
-        """What the internal states of the continuous model are called."""
+        """Names of the internal states of the continuous model."""
         return self.continuous.internal
 
     def initial_internal(self, measured: Float[Array, " n_measured"]) -> Internal:
-        """Those of the continuous model."""
+        """Expected internal states of the continuous model at the beginning of a record."""
         return self.continuous.initial_internal(measured)
 
     @property
     def internal_spread(self) -> Internal:
-        """That of the continuous model."""
+        """Standard deviations of the internal states of the continuous model."""
         return self.continuous.internal_spread
 
-    def of(self, experiment: Experiment) -> "FromContinuous":
-        """The same with the values of the continuous model that the record has."""
-        chosen = self.continuous.of(experiment)
+    def for_record(self, experiment: Experiment) -> "FromContinuous":
+        """The model with the values of the record's groups."""
+        chosen = self.continuous.for_record(experiment)
         return self if chosen is self.continuous else replace(self, continuous=chosen)
 
-    def seen(self, inputs: Excitation) -> Seen:
-        """The polynomials of every period where an input is not held, else the held inputs."""
+    def step_inputs(self, inputs: Excitation) -> StepInputs:
+        """Polynomials of every period where an input is not held, else the held inputs."""
         pieces = inputs.pieces
         return pieces[:, 0] if pieces.shape[1] == 1 else pieces
 
-    def step(self, x: State, u: Drive) -> State:
-        """One sampling period."""
+    def step(self, x: State, u: StepInput) -> State:
+        """The state one sampling period after `x`."""
         return self.advance(x, u, self.dt)
 
 
@@ -88,18 +88,20 @@ class Discretised(FromContinuous):
     substeps: int = eqx.field(static=True)
     unrolled: bool = eqx.field(static=True, default=False)
 
-    def advance(self, x: State, u: Drive, period: Array | float) -> State:
+    def advance(self, x: State, u: StepInput, period: Array | float) -> State:
         """The state after a period [s]: `substeps` Runge-Kutta steps of fourth order."""
-        parts, h = self.substeps, period / self.substeps
+        n, h = self.substeps, period / self.substeps
         if self.unrolled:
-            for i in range(parts):
-                x = runge_kutta_4(self.continuous, x, between(u, i, parts), h)
+            for i in range(n):
+                x = runge_kutta_4(self.continuous, x, stage_inputs(u, i, n), h)
             return x
 
-        def stretch(state: State, i: Array) -> tuple[State, None]:
-            return runge_kutta_4(self.continuous, state, between(u, i, parts), h, looped=True), None
+        def substep(state: State, i: Array) -> tuple[State, None]:
+            return runge_kutta_4(
+                self.continuous, state, stage_inputs(u, i, n), h, looped=True
+            ), None
 
-        return jax.lax.scan(stretch, x, jnp.arange(parts, dtype=x.dtype))[0]
+        return jax.lax.scan(substep, x, jnp.arange(n, dtype=x.dtype))[0]
 
 
 def discretise(
@@ -115,9 +117,9 @@ def discretise(
     Args:
         model: the model.
         dt: sampling period [s].
-        substeps: Runge-Kutta steps in a period; `choose_substeps` says how many are needed.
+        substeps: Runge-Kutta steps in a period; `choose_substeps` computes how many are needed.
         inputs: the inputs of records, or of a model file, whose delays and holds are taken; the
-            model's own holds where these say none. By default the model's own inputs.
+            model's own holds where these have none. By default the model's own inputs.
         unrolled: whether the steps are written out in the compiled program, see `Discretised`.
     """
     most = MOST_UNROLLED if unrolled else MOST_SUBSTEPS
@@ -126,24 +128,30 @@ def discretise(
             "discretise", f"period {dt} s, {substeps} substeps",
             f"a positive period and 1 to {most} substeps",
         )  # fmt: skip
-    own = model.channels.inputs
-    theirs = own if inputs is None else inputs
+    of_model = model.channels.inputs
+    of_records = of_model if inputs is None else inputs
     # a hold that a search has found is in the records' inputs, whatever the system's file says
-    known = tuple(
-        replace(i, hold=said.hold, delay=of.delay)
-        for i, of, said in zip(own, theirs, merge_timing(theirs, own), strict=True)
+    channels = replace(
+        model.channels,
+        dt=dt,
+        inputs=tuple(
+            replace(i, hold=merged.hold, delay=recorded.delay)
+            for i, recorded, merged in zip(
+                of_model, of_records, merge_timing(of_records, of_model), strict=True
+            )
+        ),
     )
-    return Discretised(model, replace(model.channels, dt=dt, inputs=known), substeps, unrolled)
+    return Discretised(model, channels, substeps, unrolled)
 
 
-def between(
-    u: Drive, i: Array | int, parts: Array | int
+def stage_inputs(
+    u: StepInput, i: Array | int, n: Array | int
 ) -> tuple[InputVector, InputVector, InputVector]:
-    """Inputs at the beginning, the middle and the end of the i-th of so many parts of a period."""
-    return at(u, i / parts), at(u, (i + 0.5) / parts), at(u, (i + 1) / parts)
+    """Inputs at the beginning, the middle and the end of the i-th of n substeps of a period."""
+    return input_at(u, i / n), input_at(u, (i + 0.5) / n), input_at(u, (i + 1) / n)
 
 
-def at(u: Drive, part: Array | float) -> InputVector:
+def input_at(u: StepInput, part: Array | float) -> InputVector:
     """Inputs at a part of the period, 0..1: held, or on the polynomials of the period."""
     if u.ndim == 1:
         return u
@@ -175,18 +183,18 @@ def runge_kutta_4(
 
     def stage(carry: tuple[State, State], now: tuple[Any, ...]) -> tuple[tuple[State, State], None]:
         slope, mean = carry
-        reach, share, held = now
-        slope = model.derivative(x + h * reach * slope, held)
-        return (slope, mean + share * slope), None
+        node, weight, inputs_now = now
+        slope = model.derivative(x + h * node * slope, inputs_now)
+        return (slope, mean + weight * slope), None
 
     begin, middle, end = u
     inputs = [begin, middle, middle, end]
     carry = jnp.zeros_like(x), jnp.zeros_like(x)
     if looped:
-        tableau = jnp.asarray(_REACH, x.dtype), jnp.asarray(_SHARE, x.dtype)
+        tableau = jnp.asarray(_NODES, x.dtype), jnp.asarray(_WEIGHTS, x.dtype)
         carry, _ = jax.lax.scan(stage, carry, (*tableau, jnp.stack(inputs)))
     else:
-        for now in zip(_REACH, _SHARE, inputs, strict=True):
+        for now in zip(_NODES, _WEIGHTS, inputs, strict=True):
             carry, _ = stage(carry, now)
     _, mean = carry
     return x + h * mean

@@ -1,4 +1,4 @@
-"""How a mechanism is drawn: a tree of rigid links."""
+"""The links of a mechanism, by which it is drawn: a tree of rigid bodies."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ import numpy as np
 from tustinnet.channels import Coordinate
 from tustinnet.errors import InputError
 
-BASE = "base"  # the parent of links that nothing carries
+BASE = "base"  # the parent of links on the ground
 
 Vector3 = tuple[int | float, ...]
 
@@ -48,18 +48,18 @@ class Link:
 
 
 def require_links(links: Sequence[Link], coordinates: Sequence[Coordinate], where: str) -> None:
-    """Raises unless every link moves by one of some coordinates, each by another one.
+    """Raises unless every link moves by a coordinate of its own and has a parent before it.
 
-    And unless a link before it carries it, or the base.
+    The parent is a link that is listed before, or the base.
     """
-    known = [c.name for c in coordinates]
+    names = [c.name for c in coordinates]
     moved = [link.coordinate for link in links]
     for i, link in enumerate(links):
         name = link.coordinate
-        if name not in known or moved.count(name) > 1:
+        if name not in names or moved.count(name) > 1:
             raise InputError(
                 where, f"a link of the coordinate '{name}'",
-                f"one link each of {', '.join(known)}, at most",
+                f"one link each of {', '.join(names)}, at most",
             )  # fmt: skip
         if link.parent not in (None, BASE, *moved[:i]):
             raise InputError(
@@ -68,8 +68,8 @@ def require_links(links: Sequence[Link], coordinates: Sequence[Coordinate], wher
             )  # fmt: skip
 
 
-def carriers(links: Sequence[Link]) -> list[int | None]:
-    """The place of the link that carries each link, None where it stands on the base."""
+def parent_indices(links: Sequence[Link]) -> list[int | None]:
+    """The index of each link's parent, None for the base."""
     places = {link.coordinate: i for i, link in enumerate(links)}
     return [
         (i - 1 if i else None) if link.parent is None

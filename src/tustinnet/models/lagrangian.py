@@ -22,7 +22,7 @@ from tustinnet.models.contract import (
     State,
 )
 from tustinnet.models.kinematics import Link, require_links
-from tustinnet.models.parameters import Parameter, known_group
+from tustinnet.models.parameters import Parameter, require_group_value
 
 Scalar = Float[Array, ""]
 Values = Mapping[str, Any]
@@ -32,14 +32,14 @@ _UNROLLED = 4  # coordinates up to which the factorisation is written out instea
 
 @dataclass(frozen=True)
 class Memory:
-    """Forces that remember: internal states `z` beside positions and velocities.
+    """Forces with memory: internal states `z` beside positions and velocities.
 
     Attributes:
-        names: what the internal states are called.
+        names: names of the internal states.
         rate: `dz/dt = rate(q, v, z, p)`, (n_z,).
         force: generalised force on the system, `force(q, v, z, p)`, (n_q,) [N m or N].
-        initial: the internal states that are expected where a record begins, `initial(q, v, p)`,
-            (n_z,): what a mechanism remembers of the time before. None for 0.
+        initial: the expected internal states at the beginning of a record, `initial(q, v, p)`,
+            (n_z,): the effect of the time before. None for 0.
     """
 
     names: tuple[str, ...]
@@ -64,9 +64,9 @@ class LagrangianSystem:
         dissipation: `D(q, v, p)`, generalised force against the motion, (n_q,) [N m or N].
         input_map: `Q(q, v, u, p)`, generalised force of the actuators, (n_q,) [N m or N].
         memory: forces with internal states, if any.
-        sensors: which parameters are what sensors are off by, see `models.sensors.calibrated`.
-        added: which forces were added by name, see `models.added.with_forces`.
-        links: how it is drawn, none where nobody said.
+        sensors: names of parameters of sensor errors, see `models.sensors.with_sensor_errors`.
+        added: names of forces that were added, see `models.added.with_forces`.
+        links: its links, by which it is drawn; none if unknown.
     """
 
     name: str
@@ -93,9 +93,10 @@ class LagrangianSystem:
             if twice:
                 raise InputError(f"system '{self.name}'", f"two {what} '{twice[0]}'", "one")
         for p in self.grouped:
-            if of := p.by_group(dict.fromkeys(names)):
+            if by_group := p.by_group(dict.fromkeys(names)):
+                reserved = p.for_group(next(iter(by_group))).name
                 raise InputError(
-                    f"system '{self.name}'", f"a parameter '{p.at(next(iter(of))).name}'",
+                    f"system '{self.name}'", f"a parameter '{reserved}'",
                     "another name", f"'{p.name}' has values of such names, one per {p.per}",
                 )  # fmt: skip
         if not self.coordinates:
@@ -108,51 +109,37 @@ class LagrangianSystem:
         return {p.name: p.nominal for p in self.parameters}
 
     def parameter(self, name: str) -> Parameter:
-        """A parameter by name; `mass[1kg]` is the one of a group's value."""
+        """A parameter by name; `mass[1kg]` is that of a group."""
         for p in self.parameters:
             if p.name == name:
                 return p
-            if p.per is not None and (of := p.by_group({name: None})):
-                return p.at(*of)
-        known = ", ".join(p.name for p in self.parameters)
-        raise InputError(f"system '{self.name}'", f"no parameter '{name}'", f"one of {known}")
+            if p.per is not None and (group := p.by_group({name: None})):
+                return p.for_group(*group)
+        names = ", ".join(p.name for p in self.parameters)
+        raise InputError(f"system '{self.name}'", f"no parameter '{name}'", f"one of {names}")
 
     @property
     def grouped(self) -> tuple[Parameter, ...]:
-        """The parameters that have a value for each value of a group."""
+        """The parameters that have a value for each group."""
         return tuple(p for p in self.parameters if p.per is not None)
 
     @cached_property
     def channels(self) -> Channels:
-        """Its coordinates and inputs, in continuous time."""
+        """The coordinates and inputs, in continuous time."""
         return Channels(self.coordinates, self.inputs)
 
     @property
     def internal(self) -> tuple[str, ...]:
-        """What the internal states are called."""
+        """The names of the internal states."""
         return self.memory.names if self.memory else ()
 
     def model(self, values: Values) -> "LagrangianModel":
-        """Its equations of motion with the values of all parameters, by name.
+        """The equations of motion with the values of all parameters, by name.
 
-        Of a parameter `per` a group either one value, or one for each of the group's values
-        (`mass[1kg]`, `mass[2kg]`), of which `LagrangianModel.of` takes a record's.
+        Of a parameter `per` a group either one value, or one for each group (`mass[1kg]`,
+        `mass[2kg]`), of which `LagrangianModel.for_record` takes a record's.
         """
         return LagrangianModel(self, dict(values))
-
-    def picked(self, values: Values, pick: Array) -> dict[str, Any]:
-        """The values with which a record is simulated; can be compiled, and differentiated.
-
-        Args:
-            values: of parameters per group one for each value of the group, or one for all.
-            pick: of each parameter per group the index of its value, in the order of
-                `Parameter.by_group`.
-        """
-        found = dict(values)
-        for i, p in enumerate(self.grouped):
-            if options := p.by_group(values):
-                found[p.name] = jnp.stack(list(options.values()))[pick[i].astype(int)]
-        return found
 
     @property
     def optional(self) -> tuple[str, ...]:
@@ -164,30 +151,30 @@ class LagrangianSystem:
         return replace(self, parameters=tuple(p for p in self.parameters if p.name not in names))
 
     def _require_shapes(self) -> None:
-        """Every function must answer, with the shape that the equations of motion need."""
+        """Raises unless every function returns the shape that the equations of motion need."""
         q = v = jax.ShapeDtypeStruct((len(self.coordinates),), jnp.float32)
         u = jax.ShapeDtypeStruct((len(self.inputs),), jnp.float32)
         z = jax.ShapeDtypeStruct((len(self.internal),), jnp.float32)
-        # without the optional ones first: a function that cannot do without one is told so
+        # without the optional ones: a function that requires one is refused
         p = {x.name: jax.ShapeDtypeStruct((), jnp.float32) for x in self.parameters
              if not x.optional}  # fmt: skip
-        wanted: list[tuple[str, Callable[..., Any], tuple[Any, ...], tuple[int, ...]]]
-        wanted = [("kinetic", self.kinetic, (q, v, p), ())]
+        functions: list[tuple[str, Callable[..., Any], tuple[Any, ...], tuple[int, ...]]]
+        functions = [("kinetic", self.kinetic, (q, v, p), ())]
         if self.potential:
-            wanted.append(("potential", self.potential, (q, p), ()))
+            functions.append(("potential", self.potential, (q, p), ()))
         if self.dissipation:
-            wanted.append(("dissipation", self.dissipation, (q, v, p), q.shape))
+            functions.append(("dissipation", self.dissipation, (q, v, p), q.shape))
         if self.input_map:
-            wanted.append(("input_map", self.input_map, (q, v, u, p), q.shape))
+            functions.append(("input_map", self.input_map, (q, v, u, p), q.shape))
         if self.memory:
-            wanted.append(("memory rate", self.memory.rate, (q, v, z, p), z.shape))
-            wanted.append(("memory force", self.memory.force, (q, v, z, p), q.shape))
+            functions.append(("memory rate", self.memory.rate, (q, v, z, p), z.shape))
+            functions.append(("memory force", self.memory.force, (q, v, z, p), q.shape))
             if self.memory.initial:
-                wanted.append(("memory initial", self.memory.initial, (q, v, p), z.shape))
-        for name, function, arguments, shape in wanted:
+                functions.append(("memory initial", self.memory.initial, (q, v, p), z.shape))
+        for name, function, arguments, shape in functions:
             where = f"system '{self.name}', {name}"
             try:
-                found = jax.eval_shape(lambda *a, f=function: jnp.asarray(f(*a)), *arguments)
+                result = jax.eval_shape(lambda *a, f=function: jnp.asarray(f(*a)), *arguments)
             except KeyError as error:
                 if error.args[0] in self.optional:
                     raise InputError(
@@ -208,10 +195,10 @@ class LagrangianSystem:
                     "a function of jax arrays",
                     "write it with jax.numpy",
                 ) from error
-            if found.shape != shape:
+            if result.shape != shape:
                 raise InputError(
                     where,
-                    f"returns shape {found.shape}",
+                    f"returns shape {result.shape}",
                     f"{shape}" if shape else "a scalar",
                     "energies are scalars, forces have a value per coordinate",
                 )
@@ -229,7 +216,7 @@ class LagrangianModel(ContinuousModel):
     Attributes:
         system: the energies and forces.
         values: the parameters by name, SI units. Where some are by group (`mass[1kg]`), the
-            model steps only with those of a record or group, see `of` and `of_groups`.
+            model steps only with those of a record, see `for_record` and `for_groups`.
 
     References:
         van Esch, Bonassi, Schön, section 2.2, Euler-Lagrange equations.
@@ -245,23 +232,23 @@ class LagrangianModel(ContinuousModel):
 
     @property
     def internal(self) -> tuple[str, ...]:
-        """What its internal states are called."""
+        """The names of the internal states."""
         return self.system.internal
 
     @property
     def groups(self) -> dict[str, tuple[str, ...]]:
-        """The groups whose records have values of their own, and the values of each it knows."""
-        known: dict[str, tuple[str, ...]] = {}
+        """The names of groups with values of their own, each with the groups that have one."""
+        groups: dict[str, tuple[str, ...]] = {}
         for p in self.system.grouped:
-            if found := tuple(p.by_group(self.values)):
-                known[str(p.per)] = found
-        return known
+            if by_group := tuple(p.by_group(self.values)):
+                groups[str(p.per)] = by_group
+        return groups
 
-    def of(self, experiment: Experiment) -> "LagrangianModel":
+    def for_record(self, experiment: Experiment) -> "LagrangianModel":
         """The equations of motion with the values of a record's groups."""
-        return self.of_groups(dict(experiment.groups), f"record '{experiment.name}'")
+        return self.for_groups(dict(experiment.groups), f"record '{experiment.name}'")
 
-    def of_groups(self, groups: Mapping[str, str], where: object) -> "LagrangianModel":
+    def for_groups(self, groups: Mapping[str, str], where: object) -> "LagrangianModel":
         """The equations of motion with the values of some groups, as `{"payload": "1kg"}`.
 
         Args:
@@ -269,18 +256,18 @@ class LagrangianModel(ContinuousModel):
             where: what has them, for messages.
 
         Raises:
-            InputError: a group is missing, or its value is none that the model knows.
+            InputError: a group is missing, or the model has no value for it.
         """
         chosen: dict[str, Array] = {}
         for p in self.system.grouped:
-            if known := p.by_group(self.values):
-                chosen[p.name] = known[known_group(p, groups, tuple(known), where)]
+            if values := p.by_group(self.values):
+                chosen[p.name] = values[require_group_value(p, groups, tuple(values), where)]
         return LagrangianModel(self.system, self.values | chosen) if chosen else self
 
     def mass_matrix(self, q: Coordinates) -> Float[Array, "n_q n_q"]:
         """`M(q)`, (n_q, n_q) [kg m^2, kg m or kg]."""
-        still = jnp.zeros_like(q)
-        return jax.hessian(self.system.kinetic, argnums=1)(q, still, self.values)
+        at_rest = jnp.zeros_like(q)
+        return jax.hessian(self.system.kinetic, argnums=1)(q, at_rest, self.values)
 
     def energy(self, x: State) -> Scalar:
         """`T + V` at a state [J]."""
@@ -289,11 +276,11 @@ class LagrangianModel(ContinuousModel):
         return kinetic + self.system.potential(q, self.values) if self.system.potential else kinetic
 
     def conservative(self, q: Coordinates, v: Coordinates) -> Coordinates:
-        """`dT/dq - dV/dq - (d2T/dv dq) v`: what acts without actuators and losses, (n_q,)."""
+        """`dT/dq - dV/dq - (d2T/dv dq) v`: forces without actuators and losses, (n_q,)."""
         s, p = self.system, self.values
         momentum = jax.grad(s.kinetic, argnums=1)
-        _, carried = jax.jvp(lambda at: momentum(at, v, p), (q,), (v,))
-        force = jax.grad(s.kinetic)(q, v, p) - carried
+        _, rate = jax.jvp(lambda position: momentum(position, v, p), (q,), (v,))
+        force = jax.grad(s.kinetic)(q, v, p) - rate
         return force - jax.grad(s.potential)(q, p) if s.potential else force
 
     def applied(self, q: Coordinates, v: Coordinates, z: Internal, u: InputVector) -> Coordinates:
@@ -323,7 +310,7 @@ class LagrangianModel(ContinuousModel):
                     f"a model of the system '{self.system.name}'",
                     f"no one value of '{p.name}': it has one per {p.per}",
                     "the model of a record or of a group",
-                    f"model.of(record) takes those of the record's {p.per}",
+                    f"model.for_record(record) takes the values of the record's {p.per}",
                 )
         return _derivative(self, x, u)
 
@@ -334,16 +321,16 @@ class LagrangianModel(ContinuousModel):
         return jnp.asarray(self.system.memory.rate(*self._parts(x), self.values))
 
     def initial_internal(self, measured: Float[Array, " n_measured"]) -> Internal:
-        """Those that the system says, see `Memory`."""
-        memory, of = self.system.memory, self.channels
+        """Expected internal states at the beginning of a record, see `Memory.initial`."""
+        memory, channels = self.system.memory, self.channels
         if memory is None or memory.initial is None:
             return super().initial_internal(measured)
-        q, v = measured[of.position], measured[of.velocity]
+        q, v = measured[channels.position], measured[channels.velocity]
         return jnp.asarray(memory.initial(q, v, self.values), measured.dtype)
 
     def _parts(self, x: State) -> tuple[Coordinates, Coordinates, Internal]:
-        of = self.channels
-        return x[of.position], x[of.velocity], x[of.internal]
+        channels = self.channels
+        return x[channels.position], x[channels.velocity], x[channels.internal]
 
 
 # a function of its own, so that it is derived once and not for each of a step's many uses

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from tustinnet.errors import InputError, require_name
+from tustinnet.renamed import FORCES, current_name
 
 
 @dataclass(frozen=True)
@@ -19,7 +20,7 @@ class Parameter:
         lower: smallest value that makes sense (the paper's set Xi).
         upper: largest.
         fixed: whether identification leaves it alone.
-        prior: standard deviation of what is known of it, about the nominal value, or None.
+        prior: standard deviation of prior knowledge about the nominal value, or None.
         per: the group of the records, as `payload`, for each value of which it has a value of its
             own; None where all records share one.
         optional: whether the term that it scales is left out unless the records need it. The
@@ -43,6 +44,7 @@ class Parameter:
     brings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "brings", tuple(map(current_force, self.brings)))
         if self.per is not None:
             require_name(self.per, f"parameter '{self.name}', per")
             if self.fixed:
@@ -90,35 +92,47 @@ class Parameter:
         """Whether all of its range is positive; it is then searched for by its logarithm."""
         return self.lower > 0
 
-    def at(self, group: str) -> "Parameter":
-        """The parameter of the records of one value of its group: `mass[1kg]`."""
+    def for_group(self, group: str) -> "Parameter":
+        """The parameter of the records of one group: `mass[1kg]`."""
         return replace(self, name=f"{self.name}[{group}]")
 
     def by_group(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Its values by those of its group, in the order of the latter; of `mass[1kg]`: `1kg`."""
-        begin = f"{self.name}["
-        names = sorted(name for name in values if name.startswith(begin) and name.endswith("]"))
-        return {name[len(begin) : -1]: values[name] for name in names}
+        """Its values by group, sorted by group: that of `mass[1kg]` by `1kg`."""
+        prefix = f"{self.name}["
+        names = sorted(name for name in values if name.startswith(prefix) and name.endswith("]"))
+        return {name[len(prefix) : -1]: values[name] for name in names}
 
 
-def known_group(
+def current_force(name: str) -> str:
+    """The name of a force, `LAW` or `LAW:COORDINATE`, with a warning if it is an old one."""
+    law, colon, coordinate = name.partition(":")
+    return f"{current_name(law, FORCES, 'force')}{colon}{coordinate}"
+
+
+def require_group_value(
     p: Parameter, groups: Mapping[str, str], known: Sequence[str], where: object
 ) -> str:
-    """Which of the known values of a parameter's group somebody has.
+    """The group of a record by which a parameter has its value: of `mass`, `1kg`.
+
+    Args:
+        p: a parameter with values by group.
+        groups: the groups of the record.
+        known: the groups that the parameter has values for.
+        where: what the record is called, for messages.
 
     Raises:
         InputError: the group is missing, or has another value.
     """
-    told, value = f"one of {', '.join(known)}" if known else "", groups.get(str(p.per))
+    choices, value = f"one of {', '.join(known)}" if known else "", groups.get(str(p.per))
     if value is None:
         raise InputError(
-            where, f"no group '{p.per}', which '{p.name}' is per", told,
+            where, f"no group '{p.per}', which '{p.name}' is per", choices,
             f'in the card (or the proposal), give the record `groups = {{ {p.per} = "..." }}`; '
             f"of an export add --group {p.per}=...",
         )  # fmt: skip
     if value not in known:
         raise InputError(
-            where, f"{p.per} '{value}', for which '{p.name}' has no value", told,
+            where, f"{p.per} '{value}', for which '{p.name}' has no value", choices,
             f"identify with training records of that {p.per}",
         )  # fmt: skip
     return value

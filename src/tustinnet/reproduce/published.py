@@ -11,7 +11,7 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.errors import InputError
 from tustinnet.families.tustin_net import TustinNet
-from tustinnet.models.blocks import Affine, Network, Scaling, scaling_of
+from tustinnet.models.blocks import Affine, Network, Scaling, make_scaling
 
 # Table 1 of the paper, RMSE in rad on its records #1..#8, the `test` split of the published data
 TABLE_1 = {
@@ -99,7 +99,7 @@ def scaling_of_increments(
     scale: np.ndarray, channels: Channels, dtype: type = np.float32
 ) -> Scaling:
     """Scaling of a network that maps `v / scale` to velocity increments per step over `scale`."""
-    return scaling_of(
+    return make_scaling(
         position_offset=np.zeros(0),
         position_scale=np.ones(0),
         velocity=scale,

@@ -33,7 +33,7 @@ from tustinnet.store.files import require_writable_folder, sweep, to_json, write
 from tustinnet.store.kept_system import CANDIDATES, header_of
 from tustinnet.store.model_file import load_model, save, system_of
 from tustinnet.store.run import MODEL, Tell, fit_in
-from tustinnet.systems.files import AnySystem, MadeForRecords, SystemFile, to_identify
+from tustinnet.systems.files import AnySystem, SystemFile, SystemTemplate, load_system_or_template
 
 SCORES = "scores.json"
 SPENT = "the budget was spent"
@@ -157,9 +157,9 @@ class Workplace:
     resume: bool = False
 
     @cached_property
-    def loaded_system(self) -> LagrangianSystem | MadeForRecords | None:
+    def loaded_system(self) -> LagrangianSystem | SystemTemplate | None:
         """The system that is given, its file run once."""
-        return None if self.system is None else to_identify(self.system)
+        return None if self.system is None else load_system_or_template(self.system)
 
     def run_system_file(self) -> None:
         """Runs the system's file, if one is given: what is wrong with it is told once, at first.

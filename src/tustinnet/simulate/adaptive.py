@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from tustinnet.errors import InputError, require_package
-from tustinnet.models.contract import ContinuousModel, Drive, State
-from tustinnet.models.integrate import FromContinuous, at
+from tustinnet.models.contract import ContinuousModel, State, StepInput
+from tustinnet.models.integrate import FromContinuous, input_at
 
 
 class Adaptive(FromContinuous):
@@ -30,12 +30,12 @@ class Adaptive(FromContinuous):
 
     tolerance: float = eqx.field(static=True)
 
-    def advance(self, x: State, u: Drive, period: Array | float) -> State:
+    def advance(self, x: State, u: StepInput, period: Array | float) -> State:
         """The state a period later, in as many steps as the tolerance needs, see `Discretised`."""
         import diffrax
 
         def derivative(t: Any, state: State, model: ContinuousModel) -> State:
-            return model.derivative(state, at(u, t / period))
+            return model.derivative(state, input_at(u, t / period))
 
         solution = diffrax.diffeqsolve(
             diffrax.ODETerm(derivative),

@@ -64,6 +64,6 @@ def predictions_along(
     """
 
     def predict(rows: Array, signal: InputSignal) -> Array:
-        return rollout(model, model.beginning(rows[0]), signal, rows)
+        return rollout(model, model.initial_state(rows[0]), signal, rows)
 
     return jax.vmap(predict)(measured, signal)

@@ -19,7 +19,7 @@ def batches(model: AnyModel, experiments: Sequence[Experiment]) -> list[tuple[An
     """
     shared: list[tuple[AnyModel, list[int]]] = []
     for i, e in enumerate(experiments):
-        model_of_record = model.of(e)
+        model_of_record = model.for_record(e)
         for other, rows in shared:
             if model_of_record is other or eqx.tree_equal(model_of_record, other):
                 rows.append(i)

@@ -44,7 +44,7 @@ def input_signal(model: Model, experiment: Experiment, *, timestamps: bool = Fal
     Raises:
         InputError: an input whose hold or delay is unknown; a record too short for its hold.
     """
-    u = model.seen(experiment.excitation(model.channels.inputs))
+    u = model.step_inputs(experiment.excitation(model.channels.inputs))
     return InputSignal(u, np.diff(experiment.t) if timestamps else None)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import jax
 
 from tustinnet.export.environment import ModelEnv, ModelVectorEnv, Rules
-from tustinnet.export.source import source_of
+from tustinnet.export.source import make_source
 from tustinnet.models.contract import Model
 from tustinnet.simulate.range import KEY, Range
 from tustinnet.store.header import read_header
@@ -27,7 +27,7 @@ def environment(model: str | Path | Model, **options: Any) -> ModelEnv:
             ...]}`; and what `Rules` has: `reward`, `target`, `start`, `noise`, `margin`.
 
     Raises:
-        InputError: see `load_model`, `source_of` and `Rules`; nobody says where states and inputs
+        InputError: see `load_model`, `make_source` and `Rules`; nobody says where states and inputs
             lie.
     """
     return ModelEnv(_rules(model, **options))
@@ -62,7 +62,7 @@ def _rules(
     with jax.enable_x64(True):
         found, about = _opened(model, system)
         told = about if range is None else {KEY: range}
-        return Rules(source_of(found, Range.from_header(told, found), groups, about), **asked)
+        return Rules(make_source(found, Range.from_header(told, found), groups, about), **asked)
 
 
 def _opened(model: str | Path | Model, system: AnySystem | None) -> tuple[Model, Mapping[str, Any]]:

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from tustinnet.errors import InputError
-from tustinnet.export.check import Checked, checked
-from tustinnet.export.source import Source, require_stepping, source_of
-from tustinnet.export.target import Files, Target, Unbuilt
+from tustinnet.export.check import CheckResult, check_export
+from tustinnet.export.source import Source, make_source, require_stepping
+from tustinnet.export.target import Files, NotRunnable, Target
 from tustinnet.families.family import family_of
 from tustinnet.models.contract import Model
 from tustinnet.program.numbers import run
@@ -50,7 +50,7 @@ class Exported:
     target: str
     folder: Path
     files: tuple[str, ...]
-    checked: Checked
+    checked: CheckResult
     notes: tuple[str, ...]
 
 
@@ -93,7 +93,7 @@ def export_model(
             file, f"the file of a model of the kind '{about['kind']}'",
             f"that of the model given, of the kind '{family_of(model).kind}'",
         )  # fmt: skip
-    source = source_of(model, Range.from_header(about, model), groups, about)
+    source = make_source(model, Range.from_header(about, model), groups, about)
     folders = [Path(out) / t.name if len(targets) > 1 else Path(out) for t in targets]
     for folder in folders:
         _require_room(folder, overwrite=overwrite)
@@ -144,7 +144,7 @@ def targets_of(to: To, at: Mapping[str, float] | None = None) -> list[Target]:
         raise InputError("--to", f"'{','.join(names)}'", "targets, none of them twice")
     if not at:
         return found
-    moved = [target.at(at) for target in found]
+    moved = [target.at_operating_point(at) for target in found]
     if moved == found:
         raise InputError(
             "--at", f"an operating point for {', '.join(names)}", "a target that has one",
@@ -178,11 +178,11 @@ def _made(
     with tempfile.TemporaryDirectory() as place:
         _write(Path(place), files)
         try:
-            found = checked(source, target, target.stepper(Path(place), source))
-        except Unbuilt as unbuilt:
-            alike = checked(source, target, lambda x, u: run(source.step, x=x, u=u)["x"])
+            found = check_export(source, target, target.stepper(Path(place), source))
+        except NotRunnable as unbuilt:
+            alike = check_export(source, target, lambda x, u: run(source.step, x=x, u=u)["x"])
             note = f"not run here: {unbuilt}; what it is written from was compared"
-            found = Checked(alike.steps, alike.difference, note)
+            found = CheckResult(alike.steps, alike.difference, note)
     made = Exported(target.name, folder, (*files, CARD), found, source.notes)
     # first the card: where writing was stopped, it says that the folder is an export's
     return made, {CARD: to_json(_card(source, target, files, found, file)), **files}
@@ -213,7 +213,7 @@ def _write(folder: Path, files: Files) -> None:
 
 
 def _card(
-    source: Source, target: Target, files: Files, found: Checked, file: str | Path | None
+    source: Source, target: Target, files: Files, found: CheckResult, file: str | Path | None
 ) -> dict[str, Any]:
     """What an exported folder says of itself."""
     channels, known = source.channels, source.range
@@ -243,7 +243,7 @@ def _card(
             {"name": name, "unit": unit, "value": value}
             for name, unit, value in source.parameters
         ],
-        "samples": list(source.seen.offsets),
+        "samples": list(source.input_layout.offsets),
         "warm_up": source.model.warm_up,
         "scores": source.about.get("scores"),
         "check": {"steps": found.steps, "difference": found.difference,

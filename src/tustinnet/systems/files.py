@@ -1,4 +1,4 @@
-"""Systems by name, or from the file of a user."""
+"""Systems by name, or from a Python file."""
 
 import functools
 import hashlib
@@ -21,7 +21,7 @@ from tustinnet.errors import InputError, describe_error, require_text
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 from tustinnet.registry import SYSTEMS
 
-ATTRIBUTE = "SYSTEM"  # what a system file calls its system
+ATTRIBUTE = "SYSTEM"  # the name of the system in a system file
 _FUNCTIONS = ("kinetic", "potential", "dissipation", "input_map")
 _LONGEST_CHAIN = 20  # of errors; they may be causes of one another
 _REMEDY = "docs/reference/systems.md shows a whole file"
@@ -29,11 +29,11 @@ _REMEDY = "docs/reference/systems.md shows a whole file"
 
 @dataclass(frozen=True)
 class SystemFile:
-    """A system file as it was read: the text that is judged, kept and run is the same.
+    """A system file as it was read, so that the text that is checked, kept and run is one.
 
     Attributes:
         path: where it was read.
-        text: what it says.
+        text: its text.
     """
 
     path: Path
@@ -45,30 +45,30 @@ class SystemFile:
         return hashlib.sha256(self.text.encode()).hexdigest()
 
 
-class MadeForRecords(ABC):
-    """A packaged system that differs with the records: with their coordinates and inputs.
+class SystemTemplate(ABC):
+    """A packaged system that is made for records, with their coordinates and inputs.
 
     Attributes:
-        name: what it is called.
+        name: its name.
     """
 
     name: str
 
     @abstractmethod
-    def of(self, records: Sequence[Experiment]) -> LagrangianSystem:
+    def for_records(self, records: Sequence[Experiment]) -> LagrangianSystem:
         """The system to identify from some records."""
 
     @abstractmethod
-    def restored(
+    def restore(
         self,
         coordinates: Sequence[Coordinate],
         inputs: Sequence[Input],
         parameters: Sequence[Parameter],
     ) -> LagrangianSystem:
-        """The system as it was, from its coordinates, its inputs and all parameters it had."""
+        """A system that was made before, from its coordinates, inputs and parameters."""
 
 
-AnySystem = LagrangianSystem | MadeForRecords | SystemFile | str | Path
+AnySystem = LagrangianSystem | SystemTemplate | SystemFile | str | Path
 
 
 def find_system(which: str | Path) -> SystemFile | str:
@@ -94,7 +94,7 @@ def load_system(which: AnySystem) -> LagrangianSystem:
 
     Args:
         which: a name (`qube-servo2`, `qube-servo2-naive`, `qube-servo2-memory`,
-            `qube-servo2-rubbing`, `qube-servo2-turned`, `duffing`), or a file, as `arm.py`; a
+            `qube-servo2-rubbing`, `qube-servo2-turned`), or a file, as `arm.py`; a
             system is returned as it is.
 
     Raises:
@@ -102,45 +102,55 @@ def load_system(which: AnySystem) -> LagrangianSystem:
             made for records. The functions of a system from a file raise it, too, whatever
             happens in them.
     """
-    found = to_identify(which)
-    if isinstance(found, MadeForRecords):
+    system = load_system_or_template(which)
+    if isinstance(system, SystemTemplate):
         raise InputError(
-            f"system '{found.name}'", "made for the records that it is identified from",
+            f"system '{system.name}'", "made for the records that it is identified from",
             "no --system", "a model file of it has all that is needed",
         )  # fmt: skip
-    return found
+    return system
 
 
-def to_identify(which: AnySystem) -> "LagrangianSystem | MadeForRecords":
-    """The same for an identification, which also takes a system that is made for its records."""
-    if isinstance(which, LagrangianSystem | MadeForRecords):
+def load_system_or_template(which: AnySystem) -> LagrangianSystem | SystemTemplate:
+    """A system as `load_system` loads it, or the template of one that is made for records."""
+    if isinstance(which, LagrangianSystem | SystemTemplate):
         return which
-    found = which if isinstance(which, SystemFile) else find_system(which)
-    if isinstance(found, str):
-        return SYSTEMS[found]
-    path, text = found.path, found.text
+    file = which if isinstance(which, SystemFile) else find_system(which)
+    if isinstance(file, str):
+        return SYSTEMS[file]
+    path, text = file.path, file.text
     module = ModuleType(path.stem)
     module.__file__ = str(path)
-    with _naming(path):
+    with _errors_with_place(path):
         # not imported: that would write a compiled copy beside the file, and may read an old one
         exec(compile(text, str(path), "exec", dont_inherit=True), vars(module))
         system = vars(module).get(ATTRIBUTE)
     if not isinstance(system, LagrangianSystem):
-        found = "no SYSTEM" if system is None else f"SYSTEM is a {type(system).__name__}"
-        raise InputError(path, found, "SYSTEM = LagrangianSystem(...)", _REMEDY)
-    with _naming(path):
-        system = _guarded(system, path)
-        _try_out(system)
+        problem = "no SYSTEM" if system is None else f"SYSTEM is a {type(system).__name__}"
+        raise InputError(path, problem, "SYSTEM = LagrangianSystem(...)", _REMEDY)
+    with _errors_with_place(path):
+        system = _with_guards(system, path)
+        # names that can be printed, and equations of motion that can be derived
+        for name in (system.name, *system.nominal(), *system.internal):
+            require_text(name, f"system '{system.name}'")
+        hash(system)  # compiled programs are kept by it; lists in the place of tuples have none
+
+        def derive(values: dict[str, Any]) -> Any:
+            model = system.model(values)
+            return model.derivative(jnp.zeros(model.state_size), jnp.zeros(model.channels.n_u))
+
+        nominal = {name: np.float64(value) for name, value in system.nominal().items()}
+        jax.eval_shape(derive, nominal)  # by their shapes
     return system
 
 
-def _guarded(system: LagrangianSystem, path: Path) -> LagrangianSystem:
-    """The same with functions that name the file and themselves when they fail."""
+def _with_guards(system: LagrangianSystem, path: Path) -> LagrangianSystem:
+    """A system whose functions name the file and themselves when they fail."""
 
     def guard(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
         @functools.wraps(function)
         def guarded(*arguments: Any) -> Any:
-            with _naming(path, f"{name} "):
+            with _errors_with_place(path, f"{name} "):
                 return function(*arguments)
 
         return guarded
@@ -154,24 +164,11 @@ def _guarded(system: LagrangianSystem, path: Path) -> LagrangianSystem:
     return replace(system, memory=memory, **{n: guard(n, f) for n, f in functions.items()})
 
 
-def _try_out(system: LagrangianSystem) -> None:
-    """Names that can be printed, and equations of motion that can be derived, by their shapes."""
-    for name in (system.name, *system.nominal(), *system.internal):
-        require_text(name, f"system '{system.name}'")
-    hash(system)  # compiled programs are kept by it; lists in the place of tuples have none
-
-    def derive(values: dict[str, Any]) -> Any:
-        model = system.model(values)
-        return model.derivative(jnp.zeros(model.state_size), jnp.zeros(model.channels.n_u))
-
-    jax.eval_shape(derive, {name: np.float64(value) for name, value in system.nominal().items()})
-
-
 @contextmanager
-def _naming(path: Path, function: str = "") -> Iterator[None]:
-    """Whatever happens in a system file becomes an `InputError` that names file and line.
+def _errors_with_place(path: Path, function: str = "") -> Iterator[None]:
+    """Turns all errors in a system file into an `InputError` that names file and line.
 
-    So does a `KeyboardInterrupt` that the file raises; signals of a kind of their own pass.
+    Also a `KeyboardInterrupt` that the file raises; signals of a kind of their own pass.
     """
     try:
         yield
@@ -182,12 +179,12 @@ def _naming(path: Path, function: str = "") -> Iterator[None]:
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt) and type(error) is not KeyboardInterrupt:
             raise
-        told = f"{function}fails{_line_of(error, path)} with {describe_error(error)}"
-        raise InputError(path, told, "a file that runs", _REMEDY) from error
+        problem = f"{function}fails{_line_of(error, path)} with {describe_error(error)}"
+        raise InputError(path, problem, "a file that runs", _REMEDY) from error
 
 
 def _line_of(error: BaseException | None, path: Path) -> str:
-    """The line of a system file at which an error began, also one that others were made of."""
+    """The line of a system file at which an error, or a cause of it, began, as " at line 3"."""
     line = 0
     for _ in range(_LONGEST_CHAIN):
         if error is None:

@@ -1,8 +1,7 @@
-"""A mechanism that nobody has written down: energies as short series, made for some records.
+"""The system `mechanism`: energies as short series, for machines without a system file.
 
-Gravity, springs and inertias are sums of sines, cosines and powers of the coordinates. Which of
-the terms a machine has is for the identification to find out: terms that the records do not need
-are left out.
+Gravity, springs and inertias are sums of sines, cosines and powers of the coordinates. The
+identification selects the terms of a machine: terms that the records do not need are left out.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,45 +18,45 @@ from tustinnet.data.inspection import rotating_coordinates, still_coordinates
 from tustinnet.errors import InputError
 from tustinnet.models.blocks import root_mean_square
 from tustinnet.models.contract import Coordinates, InputVector
+from tustinnet.models.forces import LAWS
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter, Scalar, Values
-from tustinnet.systems.files import MadeForRecords
+from tustinnet.systems.files import SystemTemplate
 
 NAME = "mechanism"
 _MOST = 3  # coordinates; with more, terms are many and identification slow
-_SHARE = 0.5  # what is expected of a term of the inertia, as a share of the inertia
+_SHARE = 0.5  # expected size of a term of the inertia, as a share of the inertia
 _SHARES, _RATIOS = 5.0, (1e-6, 1e6)  # ranges of such a term, and of inertias to the first one
 _LARGEST = 10.0  # times the root mean square of the accelerations: no single term does more
 _STEADY = 0.01  # share of the largest damping, where it begins
 _POWERS = ("pull", "spring", "quadratic")  # forces by the power of the coordinate, from 0
-_CABLE = ("cubic", "rubbing", "maxwell")  # what a spring may do beside
 
 
 class Wave(NamedTuple):
-    """How inertia or height may depend on positions.
+    """A function of positions on which inertia or height may depend.
 
     Attributes:
-        name: what it is called.
-        of: its value at positions.
-        rank: how special it is: 0 for what most mechanisms have.
+        name: its name.
+        value: its value at positions.
+        rank: how special it is: 0 where most mechanisms have it.
     """
 
     name: str
-    of: Callable[[Any], Any]
+    value: Callable[[Any], Any]
     rank: int
 
 
-Term = tuple[int, Parameter]  # how special, and what scales it
+Term = tuple[int, Parameter]  # its rank, and the parameter that scales it
 
 
-class Mechanism(MadeForRecords):
-    """The system `mechanism`: one for every set of records, since it has their coordinates."""
+class Mechanism(SystemTemplate):
+    """The template of the system `mechanism`, which has the coordinates of the records."""
 
     name = NAME
 
-    def of(self, records: Sequence[Experiment]) -> LagrangianSystem:
-        """The system with every term that the motion of some records can say something of.
+    def for_records(self, records: Sequence[Experiment]) -> LagrangianSystem:
+        """The system with every term that some records have information about.
 
-        Ranges are those of the motion: no term accelerates more than 10 times what the records
+        Ranges follow from the motion: no term accelerates more than 10 times what the records
         do. Angles may feel gravity; springs act where a coordinate does not turn around.
 
         Args:
@@ -72,49 +71,58 @@ class Mechanism(MadeForRecords):
                 f"system '{NAME}'", f"{len(coordinates)} coordinates", f"{_MOST} at most",
                 "write the system down: docs/how-to/add-a-system.md",
             )  # fmt: skip
-        if never := still_coordinates(records):
+        if at_rest := still_coordinates(records):
             raise InputError(
-                f"system '{NAME}', coordinate '{never[0]}'", "never moves in the records",
+                f"system '{NAME}', coordinate '{at_rest[0]}'", "never moves in the records",
                 "a coordinate that moves", "leave it out of the data card",
             )  # fmt: skip
         v = [e.velocities() for e in records]
         a = [np.gradient(x, e.dt, axis=0) for x, e in zip(v, records, strict=True)]
-        size, acting = (_sizes([getattr(e, name) for e in records]) for name in ("q", "u"))
+        size, input_size = (_sizes([getattr(e, name) for e in records]) for name in ("q", "u"))
         speed, largest = _sizes(v), [_LARGEST * x for x in _sizes(a)]
-        found = [*_inertias(coordinates), *_heights(coordinates, largest)]
+        # gravity acts on angles, and on the sums of neighbours: links on links
+        terms = [
+            *_inertias(coordinates),
+            *(
+                _optional(
+                    wave.rank, f"{coordinates[k].name}.gravity_{wave.name}", "1/s^2", largest[k]
+                )
+                for k, wave in _gravity_waves(coordinates)
+            ),
+        ]
         around = rotating_coordinates(records)
         for k, c in enumerate(coordinates):
             damping = largest[k] / speed[k]
             viscous = Parameter(f"{c.name}.viscous", "1/s", _STEADY * damping, 0.0, damping)
-            found.append((0, viscous))
-            found += [
-                _either(0, f"{c.name}.by_{i.name}", f"{c.unit}/s^2/{i.unit}", largest[k] / x)
-                for i, x in zip(inputs, acting, strict=True)
+            terms.append((0, viscous))
+            terms += [
+                _optional(0, f"{c.name}.by_{i.name}", f"{c.unit}/s^2/{i.unit}", largest[k] / x)
+                for i, x in zip(inputs, input_size, strict=True)
             ]
             if c.name not in around:
-                found += _springs(c, largest[k], size[k])
+                terms += _springs(c, largest[k], size[k])
         # of terms that can stand for one another the later ones are left out
-        found.sort(key=lambda term: term[0])
-        return self.restored(coordinates, inputs, [parameter for _, parameter in found])
+        terms.sort(key=lambda term: term[0])
+        return self.restore(coordinates, inputs, [parameter for _, parameter in terms])
 
-    def restored(
+    def restore(
         self,
         coordinates: Sequence[Coordinate],
         inputs: Sequence[Input],
         parameters: Sequence[Parameter],
     ) -> LagrangianSystem:
-        """The system with some of its terms: those that have their parameter among those given.
+        """The system with the terms whose parameters are given.
 
         Args:
-            coordinates: of the records.
-            inputs: of the records.
-            parameters: the inertia of each coordinate, and what other terms there are.
+            coordinates: coordinates of the records.
+            inputs: inputs of the records.
+            parameters: the inertia of each coordinate, and the parameters of its other terms.
         """
-        axes, acting = tuple(coordinates), tuple(inputs)
-        of = _functions(axes, acting)
+        channels = tuple(coordinates), tuple(inputs)
+        functions = _functions(*channels)
         return LagrangianSystem(
-            NAME, axes, acting, tuple(parameters), of["kinetic"], of["potential"],
-            of["dissipation"], of["input_map"],
+            NAME, *channels, tuple(parameters), functions["kinetic"], functions["potential"],
+            functions["dissipation"], functions["input_map"],
         )  # fmt: skip
 
 
@@ -126,68 +134,71 @@ def _sizes(signals: Sequence[np.ndarray]) -> list[float]:
     return [float(x) for x in root_mean_square(np.concatenate(signals))]
 
 
-def _either(rank: int, name: str, unit: str, most: float, **known: Any) -> Term:
+def _optional(
+    rank: int,
+    name: str,
+    unit: str,
+    most: float,
+    prior: float | None = None,
+    usual: tuple[float, ...] = (),
+    brings: tuple[str, ...] = (),
+) -> Term:
     """A term that may be missing, and may have either sign."""
-    return rank, Parameter(name, unit, 0.0, -most, most, optional=True, **known)
+    return rank, Parameter(
+        name, unit, 0.0, -most, most, prior=prior, optional=True, usual=usual, brings=brings
+    )
 
 
-def _tied(rank: int, name: str) -> Term:
-    """One that is 1 between rigid links, if it is there; minus 1 where an axis is turned round."""
-    return _either(rank, name, "1", _SHARES, prior=1.0, usual=(1.0, -1.0))
+def _rigid(rank: int, name: str) -> Term:
+    """A term that is 1 between rigid links if it exists, -1 where an axis is reversed."""
+    return _optional(rank, name, "1", _SHARES, prior=1.0, usual=(1.0, -1.0))
 
 
 def _inertias(coordinates: Sequence[Coordinate]) -> list[Term]:
     """Inertias as shares: the first is the unit, so forces are accelerations."""
-    found: list[Term] = []
+    terms: list[Term] = []
     for i, c in enumerate(coordinates):
         unit = {"rad": "kg m^2", "m": "kg"}.get(c.unit, f"J s^2/{c.unit}^2")
-        found.append((0, Parameter(f"{c.name}.inertia", unit, 1.0, *_RATIOS, fixed=i == 0)))
-        found += [
-            _either(wave.rank, f"{c.name}.inertia_{wave.name}", "1", _SHARES, prior=_SHARE)
-            for wave in _of_inertia(coordinates, i)
+        terms.append((0, Parameter(f"{c.name}.inertia", unit, 1.0, *_RATIOS, fixed=i == 0)))
+        terms += [
+            _optional(wave.rank, f"{c.name}.inertia_{wave.name}", "1", _SHARES, prior=_SHARE)
+            for wave in _inertia_waves(coordinates, i)
         ]
-        found += [
-            _tied(1 + (k < i), f"{c.name}.inertia_across_{other.name}")
+        terms += [
+            _rigid(1 + (k < i), f"{c.name}.inertia_across_{other.name}")
             for k, other in enumerate(coordinates)
             if k != i and other.kind == "angular"
         ]
         for j in range(i + 1, len(coordinates)):
             pair = _pair(c, coordinates[j])
-            if _both_turn(coordinates, i, j):
+            if _are_angles(coordinates, i, j):
                 along = f"{c.name}.inertia_along_{coordinates[j].name}"
-                found += [_tied(0, pair), _tied(0, along)]
+                terms += [_rigid(0, pair), _rigid(0, along)]
             else:
-                found.append(_either(0, pair, "1", _SHARES, prior=_SHARE))
-            found += [
-                _either(wave.rank, f"{pair}_{wave.name}", "1", _SHARES, prior=_SHARE)
-                for wave in _of_coupling(coordinates, i, j)
+                terms.append(_optional(0, pair, "1", _SHARES, prior=_SHARE))
+            terms += [
+                _optional(wave.rank, f"{pair}_{wave.name}", "1", _SHARES, prior=_SHARE)
+                for wave in _coupling_waves(coordinates, i, j)
             ]
-    return found
+    return terms
 
 
-def _heights(coordinates: Sequence[Coordinate], most: Sequence[float]) -> list[Term]:
-    """Gravity on angles, and on the sums of neighbours: links on links."""
-    return [
-        _either(wave.rank, f"{coordinates[k].name}.gravity_{wave.name}", "1/s^2", most[k])
-        for k, wave in _of_gravity(coordinates)
-    ]
-
-
-def _springs(of: Coordinate, most: float, size: float) -> list[Term]:
+def _springs(c: Coordinate, most: float, size: float) -> list[Term]:
     """A constant force, a spring with all that it brings, and one that differs by sides."""
-    brings = tuple(f"{law}:{of.name}" for law in _CABLE)
+    brings = tuple(f"{law.name}:{c.name}" for law in LAWS.values() if law.joins_springs)
     return [
-        _either(1, f"{of.name}.pull", f"{of.unit}/s^2", most),
-        _either(0, f"{of.name}.spring", "1/s^2", most / size, brings=brings),
-        _either(2, f"{of.name}.quadratic", f"1/(s^2 {of.unit})", most / size**2),
+        _optional(1, f"{c.name}.pull", f"{c.unit}/s^2", most),
+        _optional(0, f"{c.name}.spring", "1/s^2", most / size, brings=brings),
+        _optional(2, f"{c.name}.quadratic", f"1/(s^2 {c.unit})", most / size**2),
     ]
 
 
 def _pair(a: Coordinate, b: Coordinate) -> str:
+    """The name of the parameter that couples two coordinates."""
     return f"{a.name}.coupling_{b.name}"
 
 
-def _both(name: str, angle: Callable[[Any], Any], rank: int) -> list[Wave]:
+def _cosine_and_sine(name: str, angle: Callable[[Any], Any], rank: int) -> list[Wave]:
     """Cosine and sine of an angle; a sine is for angles that are not counted from an axis."""
     return [
         Wave(name.format("cos"), lambda q: jnp.cos(angle(q)), rank),
@@ -196,54 +207,53 @@ def _both(name: str, angle: Callable[[Any], Any], rank: int) -> list[Wave]:
 
 
 def _waves(coordinates: Sequence[Coordinate], k: int) -> list[Wave]:
-    """Those of an angle."""
+    """Cosine and sine of a coordinate, none of one that is no angle."""
     if coordinates[k].kind != "angular":
         return []
-    return _both(f"{{}}_{coordinates[k].name}", lambda q: q[k], 0)
+    return _cosine_and_sine(f"{{}}_{coordinates[k].name}", lambda q: q[k], 0)
 
 
-def _both_turn(coordinates: Sequence[Coordinate], i: int, j: int) -> bool:
+def _are_angles(coordinates: Sequence[Coordinate], i: int, j: int) -> bool:
     return coordinates[i].kind == coordinates[j].kind == "angular"
 
 
-def _of_inertia(coordinates: Sequence[Coordinate], i: int) -> list[Wave]:
-    """What the inertia of a coordinate may depend on by itself: all other angles.
+def _inertia_waves(coordinates: Sequence[Coordinate], i: int) -> list[Wave]:
+    """Functions on which the inertia of a coordinate alone may depend: of all other angles.
 
     Those before it are special: coordinates are mostly listed from the base to the tip. That an
     inertia depends on an angle and none couples them is special, too.
     """
     angular = [k for k, c in enumerate(coordinates) if c.kind == "angular" and k != i]
-    each = [
-        (k, wave)
+    return [
+        wave._replace(rank=wave.rank + 1 + (k < i))
         for k in angular
         for wave in (
             *_waves(coordinates, k),
             Wave(f"sin_2{coordinates[k].name}", lambda q, k=k: jnp.sin(2 * q[k]), 1),
         )
     ]
-    return [wave._replace(rank=wave.rank + 1 + (k < i)) for k, wave in each]
 
 
-def _of_coupling(coordinates: Sequence[Coordinate], i: int, j: int) -> list[Wave]:
-    """What the inertia that couples two coordinates may depend on: angles, and their difference."""
-    found = [
+def _coupling_waves(coordinates: Sequence[Coordinate], i: int, j: int) -> list[Wave]:
+    """Functions on which a coupling may depend: of all angles, and of the pair's difference."""
+    waves = [
         wave._replace(rank=wave.rank + (k != j))
         for k in range(len(coordinates))
         for wave in _waves(coordinates, k)
     ]
-    if _both_turn(coordinates, i, j):
-        found += _both("{}_difference", lambda q: q[i] - q[j], 1)
-    return found
+    if _are_angles(coordinates, i, j):
+        waves += _cosine_and_sine("{}_difference", lambda q: q[i] - q[j], 1)
+    return waves
 
 
-def _of_gravity(coordinates: Sequence[Coordinate]) -> list[tuple[int, Wave]]:
-    """Heights: whose link rises, and how, by its angle or by its and the angle before."""
+def _gravity_waves(coordinates: Sequence[Coordinate]) -> list[tuple[int, Wave]]:
+    """Heights of links by their angle, or by the sum with the angle before; with the index."""
     angular = [k for k, c in enumerate(coordinates) if c.kind == "angular"]
-    alone = [(k, wave) for k in angular for wave in _both("{}", lambda q, k=k: q[k], 0)]
+    alone = [(k, wave) for k in angular for wave in _cosine_and_sine("{}", lambda q, k=k: q[k], 0)]
     return alone + [
         (k, wave)
         for before, k in pairwise(angular)
-        for wave in _both("{}_sum", lambda q, a=before, b=k: q[a] + q[b], 1)
+        for wave in _cosine_and_sine("{}_sum", lambda q, a=before, b=k: q[a] + q[b], 1)
     ]
 
 
@@ -252,13 +262,13 @@ def _kinetic(coordinates: tuple[Coordinate, ...]) -> Callable[..., Any]:
     names = [c.name for c in coordinates]
     n = len(names)
 
-    def share(begin: str, waves: Sequence[Wave], q: Coordinates, p: Values) -> Any:
-        each = ((f"{begin}_{wave.name}", wave) for wave in waves)
-        return sum(p[name] * wave.of(q) for name, wave in each if name in p)
+    def share(prefix: str, waves: Sequence[Wave], q: Coordinates, p: Values) -> Any:
+        named = ((f"{prefix}_{wave.name}", wave) for wave in waves)
+        return sum(p[name] * wave.value(q) for name, wave in named if name in p)
 
-    def own(i: int, q: Coordinates, p: Values) -> Any:
+    def alone(i: int, q: Coordinates, p: Values) -> Any:
         inertia = p[f"{names[i]}.inertia"]
-        total = inertia * (1.0 + share(f"{names[i]}.inertia", _of_inertia(coordinates, i), q, p))
+        total = inertia * (1.0 + share(f"{names[i]}.inertia", _inertia_waves(coordinates, i), q, p))
         for k in range(n):
             if (across := f"{names[i]}.inertia_across_{names[k]}") in p:
                 total = total + p[f"{names[k]}.inertia"] * p[across] * jnp.sin(q[k]) ** 2
@@ -267,17 +277,17 @@ def _kinetic(coordinates: tuple[Coordinate, ...]) -> Callable[..., Any]:
     def coupled(i: int, j: int, q: Coordinates, v: Coordinates, p: Values) -> Any:
         first, second = p[f"{names[i]}.inertia"], p[f"{names[j]}.inertia"]
         pair, mean = _pair(coordinates[i], coordinates[j]), jnp.sqrt(first * second)
-        steady = second if _both_turn(coordinates, i, j) else mean
-        both = steady * p.get(pair, 0.0)
-        both = both + mean * share(pair, _of_coupling(coordinates, i, j), q, p)
+        steady = second if _are_angles(coordinates, i, j) else mean
+        coupling = steady * p.get(pair, 0.0)
+        coupling = coupling + mean * share(pair, _coupling_waves(coordinates, i, j), q, p)
         along = p.get(f"{names[i]}.inertia_along_{names[j]}", 0.0)
-        bent = mean * share(pair, _waves(coordinates, j), q, p)
-        return both * v[i] * v[j] + along * bent * v[i] ** 2
+        by_angle = mean * share(pair, _waves(coordinates, j), q, p)
+        return coupling * v[i] * v[j] + along * by_angle * v[i] ** 2
 
     def kinetic(q: Coordinates, v: Coordinates, p: Values) -> Scalar:
         total = jnp.zeros((), v.dtype)
         for i in range(n):
-            total = total + 0.5 * own(i, q, p) * v[i] ** 2
+            total = total + 0.5 * alone(i, q, p) * v[i] ** 2
             for j in range(i + 1, n):
                 total = total + coupled(i, j, q, v, p)
         return total
@@ -289,19 +299,19 @@ def _kinetic(coordinates: tuple[Coordinate, ...]) -> Callable[..., Any]:
 def _functions(
     coordinates: tuple[Coordinate, ...], inputs: tuple[Input, ...]
 ) -> dict[str, Callable[..., Any]]:
-    """Energies and forces; they have the terms whose parameters they are given."""
+    """Energies and forces with the terms whose parameters they are given."""
     names = [c.name for c in coordinates]
 
     def potential(q: Coordinates, p: Values) -> Scalar:
         """Gravity and springs."""
         total = jnp.zeros((), q.dtype)
-        for k, wave in _of_gravity(coordinates):
-            if (of := f"{names[k]}.gravity_{wave.name}") in p:
-                total = total + p[f"{names[k]}.inertia"] * p[of] * wave.of(q)
+        for k, wave in _gravity_waves(coordinates):
+            if (name := f"{names[k]}.gravity_{wave.name}") in p:
+                total = total + p[f"{names[k]}.inertia"] * p[name] * wave.value(q)
         for k, c in enumerate(names):
             powers = enumerate(_POWERS, 1)
-            held = sum(p.get(f"{c}.{name}", 0.0) * q[k] ** m / m for m, name in powers)
-            total = total + p[f"{c}.inertia"] * held
+            elastic = sum(p.get(f"{c}.{name}", 0.0) * q[k] ** m / m for m, name in powers)
+            total = total + p[f"{c}.inertia"] * elastic
         return total
 
     def dissipation(q: Coordinates, v: Coordinates, p: Values) -> Coordinates:
@@ -311,12 +321,12 @@ def _functions(
         )
 
     def input_map(q: Coordinates, v: Coordinates, u: InputVector, p: Values) -> Coordinates:
-        """Every input at every coordinate."""
-        each = [
+        """Every input acts on every coordinate."""
+        accelerations = [
             sum((p.get(f"{c}.by_{i.name}", 0.0) * u[m] for m, i in enumerate(inputs)), 0.0 * v[k])
             for k, c in enumerate(names)
         ]
-        return jnp.stack([p[f"{c}.inertia"] * a for c, a in zip(names, each, strict=True)])
+        return jnp.stack([p[f"{c}.inertia"] * a for c, a in zip(names, accelerations, strict=True)])
 
     return {
         "kinetic": _kinetic(coordinates), "potential": potential, "dissipation": dissipation,

@@ -83,9 +83,9 @@ def damping_and_dry_friction(q: Coordinates, v: Coordinates, p: Values) -> Coord
     return damping(q, v, p) + jnp.stack([dry, jnp.zeros_like(dry)])
 
 
-def damping_and_rubbing(q: Coordinates, v: Coordinates, p: Values) -> Coordinates:
-    """The same, and dry friction that grows with the deflection: a cable that is wound rubs."""
-    dry = forces.rubbing(q[0], v[0], p["cable_friction"], SLOW)
+def damping_and_cable_friction(q: Coordinates, v: Coordinates, p: Values) -> Coordinates:
+    """Viscous and Coulomb friction, and friction of the cable that grows with its deflection."""
+    dry = forces.coulomb_by_position(q[0], v[0], p["cable_friction"], SLOW)
     return damping_and_dry_friction(q, v, p) + jnp.stack([dry, jnp.zeros_like(dry)])
 
 
@@ -101,7 +101,7 @@ def cable_force(q: Coordinates, v: Coordinates, z: Internal, p: Values) -> Coord
 
 
 def cable_initial(q: Coordinates, v: Coordinates, p: Values) -> Internal:
-    """Where a record begins, the arm was turned not long before: part of that is not relaxed."""
+    """At the beginning of a record a share of the arm's deflection is not yet relaxed."""
     return p["cable_turned"] * q[:1]
 
 
@@ -156,20 +156,23 @@ WITH_MEMORY = replace(
     dissipation=damping_and_dry_friction,
     memory=Memory(("cable",), cable_rate, cable_force),
 )
-RUBBING = replace(
+WITH_CABLE_FRICTION = replace(
     WITH_MEMORY,
     name="qube-servo2-rubbing",
     parameters=(
         *WITH_MEMORY.parameters,
         Parameter("cable_friction", "N m/rad", 1e-4, 0.0, 3e-3),
     ),
-    dissipation=damping_and_rubbing,
+    dissipation=damping_and_cable_friction,
 )
-TURNED = replace(
-    RUBBING,
+WITH_INITIAL_DEFLECTION = replace(
+    WITH_CABLE_FRICTION,
     name="qube-servo2-turned",
     # as long as records last, the cable also forgives other errors of the model: identified, this
     # share comes out too large; on folds of records 0.3 to 0.7 are alike
-    parameters=(*RUBBING.parameters, Parameter("cable_turned", "1", 0.5, 0.0, 1.5, fixed=True)),
+    parameters=(
+        *WITH_CABLE_FRICTION.parameters,
+        Parameter("cable_turned", "1", 0.5, 0.0, 1.5, fixed=True),
+    ),
     memory=Memory(("cable",), cable_rate, cable_force, cable_initial),
 )

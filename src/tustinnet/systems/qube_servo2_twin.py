@@ -1,4 +1,4 @@
-"""The twin of the Qube-Servo 2: what `tustinnet demo` runs on."""
+"""The twin of the Qube-Servo 2, whose records `tustinnet demo` uses."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -9,7 +9,7 @@ import numpy as np
 from tustinnet.channels import Channels
 from tustinnet.data.dataset import DataSet
 from tustinnet.systems.qube_servo2 import WITH_MEMORY
-from tustinnet.systems.twin import AS_LOGGED, Logger, Run, log_runs
+from tustinnet.systems.twin import AS_LOGGED, Logger, TwinRun, log_runs
 
 COUNT = 0.00306640625  # rad, 6.28 / 2048: the published logs take pi as 3.14
 TWIN_NAME = "qube-servo2-twin"
@@ -37,43 +37,36 @@ def twin(
 ) -> DataSet:
     """Records of a simulated Qube-Servo 2: free falls and white-noise voltage, in three splits.
 
-    Numbers, lengths and starts are those of the published records. The twin is a Lagrangian
-    system, so it favours Lagrangian models: what a method scores on it says nothing of what it
-    scores on the apparatus.
+    Numbers, lengths and starts are like those of the published records. The twin is a Lagrangian
+    system, so it favours Lagrangian models: scores on it say nothing about scores on the apparatus.
 
     Args:
         seed: everything random follows from it.
-        logger: how it is logged.
-        values: of its parameters, by name; others make another device.
+        logger: the sampling.
+        values: values of its parameters, by name; others make another device.
     """
     generator = np.random.default_rng(seed)
     runs = []
     for split, (falls, noises) in _TWIN_RUNS.items():
         label = "" if split == "train" else f"_{split}"
         runs += [_fall(f"twin_fall{label}{i + 1}", split, generator) for i in range(falls)]
-        runs += [
-            _noise(f"twin_noise{label}{i + 1}", split, _AMPLITUDES[i], generator)
-            for i in range(noises)
-        ]
-    own = {name: jnp.asarray(value, jnp.float64) for name, value in values.items()}
+        for i in range(noises):  # uniform white noise as the voltage, from rest, hanging
+            x0 = np.array([generator.uniform(-0.05, 0.05), np.pi, 0.0, 0.0, 0.0])
+            u = generator.uniform(-_AMPLITUDES[i], _AMPLITUDES[i], (1500, 1))
+            runs.append(TwinRun(f"twin_noise{label}{i + 1}", split, x0, u))
+    parameters = {name: jnp.asarray(value, jnp.float64) for name, value in values.items()}
     coordinates = tuple(replace(c, resolution=COUNT) for c in WITH_MEMORY.coordinates)
     channels = Channels(coordinates, WITH_MEMORY.inputs)
-    records = log_runs(WITH_MEMORY.model(own), channels, runs, logger, generator)
+    records = log_runs(WITH_MEMORY.model(parameters), channels, runs, logger, generator)
     return DataSet(TWIN_NAME, records)
 
 
-def _fall(name: str, split: str, generator: np.random.Generator) -> Run:
-    """Let go near upright, on either side, most often almost at rest."""
+def _fall(name: str, split: str, generator: np.random.Generator) -> TwinRun:
+    """A fall from near upright, to either side, most often almost from rest."""
     samples = int(generator.integers(716, 800))
     side = generator.choice([-1.0, 1.0])
     tilt = side * generator.uniform(0.25, 0.76)
     alpha = tilt if side > 0 else 2 * np.pi + tilt
     speeds = 3.0 * generator.uniform(0, 1, 2) ** 3 * np.array([generator.choice([-1.0, 1.0]), side])
     x0 = np.array([generator.uniform(-1.7, 1.0), alpha, *speeds, 0.0])
-    return Run(name, split, x0, np.zeros((samples, 1)))
-
-
-def _noise(name: str, split: str, amplitude: float, generator: np.random.Generator) -> Run:
-    """Uniform white noise from rest, hanging."""
-    x0 = np.array([generator.uniform(-0.05, 0.05), np.pi, 0.0, 0.0, 0.0])
-    return Run(name, split, x0, generator.uniform(-amplitude, amplitude, (1500, 1)))
+    return TwinRun(name, split, x0, np.zeros((samples, 1)))

@@ -1,4 +1,4 @@
-"""Twins: simulated records that look as if an apparatus had been logged."""
+"""Twins: simulated records that look like logs of an apparatus."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,16 +20,16 @@ from tustinnet.simulate.rollout import rollout
 
 _LEAD, _TRAIL = 3, 2  # rows at a record's ends whose velocities are stored as 0, as in real logs
 
-_NEAR = 0.1  # standard deviations that a simulated record begins away from what was recorded
-_FAR = 10  # recorded ranges that a simulated record may leave
+_SPREAD = 0.1  # standard deviation of initial states about recorded ones, relative to theirs
+_FAR = 10  # times the recorded range, which a simulated record must not leave
 
 
 @dataclass(frozen=True)
-class Run:
-    """One experiment to be made with a twin.
+class TwinRun:
+    """One experiment with a twin.
 
     Attributes:
-        name: what its record is called.
+        name: the name of its record.
         split: `train`, `validation` or `test`.
         x0: initial state, (n_x,).
         u: inputs, one row a sample, (n, n_u).
@@ -43,12 +43,12 @@ class Run:
 
 @dataclass(frozen=True)
 class Logger:
-    """How a twin is logged.
+    """The sampling of a twin.
 
     Attributes:
         dt: sampling period [s].
         jitter: standard deviation of the sampling instants [s]; the samples are taken, and inputs
-            change, at the instants that are written down.
+            change, at the instants that are recorded.
         counts: whether encoders round positions to their count.
         substeps: integration steps from sample to sample.
     """
@@ -62,66 +62,64 @@ class Logger:
 AS_LOGGED = Logger()
 
 
-def imitated(
+def imitate_records(
     model: Discretised,
     records: Sequence[Experiment],
     count: int,
     generator: np.random.Generator,
 ) -> tuple[Experiment, ...]:
-    """Records as a model would make them in the range of others.
+    """Simulated records in the range of recorded ones.
 
-    Each begins near a state that one of them had, internal states as the model expects, and is
-    driven by the inputs of one of them, begun at another time. Runs that leave ten times the
-    recorded range are left out.
+    Each begins near a state of one of them, internal states as the model expects, and has the
+    inputs of one of them, shifted in time. Runs that leave ten times the recorded range are left
+    out.
 
     Args:
         model: the model, discretised: its period and integration steps are taken.
-        records: what was recorded.
+        records: the recorded ones.
         count: how many to make, at most.
-        generator: the source of choices, of the encoders' places and of the departures.
+        generator: the source of choices, of the encoders' offsets and of the initial states.
 
     Raises:
         InputError: a run that is not finite.
     """
     channels = replace(records[0].channels, dt=model.dt)
-    q, v = (
-        np.concatenate(of) for of in zip(*((e.q, e.velocities()) for e in records), strict=True)
-    )
+    q = np.concatenate([e.q for e in records])
+    v = np.concatenate([e.velocities() for e in records])
     runs = []
     for i in range(count):
-        begins, drives = (records[int(generator.integers(len(records)))] for _ in range(2))
-        row = int(generator.integers(_LEAD, max(len(begins) - _TRAIL, _LEAD + 1)))
-        x0 = np.zeros(model.state_size)
-        for of, at, all_of in ((begins.q, channels.position, q),
-                               (begins.velocities(), channels.velocity, v)):  # fmt: skip
-            x0[at] = of[row] + _NEAR * all_of.std(axis=0) * generator.normal(size=channels.n_q)
-        u = np.roll(drives.u, int(generator.integers(len(drives))), axis=0)
-        begin = np.asarray(model.beginning(jnp.asarray(x0[channels.measured])))
-        runs.append(Run(f"simulated{i + 1}", "train", begin, u))
+        start, drive = (records[int(generator.integers(len(records)))] for _ in range(2))
+        row = int(generator.integers(_LEAD, max(len(start) - _TRAIL, _LEAD + 1)))
+        spread_q = _SPREAD * q.std(axis=0) * generator.normal(size=channels.n_q)
+        spread_v = _SPREAD * v.std(axis=0) * generator.normal(size=channels.n_q)
+        measured = np.concatenate([start.q[row] + spread_q, start.velocities()[row] + spread_v])
+        u = np.roll(drive.u, int(generator.integers(len(drive))), axis=0)
+        x0 = np.asarray(model.initial_state(jnp.asarray(measured)))
+        runs.append(TwinRun(f"simulated{i + 1}", "train", x0, u))
     logger = Logger(model.dt, 0.0, counts=bool(channels.resolution.all()), substeps=model.substeps)
-    made = log_runs(model.continuous, channels, runs, logger, generator)
+    simulated = log_runs(model.continuous, channels, runs, logger, generator)
     middle, reach = (q.max(axis=0) + q.min(axis=0)) / 2, _FAR * np.ptp(q, axis=0) + 1e-12
-    return tuple(e for e in made if (np.abs(e.q - middle) < reach).all())
+    return tuple(e for e in simulated if (np.abs(e.q - middle) < reach).all())
 
 
 def log_runs(
     model: ContinuousModel,
     channels: Channels,
-    runs: Sequence[Run],
+    runs: Sequence[TwinRun],
     logger: Logger,
     generator: np.random.Generator,
 ) -> tuple[Experiment, ...]:
     """Simulates runs and logs them.
 
-    Encoders round to the nearest count; where the counts lie is drawn anew for every record and
-    coordinate. Velocities are the five-point stencil of what was read.
+    Encoders round to the nearest count; their offsets are drawn for every record and coordinate.
+    Velocities are the five-point stencil of the positions.
 
     Args:
         model: the twin's equations of motion.
         channels: its coordinates, with the encoders' counts, and its inputs.
-        runs: what to do.
-        logger: how it is logged.
-        generator: the source of jitter and of the counts' places.
+        runs: the experiments.
+        logger: the sampling.
+        generator: the source of jitter and of the encoders' offsets.
     """
     longest = max(len(run.u) for run in runs)
     t = np.arange(longest) * logger.dt + logger.jitter * generator.normal(size=(len(runs), longest))
@@ -137,8 +135,8 @@ def log_runs(
         n = len(run.u)
         q = states[:n, channels.position]
         if logger.counts:
-            place = generator.uniform(-0.5, 0.5, n_q) * count
-            q = np.round((q - place) / count) * count + place
+            offset = generator.uniform(-0.5, 0.5, n_q) * count
+            q = np.round((q - offset) / count) * count + offset
         v = five_point_stencil(q, logger.dt)
         v[:_LEAD] = v[n - _TRAIL :] = 0.0
         records.append(

@@ -415,7 +415,7 @@ def test_a_task_tells_its_plan_before_training_and_goes_on_from_a_state(prepared
 def test_fit_returns_a_folded_model_that_computes_what_was_trained(whole, prepared):
     [result] = train_plan(prepared)
     assert result.finished
-    assert result.model.folded() is result.model
+    assert result.model.simplify() is result.model
     assert result.detail("windows") == [s.windows.rows.shape[1] for s in prepared.stages]
     assert result.details["training"]["epochs"] == [5, 4]
     x, u = jnp.array([0.5, -0.2]), jnp.array([0.3])

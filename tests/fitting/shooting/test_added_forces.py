@@ -97,7 +97,7 @@ def test_a_hybrids_physics_keeps_its_forces_and_their_internal_states(tmp_path):
 
 
 def test_the_search_begins_at_the_plain_system():
-    forces = ["stribeck", "viscous", "rubbing", "spring", "cubic", "maxwell"]
+    forces = ["stribeck", "viscous", "coulomb_by_position", "spring", "cubic", "maxwell"]
     system = with_added(SWING, forces, records(), {})
     at, plain = (s.model({k: jnp.asarray(x) for k, x in s.nominal().items()})
                  for s in (system, SWING))  # fmt: skip
@@ -114,7 +114,7 @@ def test_ranges_grow_with_the_system_and_its_motion():
             for p in SWING.parameters
         ),
     )
-    forces = ["stribeck", "viscous", "rubbing", "spring", "cubic", "maxwell"]
+    forces = ["stribeck", "viscous", "coulomb_by_position", "spring", "cubic", "maxwell"]
     usual, large = (
         {p.name: p for p in with_added(s, forces, falls(), {}).parameters if "." in p.name}
         for s in (SWING, strong)
@@ -217,3 +217,13 @@ def test_forces_and_sensors_go_together():
 def test_kinds_with_weights_do_not_know_the_key():
     with pytest.raises(tn.InputError, match="forces"):
         tn.read_recipe("standard", ['model.forces=["coulomb"]'])
+
+
+def test_a_force_under_the_name_of_an_earlier_version_is_added_with_a_warning():
+    with pytest.warns(FutureWarning, match="'rubbing' is called 'coulomb_by_position' now"):
+        old = with_added(SWING, ["rubbing"], records(), {})
+    assert old == with_added(SWING, ["coulomb_by_position"], records(), {})
+    assert old.added == ("coulomb_by_position:angle",)
+    with pytest.warns(FutureWarning, match="the old name goes"):
+        term = tn.Parameter("k", "", 0.0, -1.0, 1.0, optional=True, brings=("rubbing:angle",))
+    assert term.brings == ("coulomb_by_position:angle",)

@@ -101,7 +101,7 @@ def test_one_model_simulates_every_record_with_the_values_of_its_group(tmp_path:
     with pytest.raises(tn.InputError, match="parameters that the system does not have"):
         tn.load_model(tmp_path / "m.safetensors", CARRYING)
     taken = tmp_path / "taken.safetensors"
-    tn.save(model.of(both()[0]), taken)  # the file of a record's model has all values
+    tn.save(model.for_record(both()[0]), taken)  # the file of a record's model has all values
     assert tn.evaluate(tn.load_model(taken, PER), both()[1], "model-60")[0].rmse < 0.04
 
 
@@ -124,7 +124,7 @@ def test_a_record_that_the_model_does_not_know_is_refused(groups, told):
 def test_without_a_record_a_model_of_several_groups_does_not_step():
     with pytest.raises(tn.InputError, match=r"no one value of 'mass'.*model\.of\(record\)"):
         tn.linearize(found_per_payload().model, np.zeros(2), np.zeros(1))
-    at = tn.linearize(found_per_payload().model.of(both()[0]), np.zeros(2), np.zeros(1))
+    at = tn.linearize(found_per_payload().model.for_record(both()[0]), np.zeros(2), np.zeros(1))
     assert at.b[1, 0] == pytest.approx(GAIN * DT / (0.16 * 0.21), rel=0.05)
 
 

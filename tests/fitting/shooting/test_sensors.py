@@ -10,7 +10,7 @@ from swinging import CART, SWING, TRUTH, changed, data_set, falls, records
 import tustinnet as tn
 from tustinnet.fitting.shooting.sensors import freed
 from tustinnet.models.lagrangian import Parameter
-from tustinnet.models.sensors import calibrated
+from tustinnet.models.sensors import with_sensor_errors
 
 BIAS, INPUT_GAIN = 0.035, 1.1
 KNOWN = changed("gain", nominal=TRUTH["gain"], fixed=True)
@@ -57,7 +57,7 @@ def test_measured_motion_is_the_physical_one_through_the_sensors():
     cart = CART
     off = {"x.gain": 1.2, "x.bias": 0.1, "angle.bias": 0.3, "force.gain": 0.8, "force.bias": 0.5}
     sensors = tuple(Parameter(name, "", value, 0.0, 2.0) for name, value in off.items())
-    seen = calibrated(cart, sensors).model({"mass": jnp.asarray(1.0), **off})
+    seen = with_sensor_errors(cart, sensors).model({"mass": jnp.asarray(1.0), **off})
     plain = cart.model({"mass": jnp.asarray(1.0)})
     q, v, u = jnp.array([0.4, 0.9]), jnp.array([0.7, -1.1]), jnp.array([2.0])
     gain, bias = jnp.array([1.2, 1.0]), jnp.array([0.1, 0.3])
@@ -65,7 +65,7 @@ def test_measured_motion_is_the_physical_one_through_the_sensors():
     physical = plain.acceleration(jnp.concatenate([q, v]), 0.8 * u + 0.5)
     np.testing.assert_allclose(seen.acceleration(measured, u), gain * physical, rtol=1e-10)
     np.testing.assert_allclose(seen.energy(measured), plain.energy(jnp.concatenate([q, v])))
-    assert calibrated(cart, ()) is cart
+    assert with_sensor_errors(cart, ()) is cart
 
 
 @pytest.mark.parametrize(

@@ -386,7 +386,7 @@ def compute_window_losses(
         loss: what is compared.
     """
     # a stem is folded once a batch, not applied at every step; its gradient passes the fold
-    simulator, measured = model.folded(), model.channels.measured
+    simulator, measured = model.simplify(), model.channels.measured
     lead = target[:, : loss.lead + 1, measured] if loss.lead else None
     x0 = jnp.pad(target[:, 0], ((0, 0), (0, model.state_size - target.shape[-1])))
     simulated = rollouts(simulator, x0, u, lead, only_layers=loss.only_layers)
@@ -410,7 +410,7 @@ def compute_validation_rmse(
         run_indices: which of them.
         run_counts: 1 for those that count.
     """
-    simulator = model.folded()
+    simulator = model.simplify()
     # the segments of all records side by side; counted, for where there are no inputs the size of
     # an array says nothing of their number
     count = len(run_indices) * runs.weight.shape[1]

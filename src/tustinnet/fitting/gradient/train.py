@@ -43,7 +43,7 @@ def train_plan(
         }
         results.append(
             FitResult(
-                model=restore_untrained(plan, m, model).folded(),
+                model=restore_untrained(plan, m, model).simplify(),
                 recipe=plan.recipe,
                 member=plan.members[m],
                 outcome=p.outcome,

@@ -15,7 +15,7 @@ from tustinnet.engine.runs import evaluate
 from tustinnet.fitting.shooting.space import Space
 from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.models.sensors import delay_of
+from tustinnet.models.sensors import delay_name
 from tustinnet.simulate.simulation import system_motion
 
 Pick = Int[np.ndarray, "n n_g"]
@@ -129,7 +129,7 @@ class SystemEquations:
             else:
                 columns.append(np.full(len(pick), values[name]))
         if self.delays:
-            made = [values.get(delay_of(i), 0.0) for i in self.system.inputs]
+            made = [values.get(delay_name(i), 0.0) for i in self.system.inputs]
             columns += [np.full(len(pick), delay) for delay in made]
         return np.stack(columns, axis=1)
 
@@ -149,7 +149,7 @@ class SystemEquations:
         acts = np.ones((len(pick), len(space.names)))
         every = dict.fromkeys([*space.names, *space.fixed], 0.0)
         for i, p in enumerate(self.system.grouped):
-            names = [p.at(value).name for value in p.by_group(every)]
+            names = [p.for_group(value).name for value in p.by_group(every)]
             for j, name in enumerate(space.names):
                 if name in names:
                     acts[:, j] = pick[:, i] == names.index(name)

@@ -9,7 +9,7 @@ from jaxtyping import Int
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.models.parameters import Parameter, known_group
+from tustinnet.models.parameters import Parameter, require_group_value
 
 Value = TypeVar("Value")
 
@@ -27,8 +27,10 @@ def expanded(system: LagrangianSystem, experiments: Sequence[Experiment]) -> tup
             continue
         values = [e.group(p.per) for e in experiments]
         if None in values:
-            known_group(p, {}, sorted({v for v in values if v}), _where(experiments, values))
-        found += [p.at(value) for value in sorted({v for v in values if v})]
+            require_group_value(
+                p, {}, sorted({v for v in values if v}), _where(experiments, values)
+            )
+        found += [p.for_group(value) for value in sorted({v for v in values if v})]
     return tuple(found)
 
 
@@ -37,7 +39,7 @@ def known_by(system: LagrangianSystem, values: Mapping[str, Any]) -> tuple[Param
     return tuple(
         one
         for p in system.parameters
-        for one in ([p] if p.per is None else map(p.at, p.by_group(values)))
+        for one in ([p] if p.per is None else map(p.for_group, p.by_group(values)))
     )
 
 
@@ -61,7 +63,7 @@ def picks(
     known = dict.fromkeys(p.name for p in parameters)
     rows = [
         [
-            options.index(known_group(p, dict(e.groups), options, f"record '{e.name}'"))
+            options.index(require_group_value(p, dict(e.groups), options, f"record '{e.name}'"))
             for p in system.grouped
             for options in [tuple(p.by_group(known))]
         ]
@@ -81,7 +83,7 @@ def spread(
         InputError: a name that no parameter has.
     """
     names = [p.name for p in parameters]
-    of_all = {p.name: [p.at(v).name for v in p.by_group(dict.fromkeys(names))]
+    of_all = {p.name: [p.for_group(v).name for v in p.by_group(dict.fromkeys(names))]
               for p in system.grouped}  # fmt: skip
     for name in values:
         if name not in names and name not in of_all:

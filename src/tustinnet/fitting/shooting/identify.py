@@ -34,9 +34,9 @@ from tustinnet.fitting.shooting.uncertainty import Uncertainty, uncertainty
 from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task
 from tustinnet.models.contract import require_float64
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
-from tustinnet.models.sensors import calibrated, delayed
+from tustinnet.models.sensors import with_delays, with_sensor_errors
 from tustinnet.simulate.batches import batches
-from tustinnet.systems.files import AnySystem, MadeForRecords
+from tustinnet.systems.files import AnySystem, SystemTemplate
 
 # what right signs leave of the momentum is a few hundredths, what wrong ones leave over a half
 _POORLY_EXPLAINED = 0.1
@@ -109,7 +109,7 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
     system = task.system
     assert system is not None
     records = list(roles.train)
-    system = system.of(records) if isinstance(system, MadeForRecords) else system
+    system = system.for_records(records) if isinstance(system, SystemTemplate) else system
     system.channels.require_same(
         records[0].channels, records[0].name, f"the system '{system.name}'"
     )
@@ -117,7 +117,7 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
         records = _transients(records)
     system = _as_asked(system, recipe.model, records)
     # what nobody knows is searched for from 0 on
-    acting = delayed(records[0].inputs, {})
+    acting = with_delays(records[0].inputs, {})
     problem = Problem(
         system, tuple(e.with_timing(acting) for e in records),
         tuple(e.with_timing(acting) for e in roles.validation), recipe.search, listener,
@@ -183,7 +183,7 @@ def _as_asked(
     known = {**model.begin, **model.fixed}
     numbers = {name: x for name, x in known.items() if not isinstance(x, str)}
     system = with_added(system, model.forces, records, numbers)
-    return calibrated(system, freed(system, model.free, records))
+    return with_sensor_errors(system, freed(system, model.free, records))
 
 
 def _beginning(problem: Problem, model: IdentifiedHyper) -> tuple[Space, Searched]:

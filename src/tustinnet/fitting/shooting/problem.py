@@ -21,7 +21,7 @@ from tustinnet.fitting.shooting.segments import Cut, Segments, cut
 from tustinnet.fitting.shooting.space import Searched, Space
 from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
-from tustinnet.models.sensors import delayed, delays_among
+from tustinnet.models.sensors import delay_names, with_delays
 from tustinnet.simulate.horizon import horizon_samples, pieces
 from tustinnet.simulate.start_rules import FIT_SAMPLES, PARABOLA_SAMPLES, Start, start_named
 from tustinnet.simulate.starts import default_start, start_states
@@ -102,7 +102,7 @@ class Problem:
     @property
     def delays(self) -> tuple[str, ...]:
         """The delays of inputs that are searched for."""
-        return delays_among(self.system.sensors)
+        return delay_names(self.system.sensors)
 
     @property
     def first(self) -> str:
@@ -119,7 +119,7 @@ class Problem:
         """The system with some values; between the samples its inputs are as the records say."""
         arrays = {name: jnp.asarray(x) for name, x in values.items()}
         first = self.records[0]
-        inputs = delayed(first.inputs, values)
+        inputs = with_delays(first.inputs, values)
         return discretise(self.system.model(arrays), first.dt, substeps, inputs=inputs)
 
     def products(self, space: Space, vector: Searched, segments: Segments, substeps: int) -> Normal:

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from tustinnet.data.experiment import Experiment
 from tustinnet.fitting.residual import Residual
 from tustinnet.models.contract import Model
-from tustinnet.models.sensors import delayed, delays_among
+from tustinnet.models.sensors import delay_names, with_delays
 from tustinnet.signals.derivatives import polynomial_fit
 from tustinnet.signals.stacking import stack_padded
 from tustinnet.simulate.starts import initial_state
@@ -68,7 +68,7 @@ class Segments:
         if self.drive_at is None:
             return self
         step = _DELAYED * float(self.periods[0])
-        names = delays_among(values)
+        names = delay_names(values)
         after, before = (
             self.drive_at({name: values[name] + change for name in names})
             for change in (step, -step)
@@ -166,8 +166,8 @@ def cut(
     periods = [np.diff(e.t) if how.timestamps else np.full(len(e) - 1, e.dt) for e in experiments]
 
     def drive_at(values: Mapping[str, float]) -> np.ndarray:
-        inputs = delayed(model.channels.inputs, values)
-        each = (np.asarray(model.seen(e.excitation(inputs))) for e in experiments)
+        inputs = with_delays(model.channels.inputs, values)
+        each = (np.asarray(model.step_inputs(e.excitation(inputs))) for e in experiments)
         return np.concatenate([_with_end(u) for u in each])
 
     return Segments(

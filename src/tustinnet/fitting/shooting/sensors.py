@@ -8,7 +8,7 @@ from tustinnet.channels import Coordinate
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
-from tustinnet.models.sensors import delay_of
+from tustinnet.models.sensors import delay_name
 
 _WHERE = "model.free"
 _ANGLE = 0.5  # rad that the zero of an angle may be off by
@@ -37,7 +37,7 @@ def freed(
     for i, name in enumerate(names):
         if name in names[:i]:
             raise InputError(_WHERE, f"'{name}' twice", "once")
-    unknown = [delay_of(i) for i in experiments[0].inputs if i.delay is None]
+    unknown = [delay_name(i) for i in experiments[0].inputs if i.delay is None]
     names = [*names, *(name for name in unknown if name not in names)]
     return tuple(_parameter(system, name, experiments) for name in names)
 

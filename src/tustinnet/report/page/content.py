@@ -11,7 +11,7 @@ from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment
 from tustinnet.evaluate.bands import Band
 from tustinnet.families.family import family_of
-from tustinnet.models.kinematics import Link, carriers
+from tustinnet.models.kinematics import Link, parent_indices
 from tustinnet.report.page.judged import Judged
 from tustinnet.report.page.signals import bounded, kept, packed
 from tustinnet.report.page.subject import History
@@ -88,7 +88,7 @@ def content_of(
                 "parent": parent,
                 "at": link.at,
             }
-            for link, parent in zip(links, carriers(links), strict=True)
+            for link, parent in zip(links, parent_indices(links), strict=True)
         ],
         "models": [_model(of) for of in found],
         "records": [_record(i, e, found, points) for i, e in enumerate(records)],

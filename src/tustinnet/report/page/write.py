@@ -8,7 +8,7 @@ from typing import Any
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.export.javascript import MODULE, TARGET
-from tustinnet.export.source import source_of
+from tustinnet.export.source import make_source
 from tustinnet.families.family import family_of
 from tustinnet.models.contract import Model, require_fit
 from tustinnet.models.kinematics import Link
@@ -182,7 +182,7 @@ def _modules(
     silent = []
     for i, of in enumerate(found):
         try:
-            source = source_of(of.subject.model.of(records[0]), of.range)
+            source = make_source(of.subject.model.for_record(records[0]), of.range)
             text = str(TARGET.files(source)[MODULE])
             if len(text) + sum(map(len, modules.values())) > _MODULES:
                 size = f"{len(text) / 1000:.0f} kB"

@@ -1,11 +1,19 @@
-"""The simulated fast oscillator."""
+"""The example of a fast oscillator: its system file and its twin."""
+
+import runpy
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import tustinnet as tn
-from tustinnet.systems.duffing_twin import BAND, COUNT, TWIN_VALUES, duffing_twin
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+_TWIN = runpy.run_path(str(EXAMPLES / "duffing_twin.py"))
+BAND, COUNT, TWIN_VALUES, duffing_twin = (
+    _TWIN[name] for name in ("BAND", "COUNT", "TWIN_VALUES", "duffing_twin")
+)
 
 
 @pytest.fixture(scope="module")
@@ -59,8 +67,8 @@ def test_the_input_moves_between_the_samples_as_its_band_says(exact):
     assert (speed - e.velocities("file")[:, 0]).std() < 1e-3 * speed.std()
 
 
-def test_the_system_is_packaged():
-    system = tn.load_system("duffing")
+def test_the_system_is_a_mass_on_a_spring_that_stiffens():
+    system = tn.load_system(EXAMPLES / "duffing.py")
     model = system.model({k: jnp.asarray(v) for k, v in TWIN_VALUES.items()})
     slope = model.derivative(jnp.array([0.1, 2.0]), jnp.array([0.05]))
     force = 1.825e5 * 0.05 - 1.825e5 * 0.1 - 7.3e5 * 0.1**3 - 38 * 2.0
