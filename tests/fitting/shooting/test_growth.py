@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from swinging import SWING, TRUTH, noises, simulated
-
 from tustinnet.fitting.shooting.growth import bounded, horizons
+
 from tustinnet.fitting.shooting.space import make_space
 
 

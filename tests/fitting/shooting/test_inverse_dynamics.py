@@ -16,13 +16,13 @@ from swinging import (
     simulated,
     voltage,
 )
-
-import tustinnet as tn
 from tustinnet.fitting.shooting.inverse_dynamics import (
     first_values,
     likely_reversals,
     measured_motion,
 )
+
+import tustinnet as tn
 from tustinnet.fitting.shooting.space import make_space
 
 SPACE = make_space(SWING, {}, {})

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-
 from tustinnet.fitting.shooting.left_out import Quadratic
 
 RANDOM = np.random.default_rng(0)
