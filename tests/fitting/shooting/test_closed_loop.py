@@ -78,7 +78,7 @@ def test_records_that_swing_stay_whole_beside_one_that_is_held():
 
 def test_a_horizon_can_be_asked_for():
     told = []
-    found = tn.identify(data_set(records()), SWING, grey("horizon=1.2"), told=told.append)
+    found = tn.identify(data_set(records()), SWING, grey("horizon=1.2"), on_iteration=told.append)
     assert worst(found) < 1e-4
     assert set(found.horizons.values()) == {1.2}
     assert told[-1].stage == "segments of 1.2 s, anchored start"

@@ -9,14 +9,14 @@ from swinging import DT, TURNED, data_set, read_by_encoder, simulated, swing_mod
 import tustinnet as tn
 from tustinnet.fitting.recipe import SearchRecipe
 from tustinnet.fitting.residual import Residual
-from tustinnet.fitting.shooting.least_squares import Cost
-from tustinnet.fitting.shooting.normal import Normal, normal_products
-from tustinnet.fitting.shooting.problem import Problem, State, prior
-from tustinnet.fitting.shooting.segments import Cut, cut
-from tustinnet.fitting.shooting.space import make_space
+from tustinnet.fitting.shooting.least_squares import CostFunction
+from tustinnet.fitting.shooting.normal import NormalProducts, compute_products
+from tustinnet.fitting.shooting.problem import Problem, SearchState, make_prior
+from tustinnet.fitting.shooting.segments import CutOptions, cut_records
+from tustinnet.fitting.shooting.space import make_search_space
 
-SPACE = make_space(TURNED, {}, {})
-VECTOR = SPACE.vector(TURNED.nominal() | {"damping": 0.03, "gravity": 1.3, "turned": 0.6})
+SPACE = make_search_space(TURNED, {}, {})
+VECTOR = SPACE.to_vector(TURNED.nominal() | {"damping": 0.03, "gravity": 1.3, "turned": 0.6})
 POSITION = Residual((False,), (1.0,))
 KEPT = 0.8  # of the first angle is not relaxed where the records below begin
 
@@ -33,19 +33,19 @@ def records() -> list[tn.Experiment]:
 
 def segments(length: int | None = None):
     model = tn.discretise(swing_model(system=TURNED), DT)
-    return cut(records(), model, Cut(POSITION, length))
+    return cut_records(records(), model, CutOptions(POSITION, length))
 
 
-def products(vector: np.ndarray, x0: np.ndarray, pieces) -> Normal:
-    return normal_products(TURNED, POSITION, SPACE, vector, x0, pieces, 2)
+def products(vector: np.ndarray, x0: np.ndarray, pieces) -> NormalProducts:
+    return compute_products(TURNED, POSITION, SPACE, vector, x0, pieces, 2)
 
 
 def test_they_are_expected_where_records_begin_and_searched_for_elsewhere():
     pieces = segments(50)
-    begins = np.isin(np.arange(len(pieces.steps)), pieces.begins)
-    np.testing.assert_array_equal(pieces.expected, begins)
-    np.testing.assert_array_equal(pieces.searched[:, 2], ~begins)
-    assert len(pieces.of([1]).expected) == 4
+    begins = np.isin(np.arange(len(pieces.steps)), pieces.first_of_records)
+    np.testing.assert_array_equal(pieces.adds_expected, begins)
+    np.testing.assert_array_equal(pieces.is_free[:, 2], ~begins)
+    assert len(pieces.for_records([1]).adds_expected) == 4
 
 
 def test_the_derivatives_are_those_of_finite_differences():
@@ -84,11 +84,11 @@ def test_a_state_that_is_given_is_not_added_to():
     """A start that fits the state has the internal ones in it."""
     experiments = [read_by_encoder(e) for e in records()]
     problem = Problem(TURNED, tuple(experiments), (), SearchRecipe())
-    state = State(SPACE, VECTOR, substeps=2)
+    state = SearchState(SPACE, VECTOR, substeps=2)
     pieces = problem.segments(None, "anchored", {})
     whole = np.array([[2.0, 0.0, 0.4], [-1.5, 1.0, 0.1], [1.0, -0.5, 0.0]])
-    given = pieces.beginning_at(whole)
-    added = replace(pieces, x0=whole - [0, 0, 1] * (0.6 * whole[:, :1]), searched=given.searched)
-    cost = Cost(TURNED, problem.residual, SPACE, given, prior(problem, state), 2)
+    given = pieces.with_fixed_states(whole)
+    added = replace(pieces, x0=whole - [0, 0, 1] * (0.6 * whole[:, :1]), is_free=given.is_free)
+    cost = CostFunction(TURNED, problem.residual, SPACE, given, make_prior(problem, state), 2)
     same = products(VECTOR, added.x0, added).cost
     np.testing.assert_allclose(cost.products(VECTOR, whole).cost, same, rtol=1e-9)

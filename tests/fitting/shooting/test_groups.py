@@ -13,7 +13,7 @@ import tustinnet as tn
 from tustinnet.data.proposals import Proposal
 from tustinnet.evaluate.bands import alternatives_of
 from tustinnet.evaluate.next_record import ranked
-from tustinnet.fitting.shooting.information import information, space_of
+from tustinnet.fitting.shooting.information import fisher_information, search_space_for
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 
 MASSES = {"1kg": 0.21, "2kg": 0.42}
@@ -192,10 +192,10 @@ def test_a_proposed_record_is_ranked_with_the_mass_that_it_is_made_with():
 
 def test_a_record_informs_of_the_value_of_its_own_group_alone():
     values = {e.name: e.value for e in found_per_payload().estimates} | {"gain": GAIN}
-    space = space_of(PER, values, ["mass[1kg]", "mass[2kg]", "damping"])
+    space = search_space_for(PER, values, ["mass[1kg]", "mass[2kg]", "damping"])
     records = [e for e in both() if e.group("payload") == "2kg"]
     of_one, of_two = (space.names.index(f"mass[{payload}]") for payload in ("1kg", "2kg"))
-    for matrix in information(space, PER, values, records, 2, 0.005):
+    for matrix in fisher_information(space, PER, values, records, 2, 0.005):
         assert matrix[of_one, of_one] == 0
         assert matrix[of_two, of_two] > 1
 

@@ -10,26 +10,26 @@ from swinging import SWING, changed, falls, records
 
 import tustinnet as tn
 from tustinnet.fitting.residual import Residual
-from tustinnet.fitting.shooting.identifiability import Confounded, confounded
-from tustinnet.fitting.shooting.normal import normal_products
-from tustinnet.fitting.shooting.segments import Cut, cut
-from tustinnet.fitting.shooting.space import Space, make_space
+from tustinnet.fitting.shooting.identifiability import ConfoundedParameters, find_confounded
+from tustinnet.fitting.shooting.normal import compute_products
+from tustinnet.fitting.shooting.segments import CutOptions, cut_records
+from tustinnet.fitting.shooting.space import SearchSpace, make_search_space
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 from tustinnet.systems import qube_servo2, qube_servo2_twin
 
 
-def plain(**ranges: tuple[float, float]) -> Space:
+def plain(**ranges: tuple[float, float]) -> SearchSpace:
     """Parameters of the given ranges."""
     searched = tuple(Parameter(name, "", sum(r) / 2, *r) for name, r in ranges.items())
-    return Space(searched, {})
+    return SearchSpace(searched, {})
 
 
 ABC = plain(a=(1.0, 5.0), b=(1.0, 2.0), c=(1.0, 9.0))
-CENTRE = ABC.vector({"a": 3.0, "b": 1.5, "c": 5.0})
+CENTRE = ABC.to_vector({"a": 3.0, "b": 1.5, "c": 5.0})
 
 
-def found_by(jacobian: np.ndarray, space: Space = ABC) -> tuple[Confounded, ...]:
-    return confounded(space, CENTRE, jacobian.T @ jacobian)
+def found_by(jacobian: np.ndarray, space: SearchSpace = ABC) -> tuple[ConfoundedParameters, ...]:
+    return find_confounded(space, CENTRE, jacobian.T @ jacobian)
 
 
 def columns(count: int) -> np.ndarray:
@@ -55,7 +55,7 @@ def test_a_sum_is_told_with_how_its_parts_change_together():
     (found,) = found_by(np.stack([3.0 * a, b, 5.0 * a], axis=1))
     assert found.shares == pytest.approx({"a": 1.0, "c": -0.6})
     assert found.suggestion == "a"
-    assert str(found).startswith("a and c cannot be told apart")
+    assert str(found).startswith("a and c are not identifiable separately")
 
 
 def test_a_parameter_without_effect_is_told_alone():
@@ -83,37 +83,37 @@ def test_where_nothing_has_an_effect_every_parameter_is_told_alone():
 
 
 def products(
-    system: LagrangianSystem, experiments: list[tn.Experiment], length: int, space: Space
+    system: LagrangianSystem, experiments: list[tn.Experiment], length: int, space: SearchSpace
 ) -> np.ndarray:
-    vector = space.vector(system.nominal())
-    values = {name: jnp.asarray(x) for name, x in space.values(vector).items()}
+    vector = space.to_vector(system.nominal())
+    values = {name: jnp.asarray(x) for name, x in space.to_values(vector).items()}
     model = tn.discretise(system.model(values), experiments[0].dt)
     n_q = len(system.coordinates)
     residual = Residual((False,) * n_q, (1.0,) * n_q)
-    pieces = cut(experiments, model, Cut(residual, length, timestamps=False))
+    pieces = cut_records(experiments, model, CutOptions(residual, length, timestamps=False))
     x0 = pieces.x0
-    return normal_products(system, residual, space, vector, x0, pieces, 1).pp.sum(axis=0)
+    return compute_products(system, residual, space, vector, x0, pieces, 1).pp.sum(axis=0)
 
 
 def directions(
-    system: LagrangianSystem, experiments: list[tn.Experiment], space: Space
-) -> tuple[Confounded, ...]:
-    vector = space.vector(system.nominal())
-    return confounded(space, vector, products(system, experiments, 60, space))
+    system: LagrangianSystem, experiments: list[tn.Experiment], space: SearchSpace
+) -> tuple[ConfoundedParameters, ...]:
+    vector = space.to_vector(system.nominal())
+    return find_confounded(space, vector, products(system, experiments, 60, space))
 
 
 def test_only_ratios_of_a_pendulums_inertia_and_forces_are_identifiable():
     loose = changed("inertia", fixed=False)
-    (found,) = directions(loose, records(), make_space(loose, {}, {}))
+    (found,) = directions(loose, records(), make_search_space(loose, {}, {}))
     assert set(found.shares) == {"inertia", "damping", "gravity", "gain"}
     assert found.suggestion == "inertia"
     assert "only ratios" in str(found)
 
 
 def test_free_swings_say_nothing_of_the_input():
-    (found,) = directions(SWING, list(falls()), make_space(SWING, {}, {}))
+    (found,) = directions(SWING, list(falls()), make_search_space(SWING, {}, {}))
     assert found.shares == {"gain": 1.0}
-    assert directions(SWING, records(), make_space(SWING, {}, {})) == ()
+    assert directions(SWING, records(), make_search_space(SWING, {}, {})) == ()
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +128,7 @@ LOOSE = replace(
     qube_servo2.SYSTEM,
     parameters=tuple(replace(p, fixed=False) for p in qube_servo2.SYSTEM.parameters),
 )
-LOOSE_SPACE = make_space(LOOSE, {}, {})
+LOOSE_SPACE = make_search_space(LOOSE, {}, {})
 
 
 def base_parameters(vector: jax.Array) -> jax.Array:
@@ -139,7 +139,7 @@ def base_parameters(vector: jax.Array) -> jax.Array:
     """
     p = {
         q.name: jnp.exp(x) if q.positive else x * (q.upper - q.lower)
-        for q, x in zip(LOOSE_SPACE.searched, vector, strict=True)
+        for q, x in zip(LOOSE_SPACE.free_parameters, vector, strict=True)
     }
     arm = p["rotor_inertia"] + p["hub_mass"] * p["hub_radius"] ** 2 / 2
     base = jnp.stack([
@@ -157,7 +157,7 @@ def base_parameters(vector: jax.Array) -> jax.Array:
 
 def test_the_rotary_pendulums_null_space_is_that_of_its_base_parameters(rotary):
     found = directions(LOOSE, rotary, LOOSE_SPACE)
-    vector = LOOSE_SPACE.vector(LOOSE.nominal())
+    vector = LOOSE_SPACE.to_vector(LOOSE.nominal())
     slopes = np.asarray(jax.jit(jax.jacfwd(base_parameters))(jnp.asarray(vector)))
     assert np.linalg.matrix_rank(slopes) == 8
     assert len(found) == len(vector) - 8

@@ -131,9 +131,9 @@ def test_intervals_contain_the_truth_as_an_encoder_reads():
 
 def test_every_stage_is_told():
     told: list[Iteration] = []
-    tn.identify(data_set(records()), SWING, told=told.append)
+    tn.identify(data_set(records()), SWING, on_iteration=told.append)
     stages = list(dict.fromkeys(i.stage for i in told))
-    assert stages[0] == "first values"
+    assert stages[0] == "equation-error estimate"
     assert stages[1].startswith("segments of ")
     assert stages[-1] == "whole records, anchored start"
     for stage in stages[1:]:
@@ -306,7 +306,7 @@ def test_a_reversed_input_is_told_with_the_bound_it_leads_to():
     assert np.isnan(found.correlation[2]).all()
     assert found.reversed_signs == (("voltage",),)
     assert not found.sound
-    assert any("'gain' stands at the lower end of its range" in f for f in found.findings)
+    assert any("'gain' is at its lower bound" in f for f in found.findings)
     assert any("sign of 'voltage' is probably reversed" in f for f in found.findings)
 
 
@@ -380,7 +380,7 @@ def test_a_fit_of_a_system_is_its_identification(clean):
     assert (found.start, found.validation_rmse) == ("file", None)
     assert found.details == {"identification": found.identification.as_plain()}
     assert found.told("fixed") == {"inertia": 0.05}
-    assert {i.stage for i in told} >= {"first values", "whole records, anchored start"}
+    assert {i.stage for i in told} >= {"equation-error estimate", "whole records, anchored start"}
     with pytest.raises(tn.InputError, match="an identification has no seeds"):
         tn.fit(data_set(records()), system=SWING, seed=3)
 

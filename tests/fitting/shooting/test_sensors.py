@@ -1,4 +1,4 @@
-"""Sensors and actuators that are off, freed as parameters."""
+"""Sensors and actuators that are off, sensor_parameters as parameters."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ import pytest
 from swinging import CART, SWING, TRUTH, changed, data_set, falls, records
 
 import tustinnet as tn
-from tustinnet.fitting.shooting.sensors import freed
+from tustinnet.fitting.shooting.sensors import sensor_parameters
 from tustinnet.models.lagrangian import Parameter
 from tustinnet.models.sensors import calibrated
 
@@ -48,7 +48,7 @@ def test_a_file_keeps_them(found, tmp_path):
 def test_what_stands_for_the_same_is_said():
     loose = tn.read_recipe("grey", ['model.free=["voltage.gain"]'])
     told = " ".join(tn.identify(data_set(records()), SWING, loose).findings)
-    assert "gain and voltage.gain cannot be told apart" in told
+    assert "gain and voltage.gain are not identifiable separately" in told
     assert "here it was fixed at its first value" in told
 
 
@@ -80,13 +80,13 @@ def test_measured_motion_is_the_physical_one_through_the_sensors():
 )
 def test_what_cannot_be_freed_is_refused_by_name(free, told):
     with pytest.raises(tn.InputError, match=told) as refused:
-        freed(SWING, free, falls())
+        sensor_parameters(SWING, free, falls())
     assert "\n" not in str(refused.value)
 
 
 def test_an_input_that_is_never_used_has_no_bias():
     with pytest.raises(tn.InputError, match="'voltage' never moves"):
-        freed(SWING, ["voltage.bias"], falls())
+        sensor_parameters(SWING, ["voltage.bias"], falls())
 
 
 def test_they_are_fixed_and_begun_like_any_other():

@@ -144,13 +144,11 @@ def _fit_records(
     result = minimise(cost, state.vector, _CLOSE)
     if result.status == "diverged" or not np.isfinite(result.products.cost).all():
         return None
-    bounds = space.active_bounds(result.vector)
-    inside = np.array([name not in bounds for name in space.names])
     part_information, information = (
         np.einsum("spp->p", eliminate_initial_states(products).matrices)
         for products in (result.products, whole.products)
     )
-    informed = (part_information > _NOTHING * information) & inside
+    informed = space.inside(result.vector) & (part_information > _NOTHING * information)
     curvature = cost.prior.curvature(space, result.vector)
     uncertainty = estimate_uncertainty(result.products, segments, curvature, informed)
     variance, freedom = np.diag(uncertainty.trusted).copy(), float(len(records) - 1)

@@ -99,8 +99,8 @@ class SystemEquations:
         system, measured = self.system, self.system.channels.measured
 
         def expected(point: Array) -> Array:
-            p, c = point[measured.stop :][: self.n_p], point[measured.stop :][self.n_p :]
-            return system.model(self._values_by_name(p, c)).initial_internal(point[measured])
+            model = system.model(self._values_in_row(point[measured.stop :]))
+            return model.initial_internal(point[measured])
 
         differentiated = range(measured.stop + self.n_p)
         return Formula(
@@ -119,7 +119,7 @@ class SystemEquations:
         def momentum_and_force(point: Array) -> Array:
             q, v = point[channels.position], point[channels.velocity]
             u = point[channels.measured.stop : first]
-            values = self._values_by_name(point[first:][: self.n_p], point[first:][self.n_p :])
+            values = self._values_in_row(point[first:])
             momentum = jax.grad(system.kinetic, argnums=1)(q, v, values)
             force = jax.grad(system.kinetic)(q, v, values)
             if system.potential:
@@ -143,9 +143,8 @@ class SystemEquations:
         n_x, n_u = self.motion.n_x, len(self.system.inputs)
 
         def derivative(point: Array) -> Array:
-            parameters = point[n_x + n_u :]
-            values = self._values_by_name(parameters[: self.n_p], parameters[self.n_p :])
-            return self.system.model(values).derivative(point[:n_x], point[n_x : n_x + n_u])
+            model = self.system.model(self._values_in_row(point[n_x + n_u :]))
+            return model.derivative(point[:n_x], point[n_x : n_x + n_u])
 
         where = f"system '{self.system.name}'"
         return Formula(derivative, n_x + n_u + self.n_columns, range(n_x), where)
@@ -154,6 +153,10 @@ class SystemEquations:
         """Values by name of the free parameters `p` and of the others, which `c` begins with."""
         free = {name: p[i] for i, name in enumerate(self.free_names)}
         return free | {name: c[i] for i, name in enumerate(self.other_names)}
+
+    def _values_in_row(self, parameters: Any) -> dict[str, Any]:
+        """Values by name of a row of `parameter_rows`."""
+        return self._values_by_name(parameters[: self.n_p], parameters[self.n_p :])
 
     def parameter_rows(
         self, values: Mapping[str, float], group_indices: GroupIndices

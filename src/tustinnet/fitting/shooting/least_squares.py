@@ -28,7 +28,7 @@ _TINY = 1e-300
 _DAMPING_RULE = DampingRule(
     initial=1e-3,
     largest=1e7,
-    increase=4,
+    increase=4.0,
     decreased=lambda damping, gain: max(
         damping * max(1 / 5, 1 - (2 * gain - 1) ** 3), _LEAST_DAMPING
     ),
@@ -123,7 +123,6 @@ class LeastSquaresResult:
         products: the products there.
         cost: the sum of squares there, prior included; infinite where it diverged.
         iterations: accepted steps.
-        evaluations: simulations of all segments.
         status: `converged`, `stalled`, `limit`, or `diverged` where the first simulation did.
     """
 
@@ -133,7 +132,6 @@ class LeastSquaresResult:
     products: NormalProducts
     cost: float
     iterations: int
-    evaluations: int
     status: str
 
 
@@ -179,20 +177,17 @@ def minimise(
         small = undamped.predicted_decrease <= stopping.tolerance * (point.cost + _TINY)
         return bool(small or length < _SHORTEST_STEP)
 
-    start = evaluate(cost.space.clip(vector), cost.segments.x0)
-    iterations, evaluations, status, point = 0, 0, "diverged", start
-    if np.isfinite(start.cost):
+    point = evaluate(cost.space.clip(vector), cost.segments.x0)
+    iterations, status = 0, "diverged"
+    if np.isfinite(point.cost):
         result = iterate(
-            start, propose, has_converged, _DAMPING_RULE, stopping.max_iterations,
+            point, propose, has_converged, _DAMPING_RULE, stopping.max_iterations,
             lambda number, point, damping: on_iteration(number, point.cost, damping),
         )  # fmt: skip
-        iterations, evaluations, status, point = (
-            result.iterations, result.evaluations, result.status, result.point,
-        )  # fmt: skip
+        point, iterations, status = result.point, result.iterations, result.status
     return LeastSquaresResult(
-        point.vector, point.x0, cost.segments, point.products, point.cost, iterations,
-        1 + evaluations, status,
-    )  # fmt: skip
+        point.vector, point.x0, cost.segments, point.products, point.cost, iterations, status
+    )
 
 
 @dataclass(frozen=True)
@@ -279,10 +274,7 @@ def eliminate_initial_states(products: NormalProducts, damping: float = 0.0) -> 
 
 
 def add_anchors(
-    products: NormalProducts,
-    segments: Segments,
-    x0: Float[np.ndarray, "n_s n_x"],
-    variance: float,
+    products: NormalProducts, segments: Segments, x0: Float[np.ndarray, "n_s n_x"], variance: float
 ) -> NormalProducts:
     """Adds to products the cost of initial states that depart from their measurements."""
     weight = variance * segments.share[:, None] * segments.precision**2

@@ -63,13 +63,11 @@ class IterationResult(Generic[P]):
     Attributes:
         point: the last accepted point.
         iterations: accepted steps.
-        evaluations: proposed steps.
         status: `converged`, `stalled` where no step lowers the cost, or `limit` of iterations.
     """
 
     point: P
     iterations: int
-    evaluations: int
     status: str
 
 
@@ -92,23 +90,21 @@ def iterate(
         on_iteration: called after every accepted step with their number, the point, and the
             damping of the next step.
     """
-    point, previous_cost, damping = start, np.inf, damping_rule.initial
-    iterations = evaluations = 0
+    point, previous_cost, damping, iterations = start, np.inf, damping_rule.initial, 0
     while iterations < max_iterations:
         if has_converged(point, previous_cost):
-            return IterationResult(point, iterations, evaluations, "converged")
+            return IterationResult(point, iterations, "converged")
         while damping <= damping_rule.largest:
             trial, predicted = propose(point, damping)
-            evaluations += 1
             decrease = point.cost - trial.cost
             gain_ratio = decrease / predicted if np.isfinite(trial.cost) else -1.0
             if gain_ratio > damping_rule.least_gain_ratio:
                 break
             damping *= damping_rule.increase
         else:
-            return IterationResult(point, iterations, evaluations, "stalled")
+            return IterationResult(point, iterations, "stalled")
         previous_cost, point = point.cost, trial
         iterations += 1
         damping = damping_rule.decreased(damping, gain_ratio)
         on_iteration(iterations, point, damping)
-    return IterationResult(point, iterations, evaluations, "limit")
+    return IterationResult(point, iterations, "limit")

@@ -75,26 +75,17 @@ def compute_products(
     initial = equations.initial_states(x0, parameter_rows, segments.adds_expected)
     # polynomials over every period, held inputs with one coefficient; derivatives by delays follow
     polynomials = [segments.inputs, *([segments.inputs_by_delay] if has_delays else [])]
+    runs = Runs(
+        start=initial.states, parameters=parameter_rows, steps=segments.steps,
+        first=segments.first_row, periods=segments.periods,
+        drive=np.concatenate([x[:, None] if x.ndim == 2 else x for x in polynomials], axis=-1),
+    )  # fmt: skip
+    by_state = segments.is_free[:, :, None] * initial.by_state
+    directions = np.concatenate([initial.by_parameter, by_state], axis=1)
     result = compare(
-        equations.motion,
-        residual.as_compared,
-        Runs(
-            start=initial.states,
-            parameters=parameter_rows,
-            steps=segments.steps,
-            first=segments.first_row,
-            drive=np.concatenate([x[:, None] if x.ndim == 2 else x for x in polynomials], axis=-1),
-            periods=segments.periods,
-        ),
-        substeps,
-        Directions(
-            np.concatenate(
-                [initial.by_parameter, segments.is_free[:, :, None] * initial.by_state], axis=1
-            ),
-            parameters=True,
-        ),
-        Samples(segments.measurements, segments.weights),
-    )
+        equations.motion, residual.as_compared, runs, substeps,
+        Directions(directions, parameters=True), Samples(segments.measurements, segments.weights),
+    )  # fmt: skip
     # the engine differentiates by the equations' parameters, the search by its coordinates
     chain = equations.coordinate_derivatives(space, vector, segments.group_indices)
     free, n_p = equations.free_columns(space), equations.n_p

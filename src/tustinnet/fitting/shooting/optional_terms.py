@@ -173,8 +173,7 @@ def _add_brought_forces(
     new = [p for p in extended.parameters if p not in system.parameters]
     fixed = {p.name: p.nominal for p in new if p.fixed}
     space = SearchSpace(
-        (*space.free_parameters, *(p for p in new if not p.fixed)),
-        dict(space.fixed_values) | fixed,
+        (*space.free_parameters, *(p for p in new if not p.fixed)), dict(space.fixed_values) | fixed
     )
     vector = space.clip(space.to_vector(values | {p.name: p.nominal for p in new}))
     return replace(problem, system=extended), space, vector

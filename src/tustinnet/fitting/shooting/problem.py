@@ -152,26 +152,19 @@ class Problem:
         """
         is_estimated = initial in ("anchored", "unanchored")
         options = CutOptions(
-            residual=self.residual,
-            steps=steps,
-            start="estimated" if is_estimated else initial,
-            anchored=initial != "unanchored",
-            timestamps=self.search.times == "recorded",
-            horizons=horizons,
-            has_delays=bool(self.delays),
-        )
-        return cut_records(
-            self.records, self.nominal_model, options, self.group_indices(self.records)
-        )
+            residual=self.residual, steps=steps, start="estimated" if is_estimated else initial,
+            anchored=initial != "unanchored", timestamps=self.search.times == "recorded",
+            horizons=horizons, has_delays=bool(self.delays),
+        )  # fmt: skip
+        indices = self.group_indices(self.records)
+        return cut_records(self.records, self.nominal_model, options, indices)
 
     def free_runs(self, records: Sequence[Experiment]) -> Segments:
         """Records as a whole from `model_free_start`; no initial state is searched for."""
         options = CutOptions(
-            residual=self.residual,
-            start=self.model_free_start.name,
-            timestamps=False,
+            residual=self.residual, start=self.model_free_start.name, timestamps=False,
             has_delays=bool(self.delays),
-        )
+        )  # fmt: skip
         return cut_records(records, self.nominal_model, options, self.group_indices(records))
 
 

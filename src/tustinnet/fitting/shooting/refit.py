@@ -9,24 +9,17 @@ estimates of the search stay beside it.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from tustinnet.data.experiment import Experiment
 from tustinnet.engine.runs import Directions, Runs, Samples, compare
 from tustinnet.fitting.listener import Iteration
 from tustinnet.fitting.report import Identification, Refined
 from tustinnet.fitting.shooting.equations import SystemEquations, system_equations
 from tustinnet.fitting.shooting.levenberg_marquardt import DampingRule, Trial, iterate
-from tustinnet.fitting.shooting.problem import (
-    Problem,
-    SearchState,
-    make_model,
-    score_validation,
-)
+from tustinnet.fitting.shooting.problem import Problem, SearchState, make_model, score_validation
 from tustinnet.fitting.shooting.space import SearchSpace
 from tustinnet.models.integrate import Discretised
 from tustinnet.models.parameters import Parameter
@@ -46,7 +39,7 @@ _LISTED = 3  # parameters that changed most
 _DAMPING_RULE = DampingRule(
     initial=1e-2,
     largest=9e5,
-    increase=10,
+    increase=10.0,
     decreased=lambda damping, _: damping / 10,
     least_gain_ratio=0.0,
 )
@@ -137,12 +130,8 @@ def _minimise_mean_rmse(
     lower = (np.array([p.lower for p in free]) - first) / unit
     upper = (np.array([p.upper for p in free]) - first) / unit
     fixed = {name: x for name, x in identified.items() if name not in names}
-    runs = _make_free_runs(problem, state, start, SearchSpace(tuple(free), fixed))
-
-    def simulate(change: np.ndarray) -> _FreeRunProducts:
-        return runs.simulate(first + unit * change, unit)
-
-    initial = simulate(np.zeros(len(free)))
+    runs = _make_free_runs(problem, state, start, SearchSpace(tuple(free), fixed), unit)
+    initial = runs.simulate(first)
     scale, prior = initial.mean_rmse, _PRIOR / len(problem.records)
 
     def propose(point: _Point, damping: float) -> Trial[_Point]:
@@ -153,9 +142,12 @@ def _minimise_mean_rmse(
         gradient = np.einsum("r,ri->i", weight, point.products.gradient) + prior * point.change
         step = np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), -gradient)
         change = np.clip(point.change + step, lower, upper)
-        products = simulate(change)
+        products = runs.simulate(first + unit * change)
         cost = products.mean_rmse / scale + prior * float(change @ change)
         return Trial(_Point(change, products, cost), predicted_decrease=1.0)
+
+    def has_converged(point: _Point, previous_cost: float) -> bool:
+        return previous_cost - point.cost < _TOLERANCE * point.cost
 
     def on_iteration(number: int, point: _Point, damping: float) -> None:
         stage, mean_rmse = f"refit to free runs from {start.name}", point.products.mean_rmse
@@ -164,12 +156,7 @@ def _minimise_mean_rmse(
     point, iterations = _Point(np.zeros(len(free)), initial, 1.0), 0
     if 0 < scale < np.inf:
         result = iterate(
-            point,
-            propose,
-            lambda point, previous: previous - point.cost < _TOLERANCE * point.cost,
-            _DAMPING_RULE,
-            _MAX_ITERATIONS,
-            on_iteration,
+            point, propose, has_converged, _DAMPING_RULE, _MAX_ITERATIONS, on_iteration
         )
         point, iterations = result.point, result.iterations
     values = dict(zip(names, (first + unit * point.change).tolist(), strict=True))
@@ -201,131 +188,98 @@ class _FreeRuns:
     """Free runs of records, whole or cut end to end over a horizon.
 
     Attributes:
-        space: the parameters that are free.
+        space: the search space.
+        unit: unit of each free parameter, by which its derivatives are multiplied, (n_p,).
         model: the model as identified, with the inputs as they act.
         equations: its equations, with derivatives by the free parameters.
         start: the start of the free runs, at the first sample of each.
-        parts: the records, or their parts over a horizon.
-        record: index of the record of each part, (n_s,).
-        group_indices: the values of parameters per group that apply in each part, (n_s, n_g).
+        start_data: samples that the start estimates initial states from, see `Start.material`.
+        record: index of the record of each run, (n_s,).
+        group_indices: the values of parameters per group that apply in each run, (n_s, n_g).
+        lengths: samples of each run, (n_s,).
+        inputs: inputs between the samples, run after run, a row of zeros at the end of each.
+        samples: measured positions and their weights.
     """
 
     space: SearchSpace
+    unit: Float[np.ndarray, " n_p"]
     model: Discretised
     equations: SystemEquations
     start: Start
-    parts: tuple[Experiment, ...]
+    start_data: Any
     record: Int[np.ndarray, " n_s"]
     group_indices: Int[np.ndarray, "n_s n_g"]
+    lengths: Int[np.ndarray, " n_s"]
+    inputs: Float[np.ndarray, "rows order n_u"]
+    samples: Samples
 
-    def simulate(
-        self, values: Float[np.ndarray, " n_p"], unit: Float[np.ndarray, " n_p"]
-    ) -> _FreeRunProducts:
-        """Simulates the free runs with values of the free parameters.
-
-        Args:
-            values: the values.
-            unit: unit of each parameter, by which the derivatives are multiplied.
-        """
-        equations = self.equations
+    def simulate(self, values: Float[np.ndarray, " n_p"]) -> _FreeRunProducts:
+        """Simulates the free runs with values of the free parameters."""
+        equations, model = self.equations, self.model
         by_name = dict(zip(self.space.names, values.tolist(), strict=True))
         parameter_rows = equations.parameter_rows(
             dict(self.space.fixed_values) | by_name, self.group_indices
         )
-        x0, by_parameter = self._initial_states(parameter_rows)
-        lengths = self._lengths
-        result = compare(
-            equations.motion,
-            positions(self.model.channels.n_q),
-            Runs(
-                start=x0,
-                parameters=parameter_rows,
-                steps=lengths - 1,
-                first=np.cumsum(lengths) - lengths,
-                drive=self._inputs,
-                periods=np.full(len(self._inputs), self.model.dt),
-            ),
-            self.model.substeps,
-            Directions(by_parameter, parameters=True),
-            self._samples,
+        measured, inputs, q = self.start_data, None, None
+        if isinstance(self.start, Fitted):
+            measured, inputs, q = self.start_data
+        # measured states, with the internal ones that are expected there
+        x0 = np.concatenate(
+            [np.asarray(measured), np.zeros((len(self.record), len(model.internal)))], axis=1
         )
+        x0, by_parameter, _ = equations.initial_states(x0, parameter_rows, np.ones(len(x0)))
+        if inputs is not None and q is not None:
+            x0, by_parameter = fitted_with_derivatives(
+                model, equations.motion, parameter_rows, x0, by_parameter, inputs, q
+            )
+        runs = Runs(
+            start=x0, parameters=parameter_rows, steps=self.lengths - 1,
+            first=np.cumsum(self.lengths) - self.lengths, drive=self.inputs,
+            periods=np.full(len(self.inputs), model.dt),
+        )  # fmt: skip
+        result = compare(
+            equations.motion, positions(model.channels.n_q), runs, model.substeps,
+            Directions(by_parameter, parameters=True), self.samples,
+        )  # fmt: skip
         free = equations.free_columns(self.space)
-        chain = unit * equations.applicable(self.space, self.group_indices)
+        chain = self.unit * equations.applicable(self.space, self.group_indices)
         with np.errstate(over="ignore", invalid="ignore"):  # of simulations that diverged
             matrix = result.products[:, free][:, :, free] * chain[:, :, None] * chain[:, None]
             gradient = result.gradient[:, free] * chain
-            first_parts = np.flatnonzero(np.diff(self.record, prepend=-1))
+            first_runs = np.flatnonzero(np.diff(self.record, prepend=-1))
             cost, matrix, gradient = (
-                np.add.reduceat(x, first_parts) for x in (result.cost, matrix, gradient)
+                np.add.reduceat(x, first_runs) for x in (result.cost, matrix, gradient)
             )
         return _FreeRunProducts(np.sqrt(cost), matrix, gradient)
 
-    # the same in every iteration
-
-    @cached_property
-    def _start_data(self) -> Any:
-        """The samples that the start estimates initial states from, see `Start.material`."""
-        return self.start.material(self.model, self.parts)
-
-    @cached_property
-    def _lengths(self) -> Int[np.ndarray, " n_s"]:
-        """Samples of every free run."""
-        return np.array([len(part) for part in self.parts])
-
-    @cached_property
-    def _inputs(self) -> Float[np.ndarray, "rows order n_u"]:
-        """Inputs between the samples, run after run, a row of zeros at the end of each."""
-        inputs = [np.asarray(drive_of(self.model, part).u) for part in self.parts]
-        rows = np.concatenate([np.concatenate([u, np.zeros_like(u[:1])]) for u in inputs])
-        return rows[:, None] if rows.ndim == 2 else rows
-
-    @cached_property
-    def _samples(self) -> Samples:
-        """Measured positions; every record counts the same, however long."""
-        lengths = self._lengths
-        record_lengths = np.bincount(self.record, lengths)
-        weight = np.repeat(1 / np.sqrt(record_lengths[self.record]), lengths)
-        q = np.concatenate([part.q for part in self.parts])
-        return Samples(q, np.tile(weight[:, None], q.shape[1]))
-
-    def _initial_states(
-        self, parameter_rows: Float[np.ndarray, "n_s n_c"]
-    ) -> tuple[Float[np.ndarray, "n_s n_x"], Float[np.ndarray, "n_s n_b n_x"]]:
-        """Initial states of the free runs, and their derivatives by the parameters."""
-        measured, inputs, q = self._start_data, None, None
-        if isinstance(self.start, Fitted):
-            measured, inputs, q = self._start_data
-        # measured states, with the internal ones that are expected there
-        internal = np.zeros((len(measured), len(self.model.internal)))
-        x0 = np.concatenate([np.asarray(measured), internal], axis=1)
-        initial = self.equations.initial_states(x0, parameter_rows, np.ones(len(x0)))
-        if inputs is None or q is None:
-            return initial.states, initial.by_parameter
-        return fitted_with_derivatives(
-            self.model,
-            self.equations.motion,
-            parameter_rows,
-            initial.states,
-            initial.by_parameter,
-            inputs,
-            q,
-        )
-
 
 def _make_free_runs(
-    problem: Problem, state: SearchState, start: Start, space: SearchSpace
+    problem: Problem, state: SearchState, start: Start, space: SearchSpace, unit: np.ndarray
 ) -> _FreeRuns:
     """The free runs of the training records, over the horizon of the search."""
+    model = make_model(problem, state)
     horizon = None if state.horizon is None else state.horizon * problem.motion.dt
-    samples = horizon_samples(horizon, problem.records, start)
-    parts = [pieces(e, samples, start) for e in problem.records]
-    record = np.repeat(np.arange(len(parts)), list(map(len, parts)))
+    steps = horizon_samples(horizon, problem.records, start)
+    parts, record = [], []
+    for i, e in enumerate(problem.records):
+        parts += (record_parts := pieces(e, steps, start))
+        record += [i] * len(record_parts)
+    inputs = [np.asarray(drive_of(model, part).u) for part in parts]
+    input_rows = np.concatenate([np.concatenate([u, np.zeros_like(u[:1])]) for u in inputs])
+    lengths = np.array([len(part) for part in parts])
+    # every record counts the same, however long
+    weight = np.repeat(1 / np.sqrt(np.bincount(record, lengths)[record]), lengths)
+    q = np.concatenate([part.q for part in parts])
     return _FreeRuns(
         space=space,
-        model=make_model(problem, state),
+        unit=unit,
+        model=model,
         equations=system_equations(problem.system, space.names),
         start=start,
-        parts=tuple(part for record_parts in parts for part in record_parts),
-        record=record,
+        start_data=start.material(model, parts),
+        record=np.array(record),
         group_indices=problem.group_indices(problem.records)[record],
+        lengths=lengths,
+        inputs=input_rows[:, None] if input_rows.ndim == 2 else input_rows,
+        samples=Samples(q, np.tile(weight[:, None], q.shape[1])),
     )

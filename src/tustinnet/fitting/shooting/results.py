@@ -35,10 +35,7 @@ _LITTLE = 0.5  # of the weight of residuals that count in full
 
 
 def make_identification(
-    problem: Problem,
-    state: SearchState,
-    initial: str,
-    reversed_signs: tuple[tuple[str, ...], ...],
+    problem: Problem, state: SearchState, initial: str, reversed_signs: tuple[tuple[str, ...], ...]
 ) -> Identification:
     """Makes the account of an identification from the state after its search.
 
@@ -51,9 +48,9 @@ def make_identification(
     """
     result, space, records = state.last_result, state.space, problem.records
     prior_curvature = make_prior(problem, state).curvature(space, result.vector)
-    bounds = space.active_bounds(result.vector)
-    inside = np.array([name not in bounds for name in space.names])
-    uncertainty = estimate_uncertainty(result.products, result.segments, prior_curvature, inside)
+    uncertainty = estimate_uncertainty(
+        result.products, result.segments, prior_curvature, space.inside(result.vector)
+    )
     disagreements = find_disagreements(problem, state)
     estimates = _make_estimates(problem, state, uncertainty)
     with np.errstate(invalid="ignore", divide="ignore"):

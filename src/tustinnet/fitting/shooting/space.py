@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from tustinnet.errors import InputError
 from tustinnet.fitting.shooting.groups import expand_values
@@ -92,6 +92,11 @@ class SearchSpace:
             for i, name in enumerate(self.names)
             if at_lower[i] or at_upper[i]
         }
+
+    def inside(self, vector: ParameterVector) -> Bool[np.ndarray, " n_p"]:
+        """Mask of the free parameters that are not at a bound."""
+        bounds = self.active_bounds(vector)
+        return np.array([name not in bounds for name in self.names])
 
 
 def make_search_space(

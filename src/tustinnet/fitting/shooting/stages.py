@@ -149,7 +149,7 @@ def run_stage(problem: Problem, state: SearchState, stage: Stage) -> SearchState
 
 
 def _segments_in_words(problem: Problem, state: SearchState, steps: int | None) -> str:
-    """What a stage compares: `whole records`, or `segments of 0.5 s`."""
+    """The segments of a stage in words: `whole records`, or `segments of 0.5 s`."""
     dt = problem.motion.dt
     if steps is not None:
         return f"segments of {steps * dt:.2g} s"

@@ -23,7 +23,7 @@ from tustinnet.families.family import family_of
 from tustinnet.fitting.fit import fit
 from tustinnet.fitting.listener import Iteration, Listener
 from tustinnet.fitting.report import Identification
-from tustinnet.fitting.shooting import refining
+from tustinnet.fitting.shooting import refit
 from tustinnet.report.fits import parameter_table
 
 START = "model-20"
@@ -57,7 +57,7 @@ def values_of(found: Identification) -> dict[str, float]:
 def test_where_physics_is_missing_free_runs_get_better():
     data, steps = data_set(creeping()), list[Iteration]()
     usual = tn.identify(data, SYSTEM, recipe(refine=None))
-    found = tn.identify(data, SYSTEM, recipe(), told=steps.append)
+    found = tn.identify(data, SYSTEM, recipe(), on_iteration=steps.append)
     account = found.refined
     assert usual.refined is None
     assert account is not None
@@ -72,7 +72,7 @@ def test_where_physics_is_missing_free_runs_get_better():
     for name, value in account.values.items():
         assert values[name] == pytest.approx(value, rel=1e-9), name
     assert values["inertia"] == TRUTH["inertia"]  # fixed
-    mine = [of for of in steps if of.stage == f"refining, free runs from {START}"]
+    mine = [of for of in steps if of.stage == f"refit to free runs from {START}"]
     assert [of.number for of in mine] == list(range(1, account.iterations + 1))
     told = f"mean RMSE went from {account.before:.3g} to {account.after:.3g}"
     assert told in found.findings[-1]
@@ -108,15 +108,15 @@ def test_parameters_stay_within_their_ranges():
 
 
 def test_free_runs_that_leave_all_numbers_leave_the_model_as_it_is(monkeypatch):
-    def without_end(runs, change):
-        n = len(change)
-        return refining._Runs(np.array([np.inf]), np.zeros((1, n, n)), np.zeros((1, n)))
+    def diverging(runs, values, unit):
+        n = len(values)
+        return refit._FreeRunProducts(np.array([np.inf]), np.zeros((1, n, n)), np.zeros((1, n)))
 
-    monkeypatch.setattr(refining._Task, "at", without_end)
+    monkeypatch.setattr(refit._FreeRuns, "simulate", diverging)
     data = data_set(creeping())
     found = tn.identify(data, SYSTEM, recipe())
     assert found.refined is None
-    assert "not fitted once more: free runs leave the range of numbers" in found.findings[-1]
+    assert "no refit to free runs: free runs diverge" in found.findings[-1]
     assert {e.name: values_of(found)[e.name] for e in found.estimates} == {
         e.name: pytest.approx(e.value) for e in found.estimates
     }
@@ -161,10 +161,10 @@ def test_where_nothing_is_left_to_refine_it_says_so():
     fixed = [f"model.fixed.{name}={TRUTH[name]}" for name in ("damping", "gravity", "gain")]
     found = tn.identify(data, SYSTEM, recipe('model.free=["voltage.delay"]', *fixed))
     assert found.refined is None
-    assert found.findings[-1] == "not fitted once more: nothing but delays is free"
+    assert found.findings[-1] == "no refit to free runs: nothing but delays is free"
     found = tn.identify(data, SYSTEM, recipe(f"search.horizon={12 * data[0].dt}"))
     assert found.refined is None
-    assert found.findings[-1] == "not fitted once more: segments shorter than model-20 needs"
+    assert found.findings[-1] == "no refit to free runs: model-20 requires longer segments"
 
 
 def test_records_shorter_than_the_start_are_refused():
@@ -178,7 +178,7 @@ def test_a_start_that_records_do_not_have_is_refused_before_the_search():
     told: list[Iteration] = []
     without = [replace(e, v=None) for e in records()]
     with pytest.raises(tn.InputError, match="velocities"):
-        tn.identify(data_set(without), SYSTEM, recipe(refine="file"), told=told.append)
+        tn.identify(data_set(without), SYSTEM, recipe(refine="file"), on_iteration=told.append)
     assert not told
 
 
