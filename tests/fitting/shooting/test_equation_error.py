@@ -29,25 +29,25 @@ SPACE = make_search_space(SWING, {}, {})
 START = SPACE.to_vector(SWING.nominal() | FAR)
 
 
-def turned(e: tn.Experiment, *, angle: float = 1.0, volts: float = 1.0) -> tn.Experiment:
+def reversed_record(e: tn.Experiment, *, angle: float = 1.0, volts: float = 1.0) -> tn.Experiment:
     assert e.v is not None
     return replace(e, q=angle * e.q, v=angle * e.v, u=volts * e.u)
 
 
 def test_first_values_are_within_two_percent_on_clean_records():
-    vector, left = estimate_by_equation_error(SWING, SPACE, START, measure_motion(records()))
-    found = SPACE.to_values_in_range(vector)
-    assert found == pytest.approx(TRUTH, rel=0.02)
-    assert left.shape == (4,)
-    assert left.max() < 1e-3
+    vector, unexplained = estimate_by_equation_error(SWING, SPACE, START, measure_motion(records()))
+    values = SPACE.to_values_in_range(vector)
+    assert values == pytest.approx(TRUTH, rel=0.02)
+    assert unexplained.shape == (4,)
+    assert unexplained.max() < 1e-3
 
 
 def test_first_values_are_within_a_few_percent_as_an_encoder_reads():
     read = [read_by_encoder(e) for e in records()]
-    found = SPACE.to_values_in_range(
+    values = SPACE.to_values_in_range(
         estimate_by_equation_error(SWING, SPACE, START, measure_motion(read))[0]
     )
-    assert found == pytest.approx(TRUTH, rel=0.05)
+    assert values == pytest.approx(TRUTH, rel=0.05)
 
 
 def test_first_values_keep_to_the_box():
@@ -63,10 +63,10 @@ def test_first_values_follow_inputs_on_straight_lines():
     ramped = replace(SWING, inputs=(replace(SWING.inputs[0], hold="first-order"),))
     smooth = np.convolve(voltage(230, 3), np.ones(31) / 8, "valid")
     e = simulated("ramps", [0.1, 0.0], smooth, system=ramped)
-    found = SPACE.to_values_in_range(
+    values = SPACE.to_values_in_range(
         estimate_by_equation_error(ramped, SPACE, START, measure_motion([e]))[0]
     )
-    assert found == pytest.approx(TRUTH, rel=0.05)
+    assert values == pytest.approx(TRUTH, rel=0.05)
 
 
 def test_windows_lie_within_their_records():
@@ -87,10 +87,10 @@ def test_a_window_is_a_quarter_of_a_swing():
 
 def test_what_is_left_is_a_share_of_each_records_change_of_momentum():
     """Reversed, the voltage explains what it did not do: only the records that it moved suffer."""
-    motion = measure_motion([turned(e, volts=-1.0) for e in records()])
-    left = estimate_by_equation_error(SWING, SPACE, START, motion)[1]
-    assert left[:2].max() < 1e-3
-    assert 0.1 < left[2:].min() < left.max() < 1.0
+    motion = measure_motion([reversed_record(e, volts=-1.0) for e in records()])
+    unexplained = estimate_by_equation_error(SWING, SPACE, START, motion)[1]
+    assert unexplained[:2].max() < 1e-3
+    assert 0.1 < unexplained[2:].min() < unexplained.max() < 1.0
 
 
 @pytest.mark.parametrize(
@@ -99,7 +99,7 @@ def test_what_is_left_is_a_share_of_each_records_change_of_momentum():
 )
 def test_a_reversed_sign_is_named(signs, expected):
     for experiments in (records(), list(noises())):
-        motion = measure_motion([turned(e, **signs) for e in experiments])
+        motion = measure_motion([reversed_record(e, **signs) for e in experiments])
         assert find_reversed_signs(SWING, SPACE, START, motion) == expected
 
 
@@ -107,5 +107,5 @@ def test_a_symmetric_system_has_alternatives():
     """Without its tilt the pendulum moves alike when both signs are reversed."""
     level = replace(SWING, potential=lambda q, p: -p["gravity"] * jnp.cos(q[0]))
     experiments = [simulated(f"e{i}", [1.0, 0.0], voltage(200, i), system=level) for i in range(2)]
-    motion = measure_motion([turned(e, volts=-1.0) for e in experiments])
+    motion = measure_motion([reversed_record(e, volts=-1.0) for e in experiments])
     assert find_reversed_signs(level, SPACE, START, motion) == (("angle",), ("voltage",))

@@ -28,8 +28,8 @@ def test_a_record_that_stays_upright_has_a_horizon_and_one_that_swings_has_none(
     top = 0.4 + np.pi  # where the swing's potential is highest
     still = simulated("upright", [top, 0.0], np.zeros(200))
     assert find_horizons(SWING, space, vector, [still], picks[:1], 8) == {}  # nothing holds it
-    held = replace(still, u=1e-3 * np.arange(200.0)[:, None])
-    found = find_horizons(SWING, space, vector, [held, *noises()], picks, 8)
+    driven = replace(still, u=1e-3 * np.arange(200.0)[:, None])
+    horizons = find_horizons(SWING, space, vector, [driven, *noises()], picks, 8)
     rate = np.sqrt(TRUTH["gravity"] / TRUTH["inertia"]) - TRUTH["damping"] / TRUTH["inertia"] / 2
-    assert set(found) == {"upright"}
-    assert found["upright"] * still.dt == pytest.approx(np.log(1000) / rate, rel=0.25)
+    assert set(horizons) == {"upright"}
+    assert horizons["upright"] * still.dt == pytest.approx(np.log(1000) / rate, rel=0.25)

@@ -17,7 +17,7 @@ VALUES = CREEPING.nominal() | {"damping": 0.03, "gravity": 1.3, "gain": 0.12}
 VECTOR = SPACE.to_vector(VALUES)
 SUBSTEPS = 2
 # what segments have each for itself
-OWN = (
+BY_SEGMENT = (
     "x0", "is_free", "adds_expected", "precision", "steps", "first_row", "record", "share",
     "group_indices",
 )  # fmt: skip
@@ -112,8 +112,8 @@ def test_products_are_those_of_finite_differences(pieces, states, normal, period
             "gp": jacobian.T @ r, "gx": by_state.T @ r, "cost": r @ r,
         }  # fmt: skip
         for name, value in expected.items():
-            found = getattr(normal, name)[row]
-            np.testing.assert_allclose(found, value, rtol=1e-6, atol=1e-9, err_msg=name)
+            actual = getattr(normal, name)[row]
+            np.testing.assert_allclose(actual, value, rtol=1e-6, atol=1e-9, err_msg=name)
 
 
 def test_errors_are_simulated_minus_measured(pieces, states, normal):
@@ -123,16 +123,16 @@ def test_errors_are_simulated_minus_measured(pieces, states, normal):
 
 
 def test_states_that_are_not_searched_for_have_no_derivative(pieces, normal):
-    given = pieces.is_free == 0
-    assert given.any()
-    assert not np.diagonal(normal.xx, axis1=1, axis2=2)[given].any()
-    assert not normal.gx[given].any()
+    fixed = pieces.is_free == 0
+    assert fixed.any()
+    assert not np.diagonal(normal.xx, axis1=1, axis2=2)[fixed].any()
+    assert not normal.gx[fixed].any()
 
 
-def require_alike(found: NormalProducts, expected: NormalProducts, order: np.ndarray) -> None:
+def require_alike(actual: NormalProducts, expected: NormalProducts, order: np.ndarray) -> None:
     for part in fields(NormalProducts):
         values = getattr(expected, part.name)
-        for now, before in zip(getattr(found, part.name), (values[i] for i in order), strict=True):
+        for now, before in zip(getattr(actual, part.name), (values[i] for i in order), strict=True):
             np.testing.assert_allclose(now, before, rtol=1e-9, atol=1e-12, err_msg=part.name)
 
 
@@ -146,7 +146,7 @@ def test_products_do_not_depend_on_what_stands_beside(pieces, states, normal):
     alone = [
         products(VECTOR, states[[row]], part)
         for row in range(len(states))
-        for part in [replace(pieces, **{name: getattr(pieces, name)[[row]] for name in OWN})]
+        for part in [replace(pieces, **{name: getattr(pieces, name)[[row]] for name in BY_SEGMENT})]
     ]
     for row, part in enumerate(alone):
         require_alike(part, normal, np.array([row]))
@@ -154,7 +154,7 @@ def test_products_do_not_depend_on_what_stands_beside(pieces, states, normal):
 
 def test_products_come_in_the_order_of_the_segments(pieces, states, normal):
     order = np.random.default_rng(3).permutation(len(states))
-    shuffled = replace(pieces, **{name: getattr(pieces, name)[order] for name in OWN})
+    shuffled = replace(pieces, **{name: getattr(pieces, name)[order] for name in BY_SEGMENT})
     other = products(VECTOR, states[order], shuffled)
     require_alike(other, normal, order)
 
@@ -166,5 +166,5 @@ def test_the_truth_leaves_no_error(pieces):
         [e], model, CutOptions(Residual((False,), (1.0,)), start="file", timestamps=False)
     )
     truth = SPACE.to_vector(CREEPING.nominal() | TRUTH | {"stiffness": 0.8})
-    found = products(truth, s.x0, s, 8)
-    assert found.cost[0] < 1e-20
+    actual = products(truth, s.x0, s, 8)
+    assert actual.cost[0] < 1e-20

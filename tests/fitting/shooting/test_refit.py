@@ -48,8 +48,8 @@ def creeping() -> list[tn.Experiment]:
     ]  # fmt: skip
 
 
-def values_of(found: Identification) -> dict[str, float]:
-    continuous = found.model.continuous
+def values_of(identification: Identification) -> dict[str, float]:
+    continuous = identification.model.continuous
     assert isinstance(continuous, tn.LagrangianModel)
     return {name: float(x) for name, x in continuous.values.items()}
 
@@ -57,27 +57,27 @@ def values_of(found: Identification) -> dict[str, float]:
 def test_where_physics_is_missing_free_runs_get_better():
     data, steps = data_set(creeping()), list[Iteration]()
     usual = tn.identify(data, SYSTEM, recipe(refine=None))
-    found = tn.identify(data, SYSTEM, recipe(), on_iteration=steps.append)
-    account = found.refined
+    identification = tn.identify(data, SYSTEM, recipe(), on_iteration=steps.append)
+    refitted = identification.refined
     assert usual.refined is None
-    assert account is not None
-    assert found.estimates == usual.estimates  # with their errors
+    assert refitted is not None
+    assert identification.estimates == usual.estimates  # with their errors
     before, after = (
-        tn.mean_rmse(tn.evaluate(of.model, list(data), START)) for of in (usual, found)
+        tn.mean_rmse(tn.evaluate(each.model, list(data), START)) for each in (usual, identification)
     )
-    assert account.before == pytest.approx(before, rel=1e-3)
-    assert account.after == pytest.approx(after, rel=1e-3)
+    assert refitted.before == pytest.approx(before, rel=1e-3)
+    assert refitted.after == pytest.approx(after, rel=1e-3)
     assert after < before
-    values = values_of(found)
-    for name, value in account.values.items():
+    values = values_of(identification)
+    for name, value in refitted.values.items():
         assert values[name] == pytest.approx(value, rel=1e-9), name
     assert values["inertia"] == TRUTH["inertia"]  # fixed
-    mine = [of for of in steps if of.stage == f"refit to free runs from {START}"]
-    assert [of.number for of in mine] == list(range(1, account.iterations + 1))
-    told = f"mean RMSE went from {account.before:.3g} to {account.after:.3g}"
-    assert told in found.findings[-1]
-    assert found.as_plain()["refined"]["values"] == account.values
-    table = parameter_table(found)
+    mine = [step for step in steps if step.stage == f"refit to free runs from {START}"]
+    assert [step.number for step in mine] == list(range(1, refitted.iterations + 1))
+    message = f"mean RMSE went from {refitted.before:.3g} to {refitted.after:.3g}"
+    assert message in identification.findings[-1]
+    assert identification.as_plain()["refined"]["values"] == refitted.values
+    table = parameter_table(identification)
     assert list(table.columns)[-1] == "in the model"
     shown = {row[0]: row[-1] for row in table.rows}
     assert shown["gravity"] == f"{values['gravity']:.4g}"
@@ -87,24 +87,26 @@ def test_where_physics_is_missing_free_runs_get_better():
 
 def test_where_the_model_is_right_the_truth_stays():
     data = data_set([read_by_encoder(e) for e in records()])
-    found = tn.identify(data, SYSTEM, recipe())
-    for name, value in values_of(found).items():
+    identification = tn.identify(data, SYSTEM, recipe())
+    for name, value in values_of(identification).items():
         assert value == pytest.approx(TRUTH[name], rel=0.02, abs=1e-3), name
 
 
 def test_what_a_recipe_fixes_is_not_refined():
-    found = tn.identify(data_set(creeping()), SYSTEM, recipe("model.fixed.gravity=1.3"))
-    assert found.refined is not None
-    assert "gravity" not in found.refined.values
-    assert values_of(found)["gravity"] == 1.3
+    identification = tn.identify(data_set(creeping()), SYSTEM, recipe("model.fixed.gravity=1.3"))
+    assert identification.refined is not None
+    assert "gravity" not in identification.refined.values
+    assert values_of(identification)["gravity"] == 1.3
 
 
 def test_parameters_stay_within_their_ranges():
     narrow = changed("gravity", lower=1.6, nominal=1.65, upper=5.0)  # the truth is below
-    found = tn.identify(data_set([read_by_encoder(e) for e in records()]), narrow, recipe())
-    assert found.refined is not None
-    assert found.refined.values["gravity"] == pytest.approx(1.6, rel=1e-6)
-    assert found.refined.after <= found.refined.before
+    identification = tn.identify(
+        data_set([read_by_encoder(e) for e in records()]), narrow, recipe()
+    )
+    assert identification.refined is not None
+    assert identification.refined.values["gravity"] == pytest.approx(1.6, rel=1e-6)
+    assert identification.refined.after <= identification.refined.before
 
 
 def test_free_runs_that_leave_all_numbers_leave_the_model_as_it_is(monkeypatch):
@@ -114,11 +116,11 @@ def test_free_runs_that_leave_all_numbers_leave_the_model_as_it_is(monkeypatch):
 
     monkeypatch.setattr(refit._FreeRuns, "simulate", diverging)
     data = data_set(creeping())
-    found = tn.identify(data, SYSTEM, recipe())
-    assert found.refined is None
-    assert "no refit to free runs: free runs diverge" in found.findings[-1]
-    assert {e.name: values_of(found)[e.name] for e in found.estimates} == {
-        e.name: pytest.approx(e.value) for e in found.estimates
+    identification = tn.identify(data, SYSTEM, recipe())
+    assert identification.refined is None
+    assert "no refit to free runs: free runs diverge" in identification.findings[-1]
+    assert {e.name: values_of(identification)[e.name] for e in identification.estimates} == {
+        e.name: pytest.approx(e.value) for e in identification.estimates
     }
 
 
@@ -127,9 +129,9 @@ def test_validation_is_of_the_refined_model():
     data = data_set(
         [*(replace(e, split="train") for e in train), replace(last, split="validation")]
     )
-    found = tn.identify(data, SYSTEM, recipe())
-    scores = tn.evaluate(found.model, [last], found.start)
-    assert found.validation_rmse == pytest.approx(tn.mean_rmse(scores), rel=1e-3)
+    identification = tn.identify(data, SYSTEM, recipe())
+    scores = tn.evaluate(identification.model, [last], identification.start)
+    assert identification.validation_rmse == pytest.approx(tn.mean_rmse(scores), rel=1e-3)
 
 
 def test_parameters_per_group_are_refined_for_their_records():
@@ -141,57 +143,59 @@ def test_parameters_per_group_are_refined_for_their_records():
         )
         for i, (place, g) in enumerate([("here", 1.5), ("there", 1.2)] * 2)
     ]
-    found = tn.identify(data_set(experiments), per, recipe())
-    assert found.refined is not None
-    assert found.refined.values["gravity[here]"] == pytest.approx(1.5, rel=0.01)
-    assert found.refined.values["gravity[there]"] == pytest.approx(1.2, rel=0.01)
-    assert found.refined.after < 0.01
+    identification = tn.identify(data_set(experiments), per, recipe())
+    assert identification.refined is not None
+    assert identification.refined.values["gravity[here]"] == pytest.approx(1.5, rel=0.01)
+    assert identification.refined.values["gravity[there]"] == pytest.approx(1.2, rel=0.01)
+    assert identification.refined.after < 0.01
 
 
 def test_a_delay_stays_as_it_was_found():
     data = data_set([read_by_encoder(e) for e in records()])
-    found = tn.identify(data, SYSTEM, recipe('model.free=["voltage.delay"]'))
-    assert found.refined is not None
-    assert "voltage.delay" in found.values
-    assert "voltage.delay" not in found.refined.values
+    identification = tn.identify(data, SYSTEM, recipe('model.free=["voltage.delay"]'))
+    assert identification.refined is not None
+    assert "voltage.delay" in identification.values
+    assert "voltage.delay" not in identification.refined.values
 
 
 def test_where_nothing_is_left_to_refine_it_says_so():
     data = data_set([read_by_encoder(e) for e in records()])
     fixed = [f"model.fixed.{name}={TRUTH[name]}" for name in ("damping", "gravity", "gain")]
-    found = tn.identify(data, SYSTEM, recipe('model.free=["voltage.delay"]', *fixed))
-    assert found.refined is None
-    assert found.findings[-1] == "no refit to free runs: nothing but delays is free"
-    found = tn.identify(data, SYSTEM, recipe(f"search.horizon={12 * data[0].dt}"))
-    assert found.refined is None
-    assert found.findings[-1] == "no refit to free runs: model-20 requires longer segments"
+    identification = tn.identify(data, SYSTEM, recipe('model.free=["voltage.delay"]', *fixed))
+    assert identification.refined is None
+    assert identification.findings[-1] == "no refit to free runs: nothing but delays is free"
+    identification = tn.identify(data, SYSTEM, recipe(f"search.horizon={12 * data[0].dt}"))
+    assert identification.refined is None
+    assert identification.findings[-1] == "no refit to free runs: model-20 requires longer segments"
 
 
 def test_records_shorter_than_the_start_are_refused():
     short = [read_by_encoder(e[:8]) for e in records()]
-    told = r"search\.refine: 'model-20', and record .* has 8 samples; .*search\.refine=none"
-    with pytest.raises(tn.InputError, match=told):
+    message = r"search\.refine: 'model-20', and record .* has 8 samples; .*search\.refine=none"
+    with pytest.raises(tn.InputError, match=message):
         tn.identify(data_set(short), SYSTEM, recipe())
 
 
 def test_a_start_that_records_do_not_have_is_refused_before_the_search():
-    told: list[Iteration] = []
+    iterations: list[Iteration] = []
     without = [replace(e, v=None) for e in records()]
     with pytest.raises(tn.InputError, match="velocities"):
-        tn.identify(data_set(without), SYSTEM, recipe(refine="file"), on_iteration=told.append)
-    assert not told
+        tn.identify(
+            data_set(without), SYSTEM, recipe(refine="file"), on_iteration=iterations.append
+        )
+    assert not iterations
 
 
 def test_bands_are_about_the_model():
     """What is drawn from the errors of the parameters lies about the refined values."""
     result = fit(data_set(creeping()), recipe(), system=SYSTEM, listener=Listener())
-    found = result.identification
-    assert found is not None
-    assert found.refined is not None
+    identification = result.identification
+    assert identification is not None
+    assert identification.refined is not None
     drawn = family_of(result.model).alternatives(result.model, result.as_header())
     assert len(drawn) > 1
-    for e in found.estimates:
-        values = [float(of.continuous.values[e.name]) for of in drawn]  # pyright: ignore[reportAttributeAccessIssue]
+    for e in identification.estimates:
+        values = [float(each.continuous.values[e.name]) for each in drawn]  # pyright: ignore[reportAttributeAccessIssue]
         middle = np.mean(values)
         assert e.error
-        assert abs(middle - found.refined.values[e.name]) < 2 * e.error, e.name
+        assert abs(middle - identification.refined.values[e.name]) < 2 * e.error, e.name

@@ -56,8 +56,8 @@ def test_every_record_weighs_the_same_whatever_its_length():
     for i, e in enumerate(records()):
         rows = pieces.record == i
         joints = rows.sum() - 1  # a joint ends one segment and begins the next
-        of = [pieces.rows(row) for row in np.flatnonzero(rows).tolist()]
-        weights = [np.sum(pieces.weights[at] ** 2) for at in of]
+        rows_of_segments = [pieces.rows(row) for row in np.flatnonzero(rows).tolist()]
+        weights = [np.sum(pieces.weights[at] ** 2) for at in rows_of_segments]
         assert sum(weights) == pytest.approx((len(e) + joints) / len(e))
 
 

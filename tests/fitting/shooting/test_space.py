@@ -77,6 +77,6 @@ def test_a_value_that_is_not_a_number_is_refused():
 
 
 def test_nothing_to_search_for_is_refused():
-    held = changed("damping", fixed=True)
+    fixed_damping = changed("damping", fixed=True)
     with pytest.raises(tn.InputError, match="every parameter is fixed; expected at least one"):
-        make_search_space(held, {}, {"gravity": 1.0, "gain": 0.1})
+        make_search_space(fixed_damping, {}, {"gravity": 1.0, "gain": 0.1})

@@ -45,15 +45,15 @@ def fit(experiments: list[tn.Experiment]) -> tuple[np.ndarray, Uncertainty]:
 
 
 def test_both_covariances_are_those_of_repeated_draws_of_white_noise():
-    found, naive, clustered = [], [], []
+    vectors, naive, clustered = [], [], []
     for draw in range(40):
         experiments = [noisy(e, SIZE, 10 * draw + i) for i, e in enumerate(records())]
         vector, certain = fit(experiments)
         assert certain.clustered is not None
-        found.append(vector)
+        vectors.append(vector)
         naive.append(certain.naive)
         clustered.append(certain.clustered)
-    scatter = np.cov(np.array(found).T)
+    scatter = np.cov(np.array(vectors).T)
     spread = np.sqrt(np.diag(scatter))
     for claimed in (naive, clustered):
         mean = np.mean(claimed, axis=0)
@@ -91,14 +91,14 @@ def test_an_error_does_not_depend_on_the_unit_in_which_its_parameter_is_searched
     )
     every = np.ones(3, dtype=bool)
     expected = estimate_uncertainty(fitted.products, pieces, np.zeros(3), every)
-    found = estimate_uncertainty(coarse, pieces, np.zeros(3), every)
+    vectors = estimate_uncertainty(coarse, pieces, np.zeros(3), every)
     np.testing.assert_allclose(
-        np.sqrt(np.diag(found.naive)) * units, np.sqrt(np.diag(expected.naive)), rtol=1e-4
+        np.sqrt(np.diag(vectors.naive)) * units, np.sqrt(np.diag(expected.naive)), rtol=1e-4
     )
     np.testing.assert_allclose(
-        np.sqrt(np.diag(found.trusted)) * units, np.sqrt(np.diag(expected.trusted)), rtol=1e-4
+        np.sqrt(np.diag(vectors.trusted)) * units, np.sqrt(np.diag(expected.trusted)), rtol=1e-4
     )
-    assert found.condition == pytest.approx(expected.condition, rel=1e-4)
+    assert vectors.condition == pytest.approx(expected.condition, rel=1e-4)
 
 
 def test_records_that_disagree_make_errors_larger_than_their_residuals_say():
@@ -146,8 +146,8 @@ def test_priors_make_errors_smaller():
     pieces, fitted = fitted_to([noisy(e, SIZE, i) for i, e in enumerate(records())])
     every = np.ones(3, dtype=bool)
     loose = estimate_uncertainty(fitted.products, pieces, np.zeros(3), every)
-    known = estimate_uncertainty(fitted.products, pieces, np.array([1e3, 0.0, 0.0]), every)
-    assert known.naive[0, 0] < loose.naive[0, 0] / 100
+    with_prior = estimate_uncertainty(fitted.products, pieces, np.array([1e3, 0.0, 0.0]), every)
+    assert with_prior.naive[0, 0] < loose.naive[0, 0] / 100
 
 
 def test_residuals_of_a_simulation_that_ran_away_do_not_overflow():

@@ -101,7 +101,7 @@ class CostFunction:
 
 @dataclass(frozen=True)
 class StoppingRule:
-    """When a search ends.
+    """Tolerance and limit at which a search ends.
 
     Attributes:
         tolerance: converged when the undamped step promises less than this part of the cost.
@@ -114,7 +114,7 @@ class StoppingRule:
 
 @dataclass(frozen=True)
 class LeastSquaresResult:
-    """Where a least-squares search ended.
+    """Result of a least-squares search: where it ended, and why.
 
     Attributes:
         vector: the parameters.

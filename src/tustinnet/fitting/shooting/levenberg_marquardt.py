@@ -39,7 +39,7 @@ class Trial(NamedTuple, Generic[P]):
 
 @dataclass(frozen=True)
 class DampingRule:
-    """How the damping follows the success of the steps.
+    """Rule by which the damping follows the success of the steps.
 
     Attributes:
         initial: the damping to start with.
@@ -58,7 +58,7 @@ class DampingRule:
 
 @dataclass(frozen=True)
 class IterationResult(Generic[P]):
-    """Where an iteration ended.
+    """Result of an iteration: where it ended, and why.
 
     Attributes:
         point: the last accepted point.

@@ -73,7 +73,7 @@ class Problem:
 
     @cached_property
     def residual(self) -> Residual:
-        """How simulation and measurement are compared."""
+        """The residual: how simulation and measurement are compared."""
         return residual_of(self.search, self.records)
 
     @cached_property
@@ -118,7 +118,7 @@ class Problem:
 
     @property
     def early_initial(self) -> str:
-        """How initial states are treated in all stages but the final one."""
+        """Treatment of initial states in all stages but the final one."""
         chosen = self.search.initial
         return "anchored" if chosen in ("choose", "unanchored") else chosen
 
