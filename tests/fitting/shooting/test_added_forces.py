@@ -119,7 +119,7 @@ def test_ranges_grow_with_the_system_and_its_motion():
         {p.name: p for p in with_added(s, forces, falls(), {}).parameters if "." in p.name}
         for s in (SWING, strong)
     )
-    same = {f"angle.{n}" for n in ("stribeck_speed", "smooth_speed", "relaxation", "whole_turns")}
+    same = {f"angle.{n}" for n in ("stribeck_speed", "smooth_speed", "relaxation", "turned")}
     for name, p in usual.items():
         by = 1.0 if name in same else 1e6
         assert large[name].upper == pytest.approx(by * p.upper)

@@ -13,7 +13,7 @@ import scipy.optimize
 from jaxtyping import Float
 
 from tustinnet.fitting.residual import Residual
-from tustinnet.fitting.shooting.levenberg_marquardt import DampingRule, Trial, iterate
+from tustinnet.fitting.shooting.levenberg_marquardt import DampingRule, iterate
 from tustinnet.fitting.shooting.normal import NormalProducts, compute_products
 from tustinnet.fitting.shooting.segments import Segments
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
@@ -166,10 +166,10 @@ def minimise(
         value = float(products.cost.sum() + cost.prior.cost(cost.space, vector))
         return _Point(vector, x0, products, value if products.is_finite else np.inf)
 
-    def propose(point: _Point, damping: float) -> Trial[_Point]:
+    def propose(point: _Point, damping: float) -> tuple[_Point, float]:
         step = _damped_step(cost, point, damping)
         trial = evaluate(cost.space.clip(point.vector + step.vector), point.x0 + step.x0)
-        return Trial(trial, step.predicted_decrease)
+        return trial, step.predicted_decrease
 
     def has_converged(point: _Point, _: float) -> bool:
         undamped = _damped_step(cost, point, _LEAST_DAMPING)

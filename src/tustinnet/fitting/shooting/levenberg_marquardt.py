@@ -7,7 +7,7 @@ parameters and initial states of segments, `refit` for the parameters of free ru
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
+from typing import Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -23,18 +23,6 @@ class Point(Protocol):
 
 
 P = TypeVar("P", bound=Point)
-
-
-class Trial(NamedTuple, Generic[P]):
-    """A proposed step.
-
-    Attributes:
-        point: where it leads.
-        predicted_decrease: how much lower the quadratic model of the cost is there.
-    """
-
-    point: P
-    predicted_decrease: float
 
 
 @dataclass(frozen=True)
@@ -73,7 +61,7 @@ class IterationResult(Generic[P]):
 
 def iterate(
     start: P,
-    propose: Callable[[P, float], Trial[P]],
+    propose: Callable[[P, float], tuple[P, float]],
     has_converged: Callable[[P, float], bool],
     damping_rule: DampingRule,
     max_iterations: int,
@@ -83,7 +71,8 @@ def iterate(
 
     Args:
         start: the point to start from, of finite cost.
-        propose: the step from a point with a damping.
+        propose: function from a point and a damping to the point where a step leads, and to how
+            much lower the quadratic model of the cost is there.
         has_converged: whether to stop at a point, given the cost before it (infinite at first).
         damping_rule: how the damping changes.
         max_iterations: limit of accepted steps.

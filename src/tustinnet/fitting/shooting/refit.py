@@ -18,7 +18,7 @@ from tustinnet.engine.runs import Directions, Runs, Samples, compare
 from tustinnet.fitting.listener import Iteration
 from tustinnet.fitting.report import Identification, Refined
 from tustinnet.fitting.shooting.equations import SystemEquations, system_equations
-from tustinnet.fitting.shooting.levenberg_marquardt import DampingRule, Trial, iterate
+from tustinnet.fitting.shooting.levenberg_marquardt import DampingRule, iterate
 from tustinnet.fitting.shooting.problem import Problem, SearchState, make_model, score_validation
 from tustinnet.fitting.shooting.space import SearchSpace
 from tustinnet.models.integrate import Discretised
@@ -35,7 +35,7 @@ _LEAST = 0.01  # of its range: the size of a parameter that is nearly 0
 _WELL = 0.25  # of the mean RMSE: below it a record counts by its square
 _LISTED = 3  # parameters that changed most
 
-# any decrease will do, whatever was predicted
+# any decrease will do: what is predicted does not matter
 _DAMPING_RULE = DampingRule(
     initial=1e-2,
     largest=9e5,
@@ -134,7 +134,7 @@ def _minimise_mean_rmse(
     initial = runs.simulate(first)
     scale, prior = initial.mean_rmse, _PRIOR / len(problem.records)
 
-    def propose(point: _Point, damping: float) -> Trial[_Point]:
+    def propose(point: _Point, damping: float) -> tuple[_Point, float]:
         # Gauss-Newton matrix and gradient of half the mean RMSE over the scale
         rmse = np.maximum(point.products.rmse, _WELL * scale)
         weight = 1 / (2 * scale * rmse * len(rmse))
@@ -144,7 +144,7 @@ def _minimise_mean_rmse(
         change = np.clip(point.change + step, lower, upper)
         products = runs.simulate(first + unit * change)
         cost = products.mean_rmse / scale + prior * float(change @ change)
-        return Trial(_Point(change, products, cost), predicted_decrease=1.0)
+        return _Point(change, products, cost), 1.0  # see the damping rule
 
     def has_converged(point: _Point, previous_cost: float) -> bool:
         return previous_cost - point.cost < _TOLERANCE * point.cost
