@@ -164,7 +164,8 @@ def seven_joints() -> dict[str, float]:
 
     def compared(steps: int) -> object:
         runs = Runs(
-            np.full((1, 14), 0.3), equations.parameter_rows(system.nominal(), np.zeros((1, 0), int)),
+            np.full((1, 14), 0.3),
+            equations.parameter_rows(system.nominal(), np.zeros((1, 0), int)),
             np.array([steps]), np.zeros(1, int), np.zeros((steps + 1, 1, 1)),
             np.full(steps + 1, 1e-3),
         )  # fmt: skip

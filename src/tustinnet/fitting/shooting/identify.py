@@ -108,7 +108,7 @@ def identify_task(task: Task, member: Member, listener: Listener) -> FitResult:
 
 def _identify(task: Task, member: Member, listener: Listener) -> Identification:
     require_float64("identify")
-    begin_time = time.perf_counter()
+    start_time = time.perf_counter()
     system, recipe, roles = task.system, task.recipe, task.folds[member.fold].roles
     assert system is not None
     assert isinstance(recipe, IdentificationRecipe)
@@ -166,4 +166,4 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
     identification = make_identification(problem, state, initial, reversed_signs)
     if problem.refit_start:
         identification = refit_to_free_runs(problem, state, problem.refit_start, identification)
-    return replace(identification, seconds=time.perf_counter() - begin_time)
+    return replace(identification, seconds=time.perf_counter() - start_time)
