@@ -14,12 +14,12 @@ AT, UNIT = np.array([0.7, -1.0, 0.4]), np.array([1.0, 5.0, 0.2])
 @pytest.fixture(scope="module")
 def model() -> QuadraticCost:
     """Of a linear least-squares problem, for which it is exact."""
-    g = REGRESSORS @ AT - TARGETS
+    residuals = REGRESSORS @ AT - TARGETS
     return QuadraticCost(
         point=AT * UNIT,
         unit=UNIT,
-        cost=np.sum(g**2, axis=1),
-        gradient=np.einsum("gsp,gs->gp", REGRESSORS, g) / UNIT,
+        cost=np.sum(residuals**2, axis=1),
+        gradient=np.einsum("gsp,gs->gp", REGRESSORS, residuals) / UNIT,
         curvature=np.einsum("gsp,gsr->gpr", REGRESSORS, REGRESSORS) / np.outer(UNIT, UNIT),
         regularisation=np.zeros(3),
     )
@@ -30,15 +30,14 @@ def solved(groups: list[int], fixed: dict[int, float]) -> np.ndarray:
     free = [i for i in range(3) if i not in fixed]
     vector = np.zeros(3)
     vector[list(fixed)] = list(fixed.values())
-    vector[free] = np.linalg.lstsq(regressors[:, free], targets - regressors @ vector, rcond=None)[
-        0
-    ]
+    rest = targets - regressors @ vector
+    vector[free] = np.linalg.lstsq(regressors[:, free], rest, rcond=None)[0]
     return vector
 
 
 @pytest.mark.parametrize("fixed", [{}, {2: 0.0}, {2: 0.0, 0: 1.0}, {0: 0.0, 1: 0.0, 2: 0.0}])
 def test_it_says_what_new_fits_without_a_group_would(model, fixed):
-    vectors = [solved([g for g in range(4) if g != g], fixed) for g in range(4)]
+    vectors = [solved([g for g in range(4) if g != out], fixed) for out in range(4)]
     expected = sum(np.sum((REGRESSORS[g] @ vectors[g] - TARGETS[g]) ** 2) for g in range(4))
     assert model.leave_one_out_cost(fixed) == pytest.approx(expected)
     every = solved([0, 1, 2, 3], fixed)

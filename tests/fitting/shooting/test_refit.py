@@ -110,7 +110,7 @@ def test_parameters_stay_within_their_ranges():
 
 
 def test_free_runs_that_leave_all_numbers_leave_the_model_as_it_is(monkeypatch):
-    def diverging(runs, values, unit):
+    def diverging(runs, values):
         n = len(values)
         return refit._FreeRunProducts(np.array([np.inf]), np.zeros((1, n, n)), np.zeros((1, n)))
 

@@ -14,5 +14,5 @@ From records to the result, module by module:
 7. `results` makes estimates and errors (`uncertainty`, `agreement`) and `findings` sentences.
 8. `refit` fits the parameters once more to free runs, where the recipe asks for it.
 
-Beside it, `information` says what records would tell of parameters.
+Beside it, `information` computes how well records would determine parameters.
 """

@@ -43,7 +43,7 @@ class _PartialEstimate:
     Attributes:
         name: which records.
         vector: the parameters.
-        variance: variances of their errors, infinite where these records say nothing.
+        variance: variances of their errors, infinite where these do not determine them.
         freedom: degrees of freedom of the variances.
     """
 
@@ -121,7 +121,9 @@ def _find_suspects(state: SearchState, n_records: int) -> list[int]:
     reduced, first = eliminate_initial_states(result.products), result.segments.first_of_records
     matrices = np.add.reduceat(reduced.matrices, first)
     gradients = np.add.reduceat(reduced.gradients, first)
-    matrices = matrices + 0.01 * matrices.mean(axis=0)  # where a record says nothing: as all
+    matrices = matrices + 0.01 * matrices.mean(
+        axis=0
+    )  # directions that a record does not determine: as all
     unit = np.sqrt(np.maximum(np.einsum("spp->sp", matrices), 1e-300))
     inverses = np.linalg.pinv(
         matrices / unit[:, :, None] / unit[:, None, :], rcond=1e-10, hermitian=True

@@ -35,8 +35,8 @@ def find_horizons(
 ) -> dict[str, int]:
     """Finds the horizons of records: steps before an error of the state grows a thousandfold.
 
-    The equations of motion are linearised at every measured state; products of the transitions say
-    what becomes of an error of the state, velocities in units in which they spread as positions do.
+    The equations of motion are linearised at every measured state; products of the transitions give
+    the growth of an error of the state, velocities in units in which they spread as positions do.
 
     Args:
         system: the system.

@@ -85,7 +85,7 @@ def describe_horizons(
     Args:
         horizons: horizons [s] by record, validation records too.
         records: the training records.
-        is_from_recipe: whether the recipe says the horizon.
+        is_from_recipe: whether the horizon is the recipe's.
         scoring_start: the start of the validation free runs, None without validation records.
     """
     if not horizons:

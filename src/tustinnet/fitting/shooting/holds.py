@@ -16,7 +16,7 @@ from tustinnet.fitting.shooting.stages import choose_substeps, run_final_stage, 
 from tustinnet.signals.excitation import HALF, Held
 
 _FIRST = "first-order"  # between the others, so that both are near enough to go on from it
-_ALIKE = 1.01  # root mean squares of errors that differ by less say nothing
+_ALIKE = 1.01  # root mean squares of errors that differ by less are alike
 
 
 def search_over_holds(problem: Problem, state: SearchState) -> tuple[Problem, SearchState, str]:

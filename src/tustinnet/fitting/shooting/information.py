@@ -58,7 +58,7 @@ def fisher_information(
     options = SearchRecipe(initial="anchored", substeps=substeps)
     problem = Problem(system, tuple(records), (), options)
     segments = problem.segments(None, "anchored", {})
-    # a simulation says its state at the beginning
+    # in a simulation the state at the beginning is exact
     x0 = segments.x0.copy()
     x0[:, records[0].channels.measured] = [np.concatenate([e.q[0], e.velocities()[0]])
                                            for e in records]  # fmt: skip

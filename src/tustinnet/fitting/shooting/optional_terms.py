@@ -17,10 +17,10 @@ from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.fitting.shooting.stages import Stage, choose_substeps, run_stage, update_horizons
 
 _QUARTER_SWINGS = (1, 4)  # lengths of the segments
-_FEWEST = 4  # segments, for records to say something of one another
+_FEWEST = 4  # segments, for groups of them to be compared
 _STOPPING = StoppingRule(1e-2, 15)
 _NEEDED = 0.1  # share of the cost of records left out by which it rises without a needed term
-_MOST = 3.0  # times the cost of all terms: with few segments, those left out say too little
+_MOST = 3.0  # times the cost of all terms: with few segments, those left out decide too little
 _STEPS = (1e-2, 1e-1, 1.0)  # of it: terms that nobody would miss go first
 _WORSE = 1.2  # times the predicted cost: the second-order model did not hold so far
 _HALVES = 2  # times that fewer terms are dropped then
@@ -35,10 +35,10 @@ def drop_unneeded_terms(problem: Problem, state: SearchState) -> tuple[Problem, 
     Many terms compete, so their first values come from simulations of short segments, not from
     the equations of motion on derived velocities, whose errors favour small inertias.
 
-    A term is needed where records are explained worse without it by the parameters that the other
-    records say, by 10 %, all other parameters following. Of several the last one goes first, so a
+    A term is needed where without it records are explained worse by 10 %, by the parameters that
+    fit the other records, all other parameters following. Of several the last one goes first, so a
     system lists its terms from the plain to the special: over a small range of motion they can
-    stand for one another. Then the rest is fitted and judged again, until every term is needed.
+    stand for one another. Then the rest is fitted and tested again, until every term is needed.
     Forces that a kept term brings are added last: short segments hardly show them.
 
     Args:

@@ -57,8 +57,8 @@ def refit_to_free_runs(
         identification: the identification by the search.
 
     Returns:
-        The identification with the refitted model; its estimates, their errors and all that was
-        said of them stay. Unchanged but for a finding where a refit is not possible.
+        The identification with the refitted model; its estimates, their errors and findings
+        stay. Unchanged but for a finding where a refit is not possible.
     """
     if state.has_diverged:
         return identification
@@ -112,8 +112,8 @@ def _minimise_mean_rmse(
     """Minimises the mean over the records of their RMSE, not of its square.
 
     A record that no parameter explains then pulls no more than others. A parameter's change
-    relative to its value has a prior, so that what the records do not say stays as it was
-    identified; the more records there are, the less it weighs. Initial states follow from the
+    relative to its value has a prior, so that what the records do not determine stays as it
+    was identified; the more records there are, the less it weighs. Initial states follow from the
     parameters, as they do in the free runs that are scored.
 
     Levenberg-Marquardt, each record's squares weighed by one over its RMSE.

@@ -70,7 +70,7 @@ class Segments:
     delayed_inputs: "Callable[[Mapping[str, float]], np.ndarray] | None" = None
 
     def with_delays(self, values: Mapping[str, float]) -> "Segments":
-        """Segments whose inputs are as late as the parameters' values say."""
+        """Segments whose inputs have the delays that are among the parameters' values."""
         if self.delayed_inputs is None:
             return self
         step = _DELAY_STEP * float(self.periods[0])

@@ -117,7 +117,7 @@ def run_final_stage(problem: Problem, state: SearchState, initial: str) -> Searc
 
 
 def run_stage(problem: Problem, state: SearchState, stage: Stage) -> SearchState:
-    """Runs one stage and tells the listener; the state has its result, also where it diverged."""
+    """Runs one stage; the state has its result, also where it diverged."""
     steps = stage.quarter_swings and stage.quarter_swings * problem.motion.window_length
     segments = problem.segments(steps, stage.initial, state.horizons)
     if state.weights is not None:
@@ -185,7 +185,7 @@ def _fix_confounded_parameters(problem: Problem, state: SearchState) -> SearchSt
         raise InputError(
             f"system '{problem.system.name}'",
             "; ".join(str(parameters) for parameters in confounded),
-            "records that say something of at least one parameter",
+            "records from which at least one parameter is identifiable",
         )
     space = SearchSpace(free, dict(space.fixed_values) | {name: values[name] for name in names})
     remarks = [f"{parameters}; here it was fixed at its first value" for parameters in confounded]

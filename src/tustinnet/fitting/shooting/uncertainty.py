@@ -15,7 +15,7 @@ from tustinnet.fitting.shooting.least_squares import eliminate_initial_states
 from tustinnet.fitting.shooting.normal import NormalProducts
 from tustinnet.fitting.shooting.segments import Segments
 
-FEWEST_RECORDS = 4  # fewer say too little about how records differ
+FEWEST_RECORDS = 4  # for an estimate of how records differ
 CONFIDENCE = 0.95
 _LARGEST = 1e100  # residuals above it cannot be squared and summed
 
