@@ -161,17 +161,17 @@ def minimise(
         Nielsen (1999), Damping parameter in Marquardt's method, IMM-REP-1999-05 (its fall).
     """
 
-    def evaluate(vector: ParameterVector, x0: np.ndarray) -> _Point:
+    def evaluate(vector: ParameterVector, x0: np.ndarray) -> _SearchPoint:
         products = cost.products(vector, x0)
         value = float(products.cost.sum() + cost.prior.cost(cost.space, vector))
-        return _Point(vector, x0, products, value if products.is_finite else np.inf)
+        return _SearchPoint(vector, x0, products, value if products.is_finite else np.inf)
 
-    def propose(point: _Point, damping: float) -> tuple[_Point, float]:
+    def propose(point: _SearchPoint, damping: float) -> tuple[_SearchPoint, float]:
         step = _damped_step(cost, point, damping)
         trial = evaluate(cost.space.clip(point.vector + step.vector), point.x0 + step.x0)
         return trial, step.predicted_decrease
 
-    def has_converged(point: _Point, _: float) -> bool:
+    def has_converged(point: _SearchPoint, _: float) -> bool:
         undamped = _damped_step(cost, point, _LEAST_DAMPING)
         length = max(np.max(np.abs(x), initial=0.0) for x in (undamped.vector, undamped.x0))
         small = undamped.predicted_decrease <= stopping.tolerance * (point.cost + _TINY)
@@ -191,7 +191,7 @@ def minimise(
 
 
 @dataclass(frozen=True)
-class _Point:
+class _SearchPoint:
     """Parameters and initial states, their products and their cost, infinite if they diverge."""
 
     vector: ParameterVector
@@ -208,7 +208,7 @@ class _Step(NamedTuple):
     predicted_decrease: float
 
 
-def _damped_step(cost: CostFunction, point: _Point, damping: float) -> _Step:
+def _damped_step(cost: CostFunction, point: _SearchPoint, damping: float) -> _Step:
     """The minimum of the damped quadratic model, within the bounds and a factor of e."""
     space, vector, products = cost.space, point.vector, point.products
     reduced = eliminate_initial_states(products, damping)

@@ -98,7 +98,7 @@ def refit_to_free_runs(
 
 
 @dataclass(frozen=True)
-class _Point:
+class _RefitPoint:
     """Relative changes of the parameters, the free runs there, and the cost."""
 
     change: Float[np.ndarray, " n_p"]
@@ -134,7 +134,7 @@ def _minimise_mean_rmse(
     initial = runs.simulate(first)
     scale, prior = initial.mean_rmse, _PRIOR / len(problem.records)
 
-    def propose(point: _Point, damping: float) -> tuple[_Point, float]:
+    def propose(point: _RefitPoint, damping: float) -> tuple[_RefitPoint, float]:
         # Gauss-Newton matrix and gradient of half the mean RMSE over the scale
         rmse = np.maximum(point.products.rmse, _WELL * scale)
         weight = 1 / (2 * scale * rmse * len(rmse))
@@ -144,16 +144,16 @@ def _minimise_mean_rmse(
         change = np.clip(point.change + step, lower, upper)
         products = runs.simulate(first + unit * change)
         cost = products.mean_rmse / scale + prior * float(change @ change)
-        return _Point(change, products, cost), 1.0  # see the damping rule
+        return _RefitPoint(change, products, cost), 1.0  # see the damping rule
 
-    def has_converged(point: _Point, previous_cost: float) -> bool:
+    def has_converged(point: _RefitPoint, previous_cost: float) -> bool:
         return previous_cost - point.cost < _TOLERANCE * point.cost
 
-    def on_iteration(number: int, point: _Point, damping: float) -> None:
+    def on_iteration(number: int, point: _RefitPoint, damping: float) -> None:
         stage, mean_rmse = f"refit to free runs from {start.name}", point.products.mean_rmse
         problem.listener.iteration(Iteration(stage, number, mean_rmse, damping, start.name))
 
-    point, iterations = _Point(np.zeros(len(free)), initial, 1.0), 0
+    point, iterations = _RefitPoint(np.zeros(len(free)), initial, 1.0), 0
     if 0 < scale < np.inf:
         result = iterate(
             point, propose, has_converged, _DAMPING_RULE, _MAX_ITERATIONS, on_iteration
