@@ -13,7 +13,7 @@ import numpy as np
 
 
 @runtime_checkable
-class Point(Protocol):
+class IterationPoint(Protocol):
     """A point of an iteration."""
 
     @property
@@ -22,7 +22,7 @@ class Point(Protocol):
         ...
 
 
-P = TypeVar("P", bound=Point)
+P = TypeVar("P", bound=IterationPoint)
 
 
 @dataclass(frozen=True)

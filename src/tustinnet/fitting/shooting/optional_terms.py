@@ -14,7 +14,12 @@ from tustinnet.fitting.shooting.least_squares import StoppingRule
 from tustinnet.fitting.shooting.leave_out import QuadraticCost, make_quadratic_cost
 from tustinnet.fitting.shooting.problem import Problem, SearchState
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
-from tustinnet.fitting.shooting.stages import Stage, choose_substeps, run_stage, update_horizons
+from tustinnet.fitting.shooting.stages import (
+    SearchStage,
+    choose_substeps,
+    run_stage,
+    update_horizons,
+)
 
 _QUARTER_SWINGS = (1, 4)  # lengths of the segments
 _FEWEST = 4  # segments, for groups of them to be compared
@@ -56,7 +61,9 @@ def drop_unneeded_terms(problem: Problem, state: SearchState) -> tuple[Problem, 
     offered, remarks, recipe_horizons = problem.system.optional, state.remarks, state.horizons
 
     # all terms, fitted to short segments, of which there are several
-    stages = [Stage(problem.early_initial, _STOPPING, quarters) for quarters in _QUARTER_SWINGS]
+    stages = [
+        SearchStage(problem.early_initial, _STOPPING, quarters) for quarters in _QUARTER_SWINGS
+    ]
     stage, *longer_stages = stages
     state = run_stage(problem, choose_substeps(problem, update_horizons(problem, state)), stage)
     for longer_stage in longer_stages:
@@ -93,7 +100,7 @@ def drop_unneeded_terms(problem: Problem, state: SearchState) -> tuple[Problem, 
 
 
 def _drop_some(
-    problem: Problem, state: SearchState, stage: Stage, reach: float
+    problem: Problem, state: SearchState, stage: SearchStage, reach: float
 ) -> tuple[Problem, SearchState] | None:
     """Drops all terms that seem not needed, or half of them, or a quarter, and fits the others.
 

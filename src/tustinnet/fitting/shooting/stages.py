@@ -38,7 +38,7 @@ _LEAST_CHANGE = 1e-5  # of a logarithm, or of a range, by which new weights stil
 
 
 @dataclass(frozen=True)
-class Stage:
+class SearchStage:
     """One stage of a search.
 
     Attributes:
@@ -76,11 +76,11 @@ def search(problem: Problem, state: SearchState) -> tuple[SearchState, str]:
 
     longest = max(state.horizons.get(e.name, len(e) - 1) for e in problem.records)
     stages = [
-        Stage(problem.early_initial, StoppingRule(0.1, 20), quarters)
+        SearchStage(problem.early_initial, StoppingRule(0.1, 20), quarters)
         for quarters in _QUARTER_SWINGS
         if quarters * problem.motion.window_length < longest
     ]
-    for stage in (*stages, Stage(problem.early_initial, StoppingRule(1e-2, 30))):
+    for stage in (*stages, SearchStage(problem.early_initial, StoppingRule(1e-2, 30))):
         state = run_stage(problem, state, stage)
         state = update_horizons(problem, state)  # the better the values, the better the horizons
     state = choose_substeps(problem, state)
@@ -89,7 +89,7 @@ def search(problem: Problem, state: SearchState) -> tuple[SearchState, str]:
     if initial == "choose":
         initial = "anchored"
         if problem.validation:
-            loose = run_stage(problem, state, Stage("unanchored", StoppingRule(1e-2, 15)))
+            loose = run_stage(problem, state, SearchStage("unanchored", StoppingRule(1e-2, 15)))
             if score_validation(problem, loose) < score_validation(problem, state):
                 state, initial = loose, "unanchored"
     return run_final_stage(problem, state, initial), initial
@@ -106,7 +106,7 @@ def run_final_stage(problem: Problem, state: SearchState, initial: str) -> Searc
         initial: how initial states are treated: `anchored`, `unanchored`, or a start.
     """
     options = problem.search
-    stage = Stage(initial, StoppingRule(options.tolerance, options.iterations))
+    stage = SearchStage(initial, StoppingRule(options.tolerance, options.iterations))
     state = run_stage(problem, state, stage)
     for _ in range(_MOST_REWEIGHTINGS if options.robust != "none" else 0):
         before = state.vector
@@ -116,7 +116,7 @@ def run_final_stage(problem: Problem, state: SearchState, initial: str) -> Searc
     return state
 
 
-def run_stage(problem: Problem, state: SearchState, stage: Stage) -> SearchState:
+def run_stage(problem: Problem, state: SearchState, stage: SearchStage) -> SearchState:
     """Runs one stage; the state has its result, also where it diverged."""
     steps = stage.quarter_swings and stage.quarter_swings * problem.motion.window_length
     segments = problem.segments(steps, stage.initial, state.horizons)
