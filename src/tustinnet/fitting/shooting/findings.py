@@ -178,10 +178,9 @@ def describe_condition(names: Sequence[str], uncertainty: Uncertainty) -> list[s
     """
     if uncertainty.condition < _POOR_CONDITION:
         return []
-    direction = uncertainty.worst_direction
-    involved = [
-        names[i] for i in np.argsort(-np.abs(direction)).tolist() if abs(direction[i]) > 0.1
-    ]
+    direction = np.abs(uncertainty.worst_direction)
+    order: list[int] = np.argsort(-direction).tolist()
+    involved = [names[i] for i in order if direction[i] > 0.1]
     if len(involved) == 1:
         return [f"'{involved[0]}' has hardly any effect on the simulations; fix it"]
     return [
