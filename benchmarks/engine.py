@@ -69,7 +69,7 @@ def pendulum(records: int) -> Callable[[], object]:
     start = np.zeros((records, n_x))
     start[:, 1] = np.linspace(2.3, 3.0, records)
     runs = Runs(
-        start, equations.values(system.nominal(), np.zeros((records, 0), int)),
+        start, equations.parameter_rows(system.nominal(), np.zeros((records, 0), int)),
         np.full(records, STEPS), np.arange(records) * (STEPS + 1),
         generator.normal(size=(rows, 1, 1)), np.full(rows, DT),
     )  # fmt: skip
@@ -164,7 +164,8 @@ def seven_joints() -> dict[str, float]:
 
     def compared(steps: int) -> object:
         runs = Runs(
-            np.full((1, 14), 0.3), equations.values(system.nominal(), np.zeros((1, 0), int)),
+            np.full((1, 14), 0.3),
+            equations.parameter_rows(system.nominal(), np.zeros((1, 0), int)),
             np.array([steps]), np.zeros(1, int), np.zeros((steps + 1, 1, 1)),
             np.full(steps + 1, 1e-3),
         )  # fmt: skip

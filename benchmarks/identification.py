@@ -26,7 +26,7 @@ from scipy.integrate import solve_ivp
 import tustinnet as tn
 from tustinnet.fitting.recipe import SearchRecipe
 from tustinnet.fitting.shooting.problem import Problem
-from tustinnet.fitting.shooting.space import make_space
+from tustinnet.fitting.shooting.space import make_search_space
 from tustinnet.systems import qube_servo2, qube_servo2_twin
 from tustinnet.systems.twin import Logger
 
@@ -144,8 +144,8 @@ def against_scipy(folder: str) -> None:
     data = tn.load(folder)
     records = list(data.split("train"))
     system = qube_servo2.SYSTEM
-    space = make_space(system, {}, {})
-    vector = space.vector(system.nominal())
+    space = make_search_space(system, {}, {})
+    vector = space.to_vector(system.nominal())
     search = SearchRecipe(initial="file")
     problem = Problem(system, tuple(records), (), search)
     segments = problem.segments(None, "file", {})
@@ -159,7 +159,7 @@ def against_scipy(folder: str) -> None:
         ours()
         times.append(time.perf_counter() - begun)
     begun = time.perf_counter()
-    derivative = numpy_furuta(space.numbers(vector))
+    derivative = numpy_furuta(space.to_values_in_range(vector))
     worst = 0.0
     for e, x0, error in zip(records, segments.x0, errors, strict=True):
         q = scipy_run(derivative, e, x0)

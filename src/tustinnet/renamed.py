@@ -1,6 +1,11 @@
 """Old names that still work, with a message that says the new one; they go in version 0.4."""
 
 import warnings
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, TypeVar, cast
+
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 # public Python names, `tn.NAME`
 NAMES: dict[str, str] = {
@@ -36,3 +41,22 @@ def current_name(name: str, names: dict[str, str], kind: str) -> str:
         stacklevel=3,
     )
     return names[name]
+
+
+def with_renamed_arguments(**names: str) -> Callable[[Function], Function]:
+    """Decorator of a function whose keyword arguments have new names: old ones still work.
+
+    Args:
+        names: new names by old ones.
+    """
+
+    def decorate(function: Function) -> Function:
+        @wraps(function)
+        def call(*arguments: Any, **options: Any) -> Any:
+            for name in names.keys() & options.keys():
+                options[current_name(name, names, "argument")] = options.pop(name)
+            return function(*arguments, **options)
+
+        return cast(Function, call)
+
+    return decorate

@@ -71,7 +71,7 @@ def test_fit_finds_the_parameters_and_keeps_model_summary_and_figures(identified
 def test_the_log_has_every_iteration_and_the_parameters_after_every_stage(identified):
     lines = [json.loads(line) for line in (identified / "log.jsonl").read_text().splitlines()]
     ends = [line for line in lines if "parameters" in line]
-    assert ends[0]["stage"] == "first values"
+    assert ends[0]["stage"] == "equation-error estimate"
     at = [lines.index(end) for end in ends]
     for before, here in pairwise(at):
         end, costs = lines[here], [line["cost"] for line in lines[before + 1 : here]]
@@ -334,7 +334,7 @@ def test_a_reversed_input_ends_with_its_name_and_exit_code_1(folder, system, tmp
     assert code == 1
     assert "error: the sign of 'angle' or of 'torque' is probably reversed" in err
     assert "the sign of 'angle' or of 'torque' is probably reversed" in out
-    assert "'gain' stands at the lower end of its range" in out
+    assert "'gain' is at its lower bound" in out
 
 
 # a function that fails from a call on
@@ -556,7 +556,7 @@ def test_records_that_simulate_to_infinity_are_a_named_outcome(folder, system, t
     )  # fmt: skip
     assert code == 1
     assert "error: " in err
-    assert "diverged: from the values found the records simulate to infinity" in out
+    assert "diverged: the simulations with the estimated values diverge" in out
     assert "Traceback" not in err
 
 

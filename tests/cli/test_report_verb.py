@@ -116,7 +116,7 @@ def test_an_identification_shows_its_stages_and_the_way_of_its_parameters(identi
     assert ways["gravity"]["unit"]
     assert ways["gravity"]["values"] == [end["parameters"]["gravity"] for end in ends]
     text = page.read_text(encoding="utf-8")
-    assert "1: first values" in text
+    assert "1: equation-error estimate" in text
     assert 'id="plots-parameters"' in text
 
 

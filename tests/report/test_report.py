@@ -183,7 +183,7 @@ def test_progress_of_an_identification_shows_its_stages(terminal):
     task = make_task(data_set(records()), "grey", system=SWING)
     with FitProgress(Console(file=out, force_terminal=terminal, width=160)) as progress:
         told = progress.follow(task, "swing").on_iteration
-        told(Iteration("first values", 1, 0.5, 0.0))
+        told(Iteration("equation-error estimate", 1, 0.5, 0.0))
         told(Iteration("whole records", 1, 0.25, 0.1))
         told(Iteration("whole records", 2, 0.125, 0.1))
     text = out.getvalue()
@@ -193,7 +193,7 @@ def test_progress_of_an_identification_shows_its_stages(terminal):
         assert "whole records, iteration 2, cost 0.125" in text
     else:  # a line a stage
         assert text.splitlines() == [
-            "swing: first values, iteration 1, cost 0.5",
+            "swing: equation-error estimate, iteration 1, cost 0.5",
             "swing: whole records, iteration 1, cost 0.25",
         ]
 
@@ -202,7 +202,7 @@ def test_quiet_progress_of_an_identification_says_nothing():
     out = io.StringIO()
     with FitProgress(Console(file=out), quiet=True) as progress:
         task = make_task(data_set(records()), "grey", system=SWING)
-        progress.follow(task).on_iteration(Iteration("first values", 1, 0.5, 0.0))
+        progress.follow(task).on_iteration(Iteration("equation-error estimate", 1, 0.5, 0.0))
     assert out.getvalue() == ""
 
 

@@ -240,8 +240,8 @@ def test_killed_at_any_moment_and_resumed_it_ends_with_the_same_bits(
 )  # fmt: skip
 def test_the_log_of_an_identification_is_read_up_to_its_damage(tmp_path, bad):
     log = SearchLog(tmp_path)
-    log.iteration(Iteration("first values", 1, float("nan"), 0.0))
-    log.stage(StageResult("first values", "", 1, 0.5, "converged", {"mass": 2.0}))
+    log.iteration(Iteration("equation-error estimate", 1, float("nan"), 0.0))
+    log.stage(StageResult("equation-error estimate", "", 1, 0.5, "converged", {"mass": 2.0}))
     log.close()
     assert read_log(tmp_path) == []
     whole = read_search(tmp_path)

@@ -16,7 +16,7 @@ from tustinnet.data.experiment import LARGEST, Experiment
 from tustinnet.data.proposals import Proposal
 from tustinnet.errors import InputError
 from tustinnet.evaluate.bands import alternatives_of, guesses
-from tustinnet.fitting.shooting.information import information, space_of
+from tustinnet.fitting.shooting.information import fisher_information, search_space_for
 from tustinnet.models.contract import Model, require_float64, with_dtype
 from tustinnet.models.groups import model_for_groups
 from tustinnet.models.integrate import Discretised
@@ -147,17 +147,17 @@ def _shrinking(
                          "one whose parameters have some", "fit it to more records")  # fmt: skip
     estimates = [told["estimates"][i] for i in kept]
     names = [e["name"] for e in estimates]
-    space = space_of(continuous.system, values, names)
+    space = search_space_for(continuous.system, values, names)
     order = [names.index(name) for name in space.names]
     covariance = _covariance(told, kept, order) / np.outer(
-        *[space.slopes(space.vector(values))] * 2
+        *[space.derivatives(space.to_vector(values))] * 2
     )
     # residuals of a record are not independent: it counts as much less as the errors say
     ratios = [e["naive_error"] / e["error"] for e in estimates if e["naive_error"]]
     counts = min(float(np.median(ratios)) ** 2, 1.0) if ratios else 1.0
     n_q = model.channels.n_q
     deviation = float(np.sqrt(np.mean(np.square(list(told["residual_rmse"].values()))) / n_q))
-    found = information(
+    found = fisher_information(
         space, continuous.system, values, records, model.substeps, max(deviation, 1e-12)
     )
     return [_promise(e.name, space.names, covariance, counts * f)

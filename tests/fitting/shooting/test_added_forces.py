@@ -16,7 +16,7 @@ from tustinnet.fitting.shooting.forces import with_added
 from tustinnet.models.blocks import Scaling
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 
-KNOWN = changed("gain", nominal=TRUTH["gain"], fixed=True)
+KNOWN_GAIN = changed("gain", nominal=TRUTH["gain"], fixed=True)
 RUBBED = {"angle.coulomb": 0.06, "angle.cubic": 0.1}  # N m, N m/rad^3
 STRIBECK = {"angle.coulomb": 0.06, "angle.breakaway": 0.1, "angle.stribeck_speed": 0.5}
 RELAXING = {"angle.maxwell": 0.3, "angle.relaxation": 2.0}
@@ -32,18 +32,18 @@ def rubbed() -> list[tn.Experiment]:
 
 
 @pytest.fixture(scope="module")
-def found() -> tn.Identification:
-    return tn.identify(data_set(rubbed()), KNOWN, recipe("coulomb", "cubic:angle"))
+def result() -> tn.Identification:
+    return tn.identify(data_set(rubbed()), KNOWN_GAIN, recipe("coulomb", "cubic:angle"))
 
 
-def test_dry_friction_and_a_cubic_spring_are_found_with_the_parameters(found):
-    values = {e.name: (e.value, e.unit) for e in found.estimates}
+def test_dry_friction_and_a_cubic_spring_are_found_with_the_parameters(result):
+    values = {e.name: (e.value, e.unit) for e in result.estimates}
     assert values["angle.coulomb"] == (pytest.approx(RUBBED["angle.coulomb"], rel=0.005), "N m")
     assert values["angle.cubic"] == (pytest.approx(RUBBED["angle.cubic"], rel=1e-3), "N m/rad^3")
     assert values["damping"][0] == pytest.approx(TRUTH["damping"], rel=0.01)
     assert values["gravity"][0] == pytest.approx(TRUTH["gravity"], rel=1e-3)
-    assert "angle.smooth_speed" in found.fixed
-    assert found.outcome.startswith("converged")
+    assert "angle.smooth_speed" in result.fixed
+    assert result.outcome.startswith("converged")
 
 
 @pytest.mark.parametrize(
@@ -52,28 +52,28 @@ def test_dry_friction_and_a_cubic_spring_are_found_with_the_parameters(found):
 def test_other_laws_are_found_too(force, truth):
     rested = {"angle.turned": 0.0} if force.startswith("maxwell") else {}
     made = driven_again(with_added(SWING, [force], records(), {}), truth | rested)
-    found = tn.identify(data_set(made), KNOWN, recipe(force, **rested))
-    values = {e.name: e.value for e in found.estimates}
+    result = tn.identify(data_set(made), KNOWN_GAIN, recipe(force, **rested))
+    values = {e.name: e.value for e in result.estimates}
     assert {name: values[name] for name in truth} == pytest.approx(truth, rel=0.1)
 
 
 def test_a_friction_that_is_not_there_is_told():
-    told = tn.identify(data_set(records()), KNOWN, recipe("coulomb")).findings
-    assert any("'angle.coulomb' is 0, the lower end of its range" in f for f in told)
+    findings = tn.identify(data_set(records()), KNOWN_GAIN, recipe("coulomb")).findings
+    assert any("'angle.coulomb' is 0, its lower bound" in f for f in findings)
 
 
-def test_a_file_keeps_the_forces(found, tmp_path):
+def test_a_file_keeps_the_forces(result, tmp_path):
     path = tmp_path / "m.safetensors"
-    tn.save(found.model, path)
-    again: Any = tn.load_model(path, KNOWN)
+    tn.save(result.model, path)
+    again: Any = tn.load_model(path, KNOWN_GAIN)
     x, u = jnp.array([0.3, -1.0]), jnp.array([2.0])
-    np.testing.assert_allclose(again.step(x, u), found.model.step(x, u), rtol=1e-12)
-    assert again.continuous.system.parameters == found.model.continuous.system.parameters
-    stiff = replace(KNOWN, potential=lambda q, p: -1.01 * p["gravity"] * jnp.cos(q[0]))
+    np.testing.assert_allclose(again.step(x, u), result.model.step(x, u), rtol=1e-12)
+    assert again.continuous.system.parameters == result.model.continuous.system.parameters
+    stiff = replace(KNOWN_GAIN, potential=lambda q, p: -1.01 * p["gravity"] * jnp.cos(q[0]))
     with pytest.raises(tn.InputError, match="has changed since the model was identified"):
         tn.load_model(path, stiff)
     has_one = replace(
-        KNOWN, parameters=(*KNOWN.parameters, Parameter("angle.cubic", "", 0.0, 0.0, 1.0))
+        KNOWN_GAIN, parameters=(*KNOWN_GAIN.parameters, Parameter("angle.cubic", "", 0.0, 0.0, 1.0))
     )
     with pytest.raises(tn.InputError, match=r"brings 'angle\.cubic', which the system 'swing' has"):
         tn.load_model(path, has_one)
@@ -135,8 +135,8 @@ def test_ranges_grow_with_the_system_and_its_motion():
 
 def test_values_that_a_recipe_knows_better_set_the_scale():
     heavy = {"gravity": 10.0}  # ten times the nominal one
-    of = [with_added(SWING, ["coulomb"], falls(), known) for known in ({}, heavy)]
-    usual, strong = (s.parameter("angle.coulomb").upper for s in of)
+    systems = [with_added(SWING, ["coulomb"], falls(), values) for values in ({}, heavy)]
+    usual, strong = (s.parameter("angle.coulomb").upper for s in systems)
     assert 5 * usual < strong <= 10 * usual
 
 
@@ -176,23 +176,23 @@ def test_springs_of_no_coordinate_are_added_where_none_turns_around():
     system = with_added(CART, ["coulomb", "cubic", "maxwell"], [e], {})
     assert system.added == ("coulomb:x", "coulomb:angle", "cubic:x", "maxwell:x")
     assert with_added(CART, ["cubic:angle"], [e], {}).added == ("cubic:angle",)
-    turned = replace(falls()[0], q=3 * falls()[0].q, v=None, v_measured=False)
+    whole_turns = replace(falls()[0], q=3 * falls()[0].q, v=None, v_measured=False)
     with pytest.raises(tn.InputError, match="'spring': every coordinate turns around"):
-        with_added(SWING, ["spring"], [turned], {})
+        with_added(SWING, ["spring"], [whole_turns], {})
 
 
 def test_their_parameters_are_fixed_and_begun_like_any_other():
     some = recipe("coulomb", "cubic", **{"angle.cubic": 0.1, "angle.smooth_speed": 0.05})
-    result = tn.identify(data_set(rubbed()), KNOWN, some, begin={"angle.coulomb": 0.01})
+    result = tn.identify(data_set(rubbed()), KNOWN_GAIN, some, begin={"angle.coulomb": 0.01})
     assert result.fixed["angle.cubic"] == 0.1
     assert result.fixed["angle.smooth_speed"] == 0.05
     assert "angle.coulomb" in {e.name for e in result.estimates}
     with pytest.raises(tn.InputError, match=r"no parameter 'angle\.viscous'"):
-        tn.identify(data_set(rubbed()), KNOWN, recipe("cubic", **{"angle.viscous": 0.1}))
+        tn.identify(data_set(rubbed()), KNOWN_GAIN, recipe("cubic", **{"angle.viscous": 0.1}))
 
 
 def test_a_system_with_values_per_group_takes_forces():
-    per = changed("damping", KNOWN, per="oil")
+    per = changed("damping", KNOWN_GAIN, per="oil")
     made = [replace(e, groups=(("oil", "thin"),)) for e in rubbed()]
     values = {
         e.name: e.value
@@ -208,7 +208,7 @@ def test_forces_and_sensors_go_together():
     both = some.model_copy(
         update={"model": some.model.model_copy(update={"free": ("angle.bias",)})}
     )
-    result = tn.identify(data_set(made), KNOWN, both)
+    result = tn.identify(data_set(made), KNOWN_GAIN, both)
     values = {e.name: e.value for e in result.estimates}
     assert values["angle.bias"] == pytest.approx(0.03, abs=2e-3)
     assert values["angle.cubic"] == pytest.approx(RUBBED["angle.cubic"], rel=0.02)

@@ -14,7 +14,7 @@ import tustinnet as tn
 
 
 @pytest.fixture(scope="module")
-def held() -> tn.DataSet:
+def balancing() -> tn.DataSet:
     """Four records that train, one that validates."""
     *train, last = balanced(5, 4.0)
     return tn.DataSet(
@@ -23,39 +23,39 @@ def held() -> tn.DataSet:
 
 
 @pytest.fixture(scope="module")
-def found(held) -> tn.Identification:
-    return tn.identify(held, SYSTEM, grey("initial=anchored"))
+def result(balancing) -> tn.Identification:
+    return tn.identify(balancing, SYSTEM, grey("initial=anchored"))
 
 
-def test_held_records_are_identified_over_the_segments_that_they_allow(held, found):
-    assert found.converged
-    assert worst(found, TRUTH) < 0.05
-    assert set(found.horizons) == {e.name for e in held}
+def test_held_records_are_identified_over_the_segments_that_they_allow(balancing, result):
+    assert result.converged
+    assert worst(result, TRUTH) < 0.05
+    assert set(result.horizons) == {e.name for e in balancing}
     # an error doubles every 62 ms: a thousandfold is ten times
-    assert all(0.3 < seconds < 0.8 for seconds in found.horizons.values())
-    assert max(found.rmse.values()) < 1e-3
-    assert found.trust == "records"
-    assert len(found.initial_states["hold1"]) == 4
-    assert found.as_plain()["horizons"] == dict(found.horizons)
+    assert all(0.3 < seconds < 0.8 for seconds in result.horizons.values())
+    assert max(result.rmse.values()) < 1e-3
+    assert result.trust == "records"
+    assert len(result.initial_states["hold1"]) == 4
+    assert result.as_plain()["horizons"] == dict(result.horizons)
 
 
-def test_which_records_were_fitted_over_which_horizon_is_told(found):
-    told = [f for f in found.findings if "errors grow a thousandfold in about" in f]
-    assert {name for f in told for name in f.split(":")[0].split(", ")} == {
+def test_which_records_were_fitted_over_which_horizon_is_told(result):
+    sentences = [f for f in result.findings if "errors grow a thousandfold in about" in f]
+    assert {name for f in sentences for name in f.split(":")[0].split(", ")} == {
         "hold1", "hold2", "hold3", "hold4"
     }  # fmt: skip
-    assert any("validation records are scored over segments of" in f for f in found.findings)
+    assert any("validation records are scored over segments of" in f for f in result.findings)
 
 
-def test_validation_is_over_the_horizon_found(held, found):
-    judged = list(held.split("validation"))
-    assert found.start == "model-20"
-    scores = tn.evaluate(found.model, judged, found.start, horizon=found.horizon)
-    assert found.validation_rmse == pytest.approx(tn.mean_rmse(scores), rel=1e-3)
+def test_validation_is_over_the_horizon_found(balancing, result):
+    validation = list(balancing.split("validation"))
+    assert result.start == "model-20"
+    scores = tn.evaluate(result.model, validation, result.start, horizon=result.horizon)
+    assert result.validation_rmse == pytest.approx(tn.mean_rmse(scores), rel=1e-3)
     # as a whole, nothing simulates them; rounding, which differs among machines, moves the first
     # figure by a few hundredths of itself
     assert scores[0].rmse < 0.03
-    assert tn.evaluate(found.model, judged, found.start)[0].rmse > 1.0
+    assert tn.evaluate(result.model, validation, result.start)[0].rmse > 1.0
 
 
 def test_records_that_swing_stay_whole_beside_one_that_is_held():
@@ -68,21 +68,23 @@ def test_records_that_swing_stay_whole_beside_one_that_is_held():
         u[k] = -30 * (x[0] - top) - 4 * x[1] + generator.normal()
         x = np.asarray(step(jnp.asarray(x), jnp.asarray(u[k : k + 1])))
     upright = simulated("upright", [top + 0.01, 0.0], u)
-    found = tn.identify(data_set([*records(), upright]), SWING)
-    assert worst(found) < 1e-3
-    assert set(found.horizons) == {"upright"}
+    result = tn.identify(data_set([*records(), upright]), SWING)
+    assert worst(result) < 1e-3
+    assert set(result.horizons) == {"upright"}
     assert any(
-        f.startswith("fall1, fall2, noise1, noise2: fitted as a whole") for f in found.findings
+        f.startswith("fall1, fall2, noise1, noise2: fitted as a whole") for f in result.findings
     )
 
 
 def test_a_horizon_can_be_asked_for():
-    told = []
-    found = tn.identify(data_set(records()), SWING, grey("horizon=1.2"), told=told.append)
-    assert worst(found) < 1e-4
-    assert set(found.horizons.values()) == {1.2}
-    assert told[-1].stage == "segments of 1.2 s, anchored start"
-    assert any("fitted over segments of 1.2 s" in f for f in found.findings)
+    iterations = []
+    result = tn.identify(
+        data_set(records()), SWING, grey("horizon=1.2"), on_iteration=iterations.append
+    )
+    assert worst(result) < 1e-4
+    assert set(result.horizons.values()) == {1.2}
+    assert iterations[-1].stage == "segments of 1.2 s, anchored start"
+    assert any("fitted over segments of 1.2 s" in f for f in result.findings)
     fitted = tn.fit(data_set(records()), grey("horizon=1.2"), system=SWING)
     assert fitted.horizon == 1.2
 

@@ -39,30 +39,30 @@ def test_a_delay_that_the_card_calls_unknown_is_searched_for():
     records = tuple(
         replace(e, channels=replace(e.channels, inputs=unknown)) for e in late(0.5 * DT)
     )
-    found = tn.identify(tn.DataSet("late", records), SYSTEM)
-    assert found.values["force.delay"] == pytest.approx(0.5 * DT, abs=0.01 * DT)
+    result = tn.identify(tn.DataSet("late", records), SYSTEM)
+    assert result.values["force.delay"] == pytest.approx(0.5 * DT, abs=0.01 * DT)
     with pytest.raises(tn.InputError, match=r"record0, input 'force': delay 'unknown', and simul"):
         records[0].excitation()
 
 
 @pytest.mark.parametrize("hold", ["zero-order", "band-limited"])
 def test_a_delay_of_parts_of_a_period_is_found_within_its_interval(hold):
-    found = tn.identify(late(1.6 * DT, hold), SYSTEM, RECIPE)
-    delay = next(e for e in found.estimates if e.name == "force.delay")
+    result = tn.identify(late(1.6 * DT, hold), SYSTEM, RECIPE)
+    delay = next(e for e in result.estimates if e.name == "force.delay")
     assert delay.unit == "s"
     assert delay.value == pytest.approx(1.6 * DT, abs=0.01 * DT)
-    assert found.model.inputs[0].delay == delay.value
+    assert result.model.inputs[0].delay == delay.value
     for name, value in TRUTH.items():
-        assert found.values[name] == pytest.approx(value, rel=0.01)
+        assert result.values[name] == pytest.approx(value, rel=0.01)
 
 
 def test_a_model_with_a_delay_is_restored_with_it(tmp_path):
-    found = tn.identify(late(0.5 * DT), SYSTEM, RECIPE)
-    tn.save(found.model, tmp_path / "m.safetensors")
+    result = tn.identify(late(0.5 * DT), SYSTEM, RECIPE)
+    tn.save(result.model, tmp_path / "m.safetensors")
     loaded = tn.load_model(tmp_path / "m.safetensors", SYSTEM)
-    assert loaded.inputs[0].delay == found.model.inputs[0].delay
+    assert loaded.inputs[0].delay == result.model.inputs[0].delay
     e = late(0.5 * DT)[0]
-    a, b = (tn.free_run(model, e, "model-20")[0] for model in (found.model, loaded))
+    a, b = (tn.free_run(model, e, "model-20")[0] for model in (result.model, loaded))
     np.testing.assert_allclose(a, b)
     assert np.sqrt(np.mean((a[:, 0] - e.q[:, 0]) ** 2)) < 1e-4
 

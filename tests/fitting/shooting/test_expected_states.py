@@ -9,14 +9,14 @@ from swinging import DT, TURNED, data_set, read_by_encoder, simulated, swing_mod
 import tustinnet as tn
 from tustinnet.fitting.recipe import SearchRecipe
 from tustinnet.fitting.residual import Residual
-from tustinnet.fitting.shooting.least_squares import Cost
-from tustinnet.fitting.shooting.normal import Normal, normal_products
-from tustinnet.fitting.shooting.problem import Problem, State, prior
-from tustinnet.fitting.shooting.segments import Cut, cut
-from tustinnet.fitting.shooting.space import make_space
+from tustinnet.fitting.shooting.least_squares import CostFunction
+from tustinnet.fitting.shooting.normal import NormalProducts, compute_products
+from tustinnet.fitting.shooting.problem import Problem, SearchState, make_prior
+from tustinnet.fitting.shooting.segments import CutOptions, cut_records
+from tustinnet.fitting.shooting.space import make_search_space
 
-SPACE = make_space(TURNED, {}, {})
-VECTOR = SPACE.vector(TURNED.nominal() | {"damping": 0.03, "gravity": 1.3, "turned": 0.6})
+SPACE = make_search_space(TURNED, {}, {})
+VECTOR = SPACE.to_vector(TURNED.nominal() | {"damping": 0.03, "gravity": 1.3, "turned": 0.6})
 POSITION = Residual((False,), (1.0,))
 KEPT = 0.8  # of the first angle is not relaxed where the records below begin
 
@@ -33,24 +33,24 @@ def records() -> list[tn.Experiment]:
 
 def segments(length: int | None = None):
     model = tn.discretise(swing_model(system=TURNED), DT)
-    return cut(records(), model, Cut(POSITION, length))
+    return cut_records(records(), model, CutOptions(POSITION, length))
 
 
-def products(vector: np.ndarray, x0: np.ndarray, pieces) -> Normal:
-    return normal_products(TURNED, POSITION, SPACE, vector, x0, pieces, 2)
+def products(vector: np.ndarray, x0: np.ndarray, pieces) -> NormalProducts:
+    return compute_products(TURNED, POSITION, SPACE, vector, x0, pieces, 2)
 
 
 def test_they_are_expected_where_records_begin_and_searched_for_elsewhere():
     pieces = segments(50)
-    begins = np.isin(np.arange(len(pieces.steps)), pieces.begins)
-    np.testing.assert_array_equal(pieces.expected, begins)
-    np.testing.assert_array_equal(pieces.searched[:, 2], ~begins)
-    assert len(pieces.of([1]).expected) == 4
+    begins = np.isin(np.arange(len(pieces.steps)), pieces.first_of_records)
+    np.testing.assert_array_equal(pieces.adds_expected, begins)
+    np.testing.assert_array_equal(pieces.is_free[:, 2], ~begins)
+    assert len(pieces.for_records([1]).adds_expected) == 4
 
 
 def test_the_derivatives_are_those_of_finite_differences():
     pieces = segments()
-    found, h = products(VECTOR, pieces.x0, pieces), 1e-6
+    result, h = products(VECTOR, pieces.x0, pieces), 1e-6
 
     def cost(vector: np.ndarray, x0: np.ndarray) -> float:
         return products(vector, x0, pieces).cost.sum()
@@ -59,36 +59,36 @@ def test_the_derivatives_are_those_of_finite_differences():
         (cost(VECTOR + d, pieces.x0) - cost(VECTOR - d, pieces.x0)) / (2 * h)
         for d in h * np.eye(len(VECTOR))
     ]
-    np.testing.assert_allclose(2 * found.gp.sum(axis=0), by_parameter, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(2 * result.gp.sum(axis=0), by_parameter, rtol=1e-5, atol=1e-6)
     turned = SPACE.names.index("turned")
     assert abs(by_parameter[turned]) > 0.1
     for i in range(2):  # angle and speed of the first record: the first also moves what is expected
         d = np.zeros_like(pieces.x0)
         d[0, i] = h
         by_state = (cost(VECTOR, pieces.x0 + d) - cost(VECTOR, pieces.x0 - d)) / (2 * h)
-        assert 2 * found.gx[0, i] == pytest.approx(by_state, rel=1e-5)
+        assert 2 * result.gx[0, i] == pytest.approx(by_state, rel=1e-5)
 
 
 @pytest.mark.parametrize("initial", ["anchored", "derived-6"])
 def test_what_is_remembered_is_identified(initial):
     changes = ["search.loss=position", f"search.initial={initial}"]
-    found = tn.identify(data_set(records()), TURNED, tn.read_recipe("grey", changes))
-    known = {e.name: e.value for e in found.estimates}
+    result = tn.identify(data_set(records()), TURNED, tn.read_recipe("grey", changes))
+    values = {e.name: e.value for e in result.estimates}
     loose = initial == "derived-6"  # a parabola misses the velocity, which is not searched for
-    assert known["turned"] == pytest.approx(KEPT, rel=0.2 if loose else 0.02)
-    for x in found.initial_states.values():
-        assert x[2] == pytest.approx(known["turned"] * x[0], rel=1e-3, abs=0.1)
+    assert values["turned"] == pytest.approx(KEPT, rel=0.2 if loose else 0.02)
+    for x in result.initial_states.values():
+        assert x[2] == pytest.approx(values["turned"] * x[0], rel=1e-3, abs=0.1)
 
 
 def test_a_state_that_is_given_is_not_added_to():
     """A start that fits the state has the internal ones in it."""
     experiments = [read_by_encoder(e) for e in records()]
     problem = Problem(TURNED, tuple(experiments), (), SearchRecipe())
-    state = State(SPACE, VECTOR, substeps=2)
+    state = SearchState(SPACE, VECTOR, substeps=2)
     pieces = problem.segments(None, "anchored", {})
     whole = np.array([[2.0, 0.0, 0.4], [-1.5, 1.0, 0.1], [1.0, -0.5, 0.0]])
-    given = pieces.beginning_at(whole)
-    added = replace(pieces, x0=whole - [0, 0, 1] * (0.6 * whole[:, :1]), searched=given.searched)
-    cost = Cost(TURNED, problem.residual, SPACE, given, prior(problem, state), 2)
+    fixed = pieces.with_fixed_states(whole)
+    added = replace(pieces, x0=whole - [0, 0, 1] * (0.6 * whole[:, :1]), is_free=fixed.is_free)
+    cost = CostFunction(TURNED, problem.residual, SPACE, fixed, make_prior(problem, state), 2)
     same = products(VECTOR, added.x0, added).cost
     np.testing.assert_allclose(cost.products(VECTOR, whole).cost, same, rtol=1e-9)

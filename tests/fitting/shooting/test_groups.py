@@ -13,7 +13,7 @@ import tustinnet as tn
 from tustinnet.data.proposals import Proposal
 from tustinnet.evaluate.bands import alternatives_of
 from tustinnet.evaluate.next_record import ranked
-from tustinnet.fitting.shooting.information import information, space_of
+from tustinnet.fitting.shooting.information import fisher_information, search_space_for
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 
 MASSES = {"1kg": 0.21, "2kg": 0.42}
@@ -61,30 +61,30 @@ def found_per_payload() -> tn.Identification:
 
 
 def test_groups_that_disagree_are_told_with_what_to_declare():
-    found = tn.identify(data_set(list(both())), CARRYING)
-    (told,) = [d for d in found.disagreements if d.group]
-    assert (told.parameter, told.group) == ("mass", "payload")
-    for side, (payload, mass) in zip(told.sides, MASSES.items(), strict=True):
+    result = tn.identify(data_set(list(both())), CARRYING)
+    (disagreement,) = [d for d in result.disagreements if d.group]
+    assert (disagreement.parameter, disagreement.group) == ("mass", "payload")
+    for side, (payload, mass) in zip(disagreement.sides, MASSES.items(), strict=True):
         assert side.what == f"payload={payload}"
         assert side.value == pytest.approx(mass, rel=0.02)
     assert any(
         line.startswith("the records of payload=1kg and payload=2kg disagree about `mass` (0.2")
         and line.endswith('declare it per="payload"')
-        for line in found.findings
+        for line in result.findings
     )
-    assert found.as_plain()["disagreements"][0]["parameter"] == "mass"
+    assert result.as_plain()["disagreements"][0]["parameter"] == "mass"
 
 
 def test_each_group_has_a_value_of_its_own_within_its_interval():
-    found = found_per_payload()
-    estimates = {e.name: e for e in found.estimates}
+    result = found_per_payload()
+    estimates = {e.name: e for e in result.estimates}
     assert set(estimates) == {"mass[1kg]", "mass[2kg]", "damping"}
     truth = {"mass[1kg]": 0.21, "mass[2kg]": 0.42, "damping": DAMPING}
     for name, e in estimates.items():
         assert e.interval is not None
         assert e.interval[0] <= truth[name] <= e.interval[1]
         assert e.value == pytest.approx(truth[name], rel=0.01)
-    assert found.disagreements == ()
+    assert result.disagreements == ()
 
 
 def test_one_model_simulates_every_record_with_the_values_of_its_group(tmp_path: Path):
@@ -106,18 +106,18 @@ def test_one_model_simulates_every_record_with_the_values_of_its_group(tmp_path:
 
 
 @pytest.mark.parametrize(
-    ("groups", "told"),
+    ("groups", "message"),
     [
         ((), "record 'r0': no group 'payload'"),
         ((("payload", "3kg"),), "record 'r0': payload '3kg'"),
     ],
 )
-def test_a_record_that_the_model_does_not_know_is_refused(groups, told):
+def test_a_record_that_the_model_does_not_know_is_refused(groups, message):
     stranger = replace(both()[0], groups=groups)
-    with pytest.raises(tn.InputError, match=f"{told}.*expected one of 1kg, 2kg"):
+    with pytest.raises(tn.InputError, match=f"{message}.*expected one of 1kg, 2kg"):
         tn.evaluate(found_per_payload().model, [both()[1], stranger], "derived-6")
     if not groups:
-        with pytest.raises(tn.InputError, match=told):
+        with pytest.raises(tn.InputError, match=message):
             tn.identify(data_set([stranger, *both()[1:]]), PER)
 
 
@@ -129,22 +129,22 @@ def test_without_a_record_a_model_of_several_groups_does_not_step():
 
 
 def test_values_are_fixed_for_all_groups_or_for_one():
-    found = tn.identify(data_set(list(both())), PER, fixed={"mass": 0.42, "mass[1kg]": 0.21})
-    assert found.fixed["mass[1kg]"] == 0.21
-    assert found.fixed["mass[2kg]"] == 0.42
-    assert [e.name for e in found.estimates] == ["damping"]
+    result = tn.identify(data_set(list(both())), PER, fixed={"mass": 0.42, "mass[1kg]": 0.21})
+    assert result.fixed["mass[1kg]"] == 0.21
+    assert result.fixed["mass[2kg]"] == 0.42
+    assert [e.name for e in result.estimates] == ["damping"]
     with pytest.raises(tn.InputError, match=r"no parameter 'mass\[3kg\]'.*mass\[1kg\]"):
         tn.identify(data_set(list(both())), PER, begin={"mass[3kg]": 0.2})
 
 
 def test_a_record_that_contradicts_the_others_is_named():
     records = [carried(i, None, 0.42 if i == 2 else 0.21) for i in range(6)]
-    found = tn.identify(data_set(records), CARRYING)
-    assert {d.sides[0].what for d in found.disagreements} == {"r2"}
-    (mass,) = [d for d in found.disagreements if d.parameter == "mass"]
+    result = tn.identify(data_set(records), CARRYING)
+    assert {d.sides[0].what for d in result.disagreements} == {"r2"}
+    (mass,) = [d for d in result.disagreements if d.parameter == "mass"]
     assert mass.sides[0].value == pytest.approx(0.42, rel=0.05)
     assert mass.sides[1].value == pytest.approx(0.21, rel=0.01)
-    assert "record 'r2' contradicts the 5 others about `mass`" in " ".join(found.findings)
+    assert "record 'r2' contradicts the 5 others about `mass`" in " ".join(result.findings)
 
 
 def test_records_that_agree_contradict_nobody():
@@ -160,11 +160,11 @@ def test_a_network_is_not_trained_on_physics_that_differ():
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "message"),
     [({"fixed": True}, "fixed, and one per payload"), ({"per": "a/b"}, "the name 'a/b'")],
 )
-def test_what_contradicts_itself_in_a_parameter_is_refused(changes, told):
-    with pytest.raises(tn.InputError, match=told):
+def test_what_contradicts_itself_in_a_parameter_is_refused(changes, message):
+    with pytest.raises(tn.InputError, match=message):
         changed("mass", PER, **changes)
 
 
@@ -175,10 +175,13 @@ def swing(**groups: str) -> Proposal:
 
 
 def what_would_tell(*proposals: Proposal) -> dict[str, float]:
-    found = found_per_payload()
-    header = {"identification": found.as_plain()}
-    assert alternatives_of(found.model, header, "the model")
-    return {of.name: of.value for of in ranked(found.model, header, proposals).promises}
+    result = found_per_payload()
+    header = {"identification": result.as_plain()}
+    assert alternatives_of(result.model, header, "the model")
+    return {
+        proposal.name: proposal.value
+        for proposal in ranked(result.model, header, proposals).promises
+    }
 
 
 def test_a_proposed_record_is_ranked_with_the_mass_that_it_is_made_with():
@@ -192,23 +195,23 @@ def test_a_proposed_record_is_ranked_with_the_mass_that_it_is_made_with():
 
 def test_a_record_informs_of_the_value_of_its_own_group_alone():
     values = {e.name: e.value for e in found_per_payload().estimates} | {"gain": GAIN}
-    space = space_of(PER, values, ["mass[1kg]", "mass[2kg]", "damping"])
+    space = search_space_for(PER, values, ["mass[1kg]", "mass[2kg]", "damping"])
     records = [e for e in both() if e.group("payload") == "2kg"]
     of_one, of_two = (space.names.index(f"mass[{payload}]") for payload in ("1kg", "2kg"))
-    for matrix in information(space, PER, values, records, 2, 0.005):
+    for matrix in fisher_information(space, PER, values, records, 2, 0.005):
         assert matrix[of_one, of_one] == 0
         assert matrix[of_two, of_two] > 1
 
 
 @pytest.mark.parametrize(
-    ("groups", "told"),
+    ("groups", "message"),
     [
         ({}, "no group 'payload', which 'mass' is per; expected one of 1kg, 2kg"),
         ({"payload": "3kg"}, "payload '3kg', for which 'mass' has no value"),
         ({"payload": "1kg", "colour": "red"}, "group 'colour', which nothing in the model is per"),
     ],
 )
-def test_a_proposed_record_of_unknown_groups_is_refused(groups, told):
+def test_a_proposed_record_of_unknown_groups_is_refused(groups, message):
     with pytest.raises(tn.InputError, match="with") as error:
         what_would_tell(swing(**groups))
-    assert told in str(error.value)
+    assert message in str(error.value)

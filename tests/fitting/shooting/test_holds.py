@@ -47,22 +47,22 @@ def logged(hold: Hold, seed: int, n: int = 300) -> tn.Experiment:
     return replace(e, q=np.round(q / 1e-4) * 1e-4)
 
 
-def unsaid(e: tn.Experiment) -> tn.Experiment:
+def without_hold(e: tn.Experiment) -> tn.Experiment:
     """The same record by somebody who does not know what the input did."""
     return replace(e, channels=replace(e.channels, inputs=(tn.Input("force", "N", "unknown"),)))
 
 
 @pytest.mark.parametrize("hold", ["zero-order", "band-limited"])
 def test_the_right_hold_is_found_and_told(hold):
-    asked = tn.DataSet("d", tuple(unsaid(logged(hold, seed)) for seed in range(2)))
-    found = tn.identify(asked, SYSTEM)
-    assert found.model.inputs[0].hold == hold
-    told = next(f for f in found.findings if f.startswith("hold of 'force'"))
-    assert told.startswith(f"hold of 'force': {hold}, by the simulation error")
-    assert all(f"{name} " in told for name in ("zero-order", "first-order", "band-limited"))
-    assert f'declare hold = "{hold}"' in told
+    data = tn.DataSet("d", tuple(without_hold(logged(hold, seed)) for seed in range(2)))
+    result = tn.identify(data, SYSTEM)
+    assert result.model.inputs[0].hold == hold
+    finding = next(f for f in result.findings if f.startswith("hold of 'force'"))
+    assert finding.startswith(f"hold of 'force': {hold}, by the simulation error")
+    assert all(f"{name} " in finding for name in ("zero-order", "first-order", "band-limited"))
+    assert f'declare hold = "{hold}"' in finding
     for name, value in TRUTH.items():
-        assert found.values[name] == pytest.approx(value, rel=0.01)
+        assert result.values[name] == pytest.approx(value, rel=0.01)
 
 
 DECLARED = replace(SYSTEM, name="declared", inputs=(tn.Input("force", "N", "zero-order"),))
@@ -86,19 +86,19 @@ batch = 20
 )
 def test_the_model_and_its_file_have_the_hold_that_was_found(system, recipe, tmp_path):
     """Also where the system's file says another one: free runs of records that say none use it."""
-    known = [logged("band-limited", seed) for seed in range(3)]
-    unknown = [unsaid(e) for e in known]
-    asked = tn.DataSet("d", tuple(replace(e, split=split) for e, split in zip(
+    declared = [logged("band-limited", seed) for seed in range(3)]
+    unknown = [without_hold(e) for e in declared]
+    data = tn.DataSet("d", tuple(replace(e, split=split) for e, split in zip(
         unknown, ("train", "train", "validation"), strict=True)))  # fmt: skip
-    found = tn.fit(asked, read_recipe("grey", recipe), system=system)
-    assert found.model.inputs[0].hold == "band-limited"
-    assert found.validation_rmse is not None
-    assert found.validation_rmse < 1e-4
-    tn.save(found.model, tmp_path / "grey.safetensors")
+    result = tn.fit(data, read_recipe("grey", recipe), system=system)
+    assert result.model.inputs[0].hold == "band-limited"
+    assert result.validation_rmse is not None
+    assert result.validation_rmse < 1e-4
+    tn.save(result.model, tmp_path / "grey.safetensors")
     model = tn.load_model(tmp_path / "grey.safetensors", system)
-    assert model.channels == found.model.channels
+    assert model.channels == result.model.channels
     for start in ("derived-6", "model-20"):
-        here, there = (tn.evaluate(model, of, start) for of in (unknown, known))
+        here, there = (tn.evaluate(model, of, start) for of in (unknown, declared))
         assert [s.rmse for s in here] == pytest.approx([s.rmse for s in there], rel=1e-12)
     assert tn.mean_rmse(tn.evaluate(model, unknown, "model-20")) < 1e-4
     with pytest.raises(tn.InputError, match=r"first-order.*expected force \(N, band-limited\)"):
@@ -106,18 +106,18 @@ def test_the_model_and_its_file_have_the_hold_that_was_found(system, recipe, tmp
 
 
 def test_what_begins_with_such_a_model_keeps_its_hold(tmp_path):
-    unknown = [unsaid(logged("band-limited", seed)) for seed in range(3)]
-    asked = tn.DataSet("d", tuple(unknown))
-    grey = tn.identify(asked, DECLARED).model
+    unknown = [without_hold(logged("band-limited", seed)) for seed in range(3)]
+    data = tn.DataSet("d", tuple(unknown))
+    grey = tn.identify(data, DECLARED).model
     recipe = tmp_path / "short.toml"
     recipe.write_text(SHORT)
-    hybrid = tn.fit(asked, recipe, physics=grey).model
+    hybrid = tn.fit(data, recipe, physics=grey).model
     assert isinstance(hybrid, tn.HybridModel)
     assert hybrid.inputs[0].hold == hybrid.correction.inputs[0].hold == "band-limited"
     assert tn.mean_rmse(tn.evaluate(hybrid, unknown, "model-20")) < 2e-3
     again = [
-        fit_task(make_task(asked, "grey", system=DECLARED, origin=Origin(grey))),
-        fit_task(make_task(asked, recipe, origin=Origin(hybrid))),
+        fit_task(make_task(data, "grey", system=DECLARED, origin=Origin(grey))),
+        fit_task(make_task(data, recipe, origin=Origin(hybrid))),
     ]
     together = tn.committee([grey, *(of.model for (of,) in again)])
     for i, model in enumerate([hybrid, *(of.model for (of,) in again), together]):
@@ -128,22 +128,22 @@ def test_what_begins_with_such_a_model_keeps_its_hold(tmp_path):
 
 def test_holds_that_inputs_say_are_taken_before_those_of_the_model():
     values = {name: jnp.asarray(value) for name, value in TRUTH.items()}
-    own: tuple[Hold | None, ...] = (None, "unknown", "zero-order", "first-order")
-    for of in own:
-        model = replace(SYSTEM, inputs=(tn.Input("force", "N", of),)).model(values)
-        for given in (*own, "band-limited"):
-            said = tn.Input("other", "V", given, limits=(-1.0, 1.0), delay=0.02)
-            (found,) = discretise(model, DT, inputs=[said]).inputs
-            expected = of if given in (None, "unknown") and of else given
-            assert found == tn.Input("force", "N", expected, delay=0.02)
+    holds: tuple[Hold | None, ...] = (None, "unknown", "zero-order", "first-order")
+    for model_hold in holds:
+        model = replace(SYSTEM, inputs=(tn.Input("force", "N", model_hold),)).model(values)
+        for given in (*holds, "band-limited"):
+            other = tn.Input("other", "V", given, limits=(-1.0, 1.0), delay=0.02)
+            (result,) = discretise(model, DT, inputs=[other]).inputs
+            expected = model_hold if given in (None, "unknown") and model_hold else given
+            assert result == tn.Input("force", "N", expected, delay=0.02)
         assert discretise(model, DT).inputs == model.inputs
 
 
 def test_terms_nobody_needs_are_left_out_before_holds_are_tried():
-    asked = tn.DataSet("d", tuple(unsaid(logged("zero-order", seed)) for seed in range(2)))
-    found = tn.identify(asked, "mechanism", "mechanism")
-    assert found.model.inputs[0].hold == "zero-order"
-    values = {e.name: e.value for e in found.estimates}
+    data = tn.DataSet("d", tuple(without_hold(logged("zero-order", seed)) for seed in range(2)))
+    result = tn.identify(data, "mechanism", "mechanism")
+    assert result.model.inputs[0].hold == "zero-order"
+    values = {e.name: e.value for e in result.estimates}
     # one that relaxes slowly is a spring, too
     stiffness = values["x.spring"] + values["x.maxwell"]
     assert stiffness == pytest.approx(TRUTH["stiffness"], rel=0.02)
@@ -152,6 +152,6 @@ def test_terms_nobody_needs_are_left_out_before_holds_are_tried():
 
 
 def test_other_kinds_of_models_refuse_what_nobody_knows():
-    unknown = unsaid(logged("first-order", 0))
+    unknown = without_hold(logged("first-order", 0))
     with pytest.raises(tn.InputError, match=r"record0, input 'force': hold 'unknown'"):
         tn.fit(tn.DataSet("d", (unknown,)), "standard")

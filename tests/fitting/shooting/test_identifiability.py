@@ -10,26 +10,28 @@ from swinging import SWING, changed, falls, records
 
 import tustinnet as tn
 from tustinnet.fitting.residual import Residual
-from tustinnet.fitting.shooting.identifiability import Confounded, confounded
-from tustinnet.fitting.shooting.normal import normal_products
-from tustinnet.fitting.shooting.segments import Cut, cut
-from tustinnet.fitting.shooting.space import Space, make_space
+from tustinnet.fitting.shooting.identifiability import ConfoundedParameters, find_confounded
+from tustinnet.fitting.shooting.normal import compute_products
+from tustinnet.fitting.shooting.segments import CutOptions, cut_records
+from tustinnet.fitting.shooting.space import SearchSpace, make_search_space
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 from tustinnet.systems import qube_servo2, qube_servo2_twin
 
 
-def plain(**ranges: tuple[float, float]) -> Space:
+def plain(**ranges: tuple[float, float]) -> SearchSpace:
     """Parameters of the given ranges."""
     searched = tuple(Parameter(name, "", sum(r) / 2, *r) for name, r in ranges.items())
-    return Space(searched, {})
+    return SearchSpace(searched, {})
 
 
 ABC = plain(a=(1.0, 5.0), b=(1.0, 2.0), c=(1.0, 9.0))
-CENTRE = ABC.vector({"a": 3.0, "b": 1.5, "c": 5.0})
+CENTRE = ABC.to_vector({"a": 3.0, "b": 1.5, "c": 5.0})
 
 
-def found_by(jacobian: np.ndarray, space: Space = ABC) -> tuple[Confounded, ...]:
-    return confounded(space, CENTRE, jacobian.T @ jacobian)
+def confounded_by(
+    jacobian: np.ndarray, space: SearchSpace = ABC
+) -> tuple[ConfoundedParameters, ...]:
+    return find_confounded(space, CENTRE, jacobian.T @ jacobian)
 
 
 def columns(count: int) -> np.ndarray:
@@ -37,83 +39,83 @@ def columns(count: int) -> np.ndarray:
 
 
 def test_parameters_that_act_each_in_their_own_way_are_told_apart():
-    assert found_by(columns(3)) == ()
-    assert found_by(columns(3) * [1.0, 1e-4, 1e4]) == ()
+    assert confounded_by(columns(3)) == ()
+    assert confounded_by(columns(3) * [1.0, 1e-4, 1e4]) == ()
 
 
 def test_a_common_factor_is_told_as_ratios_with_the_narrowest_range_to_fix():
     a, b = columns(2).T
-    (found,) = found_by(np.stack([a, b, -a - b], axis=1))
-    assert found.shares == pytest.approx({"a": 1.0, "b": 1.0, "c": 1.0})
-    assert found.suggestion == "b"
-    assert "only ratios of a, b and c can be identified" in str(found)
-    assert "'b' is known best" in str(found)
+    (confounded,) = confounded_by(np.stack([a, b, -a - b], axis=1))
+    assert confounded.shares == pytest.approx({"a": 1.0, "b": 1.0, "c": 1.0})
+    assert confounded.suggestion == "b"
+    assert "only ratios of a, b and c can be identified" in str(confounded)
+    assert "'b' is known best" in str(confounded)
 
 
 def test_a_sum_is_told_with_how_its_parts_change_together():
     a, b = columns(2).T
-    (found,) = found_by(np.stack([3.0 * a, b, 5.0 * a], axis=1))
-    assert found.shares == pytest.approx({"a": 1.0, "c": -0.6})
-    assert found.suggestion == "a"
-    assert str(found).startswith("a and c cannot be told apart")
+    (confounded,) = confounded_by(np.stack([3.0 * a, b, 5.0 * a], axis=1))
+    assert confounded.shares == pytest.approx({"a": 1.0, "c": -0.6})
+    assert confounded.suggestion == "a"
+    assert str(confounded).startswith("a and c are not identifiable separately")
 
 
 def test_a_parameter_without_effect_is_told_alone():
-    (found,) = found_by(columns(3) * [1.0, 0.0, 1.0])
-    assert found.shares == {"b": 1.0}
-    assert "'b' has no effect on these records; fix it" in str(found)
+    (confounded,) = confounded_by(columns(3) * [1.0, 0.0, 1.0])
+    assert confounded.shares == {"b": 1.0}
+    assert "'b' has no effect on these records; fix it" in str(confounded)
 
 
 def test_several_directions_name_a_parameter_each_that_no_other_has():
     a = columns(1)[:, 0]
-    found = found_by(np.stack([a, 2 * a, 3 * a], axis=1))
-    names = {f.suggestion for f in found}
+    confounded = confounded_by(np.stack([a, 2 * a, 3 * a], axis=1))
+    names = {f.suggestion for f in confounded}
     assert names == {"a", "b"}
-    for f in found:
+    for f in confounded:
         assert names & set(f.shares) == {f.suggestion}
 
 
 def test_where_nothing_has_an_effect_every_parameter_is_told_alone():
-    found = found_by(np.zeros((5, 3)))
-    assert sorted(f.suggestion for f in found) == ["a", "b", "c"]
-    assert all(len(f.shares) == 1 for f in found)
+    confounded = confounded_by(np.zeros((5, 3)))
+    assert sorted(f.suggestion for f in confounded) == ["a", "b", "c"]
+    assert all(len(f.shares) == 1 for f in confounded)
 
 
 # --- derivatives of simulations ---
 
 
 def products(
-    system: LagrangianSystem, experiments: list[tn.Experiment], length: int, space: Space
+    system: LagrangianSystem, experiments: list[tn.Experiment], length: int, space: SearchSpace
 ) -> np.ndarray:
-    vector = space.vector(system.nominal())
-    values = {name: jnp.asarray(x) for name, x in space.values(vector).items()}
+    vector = space.to_vector(system.nominal())
+    values = {name: jnp.asarray(x) for name, x in space.to_values(vector).items()}
     model = tn.discretise(system.model(values), experiments[0].dt)
     n_q = len(system.coordinates)
     residual = Residual((False,) * n_q, (1.0,) * n_q)
-    pieces = cut(experiments, model, Cut(residual, length, timestamps=False))
+    pieces = cut_records(experiments, model, CutOptions(residual, length, timestamps=False))
     x0 = pieces.x0
-    return normal_products(system, residual, space, vector, x0, pieces, 1).pp.sum(axis=0)
+    return compute_products(system, residual, space, vector, x0, pieces, 1).pp.sum(axis=0)
 
 
 def directions(
-    system: LagrangianSystem, experiments: list[tn.Experiment], space: Space
-) -> tuple[Confounded, ...]:
-    vector = space.vector(system.nominal())
-    return confounded(space, vector, products(system, experiments, 60, space))
+    system: LagrangianSystem, experiments: list[tn.Experiment], space: SearchSpace
+) -> tuple[ConfoundedParameters, ...]:
+    vector = space.to_vector(system.nominal())
+    return find_confounded(space, vector, products(system, experiments, 60, space))
 
 
 def test_only_ratios_of_a_pendulums_inertia_and_forces_are_identifiable():
     loose = changed("inertia", fixed=False)
-    (found,) = directions(loose, records(), make_space(loose, {}, {}))
-    assert set(found.shares) == {"inertia", "damping", "gravity", "gain"}
-    assert found.suggestion == "inertia"
-    assert "only ratios" in str(found)
+    (confounded,) = directions(loose, records(), make_search_space(loose, {}, {}))
+    assert set(confounded.shares) == {"inertia", "damping", "gravity", "gain"}
+    assert confounded.suggestion == "inertia"
+    assert "only ratios" in str(confounded)
 
 
 def test_free_swings_say_nothing_of_the_input():
-    (found,) = directions(SWING, list(falls()), make_space(SWING, {}, {}))
-    assert found.shares == {"gain": 1.0}
-    assert directions(SWING, records(), make_space(SWING, {}, {})) == ()
+    (confounded,) = directions(SWING, list(falls()), make_search_space(SWING, {}, {}))
+    assert confounded.shares == {"gain": 1.0}
+    assert directions(SWING, records(), make_search_space(SWING, {}, {})) == ()
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +130,7 @@ LOOSE = replace(
     qube_servo2.SYSTEM,
     parameters=tuple(replace(p, fixed=False) for p in qube_servo2.SYSTEM.parameters),
 )
-LOOSE_SPACE = make_space(LOOSE, {}, {})
+LOOSE_SPACE = make_search_space(LOOSE, {}, {})
 
 
 def base_parameters(vector: jax.Array) -> jax.Array:
@@ -139,7 +141,7 @@ def base_parameters(vector: jax.Array) -> jax.Array:
     """
     p = {
         q.name: jnp.exp(x) if q.positive else x * (q.upper - q.lower)
-        for q, x in zip(LOOSE_SPACE.searched, vector, strict=True)
+        for q, x in zip(LOOSE_SPACE.free_parameters, vector, strict=True)
     }
     arm = p["rotor_inertia"] + p["hub_mass"] * p["hub_radius"] ** 2 / 2
     base = jnp.stack([
@@ -156,12 +158,12 @@ def base_parameters(vector: jax.Array) -> jax.Array:
 
 
 def test_the_rotary_pendulums_null_space_is_that_of_its_base_parameters(rotary):
-    found = directions(LOOSE, rotary, LOOSE_SPACE)
-    vector = LOOSE_SPACE.vector(LOOSE.nominal())
+    confounded = directions(LOOSE, rotary, LOOSE_SPACE)
+    vector = LOOSE_SPACE.to_vector(LOOSE.nominal())
     slopes = np.asarray(jax.jit(jax.jacfwd(base_parameters))(jnp.asarray(vector)))
     assert np.linalg.matrix_rank(slopes) == 8
-    assert len(found) == len(vector) - 8
-    for direction in found:
+    assert len(confounded) == len(vector) - 8
+    for direction in confounded:
         along = np.array([direction.shares.get(name, 0.0) for name in LOOSE_SPACE.names])
         moved = np.abs(slopes @ along).max() / np.abs(slopes * along).max()
         assert moved < 5e-3, str(direction)
@@ -182,11 +184,11 @@ def test_the_rotary_pendulums_null_space_is_that_of_its_base_parameters(rotary):
     ids=["back-emf", "hub", "gain", "scale"],
 )  # fmt: skip
 def test_the_rotary_pendulums_known_ambiguities_are_among_those_found(rotary, change):
-    found = directions(LOOSE, rotary, LOOSE_SPACE)
-    basis = np.array([[f.shares.get(n, 0.0) for n in LOOSE_SPACE.names] for f in found]).T
+    confounded = directions(LOOSE, rotary, LOOSE_SPACE)
+    basis = np.array([[f.shares.get(n, 0.0) for n in LOOSE_SPACE.names] for f in confounded]).T
     along = np.array([change.get(n, 0.0) for n in LOOSE_SPACE.names])
-    left = along - basis @ np.linalg.lstsq(basis, along)[0]
-    assert np.abs(left).max() < 5e-3
+    rest = along - basis @ np.linalg.lstsq(basis, along)[0]
+    assert np.abs(rest).max() < 5e-3
 
 
 def test_the_rotary_pendulums_best_known_parameters_are_named(rotary):
@@ -204,5 +206,5 @@ def test_with_the_named_parameters_fixed_the_others_are_identifiable(rotary):
 
 
 def test_falls_alone_leave_the_voltages_gain_open_too(rotary):
-    found = directions(LOOSE, rotary[:2], LOOSE_SPACE)
-    assert len(found) == 8
+    confounded = directions(LOOSE, rotary[:2], LOOSE_SPACE)
+    assert len(confounded) == 8

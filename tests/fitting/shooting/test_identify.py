@@ -1,6 +1,7 @@
 """Identification from end to end, on records made with known values."""
 
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -35,13 +36,13 @@ def grey(*changes: str) -> Recipe:
     return tn.read_recipe("grey", [f"search.{change}" for change in changes])
 
 
-def errors(found: tn.Identification, truth: dict[str, float] = TRUTH) -> dict[str, float]:
+def errors(result: tn.Identification, truth: dict[str, float] = TRUTH) -> dict[str, float]:
     """Relative errors of the estimates."""
-    return {e.name: e.value / truth[e.name] - 1 for e in found.estimates}
+    return {e.name: e.value / truth[e.name] - 1 for e in result.estimates}
 
 
-def worst(found: tn.Identification, truth: dict[str, float] = TRUTH) -> float:
-    return max(abs(error) for error in errors(found, truth).values())
+def worst(result: tn.Identification, truth: dict[str, float] = TRUTH) -> float:
+    return max(abs(error) for error in errors(result, truth).values())
 
 
 def with_validation() -> tn.DataSet:
@@ -87,11 +88,11 @@ def test_a_result_says_what_was_found_and_fixed(clean):
 
 def test_rmse_is_that_of_the_simulations_from_the_initial_states_found():
     experiments = [noisy(e, 0.01, i) for i, e in enumerate(records())]
-    found = tn.identify(data_set(experiments), SWING)
+    result = tn.identify(data_set(experiments), SWING)
     for e in experiments:
-        x = tn.rollout(found.model, np.array(found.initial_states[e.name]), e.held_inputs)
+        x = tn.rollout(result.model, np.array(result.initial_states[e.name]), e.held_inputs)
         error = np.asarray(x)[:, 0] - e.q[:, 0]
-        assert found.rmse[e.name] == pytest.approx(np.sqrt(np.mean(error**2)), rel=0.02)
+        assert result.rmse[e.name] == pytest.approx(np.sqrt(np.mean(error**2)), rel=0.02)
 
 
 def test_the_correlation_is_symmetric_with_a_unit_diagonal(clean):
@@ -121,42 +122,50 @@ def test_intervals_contain_the_truth_as_an_encoder_reads():
             u = voltage(200, 10 * seed + i) if i % 2 else np.zeros(200)
             x0 = [generator.uniform(-1.5, 2.5), generator.uniform(-2, 2)]
             experiments.append(read_by_encoder(simulated(f"e{i}", x0, u)))
-        found = tn.identify(data_set(experiments), SWING)
-        for e in found.estimates:
+        result = tn.identify(data_set(experiments), SWING)
+        for e in result.estimates:
             assert e.interval is not None
             inside.append(e.interval[0] <= TRUTH[e.name] <= e.interval[1])
-        assert worst(found) < 0.01
+        assert worst(result) < 0.01
     assert np.mean(inside) > 0.7
 
 
 def test_every_stage_is_told():
-    told: list[Iteration] = []
-    tn.identify(data_set(records()), SWING, told=told.append)
-    stages = list(dict.fromkeys(i.stage for i in told))
-    assert stages[0] == "first values"
+    iterations: list[Iteration] = []
+    tn.identify(data_set(records()), SWING, on_iteration=iterations.append)
+    stages = list(dict.fromkeys(i.stage for i in iterations))
+    assert stages[0] == "equation-error estimate"
     assert stages[1].startswith("segments of ")
     assert stages[-1] == "whole records, anchored start"
     for stage in stages[1:]:
-        assert next(i.number for i in told if i.stage == stage) == 1
+        assert next(i.number for i in iterations if i.stage == stage) == 1
+
+
+def test_the_old_name_of_an_argument_still_works_with_a_message():
+    iterations: list[Iteration] = []
+    old: dict[str, Any] = {"told": iterations.append}
+    with pytest.warns(FutureWarning, match="argument 'told' is called 'on_iteration' now"):
+        tn.identify(data_set(records()), SWING, grey("iterations=1"), **old)
+    assert iterations
 
 
 # --- keys of [search] ---
 
 
 def test_velocities_can_be_compared_too():
-    found = tn.identify(data_set(records()), SWING, grey("loss=state"))
-    assert worst(found) < 1e-3
-    assert len(found.autocorrelation) == 2
+    result = tn.identify(data_set(records()), SWING, grey("loss=state"))
+    assert worst(result) < 1e-3
+    assert len(result.autocorrelation) == 2
 
 
 def test_angles_can_be_compared_by_the_periodic_distance():
     """One record is a full turn off, which no simulation can follow otherwise."""
     first, *others = records()
     whole_turn = replace(first, q=first.q + 2 * np.pi * (np.arange(200) > 60)[:, None], v=None)
-    found = tn.identify(
+    result = tn.identify(
         data_set([replace(whole_turn, v_measured=False), *others]), SWING, grey("periodic=true")
     )
-    assert worst(found) < 1e-3
+    assert worst(result) < 1e-3
 
 
 def test_only_transients_can_be_compared():
@@ -165,22 +174,22 @@ def test_only_transients_can_be_compared():
         replace(e, q=np.where(np.arange(200)[:, None] < 100, e.q, 1.0), k_bar=100) for e in falls()
     ]
     experiments = [*spoilt, *noises()]
-    found = tn.identify(data_set(experiments), SWING, grey("part=transients"))
-    assert worst(found) < 1e-4
+    result = tn.identify(data_set(experiments), SWING, grey("part=transients"))
+    assert worst(result) < 1e-4
     assert worst(tn.identify(data_set(experiments), SWING)) > 1e-2
 
 
 def test_a_start_can_be_named():
-    found = tn.identify(data_set(records()), SWING, grey("initial=file"))
-    assert worst(found) < 1e-4
-    assert found.initial == "file"
-    assert found.initial_states["fall1"] == (2.5, 0.0)
+    result = tn.identify(data_set(records()), SWING, grey("initial=file"))
+    assert worst(result) < 1e-4
+    assert result.initial == "file"
+    assert result.initial_states["fall1"] == (2.5, 0.0)
 
 
 def test_initial_states_can_be_searched_for_without_an_anchor():
-    found = tn.identify(data_set(records()), SWING, grey("initial=unanchored"))
-    assert worst(found) < 1e-4
-    assert found.initial == "unanchored"
+    result = tn.identify(data_set(records()), SWING, grey("initial=unanchored"))
+    assert worst(result) < 1e-4
+    assert result.initial == "unanchored"
 
 
 def test_an_unknown_start_is_refused():
@@ -193,14 +202,14 @@ def test_integration_steps_are_chosen_unless_they_are_given():
 
 
 def test_the_better_start_on_the_validation_records_is_chosen():
-    found = tn.identify(with_validation(), SWING)
-    assert worst(found) < 1e-4
-    assert found.initial in ("anchored", "unanchored")
-    assert set(found.rmse) == {"fall2", "noise1", "noise2"}
+    result = tn.identify(with_validation(), SWING)
+    assert worst(result) < 1e-4
+    assert result.initial in ("anchored", "unanchored")
+    assert set(result.rmse) == {"fall2", "noise1", "noise2"}
     score = tn.mean_rmse(
-        tn.evaluate(found.model, list(with_validation().split("validation")), "file")
+        tn.evaluate(result.model, list(with_validation().split("validation")), "file")
     )
-    assert found.validation_rmse == pytest.approx(score, rel=1e-3)
+    assert result.validation_rmse == pytest.approx(score, rel=1e-3)
 
 
 # --- systems of other kinds ---
@@ -213,10 +222,10 @@ def test_internal_states_are_identified_with_the_rest():
                   e.u[:, 0], values, CREEPING)
         for e in records()
     ]  # fmt: skip
-    found = tn.identify(data_set(experiments), CREEPING)
-    assert worst(found, TRUTH | values) < 1e-3
-    assert all(len(x) == 3 for x in found.initial_states.values())
-    assert found.initial_states["fall1"][2] == 0.0
+    result = tn.identify(data_set(experiments), CREEPING)
+    assert worst(result, TRUTH | values) < 1e-3
+    assert all(len(x) == 3 for x in result.initial_states.values())
+    assert result.initial_states["fall1"][2] == 0.0
 
 
 def test_inputs_on_straight_lines_are_followed():
@@ -244,8 +253,8 @@ def test_a_system_without_inputs_is_identified():
     wave = np.sqrt(40.0 - 0.15**2)
     q = 0.2 * np.exp(-0.15 * t) * np.cos(wave * t)
     e = tn.from_arrays(q, dt=DT, coordinates=cart.coordinates)
-    found = tn.identify(data_set([e]), cart)
-    assert worst(found, {"stiffness": 40.0, "damping": 0.3}) < 1e-4
+    result = tn.identify(data_set([e]), cart)
+    assert worst(result, {"stiffness": 40.0, "damping": 0.3}) < 1e-4
 
 
 # --- what there is to say ---
@@ -253,26 +262,26 @@ def test_a_system_without_inputs_is_identified():
 
 def test_a_confounded_parameter_is_fixed_at_its_first_value_and_told():
     loose = changed("inertia", fixed=False)
-    found = tn.identify(data_set(records()), loose, begin={"inertia": 0.1})
-    assert found.fixed == pytest.approx({"inertia": 0.1})
+    result = tn.identify(data_set(records()), loose, begin={"inertia": 0.1})
+    assert result.fixed == pytest.approx({"inertia": 0.1})
     doubled = {name: 2 * value for name, value in TRUTH.items()}
-    assert worst(found, doubled) < 1e-4
-    (told,) = [f for f in found.findings if "only ratios" in f]
-    assert "'inertia' is known best" in told
-    assert "fixed at its first value" in told
+    assert worst(result, doubled) < 1e-4
+    (finding,) = [f for f in result.findings if "only ratios" in f]
+    assert "'inertia' is known best" in finding
+    assert "fixed at its first value" in finding
 
 
 def test_a_parameter_without_effect_is_fixed_and_told():
-    found = tn.identify(data_set(list(falls())), SWING)
-    assert found.fixed == pytest.approx({"inertia": 0.05, "gain": 0.1})
-    assert any("'gain' has no effect" in f for f in found.findings)
-    assert worst(found) < 1e-4
+    result = tn.identify(data_set(list(falls())), SWING)
+    assert result.fixed == pytest.approx({"inertia": 0.05, "gain": 0.1})
+    assert any("'gain' has no effect" in f for f in result.findings)
+    assert worst(result) < 1e-4
 
 
 def test_fixed_values_stay():
-    found = tn.identify(data_set(records()), SWING, fixed={"gain": 0.15})
-    assert found.fixed == {"inertia": 0.05, "gain": 0.15}
-    assert worst(found) < 1e-4
+    result = tn.identify(data_set(records()), SWING, fixed={"gain": 0.15})
+    assert result.fixed == {"inertia": 0.05, "gain": 0.15}
+    assert worst(result) < 1e-4
 
 
 def test_a_recipe_fixes_parameters_and_says_where_to_begin_unless_arguments_do(clean):
@@ -280,9 +289,9 @@ def test_a_recipe_fixes_parameters_and_says_where_to_begin_unless_arguments_do(c
     recipe = tn.read_recipe("grey", changes)
     with pytest.raises(tn.InputError, match="'damping': 9 "):
         tn.identify(data_set(records()), SWING, recipe, begin={"damping": 9.0})
-    found = tn.identify(data_set(records()), SWING, recipe, fixed={"gain": 0.15})
-    assert found.fixed == {"inertia": 0.05, "gain": 0.15}
-    assert found.values == pytest.approx(clean.values, rel=1e-4)
+    result = tn.identify(data_set(records()), SWING, recipe, fixed={"gain": 0.15})
+    assert result.fixed == {"inertia": 0.05, "gain": 0.15}
+    assert result.values == pytest.approx(clean.values, rel=1e-4)
     assert tn.identify(data_set(records()), SWING, recipe).fixed["gain"] == 0.3
     wild = tn.read_recipe("grey", ["model.begin.damping=9"])
     with pytest.raises(tn.InputError, match="'damping': 9 "):
@@ -290,16 +299,16 @@ def test_a_recipe_fixes_parameters_and_says_where_to_begin_unless_arguments_do(c
 
 
 def test_a_reversed_input_is_told_with_the_bound_it_leads_to():
-    found = tn.identify(data_set([replace(e, u=-e.u) for e in records()]), SWING)
-    gain = found.estimates[2]
+    result = tn.identify(data_set([replace(e, u=-e.u) for e in records()]), SWING)
+    gain = result.estimates[2]
     assert (gain.name, gain.bound) == ("gain", "lower")
     assert gain.error is None
     assert gain.interval is None
-    assert np.isnan(found.correlation[2]).all()
-    assert found.reversed_signs == (("voltage",),)
-    assert not found.sound
-    assert any("'gain' stands at the lower end of its range" in f for f in found.findings)
-    assert any("sign of 'voltage' is probably reversed" in f for f in found.findings)
+    assert np.isnan(result.correlation[2]).all()
+    assert result.reversed_signs == (("voltage",),)
+    assert not result.sound
+    assert any("'gain' is at its lower bound" in f for f in result.findings)
+    assert any("sign of 'voltage' is probably reversed" in f for f in result.findings)
 
 
 def test_a_record_that_is_stuck_raises_no_doubt_of_the_signs():
@@ -316,16 +325,16 @@ def test_right_signs_are_not_doubted(clean):
 def test_a_prior_pulls_a_parameter_that_the_records_say_little_of():
     experiments = [noisy(e, 0.05, i)[:60] for i, e in enumerate(records())]
     loose = tn.identify(data_set(experiments), SWING)
-    known = changed("damping", nominal=0.04, prior=1e-4)
-    pulled = tn.identify(data_set(experiments), known)
+    narrow_prior = changed("damping", nominal=0.04, prior=1e-4)
+    pulled = tn.identify(data_set(experiments), narrow_prior)
     assert loose.values["damping"] < 0.03
     assert pulled.values["damping"] == pytest.approx(0.04, abs=4e-4)
 
 
 def test_a_parameter_known_only_beforehand_has_the_error_of_its_prior():
     experiments = [noisy(e, 0.05, i)[:60] for i, e in enumerate(records())]
-    known = changed("damping", nominal=0.02, prior=1e-4)
-    damping = tn.identify(data_set(experiments), known).estimates[0]
+    narrow_prior = changed("damping", nominal=0.02, prior=1e-4)
+    damping = tn.identify(data_set(experiments), narrow_prior).estimates[0]
     assert damping.naive_error == pytest.approx(1e-4, rel=0.1)
     assert damping.error is not None
     assert 0.9e-4 < damping.error < 2e-4
@@ -354,25 +363,30 @@ def test_white_residuals_are_called_independent_and_others_are_not():
 
 
 def test_residuals_are_compared_with_the_encoders_counts():
-    found = tn.identify(data_set([read_by_encoder(e) for e in records()]), SWING)
-    assert "no larger than the encoders' quantisation" in found.findings[-1]
+    result = tn.identify(data_set([read_by_encoder(e) for e in records()]), SWING)
+    assert "no larger than the encoders' quantisation" in result.findings[-1]
 
 
 # --- as a fit ---
 
 
 def test_a_fit_of_a_system_is_its_identification(clean):
-    told: list[Iteration] = []
-    found = tn.fit(data_set(records()), system=SWING, listener=Listener(on_iteration=told.append))
-    assert found.recipe.name == "grey"
-    assert found.identification is not None
-    assert found.identification.values == pytest.approx(clean.values, rel=1e-4)
-    assert found.model is found.identification.model
-    assert (found.outcome, found.sound) == (found.identification.outcome, True)
-    assert (found.start, found.validation_rmse) == ("file", None)
-    assert found.details == {"identification": found.identification.as_plain()}
-    assert found.detail("fixed") == {"inertia": 0.05}
-    assert {i.stage for i in told} >= {"first values", "whole records, anchored start"}
+    iterations: list[Iteration] = []
+    result = tn.fit(
+        data_set(records()), system=SWING, listener=Listener(on_iteration=iterations.append)
+    )
+    assert result.recipe.name == "grey"
+    assert result.identification is not None
+    assert result.identification.values == pytest.approx(clean.values, rel=1e-4)
+    assert result.model is result.identification.model
+    assert (result.outcome, result.sound) == (result.identification.outcome, True)
+    assert (result.start, result.validation_rmse) == ("file", None)
+    assert result.details == {"identification": result.identification.as_plain()}
+    assert result.detail("fixed") == {"inertia": 0.05}
+    assert {i.stage for i in iterations} >= {
+        "equation-error estimate",
+        "whole records, anchored start",
+    }
     with pytest.raises(tn.InputError, match="an identification has no seeds"):
         tn.fit(data_set(records()), system=SWING, seed=3)
 

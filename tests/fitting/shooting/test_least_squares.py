@@ -8,20 +8,20 @@ import tustinnet as tn
 from tustinnet.fitting.residual import Residual
 from tustinnet.fitting.shooting import least_squares
 from tustinnet.fitting.shooting.least_squares import (
-    Cost,
-    Fitted,
-    Limits,
+    CostFunction,
+    LeastSquaresResult,
+    OnIteration,
     Prior,
-    Told,
-    eliminated,
+    StoppingRule,
+    eliminate_initial_states,
     minimise,
 )
-from tustinnet.fitting.shooting.normal import normal_products
-from tustinnet.fitting.shooting.segments import Cut, Segments, cut
-from tustinnet.fitting.shooting.space import make_space
+from tustinnet.fitting.shooting.normal import compute_products
+from tustinnet.fitting.shooting.segments import CutOptions, Segments, cut_records
+from tustinnet.fitting.shooting.space import make_search_space
 from tustinnet.models.lagrangian import LagrangianSystem
 
-SPACE = make_space(SWING, {}, {})
+SPACE = make_search_space(SWING, {}, {})
 POSITION = Residual((False,), (1.0,))
 NO_PRIOR = Prior(np.zeros(3), np.zeros(3), 1e-10, 0.0)
 SEARCHED_TRUTH = {name: TRUTH[name] for name in SPACE.names}
@@ -29,8 +29,8 @@ SEARCHED_TRUTH = {name: TRUTH[name] for name in SPACE.names}
 
 def segments(length: int | None = 25, noise: float = 0.0) -> Segments:
     experiments = [noisy(e, noise, i) for i, e in enumerate(records())]
-    how = Cut(POSITION, length, timestamps=False)
-    return cut(experiments, tn.discretise(swing_model(), DT), how)
+    how = CutOptions(POSITION, length, timestamps=False)
+    return cut_records(experiments, tn.discretise(swing_model(), DT), how)
 
 
 def search(
@@ -41,23 +41,23 @@ def search(
     system: LagrangianSystem = SWING,
     tolerance: float = 1e-9,
     iterations: int = 60,
-    told: Told = lambda iterations, cost, damping: None,
-) -> Fitted:
-    space = make_space(system, {}, {})
-    vector = space.vector(system.nominal() | values)
-    cost = Cost(system, POSITION, space, pieces, prior, substeps=1)
-    return minimise(cost, vector, Limits(tolerance, iterations), told)
+    on_iteration: OnIteration = lambda iterations, cost, damping: None,
+) -> LeastSquaresResult:
+    space = make_search_space(system, {}, {})
+    vector = space.to_vector(system.nominal() | values)
+    cost = CostFunction(system, POSITION, space, pieces, prior, substeps=1)
+    return minimise(cost, vector, StoppingRule(tolerance, iterations), on_iteration)
 
 
 def test_it_reaches_the_truth_from_afar():
-    told: list[tuple[int, float, float]] = []
-    fitted = search(FAR, segments(), told=lambda *of: told.append(of))
-    found = SPACE.numbers(fitted.vector)
+    iterations: list[tuple[int, float, float]] = []
+    fitted = search(FAR, segments(), on_iteration=lambda *args: iterations.append(args))
+    found = SPACE.to_values_in_range(fitted.vector)
     assert {n: found[n] for n in SEARCHED_TRUTH} == pytest.approx(SEARCHED_TRUTH, rel=1e-4)
-    assert fitted.why == "converged"
-    assert fitted.evaluations > fitted.iterations > 2
-    assert [number for number, _, _ in told] == list(range(1, fitted.iterations + 1))
-    costs = [cost for _, cost, _ in told]
+    assert fitted.status == "converged"
+    assert fitted.iterations > 2
+    assert [number for number, _, _ in iterations] == list(range(1, fitted.iterations + 1))
+    costs = [cost for _, cost, _ in iterations]
     assert costs == sorted(costs, reverse=True)
     assert costs[-1] == fitted.cost < 1e-6
 
@@ -73,33 +73,33 @@ def test_initial_states_are_found_with_the_parameters():
 
 def test_every_iterate_stays_within_the_box_and_an_active_bound_is_told(monkeypatch):
     narrow = changed("damping", lower=0.03, upper=0.07, nominal=0.05)
-    space = make_space(narrow, {}, {})
+    space = make_search_space(narrow, {}, {})
     visited = []
 
     def watched(system, residual, space, vector, *rest):
         visited.append(vector)
-        return normal_products(system, residual, space, vector, *rest)
+        return compute_products(system, residual, space, vector, *rest)
 
-    monkeypatch.setattr(least_squares, "normal_products", watched)
+    monkeypatch.setattr(least_squares, "compute_products", watched)
     fitted = search(FAR, segments(), system=narrow)
-    assert len(visited) == fitted.evaluations > 3
+    assert len(visited) > fitted.iterations > 2
     assert np.all(np.array(visited) >= space.lower)
     assert np.all(np.array(visited) <= space.upper)
-    assert space.at_bounds(fitted.vector) == {"damping": "lower"}
-    assert fitted.why == "converged"
+    assert space.active_bounds(fitted.vector) == {"damping": "lower"}
+    assert fitted.status == "converged"
 
 
 def test_a_bound_that_was_touched_on_the_way_is_left_again():
     fitted = search({"damping": 1e-3, "gravity": 10.0, "gain": 0.01}, segments())
-    assert SPACE.at_bounds(fitted.vector) == {}
-    assert SPACE.numbers(fitted.vector)["gain"] == pytest.approx(TRUTH["gain"], rel=1e-4)
+    assert SPACE.active_bounds(fitted.vector) == {}
+    assert SPACE.to_values_in_range(fitted.vector)["gain"] == pytest.approx(TRUTH["gain"], rel=1e-4)
 
 
 def test_eliminating_the_initial_states_gives_the_whole_gauss_newton_step():
     pieces = segments(50)
-    vector = SPACE.vector(TRUTH | {"gravity": 1.2, "damping": 0.03})
-    normal = normal_products(SWING, POSITION, SPACE, vector, pieces.x0, pieces, 1)
-    matrices, gradients, by_gradient, by_step = eliminated(normal)
+    vector = SPACE.to_vector(TRUTH | {"gravity": 1.2, "damping": 0.03})
+    normal = compute_products(SWING, POSITION, SPACE, vector, pieces.x0, pieces, 1)
+    matrices, gradients, by_gradient, by_step = eliminate_initial_states(normal)
     step = -np.linalg.solve(matrices.sum(axis=0), gradients.sum(axis=0))
     states = by_gradient + by_step @ step
 
@@ -117,15 +117,15 @@ def test_eliminating_the_initial_states_gives_the_whole_gauss_newton_step():
 
 
 def test_states_that_are_given_do_not_move():
-    how = Cut(POSITION, start="file", timestamps=False)
-    pieces = cut(records(), tn.discretise(swing_model(), DT), how)
+    how = CutOptions(POSITION, start="file", timestamps=False)
+    pieces = cut_records(records(), tn.discretise(swing_model(), DT), how)
     fitted = search({"gravity": 1.4}, pieces)
     np.testing.assert_array_equal(fitted.x0, pieces.x0)
-    assert SPACE.numbers(fitted.vector)["gravity"] == pytest.approx(1.5, rel=1e-4)
+    assert SPACE.to_values_in_range(fitted.vector)["gravity"] == pytest.approx(1.5, rel=1e-4)
 
 
 def test_the_limit_of_iterations_is_told():
-    assert search(FAR, segments(), iterations=2).why == "limit"
+    assert search(FAR, segments(), iterations=2).status == "limit"
 
 
 def test_what_was_measured_holds_the_initial_positions():
@@ -142,4 +142,4 @@ def test_a_strong_prior_decides():
     pieces = segments(None)
     prior = Prior(np.array([0.0, 3.0, 0.0]), np.array([0.0, 1 / 0.01, 0.0]), 1e-6, 1e3)
     fitted = search({}, pieces, prior=prior)
-    assert SPACE.numbers(fitted.vector)["gravity"] == pytest.approx(3.0, abs=0.05)
+    assert SPACE.to_values_in_range(fitted.vector)["gravity"] == pytest.approx(3.0, abs=0.05)

@@ -8,17 +8,18 @@ from swinging import CREEPING, DT, TILT, TRUTH, simulated, swing_model, voltage
 
 import tustinnet as tn
 from tustinnet.fitting.residual import Residual
-from tustinnet.fitting.shooting.normal import Normal, normal_products
-from tustinnet.fitting.shooting.segments import Cut, Segments, cut
-from tustinnet.fitting.shooting.space import make_space
+from tustinnet.fitting.shooting.normal import NormalProducts, compute_products
+from tustinnet.fitting.shooting.segments import CutOptions, Segments, cut_records
+from tustinnet.fitting.shooting.space import make_search_space
 
-SPACE = make_space(CREEPING, {}, {})
+SPACE = make_search_space(CREEPING, {}, {})
 VALUES = CREEPING.nominal() | {"damping": 0.03, "gravity": 1.3, "gain": 0.12}
-VECTOR = SPACE.vector(VALUES)
+VECTOR = SPACE.to_vector(VALUES)
 SUBSTEPS = 2
 # what segments have each for itself
-OWN = (
-    "x0", "searched", "expected", "precision", "steps", "first", "record", "share", "pick",
+BY_SEGMENT = (
+    "x0", "is_free", "adds_expected", "precision", "steps", "first_row", "record", "share",
+    "group_indices",
 )  # fmt: skip
 
 
@@ -30,15 +31,15 @@ def segments() -> Segments:
         e = simulated(f"e{i}", [2.5 - 2 * i, 0.5], voltage(samples, i))
         experiments.append(replace(e, t=e.t + 1e-3 * np.sin(np.arange(samples))))
     model = tn.discretise(swing_model(system=CREEPING), DT)
-    return cut(experiments, model, Cut(Residual((False,), (1 / 1.5,)), 22))
+    return cut_records(experiments, model, CutOptions(Residual((False,), (1 / 1.5,)), 22))
 
 
 def products(
     vector: np.ndarray, states: np.ndarray, pieces: Segments, substeps: int = SUBSTEPS,
     *, periodic: bool = False,
-) -> Normal:  # fmt: skip
+) -> NormalProducts:  # fmt: skip
     residual = Residual((periodic,), (1 / 1.5,))
-    return normal_products(CREEPING, residual, SPACE, vector, states, pieces, substeps)
+    return compute_products(CREEPING, residual, SPACE, vector, states, pieces, substeps)
 
 
 @pytest.fixture(scope="module")
@@ -50,11 +51,11 @@ def pieces() -> Segments:
 def states(pieces) -> np.ndarray:
     """Initial states away from those that were read."""
     away = 0.1 * np.random.default_rng(5).normal(size=pieces.x0.shape)
-    return pieces.x0 + away * pieces.searched
+    return pieces.x0 + away * pieces.is_free
 
 
 @pytest.fixture(scope="module")
-def normal(pieces, states) -> Normal:
+def normal(pieces, states) -> NormalProducts:
     return products(VECTOR, states, pieces)
 
 
@@ -82,10 +83,10 @@ def by_hand(p: dict[str, float], x0: np.ndarray, u: np.ndarray, periods: np.ndar
 def residuals(
     s: Segments, row: int, vector: np.ndarray, x0: np.ndarray, *, periodic: bool = False
 ) -> np.ndarray:
-    at = s.samples(row)
-    angles = by_hand(SPACE.numbers(vector), x0, s.drive[at][:-1, 0], s.periods[at][:-1])
-    error = angles - s.target[at, 0]
-    return (2 * np.sin(error / 2) if periodic else error) * s.weight[at, 0]
+    at = s.rows(row)
+    angles = by_hand(SPACE.to_values_in_range(vector), x0, s.inputs[at][:-1, 0], s.periods[at][:-1])
+    error = angles - s.measurements[at, 0]
+    return (2 * np.sin(error / 2) if periodic else error) * s.weights[at, 0]
 
 
 def differences(function, at: np.ndarray) -> np.ndarray:
@@ -103,7 +104,7 @@ def test_products_are_those_of_finite_differences(pieces, states, normal, period
         jacobian = differences(
             lambda v, row=row, x0=x0: residuals(pieces, row, v, x0, periodic=periodic), VECTOR
         )
-        by_state = pieces.searched[row] * differences(
+        by_state = pieces.is_free[row] * differences(
             lambda x, row=row: residuals(pieces, row, VECTOR, x, periodic=periodic), x0
         )
         expected = {
@@ -111,27 +112,27 @@ def test_products_are_those_of_finite_differences(pieces, states, normal, period
             "gp": jacobian.T @ r, "gx": by_state.T @ r, "cost": r @ r,
         }  # fmt: skip
         for name, value in expected.items():
-            found = getattr(normal, name)[row]
-            np.testing.assert_allclose(found, value, rtol=1e-6, atol=1e-9, err_msg=name)
+            actual = getattr(normal, name)[row]
+            np.testing.assert_allclose(actual, value, rtol=1e-6, atol=1e-9, err_msg=name)
 
 
 def test_errors_are_simulated_minus_measured(pieces, states, normal):
     for row, x0 in enumerate(states):
-        expected = residuals(pieces, row, VECTOR, x0) / pieces.weight[pieces.samples(row), 0]
+        expected = residuals(pieces, row, VECTOR, x0) / pieces.weights[pieces.rows(row), 0]
         np.testing.assert_allclose(normal.error[row][:, 0], expected, atol=1e-10)
 
 
 def test_states_that_are_not_searched_for_have_no_derivative(pieces, normal):
-    given = pieces.searched == 0
-    assert given.any()
-    assert not np.diagonal(normal.xx, axis1=1, axis2=2)[given].any()
-    assert not normal.gx[given].any()
+    fixed = pieces.is_free == 0
+    assert fixed.any()
+    assert not np.diagonal(normal.xx, axis1=1, axis2=2)[fixed].any()
+    assert not normal.gx[fixed].any()
 
 
-def require_alike(found: Normal, expected: Normal, order: np.ndarray) -> None:
-    for part in fields(Normal):
+def require_alike(actual: NormalProducts, expected: NormalProducts, order: np.ndarray) -> None:
+    for part in fields(NormalProducts):
         values = getattr(expected, part.name)
-        for now, before in zip(getattr(found, part.name), (values[i] for i in order), strict=True):
+        for now, before in zip(getattr(actual, part.name), (values[i] for i in order), strict=True):
             np.testing.assert_allclose(now, before, rtol=1e-9, atol=1e-12, err_msg=part.name)
 
 
@@ -145,7 +146,7 @@ def test_products_do_not_depend_on_what_stands_beside(pieces, states, normal):
     alone = [
         products(VECTOR, states[[row]], part)
         for row in range(len(states))
-        for part in [replace(pieces, **{name: getattr(pieces, name)[[row]] for name in OWN})]
+        for part in [replace(pieces, **{name: getattr(pieces, name)[[row]] for name in BY_SEGMENT})]
     ]
     for row, part in enumerate(alone):
         require_alike(part, normal, np.array([row]))
@@ -153,7 +154,7 @@ def test_products_do_not_depend_on_what_stands_beside(pieces, states, normal):
 
 def test_products_come_in_the_order_of_the_segments(pieces, states, normal):
     order = np.random.default_rng(3).permutation(len(states))
-    shuffled = replace(pieces, **{name: getattr(pieces, name)[order] for name in OWN})
+    shuffled = replace(pieces, **{name: getattr(pieces, name)[order] for name in BY_SEGMENT})
     other = products(VECTOR, states[order], shuffled)
     require_alike(other, normal, order)
 
@@ -161,7 +162,9 @@ def test_products_come_in_the_order_of_the_segments(pieces, states, normal):
 def test_the_truth_leaves_no_error(pieces):
     e = simulated("e", [1.0, 0.0, 0.0], voltage(60, 4), {"stiffness": 0.8}, CREEPING)
     model = tn.discretise(swing_model(system=CREEPING), DT)
-    s = cut([e], model, Cut(Residual((False,), (1.0,)), start="file", timestamps=False))
-    truth = SPACE.vector(CREEPING.nominal() | TRUTH | {"stiffness": 0.8})
-    found = products(truth, s.x0, s, 8)
-    assert found.cost[0] < 1e-20
+    s = cut_records(
+        [e], model, CutOptions(Residual((False,), (1.0,)), start="file", timestamps=False)
+    )
+    truth = SPACE.to_vector(CREEPING.nominal() | TRUTH | {"stiffness": 0.8})
+    actual = products(truth, s.x0, s, 8)
+    assert actual.cost[0] < 1e-20

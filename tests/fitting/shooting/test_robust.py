@@ -10,7 +10,7 @@ import tustinnet as tn
 from tustinnet.fitting.residual import robust_weights
 
 BIAS, INPUT_GAIN, SPIKE = np.deg2rad(2.0), 1.1, 0.2
-KNOWN = changed("gain", nominal=TRUTH["gain"], fixed=True)
+KNOWN_GAIN = changed("gain", nominal=TRUTH["gain"], fixed=True)
 
 
 def spoilt(e: tn.Experiment, seed: int) -> tuple[tn.Experiment, np.ndarray]:
@@ -29,7 +29,7 @@ SPOILT = [spoilt(e, i) for i, e in enumerate(records())]
 def identified(robust: str) -> tn.Identification:
     free = 'model.free=["angle.bias", "voltage.gain"]'
     recipe = tn.read_recipe("grey", [free, f"search.robust={robust}"])
-    return tn.identify(data_set([e for e, _ in SPOILT]), KNOWN, recipe)
+    return tn.identify(data_set([e for e, _ in SPOILT]), KNOWN_GAIN, recipe)
 
 
 @pytest.fixture(scope="module")
@@ -58,8 +58,8 @@ def test_without_it_the_estimates_are_worse(student):
 
 def test_the_spikes_are_the_stretches_that_are_told(student):
     for e, at in SPOILT:
-        of = [s for s in student.downweighted if s.record == e.name]
-        told = {round(t / DT) for s in of for t in (s.begin, s.end) if s.weight < 0.05}
+        stretches = [s for s in student.downweighted if s.record == e.name]
+        told = {round(t / DT) for s in stretches for t in (s.begin, s.end) if s.weight < 0.05}
         assert told == set(at.tolist())
     assert any("weigh less than half" in f for f in student.findings)
     assert student.as_plain()["downweighted"][0]["record"] in {e.name for e, _ in SPOILT}

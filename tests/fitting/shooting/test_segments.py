@@ -8,7 +8,7 @@ from swinging import COUNT, CREEPING, DT, falls, noises, read_by_encoder, record
 
 import tustinnet as tn
 from tustinnet.fitting.residual import Residual
-from tustinnet.fitting.shooting.segments import Cut, Segments, cut
+from tustinnet.fitting.shooting.segments import CutOptions, Segments, cut_records
 from tustinnet.simulate.starts import initial_state
 
 
@@ -23,10 +23,10 @@ def cut_into(
     model: tn.LagrangianModel | None = None,
 ) -> Segments:
     residual = Residual((False,) * len(units), units)
-    return cut(
+    return cut_records(
         records() if experiments is None else experiments,
         tn.discretise(model or swing_model(), DT),
-        Cut(residual, length, start, anchored, timestamps),
+        CutOptions(residual, length, start, anchored, timestamps),
     )
 
 
@@ -36,9 +36,9 @@ def test_segments_cover_every_step_of_every_record_once(length):
     for i, e in enumerate(records()):
         rows = np.flatnonzero(s.record == i)
         assert s.steps[rows].sum() == len(e) - 1
-        steps = [s.target[s.samples(row)][:-1, 0] for row in rows.tolist()]
+        steps = [s.measurements[s.rows(row)][:-1, 0] for row in rows.tolist()]
         np.testing.assert_array_equal(np.concatenate(steps), e.q[:-1, 0])
-        driven = [s.drive[s.samples(row)][:-1, 0] for row in rows.tolist()]
+        driven = [s.inputs[s.rows(row)][:-1, 0] for row in rows.tolist()]
         np.testing.assert_array_equal(np.concatenate(driven), e.u[:-1, 0])
 
 
@@ -49,24 +49,16 @@ def test_segments_are_about_as_long_as_asked_for():
 
 def test_every_record_weighs_the_same_whatever_its_length():
     s = cut_into(None, units=(1 / 3,))
-    weights = [np.sum(s.weight[s.samples(row)] ** 2) for row in range(4)]
+    weights = [np.sum(s.weights[s.rows(row)] ** 2) for row in range(4)]
     np.testing.assert_allclose(weights, 9.0)
     np.testing.assert_allclose(s.share, [1 / 200, 1 / 200, 1 / 200, 1 / 160])
     pieces = cut_into(40)
     for i, e in enumerate(records()):
         rows = pieces.record == i
         joints = rows.sum() - 1  # a joint ends one segment and begins the next
-        of = [pieces.samples(row) for row in np.flatnonzero(rows).tolist()]
-        weights = [np.sum(pieces.weight[at] ** 2) for at in of]
+        rows_of_segments = [pieces.rows(row) for row in np.flatnonzero(rows).tolist()]
+        weights = [np.sum(pieces.weights[at] ** 2) for at in rows_of_segments]
         assert sum(weights) == pytest.approx((len(e) + joints) / len(e))
-
-
-def test_nothing_weighs_after_the_end_of_what_stands_side_by_side():
-    s = cut_into(None)
-    laid = s.side_by_side(s.weight)
-    assert laid.shape == (4, 200, 1)
-    assert laid[3, :160].all()
-    assert not laid[3, 160:].any()
 
 
 def test_states_inside_a_record_are_read_from_its_neighbourhood():
@@ -83,12 +75,12 @@ def test_a_records_first_state_is_the_parabolas_or_the_named_one():
     first, noise = falls()[0], noises()[0]
     estimated = cut_into(None, [first, noise])
     np.testing.assert_allclose(estimated.x0[0], initial_state(first, "derived-6"))
-    assert estimated.searched.all()
+    assert estimated.is_free.all()
     named = cut_into(50, [first, noise], start="file")
     np.testing.assert_array_equal(named.x0[0], [2.5, 0.0])
     begins = np.diff(named.record, prepend=-1) != 0
-    assert not named.searched[begins].any()
-    assert named.searched[~begins].all()
+    assert not named.is_free[begins].any()
+    assert named.is_free[~begins].all()
 
 
 def test_only_measured_positions_hold_the_states_that_are_searched_for():
@@ -111,16 +103,16 @@ def test_internal_states_start_at_zero_and_are_searched_for_further_on():
     begins = np.diff(s.record, prepend=-1) != 0
     assert s.x0.shape[1] == 3
     assert not s.x0[:, 2].any()
-    assert not s.searched[begins, 2].any()
-    assert s.searched[~begins, 2].all()
+    assert not s.is_free[begins, 2].any()
+    assert s.is_free[~begins, 2].all()
     assert not s.precision[:, 2].any()
 
 
 def test_velocities_are_targets_where_the_loss_is_of_the_state():
     e = noises()[1]
     s = cut_into(None, [e], units=(1.0, 2.0))
-    np.testing.assert_array_equal(s.target, np.column_stack([e.q, e.velocities()]))
-    np.testing.assert_allclose(s.weight * np.sqrt(160), [[1.0, 0.5]] * 160)
+    np.testing.assert_array_equal(s.measurements, np.column_stack([e.q, e.velocities()]))
+    np.testing.assert_allclose(s.weights * np.sqrt(160), [[1.0, 0.5]] * 160)
 
 
 def test_periods_are_the_timestamps_or_the_nominal_ones():

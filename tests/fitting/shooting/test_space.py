@@ -5,61 +5,61 @@ import pytest
 from swinging import CREEPING, SWING, changed
 
 import tustinnet as tn
-from tustinnet.fitting.shooting.space import make_space
+from tustinnet.fitting.shooting.space import make_search_space
 
-SPACE = make_space(CREEPING, {}, {})
+SPACE = make_search_space(CREEPING, {}, {})
 VALUES = {"damping": 0.3, "gravity": 0.7, "gain": 0.02, "offset": -0.4}
 VALUES |= {"stiffness": 5.0, "relaxation": 0.5}
 
 
 def test_values_come_back_from_their_vector():
-    numbers = SPACE.numbers(SPACE.vector(VALUES))
+    numbers = SPACE.to_values_in_range(SPACE.to_vector(VALUES))
     assert numbers == pytest.approx(VALUES | {"inertia": 0.05})
     assert SPACE.names == tuple(VALUES)
 
 
 def test_positive_parameters_are_searched_for_by_logarithms_and_others_in_units_of_their_range():
-    vector = SPACE.vector(VALUES)
+    vector = SPACE.to_vector(VALUES)
     assert vector[0] == pytest.approx(np.log(0.3))
     assert vector[3] == pytest.approx(-0.4 / 2.0)
 
 
 def test_slopes_are_those_of_the_values():
-    vector = SPACE.vector(VALUES)
+    vector = SPACE.to_vector(VALUES)
     step = 1e-6
     for name, slope, way in zip(
-        SPACE.names, SPACE.slopes(vector), np.eye(len(vector)), strict=True
+        SPACE.names, SPACE.derivatives(vector), np.eye(len(vector)), strict=True
     ):
-        above, below = (SPACE.values(vector + s * way)[name] for s in (step, -step))
+        above, below = (SPACE.to_values(vector + s * way)[name] for s in (step, -step))
         assert slope == pytest.approx((above - below) / (2 * step), rel=1e-8)
 
 
 def test_the_box_is_the_parameters_ranges():
-    low, high = SPACE.numbers(SPACE.lower), SPACE.numbers(SPACE.upper)
-    for p in SPACE.searched:
+    low, high = SPACE.to_values_in_range(SPACE.lower), SPACE.to_values_in_range(SPACE.upper)
+    for p in SPACE.free_parameters:
         assert (low[p.name], high[p.name]) == pytest.approx((p.lower, p.upper))
-    wild = SPACE.vector(VALUES | {"damping": 50.0, "offset": -3.0})
-    clipped = SPACE.numbers(SPACE.clipped(wild))
+    wild = SPACE.to_vector(VALUES | {"damping": 50.0, "offset": -3.0})
+    clipped = SPACE.to_values_in_range(SPACE.clip(wild))
     assert clipped == pytest.approx(VALUES | {"damping": 1.0, "offset": -1.0, "inertia": 0.05})
 
 
 def test_parameters_at_an_end_of_their_range_are_named_with_the_end():
-    vector = SPACE.vector(VALUES | {"damping": 1e-3, "offset": 1.0, "gravity": 0.1001})
-    assert SPACE.at_bounds(vector) == {"damping": "lower", "offset": "upper"}
-    assert SPACE.at_bounds(SPACE.vector(VALUES)) == {}
+    vector = SPACE.to_vector(VALUES | {"damping": 1e-3, "offset": 1.0, "gravity": 0.1001})
+    assert SPACE.active_bounds(vector) == {"damping": "lower", "offset": "upper"}
+    assert SPACE.active_bounds(SPACE.to_vector(VALUES)) == {}
 
 
 def test_fixed_parameters_keep_the_value_given_or_the_nominal_one():
-    space = make_space(SWING, {"inertia": 0.1, "gravity": 2.0}, {"gain": 0.3})
-    assert space.fixed == {"inertia": 0.1, "gain": 0.3}
+    space = make_search_space(SWING, {"inertia": 0.1, "gravity": 2.0}, {"gain": 0.3})
+    assert space.fixed_values == {"inertia": 0.1, "gain": 0.3}
     assert space.names == ("damping", "gravity")
-    assert make_space(SWING, {}, {}).fixed == {"inertia": 0.05}
+    assert make_search_space(SWING, {}, {}).fixed_values == {"inertia": 0.05}
 
 
 @pytest.mark.parametrize(("values", "fixed"), [({"mass": 1.0}, {}), ({}, {"mass": 1.0})])
 def test_an_unknown_parameter_is_refused_with_the_known_ones(values, fixed):
     with pytest.raises(tn.InputError, match=r"no parameter 'mass'; expected one of inertia, damp"):
-        make_space(SWING, values, fixed)
+        make_search_space(SWING, values, fixed)
 
 
 @pytest.mark.parametrize(
@@ -68,15 +68,15 @@ def test_an_unknown_parameter_is_refused_with_the_known_ones(values, fixed):
 )
 def test_a_value_outside_its_range_is_refused_with_the_range(values, fixed):
     with pytest.raises(tn.InputError, match=r"'gain': 2 N m/V; expected .* 0\.01\.\.1 N m/V"):
-        make_space(SWING, values, fixed)
+        make_search_space(SWING, values, fixed)
 
 
 def test_a_value_that_is_not_a_number_is_refused():
     with pytest.raises(tn.InputError, match="'gain': nan"):
-        make_space(SWING, {"gain": np.nan}, {})
+        make_search_space(SWING, {"gain": np.nan}, {})
 
 
 def test_nothing_to_search_for_is_refused():
-    held = changed("damping", fixed=True)
+    fixed_damping = changed("damping", fixed=True)
     with pytest.raises(tn.InputError, match="every parameter is fixed; expected at least one"):
-        make_space(held, {}, {"gravity": 1.0, "gain": 0.1})
+        make_search_space(fixed_damping, {}, {"gravity": 1.0, "gain": 0.1})

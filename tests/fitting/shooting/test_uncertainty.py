@@ -8,42 +8,52 @@ from swinging import DT, SWING, TRUTH, noises, noisy, records, simulated, swing_
 
 import tustinnet as tn
 from tustinnet.fitting.residual import Residual
-from tustinnet.fitting.shooting.least_squares import Cost, Fitted, Limits, Prior, minimise
-from tustinnet.fitting.shooting.segments import Cut, Segments, cut
-from tustinnet.fitting.shooting.space import make_space
-from tustinnet.fitting.shooting.uncertainty import Uncertainty, lag_correlation, uncertainty
+from tustinnet.fitting.shooting.least_squares import (
+    CostFunction,
+    LeastSquaresResult,
+    Prior,
+    StoppingRule,
+    minimise,
+)
+from tustinnet.fitting.shooting.segments import CutOptions, Segments, cut_records
+from tustinnet.fitting.shooting.space import make_search_space
+from tustinnet.fitting.shooting.uncertainty import (
+    Uncertainty,
+    estimate_uncertainty,
+    lag_correlation,
+)
 
-SPACE = make_space(SWING, {}, {})
+SPACE = make_search_space(SWING, {}, {})
 SIZE = 0.01
 POSITION = Residual((False,), (1.0,))
 
 
-def fitted_to(experiments: list[tn.Experiment]) -> tuple[Segments, Fitted]:
+def fitted_to(experiments: list[tn.Experiment]) -> tuple[Segments, LeastSquaresResult]:
     """Whole records and the parameters that fit them."""
     model = tn.discretise(swing_model(), DT)
-    pieces = cut(experiments, model, Cut(POSITION, timestamps=False))
+    pieces = cut_records(experiments, model, CutOptions(POSITION, timestamps=False))
     nothing = Prior(np.zeros(3), np.zeros(3), 0.0, 0.0)
-    cost = Cost(SWING, POSITION, SPACE, pieces, nothing, substeps=1)
-    return pieces, minimise(cost, SPACE.vector(TRUTH), Limits(1e-6, 20))
+    cost = CostFunction(SWING, POSITION, SPACE, pieces, nothing, substeps=1)
+    return pieces, minimise(cost, SPACE.to_vector(TRUTH), StoppingRule(1e-6, 20))
 
 
 def fit(experiments: list[tn.Experiment]) -> tuple[np.ndarray, Uncertainty]:
     """Estimates in the coordinates of the search, and what is believed of them."""
     pieces, fitted = fitted_to(experiments)
-    certain = uncertainty(fitted.normal, pieces, np.zeros(3), np.ones(3, dtype=bool))
+    certain = estimate_uncertainty(fitted.products, pieces, np.zeros(3), np.ones(3, dtype=bool))
     return fitted.vector, certain
 
 
 def test_both_covariances_are_those_of_repeated_draws_of_white_noise():
-    found, naive, clustered = [], [], []
+    vectors, naive, clustered = [], [], []
     for draw in range(40):
         experiments = [noisy(e, SIZE, 10 * draw + i) for i, e in enumerate(records())]
         vector, certain = fit(experiments)
         assert certain.clustered is not None
-        found.append(vector)
+        vectors.append(vector)
         naive.append(certain.naive)
         clustered.append(certain.clustered)
-    scatter = np.cov(np.array(found).T)
+    scatter = np.cov(np.array(vectors).T)
     spread = np.sqrt(np.diag(scatter))
     for claimed in (naive, clustered):
         mean = np.mean(claimed, axis=0)
@@ -74,21 +84,21 @@ def test_an_error_does_not_depend_on_the_unit_in_which_its_parameter_is_searched
     pieces, fitted = fitted_to(experiments)
     units = np.array([unit, 1.0, 1.0])
     coarse = replace(
-        fitted.normal,
-        pp=fitted.normal.pp * np.outer(units, units),
-        px=fitted.normal.px * units[:, None],
-        gp=fitted.normal.gp * units,
+        fitted.products,
+        pp=fitted.products.pp * np.outer(units, units),
+        px=fitted.products.px * units[:, None],
+        gp=fitted.products.gp * units,
     )
     every = np.ones(3, dtype=bool)
-    expected = uncertainty(fitted.normal, pieces, np.zeros(3), every)
-    found = uncertainty(coarse, pieces, np.zeros(3), every)
+    expected = estimate_uncertainty(fitted.products, pieces, np.zeros(3), every)
+    vectors = estimate_uncertainty(coarse, pieces, np.zeros(3), every)
     np.testing.assert_allclose(
-        np.sqrt(np.diag(found.naive)) * units, np.sqrt(np.diag(expected.naive)), rtol=1e-4
+        np.sqrt(np.diag(vectors.naive)) * units, np.sqrt(np.diag(expected.naive)), rtol=1e-4
     )
     np.testing.assert_allclose(
-        np.sqrt(np.diag(found.trusted)) * units, np.sqrt(np.diag(expected.trusted)), rtol=1e-4
+        np.sqrt(np.diag(vectors.trusted)) * units, np.sqrt(np.diag(expected.trusted)), rtol=1e-4
     )
-    assert found.condition == pytest.approx(expected.condition, rel=1e-4)
+    assert vectors.condition == pytest.approx(expected.condition, rel=1e-4)
 
 
 def test_records_that_disagree_make_errors_larger_than_their_residuals_say():
@@ -116,28 +126,28 @@ def test_few_records_have_wide_quantiles():
 def test_a_parameter_at_a_bound_has_no_error_and_takes_no_part():
     pieces, fitted = fitted_to([noisy(e, SIZE, i) for i, e in enumerate(records())])
     moving = np.array([True, False, True])
-    certain = uncertainty(fitted.normal, pieces, np.zeros(3), moving)
-    every = uncertainty(fitted.normal, pieces, np.zeros(3), np.ones(3, dtype=bool))
+    certain = estimate_uncertainty(fitted.products, pieces, np.zeros(3), moving)
+    every = estimate_uncertainty(fitted.products, pieces, np.zeros(3), np.ones(3, dtype=bool))
     for covariance in (certain.naive, certain.clustered):
         assert covariance is not None
         assert np.isnan(covariance[1]).all()
         assert np.isfinite(covariance[np.ix_(moving, moving)]).all()
-    assert certain.worst[1] == 0.0
+    assert certain.worst_direction[1] == 0.0
     assert certain.naive[0, 0] < every.naive[0, 0]
 
 
 def test_the_worst_determined_direction_is_named_by_its_largest_entry():
     _, certain = fit([noisy(e, SIZE, i) for i, e in enumerate(noises())])
-    assert np.abs(certain.worst).max() == pytest.approx(1.0)
+    assert np.abs(certain.worst_direction).max() == pytest.approx(1.0)
     assert 1.0 < certain.condition < 10.0
 
 
 def test_priors_make_errors_smaller():
     pieces, fitted = fitted_to([noisy(e, SIZE, i) for i, e in enumerate(records())])
     every = np.ones(3, dtype=bool)
-    loose = uncertainty(fitted.normal, pieces, np.zeros(3), every)
-    known = uncertainty(fitted.normal, pieces, np.array([1e3, 0.0, 0.0]), every)
-    assert known.naive[0, 0] < loose.naive[0, 0] / 100
+    loose = estimate_uncertainty(fitted.products, pieces, np.zeros(3), every)
+    with_prior = estimate_uncertainty(fitted.products, pieces, np.array([1e3, 0.0, 0.0]), every)
+    assert with_prior.naive[0, 0] < loose.naive[0, 0] / 100
 
 
 def test_residuals_of_a_simulation_that_ran_away_do_not_overflow():

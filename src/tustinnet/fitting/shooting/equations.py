@@ -1,9 +1,15 @@
-"""The equations of motion of a system, as the engine takes them: which parameter stands where."""
+"""A system's equations of motion as formulas of the engine, with derivatives by free parameters.
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+The engine takes parameters as rows of numbers. `SystemEquations` says which parameter is in which
+column of such a row, and has the formulas: the derivative of the state, the momentum balance, the
+derivative of the state linearised about a state, and the internal states that are expected at the
+beginning of a record.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,13 +18,26 @@ from jaxtyping import Array, Float, Int
 
 from tustinnet.engine.equations import Equations, Formula
 from tustinnet.engine.runs import evaluate
-from tustinnet.fitting.shooting.space import Space
-from tustinnet.models.integrate import Discretised
+from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.sensors import delay_name
 from tustinnet.simulate.simulation import system_motion
 
-Pick = Int[np.ndarray, "n n_g"]
+GroupIndices = Int[np.ndarray, "n n_g"]  # see `groups.group_indices`
+
+
+class InitialStates(NamedTuple):
+    """Initial states of segments and their derivatives, a direction in a row.
+
+    Attributes:
+        states: the states, (n, n_x).
+        by_parameter: derivatives by the free parameters, (n, n_p, n_x).
+        by_state: derivatives by the states that are searched for, (n, n_x, n_x).
+    """
+
+    states: Float[np.ndarray, "n n_x"]
+    by_parameter: Float[np.ndarray, "n n_p n_x"]
+    by_state: Float[np.ndarray, "n n_x n_x"]
 
 
 @dataclass(frozen=True)
@@ -27,189 +46,211 @@ class SystemEquations:
 
     Attributes:
         system: the system.
-        searched: the parameters that derivatives are needed by; one per group counts once.
-        others: all other parameters.
-        delays: whether delays of inputs are among what is searched for. Then the inputs are
-            followed by their derivatives by their delays, and the parameters by the delays that
-            the inputs were made with.
+        free_names: parameters that derivatives are needed by; one per group counts once.
+        other_names: all other parameters.
+        has_delays: whether delays of inputs are free. Then the inputs are followed by their
+            derivatives by their delays, and the parameters by the delays that the inputs were
+            made with.
     """
 
     system: LagrangianSystem
-    searched: tuple[str, ...]
-    others: tuple[str, ...]
-    delays: bool
+    free_names: tuple[str, ...]
+    other_names: tuple[str, ...]
+    has_delays: bool
 
     @property
     def n_p(self) -> int:
-        """How many parameters derivatives are needed by."""
-        return len(self.searched)
+        """Number of parameters that derivatives are needed by."""
+        return len(self.free_names)
 
     @property
-    def size(self) -> int:
-        """How many parameters the equations take in all."""
-        made = len(self.system.inputs) if self.delays else 0
-        return self.n_p + len(self.others) + made
+    def n_columns(self) -> int:
+        """Number of all parameters that the equations take."""
+        n_delays = len(self.system.inputs) if self.has_delays else 0
+        return self.n_p + len(self.other_names) + n_delays
 
     @cached_property
     def motion(self) -> Equations:
-        """The derivative of the state."""
-        return system_motion(self.system, self.searched, self.others, delays=self.delays)
+        """Derivative of the state by time."""
+        system, n_u = self.system, len(self.system.inputs)
+
+        def derivative(x: Array, u: Array, p: Array, c: Array) -> Array:
+            values = self._values_by_name(p, c)
+            if self.has_delays:
+                input_delays = c[len(self.other_names) :]
+                changes = [
+                    values.get(delay_name(i), input_delays[k]) - input_delays[k]
+                    for k, i in enumerate(system.inputs)
+                ]
+                u = u[:n_u] + u[n_u:] * jnp.stack(changes)
+            return system.model(values).derivative(x, u)
+
+        return Equations(
+            derivative,
+            n_x=system.channels.measured.stop + len(system.internal),
+            n_u=2 * n_u if self.has_delays else n_u,
+            n_p=self.n_p,
+            n_c=self.n_columns - self.n_p,
+            where=f"system '{system.name}'",
+        )
 
     @cached_property
-    def expected(self) -> Formula:
-        """The internal states that are expected at a beginning, by [q, v] and the parameters."""
+    def expected_internal_states(self) -> Formula:
+        """Internal states that are expected at a beginning, by [q, v] and the parameters."""
         system, measured = self.system, self.system.channels.measured
 
         def expected(point: Array) -> Array:
-            model = system.model(self._of_point(point[measured.stop :]))
+            model = system.model(self._values_in_row(point[measured.stop :]))
             return model.initial_internal(point[measured])
 
-        by = range(measured.stop + self.n_p)
-        return Formula(expected, measured.stop + self.size, by, f"system '{system.name}'")
+        differentiated = range(measured.stop + self.n_p)
+        return Formula(
+            expected, measured.stop + self.n_columns, differentiated, f"system '{system.name}'"
+        )
 
     @cached_property
-    def momenta(self) -> Formula:
+    def momentum_and_force(self) -> Formula:
         """Momentum and generalised force, (2 n_q,), by [q, v], the inputs and the parameters.
 
-        Differentiated by the parameters that are searched for. Forces with memory are left out.
+        Differentiated by the free parameters. Forces with memory are left out.
         """
-        system, of = self.system, self.system.channels
-        first = of.measured.stop + of.n_u
+        system, channels = self.system, self.system.channels
+        first = channels.measured.stop + channels.n_u
 
-        def momenta(point: Array) -> Array:
-            q, v, u = point[of.position], point[of.velocity], point[of.measured.stop : first]
-            values = self._of_point(point[first:])
+        def momentum_and_force(point: Array) -> Array:
+            q, v = point[channels.position], point[channels.velocity]
+            u = point[channels.measured.stop : first]
+            values = self._values_in_row(point[first:])
             momentum = jax.grad(system.kinetic, argnums=1)(q, v, values)
             force = jax.grad(system.kinetic)(q, v, values)
             if system.potential:
                 force = force - jax.grad(system.potential)(q, values)
-            still = jnp.zeros(len(system.internal), q.dtype)
-            return jnp.concatenate([momentum, force + system.model(values).applied(q, v, still, u)])
+            zero = jnp.zeros(len(system.internal), q.dtype)
+            return jnp.concatenate([momentum, force + system.model(values).applied(q, v, zero, u)])
 
         return Formula(
-            momenta, first + self.size, range(first, first + self.n_p), f"system '{system.name}'"
+            momentum_and_force,
+            first + self.n_columns,
+            range(first, first + self.n_p),
+            f"system '{system.name}'",
         )
 
     @cached_property
-    def slopes(self) -> Formula:
-        """The derivative of the state, by the state, the inputs and the parameters.
+    def state_derivative(self) -> Formula:
+        """Derivative of the state by time, by the state, the inputs and the parameters.
 
         Differentiated by the state.
         """
         n_x, n_u = self.motion.n_x, len(self.system.inputs)
 
         def derivative(point: Array) -> Array:
-            model = self.system.model(self._of_point(point[n_x + n_u :]))
+            model = self.system.model(self._values_in_row(point[n_x + n_u :]))
             return model.derivative(point[:n_x], point[n_x : n_x + n_u])
 
         where = f"system '{self.system.name}'"
-        return Formula(derivative, n_x + n_u + self.size, range(n_x), where)
+        return Formula(derivative, n_x + n_u + self.n_columns, range(n_x), where)
 
-    def _of_point(self, parameters: Array) -> dict[str, Any]:
-        return self._named(parameters[: self.n_p], parameters[self.n_p :])
+    def _values_by_name(self, p: Any, c: Any) -> dict[str, Any]:
+        """Values by name of the free parameters `p` and of the others, which `c` begins with."""
+        free = {name: p[i] for i, name in enumerate(self.free_names)}
+        return free | {name: c[i] for i, name in enumerate(self.other_names)}
 
-    def _named(self, p: Any, c: Any) -> dict[str, Any]:
-        """Parameters by name."""
-        searched = {name: p[i] for i, name in enumerate(self.searched)}
-        return searched | {name: c[i] for i, name in enumerate(self.others)}
+    def _values_in_row(self, parameters: Any) -> dict[str, Any]:
+        """Values by name of a row of `parameter_rows`."""
+        return self._values_by_name(parameters[: self.n_p], parameters[self.n_p :])
 
-    def values(self, values: Mapping[str, float], pick: Pick) -> Float[np.ndarray, "n n_p"]:
-        """What the equations take of parameters, in every segment or sample.
+    def parameter_rows(
+        self, values: Mapping[str, float], group_indices: GroupIndices
+    ) -> Float[np.ndarray, "n n_columns"]:
+        """Parameters as the equations take them, a row for every segment or sample.
 
         Args:
             values: the parameters by name, those per group with a value for each of its values.
-            pick: which of these hold, see `groups.picks`.
+            group_indices: which of these apply in each row, see `groups.group_indices`.
         """
         columns = []
         grouped = {p.name: i for i, p in enumerate(self.system.grouped)}
-        for name in (*self.searched, *self.others):
+        for name in (*self.free_names, *self.other_names):
             options = self.system.grouped[grouped[name]].by_group(values) if name in grouped else {}
             if options:
-                columns.append(np.array(list(options.values()))[pick[:, grouped[name]]])
+                columns.append(np.array(list(options.values()))[group_indices[:, grouped[name]]])
             else:
-                columns.append(np.full(len(pick), values[name]))
-        if self.delays:
-            made = [values.get(delay_name(i), 0.0) for i in self.system.inputs]
-            columns += [np.full(len(pick), delay) for delay in made]
+                columns.append(np.full(len(group_indices), values[name]))
+        if self.has_delays:
+            delays = [values.get(delay_name(i), 0.0) for i in self.system.inputs]
+            columns += [np.full(len(group_indices), delay) for delay in delays]
         return np.stack(columns, axis=1)
 
-    def base(self, space: Space) -> list[int]:
-        """The place, among the parameters of the equations, of each one that is searched for."""
-        return [self.searched.index(_base(self.system, name)) for name in space.names]
+    def free_columns(self, space: SearchSpace) -> list[int]:
+        """Column of each free parameter of a search space; those of one group share a column."""
+        return [self.free_names.index(_ungrouped_name(self.system, name)) for name in space.names]
 
-    def chain(self, space: Space, vector: np.ndarray, pick: Pick) -> Float[np.ndarray, "n n_p"]:
-        """Derivatives of the parameters of the equations by the coordinates of the search.
+    def coordinate_derivatives(
+        self, space: SearchSpace, vector: ParameterVector, group_indices: GroupIndices
+    ) -> Float[np.ndarray, "n n_p"]:
+        """Derivatives of the parameters of each row by the coordinates of the search.
 
-        Of a parameter per group 0 where another of its values holds.
+        The derivative by a parameter per group is 0 in rows where another of its values applies.
         """
-        return self.acts(space, pick) * space.slopes(vector)
+        return self.applicable(space, group_indices) * space.derivatives(vector)
 
-    def acts(self, space: Space, pick: Pick) -> Float[np.ndarray, "n n_p"]:
-        """Which of the parameters that are searched for hold, 1 or 0."""
-        acts = np.ones((len(pick), len(space.names)))
-        every = dict.fromkeys([*space.names, *space.fixed], 0.0)
+    def applicable(
+        self, space: SearchSpace, group_indices: GroupIndices
+    ) -> Float[np.ndarray, "n n_p"]:
+        """Mask of the free parameters that apply in each row, 1 or 0."""
+        mask = np.ones((len(group_indices), len(space.names)))
+        names = dict.fromkeys([*space.names, *space.fixed_values], 0.0)
         for i, p in enumerate(self.system.grouped):
-            names = [p.for_group(value).name for value in p.by_group(every)]
+            members = [p.for_group(value).name for value in p.by_group(names)]
             for j, name in enumerate(space.names):
-                if name in names:
-                    acts[:, j] = pick[:, i] == names.index(name)
-        return acts
+                if name in members:
+                    mask[:, j] = group_indices[:, i] == members.index(name)
+        return mask
 
-    def models(
-        self, model: Discretised, values: Float[np.ndarray, "n n_p"]
-    ) -> Iterator[Discretised]:
-        """Models with the parameters of each segment, as `values` returned them."""
-        for row in values:
-            named = self._named(row[: self.n_p], row[self.n_p :])
-            arrays = {name: jnp.asarray(x) for name, x in named.items()}
-            yield replace(model, continuous=self.system.model(arrays))
-
-    def beginnings(
-        self, x0: Float[np.ndarray, "n n_x"], values: np.ndarray, expected: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """States in which segments begin, and their derivatives by parameters and by `x0`.
+    def initial_states(
+        self,
+        x0: Float[np.ndarray, "n n_x"],
+        parameter_rows: Float[np.ndarray, "n n_columns"],
+        adds_expected: Float[np.ndarray, " n"],
+    ) -> InitialStates:
+        """States in which segments begin, with their derivatives by parameters and by `x0`.
 
         Args:
             x0: states as `Segments` has them.
-            values: what `values` returned for the segments.
-            expected: whether the internal states that the system expects are added, 1 or 0, (n,).
-
-        Returns:
-            States (n, n_x); derivatives, a direction in a row: (n, n_p, n_x), (n, n_x, n_x).
+            parameter_rows: the parameters of the segments, see `parameter_rows`.
+            adds_expected: whether the internal states that the system expects are added, 1 or 0.
         """
         n, n_x = x0.shape
-        n_m, n_p, start = self.system.channels.measured.stop, self.n_p, x0.copy()
+        n_m, n_p, states = self.system.channels.measured.stop, self.n_p, x0.copy()
         by_parameter, by_state = np.zeros((n, n_p, n_x)), np.tile(np.eye(n_x), (n, 1, 1))
         if self.system.memory is None or self.system.memory.initial is None:
-            return start, by_parameter, by_state
-        points, share = np.concatenate([x0[:, :n_m], values], axis=1), expected[:, None]
-        start[:, n_m:] += share * evaluate(self.expected, points)
-        slopes = evaluate(self.expected, points, derivatives=True).reshape(n, n_x - n_m, n_m + n_p)
-        slopes = share[:, :, None] * np.swapaxes(slopes, 1, 2)
-        by_state[:, :n_m, n_m:] = slopes[:, :n_m]
-        by_parameter[:, :, n_m:] = slopes[:, n_m:]
-        return start, by_parameter, by_state
+            return InitialStates(states, by_parameter, by_state)
+        formula = self.expected_internal_states
+        points = np.concatenate([x0[:, :n_m], parameter_rows], axis=1)
+        states[:, n_m:] += adds_expected[:, None] * evaluate(formula, points)
+        derivatives = evaluate(formula, points, derivatives=True).reshape(n, n_x - n_m, n_m + n_p)
+        derivatives = adds_expected[:, None, None] * np.swapaxes(derivatives, 1, 2)
+        by_state[:, :n_m, n_m:] = derivatives[:, :n_m]
+        by_parameter[:, :, n_m:] = derivatives[:, n_m:]
+        return InitialStates(states, by_parameter, by_state)
 
 
-@lru_cache(maxsize=64)  # equations that were read once are not read again
+@lru_cache(maxsize=64)  # so that equations are read and compiled once
 def system_equations(
-    system: LagrangianSystem, searched: tuple[str, ...] = (), *, delays: bool = False
+    system: LagrangianSystem, free_names: tuple[str, ...] = (), *, has_delays: bool = False
 ) -> SystemEquations:
     """The equations of a system, with derivatives by some of its parameters.
 
     Args:
         system: the system.
-        searched: the parameters; of those per group the names of their values.
-        delays: see `SystemEquations`.
+        free_names: the parameters to differentiate by; of those per group, their expanded names.
+        has_delays: see `SystemEquations`.
     """
-    bases = tuple(dict.fromkeys(_base(system, name) for name in searched))
-    others = tuple(p.name for p in system.parameters if p.name not in bases)
-    return SystemEquations(system, bases, others, delays)
+    free = tuple(dict.fromkeys(_ungrouped_name(system, name) for name in free_names))
+    others = tuple(p.name for p in system.parameters if p.name not in free)
+    return SystemEquations(system, free, others, has_delays)
 
 
-def _base(system: LagrangianSystem, name: str) -> str:
-    """The parameter of a system that a name is of: of `mass[1kg]` it is `mass`."""
-    for p in system.grouped:
-        if p.by_group({name: 0.0}):
-            return p.name
-    return name
+def _ungrouped_name(system: LagrangianSystem, name: str) -> str:
+    """Name of a parameter in the system's declaration: `mass` of `mass[1kg]`."""
+    return next((p.name for p in system.grouped if p.by_group({name: 0.0})), name)

@@ -1,62 +1,85 @@
-"""What inputs do between samples, found out by trying."""
+"""Holds of inputs that the data card calls unknown: the search is done for every hold.
+
+A hold is what an input does between two samples. `search_over_holds` is the whole search of an
+identification: it drops the optional terms that are not needed, runs the stages, and chooses the
+holds by the cost over the training records.
+"""
 
 from dataclasses import replace
 from typing import get_args
 
 import numpy as np
 
-from tustinnet.fitting.shooting.problem import Problem, State
-from tustinnet.fitting.shooting.stages import refined, search
-from tustinnet.fitting.shooting.terms import with_needed
+from tustinnet.fitting.shooting.optional_terms import drop_unneeded_terms
+from tustinnet.fitting.shooting.problem import Problem, SearchState
+from tustinnet.fitting.shooting.stages import choose_substeps, run_final_stage, search
 from tustinnet.signals.excitation import HALF, DeclaredHold
 
 _FIRST = "first-order"  # between the others, so that both are near enough to go on from it
-_ALIKE = 1.01  # root mean squares of errors that differ by less say nothing
+_ALIKE = 1.01  # root mean squares of errors that differ by less are alike
 
 
-def search_with_holds(problem: Problem, begin: State) -> tuple[Problem, State, str]:
-    """A search that also finds out the holds that the data card calls `unknown`.
+def search_over_holds(problem: Problem, state: SearchState) -> tuple[Problem, SearchState, str]:
+    """Searches for the parameters, and for the holds that the data card calls `unknown`.
 
-    Optional terms of the system that are not needed are left out before it.
-
-    The whole search is done for straight lines; from what it found, the last stage is done again
+    The whole search is done for straight lines; from its result, the final stage is done again
     for every other hold, and the lowest cost over the training records decides. The holds of
     several unknown inputs are taken to be alike.
 
     Returns:
-        The problem with the holds found, and what `search` returns; the state's remarks tell the
-        simulation error of every hold.
+        The problem with the chosen holds and without optional terms that are not needed, and what
+        `stages.search` returns. The state's remarks have the simulation error of every hold.
     """
-    unknown = _unknown(problem)
-    first, begin = with_needed(with_some_hold(problem), begin)
+    unknown = _unknown_holds(problem)
+    assumed, state = drop_unneeded_terms(with_assumed_hold(problem), state)
+    state, initial = search(assumed, state)
     if not unknown:
-        return first, *search(first, begin)
-    problem = replace(problem, system=first.system)
-    found, initial = search(first, begin)
-    tried = {_FIRST: (first, found)}
+        return assumed, state, initial
+    problem = replace(problem, system=assumed.system)
+    trials = {_FIRST: (assumed, state)}
     holds: tuple[DeclaredHold, ...] = get_args(DeclaredHold)
-    short = min(map(len, (*problem.records, *problem.validation))) <= HALF
+    is_short = min(map(len, (*problem.records, *problem.validation))) <= HALF
     for hold in holds:
-        if hold != _FIRST and not (short and hold == "band-limited"):
+        if hold != _FIRST and not (is_short and hold == "band-limited"):
             other = _with_hold(problem, hold)
-            tried[hold] = other, refined(other, found, initial)
-    best = min(tried, key=lambda hold: _cost(tried[hold][1]))
-    chosen, ended = tried[best]
-    told = _told(unknown, best, {hold: _error(*of) for hold, of in tried.items()}, problem)
-    ended = replace(ended, remarks=(*ended.remarks, told))
-    return chosen, ended, initial
+            other_state = run_final_stage(other, choose_substeps(other, state), initial)
+            trials[hold] = other, other_state
+
+    costs = {
+        hold: np.inf if trial.has_diverged else trial.last_result.cost
+        for hold, (_, trial) in trials.items()
+    }
+    best = min(costs, key=lambda hold: costs[hold])
+    rmse = {hold: _position_rmse(*trial) for hold, trial in trials.items()}
+    unit, channel_names = problem.system.channels.unit, " and ".join(f"'{n}'" for n in unknown)
+    ranked = sorted(rmse, key=lambda hold: rmse[hold])
+    listed = ", ".join(f"{hold} {rmse[hold]:.3g} {unit}" for hold in ranked)
+    if max(rmse.values()) < _ALIKE * min(rmse.values()):
+        remark = (
+            f"hold of {channel_names}: makes no difference to the simulation error ({listed}); "
+            f"{best} taken"
+        )
+    else:
+        remark = (
+            f"hold of {channel_names}: {best}, by the simulation error of the training records "
+            f'({listed}); declare hold = "{best}" in the data card'
+        )
+    problem, state = trials[best]
+    return problem, replace(state, remarks=(*state.remarks, remark)), initial
 
 
-def with_some_hold(problem: Problem) -> Problem:
+def with_assumed_hold(problem: Problem) -> Problem:
     """The problem with a hold where none is known yet, so that records can be simulated."""
-    return _with_hold(problem, _FIRST) if _unknown(problem) else problem
+    return _with_hold(problem, _FIRST) if _unknown_holds(problem) else problem
 
 
-def _unknown(problem: Problem) -> list[str]:
+def _unknown_holds(problem: Problem) -> list[str]:
+    """Names of the inputs whose hold is unknown."""
     return [i.name for i in problem.records[0].inputs if i.hold == "unknown"]
 
 
 def _with_hold(problem: Problem, hold: DeclaredHold) -> Problem:
+    """The problem with a hold for all inputs whose hold is unknown."""
     inputs = [
         replace(i, hold=hold) if i.hold == "unknown" else i for i in problem.records[0].inputs
     ]
@@ -67,28 +90,9 @@ def _with_hold(problem: Problem, hold: DeclaredHold) -> Problem:
     )
 
 
-def _cost(state: State) -> float:
-    return state.fitted.cost if state.fitted and state.fitted.why != "diverged" else np.inf
-
-
-def _error(problem: Problem, state: State) -> float:
+def _position_rmse(problem: Problem, state: SearchState) -> float:
     """Root mean square of the simulation error over all training samples [rad or m]."""
-    assert state.fitted is not None
-    at = problem.system.channels.position
-    squares = sum(float(np.sum(error[:, at] ** 2)) for error in state.fitted.normal.error)
+    position = problem.system.channels.position
+    errors = state.last_result.products.error
+    squares = sum(float(np.sum(error[:, position] ** 2)) for error in errors)
     return float(np.sqrt(squares / sum(len(e) for e in problem.records)))
-
-
-def _told(unknown: list[str], best: str, errors: dict[str, float], problem: Problem) -> str:
-    unit = problem.system.channels.unit
-    ranked = sorted(errors, key=lambda hold: errors[hold])
-    each = ", ".join(f"{hold} {errors[hold]:.3g} {unit}" for hold in ranked)
-    names = " and ".join(f"'{name}'" for name in unknown)
-    if max(errors.values()) < _ALIKE * min(errors.values()):
-        return (
-            f"hold of {names}: makes no difference to the simulation error ({each}); {best} taken"
-        )
-    return (
-        f"hold of {names}: {best}, by the simulation error of the training records ({each}); "
-        f'declare hold = "{best}" in the data card'
-    )

@@ -1,18 +1,22 @@
-"""Which parameters the records can tell apart."""
+"""Identifiability: which parameters cannot be told apart by the records (confounded parameters).
+
+`find_confounded` takes the products of derivatives `J'J` and returns sets of parameters that can
+change together without changing any simulation, each with the parameter to fix.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.fitting.shooting.space import Searched, Space
+from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 
 _NULL = 1e-11  # of the largest eigenvalue, in units in which every parameter acts alike
 _MEMBER = 1e-3  # of the largest share
 
 
 @dataclass(frozen=True)
-class Confounded:
+class ConfoundedParameters:
     """Parameters that can change together without changing any simulation.
 
     Attributes:
@@ -35,24 +39,24 @@ class Confounded:
                 f"only ratios of {listed} can be identified: multiplied by one factor they give "
                 f"the same simulation; fix one of them, '{self.suggestion}' is known best"
             )
-        told = ", ".join(f"{n} {s:+.3g} %" for n, s in self.shares.items())
+        changes = ", ".join(f"{name} {share:+.3g} %" for name, share in self.shares.items())
         return (
-            f"{listed} cannot be told apart: changed together ({told}) they give the same "
-            f"simulation; fix one of them, '{self.suggestion}' is known best"
+            f"{listed} are not identifiable separately: changed together ({changes}) they give "
+            f"the same simulation; fix one of them, '{self.suggestion}' is known best"
         )
 
 
-def confounded(
-    space: Space, vector: Searched, products: Float[np.ndarray, "n_p n_p"]
-) -> tuple[Confounded, ...]:
-    """The null space of the derivatives by the parameters' logarithms, direction by direction.
+def find_confounded(
+    space: SearchSpace, vector: ParameterVector, products: Float[np.ndarray, "n_p n_p"]
+) -> tuple[ConfoundedParameters, ...]:
+    """Finds the null space of the derivatives by the parameters' logarithms.
 
-    Every direction names one parameter that no other direction has, chosen among those whose
+    Every direction of it names one parameter that no other direction has, chosen among those whose
     range is narrowest; with these fixed, the others are identifiable.
 
     Args:
-        space: the parameters' coordinates.
-        vector: where the derivatives were taken.
+        space: the search space.
+        vector: the parameters at which the derivatives were taken.
         products: `J'J` by that vector, (n_p, n_p).
     """
     diagonal = np.sqrt(np.diag(products))
@@ -62,21 +66,22 @@ def confounded(
     null = (vectors[:, values < _NULL * values.max()] / unit[:, None]).T
     null /= np.maximum(np.abs(null).max(axis=1, keepdims=True), 1e-300)
     null = np.vstack([null, np.eye(len(vector))[~strong]])
-    known = 1 / (space.upper - space.lower)
-    suggested: list[int] = []
+    prior_precision = 1 / (space.upper - space.lower)
+    # Gauss-Jordan elimination: the pivots are the parameters to fix
+    pivots: list[int] = []
     for row in range(len(null)):
-        weight = np.abs(null[row:]).max(axis=0) * known
+        weight = np.abs(null[row:]).max(axis=0) * prior_precision
         # of parameters that are about as well known, the one that matters most in the direction
-        pivot = int(np.argmax(np.where(np.isin(np.arange(len(vector)), suggested), -1, weight)))
+        pivot = int(np.argmax(np.where(np.isin(np.arange(len(vector)), pivots), -1, weight)))
         best = row + int(np.argmax(np.abs(null[row:, pivot])))
         null[[row, best]] = null[[best, row]]
         null[row] /= null[row, pivot]
         others = np.arange(len(null)) != row
         null[others] -= np.outer(null[others, pivot], null[row])
-        suggested.append(pivot)
-    found = []
-    for direction, pivot in zip(null, suggested, strict=True):
+        pivots.append(pivot)
+    confounded = []
+    for direction, pivot in zip(null, pivots, strict=True):
         members = np.flatnonzero(np.abs(direction) > _MEMBER * np.abs(direction).max())
         shares = {space.names[i]: float(direction[i]) for i in members}
-        found.append(Confounded(shares, space.names[pivot]))
-    return tuple(found)
+        confounded.append(ConfoundedParameters(shares, space.names[pivot]))
+    return tuple(confounded)

@@ -1,4 +1,8 @@
-"""What records say of parameters: their information, before anything is fitted to them."""
+"""Fisher information of records on parameters, before anything is fitted to them.
+
+`fisher_information` takes a search space, values of the parameters and records, which may be
+simulated, and returns a matrix for every record.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -8,25 +12,30 @@ from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.fitting.recipe import SearchRecipe
-from tustinnet.fitting.shooting.groups import known_by, picks
-from tustinnet.fitting.shooting.least_squares import anchored, eliminated
+from tustinnet.fitting.shooting.groups import expand_parameters_by_values, group_indices
+from tustinnet.fitting.shooting.least_squares import add_anchors, eliminate_initial_states
 from tustinnet.fitting.shooting.problem import Problem
-from tustinnet.fitting.shooting.space import Space, make_space
+from tustinnet.fitting.shooting.space import SearchSpace, make_search_space
 from tustinnet.models.lagrangian import LagrangianSystem
 
 
-def space_of(system: LagrangianSystem, values: Mapping[str, float], names: Sequence[str]) -> Space:
-    """The coordinates in which some of a system's parameters are searched.
+def search_space_for(
+    system: LagrangianSystem, values: Mapping[str, float], names: Sequence[str]
+) -> SearchSpace:
+    """The search space in which some of a system's parameters are free.
 
-    Of a parameter per group there is one for each value of the group that `values` knows.
+    Args:
+        system: the system.
+        values: all parameters; of those per group one for each value of the group.
+        names: the parameters that are free.
     """
     fixed = {name: x for name, x in values.items() if name not in names}
-    there = {name: values[name] for name in names}
-    return make_space(system, there, fixed, known_by(system, values))
+    initial = {name: values[name] for name in names}
+    return make_search_space(system, initial, fixed, expand_parameters_by_values(system, values))
 
 
-def information(
-    space: Space,
+def fisher_information(
+    space: SearchSpace,
     system: LagrangianSystem,
     values: Mapping[str, float],
     records: Sequence[Experiment],
@@ -39,24 +48,24 @@ def information(
     the encoders read, and eliminated.
 
     Args:
-        space: the parameters.
+        space: the search space.
         system: the system.
-        values: of all parameters.
+        values: the values of all parameters.
         records: the records; a model's own simulations will do.
-        substeps: integration steps in a period.
-        deviation: of a residual [rad or m].
+        substeps: integration steps in a sampling period.
+        deviation: standard deviation of a residual [rad or m].
     """
-    how = SearchRecipe(initial="anchored", substeps=substeps)
-    problem = Problem(system, tuple(records), (), how)
+    options = SearchRecipe(initial="anchored", substeps=substeps)
+    problem = Problem(system, tuple(records), (), options)
     segments = problem.segments(None, "anchored", {})
-    # a simulation says its state at the beginning
+    # in a simulation the state at the beginning is exact
     x0 = segments.x0.copy()
     x0[:, records[0].channels.measured] = [np.concatenate([e.q[0], e.velocities()[0]])
                                            for e in records]  # fmt: skip
     # the groups of the values, of which the records may have only some
-    pick = picks(system, known_by(system, values), records)
-    segments = replace(segments, x0=x0, pick=pick)
-    segments = replace(segments, x0=x0)
-    found = problem.products(space, space.vector(values), segments, substeps)
-    matrices = eliminated(anchored(found, segments, x0, deviation**2))[0]
+    indices = group_indices(system, expand_parameters_by_values(system, values), records)
+    segments = replace(segments, x0=x0, group_indices=indices)
+    products = problem.products(space, space.to_vector(values), segments, substeps)
+    products = add_anchors(products, segments, x0, deviation**2)
+    matrices = eliminate_initial_states(products).matrices
     return matrices / (segments.share * deviation**2)[:, None, None]

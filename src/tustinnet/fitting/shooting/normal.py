@@ -1,4 +1,8 @@
-"""Simulation errors of segments and their derivatives: what least squares needs of them."""
+"""Simulation errors of segments and the products of their derivatives (normal equations).
+
+`compute_products` simulates all segments with derivatives by the free parameters and the initial
+states and returns what least squares needs of them, segment by segment: `NormalProducts`.
+"""
 
 from dataclasses import dataclass
 
@@ -9,13 +13,13 @@ from tustinnet.engine.runs import Directions, Runs, Samples, compare
 from tustinnet.fitting.residual import Residual
 from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.fitting.shooting.segments import Segments
-from tustinnet.fitting.shooting.space import Searched, Space
+from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.models.lagrangian import LagrangianSystem
 
 
 @dataclass(frozen=True)
-class Normal:
-    """What least squares needs of every segment: products of its residuals and derivatives.
+class NormalProducts:
+    """Products of the residuals and derivatives of every segment.
 
     With residuals `r`, derivatives `J` by the parameters and `X` by the initial state:
 
@@ -37,64 +41,62 @@ class Normal:
     cost: Float[np.ndarray, " n_s"]
     error: tuple[Float[np.ndarray, "_ n_y"], ...]
 
+    @property
+    def is_finite(self) -> bool:
+        """Whether all products are finite: the simulations did not diverge."""
+        products = (self.pp, self.px, self.xx, self.gp, self.gx, self.cost)
+        return all(np.isfinite(product).all() for product in products)
 
-def normal_products(
+
+def compute_products(
     system: LagrangianSystem,
     residual: Residual,
-    space: Space,
-    vector: Searched,
+    space: SearchSpace,
+    vector: ParameterVector,
     x0: Float[np.ndarray, "n_s n_x"],
     segments: Segments,
     substeps: int,
-) -> Normal:
-    """Products of residuals and derivatives of segments, from the given initial states.
+) -> NormalProducts:
+    """Simulates segments and returns the products of their residuals and derivatives.
 
     Args:
         system: the system.
         residual: what is compared.
-        space: the parameters' coordinates.
+        space: the search space.
         vector: the parameters.
         x0: initial states, as `Segments` has them, (n_s, n_x).
         segments: the segments.
-        substeps: integration steps in a period.
+        substeps: integration steps in a sampling period.
     """
-    segments = segments.driven(space.numbers(vector))
-    equations = system_equations(system, space.names, delays=segments.later is not None)
-    values = equations.values(space.values(vector), segments.pick)
-    start, by_parameter, by_state = equations.beginnings(x0, values, segments.expected)
+    segments = segments.with_delays(space.to_values_in_range(vector))
+    has_delays = segments.inputs_by_delay is not None
+    equations = system_equations(system, space.names, has_delays=has_delays)
+    parameter_rows = equations.parameter_rows(space.to_values(vector), segments.group_indices)
+    initial = equations.initial_states(x0, parameter_rows, segments.adds_expected)
+    # polynomials over every period, held inputs with one coefficient; derivatives by delays follow
+    polynomials = [segments.inputs, *([segments.inputs_by_delay] if has_delays else [])]
     runs = Runs(
-        start=start,
-        parameters=values,
-        steps=segments.steps,
-        first=segments.first,
-        drive=_polynomials(segments),
-        periods=segments.periods,
-    )
-    seeds = np.concatenate([by_parameter, segments.searched[:, :, None] * by_state], axis=1)
+        start=initial.states, parameters=parameter_rows, steps=segments.steps,
+        first=segments.first_row, periods=segments.periods,
+        drive=np.concatenate([x[:, None] if x.ndim == 2 else x for x in polynomials], axis=-1),
+    )  # fmt: skip
+    by_state = segments.is_free[:, :, None] * initial.by_state
+    directions = np.concatenate([initial.by_parameter, by_state], axis=1)
     result = compare(
         equations.motion, residual.formula, runs, substeps,
-        Directions(seeds, parameters=True), Samples(segments.target, segments.weight),
+        Directions(directions, parameters=True), Samples(segments.measurements, segments.weights),
     )  # fmt: skip
-    # from the parameters of each segment to the coordinates of the search
-    chain = equations.chain(space, vector, segments.pick)
-    base, n_p = equations.base(space), equations.n_p
-    by_base = result.products[:, base]
-    with np.errstate(over="ignore", invalid="ignore"):  # of what diverged
-        return Normal(
-            pp=by_base[:, :, base] * chain[:, :, None] * chain[:, None, :],
-            px=by_base[:, :, n_p:] * chain[:, :, None],
+    # the engine differentiates by the equations' parameters, the search by its coordinates
+    chain = equations.coordinate_derivatives(space, vector, segments.group_indices)
+    free, n_p = equations.free_columns(space), equations.n_p
+    by_free = result.products[:, free]
+    with np.errstate(over="ignore", invalid="ignore"):  # of simulations that diverged
+        return NormalProducts(
+            pp=by_free[:, :, free] * chain[:, :, None] * chain[:, None, :],
+            px=by_free[:, :, n_p:] * chain[:, :, None],
             xx=result.products[:, n_p:, n_p:],
-            gp=result.gradient[:, base] * chain,
+            gp=result.gradient[:, free] * chain,
             gx=result.gradient[:, n_p:],
             cost=result.cost,
             error=tuple(np.split(result.error, np.cumsum(segments.steps + 1)[:-1])),
         )
-
-
-def _polynomials(segments: Segments) -> Float[np.ndarray, "rows order n_u"]:
-    """Inputs over every period as polynomials, held ones with one coefficient.
-
-    Behind them stands how delays change them, where these are searched for.
-    """
-    parts = [segments.drive, *([] if segments.later is None else [segments.later])]
-    return np.concatenate([x[:, None] if x.ndim == 2 else x for x in parts], axis=-1)

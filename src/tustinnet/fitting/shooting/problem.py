@@ -1,4 +1,9 @@
-"""What a search is about, where it stands, and how it is judged."""
+"""The problem of an identification, the state of its search, and how a state is scored.
+
+`Problem` has what stays the same during a search: system, records and recipe. `SearchState` has
+what changes from stage to stage: the parameters above all. The functions below make of the two
+what several modules need: the cost function, the model, and the score on the validation records.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,13 +17,12 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.fitting.recipe import SearchRecipe
 from tustinnet.fitting.residual import Residual, make_residual
-from tustinnet.fitting.shooting import inverse_dynamics
-from tustinnet.fitting.shooting.groups import expanded, picks
-from tustinnet.fitting.shooting.inverse_dynamics import Motion
-from tustinnet.fitting.shooting.least_squares import Fitted, Prior
-from tustinnet.fitting.shooting.normal import Normal, normal_products
-from tustinnet.fitting.shooting.segments import Cut, Segments, cut
-from tustinnet.fitting.shooting.space import Searched, Space
+from tustinnet.fitting.shooting.equation_error import MeasuredMotion, measure_motion
+from tustinnet.fitting.shooting.groups import expand_parameters, group_indices
+from tustinnet.fitting.shooting.least_squares import CostFunction, LeastSquaresResult, Prior
+from tustinnet.fitting.shooting.normal import NormalProducts, compute_products
+from tustinnet.fitting.shooting.segments import CutOptions, Segments, cut_records
+from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 from tustinnet.models.sensors import delay_names, with_delays
@@ -26,19 +30,19 @@ from tustinnet.simulate.horizon import horizon_samples, pieces
 from tustinnet.simulate.start_rules import FIT_SAMPLES, PARABOLA_SAMPLES, Start, start_named
 from tustinnet.simulate.starts import default_start, start_states
 
-_FIRST_VARIANCE = 1e-4  # of residuals, before any are known
+_INITIAL_VARIANCE = 1e-4  # of residuals, before any are known
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What stays the same from stage to stage.
+    """The system, records and options of an identification, the same during the whole search.
 
     Attributes:
-        system: the system.
-        records: the records to identify from.
-        validation: the records whose free runs choose.
-        search: how to identify.
-        listener: who is told of every iteration and stage.
+        system: the system whose parameters are identified.
+        records: the training records.
+        validation: the validation records, whose free runs choose how initial states are treated.
+        search: the options of the search, as the recipe has them.
+        listener: gets every iteration and every stage.
     """
 
     system: LagrangianSystem
@@ -50,30 +54,35 @@ class Problem:
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """The system's parameters, of those per group one for each value among the records."""
-        return expanded(self.system, self.records)
+        return expand_parameters(self.system, self.records)
 
-    def picks(self, records: Sequence[Experiment]) -> Int[np.ndarray, "n_r n_g"]:
-        """Which of their values parameters per group have in records, see `groups.picks`."""
-        return picks(self.system, self.parameters, records)
+    def group_indices(self, records: Sequence[Experiment]) -> Int[np.ndarray, "n_r n_g"]:
+        """Values of parameters per group that apply in records, see `groups.group_indices`."""
+        return group_indices(self.system, self.parameters, records)
 
     @cached_property
-    def motion(self) -> Motion:
-        """The measured motion."""
-        return inverse_dynamics.measured_motion(self.records, self.picks(self.records))
+    def motion(self) -> MeasuredMotion:
+        """The measured motion of the training records."""
+        return measure_motion(self.records, self.group_indices(self.records))
+
+    @cached_property
+    def residual(self) -> Residual:
+        """The residual: how simulation and measurement are compared."""
+        return residual_of(self.search, self.records)
 
     @cached_property
     def usual_start(self) -> Start:
-        """Where free runs of whole records start."""
+        """The start of free runs of whole records."""
         return start_named(default_start([*self.records, *self.validation]))
 
     @property
-    def start(self) -> Start:
-        """Where free runs start without a model."""
+    def model_free_start(self) -> Start:
+        """The start of free runs whose initial states are found without a model."""
         usual = self.usual_start
         return start_named(f"derived-{PARABOLA_SAMPLES}") if usual.fitted_samples else usual
 
-    def judging_start(self, horizon: int | None) -> Start:
-        """Where the free runs start that judge, over a horizon or as a whole.
+    def scoring_start(self, horizon: int | None) -> Start:
+        """The start of the free runs that are scored, over a horizon in steps or as a whole.
 
         What errs in a velocity that was read from a few samples grows over a horizon to more
         than any model misses; a state fitted through the model has no such error.
@@ -82,36 +91,33 @@ class Problem:
         return self.usual_start if horizon is None or horizon < fitted.samples else fitted
 
     @cached_property
-    def residual(self) -> Residual:
-        """What is compared."""
-        return make_residual(self.search, self.records)
+    def refit_start(self) -> Start | None:
+        """The start of the free runs that the parameters are refitted to; None without a refit."""
+        name = self.search.refine
+        return None if name == "none" else start_named(name)
 
     @cached_property
-    def asked(self) -> dict[str, int] | None:
-        """Steps over which every record is to be fitted, by name, where the recipe says it."""
-        every = (*self.records, *self.validation)
-        samples = horizon_samples(self.search.horizon, every, self.start, "search.horizon")
-        return None if samples is None else {e.name: samples for e in every if len(e) > samples}
-
-    @cached_property
-    def refining(self) -> Start | None:
-        """Where the free runs start to which the parameters are fitted once more, if they are."""
-        named = self.search.refine
-        return None if named == "none" else start_named(named)
+    def recipe_horizons(self) -> dict[str, int] | None:
+        """Horizons in steps by record, where the recipe has a horizon; else None."""
+        records = (*self.records, *self.validation)
+        samples = horizon_samples(
+            self.search.horizon, records, self.model_free_start, "search.horizon"
+        )
+        return None if samples is None else {e.name: samples for e in records if len(e) > samples}
 
     @property
     def delays(self) -> tuple[str, ...]:
-        """The delays of inputs that are searched for."""
+        """Names of the delays of inputs that are parameters."""
         return delay_names(self.system.sensors)
 
     @property
-    def first(self) -> str:
-        """How initial states are treated until the last stage."""
+    def early_initial(self) -> str:
+        """Treatment of initial states in all stages but the final one."""
         chosen = self.search.initial
         return "anchored" if chosen in ("choose", "unanchored") else chosen
 
     @cached_property
-    def nominal(self) -> Discretised:
+    def nominal_model(self) -> Discretised:
         """The system with its nominal values, for the layout of its states."""
         return self.model(self.system.nominal())
 
@@ -122,108 +128,139 @@ class Problem:
         inputs = with_delays(first.inputs, values)
         return discretise(self.system.model(arrays), first.dt, substeps, inputs=inputs)
 
-    def products(self, space: Space, vector: Searched, segments: Segments, substeps: int) -> Normal:
-        """Products of residuals and derivatives of segments from their initial states."""
-        return normal_products(
+    def products(
+        self, space: SearchSpace, vector: ParameterVector, segments: Segments, substeps: int
+    ) -> NormalProducts:
+        """Products of residuals and derivatives of segments from their own initial states."""
+        return compute_products(
             self.system, self.residual, space, vector, segments.x0, segments, substeps
         )
 
-    def segments(self, length: int | None, initial: str, horizons: Mapping[str, int]) -> Segments:
-        """The records cut for a stage: to a length, or those that have one to their horizon."""
-        searched = initial in ("anchored", "unanchored")
-        how = Cut(
-            residual=self.residual,
-            length=length,
-            start="estimated" if searched else initial,
-            anchored=initial != "unanchored",
-            horizons=horizons,
-            delays=bool(self.delays),
-        )
-        return cut(self.records, self.nominal, how, self.picks(self.records))
+    def segments(self, steps: int | None, initial: str, horizons: Mapping[str, int]) -> Segments:
+        """The training records cut into segments.
+
+        Args:
+            steps: longest segment in steps, None for whole records.
+            initial: how initial states are treated: `anchored`, `unanchored`, or a start.
+            horizons: longest segment of single records in steps, by name.
+        """
+        is_estimated = initial in ("anchored", "unanchored")
+        options = CutOptions(
+            residual=self.residual, steps=steps, start="estimated" if is_estimated else initial,
+            anchored=initial != "unanchored", timestamps=self.search.times == "recorded",
+            horizons=horizons, has_delays=bool(self.delays),
+        )  # fmt: skip
+        indices = self.group_indices(self.records)
+        return cut_records(self.records, self.nominal_model, options, indices)
 
     def free_runs(self, records: Sequence[Experiment]) -> Segments:
-        """Free runs from the start by which models are judged; nothing is searched for."""
-        how = Cut(
-            residual=self.residual,
-            start=self.start.name,
-            timestamps=False,
-            delays=bool(self.delays),
-        )
-        return cut(records, self.nominal, how, self.picks(records))
+        """Records as a whole from `model_free_start`; no initial state is searched for."""
+        options = CutOptions(
+            residual=self.residual, start=self.model_free_start.name, timestamps=False,
+            has_delays=bool(self.delays),
+        )  # fmt: skip
+        return cut_records(records, self.nominal_model, options, self.group_indices(records))
 
 
 @dataclass(frozen=True)
-class State:
-    """Where a search is.
+class SearchState:
+    """The state of a search between two stages.
 
     Attributes:
-        space: the parameters that are still searched for.
-        vector: their values.
-        substeps: integration steps in a period.
+        space: the search space: free and fixed parameters.
+        vector: the free parameters.
+        substeps: integration steps in a sampling period.
         variance: mean squared residual of a record so far.
-        fitted: where the last stage ended, None before the first.
-        segments: what that stage compared, None before the first.
-        unexplained: what the equations of motion leave of the worst record.
+        result: result of the last stage, None before the first.
+        unexplained: share of the worst record's change of momentum that the equation-error
+            estimate does not explain.
         horizons: steps over which records are compared that cannot be simulated as a whole, by
             name; validation records too.
-        remarks: what there is to say.
-        weights: what every squared residual weighs, (n, n_y); None while all weigh the same.
-        rough: whether its values come from simulations already, of short segments.
+        remarks: findings of the search so far, as sentences.
+        weights: weight of every squared residual, (n, n_y); None while all weigh the same.
+        has_fitted_values: whether the values were fitted to short segments already, so that no
+            equation-error estimate is needed.
     """
 
-    space: Space
-    vector: Searched
+    space: SearchSpace
+    vector: ParameterVector
     substeps: int = 1
-    variance: float = _FIRST_VARIANCE
-    fitted: Fitted | None = None
-    segments: Segments | None = None
+    variance: float = _INITIAL_VARIANCE
+    result: LeastSquaresResult | None = None
     unexplained: float = 0.0
     horizons: Mapping[str, int] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     weights: np.ndarray | None = None
-    rough: bool = False
+    has_fitted_values: bool = False
+
+    @property
+    def last_result(self) -> LeastSquaresResult:
+        """Result of the last stage; there must have been one."""
+        assert self.result is not None
+        return self.result
+
+    @property
+    def has_diverged(self) -> bool:
+        """Whether the simulations of the last stage diverged."""
+        return self.last_result.status == "diverged"
 
     @property
     def horizon(self) -> int | None:
-        """Steps over which validation records are scored: what all of them can be; or None."""
+        """Steps over which all validation records can be scored; None for whole records."""
         return min(self.horizons.values(), default=None)
 
 
-def prior(problem: Problem, state: State) -> Prior:
-    """What is known beforehand, made comparable with residuals of the size so far."""
-    searched = state.space.searched
+def make_prior(problem: Problem, state: SearchState) -> Prior:
+    """The prior of the parameters, comparable with residuals of the size so far."""
+    parameters = state.space.free_parameters
     samples = sum(len(e) for e in problem.records)
     return Prior(
-        centre=np.array([p.nominal for p in searched]),
-        precision=np.array([1 / p.prior if p.prior else 0.0 for p in searched]),
+        centre=np.array([p.nominal for p in parameters]),
+        precision=np.array([1 / p.prior if p.prior else 0.0 for p in parameters]),
         variance=state.variance,
         weight=state.variance * len(problem.records) / samples,
     )
 
 
-def errors_of(problem: Problem, state: State, runs: Segments, substeps: int) -> list[np.ndarray]:
-    """Simulated minus measured positions of free runs, record by record."""
-    found = problem.products(state.space, state.vector, runs, substeps)
-    return [error[:, problem.system.channels.position] for error in found.error]
+def make_cost_function(
+    problem: Problem, state: SearchState, segments: Segments, substeps: int
+) -> CostFunction:
+    """The cost of segments, with the prior."""
+    return CostFunction(
+        system=problem.system,
+        residual=problem.residual,
+        space=state.space,
+        segments=segments,
+        prior=make_prior(problem, state),
+        substeps=substeps,
+    )
 
 
-def score(problem: Problem, state: State) -> float:
+def make_model(problem: Problem, state: SearchState) -> Discretised:
+    """The model with the parameters of a state."""
+    return problem.model(state.space.to_values_in_range(state.vector), state.substeps)
+
+
+def position_errors(
+    problem: Problem, state: SearchState, segments: Segments, substeps: int
+) -> list[np.ndarray]:
+    """Simulated minus measured positions of segments, (samples, n_q) each [rad or m]."""
+    products = problem.products(state.space, state.vector, segments, substeps)
+    return [error[:, problem.system.channels.position] for error in products.error]
+
+
+def score_validation(problem: Problem, state: SearchState) -> float:
     """Mean free-run RMSE of the validation records [rad or m]; there must be some."""
-    start = problem.judging_start(state.horizon)
-    cut = [pieces(e, state.horizon, start) for e in problem.validation]
-    every = [piece for of in cut for piece in of]
-    runs = problem.free_runs(every)
+    start = problem.scoring_start(state.horizon)
+    parts = [pieces(e, state.horizon, start) for e in problem.validation]
+    all_parts = [part for record_parts in parts for part in record_parts]
+    segments = problem.free_runs(all_parts)
     if start.fitted_samples:
-        model = model_of(problem, state)
-        runs = runs.beginning_at(start_states(model, every, start))
-    errors = errors_of(problem, state, runs, state.substeps)
-    owner = np.repeat(np.arange(len(cut)), list(map(len, cut)))
+        model = make_model(problem, state)
+        segments = segments.with_fixed_states(start_states(model, all_parts, start))
+    errors = position_errors(problem, state, segments, state.substeps)
+    record = np.repeat(np.arange(len(parts)), list(map(len, parts)))
     with np.errstate(over="ignore"):
-        squares = np.bincount(owner, [float(np.sum(error**2)) for error in errors])
-    found = float(np.mean(np.sqrt(squares / [len(e) for e in problem.validation])))
-    return found if np.isfinite(found) else np.inf
-
-
-def model_of(problem: Problem, state: State) -> Discretised:
-    """The model with the values of a state."""
-    return problem.model(state.space.numbers(state.vector), state.substeps)
+        squares = np.bincount(record, [float(np.sum(error**2)) for error in errors])
+    rmse = float(np.mean(np.sqrt(squares / [len(e) for e in problem.validation])))
+    return rmse if np.isfinite(rmse) else np.inf

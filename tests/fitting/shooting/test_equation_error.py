@@ -18,58 +18,62 @@ from swinging import (
 )
 
 import tustinnet as tn
-from tustinnet.fitting.shooting.inverse_dynamics import (
-    first_values,
-    likely_reversals,
-    measured_motion,
+from tustinnet.fitting.shooting.equation_error import (
+    estimate_by_equation_error,
+    find_reversed_signs,
+    measure_motion,
 )
-from tustinnet.fitting.shooting.space import make_space
+from tustinnet.fitting.shooting.space import make_search_space
 
-SPACE = make_space(SWING, {}, {})
-START = SPACE.vector(SWING.nominal() | FAR)
+SPACE = make_search_space(SWING, {}, {})
+START = SPACE.to_vector(SWING.nominal() | FAR)
 
 
-def turned(e: tn.Experiment, *, angle: float = 1.0, volts: float = 1.0) -> tn.Experiment:
+def reversed_record(e: tn.Experiment, *, angle: float = 1.0, volts: float = 1.0) -> tn.Experiment:
     assert e.v is not None
     return replace(e, q=angle * e.q, v=angle * e.v, u=volts * e.u)
 
 
 def test_first_values_are_within_two_percent_on_clean_records():
-    vector, left = first_values(SWING, SPACE, START, measured_motion(records()))
-    found = SPACE.numbers(vector)
-    assert found == pytest.approx(TRUTH, rel=0.02)
-    assert left.shape == (4,)
-    assert left.max() < 1e-3
+    vector, unexplained = estimate_by_equation_error(SWING, SPACE, START, measure_motion(records()))
+    values = SPACE.to_values_in_range(vector)
+    assert values == pytest.approx(TRUTH, rel=0.02)
+    assert unexplained.shape == (4,)
+    assert unexplained.max() < 1e-3
 
 
 def test_first_values_are_within_a_few_percent_as_an_encoder_reads():
     read = [read_by_encoder(e) for e in records()]
-    found = SPACE.numbers(first_values(SWING, SPACE, START, measured_motion(read))[0])
-    assert found == pytest.approx(TRUTH, rel=0.05)
+    values = SPACE.to_values_in_range(
+        estimate_by_equation_error(SWING, SPACE, START, measure_motion(read))[0]
+    )
+    assert values == pytest.approx(TRUTH, rel=0.05)
 
 
 def test_first_values_keep_to_the_box():
     narrow = changed("gravity", lower=2.0, upper=4.0, nominal=3.0)
-    space = make_space(narrow, {}, {})
-    vector, _ = first_values(
-        narrow, space, space.vector(narrow.nominal()), measured_motion(records())
+    space = make_search_space(narrow, {}, {})
+    vector, _ = estimate_by_equation_error(
+        narrow, space, space.to_vector(narrow.nominal()), measure_motion(records())
     )
-    assert space.at_bounds(vector)["gravity"] == "lower"
+    assert space.active_bounds(vector)["gravity"] == "lower"
 
 
 def test_first_values_follow_inputs_on_straight_lines():
     ramped = replace(SWING, inputs=(replace(SWING.inputs[0], hold="first-order"),))
     smooth = np.convolve(voltage(230, 3), np.ones(31) / 8, "valid")
     e = simulated("ramps", [0.1, 0.0], smooth, system=ramped)
-    found = SPACE.numbers(first_values(ramped, SPACE, START, measured_motion([e]))[0])
-    assert found == pytest.approx(TRUTH, rel=0.05)
+    values = SPACE.to_values_in_range(
+        estimate_by_equation_error(ramped, SPACE, START, measure_motion([e]))[0]
+    )
+    assert values == pytest.approx(TRUTH, rel=0.05)
 
 
 def test_windows_lie_within_their_records():
-    motion = measured_motion(records())
+    motion = measure_motion(records())
     ends = np.cumsum([len(e) for e in records()])
-    of_begin = np.searchsorted(ends, motion.begins, side="right")
-    of_end = np.searchsorted(ends, motion.begins + motion.length - 1, side="right")
+    of_begin = np.searchsorted(ends, motion.window_begins, side="right")
+    of_end = np.searchsorted(ends, motion.window_begins + motion.window_length - 1, side="right")
     np.testing.assert_array_equal(of_begin, of_end)
     assert set(of_begin) == {0, 1, 2, 3}
     assert len(motion.q) == len(motion.v) == len(motion.u) == 760
@@ -78,15 +82,15 @@ def test_windows_lie_within_their_records():
 def test_a_window_is_a_quarter_of_a_swing():
     period = 2 * np.pi * np.sqrt(TRUTH["inertia"] / TRUTH["gravity"])  # of small swings
     small = simulated("small", [0.6, 0.0], np.zeros(200))
-    assert measured_motion([small]).length == pytest.approx(period / 4 / small.dt, abs=2)
+    assert measure_motion([small]).window_length == pytest.approx(period / 4 / small.dt, abs=2)
 
 
 def test_what_is_left_is_a_share_of_each_records_change_of_momentum():
     """Reversed, the voltage explains what it did not do: only the records that it moved suffer."""
-    motion = measured_motion([turned(e, volts=-1.0) for e in records()])
-    left = first_values(SWING, SPACE, START, motion)[1]
-    assert left[:2].max() < 1e-3
-    assert 0.1 < left[2:].min() < left.max() < 1.0
+    motion = measure_motion([reversed_record(e, volts=-1.0) for e in records()])
+    unexplained = estimate_by_equation_error(SWING, SPACE, START, motion)[1]
+    assert unexplained[:2].max() < 1e-3
+    assert 0.1 < unexplained[2:].min() < unexplained.max() < 1.0
 
 
 @pytest.mark.parametrize(
@@ -95,13 +99,13 @@ def test_what_is_left_is_a_share_of_each_records_change_of_momentum():
 )
 def test_a_reversed_sign_is_named(signs, expected):
     for experiments in (records(), list(noises())):
-        motion = measured_motion([turned(e, **signs) for e in experiments])
-        assert likely_reversals(SWING, SPACE, START, motion) == expected
+        motion = measure_motion([reversed_record(e, **signs) for e in experiments])
+        assert find_reversed_signs(SWING, SPACE, START, motion) == expected
 
 
 def test_a_symmetric_system_has_alternatives():
     """Without its tilt the pendulum moves alike when both signs are reversed."""
     level = replace(SWING, potential=lambda q, p: -p["gravity"] * jnp.cos(q[0]))
     experiments = [simulated(f"e{i}", [1.0, 0.0], voltage(200, i), system=level) for i in range(2)]
-    motion = measured_motion([turned(e, volts=-1.0) for e in experiments])
-    assert likely_reversals(level, SPACE, START, motion) == (("angle",), ("voltage",))
+    motion = measure_motion([reversed_record(e, volts=-1.0) for e in experiments])
+    assert find_reversed_signs(level, SPACE, START, motion) == (("angle",), ("voltage",))

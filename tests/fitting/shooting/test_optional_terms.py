@@ -23,13 +23,13 @@ PULL = TRUTH["gravity"] / TRUTH["inertia"]  # 1/s^2
 
 
 @pytest.fixture(scope="module")
-def found() -> tn.Identification:
+def result() -> tn.Identification:
     """The swing, identified by somebody who knows nothing of it."""
     return tn.identify(data_set([read_by_encoder(e) for e in records()]), "mechanism", "mechanism")
 
 
-def test_a_mechanism_is_found_from_its_records_alone(found):
-    model = found.model.continuous
+def test_a_mechanism_is_found_from_its_records_alone(result):
+    model = result.model.continuous
     assert isinstance(model, LagrangianModel)
     values = {name: float(x) for name, x in model.values.items()}
     assert values["angle.gravity_cos"] == pytest.approx(-PULL * np.cos(TILT), rel=0.01)
@@ -39,22 +39,22 @@ def test_a_mechanism_is_found_from_its_records_alone(found):
     assert not {"angle.cubic", "angle.quadratic", "angle.spring", "angle.pull"} & values.keys()
 
 
-def test_it_says_which_terms_it_kept(found):
-    told = next(f for f in found.findings if f.startswith("optional terms"))
-    assert "angle.gravity_cos" in told
-    assert "angle.cubic" not in told
+def test_it_says_which_terms_it_kept(result):
+    message = next(f for f in result.findings if f.startswith("optional terms"))
+    assert "angle.gravity_cos" in message
+    assert "angle.cubic" not in message
 
 
-def test_the_model_is_one_like_any_other(found, tmp_path):
+def test_the_model_is_one_like_any_other(result, tmp_path):
     path = tmp_path / "model.safetensors"
-    tn.save(found.model, path)
+    tn.save(result.model, path)
     again = tn.load_model(path)
     e = records()[2]
     np.testing.assert_allclose(
-        tn.free_run(again, e, "file"), tn.free_run(found.model, e, "file"), rtol=1e-6
+        tn.free_run(again, e, "file"), tn.free_run(result.model, e, "file"), rtol=1e-6
     )
-    of = tn.evaluate(again, [e], "file")[0]
-    assert of.rmse < 0.01
+    score = tn.evaluate(again, [e], "file")[0]
+    assert score.rmse < 0.01
 
 
 def test_terms_of_a_system_of_ones_own_may_be_optional_too():
@@ -76,11 +76,11 @@ def test_terms_of_a_system_of_ones_own_may_be_optional_too():
     assert {"offset", "twice"}.isdisjoint(e.name for e in result.estimates)
     assert any("0 of 2 kept (none)" in f for f in result.findings)
     assert result.system.optional == ()
-    held = tn.identify(
+    fixed = tn.identify(
         data, system, {"name": "held", "model": {"kind": "euler-lagrange", "fixed": {
             "offset": 0.0, "twice": 0.0}}},
     )  # fmt: skip
-    assert not any("optional" in f for f in held.findings), "nobody asked for them"
+    assert not any("optional" in f for f in fixed.findings), "nobody asked for them"
     assert SWING.optional == ()
 
 
@@ -101,22 +101,22 @@ def test_what_is_kept_brings_forces_which_a_file_keeps(tmp_path):
     spring = Parameter("spring", "N m/rad", 0.0, -5.0, 5.0, optional=True,
                        brings=("maxwell:angle",))  # fmt: skip
     system = offering(spring)
-    found = tn.identify(data_set(made), system, "grey")
-    values = {e.name: e.value for e in found.estimates}
+    result = tn.identify(data_set(made), system, "grey")
+    values = {e.name: e.value for e in result.estimates}
     assert values["spring"] == pytest.approx(0.8, rel=0.1)
     assert values["angle.maxwell"] == pytest.approx(0.5, rel=0.1)
-    tn.save(found.model, tmp_path / "model.safetensors")
+    tn.save(result.model, tmp_path / "model.safetensors")
     again = tn.load_model(tmp_path / "model.safetensors", system)
     assert again.internal == ("maxwell:angle",)
     np.testing.assert_allclose(
         tn.free_run(again, made[0], "derived-6"),
-        tn.free_run(found.model, made[0], "derived-6"),
+        tn.free_run(result.model, made[0], "derived-6"),
         rtol=1e-6,
     )
-    asked = EulerLagrangeHyper(kind="euler-lagrange")
-    begun = EulerLagrangeFamily().with_initial_values(asked, again, system)
-    assert begun.begin["spring"] == pytest.approx(0.8, rel=0.1)
-    assert "angle.maxwell" not in begun.begin, "it is not there when a search begins"
+    options = EulerLagrangeHyper(kind="euler-lagrange")
+    table = EulerLagrangeFamily().with_initial_values(options, again, system)
+    assert table.begin["spring"] == pytest.approx(0.8, rel=0.1)
+    assert "angle.maxwell" not in table.begin, "it is not there when a search begins"
     without = tn.identify(data_set([read_by_encoder(e) for e in records()]), system, "grey")
     assert without.system.optional == without.system.added == ()
 
@@ -128,16 +128,16 @@ def test_a_usual_value_is_taken_where_records_do_not_say_otherwise():
     usual = Parameter("more", "1", 0.0, -5.0, 5.0, optional=True, usual=(1.0, 3.0))
     system = offering(usual)
     gains = {"name": "known", "model": {"kind": "euler-lagrange", "fixed": {"gain": 0.3}}}
-    found = tn.identify(data_set(made), system, gains)
-    assert found.fixed["more"] == 1.0
-    assert any("more at 1" in f for f in found.findings)
+    result = tn.identify(data_set(made), system, gains)
+    assert result.fixed["more"] == 1.0
+    assert any("more at 1" in f for f in result.findings)
     free = tn.identify(data_set(made), offering(Parameter("more", "1", 0.0, -5.0, 5.0,
                        optional=True, usual=(0.9,))), gains)  # fmt: skip
     assert {e.name: e.value for e in free.estimates}["more"] == pytest.approx(1.0, rel=1e-3)
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "message"),
     [
         ({"usual": (1.0,)}, "usual values; expected an optional parameter"),
         ({"brings": ("cubic:angle",)}, "forces that it brings; expected an optional parameter"),
@@ -145,6 +145,6 @@ def test_a_usual_value_is_taken_where_records_do_not_say_otherwise():
         ({"usual": (0.0,), "optional": True}, "the usual value 0; expected values within -5..5"),
     ],
 )
-def test_what_means_nothing_is_refused(given, told):
-    with pytest.raises(tn.InputError, match=told):
+def test_what_means_nothing_is_refused(given, message):
+    with pytest.raises(tn.InputError, match=message):
         Parameter("more", "1", 0.0, -5.0, 5.0, **given)

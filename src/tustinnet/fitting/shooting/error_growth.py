@@ -1,0 +1,134 @@
+"""Horizons: over how many steps a record can be simulated before errors have grown too much.
+
+About an unstable equilibrium that a controller holds, an error in the state doubles again and
+again: the logged input, which held the plant, does not know of the simulation's errors. Such
+records are compared over segments. `find_horizons` takes records, a system and its parameters and
+returns a number of steps for each of these records.
+"""
+
+from collections.abc import Sequence
+from math import ceil, log2
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from tustinnet.data.experiment import Experiment
+from tustinnet.engine.runs import evaluate
+from tustinnet.fitting.shooting.equations import system_equations
+from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
+from tustinnet.models.lagrangian import LagrangianSystem
+
+_GROWTH = 1000.0  # falls from upright stay below 50; about a held upright position it has no end
+_SHORTEST = 4  # blocks: a swing can always be compared
+_LARGEST = 1e15  # norm of a matrix up to which its exponential is computed in earnest
+_SMALL = 0.5  # norm of a matrix whose exponential four terms of the series give to 1e-3
+_AT_ONCE = 50_000  # samples whose transitions are in memory together
+
+
+def find_horizons(
+    system: LagrangianSystem,
+    space: SearchSpace,
+    vector: ParameterVector,
+    experiments: Sequence[Experiment],
+    group_indices: Int[np.ndarray, "n_r n_g"],
+    block: int,
+) -> dict[str, int]:
+    """Finds the horizons of records: steps before an error of the state grows a thousandfold.
+
+    The equations of motion are linearised at every measured state; products of the transitions give
+    the growth of an error of the state, velocities in units in which they spread as positions do.
+
+    Args:
+        system: the system.
+        space: the search space.
+        vector: the parameters.
+        experiments: the records.
+        group_indices: the values of parameters per group that apply in them, see
+            `groups.group_indices`.
+        block: steps of a quarter of a swing; a horizon is a multiple of it.
+
+    Returns:
+        Steps by the record's name, at least a swing's. Records are not in it in which no error
+        grows so much anywhere, nor those whose input never changes.
+    """
+    equations, values = system_equations(system), space.to_values(vector)
+    channels = system.channels
+    horizons = {}
+    for e, indices in zip(experiments, group_indices, strict=True):
+        if not e.forced:  # nothing holds it: what grows in the model grows in the record too
+            continue
+        states = e.measured_states()
+        n_m, n_x = states.shape[1], states.shape[1] + len(system.internal)
+        parameters = equations.parameter_rows(values, indices[None])
+        position_variance = states[:, channels.position].var(axis=0).sum()
+        velocity_variance = states[:, channels.velocity].var(axis=0).sum()
+        unit = np.ones(n_m)
+        if position_variance and velocity_variance:
+            unit[channels.velocity] = np.sqrt(velocity_variance / position_variance)
+        a = np.empty((len(e) - 1, n_m, n_m))
+        for k in range(0, len(a), _AT_ONCE):
+            part = slice(k, min(k + _AT_ONCE, len(a)))
+            points = np.zeros((part.stop - k, n_x + e.u.shape[1] + parameters.shape[1]))
+            points[:, :n_m] = states[part]  # internal states stay at zero
+            points[:, n_x:] = np.concatenate(
+                [e.u[part], np.broadcast_to(parameters, (len(points), parameters.shape[1]))], axis=1
+            )
+            jacobian = evaluate(equations.state_derivative, points, derivatives=True)
+            measured = jacobian.reshape(-1, n_x, n_x)[:, channels.measured, channels.measured]
+            a[part] = measured / unit[:, None] * unit
+        if np.isfinite(a).all() and (steps := steps_before_growth(a, e.dt, block)):
+            horizons[e.name] = steps
+    return horizons
+
+
+@np.errstate(over="ignore", invalid="ignore")  # an error that overflows has grown
+def steps_before_growth(a: Float[np.ndarray, "n n_x n_x"], dt: float, block: int) -> int | None:
+    """Steps in which `dx/dt = A(t) dx` lets no error grow a thousandfold, wherever it begins.
+
+    Args:
+        a: A at every sample.
+        dt: sampling period [s].
+        block: steps between the beginnings that are tried.
+
+    Returns:
+        A multiple of the block, at least 4 of them; None where no error grows so much.
+    """
+    blocks = len(a) // block
+    if blocks <= _SHORTEST:
+        return None
+    begins = range(0, blocks * block, max(1, _AT_ONCE // block) * block)
+    parts = [a[k : min(k + begins.step, blocks * block)] for k in begins]
+    across_block = np.concatenate([_transitions_across_blocks(part, dt, block) for part in parts])
+    doubled = [across_block]  # from every block's beginning over 1, 2, 4, ... blocks
+    while not _has_grown(doubled[-1]) and 2 ** len(doubled) <= blocks:
+        reach = 2 ** (len(doubled) - 1)
+        doubled.append(doubled[-1][reach:] @ doubled[-1][:-reach])
+    # as many blocks as no error grows in, by bisection
+    below = doubled[:-1] if _has_grown(doubled[-1]) else doubled
+    length, error = 0, np.broadcast_to(np.eye(a.shape[1]), across_block.shape)
+    for k in reversed(range(len(below))):
+        further = below[k][length:]
+        longer = further @ error[: len(further)]
+        if len(longer) and not _has_grown(longer):
+            length, error = length + 2**k, longer
+    return None if length == blocks else max(length, _SHORTEST) * block
+
+
+def _has_grown(errors: np.ndarray) -> bool:
+    return not np.linalg.norm(errors, axis=(1, 2)).max() <= _GROWTH
+
+
+def _transitions_across_blocks(a: np.ndarray, dt: float, block: int) -> np.ndarray:
+    """The transition over each block of samples, (n / block, n_x, n_x)."""
+    # exponentials of A dt, by squaring those of a small part of it
+    size = min(float(np.abs(a).sum(axis=2).max()) * dt, _LARGEST)
+    halvings = max(0, ceil(log2(max(size, _SMALL) / _SMALL)))
+    small, one = a * (dt / 2**halvings), np.eye(a.shape[1])
+    transitions = one + small @ (one + small / 2 @ (one + small / 3 @ (one + small / 4)))
+    for _ in range(halvings):
+        transitions = transitions @ transitions
+    transitions = transitions.reshape(-1, block, *a.shape[1:])
+    across_block = transitions[:, 0]
+    for j in range(1, block):
+        across_block = transitions[:, j] @ across_block
+    return across_block

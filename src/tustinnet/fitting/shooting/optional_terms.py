@@ -1,0 +1,186 @@
+"""Optional terms of a system: those that the records do not need are left out.
+
+`drop_unneeded_terms` takes a problem and the state to start from, fits all terms to short segments
+and returns both without the terms that other records do not confirm (see `leave_out`).
+"""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from tustinnet.errors import InputError
+from tustinnet.fitting.shooting.forces import with_added
+from tustinnet.fitting.shooting.least_squares import StoppingRule
+from tustinnet.fitting.shooting.leave_out import QuadraticCost, make_quadratic_cost
+from tustinnet.fitting.shooting.problem import Problem, SearchState
+from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
+from tustinnet.fitting.shooting.stages import (
+    SearchStage,
+    choose_substeps,
+    run_stage,
+    update_horizons,
+)
+
+_QUARTER_SWINGS = (1, 4)  # lengths of the segments
+_FEWEST = 4  # segments, for groups of them to be compared
+_STOPPING = StoppingRule(1e-2, 15)
+_NEEDED = 0.1  # share of the cost of records left out by which it rises without a needed term
+_MOST = 3.0  # times the cost of all terms: with few segments, those left out decide too little
+_STEPS = (1e-2, 1e-1, 1.0)  # of it: terms that nobody would miss go first
+_WORSE = 1.2  # times the predicted cost: the second-order model did not hold so far
+_HALVES = 2  # times that fewer terms are dropped then
+# of the largest parameter: where one that moves so far to make up for others costs as much as a
+# term that is needed; less where the second-order model did not hold so far
+_REACHES = (10.0, 1.0, 0.1)
+
+
+def drop_unneeded_terms(problem: Problem, state: SearchState) -> tuple[Problem, SearchState]:
+    """Drops the optional terms that the records do not need.
+
+    Many terms compete, so their first values come from simulations of short segments, not from
+    the equations of motion on derived velocities, whose errors favour small inertias.
+
+    A term is needed where without it records are explained worse by 10 %, by the parameters that
+    fit the other records, all other parameters following. Of several the last one goes first, so a
+    system lists its terms from the plain to the special: over a small range of motion they can
+    stand for one another. Then the rest is fitted and tested again, until every term is needed.
+    Forces that a kept term brings are added last: short segments hardly show them.
+
+    Args:
+        problem: records and system.
+        state: the initial values.
+
+    Returns:
+        Problem and initial values; unchanged where no term is optional.
+
+    Raises:
+        InputError: the simulations with the initial values diverge.
+    """
+    if not set(problem.system.optional) & set(state.space.names):
+        return problem, state
+    offered, remarks, recipe_horizons = problem.system.optional, state.remarks, state.horizons
+
+    # all terms, fitted to short segments, of which there are several
+    stages = [
+        SearchStage(problem.early_initial, _STOPPING, quarters) for quarters in _QUARTER_SWINGS
+    ]
+    stage, *longer_stages = stages
+    state = run_stage(problem, choose_substeps(problem, update_horizons(problem, state)), stage)
+    for longer_stage in longer_stages:
+        longer = run_stage(problem, state, longer_stage)
+        if len(longer.last_result.segments.steps) >= _FEWEST:
+            state, stage = longer, longer_stage
+    if state.has_diverged:
+        raise InputError(
+            f"system '{problem.system.name}'", "first values with which the simulations diverge",
+            "values that stay finite", "give others in the recipe: model.begin",
+        )  # fmt: skip
+
+    for reach in _REACHES:
+        while (reduced := _drop_some(problem, state, stage, reach)) is not None:
+            problem, state = reduced
+
+    kept, fixed_values = problem.system.optional, state.space.fixed_values
+    listed = [f"{n} at {fixed_values[n]:g}" if n in fixed_values else n for n in kept]
+    remark = f"optional terms: {len(kept)} of {len(offered)} kept ({', '.join(listed) or 'none'})"
+    if len(kept) < len(offered):
+        remark += "; without any of the others, records that are left out are explained as well"
+
+    problem, space, vector = _add_brought_forces(problem, state)
+    # the search begins anew from here: its stages cut the records for themselves
+    return problem, SearchState(
+        space=space,
+        vector=vector,
+        substeps=state.substeps,
+        variance=state.variance,
+        horizons=recipe_horizons,
+        remarks=(*remarks, remark),
+        has_fitted_values=True,
+    )
+
+
+def _drop_some(
+    problem: Problem, state: SearchState, stage: SearchStage, reach: float
+) -> tuple[Problem, SearchState] | None:
+    """Drops all terms that seem not needed, or half of them, or a quarter, and fits the others.
+
+    None where every term is needed, or where no fit without some of them is as good as predicted.
+    """
+    cost, space = make_quadratic_cost(problem, state, reach, _NEEDED), state.space
+    optional = {p.name: p for p in problem.system.parameters if p.optional}
+    choices = {
+        i: (0.0, *(x / (optional[name].upper - optional[name].lower)
+                   for x in optional[name].usual))
+        for i, name in enumerate(space.names) if name in optional
+    }  # fmt: skip
+    fixed = _find_unneeded(cost, choices)
+    for _ in range(1 + _HALVES):
+        if not fixed:
+            return None
+        # terms at 0 are dropped, those at a usual value are fixed there
+        values = space.to_values_in_range(space.clip(cost.best_vector(fixed)))
+        dropped = {space.names[i] for i, x in fixed.items() if x == 0}
+        usual = {space.names[i]: values[space.names[i]] for i, x in fixed.items() if x != 0}
+        fewer = replace(problem, system=problem.system.without(dropped))
+        fewer_space = SearchSpace(
+            tuple(p for i, p in enumerate(space.free_parameters) if i not in fixed),
+            dict(space.fixed_values) | usual,
+        )
+        trial = replace(state, space=fewer_space, vector=fewer_space.to_vector(values))
+        trial = run_stage(fewer, trial, stage)
+        predicted = max(state.last_result.cost, cost.best_cost(fixed))
+        if trial.last_result.cost <= _WORSE * predicted:
+            return fewer, trial
+        fixed = dict(list(fixed.items())[: len(fixed) // 2])
+    return None
+
+
+def _find_unneeded(cost: QuadraticCost, choices: Mapping[int, Sequence[float]]) -> dict[int, float]:
+    """Finds the terms that are not needed, in the order in which they go.
+
+    Terms with usual values go last, and are tried there after all others: while another term is
+    free, it could make up for a usual value that is wrong.
+
+    Args:
+        cost: the cost of the groups of segments.
+        choices: for entries of optional parameters, the values to try: 0, then the usual ones.
+
+    Returns:
+        Entries of the vector and the value, of `choices`, where each costs least.
+    """
+    fixed: dict[int, float] = {}
+    lowest, most = cost.leave_one_out_cost(fixed), _MOST * cost.best_cost(fixed)
+    plain = [i for i, values in choices.items() if len(values) == 1]
+    with_usual = [i for i, values in choices.items() if len(values) > 1]
+    rounds = [(plain, slice(1)), (with_usual, slice(1)), (with_usual, slice(1, None))]
+    for (entries, part), share in itertools.product(rounds, _STEPS):
+        has_changed = True
+        while has_changed:
+            has_changed = False
+            for i in sorted(set(entries) - fixed.keys(), reverse=True):
+                costs = {x: cost.leave_one_out_cost({**fixed, i: x}) for x in choices[i][part]}
+                best = min(costs, key=costs.__getitem__)
+                is_fair = cost.best_cost({**fixed, i: best}) <= most
+                if is_fair and costs[best] <= (1 + share * _NEEDED) * lowest:
+                    fixed[i], lowest, has_changed = best, min(lowest, costs[best]), True
+    return fixed
+
+
+def _add_brought_forces(
+    problem: Problem, state: SearchState
+) -> tuple[Problem, SearchSpace, ParameterVector]:
+    """Adds the forces that the kept terms bring; new parameters are at their nominal values."""
+    system, space = problem.system, state.space
+    forces = dict.fromkeys(force for p in system.parameters for force in p.brings)
+    brought = [force for force in forces if force not in system.added]
+    if not brought:
+        return problem, space, state.vector
+    values = space.to_values_in_range(state.vector)
+    extended = with_added(system, brought, problem.records, values)
+    new = [p for p in extended.parameters if p not in system.parameters]
+    fixed = {p.name: p.nominal for p in new if p.fixed}
+    space = SearchSpace(
+        (*space.free_parameters, *(p for p in new if not p.fixed)), dict(space.fixed_values) | fixed
+    )
+    vector = space.clip(space.to_vector(values | {p.name: p.nominal for p in new}))
+    return replace(problem, system=extended), space, vector

@@ -1,0 +1,285 @@
+"""Refit: parameters fitted once more after the search, to free runs of the training records.
+
+A search may find the initial state of a record along the whole of it, and minimises squares; a
+free run has only its first samples for that. Where the model lacks physics, the parameters that
+explain the records are not those that simulate them best. `refit_to_free_runs` takes the state
+after the search and its identification, and returns the latter with the refitted model; the
+estimates of the search stay beside it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from tustinnet.engine.runs import Directions, Runs, Samples, compare
+from tustinnet.fitting.listener import Iteration
+from tustinnet.fitting.report import Identification, Refined
+from tustinnet.fitting.shooting.equations import SystemEquations, system_equations
+from tustinnet.fitting.shooting.levenberg_marquardt import DampingRule, iterate
+from tustinnet.fitting.shooting.problem import Problem, SearchState, make_model, score_validation
+from tustinnet.fitting.shooting.space import SearchSpace
+from tustinnet.models.integrate import Discretised
+from tustinnet.models.parameters import Parameter
+from tustinnet.simulate.drive import drive_of
+from tustinnet.simulate.horizon import horizon_samples, pieces
+from tustinnet.simulate.starts import Fitted, Start
+from tustinnet.simulate.state_fits import fitted_with_derivatives, positions
+
+_MAX_ITERATIONS = 10
+_TOLERANCE = 1e-3  # converged: decrease by an iteration, of the cost
+_PRIOR = 2.0  # cost of a parameter that doubles: the mean RMSE of so many records
+_LEAST = 0.01  # of its range: the size of a parameter that is nearly 0
+_WELL = 0.25  # of the mean RMSE: below it a record counts by its square
+_LISTED = 3  # parameters that changed most
+
+# any decrease will do: what is predicted does not matter
+_DAMPING_RULE = DampingRule(
+    initial=1e-2,
+    largest=9e5,
+    increase=10.0,
+    decreased=lambda damping, _: damping / 10,
+    least_gain_ratio=0.0,
+)
+
+
+def refit_to_free_runs(
+    problem: Problem, state: SearchState, start: Start, identification: Identification
+) -> Identification:
+    """Refits the parameters to free runs of the training records.
+
+    Args:
+        problem: the problem.
+        state: the state after the search.
+        start: the start of the free runs.
+        identification: the identification by the search.
+
+    Returns:
+        The identification with the refitted model; its estimates, their errors and findings
+        stay. Unchanged but for a finding where a refit is not possible.
+    """
+    if state.has_diverged:
+        return identification
+    # a delay is in the inputs, which free runs take as they are
+    free = [p for p in state.space.free_parameters if p.name not in problem.delays]
+    obstacle, refit = "", None
+    if state.horizon is not None and state.horizon < start.samples:
+        obstacle = f"{start.name} requires longer segments"
+    elif not free:
+        obstacle = "nothing but delays is free"
+    else:
+        refit = _minimise_mean_rmse(problem, state, start, free)
+        if not np.isfinite(refit.before):
+            obstacle = "free runs diverge; `horizon` in the table [search] shortens them"
+    if refit is None or obstacle:
+        finding = f"no refit to free runs: {obstacle}"
+        return replace(identification, findings=(*identification.findings, finding))
+
+    space, before, after = state.space, identification.values, refit.values
+    values = space.to_values_in_range(state.vector) | after
+    refitted = replace(state, vector=space.clip(space.to_vector(values)))
+    changes = {name: abs(x / before[name] - 1) for name, x in after.items() if before[name]}
+    most = sorted(changes, key=lambda name: -changes[name])[:_LISTED]
+    listed = ", ".join(f"{name} {before[name]:.3g} -> {after[name]:.3g}" for name in most)
+    finding = (
+        "the parameters of the model were refitted to free runs of the training records from "
+        f"{start.name}: their mean RMSE went from {refit.before:.3g} to {refit.after:.3g}; "
+        f"{listed} changed most"
+    )
+    return replace(
+        identification,
+        model=make_model(problem, refitted),
+        validation_rmse=score_validation(problem, refitted) if problem.validation else None,
+        refined=refit,
+        findings=(*identification.findings, finding),
+    )
+
+
+@dataclass(frozen=True)
+class _RefitPoint:
+    """Relative changes of the parameters, the free runs there, and the cost."""
+
+    change: Float[np.ndarray, " n_p"]
+    products: "_FreeRunProducts"
+    cost: float
+
+
+def _minimise_mean_rmse(
+    problem: Problem, state: SearchState, start: Start, free: Sequence[Parameter]
+) -> Refined:
+    """Minimises the mean over the records of their RMSE, not of its square.
+
+    A record that no parameter explains then pulls no more than others. A parameter's change
+    relative to its value has a prior, so that what the records do not determine stays as it
+    was identified; the more records there are, the less it weighs. Initial states follow from the
+    parameters, as they do in the free runs that are scored.
+
+    Levenberg-Marquardt, each record's squares weighed by one over its RMSE.
+
+    Returns:
+        The values before and after; unchanged where some free run diverges.
+    """
+    names = [p.name for p in free]
+    identified = state.space.to_values_in_range(state.vector)
+    first = np.array([identified[name] for name in names])
+    # a change of 1 is the value, unless it is nearly 0
+    unit = np.array([max(abs(x), _LEAST * (p.upper - p.lower))
+                     for x, p in zip(first, free, strict=True)])  # fmt: skip
+    lower = (np.array([p.lower for p in free]) - first) / unit
+    upper = (np.array([p.upper for p in free]) - first) / unit
+    fixed = {name: x for name, x in identified.items() if name not in names}
+    runs = _make_free_runs(problem, state, start, SearchSpace(tuple(free), fixed), unit)
+    initial = runs.simulate(first)
+    scale, prior = initial.mean_rmse, _PRIOR / len(problem.records)
+
+    def propose(point: _RefitPoint, damping: float) -> tuple[_RefitPoint, float]:
+        # Gauss-Newton matrix and gradient of half the mean RMSE over the scale
+        rmse = np.maximum(point.products.rmse, _WELL * scale)
+        weight = 1 / (2 * scale * rmse * len(rmse))
+        matrix = np.einsum("r,rij->ij", weight, point.products.matrix) + prior * np.eye(len(free))
+        gradient = np.einsum("r,ri->i", weight, point.products.gradient) + prior * point.change
+        step = np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), -gradient)
+        change = np.clip(point.change + step, lower, upper)
+        products = runs.simulate(first + unit * change)
+        cost = products.mean_rmse / scale + prior * float(change @ change)
+        return _RefitPoint(change, products, cost), 1.0  # see the damping rule
+
+    def has_converged(point: _RefitPoint, previous_cost: float) -> bool:
+        return previous_cost - point.cost < _TOLERANCE * point.cost
+
+    def on_iteration(number: int, point: _RefitPoint, damping: float) -> None:
+        stage, mean_rmse = f"refit to free runs from {start.name}", point.products.mean_rmse
+        problem.listener.iteration(Iteration(stage, number, mean_rmse, damping, start.name))
+
+    point, iterations = _RefitPoint(np.zeros(len(free)), initial, 1.0), 0
+    if 0 < scale < np.inf:
+        result = iterate(
+            point, propose, has_converged, _DAMPING_RULE, _MAX_ITERATIONS, on_iteration
+        )
+        point, iterations = result.point, result.iterations
+    values = dict(zip(names, (first + unit * point.change).tolist(), strict=True))
+    return Refined(scale, point.products.mean_rmse, iterations, values)
+
+
+@dataclass(frozen=True)
+class _FreeRunProducts:
+    """Errors of the free runs of each record, and products of their derivatives.
+
+    Attributes:
+        rmse: (n_r,).
+        matrix: `J'J` by the scaled parameters, (n_r, n_p, n_p).
+        gradient: `J'r`, (n_r, n_p).
+    """
+
+    rmse: Float[np.ndarray, " n_r"]
+    matrix: Float[np.ndarray, "n_r n_p n_p"]
+    gradient: Float[np.ndarray, "n_r n_p"]
+
+    @property
+    def mean_rmse(self) -> float:
+        """Mean over the records."""
+        return float(np.mean(self.rmse))
+
+
+@dataclass(frozen=True)
+class _FreeRuns:
+    """Free runs of records, whole or cut end to end over a horizon.
+
+    Attributes:
+        space: the search space.
+        unit: unit of each free parameter, by which its derivatives are multiplied, (n_p,).
+        model: the model as identified, with the inputs as they act.
+        equations: its equations, with derivatives by the free parameters.
+        start: the start of the free runs, at the first sample of each.
+        start_data: samples that the start estimates initial states from, see `Start.material`.
+        record: index of the record of each run, (n_s,).
+        group_indices: the values of parameters per group that apply in each run, (n_s, n_g).
+        lengths: samples of each run, (n_s,).
+        inputs: inputs between the samples, run after run, a row of zeros at the end of each.
+        samples: measured positions and their weights.
+    """
+
+    space: SearchSpace
+    unit: Float[np.ndarray, " n_p"]
+    model: Discretised
+    equations: SystemEquations
+    start: Start
+    start_data: Any
+    record: Int[np.ndarray, " n_s"]
+    group_indices: Int[np.ndarray, "n_s n_g"]
+    lengths: Int[np.ndarray, " n_s"]
+    inputs: Float[np.ndarray, "rows order n_u"]
+    samples: Samples
+
+    def simulate(self, values: Float[np.ndarray, " n_p"]) -> _FreeRunProducts:
+        """Simulates the free runs with values of the free parameters."""
+        equations, model = self.equations, self.model
+        by_name = dict(zip(self.space.names, values.tolist(), strict=True))
+        parameter_rows = equations.parameter_rows(
+            dict(self.space.fixed_values) | by_name, self.group_indices
+        )
+        measured, inputs, q = self.start_data, None, None
+        if isinstance(self.start, Fitted):
+            measured, inputs, q = self.start_data
+        # measured states, with the internal ones that are expected there
+        x0 = np.concatenate(
+            [np.asarray(measured), np.zeros((len(self.record), len(model.internal)))], axis=1
+        )
+        x0, by_parameter, _ = equations.initial_states(x0, parameter_rows, np.ones(len(x0)))
+        if inputs is not None and q is not None:
+            x0, by_parameter = fitted_with_derivatives(
+                model, equations.motion, parameter_rows, x0, by_parameter, inputs, q
+            )
+        runs = Runs(
+            start=x0, parameters=parameter_rows, steps=self.lengths - 1,
+            first=np.cumsum(self.lengths) - self.lengths, drive=self.inputs,
+            periods=np.full(len(self.inputs), model.dt),
+        )  # fmt: skip
+        result = compare(
+            equations.motion, positions(model.channels.n_q), runs, model.substeps,
+            Directions(by_parameter, parameters=True), self.samples,
+        )  # fmt: skip
+        free = equations.free_columns(self.space)
+        chain = self.unit * equations.applicable(self.space, self.group_indices)
+        with np.errstate(over="ignore", invalid="ignore"):  # of simulations that diverged
+            matrix = result.products[:, free][:, :, free] * chain[:, :, None] * chain[:, None]
+            gradient = result.gradient[:, free] * chain
+            first_runs = np.flatnonzero(np.diff(self.record, prepend=-1))
+            cost, matrix, gradient = (
+                np.add.reduceat(x, first_runs) for x in (result.cost, matrix, gradient)
+            )
+        return _FreeRunProducts(np.sqrt(cost), matrix, gradient)
+
+
+def _make_free_runs(
+    problem: Problem, state: SearchState, start: Start, space: SearchSpace, unit: np.ndarray
+) -> _FreeRuns:
+    """The free runs of the training records, over the horizon of the search."""
+    model = make_model(problem, state)
+    horizon = None if state.horizon is None else state.horizon * problem.motion.dt
+    steps = horizon_samples(horizon, problem.records, start)
+    parts, record = [], []
+    for i, e in enumerate(problem.records):
+        parts += (record_parts := pieces(e, steps, start))
+        record += [i] * len(record_parts)
+    inputs = [np.asarray(drive_of(model, part).u) for part in parts]
+    input_rows = np.concatenate([np.concatenate([u, np.zeros_like(u[:1])]) for u in inputs])
+    lengths = np.array([len(part) for part in parts])
+    # every record counts the same, however long
+    weight = np.repeat(1 / np.sqrt(np.bincount(record, lengths)[record]), lengths)
+    q = np.concatenate([part.q for part in parts])
+    return _FreeRuns(
+        space=space,
+        unit=unit,
+        model=model,
+        equations=system_equations(problem.system, space.names),
+        start=start,
+        start_data=start.material(model, parts),
+        record=np.array(record),
+        group_indices=problem.group_indices(problem.records)[record],
+        lengths=lengths,
+        inputs=input_rows[:, None] if input_rows.ndim == 2 else input_rows,
+        samples=Samples(q, np.tile(weight[:, None], q.shape[1])),
+    )

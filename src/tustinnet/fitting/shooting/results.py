@@ -1,0 +1,210 @@
+"""The result of an identification: estimates with errors, residuals, initial states, findings.
+
+`make_identification` takes a problem and the state after its search and returns the
+`Identification`. Its sentences come from `findings`.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from tustinnet.data.experiment import Experiment
+from tustinnet.fitting.report import Estimate, Identification, Stretch
+from tustinnet.fitting.shooting import findings
+from tustinnet.fitting.shooting.agreement import find_disagreements
+from tustinnet.fitting.shooting.equations import system_equations
+from tustinnet.fitting.shooting.least_squares import LeastSquaresResult
+from tustinnet.fitting.shooting.problem import (
+    Problem,
+    SearchState,
+    make_model,
+    make_prior,
+    score_validation,
+)
+from tustinnet.fitting.shooting.uncertainty import (
+    Uncertainty,
+    estimate_uncertainty,
+    lag_correlation,
+    without_overflow,
+)
+from tustinnet.models.lagrangian import LagrangianSystem
+
+_EXACT = 1e-6  # of the motion: residuals of records without counts that are taken for rounding
+_LITTLE = 0.5  # of the weight of residuals that count in full
+
+
+def make_identification(
+    problem: Problem, state: SearchState, initial: str, reversed_signs: tuple[tuple[str, ...], ...]
+) -> Identification:
+    """Makes the account of an identification from the state after its search.
+
+    Args:
+        problem: the problem.
+        state: the state after the final stage.
+        initial: how initial states were treated.
+        reversed_signs: coordinates and inputs whose sign is probably reversed: alternatives, each
+            the names to reverse together.
+    """
+    result, space, records = state.last_result, state.space, problem.records
+    prior_curvature = make_prior(problem, state).curvature(space, result.vector)
+    uncertainty = estimate_uncertainty(
+        result.products, result.segments, prior_curvature, space.inside(result.vector)
+    )
+    disagreements = find_disagreements(problem, state)
+    estimates = _make_estimates(problem, state, uncertainty)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        errors = np.sqrt(np.diag(uncertainty.trusted))
+        correlation = uncertainty.trusted / np.outer(errors, errors)
+
+    lag = lag_correlation(result.products.error)
+    noise_ratio = _residuals_over_noise(result, records)
+    rmse = _rmse_by_record(result, records)
+    horizons = {name: steps * records[0].dt for name, steps in state.horizons.items()}
+    start = problem.scoring_start(state.horizon).name
+    validation_rmse = score_validation(problem, state) if problem.validation else None
+    downweighted = () if state.weights is None else _downweighted(state.weights, records)
+    has_converged = result.status == "converged"
+    sentences = [
+        *findings.describe_signs(reversed_signs),
+        *state.remarks,
+        *findings.describe_horizons(
+            horizons,
+            records,
+            is_from_recipe=problem.recipe_horizons is not None,
+            scoring_start=start if problem.validation else None,
+        ),
+        *findings.describe_disagreements(disagreements),
+        *findings.describe_bounds(estimates, noise_ratio),
+        *findings.describe_stretches(downweighted),
+        *([] if state.has_diverged else findings.describe_condition(space.names, uncertainty)),
+        *(
+            [findings.describe_errors(uncertainty, lag, noise_ratio, len(records))]
+            if has_converged
+            else []
+        ),
+    ]
+    model = make_model(problem, state)
+    return Identification(
+        system=problem.system,
+        model=model,
+        estimates=estimates,
+        fixed=dict(space.fixed_values),
+        correlation=correlation,
+        condition=uncertainty.condition,
+        converged=has_converged,
+        outcome=findings.describe_outcome(
+            result.status, result.iterations, records, rmse, horizons
+        ),
+        reversed_signs=reversed_signs,
+        findings=tuple(sentences),
+        trust="residuals" if uncertainty.clustered is None else "records",
+        rmse=rmse,
+        autocorrelation=tuple(lag.tolist()),
+        disagreements=disagreements,
+        initial=initial,
+        initial_states=_initial_states_by_record(problem.system, state, records),
+        horizons=horizons,
+        start=start,
+        validation_rmse=validation_rmse,
+        substeps=model.substeps,
+        iterations=result.iterations,
+        downweighted=downweighted,
+    )
+
+
+def _make_estimates(
+    problem: Problem, state: SearchState, uncertainty: Uncertainty
+) -> tuple[Estimate, ...]:
+    """Estimates of the free parameters, with errors and intervals of those not at a bound."""
+    space, vector = state.space, state.last_result.vector
+    bounds = space.active_bounds(vector)
+    values, derivatives = space.to_values_in_range(vector), space.derivatives(vector)
+    lower, upper = space.lower, space.upper
+    with np.errstate(invalid="ignore"):  # a variance that rounding has made negative is unknown
+        naive_errors = np.sqrt(np.diag(uncertainty.naive)) * np.abs(derivatives)
+        errors = np.sqrt(np.diag(uncertainty.trusted))
+    estimates = []
+    for i, p in enumerate(space.free_parameters):
+        has_error = p.name not in bounds and bool(np.isfinite(errors[i]))
+        # only the records of its group inform of a parameter of one group
+        informing = [
+            e for e in problem.records if not p.per or p.name.endswith(f"[{e.group(p.per)}]")
+        ]
+        half = uncertainty.quantile_for_records(len(informing)) * errors[i]
+        # beyond its range a value is excluded beforehand
+        edges = np.clip([vector[i] - half, vector[i] + half], lower[i], upper[i])
+        interval = np.exp(edges) if p.positive else edges * derivatives[i]
+        estimates.append(
+            Estimate(
+                name=p.name,
+                unit=p.unit,
+                value=values[p.name],
+                error=float(errors[i] * abs(derivatives[i])) if has_error else None,
+                naive_error=(
+                    float(naive_errors[i]) if has_error and np.isfinite(naive_errors[i]) else None
+                ),
+                interval=(float(interval[0]), float(interval[1])) if has_error else None,
+                lower=p.lower,
+                upper=p.upper,
+                bound=bounds.get(p.name, ""),
+            )
+        )
+    return tuple(estimates)
+
+
+def _initial_states_by_record(
+    system: LagrangianSystem, state: SearchState, records: Sequence[Experiment]
+) -> Mapping[str, tuple[float, ...]]:
+    """Initial states of the records by name, internal ones included."""
+    segments, result = state.last_result.segments, state.last_result
+    first = segments.first_of_records
+    equations = system_equations(system)
+    parameter_rows = equations.parameter_rows(
+        state.space.to_values(result.vector), segments.group_indices[first]
+    )
+    states = equations.initial_states(
+        result.x0[first], parameter_rows, segments.adds_expected[first]
+    ).states
+    return {e.name: tuple(x.tolist()) for e, x in zip(records, states, strict=True)}
+
+
+def _rmse_by_record(result: LeastSquaresResult, records: Sequence[Experiment]) -> dict[str, float]:
+    """Root mean square of every record's residuals, all its segments together."""
+    segments = result.segments
+    # every residual weighs 1 / T, and a joint of two segments counts in both
+    total = np.bincount(segments.record, result.products.cost)
+    weight = np.bincount(segments.record, segments.share * (segments.steps + 1))
+    rmse = np.sqrt(total / weight).tolist()
+    return dict(zip((e.name for e in records), rmse, strict=True))
+
+
+def _residuals_over_noise(
+    result: LeastSquaresResult, records: Sequence[Experiment]
+) -> float | None:
+    """Size of the residuals over that of the encoders' rounding.
+
+    None where a channel has no encoder counts, but 0 if the model then fits exactly.
+    """
+    errors = np.concatenate(without_overflow(result.products.error))
+    counts = records[0].channels.resolution
+    sizes = np.sqrt(np.mean(errors[:, : len(counts)] ** 2, axis=0))
+    if not np.all(counts > 0):
+        motion = np.concatenate([e.q for e in records]).std(axis=0)
+        return 0.0 if np.all(sizes < _EXACT * motion) else None
+    return float(np.max(sizes / (counts / np.sqrt(12))))
+
+
+def _downweighted(
+    weights: Float[np.ndarray, "n n_y"], records: Sequence[Experiment]
+) -> tuple[Stretch, ...]:
+    """Stretches of samples whose mean weight over the channels is below a half."""
+    stretches, row = [], 0
+    for e in records:
+        mean = weights[row : row + len(e)].mean(axis=1)
+        row += len(e)
+        edges = np.flatnonzero(np.diff(mean < _LITTLE, prepend=False, append=False))
+        for a, b in edges.reshape(-1, 2).tolist():
+            weight = float(mean[a:b].mean())
+            stretches.append(Stretch(e.name, float(e.t[a]), float(e.t[b - 1]), weight))
+    return tuple(stretches)
