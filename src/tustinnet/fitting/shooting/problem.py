@@ -147,7 +147,7 @@ class Problem:
         is_estimated = initial in ("anchored", "unanchored")
         options = CutOptions(
             residual=self.residual, steps=steps, start="estimated" if is_estimated else initial,
-            anchored=initial != "unanchored", timestamps=self.search.times == "recorded",
+            anchored=initial != "unanchored",
             horizons=horizons, has_delays=bool(self.delays),
         )  # fmt: skip
         indices = self.group_indices(self.records)
