@@ -42,7 +42,7 @@ def test_every_record_is_scored_by_models_that_never_saw_it(folder, small_recipe
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
     code, printed, _ = tustinnet(capsys, *verb, "--overwrite")
     assert code == 0
-    assert "models that never saw the record" in printed
+    assert "models not fitted to the record" in printed
     assert "from model-20" in (out / "folds.md").read_text()
 
 

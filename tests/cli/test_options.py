@@ -46,7 +46,7 @@ _INSPECTED = f"{VERBS}::test_inspect_as_json_with_a_figure"
 
 _REDRAWN = "cli/test_outputs.py::test_figures_are_replaced_where_that_is_asked_for"
 
-_LEFT = "cli/test_leave_report.py"
+_LEFT = "cli/test_automatic_report.py"
 _NO_REPORT = f"{_LEFT}::test_a_fit_leaves_a_report_of_the_validation_records"
 
 _BANDED = "cli/test_bands_verb.py::test_a_calibrated_model_simulates_and_is_judged_with_bands"

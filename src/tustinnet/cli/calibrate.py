@@ -27,7 +27,7 @@ def calibrate(
     The width of the bands follows from the errors on records that were not used to fit the model.
     """
     terminal.prepare_jax()
-    from tustinnet.cli.request import files_of, judged_records, model_of
+    from tustinnet.cli.request import list_input_files, load_records_and_start, model_of
     from tustinnet.errors import InputError
     from tustinnet.evaluate.bands import KEY, alternatives_of, calibrated, guesses
     from tustinnet.store.files import require_outputs
@@ -35,12 +35,12 @@ def calibrate(
     from tustinnet.store.kept_system import keep, kept_with, require_room
     from tustinnet.store.model_file import ENDINGS, copy_with
 
-    read = files_of(data, card, model, system)
+    read = list_input_files(data, card, model, system)
     require_outputs([out], overwrite=overwrite, read=read, endings=ENDINGS)
     judged = model_of(model, system)
     header = read_header(model)
     others = alternatives_of(judged, header, model)
-    records, begin = judged_records(data, card, split, start, [judged])
+    records, begin = load_records_and_start(data, card, split, start, [judged])
     made_from = records_in(header)
     if seen := [e.name for e in records if e.sha256 in made_from]:
         raise InputError(

@@ -28,7 +28,7 @@ def committee(
 ) -> None:
     """Combine models into one that averages their accelerations."""
     terminal.prepare_jax()
-    from tustinnet.cli.request import files_of
+    from tustinnet.cli.request import list_input_files
     from tustinnet.families.committee import committee as put_together
     from tustinnet.store.files import require_outputs
     from tustinnet.store.kept_system import header_of, keep, require_room
@@ -36,7 +36,7 @@ def committee(
     from tustinnet.systems.files import SystemFile, find_system
 
     shares = None if weights is None else _numbers(weights)
-    read = files_of(None, None, *models, system)
+    read = list_input_files(None, None, *models, system)
     require_outputs([out], overwrite=overwrite, read=read, endings=ENDINGS)
     given = _kept_with(models) if system is None else find_system(system)
     members = load_models(models, [] if given is None else [given], lambda path: None)

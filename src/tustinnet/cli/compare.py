@@ -47,18 +47,18 @@ def compare(
     terminal.prepare_jax()
     from tustinnet.errors import InputError
     from tustinnet.report.comparison import comparison_table
-    from tustinnet.report.page.subject import labels
+    from tustinnet.report.page.reported_model import labels
     from tustinnet.store.model_file import load_models
     from tustinnet.systems.files import find_system
 
-    asked = request.band_asked(band, whole=whole_records)
+    asked = request.make_band_options(band, whole=whole_records)
     if asked is not None and figures is None:
         raise InputError("--band", "no figures, which bands are drawn into", "--figures DIR")
     given = [find_system(which) for which in system or []]
     loaded = load_models(models, given, request.kept_system)
-    records, begin = request.judged_records(data, card, split, start, loaded)
+    records, begin = request.load_records_and_start(data, card, split, start, loaded)
     drawn = None if figures is None else [figures / f"{e.name}.png" for e in records]
-    read = request.files_of(data, card, *models, *(system or []))
+    read = request.list_input_files(data, card, *models, *(system or []))
     request.require_figures("--figures", drawn, read, overwrite=overwrite)
     scores = {
         label: _scores(path, model, records, begin, horizon)

@@ -63,7 +63,7 @@ def cross_validate(
     Every record is scored by models that were fitted without it. Records of the split test are
     left out.
     """
-    from tustinnet.cli.request import loaded, recipe_of, require_cores, seeds_of, tell_still
+    from tustinnet.cli.request import loaded, recipe_of, require_cores, parse_seeds, print_still_coordinates
 
     require_cores(cluster, device)
     terminal.prepare_jax(device)
@@ -76,12 +76,12 @@ def cross_validate(
 
     asked = make_question(
         recipe_of(recipe, changes, system=system, physics=physics), system=system, physics=physics,
-        folds=folds, seeds=None if seeds is None else seeds_of(seeds), starts=start or (),
+        folds=folds, seeds=None if seeds is None else parse_seeds(seeds), starts=start or (),
     )  # fmt: skip
     told = terminal.messages()
     require_outputs([out / _FILE, out / _TABLE], overwrite=overwrite)
     records = loaded(data, card, out, told, strict=strict)
-    tell_still(taking_part(records), told)
+    print_still_coordinates(taking_part(records), told)
     with _joined(cluster, quiet=quiet) as by, owned(out), FitProgress(told, quiet=quiet) as bars:
         if by is None:
             found = cross_validate(records, asked, bars.follow)

@@ -13,12 +13,12 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from tustinnet.cli.leave_report import Leaving
+    from tustinnet.cli.automatic_report import Leaving
     from tustinnet.data.dataset import DataSet
     from tustinnet.data.experiment import Experiment
     from tustinnet.data.inspection import ExperimentReport
     from tustinnet.evaluate.scores import Score
-    from tustinnet.report.page.subject import Subject
+    from tustinnet.report.page.reported_model import Subject
     from tustinnet.report.tables import Table
 
 # what is tried, with a system that lacks the cable's relaxation and dry friction; at most so long
@@ -45,7 +45,7 @@ def demo(
     """
     terminal.prepare_jax(device)
     from tustinnet.cli.inspect import time_table
-    from tustinnet.cli.leave_report import Leaving, require_left
+    from tustinnet.cli.automatic_report import Leaving, require_report
     from tustinnet.data.catalog import load
     from tustinnet.data.inspection import inspect_experiment
     from tustinnet.store.data_set_folder import write_data_set
@@ -86,7 +86,7 @@ def demo(
     _say(told, quiet, f"written to {out}: {table_file.name}, {', '.join(figures)}{report or ''}")
     _say(told, quiet, f"look again: tustinnet inspect {logs}; tustinnet show {out / _CHOICE}/"
                       f"model.safetensors; {out / _CHOICE / 'figures'}")  # fmt: skip
-    require_left(report)
+    require_report(report)
 
 
 def _say(told: "Console", quiet: bool, line: str) -> None:
@@ -100,7 +100,7 @@ def _fitted(
     """Chooses a model, and scores it and those beside it; the test records took part in nothing."""
     from tustinnet.cli.select import draw_choice, print_choice, print_files, told_by
     from tustinnet.evaluate.scores import evaluate
-    from tustinnet.report.page.subject import subjects_of
+    from tustinnet.report.page.reported_model import read_reported_models
     from tustinnet.report.progress import FitProgress
     from tustinnet.selection.jobs import loaded
     from tustinnet.selection.select import Asked, select_model
@@ -118,7 +118,7 @@ def _fitted(
     for name in [choice.best, *(name for name in choice.made if name != choice.best)]:
         chosen = name == choice.best
         model = choice.model if chosen else loaded(choice.file(name), choice.at)
-        (of,) = subjects_of([choice.at.folder / choice.file(name)], [model])
+        (of,) = read_reported_models([choice.at.folder / choice.file(name)], [model])
         label = f"{name} (chosen)" if chosen else name
         found.append(replace(of, label=label, scores=evaluate(model, tests, _START)))
     return found
@@ -126,13 +126,13 @@ def _fitted(
 
 def _page(scored: "list[Subject]", data: "DataSet", page: Path, leaving: "Leaving") -> str | None:
     """Writes the report of the chosen model and those beside it; returns where it is."""
-    from tustinnet.report.page.fitted import report_of_scored
+    from tustinnet.report.page.fit_reports import write_scored_report
 
     some, tests = scored[:_REPORTED], list(data.split("test"))
     files = [of.file for of in some if of.file is not None]
     given = {"--split": "test", "--start": _START}
     return leaving.report(
-        files, page, lambda command: report_of_scored(some, tests, page, command), given
+        files, page, lambda command: write_scored_report(some, tests, page, command), given
     )
 
 

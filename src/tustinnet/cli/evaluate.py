@@ -55,12 +55,12 @@ def evaluate(
     from tustinnet.evaluate.scores import Score
     from tustinnet.evaluate.scores import evaluate as score_records
 
-    asked = request.band_asked(band, whole=whole_records)
+    asked = request.make_band_options(band, whole=whole_records)
     judged = request.model_of(model, system)
-    records, begin = request.judged_records(data, card, split, start, [judged])
+    records, begin = request.load_records_and_start(data, card, split, start, [judged])
     names = [e.name for e in records] + ([] if ahead is None else [_AHEAD_FIGURE])
     drawn = None if figures is None else [figures / f"{name}.png" for name in names]
-    read = request.files_of(data, card, model, system)
+    read = request.list_input_files(data, card, model, system)
     request.require_figures("--figures", drawn, read, overwrite=overwrite)
     scores = score_records(judged, records, begin, horizon=horizon)
     runs = list(zip(records, scores, strict=True))

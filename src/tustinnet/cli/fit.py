@@ -12,7 +12,7 @@ from tustinnet.cli import completion, options, terminal
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from tustinnet.cli.leave_report import Leaving
+    from tustinnet.cli.automatic_report import Leaving
     from tustinnet.data.dataset import DataSet
     from tustinnet.fitting.recipe import Recipe
     from tustinnet.fitting.task import Task
@@ -64,7 +64,7 @@ def fit(
 
     require_cores(cluster, device)
     terminal.prepare_jax(device)
-    from tustinnet.cli.leave_report import Leaving
+    from tustinnet.cli.automatic_report import Leaving
     from tustinnet.cli.select import select
     from tustinnet.systems.files import find_system
 
@@ -97,14 +97,14 @@ def _fit_recipe(
     quiet: bool,
 ) -> None:
     """Fits one recipe: `asked` has its name, changes, seeds, physics to correct, origin."""
-    from tustinnet.cli.leave_report import require_left
+    from tustinnet.cli.automatic_report import require_report
     from tustinnet.cli.request import (
-        begun_with,
+        read_origin,
         kept_system,
-        members_of,
+        make_members,
         recipe_of,
-        recipe_within,
-        tell_still,
+        read_recipe_in,
+        print_still_coordinates,
     )  # fmt: skip
     from tustinnet.fitting.task import make_task
     from tustinnet.report.progress import FitProgress
@@ -112,10 +112,10 @@ def _fit_recipe(
     from tustinnet.store.run import run_task
 
     recipe, changes, seeds, physics, origin = asked
-    within = None if origin is None or recipe is not None else recipe_within(origin)
+    within = None if origin is None or recipe is not None else read_recipe_in(origin)
     chosen = recipe_of(within or recipe, changes, system=given, physics=physics)
-    members = members_of(seeds, chosen)
-    begun = None if origin is None else begun_with(origin, given, changes)
+    members = make_members(seeds, chosen)
+    begun = None if origin is None else read_origin(origin, given, changes)
     if given is None and (kept := physics or origin) is not None:
         given = kept_system(kept)
     known = None if physics is None else load_model(physics, given)
@@ -130,7 +130,7 @@ def _fit_recipe(
         of = None  # it is that of the physics
     file = None if isinstance(given, str) else given
     task = make_task(records, chosen, members, physics=known, system=of, origin=begun)
-    tell_still(task.folds[0].roles.train, told)
+    print_still_coordinates(task.folds[0].roles.train, told)
     if not quiet:
         _tell_windows(task, told)
     with FitProgress(told, quiet=quiet) as progress, terminal.interruptible(_remedy(chosen)):
@@ -139,7 +139,7 @@ def _fit_recipe(
         terminal.remember_trust(file)
     page = _leave(run, records, leaving, json=json)
     _tell_unfinished(run, told)
-    require_left(page)
+    require_report(page)
 
 
 def _leave(run: "Run", records: "DataSet", leaving: "Leaving", *, json: bool) -> str | None:
@@ -219,30 +219,30 @@ def _earlier(*, resume: bool, overwrite: bool) -> "Earlier":
 
 def _page(run: "Run", leaving: "Leaving") -> str | None:
     """Writes the report of the best model; returns where it is, as the line of files says it."""
-    from tustinnet.report.page.fitted import report_of_run
+    from tustinnet.report.page.fit_reports import write_run_report
     from tustinnet.store.run import REPORT
 
     score, folder = run.best.scores[0], run.folder
     split = run.judged if run.roles.judging[0].split else None
     given = {"--split": split, "--start": score.start, "--horizon": score.horizon}
     return leaving.report(
-        [folder], folder / REPORT, lambda command: report_of_run(run, command), given
+        [folder], folder / REPORT, lambda command: write_run_report(run, command), given
     )
 
 
 def _print(run: "Run", data: str) -> None:
     """Tables and sentences: members of a training, parameters of an identification."""
-    from tustinnet.report.fits import fitted_table, judged_table, members_table, parameter_table
+    from tustinnet.report.fits import training_table, validation_table, members_table, parameter_table
     from tustinnet.report.summary import fit_summary
 
     found = run.best.result.identification
     if found is None:
-        terminal.print_tables(members_table(run), fitted_table(run))
+        terminal.print_tables(members_table(run), training_table(run))
         for of in run.members:
             for finding in of.result.findings:
                 typer.echo(f"* {of.result.member.name}: {finding}")
     else:
-        terminal.print_tables(parameter_table(found), fitted_table(run), judged_table(run))
+        terminal.print_tables(parameter_table(found), training_table(run), validation_table(run))
         for finding in found.findings:
             typer.echo(f"* {finding}")
         typer.echo(

@@ -45,7 +45,7 @@ def inspect(
                  "--overwrite": overwrite}  # fmt: skip
         _look_at_file(Path(data), [name for name, value in given.items() if value], json=json)
         return
-    request.require_figures("--figure", figure, request.files_of(data, card), overwrite=overwrite)
+    request.require_figures("--figure", figure, request.list_input_files(data, card), overwrite=overwrite)
     loaded = load(data, card)
     records = loaded if split is None else loaded.split(split)
     reports = [inspect_experiment(e) for e in records]

@@ -66,7 +66,7 @@ def learning_curve(
     Models are fitted to more and more records and scored on records that were left out.
     """
     terminal.prepare_jax(device)
-    from tustinnet.cli.request import loaded, tell_still
+    from tustinnet.cli.request import loaded, print_still_coordinates
     from tustinnet.evaluate.folds import taking_part
     from tustinnet.evaluate.learning import learning_curve, make_curve_question, places_of
     from tustinnet.report.learning import learning_table
@@ -82,7 +82,7 @@ def learning_curve(
     names = [f"learning-curve.{ending}" for ending in ("json", "md", "png")]
     require_outputs([out / name for name in names], overwrite=overwrite)
     found = loaded(data, card, out, told, strict=strict)
-    tell_still(taking_part(found), told)
+    print_still_coordinates(taking_part(found), told)
     places_of(found, asked)  # says at once where there are too few records
     with owned(out):
         with FitProgress(told, quiet=quiet) as progress:

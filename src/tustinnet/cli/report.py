@@ -43,16 +43,16 @@ def report(
 ) -> None:
     """Write an HTML page about a model: animation, scores, errors."""
     terminal.prepare_jax()
-    from tustinnet.cli.leave_report import report_command
-    from tustinnet.cli.request import files_of, judged_records, kept_system
-    from tustinnet.report.page.subject import model_file, subjects_of
+    from tustinnet.cli.automatic_report import report_command
+    from tustinnet.cli.request import list_input_files, load_records_and_start, kept_system
+    from tustinnet.report.page.reported_model import model_file, read_reported_models
     from tustinnet.report.page.write import ENDINGS, Asked, written
     from tustinnet.store.files import require_outputs
     from tustinnet.store.model_file import load_models, system_of
     from tustinnet.systems.files import find_system, load_system
 
     files = [model_file(path) for path in models]
-    read = files_of(data, card, *files, *(system or []))
+    read = list_input_files(data, card, *files, *(system or []))
     require_outputs([out], overwrite=overwrite, read=read, endings=ENDINGS)
     given = [find_system(which) for which in system or []]
     owned = {system_of(file) for file in files}
@@ -61,12 +61,12 @@ def report(
                          kept_system)  # fmt: skip
     drawing = [of for of, is_in in zip(given, named, strict=True) if not is_in]
     links = _links(drawing, loaded, loaded[0].coordinates)
-    records, begin = judged_records(data, card, split, start, loaded)
+    records, begin = load_records_and_start(data, card, split, start, loaded)
     command = report_command(models, data, out, {
         "--split": split, "--start": start, "--horizon": horizon, "--card": card,
     }, system or [])  # fmt: skip
     asked = Asked(begin, horizon, links, command)
-    path = written(subjects_of(files, loaded), records, out, asked)
+    path = written(read_reported_models(files, loaded), records, out, asked)
     terminal.messages().print(f"report: {path} ({path.stat().st_size / 1000:.0f} kB)")
 
 

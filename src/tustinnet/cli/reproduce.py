@@ -11,7 +11,7 @@ from tustinnet.cli import options, terminal
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from tustinnet.cli.leave_report import Leaving
+    from tustinnet.cli.automatic_report import Leaving
     from tustinnet.data.card import Card
     from tustinnet.data.experiment import Experiment
     from tustinnet.report.tables import Table
@@ -87,7 +87,7 @@ def reproduce(
     Trainings that are already in --out are continued; finished ones are used as they are.
     """
     terminal.prepare_jax(device)
-    from tustinnet.cli.leave_report import Leaving, require_left
+    from tustinnet.cli.automatic_report import Leaving, require_report
     from tustinnet.data.loading import load_folder
     from tustinnet.report.progress import FitProgress
     from tustinnet.reproduce import figures, table1
@@ -124,7 +124,7 @@ def reproduce(
     page = _page(rows, list(records.split(scored)), out, Leaving(data, wanted=not no_report))
     files = f"table1.json, table1.md, table1.tex and {len(written)} figures{page or ''}"
     told.print(f"written to {out}: {files}")
-    require_left(page)
+    require_report(page)
 
 
 def _require_room(out: Path, data: Path, runs: Path, *, overwrite: bool) -> None:
@@ -157,7 +157,7 @@ def _page(
     rows: "Sequence[Row]", records: "Sequence[Experiment]", out: Path, leaving: "Leaving"
 ) -> str | None:
     """Writes the report of the best models; returns where it is, as the last line says it."""
-    from tustinnet.reproduce.page import report_of_rows, reported
+    from tustinnet.reproduce.page import write_rows_report, reported
     from tustinnet.store.run import REPORT
 
     best = reported(rows)
@@ -165,7 +165,7 @@ def _page(
     files = [row.file for row in best if row.file is not None]
     return leaving.report(
         files, out / REPORT,
-        lambda command: report_of_rows(best, records, out / REPORT, command if files else ""),
+        lambda command: write_rows_report(best, records, out / REPORT, command if files else ""),
         given,
     )  # fmt: skip
 

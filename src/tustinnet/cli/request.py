@@ -46,7 +46,7 @@ def recipe_of(
     return read_recipe(name or usual, changes or ())
 
 
-def recipe_within(model: Path) -> "Mapping[str, Any]":
+def read_recipe_in(model: Path) -> "Mapping[str, Any]":
     """The recipe that a model file keeps of how its model was fitted."""
     from tustinnet.errors import InputError
     from tustinnet.store.header import read_header
@@ -61,7 +61,7 @@ def recipe_within(model: Path) -> "Mapping[str, Any]":
     return told
 
 
-def begun_with(
+def read_origin(
     model: Path, system: "AnySystem | None", changes: "Sequence[str] | None"
 ) -> "Origin":
     """The model that `--from` names.
@@ -79,7 +79,7 @@ def begun_with(
     return load_origin(model, kept_system(model) if system is None else system)
 
 
-def members_of(seeds: str | None, recipe: "Recipe") -> "list[Member]":
+def make_members(seeds: str | None, recipe: "Recipe") -> "list[Member]":
     """The members that `--seeds` and the recipe's `rates` ask for."""
     from tustinnet.errors import InputError
     from tustinnet.fitting.recipe import rates_of
@@ -90,10 +90,10 @@ def members_of(seeds: str | None, recipe: "Recipe") -> "list[Member]":
             "--seeds", f"an option of a training; '{recipe.name}' identifies",
             "a recipe of a kind with weights", "an identification has no seeds",
         )  # fmt: skip
-    return [Member(seed, rate) for seed in seeds_of(seeds) for rate in rates_of(recipe)]
+    return [Member(seed, rate) for seed in parse_seeds(seeds) for rate in rates_of(recipe)]
 
 
-def seeds_of(seeds: str | None) -> tuple[int, ...]:
+def parse_seeds(seeds: str | None) -> tuple[int, ...]:
     """`K` seeds from 0 on, or those that are listed."""
     from tustinnet.errors import InputError
 
@@ -145,7 +145,7 @@ def require_apart(out: Path, folder: Path) -> None:
         raise InputError(out, "the folder of the data", "another folder for the run")
 
 
-def files_of(data: str | None, card: Path | None, *others: "Path | str | None") -> list[Path]:
+def list_input_files(data: str | None, card: Path | None, *others: "Path | str | None") -> list[Path]:
     """The files that a verb reads: card and records of a data set, and others that it was given.
 
     Of names that may also be packaged ones (systems, recipes) those count that are files.
@@ -178,7 +178,7 @@ def require_figures(
                          f"add {option}, or leave it out")  # fmt: skip
 
 
-def tell_still(experiments: "Sequence[Experiment]", told: "Console") -> None:
+def print_still_coordinates(experiments: "Sequence[Experiment]", told: "Console") -> None:
     """Says which coordinates do not move in any of the records that train."""
     from tustinnet.data.inspection import still
 
@@ -215,7 +215,7 @@ def kept_system(model: Path) -> "SystemFile | None":
     )  # fmt: skip
 
 
-def judged_records(
+def load_records_and_start(
     data: str, card: Path | None, split: str | None, start: str | None, models: "Sequence[Model]"
 ) -> "tuple[list[Experiment], str]":
     """The records of a split, or all, and where free runs of some models start on them."""
@@ -252,7 +252,7 @@ def bands_of(
     return bands_around(calibration, asked, model, others, records, scores)
 
 
-def band_asked(level: float | None, *, whole: bool) -> "BandAsked | None":
+def make_band_options(level: float | None, *, whole: bool) -> "BandAsked | None":
     """What `--band` and `--whole-records` ask for.
 
     Raises:

@@ -38,15 +38,15 @@ def residuals(
     99 % bounds.
     """
     terminal.prepare_jax()
-    from tustinnet.cli.request import files_of, judged_records, model_of, require_figures
+    from tustinnet.cli.request import list_input_files, load_records_and_start, model_of, require_figures
     from tustinnet.evaluate.residuals import residual_reports
     from tustinnet.report.residuals import downweighted_table, residual_figure
     from tustinnet.simulate.horizon import over
     from tustinnet.store.model_file import downweighted_in
 
-    require_figures("--figure", figure, files_of(data, card, model, system), overwrite=overwrite)
+    require_figures("--figure", figure, list_input_files(data, card, model, system), overwrite=overwrite)
     judged = model_of(model, system)
-    records, begin = judged_records(data, card, split, start, [judged])
+    records, begin = load_records_and_start(data, card, split, start, [judged])
     reports = residual_reports(judged, records, begin, lags, horizon=horizon)
     names = {e.name for e in records}
     spoilt = [s for s in downweighted_in(model) if s.record in names]

@@ -13,7 +13,7 @@ import typer
 from tustinnet.cli import terminal
 
 if TYPE_CHECKING:
-    from tustinnet.cli.leave_report import Leaving
+    from tustinnet.cli.automatic_report import Leaving
     from tustinnet.data.dataset import DataSet
     from tustinnet.report.progress import FitProgress
     from tustinnet.selection.choice import Choice
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 
 
-def seconds_of(budget: str | None) -> float | None:
+def parse_seconds(budget: str | None) -> float | None:
     """A time as people write it, in seconds: `90`, `90s`, `10min`, `1.5h`."""
     from tustinnet.errors import InputError
 
@@ -54,7 +54,7 @@ def select(
     `asked` has the plan, the budget, and the cluster whose machines do the jobs.
     """
     begun = time.monotonic()  # what is loaded from here on takes seconds
-    from tustinnet.cli.leave_report import require_left
+    from tustinnet.cli.automatic_report import require_report
     from tustinnet.report.progress import FitProgress
     from tustinnet.report.summary import next_steps
     from tustinnet.selection.cluster import cluster
@@ -63,7 +63,7 @@ def select(
     from tustinnet.store.run import MODEL
 
     plan, budget, machines = asked
-    wanted = Asked(read_plan(plan or USUAL), system, seconds_of(budget), begun)
+    wanted = Asked(read_plan(plan or USUAL), system, parse_seconds(budget), begun)
     records = load()
     with FitProgress(terminal.messages(), quiet=quiet) as progress:
         reporter = told_by(progress, quiet=quiet)
@@ -83,18 +83,18 @@ def select(
     if not json:
         print_files(choice, page or "")
         typer.echo(f"next: {next_steps(choice.at.folder / MODEL, leaving.data)}")
-    require_left(page)
+    require_report(page)
 
 
 def _page(choice: "Choice", leaving: "Leaving") -> str | None:
     """Writes the report of the chosen model; returns where it is, as the line of files says it."""
-    from tustinnet.report.page.fitted import report_of_choice
+    from tustinnet.report.page.fit_reports import write_choice_report
     from tustinnet.store.run import REPORT
 
     folder, start = choice.at.folder, choice.standing(choice.best).starts[0]
     given = {"--start": start, "--horizon": choice.at.judging.horizon}
     return leaving.report(
-        [folder], folder / REPORT, lambda command: report_of_choice(choice, command), given
+        [folder], folder / REPORT, lambda command: write_choice_report(choice, command), given
     )
 
 

@@ -35,23 +35,23 @@ def simulate(
     A free run begins at an initial state (--start) and then uses only the logged inputs.
     """
     terminal.prepare_jax()
-    from tustinnet.cli.request import band_asked, bands_of, files_of, model_of
+    from tustinnet.cli.request import make_band_options, bands_of, list_input_files, model_of
     from tustinnet.data.catalog import load
     from tustinnet.evaluate.scores import evaluate
-    from tustinnet.report.leaving import left_plain, left_words
+    from tustinnet.report.extrapolation import extrapolation_content, describe_extrapolation
     from tustinnet.simulate.range import Range
     from tustinnet.simulate.starts import default_start
     from tustinnet.store.files import require_outputs, require_writable_folder
     from tustinnet.store.header import read_header
     from tustinnet.store.simulation_file import simulation_name, write_simulation
 
-    asked = band_asked(band, whole=whole_records)
+    asked = make_band_options(band, whole=whole_records)
     simulator = model_of(model, system)
     loaded = load(data, card)
     chosen = loaded if split is None else loaded.split(split)
     records = [chosen[name] for name in experiment] if experiment else list(chosen)
     paths = [out / simulation_name(e) for e in records]
-    read = files_of(data, card, model, system)
+    read = list_input_files(data, card, model, system)
     require_outputs(paths, overwrite=overwrite, read=read)
     begin = default_start(records, simulator) if start is None else start
     scores = evaluate(simulator, records, begin)
@@ -63,9 +63,9 @@ def simulate(
         write_simulation(out, e, score.simulated, around)
         left = None if known is None else known.left(simulator.channels, score.simulated, e.u)
         written.append({"experiment": e.name, "rmse": score.rmse, "file": str(path),
-                        "left": None if left is None else left_plain(left, e)})  # fmt: skip
+                        "left": None if left is None else extrapolation_content(left, e)})  # fmt: skip
         if left is not None:
-            terminal.messages().print(f"note: {e.name}: {left_words(left, e)}")
+            terminal.messages().print(f"note: {e.name}: {describe_extrapolation(left, e)}")
     if json:
         terminal.print_json({"start": begin, "simulations": written})
         return

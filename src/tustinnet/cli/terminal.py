@@ -161,7 +161,7 @@ def interruptible(remedy: str = "") -> Iterator[None]:
         _verbs -= 1
 
 
-def tell_warnings() -> None:
+def shorten_warnings() -> None:
     """Shows each warning of this package as one line, without the place in its source."""
     plain = warnings.showwarning
 

@@ -10,7 +10,7 @@ from matplotlib.patches import FancyArrowPatch, PathPatch, Polygon, Rectangle
 from matplotlib.path import Path
 from numpy.typing import ArrayLike
 
-from tustinnet.report.figures import COLOURS, INPUT, MEASURED, house_style
+from tustinnet.report.figures import COLOURS, INPUT, MEASURED, figure_style
 
 Pair = tuple[float, float]
 
@@ -29,7 +29,7 @@ def mechanism_figure() -> Figure:
     Both angles count counter-clockwise about their axes: `theta` about the motor's, which points
     up, from the centre line; `alpha` about the arm's, which points outwards, from the upright.
     """
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(7.0, 4.0))
         sketch = _panel(figure, (0.0, 0.0, 4.4, 4.0), (-1.24, -1.38), 2.84)
         for draw in (_draw_base, _draw_arm, _draw_pendulum):
@@ -41,7 +41,7 @@ def mechanism_figure() -> Figure:
 
 def architecture_figure() -> Figure:
     """Figure 2: the Tustin-Net's step, network below and trapezoidal rule above, and feedback."""
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(7.5, 3.0))
         axes = _panel(figure, (0.0, 0.0, 7.5, 3.0), (0.0, 0.0), 7.5)
         for draw in (_draw_features, _draw_network, _draw_integration):

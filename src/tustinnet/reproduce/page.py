@@ -5,8 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from tustinnet.data.experiment import Experiment
-from tustinnet.report.page.fitted import report_of_scored
-from tustinnet.report.page.subject import Subject, subjects_of
+from tustinnet.report.page.fit_reports import write_scored_report
+from tustinnet.report.page.reported_model import Subject, read_reported_models
 from tustinnet.report.page.write import MOST
 from tustinnet.reproduce.figures import median_rows
 from tustinnet.reproduce.table1 import START, Row
@@ -22,7 +22,7 @@ def reported(rows: Sequence[Row]) -> list[Row]:
     return sorted(alike or list(rows)[:1], key=lambda row: row.mean)[:MOST]
 
 
-def report_of_rows(
+def write_rows_report(
     rows: Sequence[Row], records: Sequence[Experiment], path: Path, command: str
 ) -> Path:
     """Writes the report.
@@ -33,11 +33,11 @@ def report_of_rows(
         path: the file.
         command: what writes a report of those that are in files.
     """
-    return report_of_scored([_subject(row) for row in rows], records, path, command)
+    return write_scored_report([_subject(row) for row in rows], records, path, command)
 
 
 def _subject(row: Row) -> Subject:
     if row.file is None:
         return Subject(row.model, row.what, scores=row.scores)
-    (found,) = subjects_of([row.file], [row.what])
+    (found,) = read_reported_models([row.file], [row.what])
     return replace(found, label=row.model, scores=row.scores)

@@ -51,7 +51,7 @@ class Leaving:
 
         Returns:
             Where it is, for the line that names the files; empty where none is wanted, None where
-            it could not be written: then the command ends with `require_left`.
+            it could not be written: then the command ends with `require_report`.
         """
         from tustinnet.errors import reason
 
@@ -68,7 +68,7 @@ class Leaving:
         return f"   report: {path}"
 
 
-def require_left(page: str | None) -> None:
+def require_report(page: str | None) -> None:
     """Ends with exit code 1 where the report could not be written, when all else is done."""
     if page is None:
         raise typer.Exit(1)

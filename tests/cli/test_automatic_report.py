@@ -14,11 +14,11 @@ from test_verbs import tustinnet
 
 import tustinnet as tn
 from tustinnet.cli import demo
-from tustinnet.cli.leave_report import Leaving
+from tustinnet.cli.automatic_report import Leaving
 from tustinnet.data import catalog
 from tustinnet.report.page import fitted
-from tustinnet.report.page.subject import Subject
-from tustinnet.report.some import some_of
+from tustinnet.report.page.reported_model import Subject
+from tustinnet.report.shown_records import choose_shown_records
 from tustinnet.reproduce import table1
 from tustinnet.systems import qube_servo2_twin
 
@@ -117,8 +117,8 @@ def test_a_chosen_model_says_what_folds_say_of_it(folder, tmp_path, capsys):
 
 def test_few_of_many_records_are_drawn_from_the_worst_to_the_best():
     rmse = {f"r{i}": float(i) for i in range(16)}
-    assert some_of(rmse) == {"r0", "r3", "r6", "r9", "r12", "r15"}
-    assert some_of({"a": 1.0, "b": 2.0}) == {"a", "b"}
+    assert choose_shown_records(rmse) == {"r0", "r3", "r6", "r9", "r12", "r15"}
+    assert choose_shown_records({"a": 1.0, "b": 2.0}) == {"a", "b"}
 
 
 def test_nothing_is_written_where_nothing_is_wanted(tmp_path):
