@@ -14,10 +14,10 @@ from test_verbs import tustinnet
 
 import tustinnet as tn
 from tustinnet.cli import demo
-from tustinnet.cli.automatic_report import Leaving
+from tustinnet.cli.automatic_report import AutomaticReport
 from tustinnet.data import catalog
-from tustinnet.report.page import fitted
-from tustinnet.report.page.reported_model import Subject
+from tustinnet.report.page import fit_reports
+from tustinnet.report.page.reported_model import ReportedModel
 from tustinnet.report.shown_records import choose_shown_records
 from tustinnet.reproduce import table1
 from tustinnet.systems import qube_servo2_twin
@@ -80,7 +80,7 @@ def test_a_report_that_cannot_be_written_loses_nothing(fit, tmp_path, monkeypatc
     def fails(*given: object) -> None:
         raise RuntimeError("no room")
 
-    monkeypatch.setattr(fitted, "written", fails)
+    monkeypatch.setattr(fit_reports, "write_page", fails)
     printed, told = fit("--quiet", ends=1)
     assert "model: " in printed
     assert "report:" not in printed
@@ -125,8 +125,8 @@ def test_nothing_is_written_where_nothing_is_wanted(tmp_path):
     def fails(command: str) -> Path:
         raise AssertionError(command)
 
-    leaving = Leaving("logs", wanted=False)
-    assert leaving.report([tmp_path], tmp_path / "report.html", fails, {}) == ""
+    report = AutomaticReport("logs", is_enabled=False)
+    assert report.write([tmp_path], tmp_path / "report.html", fails, {}) == ""
 
 
 def test_the_demo_and_the_table_leave_a_report(
@@ -138,9 +138,9 @@ def test_the_demo_and_the_table_leave_a_report(
     file = trained_once / "model.safetensors"
     model = tn.load_model(file)
     scores = tuple(tn.evaluate(model, tests, "derived-6"))
-    scored = [Subject("small (chosen)", model, file=file, scores=scores)]
+    scored = [ReportedModel("small (chosen)", model, file=file, scores=scores)]
     monkeypatch.setattr(qube_servo2_twin, "twin", lambda seed: data)
-    monkeypatch.setattr(demo, "_fitted", lambda *given, **more: scored)
+    monkeypatch.setattr(demo, "_select_and_score", lambda *given, **more: scored)
     monkeypatch.setattr(demo, "_DRAWN", ())
     page = tmp_path / "demo" / "twin_report.html"
     given = ("demo", "--out", page.parent)

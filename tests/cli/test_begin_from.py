@@ -152,7 +152,7 @@ def test_what_cannot_go_on_is_one_line(run_folder, grey, folder, tmp_path, capsy
             "--recipe", "standard",
             told="kind 'euler-lagrange'; expected one of kind 'tustin-net'")  # fmt: skip
     refused(*fit, *out, "--physics", grey.model, told="--physics")
-    refused(*fit, *out, "--budget", "1min", told="--budget: means nothing")
+    refused(*fit, *out, "--budget", "1min", told="--budget: not applicable")
     refused("fit", folder, "--from", folder / "fall1.csv", *out, told="not a safetensors file")
     refused(*fit, "--out", run_folder, "--overwrite", told="which --from names")
     both = tmp_path / "both.safetensors"

@@ -127,7 +127,7 @@ def test_an_encoder_goes_with_its_model_and_stays_behind_elsewhere(
     both, members = tmp_path / "both.safetensors", sorted(out.glob("seed-*/model.safetensors"))
     code, _, err = tustinnet(capsys, "committee", *members, "--out", both)
     assert code == 0
-    assert "note: a committee does without the encoders of its members" in err
+    assert "note: the encoders of the members are not used in a committee" in err
     code, told, _ = tustinnet(capsys, "compare", both, model, folder, "--json")
     assert (code, json.loads(told)["start"]) == (0, "derived-6")
     export = ("export", model, "--to", "js", "--out", tmp_path / "js")

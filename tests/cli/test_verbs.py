@@ -63,7 +63,7 @@ def test_inspect_looks_at_a_single_file(folder, capsys):
     for option in (["--split", "train"], ["--strict"], ["--card", folder / "dataset.toml"]):
         code, out, err = tustinnet(capsys, "inspect", file, *option)
         assert (code, out, err.count("\n")) == (1, "", 1)
-        assert f"{option[0]}: means nothing to the single file" in err
+        assert f"{option[0]}: not applicable to the single file" in err
     assert "no such file" in tustinnet(capsys, "inspect", folder / "nothing.csv")[2]
 
 

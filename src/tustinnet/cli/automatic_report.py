@@ -1,4 +1,4 @@
-"""The report that a verb leaves beside what it has fitted."""
+"""The report that a verb writes after a fit."""
 
 import shlex
 from collections.abc import Callable, Mapping, Sequence
@@ -11,12 +11,12 @@ from tustinnet.cli import terminal
 
 
 def report_command(
-    models: Sequence[Path], data: str, out: Path, given: Mapping[str, object],
+    models: Sequence[Path], data: str, out: Path, options: Mapping[str, object],
     systems: Sequence[str] = (),
 ) -> str:  # fmt: skip
-    """How `tustinnet report` is typed; options that are None are left out."""
+    """Command line of `tustinnet report`; options that are None are omitted."""
     words = ["tustinnet", "report", *map(str, models), data, "--out", str(out)]
-    for name, value in given.items():
+    for name, value in options.items():
         words += [] if value is None else [name, str(value)]
     for name in systems:
         words += ["--system", name]
@@ -24,42 +24,42 @@ def report_command(
 
 
 @dataclass(frozen=True)
-class Leaving:
-    """Where reports are from, and whether there are any.
+class AutomaticReport:
+    """Settings of the report that a verb writes after a fit.
 
     Attributes:
-        data: what the verb was given as DATA.
-        card: its data card, if it was given one.
-        wanted: whether there is to be a report.
+        data: the argument DATA of the verb.
+        card: its data card, if one was named.
+        is_enabled: whether to write a report.
     """
 
     data: str
     card: Path | None = None
-    wanted: bool = True
+    is_enabled: bool = True
 
-    def report(
-        self, models: Sequence[Path], out: Path, write: Callable[[str], Path],
-        given: Mapping[str, object],
+    def write(
+        self, models: Sequence[Path], out: Path, write_page: Callable[[str], Path],
+        options: Mapping[str, object],
     ) -> str | None:  # fmt: skip
-        """Writes the report of what was fitted. Whatever goes wrong then, the fit is not lost.
+        """Writes the report; an error is printed, so that the fit is not lost.
 
         Args:
             models: run folders or model files.
-            out: the report's file.
-            write: writes it, given the command that would write one of all the records.
-            given: the options of that command; those that are None are left out.
+            out: the file of the report.
+            write_page: writes the file, given the command that would write a report of all records.
+            options: the options of that command; those that are None are omitted.
 
         Returns:
-            Where it is, for the line that names the files; empty where none is wanted, None where
-            it could not be written: then the command ends with `require_report`.
+            Text that names the file; empty if reports are disabled, None if it could not be
+            written: then the verb should end with `require_report`.
         """
         from tustinnet.errors import reason
 
-        if not self.wanted:
+        if not self.is_enabled:
             return ""
-        command = report_command(models, self.data, out, {**given, "--card": self.card})
+        command = report_command(models, self.data, out, {**options, "--card": self.card})
         try:
-            path = write(command)
+            path = write_page(command)
         except Exception as error:
             terminal.messages().print(
                 f"error: no report ({reason(error)}); all else is kept, try: {command}"
@@ -68,7 +68,7 @@ class Leaving:
         return f"   report: {path}"
 
 
-def require_report(page: str | None) -> None:
-    """Ends with exit code 1 where the report could not be written, when all else is done."""
-    if page is None:
+def require_report(text: str | None) -> None:
+    """Ends the verb with exit code 1 if its report could not be written (`text` is None)."""
+    if text is None:
         raise typer.Exit(1)

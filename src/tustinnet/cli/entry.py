@@ -1,6 +1,6 @@
-"""Where the command begins: signals end it with one line from the first moment on."""
+"""Entry point of the command; from the first moment on, signals end it with one line."""
 
-from tustinnet.cli.terminal import stoppable, shorten_warnings
+from tustinnet.cli.terminal import shorten_warnings, stoppable
 
 
 def run() -> None:

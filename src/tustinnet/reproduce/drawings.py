@@ -170,7 +170,7 @@ def _draw_network(axes: Axes) -> None:
 
 
 def _draw_integration(axes: Axes) -> None:
-    """Draws the trapezoidal rule, which takes both velocities, and the feedback through the delay."""
+    """Draws the trapezoidal rule of both velocities, and the feedback through the delay."""
     middle, rule = (_ROW + _LOW) / 2, r"$q_{k+1} = q_k + \tau_s\,\dfrac{v_k + v_{k+1}}{2}$"
     _box(axes, (5.78, _ROW), (1.68, 0.54), rule, _RULE)
     _box(axes, (7.1, middle), (0.06, _ROW - _LOW + 0.3), face=MEASURED)
