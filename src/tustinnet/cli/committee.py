@@ -44,9 +44,11 @@ def committee(
         raise InputError("--weights", f"'{weights}'", "numbers, separated by commas") from None
     inputs = list_input_files(None, None, *models, system)
     require_outputs([out], overwrite=overwrite, read=inputs, endings=ENDINGS)
-    chosen = _find_shared_system(models) if system is None else find_system(system)
-    members = load_models(models, [] if chosen is None else [chosen], lambda path: None)
-    system_file = chosen if isinstance(chosen, SystemFile) else None
+    shared_system = _find_shared_system(models) if system is None else find_system(system)
+    members = load_models(
+        models, [] if shared_system is None else [shared_system], lambda path: None
+    )
+    system_file = shared_system if isinstance(shared_system, SystemFile) else None
     if not overwrite:
         require_room(system_file, out.parent)
     if any(member.encoder for member in members):

@@ -54,20 +54,20 @@ def compare(
     if band_options is not None and figures is None:
         raise InputError("--band", "no figures, which bands are drawn into", "--figures DIR")
     systems = [find_system(name) for name in system or []]
-    loaded = load_models(models, systems, request.kept_system)
-    records, start = request.load_records_and_start(data, card, split, start, loaded)
+    loaded_models = load_models(models, systems, request.kept_system)
+    records, start = request.load_records_and_start(data, card, split, start, loaded_models)
     paths = None if figures is None else [figures / f"{e.name}.png" for e in records]
     inputs = request.list_input_files(data, card, *models, *(system or []))
     request.require_figures("--figures", paths, inputs, overwrite=overwrite)
     scores: dict[str, list[Score]] = {}
     bands: dict[str, list[Band]] = {}
-    for label, path, model in zip(labels(models), models, loaded, strict=True):
+    for label, path, model in zip(labels(models), models, loaded_models, strict=True):
         try:
             scores[label] = evaluate(model, records, start, horizon=horizon)
         except InputError as error:  # names the model
             raise InputError(path, str(error)) from error
     if band_options is not None:
-        for label, path, model in zip(scores, models, loaded, strict=True):
+        for label, path, model in zip(scores, models, loaded_models, strict=True):
             bands[label] = request.compute_bands(path, model, records, scores[label], band_options)
     if json:
         content = {

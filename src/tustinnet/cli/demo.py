@@ -83,8 +83,8 @@ def demo(
     write_figure(inspection_figure(training, reports), out, "twin_records.png")
     print_step(f"3/5 choosing a model in at most {_SECONDS:.0f} s: {out / _CHOICE}")
     earlier = "discard" if overwrite else "refuse"
-    scored = _select_and_score(data, out, console, quiet=quiet, json=json, earlier=earlier)
-    scores = {model.label: model.scores for model in scored}
+    models = _select_and_score(data, out, console, quiet=quiet, json=json, earlier=earlier)
+    scores = {model.label: model.scores for model in models}
     print_step(f"4/5 free runs of the {len(tests)} test records")
     content = {
         "data": data.name, "split": "test", "start": _START, "units": data.channels.unit,
@@ -107,15 +107,15 @@ def demo(
         write_figure(free_run_figure(data[name], runs, recorded="twin"), out, f"{name}.png")
     if not no_report:
         print_step(f"5/5 the report, motion and playground in one page: {page}")
-    shown = scored[:_REPORTED]
+    reported = models[:_REPORTED]
     report = AutomaticReport(str(logs), is_enabled=not no_report).write(
-        [model.file for model in shown if model.file is not None],
+        [model.file for model in reported if model.file is not None],
         page,
-        lambda command: write_scored_report(shown, tests, page, command),
+        lambda command: write_scored_report(reported, tests, page, command),
         {"--split": "test", "--start": _START},
     )
-    written = [table_file.name, *[f"{name}.png" for name in _DRAWN]]
-    print_step(f"written to {out}: {', '.join(written)}{report or ''}")
+    file_names = [table_file.name, *[f"{name}.png" for name in _DRAWN]]
+    print_step(f"written to {out}: {', '.join(file_names)}{report or ''}")
     print_step(f"look again: tustinnet inspect {logs}; tustinnet show {out / _CHOICE}/"
                f"model.safetensors; {out / _CHOICE / 'figures'}")  # fmt: skip
     require_report(report)
@@ -142,14 +142,14 @@ def _select_and_score(
     if not json:
         print_files(choice)
     tests = list(data.split("test"))
-    scored = []
+    models = []
     for name in [choice.best, *(name for name in choice.made if name != choice.best)]:
         is_chosen = name == choice.best
         model = choice.model if is_chosen else loaded(choice.file(name), choice.at)
         (reported,) = read_reported_models([choice.at.folder / choice.file(name)], [model])
         label = f"{name} (chosen)" if is_chosen else name
-        scored.append(replace(reported, label=label, scores=evaluate(model, tests, _START)))
-    return scored
+        models.append(replace(reported, label=label, scores=evaluate(model, tests, _START)))
+    return models
 
 
 def _scores_table(scores: "Mapping[str, Sequence[Score]]") -> "Table":

@@ -98,7 +98,7 @@ def fit(
         select(fit_options, plan=plan, budget=budget, cluster_address=cluster)
     else:
         _fit_recipe(
-            fit_options, recipe=recipe, changes=changes, seeds=seeds, physics=physics,
+            fit_options, recipe_name=recipe, changes=changes, seeds=seeds, physics=physics,
             origin=origin,
         )  # fmt: skip
 
@@ -106,7 +106,7 @@ def fit(
 def _fit_recipe(
     fit_options: "FitOptions",
     *,
-    recipe: str | None,
+    recipe_name: str | None,
     changes: "Sequence[str] | None",
     seeds: str | None,
     physics: Path | None,
@@ -121,31 +121,35 @@ def _fit_recipe(
     from tustinnet.store.run import MODEL, run_task
 
     system, console = fit_options.system, terminal.messages()
-    stored = None if origin is None or recipe is not None else request.read_recipe_in(origin)
-    chosen = request.choose_recipe(stored or recipe, changes, system=system, physics=physics)
-    members = request.make_members(seeds, chosen)
+    stored_recipe = (
+        None if origin is None or recipe_name is not None else request.read_recipe_in(origin)
+    )
+    recipe = request.choose_recipe(
+        stored_recipe or recipe_name, changes, system=system, physics=physics
+    )
+    members = request.make_members(seeds, recipe)
     initial_model = None if origin is None else request.read_origin(origin, system, changes)
     if system is None and (file := physics or origin) is not None:
         system = request.kept_system(file)
-    corrected = None if physics is None else load_model(physics, system)
+    physics_model = None if physics is None else load_model(physics, system)
     records = fit_options.load()
     if "validation" not in records.splits:
         console.print("note: no validation split; the scores below are of the training records")
     task_system = system
-    if origin is not None and "system" in chosen.family.needs:
+    if origin is not None and "system" in recipe.family.needs:
         task_system = system or system_of(origin) or None
     elif physics is not None or origin is not None:
         task_system = None  # it is that of the physics
     system_file = None if isinstance(system, str) else system
     task = make_task(
-        records, chosen, members, physics=corrected, system=task_system, origin=initial_model
+        records, recipe, members, physics=physics_model, system=task_system, origin=initial_model
     )
     request.print_still_coordinates(task.folds[0].roles.train, console)
     if not fit_options.quiet:
         _print_windows(task, console)
     remedy = (
         "--resume continues from the checkpoint"
-        if chosen.family.trains
+        if recipe.family.trains
         else "an identification cannot be resumed; start it again, if necessary with --overwrite"
     )
     with (

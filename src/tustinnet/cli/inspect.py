@@ -55,17 +55,17 @@ def inspect(
         return
     inputs = request.list_input_files(data, card)
     request.require_figures("--figure", figure, inputs, overwrite=overwrite)
-    loaded = load(data, card)
-    records = loaded if split is None else loaded.split(split)
+    data_set = load(data, card)
+    records = data_set if split is None else data_set.split(split)
     reports = [inspect_experiment(e) for e in records]
     if strict:
         require_sound(reports)
     if json:
         terminal.print_json(
-            {"data": loaded.name, "experiments": [dataclasses.asdict(r) for r in reports]}
+            {"data": data_set.name, "experiments": [dataclasses.asdict(r) for r in reports]}
         )
     else:
-        _print_reports(reports, loaded.channels.unit)
+        _print_reports(reports, data_set.channels.unit)
     if figure is not None:
         from tustinnet.report.figures import inspection_figure, write_figure
 

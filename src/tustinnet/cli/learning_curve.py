@@ -86,12 +86,12 @@ def learning_curve(
     console = terminal.messages()
     names = [f"learning-curve.{ending}" for ending in ("json", "md", "png")]
     require_outputs([out / name for name in names], overwrite=overwrite)
-    loaded = load_records_to_fit(data, card, out, console, strict=strict)
-    print_still_coordinates(taking_part(loaded), console)
-    places_of(loaded, curve_options)  # raises at once where there are too few records
+    data_set = load_records_to_fit(data, card, out, console, strict=strict)
+    print_still_coordinates(taking_part(data_set), console)
+    places_of(data_set, curve_options)  # raises at once where there are too few records
     with owned(out):
         with FitProgress(console, quiet=quiet) as progress:
-            curve = learning_curve(loaded, curve_options, progress.follow)
+            curve = learning_curve(data_set, curve_options, progress.follow)
         table, sentences = learning_table(curve), [curve.told(a) for a in curve.approaches]
         write_into(out, names[0], to_json(curve.as_plain()))
         write_into(out, names[1], table.markdown() + "".join(f"\n* {s}." for s in sentences) + "\n")

@@ -38,9 +38,11 @@ def next_record(
     from tustinnet.report.tables import Table, number
     from tustinnet.store.header import read_header
 
-    loaded, header = load_model(model, system), read_header(model)
-    alternatives_of(loaded, header, model)  # raises at once where errors of the model are unknown
-    ranking = ranked(loaded, header, read_proposals(proposals, loaded.channels), horizon=horizon)
+    simulator, header = load_model(model, system), read_header(model)
+    # raises at once where the errors of the model are unknown
+    alternatives_of(simulator, header, model)
+    candidates = read_proposals(proposals, simulator.channels)
+    ranking = ranked(simulator, header, candidates, horizon=horizon)
     if json:
         terminal.print_json(ranking.as_plain())
         return

@@ -61,14 +61,14 @@ def report(
     drawing: list[SystemFile | str] = []
     for file in systems:
         (restoring if load_system(file).name in model_systems else drawing).append(file)
-    loaded = load_models(files, restoring, kept_system)
-    links = _choose_links(drawing, loaded, loaded[0].coordinates)
-    records, usual_start = load_records_and_start(data, card, split, start, loaded)
+    loaded_models = load_models(files, restoring, kept_system)
+    links = _choose_links(drawing, loaded_models, loaded_models[0].coordinates)
+    records, usual_start = load_records_and_start(data, card, split, start, loaded_models)
     command = report_command(models, data, out, {
         "--split": split, "--start": start, "--horizon": horizon, "--card": card,
     }, system or [])  # fmt: skip
     report_options = ReportOptions(usual_start, horizon, links, command)
-    path = write_page(read_reported_models(files, loaded), records, out, report_options)
+    path = write_page(read_reported_models(files, loaded_models), records, out, report_options)
     terminal.messages().print(f"report: {path} ({path.stat().st_size / 1000:.0f} kB)")
 
 
@@ -88,14 +88,14 @@ def _choose_links(
 
     equations = [family_of(model).equations(model) for model in models]
     has_links = any(e is not None and e.system.links for e in equations)
-    loaded = [load_system(system) for system in systems]
+    loaded_systems = [load_system(system) for system in systems]
     needed = [(c.name, c.kind) for c in coordinates]
-    for system in loaded:
+    for system in loaded_systems:
         is_fitting = system.links and [(c.name, c.kind) for c in system.coordinates] == needed
-        if has_links or not is_fitting or len(loaded) > 1:
+        if has_links or not is_fitting or len(loaded_systems) > 1:
             raise InputError(
                 "--system", f"'{system.name}', which is the system of no model",
                 "a model's system, or one system with links of the models' coordinates where no "
                 "model has links",
             )  # fmt: skip
-    return loaded[0].links if loaded else ()
+    return loaded_systems[0].links if loaded_systems else ()

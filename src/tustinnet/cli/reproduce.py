@@ -103,8 +103,8 @@ def reproduce(
         )  # fmt: skip
     records = load_folder(folder, card)
     scored_split = table1.choose_split(records, split)
-    chosen, remark = table1.choose_models(models or (), folder)
-    drawn = figures.choose_experiment(records, scored_split, experiment)
+    model_names, remark = table1.choose_models(models or (), folder)
+    figure_record = figures.choose_experiment(records, scored_split, experiment)
     runs = out / "runs"
     require_apart(out, folder)
     if not runs.is_dir() and not table1.is_table(out / _TABLES[0]):
@@ -118,7 +118,7 @@ def reproduce(
     if runs.is_dir() and not overwrite:
         console.print(f"note: continuing the trainings in {runs}; --overwrite trains anew")
     table_options = table1.ReproductionOptions(
-        chosen, scored_split, seeds, None if keep is None else keep.value, overwrite
+        model_names, scored_split, seeds, None if keep is None else keep.value, overwrite
     )
     with (
         owned(out),
@@ -137,10 +137,10 @@ def reproduce(
         terminal.print_json(content)
     else:
         terminal.print_tables(table)
-    written = figures.draw(records, rows, scored_split, drawn, out)
+    figure_files = figures.draw(records, rows, scored_split, figure_record, out)
     report = AutomaticReport(data, is_enabled=not no_report)
     page = _write_report(rows, list(records.split(scored_split)), out / REPORT, report)
-    files = f"{', '.join(_TABLES)} and {len(written)} figures{page or ''}"
+    files = f"{', '.join(_TABLES)} and {len(figure_files)} figures{page or ''}"
     console.print(f"written to {out}: {files}")
     require_report(page)
 

@@ -252,8 +252,8 @@ def load_model(path: Path, system: str | None) -> "Model":
     from tustinnet.store import model_file
     from tustinnet.systems.files import find_system
 
-    chosen = kept_system(path) if system is None else find_system(system)
-    return model_file.load_model(path, chosen)
+    model_system = kept_system(path) if system is None else find_system(system)
+    return model_file.load_model(path, model_system)
 
 
 def kept_system(model: Path) -> "SystemFile | None":
@@ -292,8 +292,8 @@ def load_records_and_start(
     from tustinnet.data.catalog import load
     from tustinnet.simulate.starts import default_start
 
-    loaded = load(data, card)
-    records = list(loaded if split is None else loaded.split(split))
+    data_set = load(data, card)
+    records = list(data_set if split is None else data_set.split(split))
     return records, default_start(records, *models) if start is None else start
 
 

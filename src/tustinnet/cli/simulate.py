@@ -48,9 +48,9 @@ def simulate(
 
     band_options = request.make_band_options(band, whole=whole_records)
     simulator = request.load_model(model, system)
-    loaded = load(data, card)
-    chosen = loaded if split is None else loaded.split(split)
-    records = [chosen[name] for name in experiment] if experiment else list(chosen)
+    data_set = load(data, card)
+    data_set = data_set if split is None else data_set.split(split)
+    records = [data_set[name] for name in experiment] if experiment else list(data_set)
     paths = [out / simulation_name(e) for e in records]
     inputs = request.list_input_files(data, card, model, system)
     require_outputs(paths, overwrite=overwrite, read=inputs)
@@ -61,7 +61,7 @@ def simulate(
         bands = [*request.compute_bands(model, simulator, records, scores, band_options)]
     require_writable_folder(out)
     training_range = Range.from_header(read_header(model), simulator)
-    written: list[dict[str, Any]] = []
+    simulations: list[dict[str, Any]] = []
     for e, score, run_band, path in zip(records, scores, bands, paths, strict=True):
         write_simulation(out, e, score.simulated, run_band)
         content = {"experiment": e.name, "rmse": score.rmse, "file": str(path), "left": None}
@@ -71,10 +71,10 @@ def simulate(
         if point is not None:
             content["left"] = extrapolation_content(point, e)
             terminal.messages().print(f"note: {e.name}: {describe_extrapolation(point, e)}")
-        written.append(content)
+        simulations.append(content)
     if json:
-        terminal.print_json({"start": start, "simulations": written})
+        terminal.print_json({"start": start, "simulations": simulations})
         return
-    rows = [[w["experiment"], number(w["rmse"]), w["file"]] for w in written]
+    rows = [[w["experiment"], number(w["rmse"]), w["file"]] for w in simulations]
     title = f"Free runs, start '{start}'"
     terminal.print_tables(Table(["record", "RMSE", "file"], rows, title=title))

@@ -139,8 +139,8 @@ def _draw_band(
 
 def _plot(axes: Axes, t: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"], **style: Any) -> None:
     """Draws a line; of a long one only the points that can be seen."""
-    shown = extremes(y)
-    axes.plot(t[shown], y[shown], **style)
+    samples = extremes(y)
+    axes.plot(t[samples], y[samples], **style)
 
 
 def extremes(y: Float[np.ndarray, " n"]) -> Int[np.ndarray, " shown"]:
@@ -152,10 +152,10 @@ def extremes(y: Float[np.ndarray, " n"]) -> Int[np.ndarray, " shown"]:
         return np.arange(len(y))
     edges = np.linspace(0, len(y), _BINS + 1).astype(int)
     low, high = np.where(np.isnan(y), np.inf, y), np.where(np.isnan(y), -np.inf, y)
-    shown = {0, len(y) - 1}
+    samples = {0, len(y) - 1}
     for a, b in pairwise(edges):
-        shown |= {int(a + np.argmin(low[a:b])), int(a + np.argmax(high[a:b]))}
-    return np.array(sorted(shown))
+        samples |= {int(a + np.argmin(low[a:b])), int(a + np.argmax(high[a:b]))}
+    return np.array(sorted(samples))
 
 
 def training_figure(histories: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:
@@ -184,9 +184,9 @@ def training_figure(histories: Mapping[str, Sequence[Mapping[str, Any]]]) -> Fig
                     clip_on=False,
                 )
             axes.set_ylabel(label)
-            drawn = np.concatenate([np.asarray(line.get_ydata(), float) for line in axes.lines])
-            drawn = drawn[np.isfinite(drawn)]
-            if drawn.size and drawn.min() > 0 and drawn.max() > _LINEAR_BELOW * drawn.min():
+            y = np.concatenate([np.asarray(line.get_ydata(), float) for line in axes.lines])
+            y = y[np.isfinite(y)]
+            if y.size and y.min() > 0 and y.max() > _LINEAR_BELOW * y.min():
                 axes.set_yscale("log")
             for begin in _find_stage_begins(next(iter(histories.values()))):
                 axes.axvline(begin + 0.5, color="0.6", linewidth=0.8, linestyle=":")

@@ -31,9 +31,9 @@ def learning_table(curve: LearningCurve) -> Table:
         [str(size), *[cell(curve.by_draw(approach, size)) for approach in curve.approaches]]
         for size in curve.sizes
     ]
-    draws, scored = len(curve.scored), sorted(set(curve.scored))
+    draws, counts = len(curve.scored), sorted(set(curve.scored))
     title = (
-        f"Free-run RMSE [{curve.unit}], start '{curve.start}', of {' or '.join(map(str, scored))} "
+        f"Free-run RMSE [{curve.unit}], start '{curve.start}', of {' or '.join(map(str, counts))} "
         f"records left out; median (range) of {draws} draws"
     )
     return Table(["records", *curve.approaches], rows, title=title)

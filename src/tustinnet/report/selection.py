@@ -17,17 +17,17 @@ if TYPE_CHECKING:
 
 def candidates_table(choice: Choice) -> Table:
     """Table of all candidates and committees, the best first, those without scores last."""
-    scored = _sort_scored(choice)
+    results = _sort_scored(choice)
     best, starts = choice.standing(choice.best), choice.starts
     means = {s.name: [mean_and_error(s.rmse(start=start).values()) if start in s.starts else None
-                      for start in starts] for s in scored}  # fmt: skip
+                      for start in starts] for s in results}  # fmt: skip
     scale = scale_of(mean[0] for cells in means.values() for mean in cells if mean is not None)
 
     def cell(mean: float, error: float) -> str:
         return f"{number(mean, scale=scale)} ± {number(error, scale=scale)}"
 
     rows = []
-    for s in scored:
+    for s in results:
         difference, count = paired(s, best), len(s.rmse())
         against = ""
         if s is not best:
@@ -77,17 +77,17 @@ def candidates_figure(choice: Choice) -> "Figure":
 
     from tustinnet.report.figures import COLOURS, figure_style
 
-    scored = _sort_scored(choice)[::-1]
+    results = _sort_scored(choice)[::-1]
     with figure_style():
-        figure = Figure(figsize=(7.0, 0.42 * len(scored) + 1.3), layout="constrained")
+        figure = Figure(figsize=(7.0, 0.42 * len(results) + 1.3), layout="constrained")
         axes = figure.subplots()
-        for i, s in enumerate(scored):
+        for i, s in enumerate(results):
             values = [x for x in s.rmse().values() if math.isfinite(x)]
             mean, error = mean_and_error(values or [math.nan])
             colour = COLOURS[0] if s.name == choice.best else COLOURS[4]
             axes.plot(values, [i] * len(values), "o", color=colour, alpha=0.3, markersize=3)
             axes.errorbar(mean, i, xerr=error, fmt="s", color=colour, capsize=3, markersize=5)
-        axes.set_yticks(range(len(scored)), [s.name for s in scored])
+        axes.set_yticks(range(len(results)), [s.name for s in results])
         axes.set_xscale("log")
         axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
@@ -111,13 +111,13 @@ def free_runs(choice: Choice) -> dict[str, dict[str, Score]]:
         max(choice.found.members(name), key=lambda member: member[1])[0].name
         for name in (choice.best, choice.simplest)
     )
-    shown = choose_shown_records(choice.standing(choice.best).rmse())
+    shown_names = choose_shown_records(choice.standing(choice.best).rmse())
     runs: dict[str, dict[str, Score]] = {}
     for label in labels:
         for models in choice.standing(label).folds.values():
             first = models[0]
             start, rmse = next(iter(first.rmse.items()))
-            records = [choice.at.data[name] for name in rmse if name in shown]
+            records = [choice.at.data[name] for name in rmse if name in shown_names]
             if not records:
                 continue
             model, horizon = loaded(first.model, choice.at), choice.at.judging.horizon

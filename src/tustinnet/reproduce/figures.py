@@ -71,18 +71,18 @@ def draw(data: DataSet, rows: Sequence[Row], split: str, record: str, folder: Pa
     # the verb reads this module before the table is printed, and matplotlib takes half a second
     from tustinnet.reproduce.drawings import architecture_figure, mechanism_figure
 
-    shown = median_rows(rows)
-    written = _write_formats(mechanism_figure(), folder / "figure1")
-    written += _write_formats(architecture_figure(), folder / "figure2")
+    rows_by_model = median_rows(rows)
+    paths = _write_formats(mechanism_figure(), folder / "figure1")
+    paths += _write_formats(architecture_figure(), folder / "figure2")
     for e in data.split(split):
-        runs = {m: _find_score(row, e.name) for m, row in shown.items() if m in _STYLES}
-        written += _write_runs(e.name, runs, data, folder / f"free_run_{e.name}")
+        runs = {m: _find_score(row, e.name) for m, row in rows_by_model.items() if m in _STYLES}
+        paths += _write_runs(e.name, runs, data, folder / f"free_run_{e.name}")
     for name, sides in _COMPARED.items():
-        pair = [next((m for m in side if m in shown), None) for side in sides]
-        compared = {m: _find_score(shown[m], record) for m in pair if m is not None}
+        pair = [next((m for m in side if m in rows_by_model), None) for side in sides]
+        compared = {m: _find_score(rows_by_model[m], record) for m in pair if m is not None}
         if len(compared) == len(sides):
-            written += _write_runs(record, compared, data, folder / name)
-    return written
+            paths += _write_runs(record, compared, data, folder / name)
+    return paths
 
 
 def median_rows(rows: Sequence[Row]) -> dict[str, Row]:

@@ -85,24 +85,24 @@ def choose_models(names: Sequence[str], folder: Path) -> tuple[list[str], str]:
     Raises:
         InputError: an unknown name, or `authors` where their weights are missing.
     """
-    listed = [name.strip() for part in names for name in part.split(",") if name.strip()]
+    model_names = [name.strip() for part in names for name in part.split(",") if name.strip()]
     weights = folder / WEIGHTS_FOLDER
-    if not listed:
+    if not model_names:
         if weights.is_dir():
             return list(DEFAULT_MODELS), ""
         remark = f"no folder {weights}: the authors' rows are left out"
         return [name for name in DEFAULT_MODELS if name != AUTHORS], remark
-    for name in listed:
+    for name in model_names:
         if name not in ALL_MODELS:
             raise InputError(
                 "--models", f"unknown model '{name}'", f"one of {', '.join(ALL_MODELS)}"
             )
-    if AUTHORS in listed and not weights.is_dir():
+    if AUTHORS in model_names and not weights.is_dir():
         raise InputError(
             weights, "no such folder", "the authors' stored weights",
             "put them there or leave 'authors' out of --models",
         )  # fmt: skip
-    return list(dict.fromkeys(listed)), ""
+    return list(dict.fromkeys(model_names)), ""
 
 
 @dataclass(frozen=True)
@@ -149,8 +149,8 @@ def build_rows(
             recipe = read_recipe(entry.recipe)
             if options.keep is not None and isinstance(recipe, TrainingRecipe):
                 changed_name = f"{recipe.name}, keep {options.keep}"
-                changed = recipe.each(keep=options.keep)
-                recipe = changed.model_copy(update={"name": changed_name})
+                changed_recipe = recipe.each(keep=options.keep)
+                recipe = changed_recipe.model_copy(update={"name": changed_name})
             trains = recipe.family.trains
             physics = None if entry.corrects is None else fit(entry.corrects).best.result.model
             members = [Member(seed) for seed in range(options.seeds)] if trains else [Member()]

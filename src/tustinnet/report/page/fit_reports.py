@@ -21,8 +21,8 @@ def write_run_report(run: Run, command: str) -> Path:
     """
     best, folder = run.best, run.folder
     models = read_reported_models([folder / MODEL], [best.result.model])
-    scored = [replace(m, scores=best.scores) for m in models]
-    return write_scored_report(scored, run.roles.judging, folder / REPORT, command)
+    scored_models = [replace(m, scores=best.scores) for m in models]
+    return write_scored_report(scored_models, run.roles.judging, folder / REPORT, command)
 
 
 def write_scored_report(
@@ -40,12 +40,14 @@ def write_scored_report(
         command: command that writes a report of all of them.
     """
     scores = models[0].scores
-    shown = choose_shown_records({score.experiment: score.rmse for score in scores})
-    shortened = [replace(m, scores=[s for s in m.scores if s.experiment in shown]) for m in models]
+    shown_names = choose_shown_records({score.experiment: score.rmse for score in scores})
+    shown_models = [
+        replace(m, scores=[s for s in m.scores if s.experiment in shown_names]) for m in models
+    ]
     options = ReportOptions(
         scores[0].start, scores[0].horizon, command=command, total_records=len(records)
     )
-    return write_page(shortened, [e for e in records if e.name in shown], path, options)
+    return write_page(shown_models, [e for e in records if e.name in shown_names], path, options)
 
 
 def write_choice_report(choice: Choice, command: str) -> Path:
@@ -57,10 +59,10 @@ def write_choice_report(choice: Choice, command: str) -> Path:
     """
     folder, standing = choice.at.folder, choice.standing(choice.best)
     rmse = standing.rmse()
-    shown = choose_shown_records(rmse)
+    shown_names = choose_shown_records(rmse)
     options = ReportOptions(
         standing.starts[0], choice.at.judging.horizon, command=command, total_records=len(rmse)
     )
     models = read_reported_models([folder / MODEL], [choice.model])
-    records = [e for e in choice.at.data if e.name in shown]
+    records = [e for e in choice.at.data if e.name in shown_names]
     return write_page(models, records, folder / REPORT, options)

@@ -75,9 +75,9 @@ def read_reported_models(files: Sequence[Path], models: Sequence[Model]) -> list
         header, structure = shown(file)
         folder = file.parent
         # of a selection the logs are in the folder of the chosen candidate
-        chosen = (header.get("selection") or {}).get("chosen")
-        if isinstance(chosen, str) and Path(chosen).name == chosen:
-            candidate = folder / CANDIDATES / chosen
+        candidate_name = (header.get("selection") or {}).get("chosen")
+        if isinstance(candidate_name, str) and Path(candidate_name).name == candidate_name:
+            candidate = folder / CANDIDATES / candidate_name
             folder = candidate if candidate.is_dir() else folder
         # of a candidate that was identified, the search in all records
         search = read_search(folder) or read_search(folder / WHOLE)

@@ -84,20 +84,20 @@ def describe_accuracy(
     spread = f" ({low} on {best.experiment}, {high} on {worst.experiment})" if scores[1:] else ""
     splits = " and ".join(dict.fromkeys(e.split for e in records if e.split))
     is_shortened = total_records is not None and total_records > len(records)
-    scored = (
+    record_text = (
         f"{len(records)} {f'of {total_records} ' if is_shortened else ''}"
         f"{f'{splits} ' if splits else ''}record{'s' if records[1:] or is_shortened else ''}"
     )
     if reported.header.get("data") or reported.header.get("files"):
         trained = len(trained_on(reported, records))
         if not trained:
-            scored += " that it was not fitted to"
+            record_text += " that it was not fitted to"
         else:
             count = "all" if trained == len(records) else trained
-            scored += f", {count} of which it was fitted to"
+            record_text += f", {count} of which it was fitted to"
     return (
         f"Simulated from its start alone{over(scores[0].horizon)}, it is off by {mean} {unit} "
-        f"{'on average over' if scores[1:] else 'on'} {scored}{spread}."
+        f"{'on average over' if scores[1:] else 'on'} {record_text}{spread}."
     )
 
 

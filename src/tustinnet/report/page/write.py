@@ -83,8 +83,8 @@ def write_report(
         reported = [ReportedModel(label, model) for label, model in models.items()]
     else:
         reported = read_reported_models(files, [load_model(file) for file in files])
-    listed = [records] if isinstance(records, Experiment) else list(records)
-    return write_page(reported, listed, path, ReportOptions(start, horizon))
+    record_list = [records] if isinstance(records, Experiment) else list(records)
+    return write_page(reported, record_list, path, ReportOptions(start, horizon))
 
 
 def write_page(
