@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 from small_selection import plan_in
-from test_choosing import PLAN
 from test_grey_box import SYSTEM
 from test_report_verb import numbers_in
 from test_verbs import tustinnet
@@ -22,6 +21,14 @@ from tustinnet.report.shown_records import choose_shown_records
 from tustinnet.reproduce import table1
 from tustinnet.systems import qube_servo2_twin
 
+GREY_ONLY = """
+name = "one"
+folds = 3
+start = "derived-6"
+candidates = [{ name = "grey", recipe = "grey.toml" }]
+rounds = [{ folds = 3 }]
+"""
+
 
 def said(page: Path) -> str:
     """The text of a page, white space as single blanks."""
@@ -29,11 +36,11 @@ def said(page: Path) -> str:
 
 
 @pytest.fixture
-def fit(folder, small_recipe, tmp_path, capsys):
-    """Fits the small recipe; returns what was printed and told."""
+def fit(folder, tiny_recipe, tmp_path, capsys):
+    """Fits the tiny recipe; returns what was printed and told."""
 
     def run(*more: object, ends: int = 0) -> tuple[str, str]:
-        given = ("--recipe", small_recipe, "--out", tmp_path / "run", *more)
+        given = ("--recipe", tiny_recipe, "--out", tmp_path / "run", *more)
         code, printed, told = tustinnet(capsys, "fit", folder, *given)
         assert code == ends, told
         return printed, told
@@ -65,11 +72,11 @@ def test_a_fit_leaves_a_report_of_the_validation_records(fit, folder, tmp_path, 
     assert page.read_bytes() == before
 
 
-def test_somebody_elses_report_is_not_replaced(fit, tmp_path, folder, small_recipe, capsys):
+def test_somebody_elses_report_is_not_replaced(fit, tmp_path, folder, tiny_recipe, capsys):
     page = tmp_path / "run" / "report.html"
     page.parent.mkdir()
     page.write_text("mine")
-    given = ("--recipe", small_recipe, "--out", page.parent)
+    given = ("--recipe", tiny_recipe, "--out", page.parent)
     code, _, err = tustinnet(capsys, "fit", folder, *given, "--quiet")
     assert (code, err.count("\n")) == (1, 1)
     assert "report.html: there already" in err
@@ -100,7 +107,11 @@ def test_without_validation_it_is_judged_by_what_it_was_fitted_to(fit, folder, t
 
 
 def test_a_chosen_model_says_what_folds_say_of_it(folder, tmp_path, capsys):
-    plan, system, out = plan_in(tmp_path, PLAN), tmp_path / "small_pendulum.py", tmp_path / "run"
+    plan, system, out = (
+        plan_in(tmp_path, GREY_ONLY),
+        tmp_path / "small_pendulum.py",
+        tmp_path / "run",
+    )
     system.write_text(SYSTEM)
     verb = ("fit", folder, "--plan", plan, "--system", system, "--out", out)
     code, printed, err = tustinnet(capsys, *verb, "--quiet")

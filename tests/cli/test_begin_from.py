@@ -138,7 +138,7 @@ def test_an_identification_begins_at_the_values_of_another(grey, folder, tmp_pat
         assert begun[name] == pytest.approx(known[name])
         assert found[name] == pytest.approx(value, rel=0.02)
     refused(*fit, "--out", tmp_path / "no", "--set", "model.begin.gain=3",
-            told="--from says where the search begins")  # fmt: skip
+            told="--from sets the same initial values")  # fmt: skip
 
 
 def test_what_cannot_go_on_is_one_line(run_folder, grey, folder, tmp_path, capsys, refused):

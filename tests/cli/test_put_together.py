@@ -103,10 +103,10 @@ def test_members_of_a_users_system_share_its_file(
 
 
 def test_an_encoder_goes_with_its_model_and_stays_behind_elsewhere(
-    folder, small_recipe, tmp_path, capsys
+    folder, tiny_recipe, tmp_path, capsys
 ):
     out = tmp_path / "run"
-    fit = ("fit", folder, "--recipe", small_recipe, "--set", "start=encoder-10", "--out", out)
+    fit = ("fit", folder, "--recipe", tiny_recipe, "--set", "start=encoder-10", "--out", out)
     code, _, err = tustinnet(capsys, *fit, "--seeds", 2, "--quiet", "--no-report")
     assert code == 0, err
     model = out / "model.safetensors"

@@ -65,7 +65,7 @@ def test_a_system_with_links_draws_a_network(run_folder, folder, tmp_path, capsy
     command = ("report", run_folder / "model.safetensors", folder, "--out", page,
                "--system", drawn)  # fmt: skip
     drawn.write_text(LINKED.format(name="elbow"))
-    refused(*command, told="error: --system: 'drawn', which no model is of")
+    refused(*command, told="error: --system: 'drawn', which is the system of no model")
     drawn.write_text(LINKED.format(name="angle"))
     refused(*command, "--system", "qube-servo2", told="error: --system: 'drawn'")
     assert not page.exists()
