@@ -73,7 +73,7 @@ def demo(
     write_data_set(twin, logs, "Simulated twin of the Qube-Servo 2", overwrite=overwrite)
     data = load(logs)
     print_step(f"2/5 looking at the {len(data)} records: {out / 'twin_records.png'}")
-    training, tests = list(data.split("train")), list(data.split("test"))
+    training = list(data.split("train"))
     reports = [inspect_experiment(e) for e in training]
     if not json:
         terminal.print_tables(time_table(reports))
@@ -85,6 +85,7 @@ def demo(
     earlier = "discard" if overwrite else "refuse"
     models = _select_and_score(data, out, console, quiet=quiet, json=json, earlier=earlier)
     scores = {model.label: model.scores for model in models}
+    tests = list(data.split("test"))
     print_step(f"4/5 free runs of the {len(tests)} test records")
     content = {
         "data": data.name, "split": "test", "start": _START, "units": data.channels.unit,

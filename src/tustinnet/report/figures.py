@@ -86,11 +86,11 @@ def free_run_figure(
         bands: bands around the free runs by label.
     """
     e, unit, is_long = experiment, experiment.channels.unit, len(experiment) > _LONG
-    n_q = e.channels.n_q
+    n_q, panels_each = e.channels.n_q, 2 if is_long else 1
     with figure_style():
         figure = Figure(figsize=(7.0, (3.1 if is_long else 1.9) * n_q + 0.5), layout="constrained")
         panels = figure.subplots(
-            2 * n_q if is_long else n_q, 1, sharex=True, squeeze=False,
+            panels_each * n_q, 1, sharex=True, squeeze=False,
             height_ratios=(5, 3) * n_q if is_long else None,
         )[:, 0]  # fmt: skip
         position_panels, error_panels = (panels[::2], panels[1::2]) if is_long else (panels, ())
