@@ -24,7 +24,7 @@ _EPOCHS = 400  # points of a training curve
 
 @dataclass(frozen=True)
 class Thinning:
-    """How the signals of a page were thinned.
+    """Thinning of the signals of a page.
 
     Attributes:
         points: largest number of points of a signal.
