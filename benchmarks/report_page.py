@@ -21,9 +21,9 @@ import jax
 jax.config.update("jax_enable_x64", True)
 
 import tustinnet as tn
-from tustinnet.report.page.judged import judged
-from tustinnet.report.page.subject import model_file, subjects_of
-from tustinnet.report.page.write import Asked, page_of
+from tustinnet.report.page.model_result import compute_model_result
+from tustinnet.report.page.reported_model import model_file, read_reported_models
+from tustinnet.report.page.write import ReportOptions, make_page
 from tustinnet.simulate.starts import default_start
 from tustinnet.store.files import write_into
 
@@ -42,15 +42,15 @@ CanvasRenderingContext2D.prototype.clearRect = function (...box) {
 def write(given: argparse.Namespace) -> dict[str, Any]:
     """Seconds after the evaluation, and the size."""
     files = [model_file(Path(path)) for path in given.models]
-    subjects = subjects_of(files, [tn.load_model(file) for file in files])
+    models = read_reported_models(files, [tn.load_model(file) for file in files])
     records = list(tn.load(given.data).split(given.split))
-    start = default_start(records, subjects[0].model)
+    start = default_start(records, models[0].model)
     begin = time.perf_counter()
-    found = [judged(of, records, start, None) for of in subjects]
+    results = [compute_model_result(m, records, start, None) for m in models]
     evaluation, seconds, page = time.perf_counter() - begin, [], ""
     for _ in range(given.rounds):
         begin = time.perf_counter()
-        page = page_of(found, records, Asked(start))
+        page = make_page(results, records, ReportOptions(start))
         write_into(given.out.parent, given.out.name, page)
         seconds.append(time.perf_counter() - begin)
     return {

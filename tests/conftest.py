@@ -198,6 +198,24 @@ def small_recipe(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.fixture
+def tiny_recipe(tmp_path: Path) -> Path:
+    """A recipe of one short stage, as a file: half as long to compile as the small one."""
+    path = tmp_path / "tiny.toml"
+    path.write_text("""
+name = "tiny"
+[model]
+hidden = [4]
+[[stages]]
+name = "only"
+windows = { draw = "strided", length = 10, count = 20 }
+rate = 3e-3
+epochs = 2
+batch = 16
+""")
+    return path
+
+
 @pytest.fixture(scope="session")
 def trained_once(pendulum: tn.DataSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run folder of two seeds of the small recipe on the small system's folder."""

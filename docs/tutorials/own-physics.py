@@ -222,7 +222,7 @@ with Path("cart.py").open("w") as file:
 # initial state is computed from the first six samples
 # ([Starts](../reference/evaluation.md#where-a-free-run-starts)).
 #
-# The table `train, from the initial states found` has the error that the search minimised. Here it
+# The table `train, from the identified initial states` has the error that the search minimised. Here it
 # has no unit: where some coordinates are angles and others lengths, the search divides each by its
 # spread in the records. So its numbers cannot be compared with those of the free runs.
 

@@ -39,7 +39,7 @@ def place(identified, folder, system, tmp_path, capsys) -> Place:  # noqa: F811
              "--system", system, "--out", file)  # fmt: skip
     code, out, err = tustinnet(capsys, *asked)
     assert (code, out) == (0, "")
-    assert "bands from 2 records, start 'derived-6'; they can promise at most 66.7 %" in err
+    assert "bands from 2 records, start 'derived-6'; their highest level is 66.7 %" in err
     return Place(identified / "model.safetensors", file, folder, system)
 
 

@@ -138,7 +138,7 @@ def test_an_identification_begins_at_the_values_of_another(grey, folder, tmp_pat
         assert begun[name] == pytest.approx(known[name])
         assert found[name] == pytest.approx(value, rel=0.02)
     refused(*fit, "--out", tmp_path / "no", "--set", "model.begin.gain=3",
-            told="--from says where the search begins")  # fmt: skip
+            told="--from sets the same initial values")  # fmt: skip
 
 
 def test_what_cannot_go_on_is_one_line(run_folder, grey, folder, tmp_path, capsys, refused):
@@ -152,7 +152,7 @@ def test_what_cannot_go_on_is_one_line(run_folder, grey, folder, tmp_path, capsy
             "--recipe", "standard",
             told="kind 'euler-lagrange'; expected one of kind 'tustin-net'")  # fmt: skip
     refused(*fit, *out, "--physics", grey.model, told="--physics")
-    refused(*fit, *out, "--budget", "1min", told="--budget: means nothing")
+    refused(*fit, *out, "--budget", "1min", told="--budget: not applicable")
     refused("fit", folder, "--from", folder / "fall1.csv", *out, told="not a safetensors file")
     refused(*fit, "--out", run_folder, "--overwrite", told="which --from names")
     both = tmp_path / "both.safetensors"

@@ -57,8 +57,8 @@ def test_a_folder_of_logs_and_a_system_become_one_model(folder, tmp_path, out, c
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["--seeds", "2"], ["--seeds", "no recipe is named", "--plan"]),
-        (["--set", "model.hidden=[3]"], ["--set", "no recipe is named"]),
+        (["--seeds", "2"], ["--seeds", "without a recipe", "--plan"]),
+        (["--set", "model.hidden=[3]"], ["--set", "without a recipe"]),
         (["--recipe", "standard", "--budget", "1min"], ["--budget", "single recipe"]),
         (["--recipe", "standard", "--plan", "usual"], ["--plan", "single recipe"]),
         (["--recipe", "standard", "--cluster", "auto"], ["--cluster", "single recipe"]),

@@ -15,13 +15,13 @@ def out(tmp_path):
     return tmp_path / "folds"
 
 
-def test_every_record_is_scored_by_models_that_never_saw_it(folder, small_recipe, out, capsys):
-    verb = ("cross-validate", folder, "--recipe", small_recipe, "--out", out, *QUICK, "--seeds", 2)
+def test_every_record_is_scored_by_models_that_never_saw_it(folder, tiny_recipe, out, capsys):
+    verb = ("cross-validate", folder, "--recipe", tiny_recipe, "--out", out, *QUICK, "--seeds", 2)
     code, printed, err = tustinnet(capsys, *verb, "--start", "derived-6", "--json")
     assert code == 0, err
     told = json.loads((out / "folds.json").read_text())
     assert json.loads(printed) == told
-    assert (told["recipe"], told["unit"]) == ("small", "rad")
+    assert (told["recipe"], told["unit"]) == ("tiny", "rad")
     assert {r["record"] for r in told["records"]} == RECORDS
     assert len(told["records"]) == 2 * len(RECORDS)  # by each seed
     assert {r["fold"] for r in told["records"]} == {0, 1, 2}
@@ -42,7 +42,7 @@ def test_every_record_is_scored_by_models_that_never_saw_it(folder, small_recipe
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
     code, printed, _ = tustinnet(capsys, *verb, "--overwrite")
     assert code == 0
-    assert "models that never saw the record" in printed
+    assert "models not fitted to the record" in printed
     assert "from model-20" in (out / "folds.md").read_text()
 
 

@@ -211,7 +211,7 @@ def test_the_demo_is_quiet_and_prints_json(pendulum, tmp_path, monkeypatch, caps
         raise _stop("here")
 
     monkeypatch.setattr(qube_servo2_twin, "twin", lambda seed: pendulum)
-    monkeypatch.setattr(demo, "_fitted", fitted)
+    monkeypatch.setattr(demo, "_select_and_score", fitted)
     _, table, progress = tustinnet(capsys, "demo", "--out", tmp_path / "loud")
     assert "Time: period" in table
     assert "1/5 twin" in progress

@@ -65,7 +65,7 @@ def test_a_system_with_links_draws_a_network(run_folder, folder, tmp_path, capsy
     command = ("report", run_folder / "model.safetensors", folder, "--out", page,
                "--system", drawn)  # fmt: skip
     drawn.write_text(LINKED.format(name="elbow"))
-    refused(*command, told="error: --system: 'drawn', which no model is of")
+    refused(*command, told="error: --system: 'drawn', which is the system of no model")
     drawn.write_text(LINKED.format(name="angle"))
     refused(*command, "--system", "qube-servo2", told="error: --system: 'drawn'")
     assert not page.exists()
@@ -93,7 +93,7 @@ def test_parameters_have_both_errors_and_calibrated_models_bands(place, tmp_path
     code, _, err = tustinnet(capsys, *command)
     assert code == 0, err
     text, (record, _) = page.read_text(encoding="utf-8"), numbers_in(page)["records"]
-    assert "Shaded: bands that hold 66.7 % (banded) of the time." in text
+    assert "Shaded: bands that contain 66.7 % (banded) of the time." in text
     assert [len(run.get("band", ())) for run in record["runs"]] == [2, 0]
     assert [len(run["energy"]) for run in record["runs"]] == [2, 2]
     assert '<th scope="col">std. error</th>' in text

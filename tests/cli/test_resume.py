@@ -64,7 +64,8 @@ def made_once(pendulum, tmp_path_factory) -> Place:
     plan_in(root, GREY_TOO)
     (root / "pendulum.py").write_text(SYSTEM)
     place = Place(root, root / "logs")
-    grey = place.fit("grey", "--recipe", root / "grey.toml", "--system", root / "pendulum.py")
+    with_system = ("--system", root / "pendulum.py", "--no-report")
+    grey = place.fit("grey", "--recipe", root / "grey.toml", *with_system)
     for verb in (place.training(), place.selection("--no-report"), grey):
         with pytest.raises(SystemExit) as ended:
             run([str(word) for word in verb])

@@ -82,7 +82,7 @@ def test_a_training_that_is_terminated_leaves_a_checkpoint(folder, small_recipe,
     process.send_signal(signal.SIGTERM)
     _, told = process.communicate(timeout=60)
     assert process.returncode == 143
-    assert told == "interrupted; --resume goes on from the checkpoint\n"
+    assert told == "interrupted; --resume continues from the checkpoint\n"
     assert not list((tmp_path / "run").rglob("*.part"))
     header, _ = read_sealed(log.parent / "checkpoint.safetensors", ["checkpoint"])
     # what was done since the last checkpoint of every 5 s is in it

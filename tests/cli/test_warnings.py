@@ -2,12 +2,12 @@
 
 import warnings
 
-from tustinnet.cli.terminal import tell_warnings
+from tustinnet.cli.terminal import shorten_warnings
 
 
 def test_a_warning_of_the_package_is_a_line_without_a_place_in_its_source(capsys, monkeypatch):
     monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
-    tell_warnings()
+    shorten_warnings()
     warnings.showwarning(UserWarning("slower"), UserWarning, "file.py", 3)
     assert capsys.readouterr().err == "note: slower\n"
 
@@ -15,7 +15,7 @@ def test_a_warning_of_the_package_is_a_line_without_a_place_in_its_source(capsys
 def test_other_warnings_are_shown_as_python_shows_them(capsys, monkeypatch):
     shown: list[object] = []
     monkeypatch.setattr(warnings, "showwarning", lambda *given: shown.append(given[1]))
-    tell_warnings()
+    shorten_warnings()
     warnings.showwarning(RuntimeWarning("overflow"), RuntimeWarning, "file.py", 3)
     assert shown == [RuntimeWarning]
     assert capsys.readouterr().err == ""

@@ -26,7 +26,7 @@ from tustinnet.export.javascript import MODULE, TARGET
 from tustinnet.export.source import make_source
 from tustinnet.models.kinematics import parent_indices
 from tustinnet.report.page import content, write
-from tustinnet.report.page.signals import bounded, kept, packed
+from tustinnet.report.page.signals import bounded, pack, thin
 from tustinnet.simulate.range import Range, training_support
 
 HOSTILE = '"><img src=x onerror=alert(1)>'
@@ -161,25 +161,25 @@ def test_thinning_keeps_every_peak():
     signals = generator.normal(size=(10_000, 3))
     signals[5000:5300, 2] = np.nan
     signals[777, 1] = 50.0
-    at = kept(signals, 300)
+    at = thin(signals, 300)
     assert 150 < len(at) <= 300
     assert np.all(np.diff(at) > 0)
     assert {0, 777, 9999} <= set(at.tolist())
     np.testing.assert_array_equal(np.nanmax(signals[at], axis=0), np.nanmax(signals, axis=0))
     np.testing.assert_array_equal(np.nanmin(signals[at], axis=0), np.nanmin(signals, axis=0))
     assert np.isnan(signals[at, 2]).any()
-    assert len(kept(signals, 10_000)) == 10_000
+    assert len(thin(signals, 10_000)) == 10_000
     # what rises evenly needs the ends of its stretches alone
-    assert len(kept(np.arange(10_000.0)[:, None], 300)) > 250
+    assert len(thin(np.arange(10_000.0)[:, None], 300)) > 250
 
 
 def test_packed_signals_come_back_to_a_part_in_65534():
     values = np.array([-3.0, np.nan, 0.1, 7.0, np.inf])
-    found = unpacked(packed(values))
+    found = unpacked(pack(values))
     np.testing.assert_array_equal(np.isnan(found), ~np.isfinite(values))
     np.testing.assert_allclose(found[[0, 2, 3]], values[[0, 2, 3]], atol=10 / 65534)
-    assert unpacked(packed([2.0, 2.0])).tolist() == [2.0, 2.0]
-    assert len(unpacked(packed([]))) == 0
+    assert unpacked(pack([2.0, 2.0])).tolist() == [2.0, 2.0]
+    assert len(unpacked(pack([]))) == 0
 
 
 def test_long_records_are_thinned_and_the_page_says_so(tmp_path, monkeypatch):
@@ -246,9 +246,9 @@ def test_points_are_as_many_as_have_room():
     def judging(samples: int) -> Any:
         return [replace(falls()[0][:samples], name=f"r{i}") for i in range(20)]
 
-    few = content.thinning_of([], judging(150), 1e6)
+    few = content.choose_thinning([], judging(150), 1e6)
     assert (few.points, few.records) == (2000, 0)
-    tight = content.thinning_of([], judging(200), 30_000)
+    tight = content.choose_thinning([], judging(200), 30_000)
     assert (tight.points, tight.records) == (100, 20)
 
 
@@ -377,7 +377,7 @@ def test_models_that_would_fill_the_page_stay_out_of_the_playground(
 ):
     model = tn.load_model(trained_once / "model.safetensors")
     size = len(str(TARGET.files(make_source(model, None))[MODULE]))
-    monkeypatch.setattr(write, "_MODULES", int(1.5 * size))
+    monkeypatch.setattr(write, "_MAX_MODULES", int(1.5 * size))
     given = {"first": model, "second": model}
     file = tn.write_report(given, pendulum[0], tmp_path / "report.html", start="derived-6")
     text = file.read_text(encoding="utf-8")

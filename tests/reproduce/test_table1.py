@@ -40,9 +40,9 @@ def layout(tmp_path):
 
 
 def authors_rows(layout, split):
-    ask = table1.Ask(["authors"], split)
-    tell = lambda name: lambda prepared: SILENT  # noqa: E731
-    return table1.build_rows(tn.load(layout), layout, ask, layout / "runs", tell)
+    options = table1.ReproductionOptions(["authors"], split)
+    make_listener = lambda name: lambda prepared: SILENT  # noqa: E731
+    return table1.build_rows(tn.load(layout), layout, options, layout / "runs", make_listener)
 
 
 def test_the_test_split_is_scored_where_it_is_there_else_validation(layout):
@@ -91,7 +91,7 @@ def test_the_papers_means_are_those_it_reports():
 
 def test_several_seeds_get_a_row_with_their_median_and_range(layout):
     row = authors_rows(layout, "test")[0]
-    rows = [table1.Row("tustin-transfer", seed, "r", row.scores, row.what) for seed in (0, 1, 2)]
+    rows = [table1.Row("tustin-transfer", seed, "r", row.scores, row.model) for seed in (0, 1, 2)]
     last = table1.as_table(rows, "test").rows[-1]
     assert last[0] == "tustin-transfer, median of 3 seeds"
     assert last[-1].count("..") == 1
@@ -184,7 +184,7 @@ def test_reproduce_writes_tables_and_figures_and_trains_on_no_test_record(
 def test_a_row_that_starts_otherwise_than_the_table_says_so(layout):
     row = authors_rows(layout, "test")[0]
     scores = tuple(replace(score, start="warm-up-20") for score in row.scores)
-    other = replace(row, model="gru", scores=scores)
+    other = replace(row, name="gru", scores=scores)
     (told,) = table1.as_json([other], "test")["rows"]
     assert told["start"] == "warm-up-20"
     assert any("gru, from warm-up-20" in line[0] for line in table1.as_table([other], "test").rows)

@@ -1,4 +1,4 @@
-"""What the command says of itself: the steps of a typical use, versions for a bug report."""
+"""The steps of a typical use, and versions for a bug report."""
 
 import os
 import platform
@@ -20,15 +20,16 @@ tustinnet: from logs of a mechanical system to a model that simulates it
 Without logs of your own: tustinnet demo --out demo
 All commands: tustinnet --help; of one: tustinnet fit --help; Tab completes: --install-completion
 """
+_VARIABLES = ("JAX_", "XLA_", "TUSTINNET_", "CUDA_VISIBLE")  # beginnings of the names that matter
 
 
 def version() -> str:
-    """Name and version."""
+    """Name and version of the package."""
     return f"{NAME} {metadata.version(NAME)}"
 
 
 def versions() -> Iterator[str]:
-    """Lines for a bug report: versions of what computes, extras, devices."""
+    """Lines for a bug report: versions of packages, cores, devices, environment variables."""
     import jax
 
     from tustinnet.cores import count_cores
@@ -36,39 +37,25 @@ def versions() -> Iterator[str]:
     yield version()
     yield f"Python {platform.python_version()} at {sys.prefix}"
     yield f"{platform.platform()}, {count_cores()} cores for this process"
-    needed, extras = _requirements()
-    yield f"needs: {_found(['jaxlib', *needed])}"
-    for extra, packages in extras.items():
-        yield f"extra '{extra}': {_found(packages)}"
-    for device in jax.devices():
-        yield f"device {device.id}: {device.platform}, {device.device_kind}"
-    told = {name: os.environ[name] for name in sorted(os.environ) if _matters(name)}
-    yield "environment: " + (", ".join(f"{k}={v}" for k, v in told.items()) or "nothing of ours")
-
-
-def _matters(name: str) -> bool:
-    return name.startswith(("JAX_", "XLA_", "TUSTINNET_", "CUDA_VISIBLE"))
-
-
-def _requirements() -> tuple[list[str], dict[str, list[str]]]:
-    """Packages that are always needed, and those of each extra that a user may ask for."""
-    needed: list[str] = []
+    needs: list[str] = ["jaxlib"]
     extras: dict[str, list[str]] = {}
     for requirement in metadata.requires(NAME) or []:
-        name = re.split(r"[^\w.-]", requirement)[0]
+        package = re.split(r"[^\w.-]", requirement)[0]
         extra = re.search(r"extra == ['\"]([\w-]+)['\"]", requirement)
         if extra is None:
-            needed.append(name)
+            needs.append(package)
         elif extra[1] not in ("dev", "bench", "docs"):
-            extras.setdefault(extra[1], []).append(name)
-    return needed, extras
+            extras.setdefault(extra[1], []).append(package)
+    yield f"needs: {', '.join(map(_package_version, needs))}"
+    for extra, packages in extras.items():
+        yield f"extra '{extra}': {', '.join(map(_package_version, packages))}"
+    for device in jax.devices():
+        yield f"device {device.id}: {device.platform}, {device.device_kind}"
+    variables = [f"{k}={os.environ[k]}" for k in sorted(os.environ) if k.startswith(_VARIABLES)]
+    yield "environment: " + (", ".join(variables) or "nothing of ours")
 
 
-def _found(packages: list[str]) -> str:
-    return ", ".join(_version_of(name) for name in packages)
-
-
-def _version_of(package: str) -> str:
+def _package_version(package: str) -> str:
     try:
         return f"{package} {metadata.version(package)}"
     except metadata.PackageNotFoundError:

@@ -27,7 +27,7 @@ def calibrate(
     The width of the bands follows from the errors on records that were not used to fit the model.
     """
     terminal.prepare_jax()
-    from tustinnet.cli.request import files_of, judged_records, model_of
+    from tustinnet.cli.request import list_input_files, load_model, load_records_and_start
     from tustinnet.errors import InputError
     from tustinnet.evaluate.bands import KEY, alternatives_of, calibrated, guesses
     from tustinnet.store.files import require_outputs
@@ -35,31 +35,31 @@ def calibrate(
     from tustinnet.store.kept_system import keep, kept_with, require_room
     from tustinnet.store.model_file import ENDINGS, copy_with
 
-    read = files_of(data, card, model, system)
-    require_outputs([out], overwrite=overwrite, read=read, endings=ENDINGS)
-    judged = model_of(model, system)
+    inputs = list_input_files(data, card, model, system)
+    require_outputs([out], overwrite=overwrite, read=inputs, endings=ENDINGS)
+    simulator = load_model(model, system)
     header = read_header(model)
-    others = alternatives_of(judged, header, model)
-    records, begin = judged_records(data, card, split, start, [judged])
-    made_from = records_in(header)
-    if seen := [e.name for e in records if e.sha256 in made_from]:
+    others = alternatives_of(simulator, header, model)
+    records, start = load_records_and_start(data, card, split, start, [simulator])
+    training_checksums = records_in(header)
+    if training := [e.name for e in records if e.sha256 in training_checksums]:
         raise InputError(
-            "calibrate", f"{', '.join(seen[:3])}, which {model} was made from",
-            "records that it never saw", "name them by --split",
+            "calibrate", f"{', '.join(training[:3])}, which {model} was fitted to",
+            "records that it was not fitted to", "select them by --split",
         )  # fmt: skip
-    made = guesses(judged, others, records, begin, horizon=horizon)
-    found = calibrated(made, records, begin, horizon)
-    copy = kept_with(model)
+    predictions = guesses(simulator, others, records, start, horizon=horizon)
+    calibration = calibrated(predictions, records, start, horizon)
+    system_copy = kept_with(model)
     if not overwrite:
-        require_room(copy, out.parent)
-    copy_with(model, out, **{KEY: found.as_header()})
-    if copy is not None:
-        keep(copy, out.parent)
+        require_room(system_copy, out.parent)
+    copy_with(model, out, **{KEY: calibration.as_header()})
+    if system_copy is not None:
+        keep(system_copy, out.parent)
     if json:
-        terminal.print_json({"file": str(out), "start": begin, "records": found.records,
-                             "highest_level": found.most})  # fmt: skip
+        terminal.print_json({"file": str(out), "start": start, "records": calibration.records,
+                             "highest_level": calibration.most})  # fmt: skip
         return
     terminal.messages().print(
-        f"{out}: bands from {len(records)} records, start '{begin}'; they can promise at most "
-        f"{100 * found.most:.1f} %"
+        f"{out}: bands from {len(records)} records, start '{start}'; their highest level is "
+        f"{100 * calibration.most:.1f} %"
     )

@@ -1,5 +1,6 @@
-"""`tustinnet committee`: one model of several."""
+"""`tustinnet committee`: several models combined into one."""
 
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -8,7 +9,6 @@ import typer
 from tustinnet.cli import options, terminal
 
 if TYPE_CHECKING:
-    from tustinnet.models.contract import Model
     from tustinnet.systems.files import SystemFile
 
 
@@ -28,80 +28,63 @@ def committee(
 ) -> None:
     """Combine models into one that averages their accelerations."""
     terminal.prepare_jax()
-    from tustinnet.cli.request import files_of
-    from tustinnet.families.committee import committee as put_together
+    from tustinnet.cli.request import list_input_files
+    from tustinnet.errors import InputError
+    from tustinnet.families.committee import committee as make_committee
+    from tustinnet.simulate.range import KEY, Range, joined
     from tustinnet.store.files import require_outputs
+    from tustinnet.store.header import read_header
     from tustinnet.store.kept_system import header_of, keep, require_room
     from tustinnet.store.model_file import ENDINGS, load_models, save
     from tustinnet.systems.files import SystemFile, find_system
 
-    shares = None if weights is None else _numbers(weights)
-    read = files_of(None, None, *models, system)
-    require_outputs([out], overwrite=overwrite, read=read, endings=ENDINGS)
-    given = _kept_with(models) if system is None else find_system(system)
-    members = load_models(models, [] if given is None else [given], lambda path: None)
-    copied = given if isinstance(given, SystemFile) else None
+    try:
+        shares = None if weights is None else [float(part) for part in weights.split(",")]
+    except ValueError:
+        raise InputError("--weights", f"'{weights}'", "numbers, separated by commas") from None
+    inputs = list_input_files(None, None, *models, system)
+    require_outputs([out], overwrite=overwrite, read=inputs, endings=ENDINGS)
+    shared_system = _find_shared_system(models) if system is None else find_system(system)
+    members = load_models(
+        models, [] if shared_system is None else [shared_system], lambda path: None
+    )
+    system_file = shared_system if isinstance(shared_system, SystemFile) else None
     if not overwrite:
-        require_room(copied, out.parent)
-    header = {
-        "files": [_file(path) for path in models],
-        **_range(models, members),
-        **header_of(copied),
-    }
-    save(put_together(members, shares), out, **header)
-    if copied is not None:
-        keep(copied, out.parent)
-        terminal.remember_trust(copied)
+        require_room(system_file, out.parent)
+    if any(member.encoder for member in members):
+        terminal.messages().print("note: the encoders of the members are not used in a committee")
+    headers = [read_header(path) for path in models]
+    files: list[dict[str, Any]] = []
+    for path, header in zip(models, headers, strict=True):
+        data = {} if header.get("data") is None else {"data": header["data"]}
+        files.append({"file": str(path), "sha256": sha256(path.read_bytes()).hexdigest(), **data})
+    content: dict[str, Any] = {"files": files}
+    # the range of the training data is known where all members have one
+    ranges = [Range.from_header(h, m) for h, m in zip(headers, members, strict=True)]
+    complete = [part for part in ranges if part is not None]
+    if len(complete) == len(ranges):
+        content[KEY] = join_ranges(complete, members[0].channels).as_header()
+    save(make_committee(members, shares), out, **content, **header_of(system_file))
+    if system_file is not None:
+        keep(system_file, out.parent)
+        terminal.remember_trust(system_file)
     terminal.messages().print(f"{len(members)} models: {out}")
 
 
-def _numbers(text: str) -> list[float]:
-    from tustinnet.errors import InputError
+def _find_shared_system(models: list[Path]) -> "SystemFile | None":
+    """The system file that is stored with some of the models.
 
-    try:
-        return [float(part) for part in text.split(",")]
-    except ValueError:
-        raise InputError("--weights", f"'{text}'", "numbers, separated by commas") from None
-
-
-def _kept_with(models: list[Path]) -> "SystemFile | None":
-    """The system file that was kept with some of the models, one and the same with all of them."""
+    Raises:
+        InputError: different files are stored with them.
+    """
     from tustinnet.cli.request import kept_system
     from tustinnet.errors import InputError
 
-    found = [copy for path in models if (copy := kept_system(path)) is not None]
-    if len({copy.sha256 for copy in found}) > 1:
-        kept = ", ".join(dict.fromkeys(str(copy.path) for copy in found))
+    copies = [copy for path in models if (copy := kept_system(path)) is not None]
+    if len({copy.sha256 for copy in copies}) > 1:
+        names = ", ".join(dict.fromkeys(str(copy.path) for copy in copies))
         raise InputError(
-            "committee", f"models with different system files ({kept})", "one system",
+            "committee", f"models with different system files ({names})", "one system",
             "name it with --system FILE.py",
         )  # fmt: skip
-    return found[0] if found else None
-
-
-def _range(models: list[Path], members: "list[Model]") -> dict[str, Any]:
-    """Where the training records of all members lie, where all files say it."""
-    from tustinnet.simulate.range import KEY, Range, join_ranges
-    from tustinnet.store.header import read_header
-
-    told = [
-        Range.from_header(read_header(path), member)
-        for path, member in zip(models, members, strict=True)
-    ]
-    known = [of for of in told if of is not None]
-    return (
-        {KEY: join_ranges(known, members[0].channels).as_header()}
-        if len(known) == len(told)
-        else {}
-    )
-
-
-def _file(path: Path) -> dict[str, Any]:
-    """What the header says of a model's file."""
-    from hashlib import sha256
-
-    from tustinnet.store.header import read_header
-
-    of = {"file": str(path), "sha256": sha256(path.read_bytes()).hexdigest()}
-    data = read_header(path).get("data")
-    return of if data is None else {**of, "data": data}
+    return copies[0] if copies else None

@@ -1,10 +1,13 @@
-"""What a shell may complete an option's value to: names that the package knows, else files."""
+"""Completion of option values in a shell: names that the package knows, else files."""
 
 from collections.abc import Callable, Iterable
 
+SPLITS = ("train", "validation", "test")
+STARTS = ("file", "derived-6", "model-20", "warm-up-20", "encoder-20")
 
-def _of(names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:
-    """Completes to names that are looked for only when a shell asks."""
+
+def _make_completer(names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:
+    """Makes a completer to names that are looked up only when a shell needs them."""
 
     def complete(incomplete: str) -> list[str]:
         return [name for name in names() if name.startswith(incomplete)]
@@ -43,6 +46,6 @@ def _starts() -> Iterable[str]:
     return [kind.usual_name() for kind in STARTS]
 
 
-recipe, plan, system, target = _of(_recipes), _of(_plans), _of(_systems), _of(_targets)
-split = _of(lambda: ("train", "validation", "test"))
-start = _of(_starts)
+recipe, plan = _make_completer(_recipes), _make_completer(_plans)
+system, target = _make_completer(_systems), _make_completer(_targets)
+split, start = _make_completer(lambda: SPLITS), _make_completer(_starts)

@@ -1,4 +1,4 @@
-"""`tustinnet cross-validate`: a recipe on records that its models never saw."""
+"""`tustinnet cross-validate`: scores of a recipe on records that its models were not fitted to."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -63,9 +63,9 @@ def cross_validate(
     Every record is scored by models that were fitted without it. Records of the split test are
     left out.
     """
-    from tustinnet.cli.request import loaded, recipe_of, require_cores, seeds_of, tell_still
+    from tustinnet.cli import request
 
-    require_cores(cluster, device)
+    request.require_cores(cluster, device)
     terminal.prepare_jax(device)
     from tustinnet.evaluate.folds import cross_validate, make_question, taking_part
     from tustinnet.report.fits import folds_table
@@ -74,43 +74,49 @@ def cross_validate(
     from tustinnet.store.files import owned, require_outputs, to_json, write_into
     from tustinnet.systems.files import find_system
 
-    asked = make_question(
-        recipe_of(recipe, changes, system=system, physics=physics), system=system, physics=physics,
-        folds=folds, seeds=None if seeds is None else seeds_of(seeds), starts=start or (),
+    validation = make_question(
+        request.choose_recipe(recipe, changes, system=system, physics=physics), system=system,
+        physics=physics, folds=folds, seeds=None if seeds is None else request.parse_seeds(seeds),
+        starts=start or (),
     )  # fmt: skip
-    told = terminal.messages()
+    console = terminal.messages()
     require_outputs([out / _FILE, out / _TABLE], overwrite=overwrite)
-    records = loaded(data, card, out, told, strict=strict)
-    tell_still(taking_part(records), told)
-    with _joined(cluster, quiet=quiet) as by, owned(out), FitProgress(told, quiet=quiet) as bars:
-        if by is None:
-            found = cross_validate(records, asked, bars.follow)
+    records = request.load_records_to_fit(data, card, out, console, strict=strict)
+    request.print_still_coordinates(taking_part(records), console)
+    with (
+        _open_cluster(cluster, quiet=quiet) as executor,
+        owned(out),
+        FitProgress(console, quiet=quiet) as progress,
+    ):
+        if executor is None:
+            result = cross_validate(records, validation, progress.follow)
         else:
             forget(out, (_FILE, _TABLE), jobs=overwrite)
-            found = cross_validate_by_jobs(records, asked, out, by, system and find_system(system))
-        table = folds_table(found)
-        write_into(out, _FILE, to_json(found.as_plain()))
+            system_file = system and find_system(system)
+            result = cross_validate_by_jobs(records, validation, out, executor, system_file)
+        table = folds_table(result)
+        write_into(out, _FILE, to_json(result.as_plain()))
         write_into(out, _TABLE, table.markdown())
     if json:
-        terminal.print_json(found.as_plain())
+        terminal.print_json(result.as_plain())
     else:
         terminal.print_tables(table)
-    told.print(f"written: {out / _FILE}, {out / _TABLE}")
+    console.print(f"written: {out / _FILE}, {out / _TABLE}")
 
 
 @contextmanager
-def _joined(
+def _open_cluster(
     address: str | None, *, quiet: bool
 ) -> "Iterator[Callable[[Workplace], Executor] | None]":
-    """The machines of a cluster, None where none is asked for."""
+    """Executor of jobs on a cluster within the context; None without an address."""
     if address is None:
         yield None
         return
     from tustinnet.selection.cluster import cluster
 
-    goes_on = "the same command, without --overwrite, goes on with the folds that are done"
+    remedy = "the same command, without --overwrite, continues with the folds that are done"
     with (
-        terminal.interruptible(goes_on),
-        cluster(address, terminal.teller(quiet=quiet)) as executor,
+        terminal.interruptible(remedy),
+        cluster(address, terminal.make_printer(quiet=quiet)) as executor,
     ):
         yield executor

@@ -1,12 +1,12 @@
-"""Where the command begins: signals end it with one line from the first moment on."""
+"""Entry point of the command; from the first moment on, signals end it with one line."""
 
-from tustinnet.cli.terminal import stoppable, tell_warnings
+from tustinnet.cli.terminal import shorten_warnings, stoppable
 
 
 def run() -> None:
     """Runs the command."""
     with stoppable():
-        tell_warnings()
+        shorten_warnings()
         from tustinnet.cli.main import run as command
 
         command()

@@ -1,26 +1,26 @@
 """`tustinnet evaluate`: score a model on records."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tustinnet.cli import options, request, terminal
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from tustinnet.channels import Channels
-    from tustinnet.data.experiment import Experiment
-    from tustinnet.evaluate.bands import Band, BandAsked
+    from tustinnet.evaluate.bands import BandAsked
     from tustinnet.evaluate.coverage import Covered
     from tustinnet.evaluate.scores import Score
     from tustinnet.report.tables import Table
 
 
 _AHEAD_FIGURE = "ahead"
+_STEPS_SHOWN = (1, 2, 5, 10, 20, 50, 100, 200, 500)
+_SCORE_KEYS = ("experiment", "rmse", "rmse_after", "coordinate_rmse", "nrmse", "fit_percent")
 _Ahead = Annotated[
     int | None,
     typer.Option(min=1, metavar="K", help="Also score predictions k steps ahead, for k = 1..K."),
@@ -52,127 +52,106 @@ def evaluate(
     terminal.prepare_jax()
     from tustinnet.evaluate.ahead import rmse_ahead
     from tustinnet.evaluate.coverage import covered
-    from tustinnet.evaluate.scores import Score
+    from tustinnet.evaluate.scores import Score, mean_rmse
     from tustinnet.evaluate.scores import evaluate as score_records
 
-    asked = request.band_asked(band, whole=whole_records)
-    judged = request.model_of(model, system)
-    records, begin = request.judged_records(data, card, split, start, [judged])
+    band_options = request.make_band_options(band, whole=whole_records)
+    simulator = request.load_model(model, system)
+    channels = simulator.channels
+    records, start = request.load_records_and_start(data, card, split, start, [simulator])
     names = [e.name for e in records] + ([] if ahead is None else [_AHEAD_FIGURE])
-    drawn = None if figures is None else [figures / f"{name}.png" for name in names]
-    read = request.files_of(data, card, model, system)
-    request.require_figures("--figures", drawn, read, overwrite=overwrite)
-    scores = score_records(judged, records, begin, horizon=horizon)
-    runs = list(zip(records, scores, strict=True))
+    paths = None if figures is None else [figures / f"{name}.png" for name in names]
+    inputs = request.list_input_files(data, card, model, system)
+    request.require_figures("--figures", paths, inputs, overwrite=overwrite)
+    scores = score_records(simulator, records, start, horizon=horizon)
     by_split: dict[str, list[Score]] = {}
-    for e, score in runs:
+    for e, score in zip(records, scores, strict=True):
         by_split.setdefault(e.split or "all", []).append(score)
-    bands = [] if asked is None else request.bands_of(model, judged, records, scores, asked)
-    shares = covered(records, bands) if bands else []
-    errors = None if ahead is None else rmse_ahead(judged, records, ahead)
+    bands, coverage = [], []
+    if band_options is not None:
+        bands = request.compute_bands(model, simulator, records, scores, band_options)
+        coverage = covered(records, bands)
+    errors = None if ahead is None else rmse_ahead(simulator, records, ahead)
     if json:
-        content = _content(judged.channels, runs, by_split, horizon)
-        if asked is not None:
-            content["band"] = {"level": asked.level, "of": asked.of,
-                               "covered": [asdict(of) for of in shares]}  # fmt: skip
+        experiments = []
+        for e, score in zip(records, scores, strict=True):
+            values = {key: getattr(score, key) for key in _SCORE_KEYS}
+            experiments.append({**values, "split": e.split})
+        content = {
+            "start": scores[0].start,
+            "horizon": horizon,
+            "coordinates": [c.name for c in channels.coordinates],
+            "experiments": experiments,
+            "mean": mean_rmse(scores),
+            "means": {name: mean_rmse(group) for name, group in by_split.items()},
+        }
+        if band_options is not None:
+            content["band"] = {"level": band_options.level, "of": band_options.of,
+                               "covered": [asdict(share) for share in coverage]}  # fmt: skip
         if errors is not None:
-            content["ahead"] = {"dt": judged.dt, "rmse": errors.tolist()}
+            content["ahead"] = {"dt": simulator.dt, "rmse": errors.tolist()}
         terminal.print_json(content)
     else:
-        terminal.print_tables(_score_table(by_split, judged.channels, begin))
-        if asked is not None:
-            terminal.print_tables(_band_table(shares, asked, judged.channels))
+        terminal.print_tables(_score_table(by_split, channels, start))
+        if band_options is not None:
+            terminal.print_tables(_band_table(coverage, band_options, channels))
         if errors is not None:
-            terminal.print_tables(_ahead_table(errors.tolist(), judged.channels))
+            terminal.print_tables(_ahead_table(errors.tolist(), channels))
     if figures is not None:
-        _draw(figures, model.stem, runs, bands)
+        from tustinnet.report.figures import ahead_figure, free_run_figure, write_figure
+
+        label = model.stem
+        for i, (e, score) in enumerate(zip(records, scores, strict=True)):
+            figure = free_run_figure(e, {label: score}, bands={label: bands[i]} if bands else {})
+            write_figure(figure, figures, f"{e.name}.png")
         if errors is not None:
-            _draw_ahead(figures, model.stem, errors, judged.channels)
+            write_figure(ahead_figure({label: errors}, channels), figures, f"{_AHEAD_FIGURE}.png")
         terminal.messages().print(f"figures: {figures}")
 
 
-def _content(
-    channels: "Channels",
-    runs: "list[tuple[Experiment, Score]]",
-    by_split: dict[str, list["Score"]],
-    horizon: float | None,
-) -> dict[str, Any]:
-    from tustinnet.evaluate.scores import mean_rmse
-
-    return {
-        "start": runs[0][1].start,
-        "horizon": horizon,
-        "coordinates": [c.name for c in channels.coordinates],
-        "experiments": [{**_plain(score), "split": e.split} for e, score in runs],
-        "mean": mean_rmse([score for _, score in runs]),
-        "means": {name: mean_rmse(group) for name, group in by_split.items()},
-    }
-
-
-def _draw(
-    folder: Path, label: str, runs: "list[tuple[Experiment, Score]]", bands: "list[Band]"
-) -> None:
-    from tustinnet.report.figures import free_run_figure, write_figure
-
-    for i, (e, score) in enumerate(runs):
-        around = {label: bands[i]} if bands else {}
-        write_figure(free_run_figure(e, {label: score}, bands=around), folder, f"{e.name}.png")
-
-
-def _draw_ahead(folder: Path, label: str, errors: "np.ndarray", channels: "Channels") -> None:
-    from tustinnet.report.figures import ahead_figure, write_figure
-
-    write_figure(ahead_figure({label: errors}, channels), folder, f"{_AHEAD_FIGURE}.png")
-
-
 def _ahead_table(errors: list[float], channels: "Channels") -> "Table":
+    """Table of the RMSE of predictions k steps ahead, for some k."""
     from tustinnet.report.tables import Table, number
 
-    marks = sorted({k for k in (1, 2, 5, 10, 20, 50, 100, 200, 500) if k < len(errors)})
     rows = [[str(k), f"{k * channels.dt:g}", number(errors[k - 1], 4)]
-            for k in [*marks, len(errors)]]  # fmt: skip
+            for k in [*(k for k in _STEPS_SHOWN if k < len(errors)), len(errors)]]  # fmt: skip
     columns = ["k", "horizon [s]", f"RMSE [{channels.unit}]"]
     return Table(columns, rows, title="k steps ahead")
 
 
-def _band_table(shares: "list[Covered]", asked: "BandAsked", channels: "Channels") -> "Table":
+def _band_table(
+    coverage: "Sequence[Covered]", band_options: "BandAsked", channels: "Channels"
+) -> "Table":
+    """Table of the share of the motion inside the bands, and of their width."""
     from tustinnet.report.tables import Table, number
 
     units = {c.name: c.unit for c in channels.coordinates}
     rows = []
-    for of in shares:
-        low, high = (f"{100 * end:.0f}" for end in of.interval)
+    for row in coverage:
+        low, high = (f"{100 * end:.0f}" for end in row.interval)
         rows.append([
-            of.coordinate, of.part, f"{100 * of.inside:.1f}", f"{low} to {high}",
-            f"{of.whole} of {of.records}", f"{number(of.width)} {units[of.coordinate]}",
-            number(of.width / of.rmse, 1) if of.rmse else "", number(of.crps),
+            row.coordinate, row.part, f"{100 * row.inside:.1f}", f"{low} to {high}",
+            f"{row.whole} of {row.records}", f"{number(row.width)} {units[row.coordinate]}",
+            number(row.width / row.rmse, 1) if row.rmse else "", number(row.crps),
         ])  # fmt: skip
     columns = ["coordinate", "part", "inside [%]", "95 % interval", "records all inside",
                "width", "width / RMSE", "CRPS"]  # fmt: skip
-    what = "of the time" if asked.of == "time" else "of whole records"
-    return Table(columns, rows, title=f"Bands of {100 * asked.level:g} % {what}")
+    share = "of the time" if band_options.of == "time" else "of whole records"
+    return Table(columns, rows, title=f"Bands of {100 * band_options.level:g} % {share}")
 
 
-def _plain(score: "Score") -> dict[str, Any]:
-    return {
-        "experiment": score.experiment,
-        "rmse": score.rmse,
-        "rmse_after": score.rmse_after,
-        "coordinate_rmse": list(score.coordinate_rmse),
-        "nrmse": list(score.nrmse),
-        "fit_percent": list(score.fit_percent),
-    }
-
-
-def _score_table(by_split: dict[str, list["Score"]], channels: "Channels", start: str) -> "Table":
+def _score_table(
+    by_split: "Mapping[str, Sequence[Score]]", channels: "Channels", start: str
+) -> "Table":
+    """Table of the scores of every record, and of the means of the splits."""
     from tustinnet.evaluate.scores import mean_rmse
     from tustinnet.report.tables import Table, number
     from tustinnet.simulate.horizon import horizon_words
     from tustinnet.simulate.starts import start_named
 
-    fitted = start_named(start).fitted_samples
-    # what the start was fitted to is simulated well by any model
-    after = [f"from sample {fitted}"] if fitted else []
+    # any model simulates the samples well that its start was fitted to
+    start_samples = start_named(start).fitted_samples
+    after = [f"from sample {start_samples}"] if start_samples else []
     columns = ["record", "split", f"RMSE [{channels.unit}]", *after]
     for c in channels.coordinates:
         columns += [f"{c.name} [{c.unit}]", "NRMSE", "fit [%]"]
@@ -185,7 +164,7 @@ def _score_table(by_split: dict[str, list["Score"]], channels: "Channels", start
             ):
                 row += [number(error), number(relative), number(percent, 1)]
             rows.append(row)
-    # training records flatter a model: their mean stands apart from the others'
+    # scores of training records are optimistic, so each split has a mean of its own
     for split, scores in by_split.items():
         means = [mean_rmse(scores), *[fmean(s.rmse_after for s in scores) for _ in after]]
         rows.append(["mean", split, *map(number, means), *[""] * (3 * channels.n_q)])

@@ -1,4 +1,4 @@
-"""`tustinnet export`: a model in other forms."""
+"""`tustinnet export`: a model in other formats."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from tustinnet.cli import completion, options, terminal
+from tustinnet.registry import TARGETS
 
 
 def export(
@@ -15,8 +16,8 @@ def export(
         typer.Option(
             metavar="TARGET,..",
             autocompletion=completion.target,
-            help="c, fmu, casadi, onnx, js, stablehlo or mat; several, separated by commas, or "
-            "all. Several targets get a folder each.",
+            help=f"{options.join_or(TARGETS.places)}; several, separated by commas, or all. "
+            "Several targets get a folder each.",
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files.")],
@@ -41,51 +42,49 @@ def export(
 ) -> None:
     """Write a model as C, FMU, CasADi, ONNX, JavaScript, StableHLO or matrices."""
     terminal.prepare_jax()
-    from tustinnet.cli.request import model_of
+    from tustinnet.cli.request import load_model
+    from tustinnet.errors import InputError
     from tustinnet.report.tables import Table
     from tustinnet.store.exported import export_model, targets_of
 
-    found = export_model(
-        model_of(model, system), targets_of(to, _point(at)), out,
-        file=model, groups=_groups(group or []), overwrite=overwrite,
+    groups = dict(pair.split("=", 1) for pair in group or [] if "=" in pair)
+    if len(groups) < len(group or []):
+        raise InputError("--group", f"'{', '.join(group or [])}'", "NAME=VALUE, each name once")
+    exports = export_model(
+        load_model(model, system), targets_of(to, _parse_point(at)), out,
+        file=model, groups=groups, overwrite=overwrite,
     )  # fmt: skip
     if json:
         terminal.print_json([
             {"target": e.target, "folder": str(e.folder), "files": e.files, "notes": e.notes,
              "steps": e.checked.steps, "difference": e.checked.difference, "note": e.checked.note}
-            for e in found
+            for e in exports
         ])  # fmt: skip
         return
     rows = [
-        [e.target, str(e.folder), ", ".join(e.files), f"{e.checked.difference:.1e}"] for e in found
+        [e.target, str(e.folder), ", ".join(e.files), f"{e.checked.difference:.1e}"]
+        for e in exports
     ]
     title = "Exports, and how far a step is from the model's, relative to 1 + the state"
     terminal.print_tables(Table(["target", "folder", "files", "difference"], rows, title=title))
-    told = [f"{e.target}: {e.checked.note}" for e in found if e.checked.note]
-    for line in dict.fromkeys([*(note for e in found for note in e.notes), *told]):
-        terminal.messages().print(f"note: {line}")
+    notes = [note for e in exports for note in e.notes]
+    notes += [f"{e.target}: {e.checked.note}" for e in exports if e.checked.note]
+    for note in dict.fromkeys(notes):
+        terminal.messages().print(f"note: {note}")
 
 
-def _groups(given: list[str]) -> dict[str, str]:
+def _parse_point(text: str | None) -> dict[str, float]:
+    """The operating point that `--at` describes, values by name."""
     from tustinnet.errors import InputError
 
-    found = dict(pair.split("=", 1) for pair in given if "=" in pair)
-    if len(found) < len(given):
-        raise InputError("--group", f"'{', '.join(given)}'", "NAME=VALUE, each name once")
-    return found
-
-
-def _point(given: str | None) -> dict[str, float]:
-    from tustinnet.errors import InputError
-
-    pairs = [] if given is None else [pair.partition("=") for pair in given.split(",")]
+    pairs = [] if text is None else [pair.partition("=") for pair in text.split(",")]
     try:
-        found = {name.strip(): float(value) for name, _, value in pairs}
+        point = {name.strip(): float(value) for name, _, value in pairs}
     except ValueError:
-        found = {}
-    if len(found) < len(pairs):
+        point = {}
+    if len(point) < len(pairs):
         raise InputError(
-            "--at", f"'{given}'", "NAME=VALUE, separated by commas, each name once",
+            "--at", f"'{text}'", "NAME=VALUE, separated by commas, each name once",
             "for instance --at theta=0.1,der_theta=0",
         )  # fmt: skip
-    return found
+    return point

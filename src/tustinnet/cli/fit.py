@@ -1,6 +1,5 @@
-"""`tustinnet fit`: a model from a folder of logs, as a recipe says."""
+"""`tustinnet fit`: a model from a folder of logs."""
 
-from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,14 +9,14 @@ import typer
 from tustinnet.cli import completion, options, terminal
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rich.console import Console
 
-    from tustinnet.cli.leave_report import Leaving
+    from tustinnet.cli.request import FitOptions
     from tustinnet.data.dataset import DataSet
-    from tustinnet.fitting.recipe import Recipe
     from tustinnet.fitting.task import Task
     from tustinnet.store.run import Earlier, Run
-    from tustinnet.systems.files import SystemFile
 
 
 _Plan = Annotated[
@@ -60,207 +59,192 @@ def fit(
     quiet: options.Quiet = False,
 ) -> None:
     """Fit a model: try several recipes and keep the best, or fit one."""
-    from tustinnet.cli.request import loaded, require_cores
+    from tustinnet.cli.request import FitOptions, load_records_to_fit, require_cores
 
     require_cores(cluster, device)
     terminal.prepare_jax(device)
-    from tustinnet.cli.leave_report import Leaving
+    from tustinnet.cli.automatic_report import AutomaticReport
     from tustinnet.cli.select import select
+    from tustinnet.errors import InputError
     from tustinnet.systems.files import find_system
 
     selects = recipe is None and physics is None and origin is None
     for option, model in (("--physics", physics), ("--from", origin)):
-        _require_apart(out, option, model)
-    by_plan = {"--plan": plan, "--budget": budget, "--cluster": cluster}
-    _require_meaning(selects, {"--set": changes, "--seeds": seeds}, by_plan)
-    earlier = _earlier(resume=resume, overwrite=overwrite)
-    given = None if system is None else find_system(system)
-    load = partial(loaded, data, card, out, terminal.messages(), strict=strict)
-    leaving = Leaving(data, card, wanted=not no_report)
+        if model is not None and out.resolve() in model.resolve().parents:
+            raise InputError(out, f"the folder of {model}, which {option} names", "another folder")
     if selects:
-        asked = plan, budget, cluster
-        select(load, out, asked, given, earlier, leaving, json=json, quiet=quiet)
-        return
-    what = recipe, changes, seeds, physics, origin
-    _fit_recipe(load, out, what, given, earlier, leaving, json=json, quiet=quiet)
+        for option, value in {"--set": changes, "--seeds": seeds}.items():
+            if value is not None:
+                raise InputError(option, "not applicable without a recipe", "a recipe",
+                                 "add --recipe NAME, or write a plan (--plan FILE)")  # fmt: skip
+    else:
+        for option, value in {"--plan": plan, "--budget": budget, "--cluster": cluster}.items():
+            if value is not None:
+                raise InputError(option, "not applicable to a single recipe", "no recipe, no model",
+                                 "omit --recipe, --physics and --from to try several")  # fmt: skip
+    if resume and overwrite:
+        raise InputError("--resume, --overwrite", "both", "one of them")
+    earlier: Earlier = "resume" if resume else "discard" if overwrite else "refuse"
+    fit_options = FitOptions(
+        load=partial(load_records_to_fit, data, card, out, terminal.messages(), strict=strict),
+        out=out,
+        system=None if system is None else find_system(system),
+        earlier=earlier,
+        report=AutomaticReport(data, card, is_enabled=not no_report),
+        json=json,
+        quiet=quiet,
+    )
+    if selects:
+        select(fit_options, plan=plan, budget=budget, cluster_address=cluster)
+    else:
+        _fit_recipe(
+            fit_options, recipe_name=recipe, changes=changes, seeds=seeds, physics=physics,
+            origin=origin,
+        )  # fmt: skip
 
 
 def _fit_recipe(
-    load: "Callable[[], DataSet]",
-    out: Path,
-    asked: tuple[str | None, list[str] | None, str | None, Path | None, Path | None],
-    given: "SystemFile | str | None",
-    earlier: "Earlier",
-    leaving: "Leaving",
+    fit_options: "FitOptions",
     *,
-    json: bool,
-    quiet: bool,
+    recipe_name: str | None,
+    changes: "Sequence[str] | None",
+    seeds: str | None,
+    physics: Path | None,
+    origin: Path | None,
 ) -> None:
-    """Fits one recipe: `asked` has its name, changes, seeds, physics to correct, origin."""
-    from tustinnet.cli.leave_report import require_left
-    from tustinnet.cli.request import (
-        begun_with,
-        kept_system,
-        members_of,
-        recipe_of,
-        recipe_within,
-        tell_still,
-    )  # fmt: skip
+    """Fits one recipe, writes and prints the results."""
+    from tustinnet.cli import request
+    from tustinnet.cli.automatic_report import require_report
     from tustinnet.fitting.task import make_task
     from tustinnet.report.progress import FitProgress
     from tustinnet.store.model_file import load_model, system_of
-    from tustinnet.store.run import run_task
+    from tustinnet.store.run import MODEL, run_task
 
-    recipe, changes, seeds, physics, origin = asked
-    within = None if origin is None or recipe is not None else recipe_within(origin)
-    chosen = recipe_of(within or recipe, changes, system=given, physics=physics)
-    members = members_of(seeds, chosen)
-    begun = None if origin is None else begun_with(origin, given, changes)
-    if given is None and (kept := physics or origin) is not None:
-        given = kept_system(kept)
-    known = None if physics is None else load_model(physics, given)
-    told = terminal.messages()
-    records = load()
+    system, console = fit_options.system, terminal.messages()
+    stored_recipe = (
+        None if origin is None or recipe_name is not None else request.read_recipe_in(origin)
+    )
+    recipe = request.choose_recipe(
+        stored_recipe or recipe_name, changes, system=system, physics=physics
+    )
+    members = request.make_members(seeds, recipe)
+    initial_model = None if origin is None else request.read_origin(origin, system, changes)
+    if system is None and (file := physics or origin) is not None:
+        system = request.kept_system(file)
+    physics_model = None if physics is None else load_model(physics, system)
+    records = fit_options.load()
     if "validation" not in records.splits:
-        told.print("note: no validation split; the scores below are of the training records")
-    of = given
-    if origin is not None and "system" in chosen.family.needs:
-        of = given or system_of(origin) or None
+        console.print("note: no validation split; the scores below are of the training records")
+    task_system = system
+    if origin is not None and "system" in recipe.family.needs:
+        task_system = system or system_of(origin) or None
     elif physics is not None or origin is not None:
-        of = None  # it is that of the physics
-    file = None if isinstance(given, str) else given
-    task = make_task(records, chosen, members, physics=known, system=of, origin=begun)
-    tell_still(task.folds[0].roles.train, told)
-    if not quiet:
-        _tell_windows(task, told)
-    with FitProgress(told, quiet=quiet) as progress, terminal.interruptible(_remedy(chosen)):
-        run = run_task(task, records.name, out, earlier, progress.follow, file)
-    if file is not None:
-        terminal.remember_trust(file)
-    page = _leave(run, records, leaving, json=json)
-    _tell_unfinished(run, told)
-    require_left(page)
-
-
-def _leave(run: "Run", records: "DataSet", leaving: "Leaving", *, json: bool) -> str | None:
-    """Prints what came out; then draws it and writes the report, and returns where that is."""
-    from tustinnet.store.run import MODEL
-
-    if json:
+        task_system = None  # it is that of the physics
+    system_file = None if isinstance(system, str) else system
+    task = make_task(
+        records, recipe, members, physics=physics_model, system=task_system, origin=initial_model
+    )
+    request.print_still_coordinates(task.folds[0].roles.train, console)
+    if not fit_options.quiet:
+        _print_windows(task, console)
+    remedy = (
+        "--resume continues from the checkpoint"
+        if recipe.family.trains
+        else "an identification cannot be resumed; start it again, if necessary with --overwrite"
+    )
+    with (
+        FitProgress(console, quiet=fit_options.quiet) as progress,
+        terminal.interruptible(remedy),
+    ):
+        run = run_task(
+            task, records.name, fit_options.out, fit_options.earlier, progress.follow, system_file
+        )
+    if system_file is not None:
+        terminal.remember_trust(system_file)
+    if fit_options.json:
         terminal.print_json(run.summary())
     else:
-        _print(run, leaving.data)
-    _draw(run, records)
-    page = _page(run, leaving)
-    if not json:
-        typer.echo(f"model: {run.folder / MODEL}   figures: {run.folder / 'figures'}{page or ''}")
-    return page
-
-
-def _require_meaning(
-    selects: bool, by_recipe: Mapping[str, object], by_plan: Mapping[str, object]
-) -> None:
-    """Raises where an option is given that means nothing here."""
-    from tustinnet.errors import InputError
-
-    for name, value in (by_recipe if selects else by_plan).items():
-        if value is not None and selects:
-            raise InputError(name, "means nothing where no recipe is named", "a recipe",
-                             "add --recipe NAME, or write a plan (--plan FILE)")  # fmt: skip
-        if value is not None:
-            raise InputError(name, "means nothing to a single recipe", "no recipe, no model",
-                             "leave --recipe, --physics and --from out to try several")  # fmt: skip
-
-
-def _require_apart(out: Path, option: str, model: Path | None) -> None:
-    """Raises where a run would be written over a model that it is made from."""
-    from tustinnet.errors import InputError
-
-    if model is not None and out.resolve() in model.resolve().parents:
-        raise InputError(out, f"the folder of {model}, which {option} names", "another folder")
-
-
-def _tell_unfinished(run: "Run", told: "Console") -> None:
-    """What went wrong; ends with exit code 1 where nothing else came out."""
-    unfinished = [of.result for of in run.members if not of.result.finished]
+        _print_run(run, fit_options.report.data)
+    _draw_run(run, records)
+    report = _write_report(run, fit_options)
+    if not fit_options.json:
+        figures = run.folder / "figures"
+        typer.echo(f"model: {run.folder / MODEL}   figures: {figures}{report or ''}")
+    unfinished = [m.result for m in run.members if not m.result.finished]
     for result in unfinished:
-        who = f"{result.member.name}: " if result.recipe.family.trains else ""
-        told.print(f"error: {who}{result.failure}")
+        member = f"{result.member.name}: " if result.recipe.family.trains else ""
+        console.print(f"error: {member}{result.failure}")
     if len(unfinished) == len(run.members):
         raise typer.Exit(1)
+    require_report(report)
 
 
-def _tell_windows(task: "Task", told: "Console") -> None:
-    """What the windows of a training's stages were chosen by."""
+def _print_windows(task: "Task", console: "Console") -> None:
+    """Prints how the windows of each training stage were chosen."""
     from tustinnet.fitting.gradient.windows import describe_windows
     from tustinnet.fitting.recipe import TrainingRecipe
 
     if isinstance(task.recipe, TrainingRecipe):
-        train = task.folds[0].roles.train
         for stage in task.recipe.stages:
-            account = describe_windows(train, stage.windows)
-            told.print(f"{stage.name}: {account}", highlight=False, soft_wrap=True)
+            account = describe_windows(task.folds[0].roles.train, stage.windows)
+            console.print(f"{stage.name}: {account}", highlight=False, soft_wrap=True)
 
 
-def _remedy(recipe: "Recipe") -> str:
-    """What to do after an interruption."""
-    if recipe.family.trains:
-        return "--resume goes on from the checkpoint"
-    return "an identification begins anew, with --overwrite where it left files"
-
-
-def _earlier(*, resume: bool, overwrite: bool) -> "Earlier":
-    from tustinnet.errors import InputError
-
-    if resume and overwrite:
-        raise InputError("--resume, --overwrite", "both", "one of them")
-    return "resume" if resume else "discard" if overwrite else "refuse"
-
-
-def _page(run: "Run", leaving: "Leaving") -> str | None:
-    """Writes the report of the best model; returns where it is, as the line of files says it."""
-    from tustinnet.report.page.fitted import report_of_run
+def _write_report(run: "Run", fit_options: "FitOptions") -> str | None:
+    """Writes the report of the best model; see `AutomaticReport.write`."""
+    from tustinnet.report.page.fit_reports import write_run_report
     from tustinnet.store.run import REPORT
 
     score, folder = run.best.scores[0], run.folder
     split = run.judged if run.roles.ranking[0].split else None
-    given = {"--split": split, "--start": score.start, "--horizon": score.horizon}
-    return leaving.report(
-        [folder], folder / REPORT, lambda command: report_of_run(run, command), given
+    return fit_options.report.write(
+        [folder],
+        folder / REPORT,
+        lambda command: write_run_report(run, command),
+        {"--split": split, "--start": score.start, "--horizon": score.horizon},
     )
 
 
-def _print(run: "Run", data: str) -> None:
-    """Tables and sentences: members of a training, parameters of an identification."""
-    from tustinnet.report.fits import fitted_table, judged_table, members_table, parameter_table
+def _print_run(run: "Run", data: str) -> None:
+    """Prints members of a training or parameters of an identification, errors, and a summary."""
+    from tustinnet.report.fits import (
+        members_table,
+        parameter_table,
+        training_table,
+        validation_table,
+    )
     from tustinnet.report.summary import fit_summary
 
-    found = run.best.result.identification
-    if found is None:
-        terminal.print_tables(members_table(run), fitted_table(run))
-        for of in run.members:
-            for finding in of.result.findings:
-                typer.echo(f"* {of.result.member.name}: {finding}")
+    identification = run.best.result.identification
+    if identification is None:
+        terminal.print_tables(members_table(run), training_table(run))
+        for result in (member.result for member in run.members):
+            for finding in result.findings:
+                typer.echo(f"* {result.member.name}: {finding}")
     else:
-        terminal.print_tables(parameter_table(found), fitted_table(run), judged_table(run))
-        for finding in found.findings:
+        terminal.print_tables(
+            parameter_table(identification), training_table(run), validation_table(run)
+        )
+        for finding in identification.findings:
             typer.echo(f"* {finding}")
         typer.echo(
-            f"initial states: {found.initial}; condition {found.condition:.3g}; "
-            f"{found.substeps} Runge-Kutta steps a period"
+            f"initial states: {identification.initial}; "
+            f"condition {identification.condition:.3g}; "
+            f"{identification.substeps} Runge-Kutta steps a period"
         )
-        typer.echo(f"{found.outcome}; {found.seconds:.1f} s")
+        typer.echo(f"{identification.outcome}; {identification.seconds:.1f} s")
     for sentence in fit_summary(run, data):
         typer.echo(sentence)
 
 
-def _draw(run: "Run", data: "DataSet") -> None:
+def _draw_run(run: "Run", data: "DataSet") -> None:
+    """Draws training curves or error correlations, and the free runs of the best model."""
     from tustinnet.report.figures import free_run_figure, training_figure, write_figure
     from tustinnet.report.identification import correlation_figure
     from tustinnet.store.log import read_log
 
     best = run.best
-    histories = {of.result.member.name: read_log(of.folder) for of in run.members}
+    histories = {m.result.member.name: read_log(m.folder) for m in run.members}
     if all(histories.values()):
         write_figure(training_figure(histories), run.folder, "figures/training.png")
     if best.result.identification is not None:
@@ -270,5 +254,5 @@ def _draw(run: "Run", data: "DataSet") -> None:
     label = best.result.recipe.name
     label += f", {best.result.member.name}" if len(run.members) > 1 else ""
     for score in best.scores:
-        picture = free_run_figure(data[score.experiment], {label: score})
-        write_figure(picture, run.folder, f"figures/{score.experiment}.png")
+        figure = free_run_figure(data[score.experiment], {label: score})
+        write_figure(figure, run.folder, f"figures/{score.experiment}.png")

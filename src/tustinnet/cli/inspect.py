@@ -1,4 +1,4 @@
-"""`tustinnet inspect`: what the records hold, before anything is fitted."""
+"""`tustinnet inspect`: the contents of records, before anything is fitted."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -9,7 +9,7 @@ import typer
 from tustinnet.cli import options, request, terminal
 
 if TYPE_CHECKING:
-    from tustinnet.data.inspection import ExperimentReport, InputReport
+    from tustinnet.data.inspection import ExperimentReport
     from tustinnet.report.tables import Table
 
 _Figure = Annotated[
@@ -22,8 +22,9 @@ def inspect(
         str,
         typer.Argument(
             metavar="DATA",
-            help="Folder of logs with its data card dataset.toml, a data card, the name of known "
-            "data (qube-servo2), or a single file of columns, for which a card is drafted.",
+            help="Folder of logs with its data card dataset.toml, a data card, the name of a "
+            "published data set (qube-servo2), or a single file of columns, for which a card is "
+            "drafted.",
         ),
     ],
     card: options.Card = None,
@@ -39,24 +40,32 @@ def inspect(
     from tustinnet.data.catalog import load
     from tustinnet.data.inspection import inspect_experiment
     from tustinnet.data.readers import is_readable
+    from tustinnet.errors import InputError
 
     if is_readable(Path(data)) and not Path(data).is_dir():
-        given = {"--card": card, "--split": split, "--strict": strict, "--figure": figure,
-                 "--overwrite": overwrite}  # fmt: skip
-        _look_at_file(Path(data), [name for name, value in given.items() if value], json=json)
+        others = {"--card": card, "--split": split, "--strict": strict, "--figure": figure,
+                  "--overwrite": overwrite}  # fmt: skip
+        for option, value in others.items():
+            if value:
+                raise InputError(
+                    option, f"not applicable to the single file {data}", "a folder or a card",
+                    "omit it, or write a card first",
+                )  # fmt: skip
+        _inspect_file(Path(data), json=json)
         return
-    request.require_figures("--figure", figure, request.files_of(data, card), overwrite=overwrite)
-    loaded = load(data, card)
-    records = loaded if split is None else loaded.split(split)
+    inputs = request.list_input_files(data, card)
+    request.require_figures("--figure", figure, inputs, overwrite=overwrite)
+    data_set = load(data, card)
+    records = data_set if split is None else data_set.split(split)
     reports = [inspect_experiment(e) for e in records]
     if strict:
         require_sound(reports)
     if json:
         terminal.print_json(
-            {"data": loaded.name, "experiments": [dataclasses.asdict(r) for r in reports]}
+            {"data": data_set.name, "experiments": [dataclasses.asdict(r) for r in reports]}
         )
     else:
-        _print(reports, loaded.channels.unit)
+        _print_reports(reports, data_set.channels.unit)
     if figure is not None:
         from tustinnet.report.figures import inspection_figure, write_figure
 
@@ -64,85 +73,79 @@ def inspect(
         terminal.messages().print(f"figure: {figure}")
 
 
-def _print(reports: "list[ExperimentReport]", unit: str) -> None:
-    """Two tables, and a line for each remark."""
-    import itertools
-
+def _print_reports(reports: "list[ExperimentReport]", unit: str) -> None:
+    """Prints two tables, and a line for each remark."""
     terminal.print_tables(time_table(reports), _channel_table(reports, unit))
-    # the table has the jitter
-    notes = ((r.name, text) for r in reports for text in r.notes if "jitter" not in text)
-    held = (
+    unstable = (
         (r.name, f"holds an unstable position from {r.held.sample * r.dt:.1f} s on (errors grow "
          f"e-fold in {r.held.e_fold:.2g} s): score it over a horizon")
         for r in reports if r.held
     )  # fmt: skip
-    holds = ((r.name, _hold_told(i)) for r in reports for i in r.inputs if i.hold_matters)
-    told = (_lines("held", held), _lines("hold", holds), _lines("note", notes))
-    for line in (*suspicions(reports), *itertools.chain(*told)):
+    holds = (
+        (r.name, f"{i.name} has power above a tenth of the sampling rate: its course between "
+         f'samples decides the simulation (hold = "{i.hold or "zero-order"}"; others: '
+         'first-order, band-limited; or "unknown", and fit of a grey box tries them)')
+        for r in reports for i in r.inputs if i.hold_matters
+    )  # fmt: skip
+    # the table has the jitter
+    notes = ((r.name, text) for r in reports for text in r.notes if "jitter" not in text)
+    for line in (
+        *suspicions(reports),
+        *_merge_remarks("held", unstable),
+        *_merge_remarks("hold", holds),
+        *_merge_remarks("note", notes),
+    ):
         typer.echo(line)
 
 
-def _hold_told(report: "InputReport") -> str:
-    return (
-        f"{report.name} has power above a tenth of the sampling rate: what it does between samples "
-        f'decides the simulation (hold = "{report.hold or "zero-order"}"; others: first-order, '
-        'band-limited; or "unknown", and fit of a grey box tries them)'
-    )
-
-
-def _look_at_file(path: Path, options_given: list[str], *, json: bool) -> None:
-    """Prints what a file holds that no card describes, and the draft of a card."""
+def _inspect_file(path: Path, *, json: bool) -> None:
+    """Prints the contents of a file that no card describes, and the draft of a card."""
     import dataclasses
 
     from tustinnet.data.file_inspection import inspect_file
-    from tustinnet.errors import InputError
     from tustinnet.report.tables import Table
 
-    if options_given:
-        raise InputError(
-            options_given[0], f"means nothing to the single file {path}", "a folder or a card",
-            "leave it out, or write a card first",
-        )  # fmt: skip
-    found = inspect_file(path)
+    report = inspect_file(path)
     if json:
-        terminal.print_json(dataclasses.asdict(found))
+        terminal.print_json(dataclasses.asdict(report))
         return
     rows = [
-        [c.name, c.role, _range(c.range) if c.range else "–", str(c.distinct or "–"), c.remark]
-        for c in found.columns
+        [c.name, c.role, _range_text(c.range) if c.range else "–", str(c.distinct or "–"), c.remark]
+        for c in report.columns
     ]
     sampling = "no column of times found"
-    if found.dt is not None and found.jitter is not None:
-        sampling = f"every {1e3 * found.dt:.4g} ms, worst deviation {1e3 * found.jitter:.3g} ms"
-    title = f"{found.name}: {found.rows} rows; {sampling}; roles are guesses"
+    if report.dt is not None and report.jitter is not None:
+        sampling = f"every {1e3 * report.dt:.4g} ms, worst deviation {1e3 * report.jitter:.3g} ms"
+    title = f"{report.name}: {report.rows} rows; {sampling}; roles are guesses"
     terminal.print_tables(Table(["column", "looks like", "range", "values", "why"], rows, title))
-    for note in found.notes:
+    for note in report.notes:
         typer.echo(f"note: {note}")
-    typer.echo(f"\n# draft of a card, to be kept as dataset.toml beside the file\n{found.draft}")
+    typer.echo(f"\n# draft of a card; save it as dataset.toml beside the file\n{report.draft}")
 
 
 def suspicions(reports: Iterable["ExperimentReport"]) -> list[str]:
-    """What looks wrong in records, a line each, told once where many share it."""
-    return _lines("suspicious", ((r.name, text) for r in reports for text in r.suspicious))
+    """Lines about suspicious rows in records; each remark once, with the names of its records."""
+    return _merge_remarks("suspicious", ((r.name, text) for r in reports for text in r.suspicious))
 
 
 def require_sound(reports: Iterable["ExperimentReport"]) -> None:
-    """Raises where something looks wrong in a record.
+    """Raises an error if a record has suspicious rows.
 
     Raises:
-        InputError: the first such record, with the first thing that was found.
+        InputError: the first such record, with its first remark.
     """
     from tustinnet.errors import InputError
 
     for r in reports:
         if r.suspicious:
             raise InputError(
-                f"record '{r.name}'", r.suspicious[0], "records in which nothing looks wrong",
-                "repair it, or leave --strict out",
+                f"record '{r.name}'", r.suspicious[0], "records without suspicious rows",
+                "repair it, or omit --strict",
             )  # fmt: skip
 
 
-def _lines(kind: str, remarks: Iterable[tuple[str, str]]) -> list[str]:
+def _merge_remarks(kind: str, remarks: Iterable[tuple[str, str]]) -> list[str]:
+    """Lines of remarks, pairs of record and text: one line for each text, with all its records."""
     by_text: dict[str, list[str]] = {}
     for name, text in remarks:
         by_text.setdefault(text, []).append(name)
@@ -150,53 +153,43 @@ def _lines(kind: str, remarks: Iterable[tuple[str, str]]) -> list[str]:
 
 
 def time_table(reports: list["ExperimentReport"]) -> "Table":
-    """Period, jitter, gaps, share at rest and end of the transient of every record."""
+    """Table of period, jitter, gaps, share at rest and end of the transient of every record."""
     from tustinnet.report.tables import Table
 
-    return Table(
+    columns = ["record", "split", "n", "s", "dt [ms]", "log [ms]", "jitter [us]", "gaps", "rest",
+               "k_bar"]  # fmt: skip
+    rows = [
         [
-            "record",
-            "split",
-            "n",
-            "s",
-            "dt [ms]",
-            "log [ms]",
-            "jitter [us]",
-            "gaps",
-            "rest",
-            "k_bar",
-        ],
-        [
-            [
-                r.name,
-                r.split or "–",
-                str(r.samples),
-                f"{r.seconds:.2f}",
-                f"{1e3 * r.dt:.4g}",
-                f"{1e3 * r.recording.median_dt:.4g}",
-                f"{1e6 * r.recording.jitter:.3g}",
-                str(len(r.recording.gaps)),
-                f"{r.rest_share:.0%}",
-                f"{r.k_bar}{' (card)' if r.k_bar_declared else ''}",
-            ]
-            for r in reports
-        ],
-        title="Time: period on the grid and in the log, share at rest, end of the transient",
-    )
+            r.name,
+            r.split or "–",
+            str(r.samples),
+            f"{r.seconds:.2f}",
+            f"{1e3 * r.dt:.4g}",
+            f"{1e3 * r.recording.median_dt:.4g}",
+            f"{1e6 * r.recording.jitter:.3g}",
+            str(len(r.recording.gaps)),
+            f"{r.rest_share:.0%}",
+            f"{r.k_bar}{' (card)' if r.k_bar_declared else ''}",
+        ]
+        for r in reports
+    ]
+    title = "Time: period on the grid and in the log, share at rest, end of the transient"
+    return Table(columns, rows, title=title)
 
 
 def _channel_table(reports: list["ExperimentReport"], unit: str) -> "Table":
+    """Table of the ranges of positions and inputs of every record."""
     from tustinnet.report.tables import Table
 
     rows = []
     for r in reports:
         for c in r.coordinates:
             count = f"{c.count:.6g}" if c.count else "–"
-            rows.append([r.name, c.name, _range(c.range), count, "", "", ""])
+            rows.append([r.name, c.name, _range_text(c.range), count, "", "", ""])
         for i in r.inputs:
             band = "–" if i.bandwidth is None else f"{i.bandwidth:.3g}"
             size = [f"{i.rms:.3g}", band, f"{i.saturated:.1%}"]
-            rows.append([r.name, i.name, _range(i.range), "", *size])
+            rows.append([r.name, i.name, _range_text(i.range), "", *size])
     return Table(
         ["record", "channel", "range", "count", "rms", "90 % below [Hz]", "saturated"],
         rows,
@@ -204,6 +197,6 @@ def _channel_table(reports: list["ExperimentReport"], unit: str) -> "Table":
     )
 
 
-def _range(limits: tuple[float, float]) -> str:
+def _range_text(limits: tuple[float, float]) -> str:
     low, high = (value + 0.0 for value in limits)  # no negative zeros
     return f"{low:.3g} .. {high:.3g}"

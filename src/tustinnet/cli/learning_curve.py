@@ -2,7 +2,7 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -10,11 +10,10 @@ from tustinnet.cli import options, terminal
 
 if TYPE_CHECKING:
     from tustinnet.evaluate.folds import Question
-    from tustinnet.evaluate.learning import LearningCurve
 
 
 class Values(StrEnum):
-    """The values of a twin."""
+    """Parameter values of the simulated system that a network is pre-trained on."""
 
     identified = "identified"
     nominal = "nominal"
@@ -66,27 +65,33 @@ def learning_curve(
     Models are fitted to more and more records and scored on records that were left out.
     """
     terminal.prepare_jax(device)
-    from tustinnet.cli.request import loaded, tell_still
+    from tustinnet.cli.request import load_records_to_fit, print_still_coordinates
+    from tustinnet.errors import InputError
     from tustinnet.evaluate.folds import taking_part
     from tustinnet.evaluate.learning import learning_curve, make_curve_question, places_of
-    from tustinnet.report.learning import learning_table
+    from tustinnet.report.learning import learning_figure, learning_table
     from tustinnet.report.progress import FitProgress
     from tustinnet.store.files import owned, require_outputs, to_json, write_into
 
-    question = _with_system(system, physics, hybrid, twin)
-    asked = make_curve_question(
-        recipe or "standard", question, _sizes(records), draws=draws, start=start,
+    system_options = _make_system_options(system, physics, hybrid, twin)
+    try:
+        sizes = [int(x) for x in (records or "").split(",") if x.strip()]
+    except ValueError:
+        raise InputError("--records", f"'{records}'", "numbers, separated by commas",
+                         "for instance --records 2,4,8") from None  # fmt: skip
+    curve_options = make_curve_question(
+        recipe or "standard", system_options, sizes, draws=draws, start=start,
         twin=(twin or Values.identified).value,
     )  # fmt: skip
-    told = terminal.messages()
+    console = terminal.messages()
     names = [f"learning-curve.{ending}" for ending in ("json", "md", "png")]
     require_outputs([out / name for name in names], overwrite=overwrite)
-    found = loaded(data, card, out, told, strict=strict)
-    tell_still(taking_part(found), told)
-    places_of(found, asked)  # says at once where there are too few records
+    data_set = load_records_to_fit(data, card, out, console, strict=strict)
+    print_still_coordinates(taking_part(data_set), console)
+    places_of(data_set, curve_options)  # raises at once where there are too few records
     with owned(out):
-        with FitProgress(told, quiet=quiet) as progress:
-            curve = learning_curve(found, asked, progress.follow)
+        with FitProgress(console, quiet=quiet) as progress:
+            curve = learning_curve(data_set, curve_options, progress.follow)
         table, sentences = learning_table(curve), [curve.told(a) for a in curve.approaches]
         write_into(out, names[0], to_json(curve.as_plain()))
         write_into(out, names[1], table.markdown() + "".join(f"\n* {s}." for s in sentences) + "\n")
@@ -96,44 +101,34 @@ def learning_curve(
             terminal.print_tables(table)
             for sentence in sentences:
                 typer.echo(f"* {sentence}")
-        _draw(curve, out, names[2])
-    told.print(f"written: {', '.join(str(out / name) for name in names)}")
+
+        from tustinnet.report.figures import write_figure
+
+        write_figure(learning_figure(curve), out, names[2])
+    console.print(f"written: {', '.join(str(out / name) for name in names)}")
 
 
-def _draw(curve: "LearningCurve", out: Path, name: str) -> None:
-    from tustinnet.report.figures import write_figure
-    from tustinnet.report.learning import learning_figure
-
-    write_figure(learning_figure(curve), out, name)
-
-
-def _sizes(records: str | None) -> list[int]:
-    from tustinnet.errors import InputError
-
-    try:
-        return [int(x) for x in (records or "").split(",") if x.strip()]
-    except ValueError:
-        raise InputError("--records", f"'{records}'", "numbers, separated by commas",
-                         "for instance --records 2,4,8") from None  # fmt: skip
-
-
-def _with_system(
-    system: str | None, physics: str | None, hybrid: str | None, twin: Any
+def _make_system_options(
+    system: str | None, physics: str | None, hybrid: str | None, twin: Values | None
 ) -> "Question | None":
-    """What a network corrects and is pre-trained by, where there is a system."""
+    """Options of the approaches that use a system; None without a system.
+
+    Raises:
+        InputError: an option that requires a system, without one; a recipe that is no hybrid.
+    """
     from tustinnet.errors import InputError
     from tustinnet.evaluate.folds import make_question
     from tustinnet.fitting.recipe_reading import read_recipe
     from tustinnet.systems.files import find_system
 
     if system is not None:
-        chosen = read_recipe(hybrid or "hybrid")
-        if "physics" not in chosen.family.needs:
-            raise InputError("--hybrid", f"a recipe of kind '{chosen.family.kind}'",
+        recipe = read_recipe(hybrid or "hybrid")
+        if "physics" not in recipe.family.needs:
+            raise InputError("--hybrid", f"a recipe of kind '{recipe.family.kind}'",
                              "a recipe that corrects physics")  # fmt: skip
-        return make_question(chosen, system=find_system(system), physics=physics)
-    for name, value in (("--physics", physics), ("--hybrid", hybrid), ("--twin", twin)):
+        return make_question(recipe, system=find_system(system), physics=physics)
+    for option, value in (("--physics", physics), ("--hybrid", hybrid), ("--twin", twin)):
         if value is not None:
-            raise InputError(name, "means nothing without a system", "a system",
+            raise InputError(option, "not applicable without a system", "a system",
                              "add --system NAME|FILE.py")  # fmt: skip
     return None

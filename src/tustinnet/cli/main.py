@@ -1,4 +1,4 @@
-"""The command's entry: verbs, and errors as one line."""
+"""The verbs of the command, and errors as one line."""
 
 import sys
 from typing import Annotated
@@ -53,7 +53,7 @@ def tustinnet(
     Exit codes: 0 success, 1 failure (one line says why), 2 wrong usage.
     """
     if verbose and not version:
-        raise InputError("--verbose", "means nothing by itself", "--version --verbose")
+        raise InputError("--verbose", "not applicable without --version", "--version --verbose")
     if version:
         for line in about.versions() if verbose else (about.version(),):
             typer.echo(line)

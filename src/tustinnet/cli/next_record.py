@@ -1,15 +1,11 @@
-"""`tustinnet next-record`: which of some proposed records would tell the most."""
+"""`tustinnet next-record`: ranks proposed records by the information that they would add."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from tustinnet.cli import options, terminal
-
-if TYPE_CHECKING:
-    from tustinnet.evaluate.next_record import Ranking
-    from tustinnet.report.tables import Table
 
 
 def next_record(
@@ -35,26 +31,22 @@ def next_record(
     the ranking should be recorded next.
     """
     terminal.prepare_jax()
-    from tustinnet.cli.request import model_of
+    from tustinnet.cli.request import load_model
     from tustinnet.data.proposals import read_proposals
     from tustinnet.evaluate.bands import alternatives_of
     from tustinnet.evaluate.next_record import ranked
+    from tustinnet.report.tables import Table, number
     from tustinnet.store.header import read_header
 
-    judged, header = model_of(model, system), read_header(model)
-    alternatives_of(judged, header, model)  # says at once what knows nothing of its errors
-    asked = read_proposals(proposals, judged.channels)
-    found = ranked(judged, header, asked, horizon=horizon)
+    simulator, header = load_model(model, system), read_header(model)
+    # raises at once where the errors of the model are unknown
+    alternatives_of(simulator, header, model)
+    candidates = read_proposals(proposals, simulator.channels)
+    ranking = ranked(simulator, header, candidates, horizon=horizon)
     if json:
-        terminal.print_json(found.as_plain())
+        terminal.print_json(ranking.as_plain())
         return
-    terminal.print_tables(_table(found))
-    typer.echo(f"record next: {found.promises[0].name}")
-
-
-def _table(found: "Ranking") -> "Table":
-    from tustinnet.report.tables import Table, number
-
-    rows = [[of.name, number(of.value), of.words] for of in found.promises]
-    columns = ["proposal", f"tells [{found.unit}]", "most of all"]
-    return Table(columns, rows, title=f"By the {found.criterion}")
+    rows = [[gain.name, number(gain.value), gain.words] for gain in ranking.promises]
+    columns = ["proposal", f"gain [{ranking.unit}]", "largest effect"]
+    terminal.print_tables(Table(columns, rows, title=f"By the {ranking.criterion}"))
+    typer.echo(f"record next: {ranking.promises[0].name}")

@@ -1,5 +1,6 @@
 """Arguments and options that several verbs share."""
 
+from collections.abc import Iterable
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -7,11 +8,18 @@ from typing import Annotated, Any
 import typer
 
 from tustinnet.cli import completion
+from tustinnet.registry import SYSTEMS
 from tustinnet.simulate.start_rules import starts_help
 
 
+def join_or(names: Iterable[str]) -> str:
+    """Joins names as `a, b or c`."""
+    *first, last = names
+    return f"{', '.join(first)} or {last}" if first else last
+
+
 class Hardware(StrEnum):
-    """What computes."""
+    """Processors that can compute."""
 
     cpu = "cpu"
     gpu = "gpu"
@@ -25,8 +33,8 @@ Data = Annotated[
     str,
     typer.Argument(
         metavar="DATA",
-        help="Folder of logs with its data card dataset.toml, a data card, or the name of known "
-        "data (qube-servo2).",
+        help="Folder of logs with its data card dataset.toml, a data card, or the name of a "
+        "published data set (qube-servo2).",
     ),
 ]
 Model = Annotated[Path, typer.Argument(metavar="MODEL", help="Model file (.safetensors).")]
@@ -34,15 +42,14 @@ Models = Annotated[
     list[Path], typer.Argument(metavar="MODEL...", help="Model files (.safetensors).")
 ]
 Card = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Data card, where DATA is a folder without one.")
+    Path | None, typer.Option(metavar="FILE", help="Data card, if DATA is a folder without one.")
 ]
 System = Annotated[
     str | None,
     typer.Option(
         metavar="NAME|FILE.py",
         autocompletion=completion.system,
-        help="System, that is equations of motion: qube-servo2, qube-servo2-naive, "
-        "qube-servo2-memory, qube-servo2-rubbing, qube-servo2-turned, or a Python file "
+        help=f"System, that is equations of motion: {', '.join(SYSTEMS.places)}, or a Python file "
         "that defines SYSTEM (the file is executed).",
     ),
 ]
@@ -54,7 +61,12 @@ _CLUSTER = (
 
 
 def recipe(default: str, what: str = _RECIPE) -> Any:
-    """The option of a recipe, with what is taken where it is left out."""
+    """Option that names a recipe.
+
+    Args:
+        default: the recipe that is used without the option.
+        what: purpose of the recipe.
+    """
     return typer.Option(
         metavar="NAME|FILE",
         autocompletion=completion.recipe,
@@ -63,7 +75,11 @@ def recipe(default: str, what: str = _RECIPE) -> Any:
 
 
 def cluster(use: str) -> Any:
-    """The option that names a cluster, with what it is used for."""
+    """Option that names a cluster.
+
+    Args:
+        use: beginning of the help text: what the cluster is used for.
+    """
     return typer.Option(metavar="auto|ADDRESS", help=f"{use} {_CLUSTER}")
 
 
@@ -83,7 +99,7 @@ Split = Annotated[
     typer.Option(
         metavar="NAME",
         autocompletion=completion.split,
-        help="Records to use: train, validation or test. Default: all.",
+        help=f"Records to use: {join_or(completion.SPLITS)}. Default: all.",
     ),
 ]
 Start = Annotated[
@@ -126,7 +142,7 @@ Resume = Annotated[
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace the earlier results in --out.")
 ]
-Redraw = Annotated[bool, typer.Option("--overwrite", help="Replace figures that are there.")]
+Redraw = Annotated[bool, typer.Option("--overwrite", help="Replace existing figures.")]
 NoReport = Annotated[bool, typer.Option("--no-report", help="Write no report.html.")]
 Seeds = Annotated[
     str | None,

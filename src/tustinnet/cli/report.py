@@ -1,4 +1,4 @@
-"""`tustinnet report`: models on records as one page."""
+"""`tustinnet report`: an HTML page about models on records."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -43,38 +43,40 @@ def report(
 ) -> None:
     """Write an HTML page about a model: animation, scores, errors."""
     terminal.prepare_jax()
-    from tustinnet.cli.leave_report import report_command
-    from tustinnet.cli.request import files_of, judged_records, kept_system
-    from tustinnet.report.page.subject import model_file, subjects_of
-    from tustinnet.report.page.write import ENDINGS, Asked, written
+    from tustinnet.cli.automatic_report import report_command
+    from tustinnet.cli.request import kept_system, list_input_files, load_records_and_start
+    from tustinnet.report.page.reported_model import model_file, read_reported_models
+    from tustinnet.report.page.write import ENDINGS, ReportOptions, write_page
     from tustinnet.store.files import require_outputs
     from tustinnet.store.model_file import load_models, system_of
     from tustinnet.systems.files import find_system, load_system
 
     files = [model_file(path) for path in models]
-    read = files_of(data, card, *files, *(system or []))
-    require_outputs([out], overwrite=overwrite, read=read, endings=ENDINGS)
-    given = [find_system(which) for which in system or []]
-    owned = {system_of(file) for file in files}
-    named = [load_system(which).name in owned for which in given]
-    loaded = load_models(files, [of for of, is_in in zip(given, named, strict=True) if is_in],
-                         kept_system)  # fmt: skip
-    drawing = [of for of, is_in in zip(given, named, strict=True) if not is_in]
-    links = _links(drawing, loaded, loaded[0].coordinates)
-    records, begin = judged_records(data, card, split, start, loaded)
+    inputs = list_input_files(data, card, *files, *(system or []))
+    require_outputs([out], overwrite=overwrite, read=inputs, endings=ENDINGS)
+    systems = [find_system(name) for name in system or []]
+    model_systems = {system_of(file) for file in files}
+    # the system of a model restores it, another one draws the mechanism
+    restoring: list[SystemFile | str] = []
+    drawing: list[SystemFile | str] = []
+    for file in systems:
+        (restoring if load_system(file).name in model_systems else drawing).append(file)
+    loaded_models = load_models(files, restoring, kept_system)
+    links = _choose_links(drawing, loaded_models, loaded_models[0].coordinates)
+    records, usual_start = load_records_and_start(data, card, split, start, loaded_models)
     command = report_command(models, data, out, {
         "--split": split, "--start": start, "--horizon": horizon, "--card": card,
     }, system or [])  # fmt: skip
-    asked = Asked(begin, horizon, links, command)
-    path = written(subjects_of(files, loaded), records, out, asked)
+    report_options = ReportOptions(usual_start, horizon, links, command)
+    path = write_page(read_reported_models(files, loaded_models), records, out, report_options)
     terminal.messages().print(f"report: {path} ({path.stat().st_size / 1000:.0f} kB)")
 
 
-def _links(
+def _choose_links(
     systems: "Sequence[SystemFile | str]", models: "Sequence[Model]",
     coordinates: "Sequence[Coordinate]",
 ) -> "tuple[Link, ...]":  # fmt: skip
-    """The links of a system that is given to draw the mechanism of models that have none.
+    """The links of a system that is named only to draw the mechanism of models without links.
 
     Raises:
         InputError: several of them, one without links or of other coordinates, or models that have
@@ -84,16 +86,16 @@ def _links(
     from tustinnet.families.family import family_of
     from tustinnet.systems.files import load_system
 
-    own = [family_of(model).equations(model) for model in models]
-    drawn = any(of is not None and of.system.links for of in own)
-    found = [load_system(which) for which in systems]
-    for of in found:
-        known = [(c.name, c.kind) for c in of.coordinates]
-        fits = bool(of.links) and known == [(c.name, c.kind) for c in coordinates]
-        if drawn or not fits or len(found) > 1:
+    equations = [family_of(model).equations(model) for model in models]
+    has_links = any(e is not None and e.system.links for e in equations)
+    loaded_systems = [load_system(system) for system in systems]
+    needed = [(c.name, c.kind) for c in coordinates]
+    for system in loaded_systems:
+        is_fitting = system.links and [(c.name, c.kind) for c in system.coordinates] == needed
+        if has_links or not is_fitting or len(loaded_systems) > 1:
             raise InputError(
-                "--system", f"'{of.name}', which no model is of",
+                "--system", f"'{system.name}', which is the system of no model",
                 "a model's system, or one system with links of the models' coordinates where no "
                 "model has links",
             )  # fmt: skip
-    return found[0].links if found else ()
+    return loaded_systems[0].links if loaded_systems else ()

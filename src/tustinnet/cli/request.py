@@ -1,6 +1,7 @@
-"""What the verbs make of their arguments: records, recipes, members."""
+"""The values that verbs make of their arguments: records, recipes, models, bands."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +10,7 @@ from tustinnet.cli import terminal
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from tustinnet.cli.automatic_report import AutomaticReport
     from tustinnet.cli.options import Hardware
     from tustinnet.data.dataset import DataSet
     from tustinnet.data.experiment import Experiment
@@ -17,28 +19,56 @@ if TYPE_CHECKING:
     from tustinnet.fitting.recipe import Recipe
     from tustinnet.fitting.task import Member, Origin
     from tustinnet.models.contract import Model
+    from tustinnet.store.run import Earlier
     from tustinnet.systems.files import AnySystem, SystemFile
 
-_MOST_SEEDS, _LARGEST_SEED = 1000, 2**32 - 1
+_MAX_SEEDS, _LARGEST_SEED = 1000, 2**32 - 1
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """Options of `fit` that apply to one recipe and to a selection of several.
+
+    Attributes:
+        load: reads and checks the records.
+        out: folder for all results.
+        system: the system, or None.
+        earlier: treatment of results that are in the folder.
+        report: settings of the report.
+        json: whether to print JSON instead of tables.
+        quiet: whether to hide the progress.
+    """
+
+    load: "Callable[[], DataSet]"
+    out: Path
+    system: "SystemFile | str | None"
+    earlier: "Earlier"
+    report: "AutomaticReport"
+    json: bool
+    quiet: bool
 
 
 def require_cores(cluster: str | None, device: "Hardware | None") -> None:
-    """Raises where jobs of a cluster are to compute on something else."""
+    """Raises an error if jobs of a cluster are to compute on something else than processor cores.
+
+    Raises:
+        InputError: a cluster together with another device.
+    """
     from tustinnet.errors import InputError
 
     if cluster is not None and device is not None and device.value != "cpu":
-        raise InputError(f"--device {device.value}", "means nothing to jobs on a cluster",
-                         "cpu", "leave the option out")  # fmt: skip
+        raise InputError(f"--device {device.value}", "not applicable to jobs on a cluster",
+                         "cpu", "omit the option")  # fmt: skip
 
 
-def recipe_of(
+def choose_recipe(
     name: "str | Mapping[str, Any] | None",
     changes: Sequence[str] | None,
     *,
     system: object,
     physics: object,
 ) -> "Recipe":
-    """The recipe that was asked for, or the usual one for what was given, with its changes."""
+    """Reads a recipe with its changes; by default the usual one for a system or physics."""
     from tustinnet.fitting.recipe_reading import read_recipe
     from tustinnet.fitting.task import default_recipe_name
 
@@ -46,41 +76,49 @@ def recipe_of(
     return read_recipe(name or usual, changes or ())
 
 
-def recipe_within(model: Path) -> "Mapping[str, Any]":
-    """The recipe that a model file keeps of how its model was fitted."""
+def read_recipe_in(model: Path) -> "Mapping[str, Any]":
+    """Reads the recipe that is stored in a model file.
+
+    Raises:
+        InputError: the file has none.
+    """
     from tustinnet.errors import InputError
     from tustinnet.store.header import read_header
 
     header = read_header(model)
-    if not isinstance(told := header.get("recipe"), dict):
+    if not isinstance(recipe := header.get("recipe"), dict):
         raise InputError(
             f"--from {model}", f"a model of kind '{header['kind']}' that names no recipe",
             "a model that `fit` has made by a recipe",
             "of a model of one kind, name the recipe: --recipe NAME",
         )  # fmt: skip
-    return told
+    return recipe
 
 
-def begun_with(
+def read_origin(
     model: Path, system: "AnySystem | None", changes: "Sequence[str] | None"
 ) -> "Origin":
-    """The model that `--from` names.
+    """Reads the model that `--from` names.
 
     Raises:
-        InputError: what it begins with is also set by hand; see also `load_model`.
+        InputError: `--set` changes the same initial values; see also `load_model`.
     """
     from tustinnet.errors import InputError
     from tustinnet.store.model_file import load_origin
 
     for change in changes or ():
         if change.strip().startswith("model.begin"):
-            raise InputError(f"--set {change}", "--from says where the search begins",
-                             "one of them", "leave one out")  # fmt: skip
+            raise InputError(f"--set {change}", "--from sets the same initial values",
+                             "one of them", "omit one")  # fmt: skip
     return load_origin(model, kept_system(model) if system is None else system)
 
 
-def members_of(seeds: str | None, recipe: "Recipe") -> "list[Member]":
-    """The members that `--seeds` asks for."""
+def make_members(seeds: str | None, recipe: "Recipe") -> "list[Member]":
+    """Makes the members of a fit from `--seeds` and the learning rates of the recipe.
+
+    Raises:
+        InputError: seeds of an identification; see also `parse_seeds`.
+    """
     from tustinnet.errors import InputError
     from tustinnet.fitting.task import Member
 
@@ -89,115 +127,139 @@ def members_of(seeds: str | None, recipe: "Recipe") -> "list[Member]":
             "--seeds", f"an option of a training; '{recipe.name}' identifies",
             "a recipe of a kind with weights", "an identification has no seeds",
         )  # fmt: skip
-    return [Member(seed) for seed in seeds_of(seeds)]
+    return [Member(seed, rate) for seed in parse_seeds(seeds) for rate in rates_of(recipe)]
 
 
-def seeds_of(seeds: str | None) -> tuple[int, ...]:
-    """`K` seeds from 0 on, or those that are listed."""
+def parse_seeds(text: str | None) -> tuple[int, ...]:
+    """Seeds from the value of `--seeds`: `K` for the seeds 0 to K - 1, or a list.
+
+    Raises:
+        InputError: no numbers, too many, too large, or repeated ones.
+    """
     from tustinnet.errors import InputError
 
     try:
-        listed = [int(x) for x in ("1" if seeds is None else seeds).split(",") if x.strip()]
+        numbers = [int(x) for x in ("1" if text is None else text).split(",") if x.strip()]
     except ValueError:
-        listed = []
-    several = seeds is not None and "," in seeds
-    found = tuple(listed if several else range(min(*listed, _MOST_SEEDS + 1) if listed else 0))
+        numbers = []
+    is_list = text is not None and "," in text
+    count = min(*numbers, _MAX_SEEDS + 1) if numbers else 0
+    seeds = tuple(numbers if is_list else range(count))
     if (
-        not 0 < len(found) <= _MOST_SEEDS
-        or not 0 <= min(found) <= max(found) <= _LARGEST_SEED
-        or len(set(found)) < len(found)
+        not 0 < len(seeds) <= _MAX_SEEDS
+        or not 0 <= min(seeds) <= max(seeds) <= _LARGEST_SEED
+        or len(set(seeds)) < len(seeds)
     ):
         raise InputError(
-            "--seeds", f"'{seeds}'",
-            f"a number from 1 to {_MOST_SEEDS}, or different seeds, separated by commas",
+            "--seeds", f"'{text}'",
+            f"a number from 1 to {_MAX_SEEDS}, or different seeds, separated by commas",
             "for instance --seeds 3, or --seeds 4,5, (a comma behind a single one)",
         )  # fmt: skip
-    return found
+    return seeds
 
 
-def loaded(data: str, card: Path | None, out: Path, told: "Console", *, strict: bool) -> "DataSet":
-    """The records to fit to; says what looks wrong in them, and refuses to write among them.
+def load_records_to_fit(
+    data: str, card: Path | None, out: Path, console: "Console", *, strict: bool
+) -> "DataSet":
+    """Loads the records of a fit and prints warnings about suspicious rows.
 
-    Strict, it refuses records in which something looks wrong.
+    Args:
+        data: the argument DATA.
+        card: its data card, if one was named.
+        out: the folder for results.
+        console: output of the warnings.
+        strict: whether to refuse records with suspicious rows.
+
+    Raises:
+        InputError: suspicious rows with `strict`; a folder for results that is that of the data.
     """
     from tustinnet.cli.inspect import require_sound, suspicions
     from tustinnet.data.catalog import locate
     from tustinnet.data.inspection import inspect_experiment
     from tustinnet.data.loading import load_folder
 
-    folder, declared = locate(data, card)
+    folder, located_card = locate(data, card)
     require_apart(out, folder)
-    records = load_folder(folder, declared)
+    records = load_folder(folder, located_card)
     reports = [inspect_experiment(e) for e in records]
     if strict:
         require_sound(reports)
     for line in suspicions(reports):
-        told.print(line)
+        console.print(line)
     return records
 
 
 def require_apart(out: Path, folder: Path) -> None:
-    """Raises where results would be written among the records that they are made from."""
+    """Raises an error if the folder for results is the folder of the data."""
     from tustinnet.errors import InputError
 
     if out.resolve() == folder.resolve():
         raise InputError(out, "the folder of the data", "another folder for the run")
 
 
-def files_of(data: str | None, card: Path | None, *others: "Path | str | None") -> list[Path]:
-    """The files that a verb reads: card and records of a data set, and others that it was given.
+def list_input_files(
+    data: str | None, card: Path | None, *others: "Path | str | None"
+) -> list[Path]:
+    """Lists the files that a verb reads: those of a data set, and others that were named.
 
-    Of names that may also be packaged ones (systems, recipes) those count that are files.
+    The others may also be names of packaged systems or recipes.
     """
     from tustinnet.data.catalog import list_input_files
 
-    known = [] if data is None else list_input_files(data, card)
-    return [*known, *(Path(other) for other in others if other is not None)]
+    files = [] if data is None else list_input_files(data, card)
+    return [*files, *(Path(other) for other in others if other is not None)]
 
 
 def require_figures(
-    option: str, paths: "Path | Sequence[Path] | None", read: Sequence[Path], *, overwrite: bool
+    option: str, paths: "Path | Sequence[Path] | None", inputs: Sequence[Path], *, overwrite: bool
 ) -> None:
-    """Raises unless figures may be drawn into files.
+    """Raises an error unless figures can be written to files.
+
+    Args:
+        option: the option that names the figures.
+        paths: the files, None without the option.
+        inputs: files that the verb reads, which are never replaced.
+        overwrite: whether existing files may be replaced.
 
     Raises:
-        InputError: no figures that could be replaced; see also `require_outputs`.
+        InputError: `overwrite` without figures; see also `require_outputs`.
     """
     from tustinnet.errors import InputError
     from tustinnet.report.figure_file import ENDINGS
     from tustinnet.store.files import require_outputs, require_writable_folder
 
     if paths is not None:
-        listed = [paths] if isinstance(paths, Path) else paths
-        require_outputs(listed, overwrite=overwrite, read=read, endings=ENDINGS)
-        for folder in {path.parent for path in listed}:
+        files = [paths] if isinstance(paths, Path) else paths
+        require_outputs(files, overwrite=overwrite, read=inputs, endings=ENDINGS)
+        for folder in {path.parent for path in files}:
             require_writable_folder(folder)
     elif overwrite:
         raise InputError("--overwrite", "no figures that it could replace", "figures",
-                         f"add {option}, or leave it out")  # fmt: skip
+                         f"add {option}, or omit it")  # fmt: skip
 
 
-def tell_still(experiments: "Sequence[Experiment]", told: "Console") -> None:
-    """Says which coordinates do not move in any of the records that train."""
+def print_still_coordinates(experiments: "Sequence[Experiment]", console: "Console") -> None:
+    """Prints the names of the coordinates that do not move in any training record."""
     from tustinnet.data.inspection import still_coordinates
 
     for name in still_coordinates(experiments):
-        told.print(f"{name} never moves in the training records: nothing can be learnt of it")
+        console.print(f"{name} never moves in the training records: nothing can be learnt of it")
 
 
-def model_of(path: Path, system: str | None) -> "Model":
-    """The model of a file, with the system that was named, or that was kept with it."""
-    from tustinnet.store.model_file import load_model
+def load_model(path: Path, system: str | None) -> "Model":
+    """Loads a model with the system that was named, or that is stored with it."""
+    from tustinnet.store import model_file
     from tustinnet.systems.files import find_system
 
-    return load_model(path, kept_system(path) if system is None else find_system(system))
+    model_system = kept_system(path) if system is None else find_system(system)
+    return model_file.load_model(path, model_system)
 
 
 def kept_system(model: Path) -> "SystemFile | None":
-    """The system file that was kept with a model, where the user trusts it; asks on a terminal.
+    """The system file that is stored with a model, if the user trusts it; asks on a terminal.
 
     Raises:
-        InputError: it is not trusted.
+        InputError: the file is not trusted.
     """
     from tustinnet.errors import InputError
     from tustinnet.store.kept_system import is_trusted, kept_with, trust
@@ -205,7 +267,7 @@ def kept_system(model: Path) -> "SystemFile | None":
     copy = kept_with(model)
     if copy is None or is_trusted(copy):
         return copy
-    if terminal.confirmed(f"{copy.path} is Python code that was kept with this model; run it?"):
+    if terminal.confirm(f"{copy.path} is Python code that was kept with this model; run it?"):
         trust(copy)
         return copy
     raise InputError(
@@ -214,30 +276,38 @@ def kept_system(model: Path) -> "SystemFile | None":
     )  # fmt: skip
 
 
-def judged_records(
+def load_records_and_start(
     data: str, card: Path | None, split: str | None, start: str | None, models: "Sequence[Model]"
 ) -> "tuple[list[Experiment], str]":
-    """The records of a split, or all, and where free runs of some models start on them."""
+    """Loads the records of a split, or all, and chooses the start of free runs on them.
+
+    Args:
+        data: the argument DATA.
+        card: its data card, if one was named.
+        split: the split, None for all records.
+        start: name of the start, None for the usual one of the models.
+        models: the models that simulate the records.
+    """
     from tustinnet.data.catalog import load
     from tustinnet.simulate.starts import default_start
 
-    found = load(data, card)
-    records = list(found if split is None else found.split(split))
+    data_set = load(data, card)
+    records = list(data_set if split is None else data_set.split(split))
     return records, default_start(records, *models) if start is None else start
 
 
-def bands_of(
+def compute_bands(
     path: Path, model: "Model", records: "Sequence[Experiment]", scores: "Sequence[Score]",
-    asked: "BandAsked",
+    band_options: "BandAsked",
 ) -> "list[Band]":  # fmt: skip
-    """The bands around free runs.
+    """Computes the bands around free runs.
 
     Args:
         path: the model's file.
         model: the model.
         records: the records.
-        scores: their free runs.
-        asked: which bands.
+        scores: the scores of their free runs.
+        band_options: level and kind of the bands.
 
     Raises:
         InputError: a model that was not calibrated, or from another start or horizon.
@@ -248,14 +318,14 @@ def bands_of(
     header = read_header(path)
     others = alternatives_of(model, header, path)
     calibration = Calibration.from_header(header, path)
-    return bands_around(calibration, asked, model, others, records, scores)
+    return bands_around(calibration, band_options, model, others, records, scores)
 
 
-def band_asked(level: float | None, *, whole: bool) -> "BandAsked | None":
-    """What `--band` and `--whole-records` ask for.
+def make_band_options(level: float | None, *, whole: bool) -> "BandAsked | None":
+    """Makes the options of bands from `--band` and `--whole-records`; None without bands.
 
     Raises:
-        InputError: no share; whole records without a band.
+        InputError: a level that is no share; whole records without a band.
     """
     from tustinnet.errors import InputError
     from tustinnet.evaluate.bands import BandAsked, require_share

@@ -1,9 +1,9 @@
-"""`tustinnet residuals`: what is left in the errors of the free runs."""
+"""`tustinnet residuals`: tests of the errors of free runs."""
 
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -38,49 +38,54 @@ def residuals(
     99 % bounds.
     """
     terminal.prepare_jax()
-    from tustinnet.cli.request import files_of, judged_records, model_of, require_figures
+    from tustinnet.cli import request
     from tustinnet.evaluate.residuals import residual_reports
     from tustinnet.report.residuals import downweighted_table, residual_figure
     from tustinnet.simulate.horizon import horizon_words
     from tustinnet.store.model_file import downweighted_in
 
-    require_figures("--figure", figure, files_of(data, card, model, system), overwrite=overwrite)
-    judged = model_of(model, system)
-    records, begin = judged_records(data, card, split, start, [judged])
-    reports = residual_reports(judged, records, begin, lags, horizon=horizon)
+    inputs = request.list_input_files(data, card, model, system)
+    request.require_figures("--figure", figure, inputs, overwrite=overwrite)
+    simulator = request.load_model(model, system)
+    channels = simulator.channels
+    records, start = request.load_records_and_start(data, card, split, start, [simulator])
+    reports = residual_reports(simulator, records, start, lags, horizon=horizon)
     names = {e.name for e in records}
-    spoilt = [s for s in downweighted_in(model) if s.record in names]
-    title = f"Residuals of {len(records)} free runs, start '{begin}'{horizon_words(horizon)}"
+    downweighted = [s for s in downweighted_in(model) if s.record in names]
+    title = f"Residuals of {len(records)} free runs, start '{start}'{horizon_words(horizon)}"
     if json:
-        weights = [dataclasses.asdict(s) for s in spoilt]
+        coordinates = []
+        for r in reports:
+            content = {**dataclasses.asdict(r), "white": r.white}
+            coordinates.append(
+                {k: v.tolist() if hasattr(v, "tolist") else v for k, v in content.items()}
+            )
         terminal.print_json(
             {
-                "start": begin,
+                "start": start,
                 "horizon": horizon,
                 "lags": lags,
-                "coordinates": [_plain(r) for r in reports],
-                "downweighted": weights,
+                "coordinates": coordinates,
+                "downweighted": [dataclasses.asdict(s) for s in downweighted],
             }
         )
     else:
-        terminal.print_tables(_table(reports, judged.channels, title))
-        if spoilt:
-            terminal.print_tables(downweighted_table(spoilt))
+        terminal.print_tables(_residual_table(reports, channels, title))
+        if downweighted:
+            terminal.print_tables(downweighted_table(downweighted))
         for r in reports:
             typer.echo(f"{r.coordinate}: {r.sentence}")
     if figure is not None:
         from tustinnet.report.figures import write_figure
 
-        write_figure(residual_figure(reports, judged.channels, title), figure.parent, figure.name)
+        write_figure(residual_figure(reports, channels, title), figure.parent, figure.name)
         terminal.messages().print(f"figure: {figure}")
 
 
-def _plain(report: "ResidualReport") -> dict[str, Any]:
-    content = {**dataclasses.asdict(report), "white": report.white}
-    return {k: v.tolist() if hasattr(v, "tolist") else v for k, v in content.items()}
-
-
-def _table(reports: "Sequence[ResidualReport]", channels: "Channels", title: str) -> "Table":
+def _residual_table(
+    reports: "Sequence[ResidualReport]", channels: "Channels", title: str
+) -> "Table":
+    """Table of size, whiteness and correlation with the inputs, a row for each coordinate."""
     from tustinnet.report.tables import Table, number
 
     rows = [

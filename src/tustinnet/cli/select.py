@@ -1,11 +1,9 @@
-"""`tustinnet fit` without a recipe: the best model that the records allow."""
+"""`tustinnet fit` without a recipe: a selection among several recipes."""
 
 import math
 import re
 import time
-from collections.abc import Callable
 from contextlib import nullcontext
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -13,104 +11,106 @@ import typer
 from tustinnet.cli import terminal
 
 if TYPE_CHECKING:
-    from tustinnet.cli.leave_report import Leaving
-    from tustinnet.data.dataset import DataSet
+    from tustinnet.cli.request import FitOptions
     from tustinnet.report.progress import FitProgress
     from tustinnet.selection.choice import Choice
     from tustinnet.selection.jobs import Job
     from tustinnet.selection.select import Reporter
-    from tustinnet.store.run import Earlier
-    from tustinnet.systems.files import SystemFile
 
 _SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 
 
-def seconds_of(budget: str | None) -> float | None:
-    """A time as people write it, in seconds: `90`, `90s`, `10min`, `1.5h`."""
+def parse_seconds(budget: str | None) -> float | None:
+    """Seconds of a time such as `90`, `90s`, `10min`, `1.5h`.
+
+    Raises:
+        InputError: another text, or 0.
+    """
     from tustinnet.errors import InputError
 
     if budget is None:
         return None
-    found = re.fullmatch(r"(\d{1,6}(?:\.\d{1,3})?) ?(s|min|h|)", budget.strip())
-    seconds = float(found[1]) * _SECONDS[found[2]] if found else math.nan
+    match = re.fullmatch(r"(\d{1,6}(?:\.\d{1,3})?) ?(s|min|h|)", budget.strip())
+    seconds = float(match[1]) * _SECONDS[match[2]] if match else math.nan
     if not seconds > 0:
         raise InputError("--budget", f"'{budget}'", "a time above 0, e.g. 90s, 10min, 1.5h")
     return seconds
 
 
 def select(
-    load: "Callable[[], DataSet]",
-    out: Path,
-    asked: tuple[str | None, str | None, str | None],
-    system: "SystemFile | str | None",
-    earlier: "Earlier",
-    leaving: "Leaving",
+    fit_options: "FitOptions",
     *,
-    json: bool,
-    quiet: bool,
+    plan: str | None,
+    budget: str | None,
+    cluster_address: str | None,
 ) -> None:
-    """Tries the candidates of a plan and keeps the best as one model.
+    """Fits the candidates of a plan and keeps the best as one model; prints and draws the results.
 
-    `asked` has the plan, the budget, and the cluster whose machines do the jobs.
+    Args:
+        fit_options: records, folder, system and output.
+        plan: name or file of the plan, None for the usual one.
+        budget: time limit as text, None for no limit.
+        cluster_address: address of the cluster that does the jobs, None for this process.
     """
-    begun = time.monotonic()  # what is loaded from here on takes seconds
-    from tustinnet.cli.leave_report import require_left
+    start_time = time.monotonic()  # the imports and records from here on take seconds
+    from tustinnet.cli.automatic_report import require_report
+    from tustinnet.report.page.fit_reports import write_choice_report
     from tustinnet.report.progress import FitProgress
     from tustinnet.report.summary import next_steps
     from tustinnet.selection.cluster import cluster
     from tustinnet.selection.plan import USUAL, read_plan
     from tustinnet.selection.select import Asked, select_model
-    from tustinnet.store.run import MODEL
+    from tustinnet.store.run import MODEL, REPORT
 
-    plan, budget, machines = asked
-    wanted = Asked(read_plan(plan or USUAL), system, seconds_of(budget), begun)
-    records = load()
+    quiet, report = fit_options.quiet, fit_options.report
+    selection = Asked(
+        read_plan(plan or USUAL), fit_options.system, parse_seconds(budget), start_time
+    )
+    records = fit_options.load()
     with FitProgress(terminal.messages(), quiet=quiet) as progress:
-        reporter = told_by(progress, quiet=quiet)
+        reporter = make_reporter(progress, quiet=quiet)
         with (
-            terminal.interruptible("--resume goes on with what is done"),
-            nullcontext() if machines is None else cluster(machines, reporter.say) as executor,
+            terminal.interruptible("--resume continues with what is done"),
+            nullcontext()
+            if cluster_address is None
+            else cluster(cluster_address, reporter.say) as executor,
         ):
-            choice = select_model(records, out, wanted, earlier, reporter, executor)
+            choice = select_model(
+                records, fit_options.out, selection, fit_options.earlier, reporter, executor
+            )
     if choice.at.system_file is not None:
         terminal.remember_trust(choice.at.system_file)
-    if json:
+    if fit_options.json:
         terminal.print_json(choice.as_plain())
     else:
         print_choice(choice)
     draw_choice(choice)
-    page = _page(choice, leaving)
-    if not json:
-        print_files(choice, page or "")
-        typer.echo(f"next: {next_steps(choice.at.folder / MODEL, leaving.data)}")
-    require_left(page)
-
-
-def _page(choice: "Choice", leaving: "Leaving") -> str | None:
-    """Writes the report of the chosen model; returns where it is, as the line of files says it."""
-    from tustinnet.report.page.fitted import report_of_choice
-    from tustinnet.store.run import REPORT
-
     folder, start = choice.at.folder, choice.standing(choice.best).starts[0]
-    given = {"--start": start, "--horizon": choice.at.judging.horizon}
-    return leaving.report(
-        [folder], folder / REPORT, lambda command: report_of_choice(choice, command), given
+    page = report.write(
+        [folder],
+        folder / REPORT,
+        lambda command: write_choice_report(choice, command),
+        {"--start": start, "--horizon": choice.at.judging.horizon},
     )
+    if not fit_options.json:
+        print_files(choice, page or "")
+        typer.echo(f"next: {next_steps(folder / MODEL, report.data)}")
+    require_report(page)
 
 
-def told_by(progress: "FitProgress", *, quiet: bool) -> "Reporter":
-    """Who is told while a selection goes on: bars or lines for fits, sentences for rounds."""
+def make_reporter(progress: "FitProgress", *, quiet: bool) -> "Reporter":
+    """Makes the reporter of a selection: bars or lines for fits, sentences for rounds."""
     from tustinnet.selection.select import Reporter
 
-    def tell(job: "Job") -> Any:
+    def follow_job(job: "Job") -> Any:
         label = f"{job.candidate}, fold {job.fold}"
         return lambda prepared: progress.follow(prepared, label=label)
 
-    return Reporter(terminal.teller(quiet=quiet), tell)
+    return Reporter(terminal.make_printer(quiet=quiet), follow_job)
 
 
 def draw_choice(choice: "Choice") -> None:
-    """Writes table and figures: of candidates, of free runs of models that did not see a record."""
+    """Writes the table of candidates, their figure, and figures of free runs of some records."""
     from tustinnet.report.figures import free_run_figure, write_figure
     from tustinnet.report.selection import candidates_figure, candidates_table, free_runs
     from tustinnet.selection.select import TABLE
@@ -124,7 +124,7 @@ def draw_choice(choice: "Choice") -> None:
 
 
 def print_choice(choice: "Choice") -> None:
-    """The table of candidates, and what there is to say of the choice."""
+    """Prints the table of candidates, and sentences on the choice."""
     from tustinnet.report.selection import candidates_table
 
     terminal.print_tables(candidates_table(choice))
@@ -132,10 +132,10 @@ def print_choice(choice: "Choice") -> None:
         typer.echo(f"* {sentence}")
 
 
-def print_files(choice: "Choice", page: str = "") -> None:
-    """The line that names the files, and says how long the choice took."""
+def print_files(choice: "Choice", report: str = "") -> None:
+    """Prints the line that names the files, and the duration of the choice."""
     out = choice.at.folder
     typer.echo(
         f"model: {out / 'model.safetensors'}   table: {out / 'candidates.md'}   "
-        f"figures: {out / 'figures'}{page}   {choice.seconds:.0f} s"
+        f"figures: {out / 'figures'}{report}   {choice.seconds:.0f} s"
     )

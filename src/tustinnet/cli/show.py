@@ -1,4 +1,4 @@
-"""`tustinnet show`: what a model file says of itself."""
+"""`tustinnet show`: the contents of a model file."""
 
 from typing import Any
 
@@ -7,6 +7,7 @@ import typer
 from tustinnet.cli import options, terminal
 
 _LONGEST_LINE = 1000  # characters
+Lines = list[tuple[str, str]]
 
 
 def show(model: options.Model, json: options.Json = False) -> None:
@@ -14,78 +15,84 @@ def show(model: options.Model, json: options.Json = False) -> None:
     from tustinnet.errors import convert_errors, to_printable
     from tustinnet.store.header import shown
 
-    header, own = shown(model)
+    header, structure = shown(model)
     if json:
         terminal.print_json(header)
         return
     with convert_errors(
-        model, "its header says something else than fits write", "a run's model file"
+        model, "its header is not one that fits write", "a run's model file"
     ):
-        lines = [*_channels(header), *own, *_fit(header), *_identified(header), *_scores(header)]
+        lines = [
+            *_channel_lines(header), *structure, *_fit_lines(header),
+            *_identification_lines(header), *_score_lines(header),
+            ("versions", ", ".join(f"{k} {v}" for k, v in header["versions"].items())),
+        ]  # fmt: skip
     for key, value in lines:
         typer.echo(f"{key:<14}{to_printable(str(value), _LONGEST_LINE)}")
 
 
-def _channels(header: dict[str, Any]) -> list[tuple[str, str]]:
+def _channel_lines(header: dict[str, Any]) -> Lines:
+    """Lines on kind, coordinates, inputs and sampling period."""
+    coordinates = []
+    for coordinate in header["coordinates"]:
+        unit = f" [{coordinate['unit']}]" if coordinate.get("unit") else ""  # not rad or m
+        coordinates.append(f"{coordinate['name']}{unit} ({coordinate['kind']})")
     inputs = ", ".join(f"{i['name']} [{i['unit']}, {i['hold']}]" for i in header["inputs"])
     return [
         ("kind", f"{header['kind']}, format {header['format']}"),
-        ("coordinates", ", ".join(map(_coordinate, header["coordinates"]))),
+        ("coordinates", ", ".join(coordinates)),
         ("inputs", inputs or "none"),
         ("period", f"{header['dt']:g} s"),
     ]
 
 
-def _coordinate(of: dict[str, Any]) -> str:
-    unit = f" [{of['unit']}]" if of.get("unit") else ""  # where it is neither rad nor m
-    return f"{of['name']}{unit} ({of['kind']})"
-
-
-def _fit(header: dict[str, Any]) -> list[tuple[str, str]]:
-    """The recipe, the training, the records."""
+def _fit_lines(header: dict[str, Any]) -> Lines:
+    """Lines on recipe, training and records."""
     lines, training = [], header.get("training")
     recipe = header.get("recipe")
     if recipe:
         seed = f", seed {training['seed']}" if training else ""
         lines.append(("recipe", recipe["name"] + seed))
     if training:
-        told = f"windows {training['windows']}, epochs {training['epochs']}"
-        kept = f"epoch {training['kept_epoch']} kept, {training['outcome']}"
-        lines.append(("training", f"{told}, {kept}"))
+        sizes = f"windows {training['windows']}, epochs {training['epochs']}"
+        end = f"epoch {training['kept_epoch']} kept, {training['outcome']}"
+        lines.append(("training", f"{sizes}, {end}"))
     if "from" in header:
-        lines.append(("begun with", f"{header['from']['file']}, sha256 {header['from']['sha256']}"))
+        origin = header["from"]
+        lines.append(("begun with", f"{origin['file']}, sha256 {origin['sha256']}"))
     if "data" in header:
         data = header["data"]
         lines.append(("data", f"{data['name']}, {len(data['records'])} records"))
     return lines
 
 
-def _identified(header: dict[str, Any]) -> list[tuple[str, str]]:
-    """Parameters with their errors, the outcome, findings."""
-    found = header.get("identification")
-    if found is None:
+def _identification_lines(header: dict[str, Any]) -> Lines:
+    """Lines on parameters with their errors, the outcome and the findings."""
+    identification = header.get("identification")
+    if identification is None:
         return []
     lines = [("parameters", "")]
-    refined = (found.get("refined") or {}).get("values", {})
-    for e in found["estimates"]:
-        error = "" if e["error"] is None else f" +- {e['error']:.2g}"
-        bound = f", at the {e['bound']} end of its range" if e["bound"] else ""
+    refined = (identification.get("refined") or {}).get("values", {})
+    for e in identification["estimates"]:
         name = e["name"]
-        now = f"; in the model {refined[name]:.4g}" if name in refined else ""
-        lines.append(("", f"{name} {e['value']:.4g}{error} {e['unit']}{bound}{now}"))
-    fixed = found.get("fixed", found.get("held", {}))  # files of format 1 say `held`
+        error = "" if e["error"] is None else f" +- {e['error']:.2g}"
+        bound = f", at its {e['bound']} bound" if e["bound"] else ""
+        final = f"; in the model {refined[name]:.4g}" if name in refined else ""
+        lines.append(("", f"{name} {e['value']:.4g}{error} {e['unit']}{bound}{final}"))
+    # files of format 1 say `held`
+    fixed = identification.get("fixed", identification.get("held", {}))
     lines += [("", f"{name} {value:.4g}, fixed") for name, value in fixed.items()]
-    lines.append(("outcome", found["outcome"]))
-    return lines + [("finding", finding) for finding in found["findings"]]
+    lines.append(("outcome", identification["outcome"]))
+    return lines + [("finding", finding) for finding in identification["findings"]]
 
 
-def _scores(header: dict[str, Any]) -> list[tuple[str, str]]:
-    lines, scores = [], header.get("scores")
-    if scores:
-        mean = "diverged" if scores["mean"] is None else f"{scores['mean']:.4g} {scores['unit']}"
-        split = "records left out" if scores["split"] == "left out" else scores["split"]
-        told = f"{split}, mean RMSE {mean}, start '{scores['start']}'"
-        lines.append(("score", told))
-        lines += [("", f"{name} {value:.4g}" if value is not None else f"{name} diverged")
-                  for name, value in scores["rmse"].items()]  # fmt: skip
-    return [*lines, ("versions", ", ".join(f"{k} {v}" for k, v in header["versions"].items()))]
+def _score_lines(header: dict[str, Any]) -> Lines:
+    """Lines on the scores of the fit."""
+    scores = header.get("scores")
+    if not scores:
+        return []
+    mean = "diverged" if scores["mean"] is None else f"{scores['mean']:.4g} {scores['unit']}"
+    split = "records left out" if scores["split"] == "left out" else scores["split"]
+    lines = [("score", f"{split}, mean RMSE {mean}, start '{scores['start']}'")]
+    return lines + [("", f"{name} {value:.4g}" if value is not None else f"{name} diverged")
+                    for name, value in scores["rmse"].items()]  # fmt: skip

@@ -8,7 +8,7 @@ import typer
 from tustinnet.cli import options, terminal
 
 if TYPE_CHECKING:
-    from tustinnet.report.tables import Table
+    from tustinnet.evaluate.bands import Band
 
 
 _Records = Annotated[
@@ -35,49 +35,46 @@ def simulate(
     A free run begins at an initial state (--start) and then uses only the logged inputs.
     """
     terminal.prepare_jax()
-    from tustinnet.cli.request import band_asked, bands_of, files_of, model_of
+    from tustinnet.cli import request
     from tustinnet.data.catalog import load
     from tustinnet.evaluate.scores import evaluate
-    from tustinnet.report.leaving import left_plain, left_words
+    from tustinnet.report.extrapolation import describe_extrapolation, extrapolation_content
+    from tustinnet.report.tables import Table, number
     from tustinnet.simulate.range import Range
     from tustinnet.simulate.starts import default_start
     from tustinnet.store.files import require_outputs, require_writable_folder
     from tustinnet.store.header import read_header
     from tustinnet.store.simulation_file import simulation_name, write_simulation
 
-    asked = band_asked(band, whole=whole_records)
-    simulator = model_of(model, system)
-    loaded = load(data, card)
-    chosen = loaded if split is None else loaded.split(split)
-    records = [chosen[name] for name in experiment] if experiment else list(chosen)
+    band_options = request.make_band_options(band, whole=whole_records)
+    simulator = request.load_model(model, system)
+    data_set = load(data, card)
+    data_set = data_set if split is None else data_set.split(split)
+    records = [data_set[name] for name in experiment] if experiment else list(data_set)
     paths = [out / simulation_name(e) for e in records]
-    read = files_of(data, card, model, system)
-    require_outputs(paths, overwrite=overwrite, read=read)
-    begin = default_start(records, simulator) if start is None else start
-    scores = evaluate(simulator, records, begin)
-    none = [None] * len(records)
-    bands = none if asked is None else bands_of(model, simulator, records, scores, asked)
+    inputs = request.list_input_files(data, card, model, system)
+    require_outputs(paths, overwrite=overwrite, read=inputs)
+    start = default_start(records, simulator) if start is None else start
+    scores = evaluate(simulator, records, start)
+    bands: list[Band | None] = [None] * len(records)
+    if band_options is not None:
+        bands = [*request.compute_bands(model, simulator, records, scores, band_options)]
     require_writable_folder(out)
-    known, written = Range.from_header(read_header(model), simulator), []
-    for e, score, around, path in zip(records, scores, bands, paths, strict=True):
-        write_simulation(out, e, score.simulated, around)
-        left = (
-            None
-            if known is None
-            else known.extrapolation_point(simulator.channels, score.simulated, e.u)
-        )
-        written.append({"experiment": e.name, "rmse": score.rmse, "file": str(path),
-                        "left": None if left is None else left_plain(left, e)})  # fmt: skip
-        if left is not None:
-            terminal.messages().print(f"note: {e.name}: {left_words(left, e)}")
+    training_range = Range.from_header(read_header(model), simulator)
+    simulations: list[dict[str, Any]] = []
+    for e, score, run_band, path in zip(records, scores, bands, paths, strict=True):
+        write_simulation(out, e, score.simulated, run_band)
+        content = {"experiment": e.name, "rmse": score.rmse, "file": str(path), "left": None}
+        point = None
+        if training_range is not None:
+            point = training_range.extrapolation_point(simulator.channels, score.simulated, e.u)
+        if point is not None:
+            content["left"] = extrapolation_content(point, e)
+            terminal.messages().print(f"note: {e.name}: {describe_extrapolation(point, e)}")
+        simulations.append(content)
     if json:
-        terminal.print_json({"start": begin, "simulations": written})
+        terminal.print_json({"start": start, "simulations": simulations})
         return
-    terminal.print_tables(_table(written, begin))
-
-
-def _table(written: list[dict[str, Any]], start: str) -> "Table":
-    from tustinnet.report.tables import Table, number
-
-    rows = [[w["experiment"], number(w["rmse"]), w["file"]] for w in written]
-    return Table(["record", "RMSE", "file"], rows, title=f"Free runs, start '{start}'")
+    rows = [[w["experiment"], number(w["rmse"]), w["file"]] for w in simulations]
+    title = f"Free runs, start '{start}'"
+    terminal.print_tables(Table(["record", "RMSE", "file"], rows, title=title))

@@ -1,4 +1,4 @@
-"""What every verb does with the terminal: messages, results, precision."""
+"""Output of messages and results, signals, warnings, and the set-up of JAX for every verb."""
 
 import os
 import signal
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from tustinnet.report.tables import Table
     from tustinnet.systems.files import SystemFile
 
-_LATER = 0.05  # seconds until a signal is sent again
+_DELAY = 0.05  # seconds until a signal is sent again
 _LONGEST_QUESTION = 400  # characters
-# JAX would keep what takes a second to compile: few of the programs of a fit, which are many
+# by default JAX caches only what takes a second to compile: few of the many programs of a fit
 _SMALL_PROGRAMS = {
     "jax_persistent_cache_min_compile_time_secs": 0.0,
     "jax_persistent_cache_min_entry_size_bytes": -1,
@@ -28,19 +28,19 @@ _PIPED_WIDTH = 200  # columns of a table that goes into a file or a pipe
 
 
 def messages() -> "Console":
-    """Where progress and remarks go: standard error, so that results can be piped."""
+    """Console for progress and remarks: standard error, so that results can be piped."""
     from rich.console import Console
 
     return Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
 
 
-def teller(*, quiet: bool) -> Callable[[str], None]:
-    """Who is told sentences while something goes on; nobody where it is to be quiet."""
-    return (lambda sentence: None) if quiet else messages().print
+def make_printer(*, quiet: bool) -> Callable[[str], None]:
+    """Makes a function that prints messages, or ignores them if `quiet`."""
+    return (lambda message: None) if quiet else messages().print
 
 
 def print_json(content: Any) -> None:
-    """A result as JSON on standard output."""
+    """Prints a result as JSON on standard output."""
     from tustinnet.store.files import to_json
 
     sys.stdout.write(to_json(content))
@@ -48,7 +48,7 @@ def print_json(content: Any) -> None:
 
 
 def print_tables(*tables: "Table") -> None:
-    """Results as tables on standard output."""
+    """Prints results as tables on standard output."""
     from rich.console import Console
 
     console = Console(highlight=False)
@@ -58,8 +58,8 @@ def print_tables(*tables: "Table") -> None:
         table.print(console)
 
 
-def confirmed(question: str) -> bool:
-    """Whether the user says yes; no, where nobody can be asked."""
+def confirm(question: str) -> bool:
+    """Asks the user on a terminal; False without a terminal."""
     if not (sys.stdin and sys.stdin.isatty() and sys.stderr.isatty()):
         return False
     from tustinnet.errors import to_printable
@@ -76,15 +76,15 @@ def remember_trust(system: "SystemFile") -> None:
 
     try:
         trust(system)
-    except InputError as error:  # costs a question later
+    except InputError as error:  # only costs a question later
         messages().print(f"note: {error}")
 
 
 class Stopped(KeyboardInterrupt):
-    """Ctrl-C, SIGTERM or SIGHUP.
+    """Interruption by Ctrl-C, SIGTERM or SIGHUP.
 
     Attributes:
-        number: of the signal; the usual exit code is 128 more: 130, 143 or 129.
+        number: number of the signal; the usual exit code is 128 more: 130, 143 or 129.
     """
 
     def __init__(self, number: int) -> None:
@@ -92,93 +92,98 @@ class Stopped(KeyboardInterrupt):
         self.number = number
 
 
-_verbs = 0  # how deep in `interruptible`
+_depth = 0  # of nested `interruptible` contexts
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
-    """Raises in a verb; ends the process at once before it, and while a module loads.
+    """Signal handler: raises `Stopped` in a verb, but ends the process before it and in imports.
 
-    An exception would leave half a module, and compiled ones crash; nothing is being written then.
+    During an import an exception would leave half a module, and compiled modules crash; nothing
+    is being written then.
     """
     while frame is not None and frame.f_globals.get("__name__") != "importlib._bootstrap":
         frame = frame.f_back
-    if _verbs and frame is None:
+    if _depth and frame is None:
         raise Stopped(number)
     os.write(2, b"interrupted\n")
     os._exit(128 + number)
 
 
 @contextmanager
-def _redelivering() -> Iterator[None]:
-    """Sends a signal again that was raised where Python drops exceptions, as in a `__del__`."""
-    before = sys.unraisablehook
+def _redeliver_dropped() -> Iterator[None]:
+    """Within the context, sends a signal again whose exception Python dropped, as in `__del__`."""
+    earlier_hook = sys.unraisablehook
 
     def catch(dropped: Any) -> None:
         if isinstance(dropped.exc_value, Stopped):
-            again = (os.getpid(), dropped.exc_value.number)
-            threading.Timer(_LATER, os.kill, again).start()
+            arguments = (os.getpid(), dropped.exc_value.number)
+            threading.Timer(_DELAY, os.kill, arguments).start()
         else:
-            before(dropped)
+            earlier_hook(dropped)
 
     sys.unraisablehook = catch
     try:
         yield
     finally:
-        sys.unraisablehook = before
+        sys.unraisablehook = earlier_hook
 
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """Ctrl-C, SIGTERM and SIGHUP end what is inside with one line.
+    """Within the context, Ctrl-C, SIGTERM and SIGHUP end the command with one line.
 
-    Those that whoever started the command has it ignore stay ignored.
+    Signals that the parent process ignores stay ignored.
     """
-    before = {}
+    earlier_handlers = {}
     if threading.current_thread() is threading.main_thread():  # others cannot set handlers
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
             number = getattr(signal, name, None)
             if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
-                before[number] = signal.signal(number, _stop)
+                earlier_handlers[number] = signal.signal(number, _stop)
     try:
-        with _redelivering():
+        with _redeliver_dropped():
             yield
     finally:
-        for number, handler in before.items():
+        for number, handler in earlier_handlers.items():
             signal.signal(number, handler)
 
 
 @contextmanager
 def interruptible(remedy: str = "") -> Iterator[None]:
-    """Ends with one line and the usual exit code when interrupted."""
-    global _verbs
-    _verbs += 1
+    """Within the context, an interruption ends with one line and the usual exit code.
+
+    Args:
+        remedy: how to continue later, for the line.
+    """
+    global _depth
+    _depth += 1
     try:
         yield
     except KeyboardInterrupt as stop:
         sys.stderr.write(f"interrupted; {remedy}\n" if remedy else "interrupted\n")
         raise SystemExit(128 + getattr(stop, "number", signal.SIGINT)) from None
     finally:
-        _verbs -= 1
+        _depth -= 1
 
 
-def tell_warnings() -> None:
-    """Shows each warning of this package as one line, without the place in its source."""
-    plain = warnings.showwarning
+def shorten_warnings() -> None:
+    """Prints each warning of this package as one line, without its place in the source."""
+    standard = warnings.showwarning
 
-    def tell(message: Warning | str, category: type[Warning], *place: Any) -> None:
+    def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
         if category is UserWarning:
             sys.stderr.write(f"note: {message}\n")
         else:
-            plain(message, category, *place)
+            standard(message, category, *place)
 
-    warnings.showwarning = tell
+    warnings.showwarning = show
 
 
 def prepare_jax(device: str | None = None) -> None:
-    """Double precision for scores, a device for each core; compiled programs are kept.
+    """Sets JAX up: double precision, a device for each core, a cache of compiled programs.
 
     Args:
-        device: `cpu` or `gpu`; what JAX prefers when left out.
+        device: `cpu` or `gpu`; by default the one that JAX prefers.
 
     Raises:
         InputError: JAX sees no such device.
@@ -193,41 +198,47 @@ def prepare_jax(device: str | None = None) -> None:
     platforms = os.environ.get("JAX_PLATFORMS", "")
     _first_device(None, f"JAX_PLATFORMS={platforms}", "unset the variable")
     if device is not None:
-        first = _first_device(device, f"--device {device}", "leave the option out")
+        first = _first_device(device, f"--device {device}", "omit the option")
         jax.config.update("jax_default_device", first)
-    _keep_programs()
+    _cache_programs()
 
 
-def _keep_programs() -> None:
-    """Keeps compiled programs: in the user's cache folder, or in JAX_COMPILATION_CACHE_DIR."""
+def _cache_programs() -> None:
+    """Caches compiled programs in the user's cache folder, or in JAX_COMPILATION_CACHE_DIR."""
     import jax
 
     if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
         import platformdirs
 
-        kept = Path(platformdirs.user_cache_dir("tustinnet")) / "compiled"
+        cache = Path(platformdirs.user_cache_dir("tustinnet")) / "compiled"
         try:
-            kept.mkdir(parents=True, exist_ok=True)
+            cache.mkdir(parents=True, exist_ok=True)
         except OSError:
             return  # a home that cannot be written only costs time
-        if not os.access(kept, os.W_OK):
+        if not os.access(cache, os.W_OK):
             return
-        jax.config.update("jax_compilation_cache_dir", str(kept))
+        jax.config.update("jax_compilation_cache_dir", str(cache))
     for name, value in _SMALL_PROGRAMS.items():
-        if name.upper() not in os.environ:  # whoever says it himself means it
+        if name.upper() not in os.environ:  # a variable of the user has precedence
             jax.config.update(name, value)
 
 
-def _first_device(kind: str | None, asked: str, undo: str) -> Any:
-    """The first device of a kind, of any kind where none is given; an error names who asked."""
+def _first_device(kind: str | None, source: str, remedy: str) -> Any:
+    """The first device of a kind, or of any kind.
+
+    Args:
+        kind: `cpu` or `gpu`, None for any.
+        source: option or variable that chose the kind, for the error.
+        remedy: how to undo it, for the error.
+    """
     import jax
 
     from tustinnet.errors import InputError
 
     try:
         return jax.devices(kind)[0]
-    except (RuntimeError, AssertionError):  # the second is what it says of some that are absent
+    except (RuntimeError, AssertionError):  # the second for some devices that are absent
         raise InputError(
-            asked, "JAX sees none", "a device that JAX sees",
-            f"{undo}, or install JAX for your GPU: pip install 'jax[cuda13]'",
+            source, "JAX sees none", "a device that JAX sees",
+            f"{remedy}, or install JAX for your GPU: pip install 'jax[cuda13]'",
         ) from None  # fmt: skip

@@ -1,1 +1,1 @@
-"""What people look at: tables, figures, progress."""
+"""Tables, figures, progress bars and the HTML report."""

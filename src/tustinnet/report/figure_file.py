@@ -1,4 +1,4 @@
-"""Files of figures: what is checked before results are printed, so without matplotlib."""
+"""File formats of figures; checked before results are printed, so without loading matplotlib."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ ENDINGS = (".png", ".svg", ".pdf")
 
 
 def format_of(path: Path) -> str:
-    """The format of a figure, which the ending of its file says.
+    """Format of a figure, from the ending of its file.
 
     Raises:
         InputError: another ending than .png, .svg or .pdf.

@@ -1,4 +1,4 @@
-"""Figures: records, free runs, training."""
+"""Figures of records, free runs and trainings."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -46,14 +46,14 @@ _STYLE = {
 
 
 @contextmanager
-def house_style() -> Iterator[None]:
-    """The look of all figures; settings outside are left alone."""
+def figure_style() -> Iterator[None]:
+    """Style of all figures, within the context; matplotlib's settings outside stay as they are."""
     with mpl.rc_context(cast(Any, _STYLE)):
         yield
 
 
 def write_figure(figure: Figure, folder: Path, name: str) -> None:
-    """Writes a figure into a folder, in the format of its ending, whole or not at all.
+    """Writes a figure into a folder, in the format of its ending, completely or not at all.
 
     Raises:
         InputError: another ending than .png, .svg or .pdf, or the file cannot be written.
@@ -73,46 +73,47 @@ def free_run_figure(
     recorded: str = "measured",
     bands: Mapping[str, Band] | None = None,
 ) -> Figure:
-    """Measured and simulated positions of one record, a panel a coordinate.
+    """Figure of measured and simulated positions of one record, with a panel for each coordinate.
 
-    Of a long record only the extremes are drawn, which look the same, and the error in a panel
-    below: lines that cover each other tell nothing.
+    Of a long record only the extremes are drawn, which looks the same. There a second panel shows
+    the error, because lines that cover each other cannot be compared.
 
     Args:
         experiment: the record.
-        runs: free runs by label.
+        runs: scores of the free runs by label.
         styles: colour and line style by label.
-        recorded: what to call the record's own line.
-        bands: around the free runs, by label.
+        recorded: label of the record's own line.
+        bands: bands around the free runs by label.
     """
-    with house_style():
-        e, unit, long = experiment, experiment.channels.unit, len(experiment) > _LONG
-        n_q, each = e.channels.n_q, 2 if long else 1
-        figure = Figure(figsize=(7.0, (3.1 if long else 1.9) * n_q + 0.5), layout="constrained")
+    e, unit, is_long = experiment, experiment.channels.unit, len(experiment) > _LONG
+    n_q, panels_each = e.channels.n_q, 2 if is_long else 1
+    with figure_style():
+        figure = Figure(figsize=(7.0, (3.1 if is_long else 1.9) * n_q + 0.5), layout="constrained")
         panels = figure.subplots(
-            each * n_q, 1, sharex=True, squeeze=False,
-            height_ratios=(5, 3) * n_q if long else None,
+            panels_each * n_q, 1, sharex=True, squeeze=False,
+            height_ratios=(5, 3) * n_q if is_long else None,
         )[:, 0]  # fmt: skip
-        drawn, errors = (panels[::2], panels[1::2]) if long else (panels, ())
+        position_panels, error_panels = (panels[::2], panels[1::2]) if is_long else (panels, ())
         t = e.t - e.t[0]
-        for j, (axes, coordinate) in enumerate(zip(drawn, e.coordinates, strict=True)):
+        for j, (axes, coordinate) in enumerate(zip(position_panels, e.coordinates, strict=True)):
             _plot(axes, t, e.q[:, j], color=MEASURED, label=recorded, linewidth=1.4)
             for i, (label, score) in enumerate(runs.items()):
                 colour, dash = (styles or {}).get(
                     label, (COLOURS[i % len(COLOURS)], _DASHES[i % len(_DASHES)])
                 )
-                told = f"{label} (RMSE {score.rmse:.3g} {unit})"
+                legend = f"{label} (RMSE {score.rmse:.3g} {unit})"
                 line = bounded(score.simulated[:, j], e.q[:, j])
                 if (band := (bands or {}).get(label)) is not None:
-                    _shade(axes, t, band, j, e, colour)
-                if not long:
-                    axes.plot(t, line, color=colour, linestyle=dash, label=told)
+                    _draw_band(axes, t, band, j, e, colour)
+                if not is_long:
+                    axes.plot(t, line, color=colour, linestyle=dash, label=legend)
                     continue
-                _plot(axes, t, line, color=colour, label=told, linewidth=0.7, alpha=0.8)
-                _plot(errors[j], t, line - e.q[:, j], color=colour, linewidth=0.7, alpha=0.8)
+                _plot(axes, t, line, color=colour, label=legend, linewidth=0.7, alpha=0.8)
+                error = line - e.q[:, j]
+                _plot(error_panels[j], t, error, color=colour, linewidth=0.7, alpha=0.8)
             axes.set_ylabel(f"{coordinate.name} [{coordinate.unit}]")
-            if long:
-                errors[j].set_ylabel(f"error [{coordinate.unit}]")
+            if is_long:
+                error_panels[j].set_ylabel(f"error [{coordinate.unit}]")
         figure.align_ylabels()
         panels[-1].set_xlabel("time [s]")
         starts = sorted({score.start for score in runs.values()})
@@ -120,30 +121,30 @@ def free_run_figure(
         title = f"{e.name}: free run, start '{', '.join(starts)}'{horizon}"
         panels[0].set_title(title, loc="left")
         handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(
-            handles, labels, loc="outside lower center", ncols=_columns(labels), fontsize=8
-        )
+        # as many columns as the figure's width has room for
+        columns = max(1, min(len(labels), 3, _LEGEND_WIDTH // (max(map(len, labels)) + 7)))
+        figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=8)
         return figure
 
 
-def _shade(
+def _draw_band(
     axes: Axes, t: Float[np.ndarray, " n"], band: Band, j: int, e: Experiment, colour: str
 ) -> None:
-    """A band of one coordinate, from where the free run begins."""
+    """Draws the band of coordinate `j`, from where the free run begins."""
     after = slice(band.guess.first, None)
-    low, high = (bounded(of[after, j], e.q[after, j]) for of in (band.low, band.high))
-    told = f"{100 * band.level:g} % of {'the time' if band.of == 'time' else 'whole records'}"
-    axes.fill_between(t[after], low, high, color=colour, alpha=0.2, linewidth=0, label=told)
+    low, high = (bounded(end[after, j], e.q[after, j]) for end in (band.low, band.high))
+    label = f"{100 * band.level:g} % of {'the time' if band.of == 'time' else 'whole records'}"
+    axes.fill_between(t[after], low, high, color=colour, alpha=0.2, linewidth=0, label=label)
 
 
 def _plot(axes: Axes, t: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"], **style: Any) -> None:
-    """A line, of which no more points are drawn than can be seen."""
-    kept = extremes(y)
-    axes.plot(t[kept], y[kept], **style)
+    """Draws a line; of a long one only the points that can be seen."""
+    samples = extremes(y)
+    axes.plot(t[samples], y[samples], **style)
 
 
-def extremes(y: Float[np.ndarray, " n"]) -> Int[np.ndarray, " kept"]:
-    """The samples that a line needs in a picture: all, or of a long one the extremes of each bin.
+def extremes(y: Float[np.ndarray, " n"]) -> Int[np.ndarray, " shown"]:
+    """Samples that a line needs in a figure: all, or of a long one the extremes of each bin.
 
     A bin is narrower than a pixel of a PNG. A bin of nothing but NaN stays a gap.
     """
@@ -151,24 +152,19 @@ def extremes(y: Float[np.ndarray, " n"]) -> Int[np.ndarray, " kept"]:
         return np.arange(len(y))
     edges = np.linspace(0, len(y), _BINS + 1).astype(int)
     low, high = np.where(np.isnan(y), np.inf, y), np.where(np.isnan(y), -np.inf, y)
-    kept = {0, len(y) - 1}
+    samples = {0, len(y) - 1}
     for a, b in pairwise(edges):
-        kept |= {int(a + np.argmin(low[a:b])), int(a + np.argmax(high[a:b]))}
-    return np.array(sorted(kept))
-
-
-def _columns(labels: Sequence[str]) -> int:
-    """Columns of a legend that the figure's width has room for."""
-    return max(1, min(len(labels), 3, _LEGEND_WIDTH // (max(map(len, labels)) + 7)))
+        samples |= {int(a + np.argmin(low[a:b])), int(a + np.argmax(high[a:b]))}
+    return np.array(sorted(samples))
 
 
 def training_figure(histories: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:
-    """Loss, validation RMSE and rate against epochs, a line a training; a dot at what was kept.
+    """Figure of loss, validation RMSE and learning rate against epochs, with the kept epoch marked.
 
     Args:
-        histories: the lines of each training log, by what the training is called.
+        histories: the lines of each training log, by name of the training.
     """
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(7.0, 5.2), layout="constrained")
         panels = figure.subplots(3, 1, sharex=True, height_ratios=(2, 2, 1))
         quantities = {"loss": "training loss", "validation": "validation RMSE", "rate": "rate"}
@@ -178,14 +174,21 @@ def training_figure(histories: Mapping[str, Sequence[Mapping[str, Any]]]) -> Fig
                 colour = COLOURS[i % len(COLOURS)]
                 epochs = np.arange(1, len(values) + 1)
                 axes.plot(epochs, values, color=colour, linewidth=0.9, label=name)
-                kept = _kept_epoch(lines)
-                axes.plot(kept + 1, values[kept], "o", color=colour, markersize=5, clip_on=False)
+                kept_epoch = _find_kept_epoch(lines)
+                axes.plot(
+                    kept_epoch + 1,
+                    values[kept_epoch],
+                    "o",
+                    color=colour,
+                    markersize=5,
+                    clip_on=False,
+                )
             axes.set_ylabel(label)
-            drawn = np.concatenate([np.asarray(line.get_ydata(), float) for line in axes.lines])
-            drawn = drawn[np.isfinite(drawn)]
-            if drawn.size and drawn.min() > 0 and drawn.max() > _LINEAR_BELOW * drawn.min():
+            y = np.concatenate([np.asarray(line.get_ydata(), float) for line in axes.lines])
+            y = y[np.isfinite(y)]
+            if y.size and y.min() > 0 and y.max() > _LINEAR_BELOW * y.min():
                 axes.set_yscale("log")
-            for begin in _stage_begins(next(iter(histories.values()))):
+            for begin in _find_stage_begins(next(iter(histories.values()))):
                 axes.axvline(begin + 0.5, color="0.6", linewidth=0.8, linestyle=":")
         panels[-1].set_xlabel("epoch (all stages)")
         if len(histories) > 1:
@@ -193,21 +196,26 @@ def training_figure(histories: Mapping[str, Sequence[Mapping[str, Any]]]) -> Fig
         return figure
 
 
-def _kept_epoch(lines: Sequence[Mapping[str, Any]]) -> int:
-    """The line at which the last stage's best figure was last improved."""
-    begin = max(_stage_begins(lines), default=0)
+def _find_kept_epoch(lines: Sequence[Mapping[str, Any]]) -> int:
+    """Index of the line at which the last stage's best score was last improved."""
+    begin = max(_find_stage_begins(lines), default=0)
     best = [np.inf, *(np.inf if e["best"] is None else e["best"] for e in lines[begin:])]
-    falls = [k for k in range(1, len(best)) if best[k] < best[k - 1]]
-    return begin + (falls[-1] - 1 if falls else 0)
+    improvements = [k for k in range(1, len(best)) if best[k] < best[k - 1]]
+    return begin + (improvements[-1] - 1 if improvements else 0)
 
 
-def _stage_begins(lines: Sequence[Mapping[str, Any]]) -> list[int]:
+def _find_stage_begins(lines: Sequence[Mapping[str, Any]]) -> list[int]:
     return [k for k in range(1, len(lines)) if lines[k]["stage"] != lines[k - 1]["stage"]]
 
 
 def ahead_figure(errors: Mapping[str, Float[np.ndarray, " horizon"]], channels: Channels) -> Figure:
-    """k-step-ahead RMSE against the horizon, a line a label; `channels` give period and unit."""
-    with house_style():
+    """Figure of the k-step-ahead RMSE against the horizon.
+
+    Args:
+        errors: RMSE by number of steps, by label.
+        channels: sampling period and unit.
+    """
+    with figure_style():
         figure = Figure(figsize=(5.0, 3.2), layout="constrained")
         axes = figure.subplots()
         for i, (label, rmse) in enumerate(errors.items()):
@@ -223,8 +231,8 @@ def ahead_figure(errors: Mapping[str, Float[np.ndarray, " horizon"]], channels: 
 def inspection_figure(
     experiments: Sequence[Experiment], reports: Sequence[ExperimentReport]
 ) -> Figure:
-    """Every record: positions with `k_bar` marked, and the inputs where there are any."""
-    with house_style():
+    """Figure of every record: positions with `k_bar` marked, and the inputs if there are any."""
+    with figure_style():
         first = experiments[0]
         columns = len(first.coordinates) + (1 if first.inputs else 0)
         figure = Figure(
@@ -247,9 +255,16 @@ def inspection_figure(
                     axes.axvspan(begin - e.t[0], end - e.t[0], color=COLOURS[1], alpha=0.5)
                 if row == 0:
                     axes.set_title(f"{coordinate.name} [{coordinate.unit}]", fontsize=9)
-            if e.inputs:
-                _input_panel(panels[row, -1], e, title=row == 0)
+            for i, channel in enumerate(e.inputs):
+                panels[row, -1].plot(
+                    t, e.u[:, i], linewidth=0.6, color=(INPUT, *COLOURS)[i % 6], label=channel.name,
+                    drawstyle="steps-post" if channel.hold in (None, "zero-order") else "default",
+                )  # fmt: skip
             panels[row, 0].set_ylabel(e.name, rotation=0, ha="right", va="center", fontsize=8)
+        if first.inputs:
+            units = ", ".join(dict.fromkeys(c.unit for c in first.inputs))
+            panels[0, -1].set_title(f"inputs [{units}]")
+            panels[0, -1].legend(fontsize=7, loc="upper right", frameon=True, framealpha=0.8)
         for axes in panels[-1]:
             axes.set_xlabel("time [s]")
         if any(report.k_bar < len(e) for e, report in zip(experiments, reports, strict=True)):
@@ -258,15 +273,3 @@ def inspection_figure(
                 fontsize=8,
             )
         return figure
-
-
-def _input_panel(axes: Axes, e: Experiment, *, title: bool) -> None:
-    for i, channel in enumerate(e.inputs):
-        axes.plot(
-            e.t - e.t[0], e.u[:, i], linewidth=0.6, color=(INPUT, *COLOURS)[i % 6],
-            label=channel.name,
-            drawstyle="steps-post" if channel.hold in (None, "zero-order") else "default",
-        )  # fmt: skip
-    if title:
-        axes.set_title(f"inputs [{', '.join(dict.fromkeys(c.unit for c in e.inputs))}]")
-        axes.legend(fontsize=7, loc="upper right", frameon=True, framealpha=0.8)

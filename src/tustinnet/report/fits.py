@@ -12,26 +12,26 @@ from tustinnet.store.run import Run
 
 
 def members_table(run: Run) -> Table:
-    """Every member of a training, and the spread where there are several."""
-    unit, several = run.roles.train[0].channels.unit, len(run.members) > 1
-    rows = [
-        [
-            of.result.member.name.removeprefix("seed-"),
+    """Table of the members of a training, with median and range where there are several."""
+    unit, is_several = run.roles.train[0].channels.unit, len(run.members) > 1
+    rows = []
+    for member, mean in zip(run.members, numbers([m.mean for m in run.members]), strict=True):
+        result = member.result
+        rows.append([
+            result.member.name.removeprefix("seed-"),
             mean,
-            " + ".join(map(str, of.result.detail("windows"))),
-            " + ".join(map(str, of.result.detail("epochs"))),
-            str(of.result.detail("kept_epoch")),
-            f"{of.result.seconds:.0f}",
-            of.result.outcome.split(":")[0],
-        ]
-        for of, mean in zip(run.members, numbers([of.mean for of in run.members]), strict=True)
-    ]
-    if several:
+            " + ".join(map(str, result.detail("windows"))),
+            " + ".join(map(str, result.detail("epochs"))),
+            str(result.detail("kept_epoch")),
+            f"{result.seconds:.0f}",
+            result.outcome.split(":")[0],
+        ])  # fmt: skip
+    if is_several:
         spread = run.spread()
         median, low, high = numbers([spread["median"], spread["min"], spread["max"]])
-        whole = f"{sum(of.result.seconds for of in run.members):.0f} in all"
-        rows.append(["median (range)", f"{median} ({low}..{high})", "", "", "", whole, ""])
-    seconds = "share of seconds" if several else "seconds"
+        total = f"{sum(member.result.seconds for member in run.members):.0f} in all"
+        rows.append(["median (range)", f"{median} ({low}..{high})", "", "", "", total, ""])
+    seconds = "share of seconds" if is_several else "seconds"
     return Table(
         ["seed", f"mean RMSE [{unit}]", "windows", "epochs", "kept", seconds, "outcome"],
         rows,
@@ -41,7 +41,7 @@ def members_table(run: Run) -> Table:
 
 
 def parameter_table(result: Identification) -> Table:
-    """Parameters with the errors to trust and those of J'J."""
+    """Table of identified parameters, with their standard errors and those of J'J."""
     rows = [estimate_cells(e) for e in result.estimates]
     rows += [[name, f"{value:.4g}", result.system.parameter(name).unit, "fixed", "", "", ""]
              for name, value in result.fixed.items()]  # fmt: skip
@@ -56,37 +56,51 @@ ESTIMATE_COLUMNS = ("parameter", "value", "unit", "std. error", "95 %", "error o
 def estimates_table(
     rows: Sequence[Sequence[str]], refined: Mapping[str, float] | None, title: str = ""
 ) -> Table:
-    """Rows of `ESTIMATE_COLUMNS`, and the values of the model where others than those found."""
+    """Table of parameters, with a further column where the model has other values than the search.
+
+    Args:
+        rows: cells of `ESTIMATE_COLUMNS`.
+        refined: the model's values by name, where they were fitted once more after the search.
+        title: a line above.
+    """
     if refined is None:
         return Table(ESTIMATE_COLUMNS, rows, title)
-    told = [[*row, f"{refined[row[0]]:.4g}" if row[0] in refined else row[1]] for row in rows]
-    return Table((*ESTIMATE_COLUMNS, "in the model"), told, title)
+    rows = [[*row, f"{refined[row[0]]:.4g}" if row[0] in refined else row[1]] for row in rows]
+    return Table((*ESTIMATE_COLUMNS, "in the model"), rows, title)
 
 
 def estimate_cells(e: Estimate) -> list[str]:
-    """One parameter, a cell for each of `ESTIMATE_COLUMNS`."""
-    at = f"at the {e.bound} end" if e.bound else ""
-    digits = _digits(e.value, e.error)
+    """Cells of one parameter, one for each of `ESTIMATE_COLUMNS`."""
+    digits = 4
+    if e.error and e.value:  # as many as show the value to a tenth of its error
+        digits = int(min(max(4, math.ceil(math.log10(abs(e.value) / e.error)) + 2), 12))
+    error, naive_error = ("–" if x is None else f"{x:.2g}" for x in (e.error, e.naive_error))
     interval = "–"
     if e.interval:
         interval = f"{e.interval[0]:.{digits}g}..{e.interval[1]:.{digits}g}"
+    bound = f"at the {e.bound} bound" if e.bound else ""
     return [
-        e.name, f"{e.value:.{digits}g}", e.unit, _error(e.error), interval,
-        _error(e.naive_error), f"{e.lower:.3g}..{e.upper:.3g} {at}".strip(),
+        e.name, f"{e.value:.{digits}g}", e.unit, error, interval, naive_error,
+        f"{e.lower:.3g}..{e.upper:.3g} {bound}".strip(),
     ]  # fmt: skip
 
 
 def estimates_title(trust: str, refined: Mapping[str, float] | None) -> str:
-    """Where errors are from, as `Identification.trust` names it, and which value is which."""
-    source = "how the records disagree" if trust == "records" else "J'J"
+    """Title of a table of parameters: the source of the errors and the meaning of the values.
+
+    Args:
+        trust: the source of the errors, as in `Identification.trust`.
+        refined: the values that were fitted once more after the search, if there are any.
+    """
+    source = "the differences between records" if trust == "records" else "J'J"
     title = f"standard errors from {source}"
     if refined is not None:
-        title += "; value: what the search found, in the model: fitted once more to free runs"
+        title += "; value: result of the search, in the model: fitted once more to free runs"
     return title
 
 
-def place(e: Estimate, value: float) -> float:
-    """Where a value stands in a parameter's range, 0..1; by logarithms where that is positive."""
+def position_in_range(e: Estimate, value: float) -> float:
+    """Position of a value in a parameter's range, 0..1; logarithmic where the range is positive."""
     if e.lower > 0:
         share = math.log(max(value, e.lower) / e.lower) / math.log(e.upper / e.lower)
     else:
@@ -94,67 +108,51 @@ def place(e: Estimate, value: float) -> float:
     return min(max(share, 0.0), 1.0)
 
 
-def _digits(value: float, error: float | None) -> int:
-    """Significant digits that show a value to a tenth of its error."""
-    if not error or not value:
-        return 4
-    return int(min(max(4, math.ceil(math.log10(abs(value) / error)) + 2), 12))
-
-
-def _error(value: float | None) -> str:
-    return "–" if value is None else f"{value:.2g}"
-
-
-def judged_table(run: Run) -> Table:
-    """The free runs that judge the best model of a run."""
+def validation_table(run: Run) -> Table:
+    """Table of the free runs that score the best model of a run."""
     best = run.best
     title = f"{run.judged} free runs, start '{run.start}'{horizon_words(best.scores[0].horizon)}"
-    return _by_record({**rmse_by_record(best.scores), "mean": best.mean}, title)
+    return _rmse_table({**rmse_by_record(best.scores), "mean": best.mean}, title)
 
 
-def fitted_table(run: Run) -> Table:
-    """What the best model of a run leaves of each training record."""
-    found = run.best.result.identification
-    begin = (
-        f"free runs, start '{run.start}'{horizon_words(run.best.scores[0].horizon)}"
-        if found is None
-        else "from the initial states found"
-        + (" by the search, with its values" if found.refit else "")
-        + _scaled(run)
-    )
-    return _by_record(run.fitted, f"train, {begin}")
+def training_table(run: Run) -> Table:
+    """Table of the error of the best model of a run on each training record."""
+    identification = run.best.result.identification
+    if identification is None:
+        title = f"train, free runs, start '{run.start}'{over(run.best.scores[0].horizon)}"
+    else:
+        title = "train, from the identified initial states"
+        if identification.refined:
+            title += ", with the values of the search"
+        if len({c.kind for c in run.roles.train[0].channels.coordinates}) > 1:
+            title += ", each coordinate relative to its spread"
+    return _rmse_table(run.fitted, title)
 
 
-def _scaled(run: Run) -> str:
-    """What an identification measures by, where its coordinates are angles and lengths."""
-    kinds = {c.kind for c in run.roles.train[0].channels.coordinates}
-    return ", each coordinate over its spread" if len(kinds) > 1 else ""
+def _rmse_table(rmse: Mapping[str, float], title: str) -> Table:
+    cells = numbers(list(rmse.values()))
+    return Table(["record", "RMSE"], [list(row) for row in zip(rmse, cells, strict=True)], title)
 
 
-def _by_record(rmse: Mapping[str, float], title: str) -> Table:
-    told = numbers(list(rmse.values()))
-    return Table(["record", "RMSE"], [list(row) for row in zip(rmse, told, strict=True)], title)
-
-
-def folds_table(found: Validated) -> Table:
-    """Every record's mean over the seeds, by start, and the means with their standard errors."""
-    summary = found.summary()
-    by_start = {start: found.means(start) for start in summary}
-    folds = {s.record: s.fold for s in found.scores}
+def folds_table(result: Validated) -> Table:
+    """Table of a cross-validation: every record's mean over the seeds, by start, and the means."""
+    summary = result.summary()
+    by_start = {start: result.means(start) for start in summary}
+    folds = {s.record: s.fold for s in result.scores}
     scale = scale_of(value for means in by_start.values() for value in means.values())
 
-    def told(value: float) -> str:
+    def cell(value: float) -> str:
         return number(value, scale=scale)
 
     rows = [
-        [record, str(fold), *[told(means[record]) for means in by_start.values()]]
+        [record, str(fold), *[cell(means[record]) for means in by_start.values()]]
         for record, fold in folds.items()
     ]
-    means = [f"{told(s['mean'])} ± {told(s['standard_error'])}" for s in summary.values()]
+    means = [f"{cell(s['mean'])} ± {cell(s['standard_error'])}" for s in summary.values()]
     rows.append(["mean ± standard error", "", *means])
-    seeds = [" ".join(told(x) for x in s["by_seed"].values()) for s in summary.values()]
     if len(next(iter(summary.values()))["by_seed"]) > 1:
+        seeds = [" ".join(cell(x) for x in s["by_seed"].values()) for s in summary.values()]
         rows.append(["each seed", "", *seeds])
     columns = ["record", "fold", *[f"from {start}" for start in by_start]]
-    title = f"{found.recipe}: free-run RMSE [{found.unit}] of models that never saw the record"
+    title = f"{result.recipe}: free-run RMSE [{result.unit}] of models not fitted to the record"
     return Table(columns, rows, title=title)

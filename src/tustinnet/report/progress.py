@@ -1,4 +1,4 @@
-"""Fits as they go on: bars on a terminal, a line now and then elsewhere."""
+"""Progress of fits: bars on a terminal, a line now and then elsewhere."""
 
 import math
 import time
@@ -23,13 +23,13 @@ _COMPILING = "compiling"
 
 
 class FitProgress(AbstractContextManager["FitProgress"]):
-    """Shows how fits within the context go on.
+    """Shows the progress of the fits within the context.
 
-    Of trainings loss, validation RMSE, rate and time left; of identifications stage, iteration
-    and cost.
+    It shows loss, validation RMSE, learning rate and remaining time of trainings; stage,
+    iteration and cost of identifications.
 
     Args:
-        console: where to; a terminal gets bars, a file or pipe plain lines.
+        console: output; a terminal gets bars, a file or pipe plain lines.
         quiet: show only events such as a return to the last good state.
     """
 
@@ -59,7 +59,12 @@ class FitProgress(AbstractContextManager["FitProgress"]):
             self._bars.stop()
 
     def follow(self, prepared: TrainingPlan | Task, label: str = "") -> Listener:
-        """Who is to be told of fits that run together."""
+        """Makes a listener that shows fits which run together.
+
+        Args:
+            prepared: the plan of a training, or the task of an identification.
+            label: name of the fits; by default that of the recipe.
+        """
         if isinstance(prepared, TrainingPlan):
             return Listener(
                 on_epoch=_Trainings(self._console, self._bars, prepared, label, self._quiet),
@@ -70,16 +75,16 @@ class FitProgress(AbstractContextManager["FitProgress"]):
 
 
 class _Figures(ProgressColumn):
-    """What is known of a fit; while nothing is, and where no end is known, for how long it runs."""
+    """Column with the figures of a fit, and its duration while it compiles or has no known end."""
 
     def render(self, task: Bar) -> Text:
         figures = task.fields["figures"]
-        timed = figures == _COMPILING or task.total is None
-        return Text(f"{figures}, {task.elapsed or 0:.0f} s" if timed else figures)
+        is_timed = figures == _COMPILING or task.total is None
+        return Text(f"{figures}, {task.elapsed or 0:.0f} s" if is_timed else figures)
 
 
 class _Identification:
-    """A line that changes on a terminal, a line a stage elsewhere."""
+    """Progress of an identification: a changing line on a terminal, a line per stage elsewhere."""
 
     def __init__(self, console: Console, bars: Progress | None, label: str, quiet: bool) -> None:
         self._console, self._bars, self._label, self._quiet = console, bars, label, quiet
@@ -87,25 +92,25 @@ class _Identification:
         self._task = bars.add_task(label, total=None, figures=_COMPILING) if bars else None
 
     def __call__(self, iteration: Iteration) -> None:
-        told = f"{iteration.stage}, iteration {iteration.number}, cost {iteration.cost:.4g}"
+        figures = f"{iteration.stage}, iteration {iteration.number}, cost {iteration.cost:.4g}"
         if self._bars and self._task is not None:
-            self._bars.update(self._task, figures=told)
+            self._bars.update(self._task, figures=figures)
         elif not self._quiet and iteration.stage != self._stage:
-            self._console.print(f"{self._label}: {told}", highlight=False, soft_wrap=True)
+            self._console.print(f"{self._label}: {figures}", highlight=False, soft_wrap=True)
         self._stage = iteration.stage
 
 
 class _Trainings:
-    """A bar on a terminal, a line now and then elsewhere, for trainings that run together.
+    """Progress of trainings that run together: a bar on a terminal, a line now and then elsewhere.
 
-    Of several the slowest says what is done, the best one how well.
+    The bar shows the progress of the slowest training and the score of the best one.
     """
 
     def __init__(
         self, console: Console, bars: Progress | None, plan: TrainingPlan, label: str, quiet: bool
     ) -> None:
         self._console, self._bars, self._quiet = console, bars, quiet
-        # what was done before each stage: in steps of windows, and in epochs
+        # work before each stage: in steps of windows, and in epochs
         self._before, self._total, self._epochs_before, self._epochs = {}, 0, {}, 0
         self._work = {
             s.recipe.name: s.windows.rows.shape[1] * s.windows.length for s in plan.stages
@@ -115,10 +120,10 @@ class _Trainings:
             self._before[name], self._epochs_before[name] = self._total, self._epochs
             self._total += stage.recipe.epochs * self._work[name]
             self._epochs += stage.recipe.epochs
-        called = label or plan.recipe.name
-        # a label says the fold
+        title = label or plan.recipe.name
+        # a label names the fold
         members = [replace(m, fold=0) if label else m for m in plan.members]
-        self._names = [f"{called}, {m.name.replace('-', ' ')}" for m in members]
+        self._names = [f"{title}, {m.name.replace('-', ' ')}" for m in members]
         self._more = f" and {len(self._names) - 1} more" if len(self._names) > 1 else ""
         self._name = self._names[0] + self._more
         self._task = (
@@ -127,27 +132,33 @@ class _Trainings:
         self._last = time.monotonic()
         self._compiling = 0.0  # seconds, of the last stage that was compiled
         self._scale = max(float(e.q.std(axis=0).max()) for e in plan.task.folds[0].roles.train)
-        self._reached = [0] * len(self._names)
+        self._progress = [0] * len(self._names)
         self._lowest = [math.inf] * len(self._names)
 
     def __call__(self, report: EpochReport) -> None:
         stage, m = report.stage, report.member
         if report.event:
             self._console.print(f"{self._names[m]}: {report.event}", highlight=False)
-        self._reached[m] = self._before[stage] + report.epoch * self._work[stage]
+        self._progress[m] = self._before[stage] + report.epoch * self._work[stage]
         self._lowest[m] = report.best
-        done = min(self._reached)
+        done = min(self._progress)
         now = time.monotonic()
-        left = self._left(report, done)
+        # the pace of this call; stages to come are compiled like the last one
+        self._compiling = report.compiling or self._compiling
+        remaining = ""
+        if done < self._total and report.seconds:
+            stages = sum(before > self._before[stage] for before in self._before.values())
+            seconds = (self._total - done) / self._work[stage] * report.seconds
+            remaining = f", {duration(seconds + stages * self._compiling)} left"
         epoch = self._epochs_before[stage] + report.epoch
-        # three digits of what is a tenth of the motion
+        # three digits of a tenth of the motion
         rmse, lowest = (
             number(v, scale=self._scale / 10) for v in (report.validation, min(self._lowest))
         )
         best = f"best {lowest} " if self._more else ""
         figures = (
             f"{epoch}/{self._epochs} loss {report.loss:.3g} rmse {rmse} {best}"
-            f"rate {report.rate:.1e}{left}"
+            f"rate {report.rate:.1e}{remaining}"
         )
         if self._bars and self._task is not None:
             self._bars.update(self._task, completed=done, figures=figures)
@@ -160,18 +171,9 @@ class _Trainings:
             highlight=False, soft_wrap=True,
         )  # fmt: skip
 
-    def _left(self, report: EpochReport, done: int) -> str:
-        """How long it will take at the pace of this call, stages to come compiled like the last."""
-        self._compiling = report.compiling or self._compiling
-        if done >= self._total or not report.seconds:
-            return ""
-        to_come = sum(before > self._before[report.stage] for before in self._before.values())
-        left = (self._total - done) / self._work[report.stage] * report.seconds
-        return f", {duration(left + to_come * self._compiling)} left"
-
 
 def duration(seconds: float) -> str:
-    """Seconds as a person says them, to two digits or so."""
+    """Text of a duration: seconds, minutes or hours, to about two digits."""
     if seconds < 100:
         return f"{seconds:.0f} s"
     if seconds < 6000:

@@ -1,4 +1,4 @@
-"""The figure of residuals."""
+"""Figure of residuals, and table of down-weighted stretches."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -18,20 +18,22 @@ _BAND = "#2e8b57"
 
 
 def residual_figure(reports: Sequence[ResidualReport], channels: Channels, title: str) -> "Figure":
-    """Autocorrelation and correlation with the inputs, a row a coordinate, 99 % bounds shaded.
+    """Figure of autocorrelations and correlations with the inputs, a row for each coordinate.
+
+    The 99 % bounds are shaded.
 
     Args:
-        reports: what `residual_reports` found.
+        reports: results of `residual_reports`.
         channels: inputs and period.
         title: a line above.
     """
     # the table of this module is printed before matplotlib is loaded
     from matplotlib.figure import Figure
 
-    from tustinnet.report.figures import house_style
+    from tustinnet.report.figures import figure_style
 
     dt = channels.dt
-    with house_style():
+    with figure_style():
         crossed = len(reports[0].cross)
         columns = 1 + crossed
         figure = Figure(figsize=(3.6 * columns, 2.1 * len(reports) + 0.8), layout="constrained")
@@ -54,7 +56,7 @@ def residual_figure(reports: Sequence[ResidualReport], channels: Channels, title
 
 
 def downweighted_table(stretches: Sequence[Stretch]) -> Table:
-    """Stretches that weighed less than half in a robust identification."""
+    """Table of the stretches that weighed less than half in a robust identification."""
     rows = [[s.record, f"{s.begin:.5g}", f"{s.end:.5g}", f"{s.weight:.2g}"] for s in stretches]
     return Table(
         ["record", "from [s]", "to [s]", "weight"], rows, title="Down-weighted in identification"

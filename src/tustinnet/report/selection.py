@@ -1,11 +1,11 @@
-"""Selections: the table of candidates, their figure, free runs of what was chosen."""
+"""Table and figure of the candidates of a selection, and free runs of the chosen one."""
 
 import math
 from typing import TYPE_CHECKING
 
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.evaluate.scores import Score, evaluate
-from tustinnet.report.some import some_of
+from tustinnet.report.shown_records import choose_shown_records
 from tustinnet.report.tables import Table, number, scale_of
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.jobs import loaded
@@ -16,25 +16,34 @@ if TYPE_CHECKING:
 
 
 def candidates_table(choice: Choice) -> Table:
-    """What was found of every candidate and committee, the best first, those left out last."""
-    scored = _in_order(choice)
+    """Table of all candidates and committees, the best first, those without scores last."""
+    results = _sort_scored(choice)
     best, starts = choice.standing(choice.best), choice.starts
-    told = {s.name: [mean_and_error(s.rmse(start=start).values()) if start in s.starts else None
-                     for start in starts] for s in scored}  # fmt: skip
-    scale = scale_of(mean[0] for of in told.values() for mean in of if mean is not None)
+    means = {s.name: [mean_and_error(s.rmse(start=start).values()) if start in s.starts else None
+                      for start in starts] for s in results}  # fmt: skip
+    scale = scale_of(mean[0] for cells in means.values() for mean in cells if mean is not None)
+
+    def cell(mean: float, error: float) -> str:
+        return f"{number(mean, scale=scale)} ± {number(error, scale=scale)}"
+
     rows = []
-    for s in scored:
-        than = paired(s, best)
-        scored_on = len(s.rmse())
-        against = (
-            "" if s is best else f"{_signed(than.mean, scale)} ± {_in(than.standard_error, scale)}"
-        )
-        if against and than.records != scored_on:
-            against += f" (on {than.records})"
-        means = [_plus_minus(mean, scale) for mean in told[s.name]]
-        seeds = len({m.seed for m in s.models})
-        rows.append([s.name, *means, against, str(scored_on), str(len(s.folds)), str(seeds),
-                     f"{s.seconds:.0f}"])  # fmt: skip
+    for s in results:
+        difference, count = paired(s, best), len(s.rmse())
+        against = ""
+        if s is not best:
+            sign = "+" if difference.mean >= 0 else ""
+            against = sign + cell(difference.mean, difference.standard_error)
+            if difference.records != count:
+                against += f" (on {difference.records})"
+        rows.append([
+            s.name,
+            *["" if mean is None else cell(*mean) for mean in means[s.name]],
+            against,
+            str(count),
+            str(len(s.folds)),
+            str(len({m.seed for m in s.models})),
+            f"{s.seconds:.0f}",
+        ])  # fmt: skip
     empty = [""] * (len(starts) + 4)
     rows += [
         [f"{s.name}: {s.why or 'not tried'}", *empty, f"{s.seconds:.0f}"]
@@ -48,52 +57,37 @@ def candidates_table(choice: Choice) -> Table:
     return Table(columns, rows, title=title)
 
 
-def _in_order(choice: Choice) -> list[Standing]:
-    """Those that were scored: what could be chosen, the best first, then what was left behind."""
+def _sort_scored(choice: Choice) -> list[Standing]:
+    """Candidates and committees with scores: the best first, those that cannot be chosen last."""
     choosable = [s.name for s in choice.found.choosable]
     best = choice.standing(choice.best)
 
-    def place(s: Standing) -> tuple[bool, bool, float]:
+    def rank(s: Standing) -> tuple[bool, bool, float]:
         mean = paired(s, best).mean
         return s is not best, s.name not in choosable, math.inf if math.isnan(mean) else mean
 
-    return sorted((s for s in choice.found.standings if s.folds), key=place)
-
-
-def _in(value: float, scale: float) -> str:
-    return number(value, scale=scale)
-
-
-def _signed(value: float, scale: float) -> str:
-    return ("+" if value >= 0 else "") + number(value, scale=scale)
-
-
-def _plus_minus(mean: tuple[float, float] | None, scale: float) -> str:
-    if mean is None:
-        return ""
-    return f"{_in(mean[0], scale)} ± {_in(mean[1], scale)}"
+    return sorted((s for s in choice.found.standings if s.folds), key=rank)
 
 
 def candidates_figure(choice: Choice) -> "Figure":
-    """Mean and standard error of every candidate, each record a point."""
+    """Figure of mean and standard error of every candidate, with a point for each record."""
     # the table of this module is printed before matplotlib is loaded
     from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-    from tustinnet.report.figures import COLOURS, house_style
+    from tustinnet.report.figures import COLOURS, figure_style
 
-    scored = _in_order(choice)[::-1]
-    with house_style():
-        figure = Figure(figsize=(7.0, 0.42 * len(scored) + 1.3), layout="constrained")
+    results = _sort_scored(choice)[::-1]
+    with figure_style():
+        figure = Figure(figsize=(7.0, 0.42 * len(results) + 1.3), layout="constrained")
         axes = figure.subplots()
-        for i, s in enumerate(scored):
+        for i, s in enumerate(results):
             values = [x for x in s.rmse().values() if math.isfinite(x)]
             mean, error = mean_and_error(values or [math.nan])
-            chosen = s.name == choice.best
-            colour = COLOURS[0] if chosen else COLOURS[4]
+            colour = COLOURS[0] if s.name == choice.best else COLOURS[4]
             axes.plot(values, [i] * len(values), "o", color=colour, alpha=0.3, markersize=3)
             axes.errorbar(mean, i, xerr=error, fmt="s", color=colour, capsize=3, markersize=5)
-        axes.set_yticks(range(len(scored)), [s.name for s in scored])
+        axes.set_yticks(range(len(results)), [s.name for s in results])
         axes.set_xscale("log")
         axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
@@ -107,27 +101,26 @@ def candidates_figure(choice: Choice) -> "Figure":
 
 
 def free_runs(choice: Choice) -> dict[str, dict[str, Score]]:
-    """Free runs to draw: by record and label, of models that were not fitted to the record.
+    """Free runs to draw, by record and label, of models that were not fitted to the record.
 
-    Of the chosen one and the simplest as good, those of the first seed; of a committee that of its
-    largest part. At most 6 records: the worst, and others down to the best.
+    They are those of the chosen candidate and of the simplest that is as good, of the first seed;
+    of a committee those of the candidate with the largest weight. At most 6 records are drawn,
+    from the worst to the best.
     """
-    labels = dict.fromkeys([_largest(choice, choice.best), _largest(choice, choice.simplest)])
-    wanted = some_of(choice.standing(choice.best).rmse())
-    found: dict[str, dict[str, Score]] = {}
+    labels = dict.fromkeys(
+        max(choice.found.members(name), key=lambda member: member[1])[0].name
+        for name in (choice.best, choice.simplest)
+    )
+    shown_names = choose_shown_records(choice.standing(choice.best).rmse())
+    runs: dict[str, dict[str, Score]] = {}
     for label in labels:
         for models in choice.standing(label).folds.values():
             first = models[0]
             start, rmse = next(iter(first.rmse.items()))
-            records = [choice.at.data[name] for name in rmse if name in wanted]
+            records = [choice.at.data[name] for name in rmse if name in shown_names]
             if not records:
                 continue
             model, horizon = loaded(first.model, choice.at), choice.at.judging.horizon
             for score in evaluate(model, records, start, horizon=horizon):
-                found.setdefault(score.experiment, {})[label] = score
-    return found
-
-
-def _largest(choice: Choice, name: str) -> str:
-    """A candidate, of a committee the one that counts most."""
-    return max(choice.found.members(name), key=lambda member: member[1])[0].name
+                runs.setdefault(score.experiment, {})[label] = score
+    return runs

@@ -1,11 +1,11 @@
-"""What a fit says at its end: what was done, how good it is, what to do next."""
+"""The sentences at the end of a fit: what was fitted, how good it is, what to do next."""
 
 import math
 from pathlib import Path
 
 import numpy as np
 
-from tustinnet.evaluate.scores import Score, mean_rmse
+from tustinnet.evaluate.scores import mean_rmse
 from tustinnet.fitting.recipe import TrainingRecipe
 from tustinnet.report.progress import duration
 from tustinnet.report.tables import number
@@ -14,53 +14,56 @@ from tustinnet.store.run import MODEL, Run
 
 
 def fit_summary(run: Run, data: str) -> tuple[str, ...]:
-    """Sentences on a run whose records are those of `data`, as the user named it."""
+    """Sentences on a run: what was fitted, how good it is, what to do next.
+
+    Args:
+        run: the run.
+        data: the records as the user named them, for the commands that are proposed.
+    """
     records = run.roles.train
     motion = sum(e.seconds for e in records)
-    spent = sum(of.result.seconds for of in run.members)
-    done = (
+    seconds = sum(member.result.seconds for member in run.members)
+    return (
         f"fitted: {run.best.result.recipe.name}, to {len(records)} records with "
-        f"{duration(motion)} of motion, in {duration(spent)}"
+        f"{duration(motion)} of motion, in {duration(seconds)}",
+        f"how good: {_describe_accuracy(run)}",
+        f"next: {next_steps(run.folder / MODEL, data)}",
     )
-    return done, f"how good: {_how_good(run)}", f"next: {next_steps(run.folder / MODEL, data)}"
 
 
 def next_steps(model: Path, data: str) -> str:
-    """What to do with a model: look for what it lacks, take it elsewhere."""
+    """Commands to go on with after a fit: test the residuals, export the model."""
     return (
-        f"tustinnet residuals {model} {data} (what it lacks), "
-        f"tustinnet export {model} --to c --out model-c (take it elsewhere)"
+        f"tustinnet residuals {model} {data} (test its errors), "
+        f"tustinnet export {model} --to c --out model-c (use it elsewhere)"
     )
 
 
-def _how_good(run: Run) -> str:
-    """The error of the best model's free runs against what moves, and on which records."""
+def _describe_accuracy(run: Run) -> str:
+    """Describes the error of the best model's free runs, and whether it is optimistic."""
     scores, channels = run.best.scores, run.roles.train[0].channels
-    sound = [s for s in scores if math.isfinite(s.rmse)]
-    if not sound:
+    finite = [s for s in scores if math.isfinite(s.rmse)]
+    if not finite:
         return f"all free runs of {len(scores)} records diverge"
-    shares = np.mean([s.nrmse for s in sound], axis=0)
-    told = ", ".join(
+    shares = ", ".join(
         f"{100 * share:.0f} % of {c.name}'s"
-        for c, share in zip(channels.coordinates, shares, strict=True)
+        for c, share in zip(
+            channels.coordinates, np.mean([s.nrmse for s in finite], axis=0), strict=True
+        )
     )
-    diverged = f"; {len(scores) - len(sound)} diverge" if len(sound) < len(scores) else ""
-    return (
-        f"free runs{horizon_words(scores[0].horizon)} of {_which(run, sound)} are off by "
-        f"{number(mean_rmse(sound))} {channels.unit} (mean RMSE): {told} "
-        f"standard deviation{diverged}{_honest(run)}"
-    )
-
-
-def _which(run: Run, scores: list[Score]) -> str:
-    return f"{len(scores)} {run.judged} record{'s' if len(scores) > 1 else ''}"
-
-
-def _honest(run: Run) -> str:
-    """What makes these records kinder to the model than others are."""
-    if not run.roles.validation:
-        return ". These records were fitted: tustinnet cross-validate judges on others"
+    diverged = f"; {len(scores) - len(finite)} diverge" if len(finite) < len(scores) else ""
     recipe = run.best.result.recipe
-    if isinstance(recipe, TrainingRecipe) and any(s.keep != "last" for s in recipe.stages):
-        return ". They chose the weights that are kept: on others it is somewhat worse"
-    return ""
+    remark = ""
+    if not run.roles.validation:
+        remark = (
+            ". This is optimistic: the model was fitted to these records. "
+            "tustinnet cross-validate scores it on others"
+        )
+    elif isinstance(recipe, TrainingRecipe) and any(s.keep != "last" for s in recipe.stages):
+        remark = ". This is slightly optimistic: the kept weights were chosen by these records"
+    return (
+        f"free runs{horizon_words(scores[0].horizon)} of {len(finite)} {run.judged} "
+        f"record{'s' if len(finite) > 1 else ''} are off by "
+        f"{number(mean_rmse(finite))} {channels.unit} (mean RMSE): {shares} "
+        f"standard deviation{diverged}{remark}"
+    )

@@ -29,7 +29,7 @@ class Table:
 
     def print(self, console: Console) -> None:
         """Prints the table on a terminal."""
-        drawn = RichTable(
+        rich_table = RichTable(
             title=Text(self.title) if self.title else None,
             title_justify="left",
             title_style="bold",
@@ -38,11 +38,11 @@ class Table:
             padding=(0, 1),
         )
         for i, column in enumerate(self.columns):
-            drawn.add_column(Text(column), justify="left" if i == 0 else "right", no_wrap=True)
+            rich_table.add_column(Text(column), justify="left" if i == 0 else "right", no_wrap=True)
         for row in self.rows:
-            drawn.add_row(*map(Text, row))  # Text: a unit in brackets is not markup
-        # a terminal may wrap a line that is too long; a table must not cut what it says
-        console.print(drawn, width=_WIDEST, crop=False, soft_wrap=True)
+            rich_table.add_row(*map(Text, row))  # Text: a unit in brackets is not markup
+        # a terminal may wrap a line that is too long; a table must not cut its text
+        console.print(rich_table, width=_WIDEST, crop=False, soft_wrap=True)
 
     def markdown(self) -> str:
         """The table in Markdown."""
@@ -66,15 +66,15 @@ class Table:
 
 
 def number(value: float | None, digits: int = 3, scale: float | None = None) -> str:
-    """A number for a table: fixed digits, or as many significant ones where it is smaller.
+    """Text of a number in a table: fixed decimals, or as many significant digits for small numbers.
 
-    A dash for None and NaN, a word for infinity.
+    None and NaN become a dash, infinity the word "diverged".
 
     Args:
         value: the number.
-        digits: how many behind the point.
-        scale: the largest number that it stands beside; where that is below 1, so many digits of
-            it are shown, and of the others as far as they reach.
+        digits: number of decimals.
+        scale: the largest number beside it; where that is below 1, `digits` significant digits of
+            it are shown, and as many decimals of the others.
     """
     if value is None or math.isnan(value):
         return "–"
@@ -87,11 +87,11 @@ def number(value: float | None, digits: int = 3, scale: float | None = None) -> 
 
 
 def scale_of(values: Iterable[float | None]) -> float:
-    """The largest of some numbers, for `number`; 0 where none is finite."""
+    """Largest magnitude of some numbers, as the `scale` of `number`; 0 where none is finite."""
     return max((abs(v) for v in values if v is not None and math.isfinite(v)), default=0.0)
 
 
 def numbers(values: Sequence[float | None]) -> list[str]:
-    """The numbers of a column, to three digits of the largest."""
+    """Texts of the numbers of a column, to three significant digits of the largest."""
     scale = scale_of(values)
     return [number(value, scale=scale) for value in values]

@@ -1,1 +1,1 @@
-"""What reproduces the publication, and nothing else."""
+"""Reproduction of the publication: its Table 1, its figures and its recipes."""

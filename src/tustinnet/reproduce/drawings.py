@@ -1,4 +1,4 @@
-"""The paper's two drawings, of the apparatus and of the Tustin-Net, drawn anew as vectors."""
+"""Vector drawings after Figures 1 and 2 of the paper: the apparatus and the Tustin-Net."""
 
 from typing import Literal
 
@@ -10,7 +10,7 @@ from matplotlib.patches import FancyArrowPatch, PathPatch, Polygon, Rectangle
 from matplotlib.path import Path
 from numpy.typing import ArrayLike
 
-from tustinnet.report.figures import COLOURS, INPUT, MEASURED, house_style
+from tustinnet.report.figures import COLOURS, INPUT, MEASURED, figure_style
 
 Pair = tuple[float, float]
 
@@ -29,7 +29,7 @@ def mechanism_figure() -> Figure:
     Both angles count counter-clockwise about their axes: `theta` about the motor's, which points
     up, from the centre line; `alpha` about the arm's, which points outwards, from the upright.
     """
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(7.0, 4.0))
         sketch = _panel(figure, (0.0, 0.0, 4.4, 4.0), (-1.24, -1.38), 2.84)
         for draw in (_draw_base, _draw_arm, _draw_pendulum):
@@ -41,7 +41,7 @@ def mechanism_figure() -> Figure:
 
 def architecture_figure() -> Figure:
     """Figure 2: the Tustin-Net's step, network below and trapezoidal rule above, and feedback."""
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=(7.5, 3.0))
         axes = _panel(figure, (0.0, 0.0, 7.5, 3.0), (0.0, 0.0), 7.5)
         for draw in (_draw_features, _draw_network, _draw_integration):
@@ -50,7 +50,7 @@ def architecture_figure() -> Figure:
 
 
 def _draw_base(axes: Axes) -> None:
-    """The cube that holds the motor, and the shaft on it."""
+    """Draws the cube that holds the motor, and the shaft on it."""
     half, top, bottom = _BASE / 2, -_SHAFT, -_SHAFT - _BASE
     corners = [(half * x, half * y) for x, y in _SQUARE[:4]]
     faces = [([(*corner, top) for corner in corners], "white")]
@@ -64,7 +64,7 @@ def _draw_base(axes: Axes) -> None:
 
 
 def _draw_arm(axes: Axes) -> None:
-    """The motor's axis and torque, the centre line, the arm and the angle between the two."""
+    """Draws the motor's axis and torque, the centre line, the arm and the angle between the two."""
     end = _ring(_THETA, _REACH)
     _line(axes, _project([(0, 0, 0), (0, 0, 1.24)]), _FAINT, "-.")
     _line(axes, _project([(0, 0, 0), (1.5, 0, 0)]), _FAINT, "--")
@@ -82,7 +82,7 @@ def _draw_arm(axes: Axes) -> None:
 
 
 def _draw_pendulum(axes: Axes) -> None:
-    """The pendulum at the arm's end, its angle, gravity, and the cable back to the base."""
+    """Draws the pendulum at the arm's end, its angle, gravity, and the cable back to the base."""
     hinge = _ring(_THETA, _REACH)
     foot, tip, centre = _project(hinge + np.outer((0, _LENGTH, _CENTRE), _lean(_ALPHA)))
     socket = _project((0.0, _BASE / 2, -_SHAFT - 0.62 * _BASE))
@@ -101,17 +101,17 @@ def _draw_pendulum(axes: Axes) -> None:
 
 
 def _draw_top_view(axes: Axes) -> None:
-    """The angle of the arm, seen from above."""
+    """Draws the angle of the arm, seen from above."""
     _box(axes, (0.0, 0.0), (_BASE, _BASE), face=_PALE)
-    _draw_rod(axes, (0.0, _THETA), (_REACH, _REACH), INPUT, r"$\theta$", "$L_r$")
+    _draw_rod(axes, 0.0, _THETA, _REACH, INPUT, r"$\theta$", "$L_r$", _REACH)
     _label(axes, (1.35, -0.13), "centre line", 8, _FAINT, "right")
     _label(axes, (0.75, 1.12), "arm", 8, INPUT, "left")
     _label(axes, (1.8, -0.37), "view from above", 8, ha="right")
 
 
 def _draw_side_view(axes: Axes) -> None:
-    """The angle of the pendulum, seen from the arm's end towards the motor."""
-    _draw_rod(axes, (np.pi / 2, _ALPHA), (_LENGTH, _CENTRE), _PENDULUM, r"$\alpha$", "$l_p$")
+    """Draws the angle of the pendulum, seen from the arm's end towards the motor."""
+    _draw_rod(axes, np.pi / 2, _ALPHA, _LENGTH, _PENDULUM, r"$\alpha$", "$l_p$", _CENTRE)
     _mark(axes, (0, 0), MEASURED, INPUT, 9)  # the arm, seen end on
     _label(axes, (0.1, 1.4), "upright", 8, _FAINT, "left")
     _label(axes, (-0.7, 1.4), "pendulum", 8, _PENDULUM, "right")
@@ -120,23 +120,25 @@ def _draw_side_view(axes: Axes) -> None:
     _label(axes, (1.23, -0.26), "view from the arm's end", 8, ha="right")
 
 
-def _draw_rod(axes: Axes, angles: Pair, lengths: Pair, colour: str, *names: str) -> None:
-    """A rod about the origin; `angles`: zero and turn; `lengths`: of the rod, of the part named."""
-    (zero, turn), (length, shown) = angles, lengths
+def _draw_rod(
+    axes: Axes, zero: float, turn: float, length: float, colour: str,
+    angle_name: str, length_name: str, named_length: float,
+) -> None:  # fmt: skip
+    """Draws a rod at the angle `turn` from the direction `zero`, with its angle and a length."""
     along, normal = _ring(zero + turn)[:2], _ring(zero + turn + np.pi / 2)[:2]
     _line(axes, np.outer((0, length), _ring(zero)[:2]), _FAINT, "--")
     _arrow(axes, _ring(zero + np.linspace(0, turn - 0.07, 40), 0.7 * length)[:, :2])
     _rod(axes, np.outer((0, length), along), colour)
-    _mark(axes, np.outer((0, shown), along), MEASURED)
-    for end in (0 * along, shown * along):
+    _mark(axes, np.outer((0, named_length), along), MEASURED)
+    for end in (0 * along, named_length * along):
         _line(axes, end + np.outer((0.08, 0.24), normal))
-        _arrow(axes, [shown * along / 2 + 0.18 * normal, end + 0.18 * normal], width=0.7)
-    _label(axes, _ring(zero + turn / 2, 0.7 * length + 0.14)[:2], names[0], 11)
-    _label(axes, shown * along / 2 + 0.31 * normal, names[1], 10)
+        _arrow(axes, [named_length * along / 2 + 0.18 * normal, end + 0.18 * normal], width=0.7)
+    _label(axes, _ring(zero + turn / 2, 0.7 * length + 0.14)[:2], angle_name, 11)
+    _label(axes, named_length * along / 2 + 0.31 * normal, length_name, 10)
 
 
 def _draw_features(axes: Axes) -> None:
-    """State and input, and the features of them that the network sees."""
+    """Draws state and input, and the features of them that the network gets."""
     cells = (r"$\sin q_k$", r"$\cos q_k$", "$v_k$", "$u_k$")
     rows = [_LOW + 0.32 * (1.5 - place) for place in range(len(cells))]
     for text, y in zip(cells, rows, strict=True):
@@ -149,7 +151,7 @@ def _draw_features(axes: Axes) -> None:
 
 
 def _draw_network(axes: Axes) -> None:
-    """The layers, and the velocity's step by what they give."""
+    """Draws the layers of the network, and the step of the velocity by their output."""
     _line(axes, np.add((2.69, _LOW), np.multiply((1.11, 0.42), _SQUARE)), _FAINT, "--")
     layers = ((1.9, 0.4, r"$\phi_1$"), (2.82, 0.4, r"$\phi_M$"), (3.44, 0.48, "$W_{M+1}$"))
     for x, width, text in layers:
@@ -168,7 +170,7 @@ def _draw_network(axes: Axes) -> None:
 
 
 def _draw_integration(axes: Axes) -> None:
-    """The trapezoidal rule, which takes both velocities, and the way back through the delay."""
+    """Draws the trapezoidal rule of both velocities, and the feedback through the delay."""
     middle, rule = (_ROW + _LOW) / 2, r"$q_{k+1} = q_k + \tau_s\,\dfrac{v_k + v_{k+1}}{2}$"
     _box(axes, (5.78, _ROW), (1.68, 0.54), rule, _RULE)
     _box(axes, (7.1, middle), (0.06, _ROW - _LOW + 0.3), face=MEASURED)
@@ -187,7 +189,7 @@ def _draw_integration(axes: Axes) -> None:
 
 
 def _project(points: ArrayLike) -> Float[np.ndarray, "*n 2"]:
-    """Points in space, the centre line along x and up along z, as the sketch shows them."""
+    """Projects points in space, x along the centre line and z upwards, onto the sketch."""
     x, y, z = np.moveaxis(np.asarray(points, dtype=float), -1, 0)
     towards = x * np.cos(_VIEW) + y * np.sin(_VIEW)
     up = z * np.cos(_TILT) - towards * np.sin(_TILT)
@@ -220,7 +222,7 @@ def _line(axes: Axes, points: ArrayLike, colour: str = MEASURED, style: str = "-
 
 
 def _arrow(axes: Axes, points: ArrayLike, colour: str = MEASURED, width: float = 0.9) -> None:
-    """A line of any course with a head at its end."""
+    """Draws an arrow along any line."""
     arrow = FancyArrowPatch(path=Path(points), arrowstyle="-|>", color=colour, linewidth=width)
     axes.add_patch(arrow).set(mutation_scale=9, zorder=3)
 

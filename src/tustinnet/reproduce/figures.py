@@ -1,4 +1,4 @@
-"""The paper's figures: two drawings, and free runs of our models."""
+"""The figures of the publication: two drawings, and free runs of our models."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,7 +24,7 @@ _STYLES = {
     "tustin-text-transfer": ("#d98880", "-."),
     "tustin-text-standard": ("#a04000", "--"),
 }
-# what each figure compares; of networks ours, or the authors' where ours were not trained
+# the models that each figure compares: our networks, or the authors' where ours are missing
 _COMPARED = {
     "figure3": (("euler-lagrange",), ("euler-lagrange-naive",)),
     "figure4": (("tustin-standard", "authors-standard"), ("tustin-transfer", "authors-transfer")),
@@ -43,65 +43,72 @@ _NAMES = {
 _DEFAULT_RECORDS = ("fallTest4", "fallVal4")
 
 
-def choose_experiment(data: DataSet, split: str, wanted: str | None) -> str:
-    """The record of the figures: the one asked for, else the paper's, else the split's first."""
+def choose_experiment(data: DataSet, split: str, name: str | None) -> str:
+    """Chooses the record of the figures: by name, else the paper's, else the first of the split."""
     names = [e.name for e in data.split(split)]
-    if wanted is not None:
-        if wanted not in names:
-            raise InputError("--experiment", f"no record '{wanted}'", f"one of {', '.join(names)}")
-        return wanted
-    return next((name for name in _DEFAULT_RECORDS if name in names), names[0])
+    if name is not None:
+        if name not in names:
+            raise InputError("--experiment", f"no record '{name}'", f"one of {', '.join(names)}")
+        return name
+    return next((default for default in _DEFAULT_RECORDS if default in names), names[0])
 
 
-def draw(data: DataSet, rows: Sequence[Row], split: str, chosen: str, folder: Path) -> list[Path]:
+def draw(data: DataSet, rows: Sequence[Row], split: str, record: str, folder: Path) -> list[Path]:
     """Draws the paper's five figures and every record's free runs, as PNG and SVG.
 
-    Figures 1 and 2 are drawings; 3, 4 and 5 are free runs of the chosen record.
+    Figures 1 and 2 are drawings; 3, 4 and 5 are free runs of one record.
     Of several seeds the one with the median mean RMSE is drawn. Figure 3 compares the
     Euler-Lagrange model with and without spring, Figure 4 standard training with Algorithm 1,
-    Figure 5 the Euler-Lagrange model with Algorithm 1; each where both models are there.
+    Figure 5 the Euler-Lagrange model with Algorithm 1; each only if both models are there.
+
+    Args:
+        data: all splits.
+        rows: the rows of the table.
+        split: the split whose records are drawn.
+        record: name of the record of figures 3 to 5.
+        folder: folder for the figures.
     """
     # the verb reads this module before the table is printed, and matplotlib takes half a second
     from tustinnet.reproduce.drawings import architecture_figure, mechanism_figure
 
-    shown = median_rows(rows)
-    written = _both(mechanism_figure(), folder / "figure1")
-    written += _both(architecture_figure(), folder / "figure2")
+    rows_by_model = median_rows(rows)
+    paths = _write_formats(mechanism_figure(), folder / "figure1")
+    paths += _write_formats(architecture_figure(), folder / "figure2")
     for e in data.split(split):
-        runs = {m: _of(row, e.name) for m, row in shown.items() if m in _STYLES}
-        written += _write(e.name, runs, data, folder / f"free_run_{e.name}")
+        runs = {m: _find_score(row, e.name) for m, row in rows_by_model.items() if m in _STYLES}
+        paths += _write_runs(e.name, runs, data, folder / f"free_run_{e.name}")
     for name, sides in _COMPARED.items():
-        pair = [next((m for m in side if m in shown), None) for side in sides]
-        compared = {m: _of(shown[m], chosen) for m in pair if m is not None}
+        pair = [next((m for m in side if m in rows_by_model), None) for side in sides]
+        compared = {m: _find_score(rows_by_model[m], record) for m in pair if m is not None}
         if len(compared) == len(sides):
-            written += _write(chosen, compared, data, folder / name)
-    return written
+            paths += _write_runs(record, compared, data, folder / name)
+    return paths
 
 
 def median_rows(rows: Sequence[Row]) -> dict[str, Row]:
-    """Of each model the row with the median mean RMSE."""
+    """The row with the median mean RMSE of each model, by name of the model."""
     by_model: dict[str, list[Row]] = {}
     for row in rows:
-        by_model.setdefault(row.model, []).append(row)
+        by_model.setdefault(row.name, []).append(row)
     return {
         model: sorted(group, key=lambda row: row.mean)[(len(group) - 1) // 2]
         for model, group in by_model.items()
     }
 
 
-def _of(row: Row, experiment: str) -> Score:
+def _find_score(row: Row, experiment: str) -> Score:
     return next(score for score in row.scores if score.experiment == experiment)
 
 
-def _write(name: str, runs: dict[str, Score], data: DataSet, stem: Path) -> list[Path]:
+def _write_runs(name: str, runs: dict[str, Score], data: DataSet, stem: Path) -> list[Path]:
     from tustinnet.report.figures import free_run_figure
 
     styles = {_NAMES[model]: _STYLES[model] for model in runs}
     named = {_NAMES[model]: score for model, score in runs.items()}
-    return _both(free_run_figure(data[name], named, styles), stem)
+    return _write_formats(free_run_figure(data[name], named, styles), stem)
 
 
-def _both(figure: "Figure", stem: Path) -> list[Path]:
+def _write_formats(figure: "Figure", stem: Path) -> list[Path]:
     from tustinnet.report.figures import write_figure
 
     paths = [stem.with_name(f"{stem.name}{ending}") for ending in (".png", ".svg")]

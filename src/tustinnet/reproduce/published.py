@@ -1,4 +1,4 @@
-"""What the authors published: Table 1, the scaling and the weights of their networks."""
+"""Published results of the authors: Table 1, the scaling and the weights of their networks."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -30,7 +30,7 @@ _LAYERS = ("fc1", "fc2", "fc3", "fc4")
 
 
 def load_authors_weights(path: Path, data: DataSet) -> TustinNet:
-    """A network of the authors as a Tustin-Net in float64.
+    """Loads a network of the authors as a Tustin-Net in float64.
 
     Their network is affine fc1, affine fc2, leaky ReLU, affine fc3, leaky ReLU, affine fc4, with
     velocities divided by `velocity_scale` and outputs, velocity increments per step, multiplied

@@ -1,4 +1,4 @@
-"""The page as one text, with a policy that allows no other scripts and styles than its own."""
+"""The page as one HTML text; its security policy allows no scripts and styles but its own."""
 
 import hashlib
 import re
@@ -19,35 +19,42 @@ _SCRIPTS = (
     "data.js", "theme.js", "clock.js", "linkage.js", "dials.js", "stage.js", "plots.js",
     "charts.js", "range.js", "states.js", "playground.js", "main.js",
 )  # fmt: skip
-_ENDS = re.compile(r"</(script|style)|<!--", re.IGNORECASE)
+_ENDING_TAG = re.compile(r"</(script|style)|<!--", re.IGNORECASE)
 _BEGIN = "globalThis.exported = [];"
 _REGISTER = "globalThis.exported.push({ init, step, states, inputs, period, samples, range });"
 
 
-def rendered(context: Mapping[str, Any], content: Any, modules: Mapping[int, str]) -> str:
-    """The page.
+def render(context: Mapping[str, Any], content: Any, modules: Mapping[int, str]) -> str:
+    """Renders the page as HTML.
 
     Args:
-        context: what the template says in words and tables.
+        context: variables of the template.
         content: the numbers that scripts draw, plain values.
-        modules: exported models as JavaScript modules, by their place among the models.
+        modules: models exported to JavaScript, by their index among the models.
     """
-    style = _whole(f"{_file('vendor/uplot/uPlot.min.css')}\n{_file('assets/page.css')}")
-    scripts = [_whole(_file("vendor/uplot/uPlot.iife.min.js")), _whole(_BEGIN)]
-    exported = [_whole(f"{text}\n{_REGISTER}\n") for text in modules.values()]
-    program = _whole("\n".join(_file(f"assets/{name}") for name in _SCRIPTS))
+    environment = Environment(
+        loader=PackageLoader(_PACKAGE),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    style = _embed(f"{_read_asset('vendor/uplot/uPlot.min.css')}\n{_read_asset('assets/page.css')}")
+    scripts = [_embed(_read_asset("vendor/uplot/uPlot.iife.min.js")), _embed(_BEGIN)]
+    exported = [_embed(f"{text}\n{_REGISTER}\n") for text in modules.values()]
+    program = _embed("\n".join(_read_asset(f"assets/{name}") for name in _SCRIPTS))
     policy = {
         "default-src": "'none'",
-        "script-src": " ".join(map(_allowed, (*scripts, *exported, program))),
-        "style-src": _allowed(style),
+        "script-src": " ".join(map(_hash_source, (*scripts, *exported, program))),
+        "style-src": _hash_source(style),
         "base-uri": "'none'",
         "form-action": "'none'",
     }
-    return _environment().get_template("page.html").render(
+    return environment.get_template("page.html").render(
         **context,
         policy="; ".join(f"{key} {value}" for key, value in policy.items()),
         style=style,
-        licence=_file("vendor/uplot/LICENSE"),
+        licence=_read_asset("vendor/uplot/LICENSE"),
         scripts=scripts,
         exported=exported,
         program=program,
@@ -56,27 +63,16 @@ def rendered(context: Mapping[str, Any], content: Any, modules: Mapping[int, str
 
 
 @cache
-def _environment() -> Environment:
-    return Environment(
-        loader=PackageLoader(_PACKAGE),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-
-
-@cache
-def _file(name: str) -> str:
+def _read_asset(name: str) -> str:
     return resources.files(_PACKAGE).joinpath(name).read_text(encoding="utf-8")
 
 
-def _whole(text: str) -> Markup:
-    """Text that stands in a script or style as it is; nothing in it ends that element."""
-    assert not _ENDS.search(text), "the end of a script or style"
+def _embed(text: str) -> Markup:
+    """Marks text of a script or style as safe; it must not contain the end of that element."""
+    assert not _ENDING_TAG.search(text), "the end of a script or style"
     return Markup(text)
 
 
-def _allowed(text: str) -> str:
-    """The source expression of a content security policy that allows just this text."""
+def _hash_source(text: str) -> str:
+    """Source expression of a content security policy that allows only this text."""
     return f"'sha256-{b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

@@ -1,4 +1,4 @@
-"""Signals for a page: thinned so that no peak is lost, and packed into text."""
+"""Signals of a page: thinned so that no peak is lost, and packed into text."""
 
 from base64 import b64encode
 from collections.abc import Sequence
@@ -7,37 +7,37 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-_LARGEST = 32767  # of the whole numbers that stand for a signal
-_GAP = -32768  # stands for what is not finite
-_GROWTH = 1.15  # of the stretches that are tried
-_FARTHEST = 3.0  # times the measured span from its middle, beyond which a simulation is cut
+_LARGEST = 32767  # largest integer that stands for a value
+_GAP = -32768  # stands for a value that is not finite
+_GROWTH = 1.15  # factor between the lengths of stretches that are tried
+_FARTHEST = 3.0  # times the measured span from its centre, beyond which a simulation is cut
 
 
-def kept(signals: Float[np.ndarray, "n c"], points: int) -> Int[np.ndarray, " m"]:
-    """The samples that lines through all signals need: at most so many, without losing a peak.
+def thin(signals: Float[np.ndarray, "n c"], points: int) -> Int[np.ndarray, " m"]:
+    """Indices of the samples that lines through all signals need, so that no peak is lost.
 
-    Of stretches of equal length those at which any signal is smallest or largest, and both ends;
-    the stretches are as short as the number of points allows.
+    They are both ends and, of stretches of equal length, the samples at which any signal is
+    smallest or largest. The stretches are as short as the number of points allows.
 
     Args:
         signals: a column each, NaN where there is a gap.
-        points: how many at most.
+        points: largest number of samples.
 
     Returns:
-        Their indices, rising; all where there are no more.
+        Their indices in rising order; all if there are no more than `points`.
     """
     n, length = len(signals), 2
     if n <= points:
         return np.arange(n)
-    found = _extremes(signals, length)
-    while len(found) > points and length < n:
+    samples = _find_extremes(signals, length)
+    while len(samples) > points and length < n:
         length = max(length + 1, int(_GROWTH * length))
-        found = _extremes(signals, length)
-    return found
+        samples = _find_extremes(signals, length)
+    return samples
 
 
-def _extremes(signals: Float[np.ndarray, "n c"], length: int) -> Int[np.ndarray, " m"]:
-    """The samples at which any signal is smallest or largest in its stretch."""
+def _find_extremes(signals: Float[np.ndarray, "n c"], length: int) -> Int[np.ndarray, " m"]:
+    """Indices of the samples at which any signal is smallest or largest in its stretch."""
     n, stretches = len(signals), -(-len(signals) // length)
     padded = np.full((stretches * length, signals.shape[1]), np.nan)
     padded[:n] = signals
@@ -48,8 +48,8 @@ def _extremes(signals: Float[np.ndarray, "n c"], length: int) -> Int[np.ndarray,
     return np.unique(np.concatenate([low.ravel(), high.ravel(), [0, n - 1]]))
 
 
-def packed(values: Float[np.ndarray, " n"] | Sequence[float]) -> dict[str, Any]:
-    """A signal as 16-bit numbers in base64, the lowest byte first, with its smallest and largest.
+def pack(values: Float[np.ndarray, " n"] | Sequence[float]) -> dict[str, Any]:
+    """Packs a signal into 16-bit numbers in base64, low byte first, with its limits.
 
     A value is `low + (high - low) (k + 32767) / 65534`; k is -32768 where it is not finite.
     """
@@ -64,9 +64,9 @@ def packed(values: Float[np.ndarray, " n"] | Sequence[float]) -> dict[str, Any]:
 def bounded(
     simulated: Float[np.ndarray, "n *c"], measured: Float[np.ndarray, "n *c"]
 ) -> Float[np.ndarray, "n *c"]:
-    """A simulation without what leaves the picture, so that a divergence does not hide the rest."""
-    middle = (measured.max(axis=0) + measured.min(axis=0)) / 2
+    """Simulated values, NaN far from the measured range, so that a divergence hides no details."""
+    centre = (measured.max(axis=0) + measured.min(axis=0)) / 2
     reach = np.ptp(measured, axis=0) + 1e-12
     with np.errstate(invalid="ignore", over="ignore"):
-        inside = np.abs(simulated - middle) < _FARTHEST * reach
+        inside = np.abs(simulated - centre) < _FARTHEST * reach
     return np.where(inside, simulated, np.nan)

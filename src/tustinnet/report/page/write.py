@@ -1,4 +1,4 @@
-"""The report: made of models and records, written as one file."""
+"""The HTML report of models on records, written as one file."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,38 +12,40 @@ from tustinnet.export.source import make_source
 from tustinnet.families.family import family_of
 from tustinnet.models.contract import Model, require_fit
 from tustinnet.models.kinematics import Link
-from tustinnet.report.page import told
-from tustinnet.report.page.content import Thinning, content_of, thinning_of
-from tustinnet.report.page.judged import Judged, judged
-from tustinnet.report.page.render import rendered
-from tustinnet.report.page.subject import Subject, model_file, subjects_of
+from tustinnet.report.page import text_and_tables as text
+from tustinnet.report.page.content import Thinning, choose_thinning, make_content
+from tustinnet.report.page.model_result import ModelResult, compute_model_result
+from tustinnet.report.page.render import render
+from tustinnet.report.page.reported_model import ReportedModel, model_file, read_reported_models
 from tustinnet.simulate.starts import default_start
 from tustinnet.store.files import require_outputs, write_into
 from tustinnet.store.model_file import load_model
 
 ENDINGS = (".html", ".htm")
-_LARGEST, _REST = 1_000_000, 250_000  # bytes of a page, and of it what is no signal and no model
-_MODULES = 650_000  # bytes of all models in the playground, which leaves signals their room
-MOST = 5  # models; more lines than that nobody tells apart
+# bytes of a page, and of that for everything except signals and models
+_MAX_PAGE, _FRAME = 1_000_000, 250_000
+_MAX_MODULES = 650_000  # bytes of all models in the playground, so that signals have room
+MAX_MODELS = 5  # the lines of more cannot be told apart
 
 
 @dataclass(frozen=True)
-class Asked:
-    """How a report is made.
+class ReportOptions:
+    """Options of a report.
 
     Attributes:
         start: where the free runs start, None for the usual start.
-        horizon: how long they last at most [s], None for whole records.
-        links: how the mechanism is drawn where no model says it.
-        command: what makes the report again, of all records.
-        whole: how many records those given were taken from, None where they are all.
+        horizon: longest duration of a free run [s], None for whole records.
+        links: links that draw the mechanism where no model has any.
+        command: command that writes the report again, of all records.
+        total_records: number of records that those shown were chosen from, None where all are
+            shown.
     """
 
     start: str | None = None
     horizon: float | None = None
     links: tuple[Link, ...] = ()
     command: str = ""
-    whole: int | None = None
+    total_records: int | None = None
 
 
 def write_report(
@@ -58,136 +60,139 @@ def write_report(
     """Writes a report of models on records: one HTML file that needs no server and no network.
 
     Args:
-        models: model files or run folders, whose accounts of data, training and parameters are
-            shown too; or models by what they are called. The first is what the report is about.
+        models: model files or run folders, whose data, training and parameters are also shown;
+            or models by label. The report is about the first.
         records: the records that are simulated.
         out: the file.
-        start: where the free runs start, as `evaluate` takes it; None for the usual start.
-        horizon: how long a free run lasts at most [s], see `free_run`; None for whole records.
-        overwrite: whether a file that is there may be replaced.
+        start: where the free runs start, as for `evaluate`; None for the usual start.
+        horizon: longest duration of a free run [s], see `free_run`; None for whole records.
+        overwrite: whether an existing file may be replaced.
 
     Returns:
         The file.
 
     Raises:
-        InputError: no models or records, or too many models; a model that is not there; records of
-            other channels than the models'; a file that is there, or that ends otherwise; see also
-            `evaluate`.
+        InputError: no models or records, or too many models; a model that does not exist; records
+            of other channels than the models'; a file that exists, or that has another ending; see
+            also `evaluate`.
     """
     path = Path(out)
-    files = [] if isinstance(models, Mapping) else [model_file(Path(of)) for of in models]
+    files = [] if isinstance(models, Mapping) else [model_file(Path(model)) for model in models]
     require_outputs([path], overwrite=overwrite, read=files, endings=ENDINGS)
     if isinstance(models, Mapping):
-        subjects = [Subject(label, model) for label, model in models.items()]
+        reported = [ReportedModel(label, model) for label, model in models.items()]
     else:
-        subjects = subjects_of(files, [load_model(file) for file in files])
-    listed = [records] if isinstance(records, Experiment) else list(records)
-    return written(subjects, listed, path, Asked(start, horizon))
+        reported = read_reported_models(files, [load_model(file) for file in files])
+    record_list = [records] if isinstance(records, Experiment) else list(records)
+    return write_page(reported, record_list, path, ReportOptions(start, horizon))
 
 
-def written(
-    subjects: Sequence[Subject], records: Sequence[Experiment], path: Path, asked: Asked
+def write_page(
+    models: Sequence[ReportedModel],
+    records: Sequence[Experiment],
+    path: Path,
+    options: ReportOptions,
 ) -> Path:
-    """Writes the report of some models, see `write_report`."""
-    if not 0 < len(subjects) <= MOST:
-        raise InputError("report", f"{len(subjects)} models", f"1 to {MOST}")
+    """Computes the results of models on records and writes the report, see `write_report`."""
+    if not 0 < len(models) <= MAX_MODELS:
+        raise InputError("report", f"{len(models)} models", f"1 to {MAX_MODELS}")
     if not records:
         raise InputError("report", "no records", "at least one")
-    for of in subjects:
+    for reported in models:
         for e in records:
-            require_fit(of.model, e)
-    models = [of.model for of in subjects]
-    start = default_start(records, *models) if asked.start is None else asked.start
-    found = [judged(of, records, start, asked.horizon) for of in subjects]
-    write_into(path.parent, path.name, page_of(found, records, asked))
+            require_fit(reported.model, e)
+    start = options.start
+    if start is None:
+        start = default_start(records, *[reported.model for reported in models])
+    results = [compute_model_result(m, records, start, options.horizon) for m in models]
+    write_into(path.parent, path.name, make_page(results, records, options))
     return path
 
 
-def page_of(found: Sequence[Judged], records: Sequence[Experiment], asked: Asked) -> str:
-    """The page of models that were judged.
+def make_page(
+    results: Sequence[ModelResult], records: Sequence[Experiment], options: ReportOptions
+) -> str:
+    """Makes the page as HTML.
 
     Args:
-        found: the models.
-        records: the records that judged them.
-        asked: how the report is made.
+        results: the models with their results.
+        records: the records.
+        options: options of the report.
     """
-    links = _links(found) or asked.links
-    modules, silent = _modules(found, records)
-    room = _LARGEST - _REST - sum(map(len, modules.values()))
-    thinning = thinning_of(found, records, room)
-    content = content_of(found, records, links, thinning.points)
-    return rendered(_context(found, records, thinning, silent, asked), content, modules)
+    equations = [family_of(r.reported.model).equations(r.reported.model) for r in results]
+    model_links = [e.system.links for e in equations if e is not None and e.system.links]
+    links = model_links[0] if model_links else options.links
+    modules, refusals = _export_models(results, records)
+    room = _MAX_PAGE - _FRAME - sum(map(len, modules.values()))
+    thinning = choose_thinning(results, records, room)
+    content = make_content(results, records, links, thinning.points)
+    return render(_make_context(results, records, thinning, refusals, options), content, modules)
 
 
-def _context(
-    found: Sequence[Judged], records: Sequence[Experiment], thinning: Thinning,
-    silent: Sequence[str], asked: Asked,
-) -> dict[str, Any]:  # fmt: skip
-    """What the template says."""
-    first, channels = found[0], records[0].channels
-    parameters = [told.parameters_of(of.subject) for of in found]
+def _make_context(
+    results: Sequence[ModelResult],
+    records: Sequence[Experiment],
+    thinning: Thinning,
+    refusals: Sequence[str],
+    options: ReportOptions,
+) -> dict[str, Any]:
+    """Makes the variables of the template."""
+    first, channels = results[0], records[0].channels
+    reported, total = first.reported, options.total_records
+    parameters = [text.parameters_of(result.reported) for result in results]
     return {
-        "title": told.what_it_is(first.subject),
-        "about": (first.subject.header.get("data") or {}).get("name", ""),
-        "described": told.described(channels),
-        "verdict": told.verdict(first, records, asked.whole),
-        "left_out": told.left_out(first.subject, records),
-        "models": [of.subject.label for of in found],
+        "title": text.model_title(reported),
+        "data_name": (reported.header.get("data") or {}).get("name", ""),
+        "inputs": text.describe_inputs(channels),
+        "verdict": text.describe_accuracy(first, records, total),
+        "fold_scores": text.describe_fold_scores(reported, records),
+        "models": [result.reported.label for result in results],
         "records": [e.name for e in records],
         "channels": channels,
         "start": first.scores[0].start,
-        "scores": told.scores_table(found, records),
-        "by_coordinate": told.coordinates_table(found, channels),
-        "parameters": [of for of in parameters if of],
-        "stages": told.stages_table(found),
-        "bands": told.about_bands(found),
-        "notes": [*told.notes_of(found, records), *silent],
-        "about_models": told.models_table(found, records),
-        "structure": told.structure_table(found),
-        "about_records": told.records_table(found, records),
-        "versions": told.versions(),
-        "command": asked.command,
+        "scores": text.scores_table(results, records),
+        "by_coordinate": text.coordinates_table(results, channels),
+        "parameters": [table for table in parameters if table],
+        "stages": text.stages_table(results),
+        "bands": text.describe_bands(results),
+        "notes": [*text.list_notes(results, records), *refusals],
+        "model_sources": text.models_table(results, records),
+        "structure": text.structure_table(results),
+        "record_sources": text.records_table(results, records),
+        "versions": text.versions(),
+        "command": options.command,
         "thinning": thinning,
-        "some": asked.whole is not None and asked.whole > len(records),
-        "whole": asked.whole,
-        "every": max(of.every for of in found),
+        "is_shortened": total is not None and total > len(records),
+        "total_records": total,
+        "every": max(result.every for result in results),
         "has": {
-            "residuals": any(of.residuals for of in found),
-            "crossed": any(len(r.cross) for of in found for r in of.residuals),
-            "ahead": any(len(of.ahead) for of in found),
-            "energy": any(of.energies for of in found),
-            "search": any(of.subject.search for of in found),
-            "training": any(of.subject.histories for of in found),
-            "structure": any(of.subject.told for of in found),
-            "range": any(of.range for of in found),
-            "playground": len(silent) < len(found),
+            "residuals": any(result.residuals for result in results),
+            "crossed": any(len(r.cross) for result in results for r in result.residuals),
+            "ahead": any(len(result.ahead) for result in results),
+            "energy": any(result.energies for result in results),
+            "search": any(result.reported.search for result in results),
+            "training": any(result.reported.histories for result in results),
+            "structure": any(result.reported.structure for result in results),
+            "range": any(result.range for result in results),
+            "playground": len(refusals) < len(results),
         },
     }
 
 
-def _links(found: Sequence[Judged]) -> tuple[Link, ...]:
-    """How the first model that knows it says that the mechanism is drawn."""
-    for of in found:
-        equations = family_of(of.subject.model).equations(of.subject.model)
-        if equations is not None and equations.system.links:
-            return equations.system.links
-    return ()
-
-
-def _modules(
-    found: Sequence[Judged], records: Sequence[Experiment]
+def _export_models(
+    results: Sequence[ModelResult], records: Sequence[Experiment]
 ) -> tuple[dict[int, str], list[str]]:
-    """The models as JavaScript by their place, and why others are not among them."""
+    """Exports the models to JavaScript, by their index; also returns why others are missing."""
     modules: dict[int, str] = {}
-    silent = []
-    for i, of in enumerate(found):
+    refusals = []
+    for i, result in enumerate(results):
         try:
-            source = make_source(of.subject.model.for_record(records[0]), of.range)
-            text = str(TARGET.files(source)[MODULE])
-            if len(text) + sum(map(len, modules.values())) > _MODULES:
-                size = f"{len(text) / 1000:.0f} kB"
+            source = make_source(result.reported.model.for_record(records[0]), result.range)
+            module = str(TARGET.files(source)[MODULE])
+            if len(module) + sum(map(len, modules.values())) > _MAX_MODULES:
+                size = f"{len(module) / 1000:.0f} kB"
                 raise InputError("its size", size, "room beside the others in a page of 1 MB")
-            modules[i] = text
+            modules[i] = module
         except InputError as error:
-            silent.append(f"{of.subject.label}: not in the playground: {error}")
-    return modules, silent
+            refusals.append(f"{result.reported.label}: not in the playground: {error}")
+    return modules, refusals

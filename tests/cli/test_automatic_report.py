@@ -7,20 +7,27 @@ from pathlib import Path
 
 import pytest
 from small_selection import plan_in
-from test_choosing import PLAN
 from test_grey_box import SYSTEM
 from test_report_verb import numbers_in
 from test_verbs import tustinnet
 
 import tustinnet as tn
 from tustinnet.cli import demo
-from tustinnet.cli.leave_report import Leaving
+from tustinnet.cli.automatic_report import AutomaticReport
 from tustinnet.data import catalog
-from tustinnet.report.page import fitted
-from tustinnet.report.page.subject import Subject
-from tustinnet.report.some import some_of
+from tustinnet.report.page import fit_reports
+from tustinnet.report.page.reported_model import ReportedModel
+from tustinnet.report.shown_records import choose_shown_records
 from tustinnet.reproduce import table1
 from tustinnet.systems import qube_servo2_twin
+
+GREY_ONLY = """
+name = "one"
+folds = 3
+start = "derived-6"
+candidates = [{ name = "grey", recipe = "grey.toml" }]
+rounds = [{ folds = 3 }]
+"""
 
 
 def said(page: Path) -> str:
@@ -29,11 +36,11 @@ def said(page: Path) -> str:
 
 
 @pytest.fixture
-def fit(folder, small_recipe, tmp_path, capsys):
-    """Fits the small recipe; returns what was printed and told."""
+def fit(folder, tiny_recipe, tmp_path, capsys):
+    """Fits the tiny recipe; returns what was printed and told."""
 
     def run(*more: object, ends: int = 0) -> tuple[str, str]:
-        given = ("--recipe", small_recipe, "--out", tmp_path / "run", *more)
+        given = ("--recipe", tiny_recipe, "--out", tmp_path / "run", *more)
         code, printed, told = tustinnet(capsys, "fit", folder, *given)
         assert code == ends, told
         return printed, told
@@ -65,11 +72,11 @@ def test_a_fit_leaves_a_report_of_the_validation_records(fit, folder, tmp_path, 
     assert page.read_bytes() == before
 
 
-def test_somebody_elses_report_is_not_replaced(fit, tmp_path, folder, small_recipe, capsys):
+def test_somebody_elses_report_is_not_replaced(fit, tmp_path, folder, tiny_recipe, capsys):
     page = tmp_path / "run" / "report.html"
     page.parent.mkdir()
     page.write_text("mine")
-    given = ("--recipe", small_recipe, "--out", page.parent)
+    given = ("--recipe", tiny_recipe, "--out", page.parent)
     code, _, err = tustinnet(capsys, "fit", folder, *given, "--quiet")
     assert (code, err.count("\n")) == (1, 1)
     assert "report.html: there already" in err
@@ -80,7 +87,7 @@ def test_a_report_that_cannot_be_written_loses_nothing(fit, tmp_path, monkeypatc
     def fails(*given: object) -> None:
         raise RuntimeError("no room")
 
-    monkeypatch.setattr(fitted, "written", fails)
+    monkeypatch.setattr(fit_reports, "write_page", fails)
     printed, told = fit("--quiet", ends=1)
     assert "model: " in printed
     assert "report:" not in printed
@@ -100,7 +107,11 @@ def test_without_validation_it_is_judged_by_what_it_was_fitted_to(fit, folder, t
 
 
 def test_a_chosen_model_says_what_folds_say_of_it(folder, tmp_path, capsys):
-    plan, system, out = plan_in(tmp_path, PLAN), tmp_path / "small_pendulum.py", tmp_path / "run"
+    plan, system, out = (
+        plan_in(tmp_path, GREY_ONLY),
+        tmp_path / "small_pendulum.py",
+        tmp_path / "run",
+    )
     system.write_text(SYSTEM)
     verb = ("fit", folder, "--plan", plan, "--system", system, "--out", out)
     code, printed, err = tustinnet(capsys, *verb, "--quiet")
@@ -117,16 +128,16 @@ def test_a_chosen_model_says_what_folds_say_of_it(folder, tmp_path, capsys):
 
 def test_few_of_many_records_are_drawn_from_the_worst_to_the_best():
     rmse = {f"r{i}": float(i) for i in range(16)}
-    assert some_of(rmse) == {"r0", "r3", "r6", "r9", "r12", "r15"}
-    assert some_of({"a": 1.0, "b": 2.0}) == {"a", "b"}
+    assert choose_shown_records(rmse) == {"r0", "r3", "r6", "r9", "r12", "r15"}
+    assert choose_shown_records({"a": 1.0, "b": 2.0}) == {"a", "b"}
 
 
 def test_nothing_is_written_where_nothing_is_wanted(tmp_path):
     def fails(command: str) -> Path:
         raise AssertionError(command)
 
-    leaving = Leaving("logs", wanted=False)
-    assert leaving.report([tmp_path], tmp_path / "report.html", fails, {}) == ""
+    report = AutomaticReport("logs", is_enabled=False)
+    assert report.write([tmp_path], tmp_path / "report.html", fails, {}) == ""
 
 
 def test_the_demo_and_the_table_leave_a_report(
@@ -138,9 +149,9 @@ def test_the_demo_and_the_table_leave_a_report(
     file = trained_once / "model.safetensors"
     model = tn.load_model(file)
     scores = tuple(tn.evaluate(model, tests, "derived-6"))
-    scored = [Subject("small (chosen)", model, file=file, scores=scores)]
+    scored = [ReportedModel("small (chosen)", model, file=file, scores=scores)]
     monkeypatch.setattr(qube_servo2_twin, "twin", lambda seed: data)
-    monkeypatch.setattr(demo, "_fitted", lambda *given, **more: scored)
+    monkeypatch.setattr(demo, "_select_and_score", lambda *given, **more: scored)
     monkeypatch.setattr(demo, "_DRAWN", ())
     page = tmp_path / "demo" / "twin_report.html"
     given = ("demo", "--out", page.parent)

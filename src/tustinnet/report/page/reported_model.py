@@ -1,4 +1,4 @@
-"""The models that a report is about, with what their files and folders tell of them."""
+"""Models that a report shows, with the contents of their files and run folders."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,25 +18,25 @@ History = Sequence[Mapping[str, Any]]
 
 
 @dataclass(frozen=True)
-class Subject:
-    """A model that is reported on.
+class ReportedModel:
+    """A model that a report shows.
 
     Attributes:
-        label: what it is called.
+        label: its name in the report.
         model: the model.
-        header: what its file says, empty of a model that is in none.
-        file: its file, if it is in one.
-        told: what its family tells of the file, as words and what they say.
-        histories: its training logs, by the member that was trained.
-        search: the log of its identification, none of a model that was not identified.
-        scores: its free runs of the records, none where they are not known yet.
+        header: the header of its file, empty of a model without a file.
+        file: its file, if there is one.
+        structure: descriptions of its parts, as pairs of name and text.
+        histories: the lines of its training logs, by member that was trained.
+        search: the log of its identification, empty of a model that was not identified.
+        scores: scores of its free runs of the records, empty where they are not computed yet.
     """
 
     label: str
     model: Model
     header: Mapping[str, Any] = field(default_factory=dict)
     file: Path | None = None
-    told: Sequence[tuple[str, str]] = ()
+    structure: Sequence[tuple[str, str]] = ()
     histories: Mapping[str, History] = field(default_factory=dict)
     search: History = ()
     scores: Sequence[Score] = ()
@@ -60,8 +60,8 @@ def model_file(path: Path) -> Path:
     return path / MODEL
 
 
-def subjects_of(files: Sequence[Path], models: Sequence[Model]) -> list[Subject]:
-    """Models with what their files and the folders of their runs tell.
+def read_reported_models(files: Sequence[Path], models: Sequence[Model]) -> list[ReportedModel]:
+    """Reads headers and logs of models for a report.
 
     Args:
         files: the model files.
@@ -70,25 +70,25 @@ def subjects_of(files: Sequence[Path], models: Sequence[Model]) -> list[Subject]
     Raises:
         InputError: a model file that is damaged.
     """
-    found = []
+    reported = []
     for label, file, model in zip(short_labels(files), files, models, strict=True):
-        header, told = shown(file)
-        folder = _made_in(file.parent, header)
-        found.append(Subject(label, model, header, file, told, _histories(folder), _search(folder)))
-    return found
+        header, structure = shown(file)
+        folder = file.parent
+        # of a selection the logs are in the folder of the chosen candidate
+        candidate_name = (header.get("selection") or {}).get("chosen")
+        if isinstance(candidate_name, str) and Path(candidate_name).name == candidate_name:
+            candidate = folder / CANDIDATES / candidate_name
+            folder = candidate if candidate.is_dir() else folder
+        # of a candidate that was identified, the search in all records
+        search = read_search(folder) or read_search(folder / WHOLE)
+        reported.append(
+            ReportedModel(label, model, header, file, structure, _read_histories(folder), search)
+        )
+    return reported
 
 
-def _made_in(folder: Path, header: Mapping[str, Any]) -> Path:
-    """The folder that has the logs of a model: of a selection that of the chosen candidate."""
-    chosen = (header.get("selection") or {}).get("chosen")
-    if not isinstance(chosen, str) or Path(chosen).name != chosen:
-        return folder
-    below = folder / CANDIDATES / chosen
-    return below if below.is_dir() else folder
-
-
-def _histories(folder: Path) -> dict[str, History]:
-    """The training logs of a run, of one of its members, or of a candidate's folds."""
+def _read_histories(folder: Path) -> dict[str, History]:
+    """Reads the training logs of a run, of one of its members, or of a candidate's folds."""
     places = {"": folder}
     places |= {log.parent.name: log.parent for log in sorted(folder.glob(f"seed-*/{LOG}"))}
     for log in sorted(folder.glob(f"fold-*/seed-*/{LOG}")):
@@ -98,22 +98,17 @@ def _histories(folder: Path) -> dict[str, History]:
     return {name: lines for name, lines in logs.items() if lines}
 
 
-def _search(folder: Path) -> History:
-    """The log of an identification, of a candidate that from all records."""
-    return read_search(folder) or read_search(folder / WHOLE)
-
-
 def short_labels(files: Sequence[Path]) -> list[str]:
-    """Names of model files: those of their run folders, where these differ."""
+    """Labels of model files: the names of their run folders, if these differ."""
     names = [f.resolve().parent.name if f.name == MODEL else f.stem for f in files]
     return names if len(set(names)) == len(names) else labels(files)
 
 
 def labels(files: Sequence[Path]) -> list[str]:
-    """Short names that differ: the files' stems, with as many folders as it takes."""
+    """Short labels that differ: the stems of the files, with as many folders as necessary."""
     parts = [[*f.resolve().parent.parts, f.stem] for f in files]
     for depth in range(1, max(map(len, parts)) + 1):
-        found = ["/".join(part[-depth:]) for part in parts]
-        if len(set(found)) == len(found):
-            return found
+        names = ["/".join(part[-depth:]) for part in parts]
+        if len(set(names)) == len(names):
+            return names
     return [f"{'/'.join(part[-2:])} ({i + 1})" for i, part in enumerate(parts)]

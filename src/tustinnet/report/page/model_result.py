@@ -1,0 +1,105 @@
+"""Results of a model on the records of a report: free runs, residuals, bands and others."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from tustinnet.data.experiment import Experiment
+from tustinnet.errors import InputError
+from tustinnet.evaluate.ahead import rmse_ahead
+from tustinnet.evaluate.bands import KEY as BANDS
+from tustinnet.evaluate.bands import Band, BandAsked, Calibration, alternatives_of, bands_around
+from tustinnet.evaluate.energy import energy_along
+from tustinnet.evaluate.residuals import ResidualReport, residual_reports
+from tustinnet.evaluate.scores import Score, evaluate
+from tustinnet.report.page.reported_model import ReportedModel
+from tustinnet.simulate.range import ExtrapolationPoint, Range
+from tustinnet.simulate.starts import start_named
+
+_STEPS_AHEAD = 100
+_MAX_PREDICTIONS = 1500  # more give the same curve, and take seconds
+_LAGS = 50
+_LEVEL = 0.9  # of bands, where there are enough calibration records
+
+Energies = Sequence[Float[np.ndarray, " _"]]
+
+
+@dataclass(frozen=True)
+class ModelResult:
+    """A model with its results on the records of a report, in the order of the records.
+
+    Attributes:
+        reported: the model.
+        scores: scores of the free runs.
+        range: range of its training data, None where that is unknown.
+        extrapolations: where each free run leaves that range, None where it stays inside.
+        ahead: RMSE by steps ahead, empty where no record is long enough [rad or m].
+        every: predictions ahead begin at one sample in so many.
+        residuals: residuals by coordinate, empty where a free run diverges.
+        bands: bands around the free runs, empty of a model without.
+        energies: energies at measured and at simulated states [J], None of a model without
+            equations of motion.
+        notes: results that are missing, and the reasons.
+    """
+
+    reported: ReportedModel
+    scores: Sequence[Score]
+    range: Range | None
+    extrapolations: Sequence[ExtrapolationPoint | None]
+    ahead: Float[np.ndarray, " horizon"]
+    every: int
+    residuals: Sequence[ResidualReport]
+    bands: Sequence[Band]
+    energies: tuple[Energies, Energies] | None
+    notes: tuple[str, ...]
+
+
+def compute_model_result(
+    reported: ReportedModel, records: Sequence[Experiment], start: str, horizon: float | None
+) -> ModelResult:
+    """Computes the results of a model; free runs that are scored already are used as they are.
+
+    Args:
+        reported: the model.
+        records: the records.
+        start: where the free runs start.
+        horizon: longest duration of a free run [s], None for whole records.
+
+    Raises:
+        InputError: see `evaluate`.
+    """
+    model, header, notes = reported.model, reported.header, []
+    scores = reported.scores or evaluate(model, records, start, horizon=horizon)
+    runs = [score.simulated for score in scores]
+    training_range = Range.from_header(dict(header), model) if header else None
+    extrapolations = [
+        None if training_range is None else training_range.extrapolation_point(model.channels, x, e.u)
+        for e, x in zip(records, runs, strict=True)
+    ]
+    residuals: list[ResidualReport] = []
+    try:
+        lags = min(_LAGS, min(map(len, records)) - start_named(start).first - 1)
+        residuals = residual_reports(model, records, start, lags, horizon=horizon, own=runs)
+    except InputError as error:
+        notes.append(f"no residuals: {error}")
+    bands: list[Band] = []
+    try:
+        if BANDS in header:
+            calibration = Calibration.from_header(header, reported.label)
+            options = BandAsked(min(_LEVEL, calibration.most))
+            others = alternatives_of(model, header, reported.label)
+            bands = bands_around(calibration, options, model, others, records, scores)
+    except InputError as error:
+        notes.append(f"no bands: {error}")
+    steps = min(_STEPS_AHEAD, max(map(len, records)) - model.warm_up - 1)
+    every = -(-sum(map(len, records)) // _MAX_PREDICTIONS)
+    ahead = rmse_ahead(model, records, steps, every=every) if steps > 0 else np.zeros(0)
+    measured = energy_along(model, records, [e.measured_states() for e in records])
+    simulated = energy_along(model, records, runs)
+    energies = None if measured is None or simulated is None else (measured, simulated)
+    return ModelResult(
+        reported, scores, training_range, extrapolations, ahead, every, residuals, bands,
+        energies, tuple(notes),
+    )  # fmt: skip

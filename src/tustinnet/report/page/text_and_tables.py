@@ -1,0 +1,270 @@
+"""The sentences and tables of a report."""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tustinnet.channels import Channels
+from tustinnet.data.experiment import Experiment
+from tustinnet.errors import convert_errors
+from tustinnet.evaluate.scores import mean_rmse
+from tustinnet.families.family import family_of
+from tustinnet.fitting.report import Estimate
+from tustinnet.report.comparison import comparison_table
+from tustinnet.report.extrapolation import describe_extrapolation
+from tustinnet.report.fits import (
+    ESTIMATE_COLUMNS,
+    estimate_cells,
+    estimates_table,
+    estimates_title,
+    position_in_range,
+)
+from tustinnet.report.page.model_result import ModelResult
+from tustinnet.report.page.reported_model import ReportedModel
+from tustinnet.report.tables import Table, number, numbers
+from tustinnet.selection.jobs import LEFT_OUT
+from tustinnet.simulate.horizon import horizon_words
+from tustinnet.store.header import records_in
+from tustinnet.store.model_file import package_versions
+
+_DIGITS = 12  # of a checksum
+
+
+@dataclass(frozen=True)
+class ParameterGroup:
+    """The parameters of a model, for a table.
+
+    Attributes:
+        label: label of the model.
+        title: source of the errors.
+        table: names, values and, where they are known, errors.
+        places: position of interval and value of each row in its range, 0..1: low, value, high;
+            None of a row without a range.
+    """
+
+    label: str
+    title: str
+    table: Table
+    places: Sequence[tuple[float, float, float] | None]
+
+
+# --- sentences ---
+
+
+def model_title(reported: ReportedModel) -> str:
+    """Heading of the report: the kind of the model and its coordinates."""
+    family = family_of(reported.model)
+    kind = family.title or family.kind
+    article = "An" if kind[:1].lower() in "aeiou" else "A"
+    return f"{article} {kind} model of {_join([c.name for c in reported.model.coordinates])}"
+
+
+def describe_inputs(channels: Channels) -> str:
+    """Sentence on inputs and sampling period, below the heading."""
+    inputs = [f"{i.name} ({i.unit})" if i.unit else i.name for i in channels.inputs]
+    driven = f"Driven by {_join(inputs)}" if inputs else "Without inputs"
+    return f"{driven}, in steps of {channels.dt * 1e3:g} ms."
+
+
+def describe_accuracy(
+    result: ModelResult, records: Sequence[Experiment], total_records: int | None = None
+) -> str:
+    """Sentence on the accuracy of a model, with the records that it refers to.
+
+    Args:
+        result: results of the model.
+        records: the records that it was scored on.
+        total_records: number of records that these were chosen from, None where they are all.
+    """
+    unit, scores, reported = records[0].channels.unit, result.scores, result.reported
+    worst, best = max(scores, key=lambda s: s.rmse), min(scores, key=lambda s: s.rmse)
+    mean, high, low = numbers([mean_rmse(scores), worst.rmse, best.rmse])
+    spread = f" ({low} on {best.experiment}, {high} on {worst.experiment})" if scores[1:] else ""
+    splits = " and ".join(dict.fromkeys(e.split for e in records if e.split))
+    is_shortened = total_records is not None and total_records > len(records)
+    record_text = (
+        f"{len(records)} {f'of {total_records} ' if is_shortened else ''}"
+        f"{f'{splits} ' if splits else ''}record{'s' if records[1:] or is_shortened else ''}"
+    )
+    if reported.header.get("data") or reported.header.get("files"):
+        trained = len(trained_on(reported, records))
+        if not trained:
+            record_text += " that it was not fitted to"
+        else:
+            count = "all" if trained == len(records) else trained
+            record_text += f", {count} of which it was fitted to"
+    return (
+        f"Simulated from its start alone{over(scores[0].horizon)}, it is off by {mean} {unit} "
+        f"{'on average over' if scores[1:] else 'on'} {record_text}{spread}."
+    )
+
+
+def describe_fold_scores(reported: ReportedModel, records: Sequence[Experiment]) -> str:
+    """Sentence on the scores of models of other folds, for a model that was fitted to all records.
+
+    Nothing else says how accurate such a model is on other records. Empty for other models.
+    """
+    scores = reported.header.get("scores") or {}
+    if scores.get("split") != LEFT_OUT or not trained_on(reported, records):
+        return ""
+    if scores.get("mean") is None:
+        return "Models made in the same way diverge on some records that they were not fitted to."
+    with convert_errors(reported.label, "scores that are damaged", "those that `fit` writes"):
+        mean, error = float(scores["mean"]), scores.get("standard_error")
+        spread = f" ± {error:.2g}" if error else ""
+        size = f"{number(mean)}{spread} {scores['unit']}"
+        count = len(scores["rmse"])
+    return (
+        "On records that they were not fitted to, models made in the same way are off by "
+        f"{size} on average ({count} records, on folds)."
+    )
+
+
+def trained_on(reported: ReportedModel, records: Sequence[Experiment]) -> list[str]:
+    """Names of those records that a model was fitted to, by their checksums."""
+    checksums = records_in(reported.header)
+    return [e.name for e in records if e.sha256 and e.sha256 in checksums]
+
+
+def describe_bands(results: Sequence[ModelResult]) -> str:
+    """Sentence on the bands that are drawn; empty where there are none."""
+    levels = [
+        f"{100 * result.bands[0].level:.3g} % ({result.reported.label})"
+        for result in results
+        if result.bands
+    ]
+    return f"Shaded: bands that contain {_join(levels)} of the time." if levels else ""
+
+
+def list_notes(results: Sequence[ModelResult], records: Sequence[Experiment]) -> list[str]:
+    """Lists warnings on the results: missing results, extrapolations, findings of the search."""
+    notes = []
+    for result in results:
+        label = result.reported.label
+        notes += [f"{label}: {note}" for note in result.notes]
+        notes += [
+            f"{label}, {e.name}: {describe_extrapolation(point, e)}"
+            for e, point in zip(records, result.extrapolations, strict=True)
+            if point is not None
+        ]
+        identification = result.reported.header.get("identification") or {}
+        notes += [f"{label}: {finding}" for finding in identification.get("findings", ())]
+    return notes
+
+
+def versions() -> str:
+    """The packages that computed this report, with their versions."""
+    return ", ".join(f"{name} {version}" for name, version in package_versions().items())
+
+
+def _join(names: Sequence[str]) -> str:
+    """Joins names as `a, b and c`."""
+    return f"{', '.join(names[:-1])} and {names[-1]}" if names[1:] else "".join(names)
+
+
+# --- tables ---
+
+
+def scores_table(results: Sequence[ModelResult], records: Sequence[Experiment]) -> Table:
+    """Table of the RMSE of every record, with a column for each model."""
+    scores = {result.reported.label: result.scores for result in results}
+    return comparison_table(records, scores, results[0].scores[0].start)
+
+
+def coordinates_table(results: Sequence[ModelResult], channels: Channels) -> Table:
+    """Table of RMSE, NRMSE and fit of every coordinate, means over the records."""
+    rows = []
+    for result in results:
+        measures = [
+            np.mean([getattr(s, name) for s in result.scores], axis=0).tolist()
+            for name in ("coordinate_rmse", "nrmse", "fit_percent")
+        ]
+        for c, rmse, nrmse, fit in zip(channels.coordinates, *measures, strict=True):
+            cells = [f"{number(rmse)} {c.unit}", number(nrmse), number(fit, 1)]
+            rows.append([result.reported.label, c.name, *cells])
+    return Table(
+        ["model", "coordinate", "RMSE", "NRMSE", "fit [%]"], rows, "Means over the records"
+    )
+
+
+def parameters_of(reported: ReportedModel) -> ParameterGroup | None:
+    """The parameters of a model, with both kinds of errors if it was identified."""
+    identification = reported.header.get("identification")
+    values = family_of(reported.model).parameters(reported.model)
+    units = {name: unit for name, unit, _ in values}
+    if identification is None:
+        rows = [[name, f"{value:.4g}", unit] for name, unit, value in values]
+        table = Table(ESTIMATE_COLUMNS[:3], rows)
+        places = [None] * len(rows)
+        return ParameterGroup(reported.label, "values", table, places) if rows else None
+    with convert_errors(reported.label, "an identification that is damaged", "estimates"):
+        estimates = [
+            Estimate(**e | {"interval": e["interval"] and tuple(e["interval"])})
+            for e in identification["estimates"]
+        ]
+        refined = (identification.get("refined") or {}).get("values")
+        title = estimates_title(identification["trust"], refined)
+        fixed = [[name, f"{value:.4g}", units.get(name, ""), "fixed", "", "", ""]
+                 for name, value in identification["fixed"].items()]  # fmt: skip
+    places = []
+    for e in estimates:
+        low, high = e.interval or (e.value, e.value)
+        low, value, high = (position_in_range(e, x) for x in (low, e.value, high))
+        places.append((low, value, high))
+    table = estimates_table([*map(estimate_cells, estimates), *fixed], refined)
+    return ParameterGroup(reported.label, title, table, [*places, *[None] * len(fixed)])
+
+
+def stages_table(results: Sequence[ModelResult]) -> Table:
+    """Table of the stages of every identification, and how they ended."""
+    rows = []
+    for result in results:
+        rows += [
+            [result.reported.label, f"{i}: {stage['stage']}", str(stage["iterations"]),
+             "–" if stage["cost"] is None else f"{stage['cost']:.4g}", stage["why"]]
+            for i, stage in enumerate(result.reported.stages, 1)
+        ]  # fmt: skip
+    return Table(["model", "stage", "iterations", "cost", "ended"], rows)
+
+
+def models_table(results: Sequence[ModelResult], records: Sequence[Experiment]) -> Table:
+    """Table of the sources of the models: recipe, records, file, versions."""
+    rows = []
+    for reported in (result.reported for result in results):
+        header, file = reported.header, reported.file
+        recipe, training = header.get("recipe") or {}, header.get("training") or {}
+        seed = f", seed {training['seed']}" if "seed" in training else ""
+        count = len(records_in(header))
+        rows.append([
+            reported.label,
+            family_of(reported.model).kind,
+            f"{recipe['name']}{seed}" if recipe else "–",
+            f"{count} records of {header['data']['name']}" if header.get("data") else "–",
+            hashlib.sha256(file.read_bytes()).hexdigest()[:_DIGITS] if file else "–",
+            " ".join(f"{k} {v}" for k, v in (header.get("versions") or {}).items()) or "–",
+        ])  # fmt: skip
+    return Table(["model", "kind", "recipe", "fitted to", "SHA-256", "made with"], rows)
+
+
+def structure_table(results: Sequence[ModelResult]) -> Table:
+    """Table of the parts of the models."""
+    rows = [[result.reported.label, part, text] for result in results
+            for part, text in result.reported.structure if part != "values"]  # fmt: skip
+    return Table(["model", "part", "what it is"], rows)
+
+
+def records_table(results: Sequence[ModelResult], records: Sequence[Experiment]) -> Table:
+    """Table of the records, with the models that were fitted to them."""
+    trained = {r.reported.label: trained_on(r.reported, records) for r in results}
+    rows = [
+        [
+            e.name, e.split or "–", str(len(e)), f"{e.seconds:.4g}",
+            ", ".join(label for label, names in trained.items() if e.name in names) or "–",
+            e.sha256[:_DIGITS] or "–",
+        ]
+        for e in records
+    ]  # fmt: skip
+    columns = ["record", "split", "samples", "length [s]", "models fitted to it", "SHA-256"]
+    return Table(columns, rows)

@@ -1,0 +1,102 @@
+"""Help texts that list names list those that exist."""
+
+from typing import get_args
+
+import pytest
+import typer
+
+from tustinnet.cli import completion, export
+from tustinnet.cli.learning_curve import Values
+from tustinnet.cli.main import app
+from tustinnet.cli.reproduce import Keep
+from tustinnet.data.catalog import QUBE_SERVO2
+from tustinnet.data.declaration import packaged
+from tustinnet.evaluate.learning import Twin
+from tustinnet.fitting.recipe import Criterion
+from tustinnet.fitting.recipe_reading import packaged_recipes
+from tustinnet.fitting.task import usual_recipe
+from tustinnet.registry import SYSTEMS, TARGETS
+from tustinnet.reproduce.entries import ALL_MODELS, DEFAULT_MODELS, ENTRIES
+from tustinnet.selection.plan import USUAL
+from tustinnet.simulate.starts import STARTS, start_named
+
+VERBS = typer.main.get_group(app).commands
+
+
+def help_of(verb: str, option: str) -> str:
+    """The help text of an option or argument."""
+    (text,) = [p.help for p in VERBS[verb].params if option in (*p.opts, p.metavar)]
+    return text
+
+
+def with_option(option: str) -> list[str]:
+    return [verb for verb, c in VERBS.items() if any(option in p.opts for p in c.params)]
+
+
+@pytest.mark.parametrize(
+    "verb", sorted(set(with_option("--system")) - {"compare", "report"})
+)  # these take files or drawings of other models
+def test_every_system_is_in_the_help(verb):
+    listed = help_of(verb, "--system").split(": ")[1].split(", or")[0]
+    assert tuple(listed.split(", ")) == tuple(SYSTEMS.places)
+
+
+def test_every_target_is_in_the_help_of_export():
+    listed = help_of("export", "--to").split(";")[0].replace(" or ", ", ")
+    assert tuple(listed.split(", ")) == tuple(TARGETS.places)
+    names = {"c": "C", "fmu": "FMU", "casadi": "CasADi", "onnx": "ONNX", "js": "JavaScript",
+             "stablehlo": "StableHLO", "mat": "matrices"}  # fmt: skip
+    assert names.keys() == TARGETS.places.keys()
+    sentence = (export.export.__doc__ or "").rstrip(".").replace(" or ", ", ")
+    assert sentence.removeprefix("Write a model as ").split(", ") == list(names.values())
+
+
+@pytest.mark.parametrize("verb", with_option("--start"))
+def test_every_start_is_completed_and_in_the_help(verb):
+    assert [type(start_named(name)) for name in completion.STARTS] == list(STARTS)
+    text = help_of(verb, "--start")
+    if "as for evaluate" not in text:
+        assert all(f"{name} (" in text for name in completion.STARTS)
+
+
+def test_the_recipes_and_plans_in_the_help_are_defaults():
+    assert f"with --physics: {usual_recipe(system=False, physics=True)}" in help_of(
+        "fit", "--recipe"
+    )
+    text = help_of("cross-validate", "--recipe")
+    assert f"Default: {usual_recipe(system=False, physics=False)};" in text
+    assert f"with --system: {usual_recipe(system=True, physics=False)};" in text
+    assert f"with --physics: {usual_recipe(system=False, physics=True)}" in text
+    assert f"Default: {USUAL}." in help_of("fit", "--plan")
+    assert USUAL in packaged(["tustinnet.selection"], "plan")
+    for verb, option in (
+        ("cross-validate", "--physics"),
+        ("learning-curve", "--recipe"),
+        ("learning-curve", "--physics"),
+        ("learning-curve", "--hybrid"),
+    ):
+        default = help_of(verb, option).split("Default: ")[1].rstrip(".")
+        assert default in packaged_recipes(), (verb, option)
+
+
+def test_the_models_of_the_publication_are_in_the_help_of_reproduce():
+    models, default = help_of("reproduce", "--models").split("; separated")
+    assert tuple(models.split(", ")) == ALL_MODELS
+    without = default.split("all but ")[1].rstrip(".").replace(" and ", ", ").split(", ")
+    assert set(without) == set(ALL_MODELS) - set(DEFAULT_MODELS)
+    for entry in ENTRIES.values():
+        assert entry.recipe in packaged_recipes()
+        assert entry.system is None or entry.system in SYSTEMS
+        assert entry.corrects is None or entry.corrects in ENTRIES
+
+
+def test_choices_are_those_of_the_package():
+    assert {choice.value for choice in Keep} == set(get_args(Criterion))
+    assert {choice.value for choice in Values} == set(get_args(Twin))
+
+
+@pytest.mark.parametrize(
+    "verb", [v for v, c in VERBS.items() if any(p.metavar == "DATA" for p in c.params)]
+)
+def test_the_published_data_set_is_in_the_help(verb):
+    assert QUBE_SERVO2.name in help_of(verb, "DATA")
