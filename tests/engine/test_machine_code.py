@@ -54,7 +54,7 @@ ANGLES = np.concatenate([
 def test_elementary_functions_are_those_of_numpy(name, lanes):
     """Within 4 units of the last place; also what is no finite number."""
     module = Module(lanes)
-    f = module.function("all", "ptr %x, ptr %y, i64 %n", own=False)
+    f = module.function("all", "ptr %x, ptr %y, i64 %n", is_internal=False)
     with f.loop(0, "%n") as i:
         x = f.load("%x", i)
         if name in ("sin", "cos"):

@@ -312,7 +312,7 @@ def test_a_page_knows_what_was_recorded_as_the_package_does():
     # each by itself, together only, not at all: all three happen
     kinds = ["by" if by else "together" if together else "" for by, together in found]
     assert min(kinds.count(kind) for kind in ("by", "together", "")) > 20
-    said = ["" if of is None else "by" if of.what else "together" for of in left]
+    said = ["" if of is None else "by" if of.signal else "together" for of in left]
     assert kinds == said
 
 
