@@ -10,22 +10,24 @@ from tustinnet.cli.learning_curve import Values
 from tustinnet.cli.main import app
 from tustinnet.cli.reproduce import Keep
 from tustinnet.data.catalog import QUBE_SERVO2
-from tustinnet.data.declaration import packaged
+from tustinnet.data.declaration import list_packaged
 from tustinnet.evaluate.learning import Twin
 from tustinnet.fitting.recipe import Criterion
 from tustinnet.fitting.recipe_reading import packaged_recipes
-from tustinnet.fitting.task import usual_recipe
+from tustinnet.fitting.task import default_recipe_name
 from tustinnet.registry import SYSTEMS, TARGETS
 from tustinnet.reproduce.entries import ALL_MODELS, DEFAULT_MODELS, ENTRIES
 from tustinnet.selection.plan import USUAL
-from tustinnet.simulate.starts import STARTS, start_named
+from tustinnet.simulate.start_rules import STARTS, start_named
 
 VERBS = typer.main.get_group(app).commands
 
 
 def help_of(verb: str, option: str) -> str:
     """The help text of an option or argument."""
-    (text,) = [p.help for p in VERBS[verb].params if option in (*p.opts, p.metavar)]
+    (text,) = [
+        getattr(p, "help", None) for p in VERBS[verb].params if option in (*p.opts, p.metavar)
+    ]
     return text
 
 
@@ -53,22 +55,22 @@ def test_every_target_is_in_the_help_of_export():
 
 @pytest.mark.parametrize("verb", with_option("--start"))
 def test_every_start_is_completed_and_in_the_help(verb):
-    assert [type(start_named(name)) for name in completion.STARTS] == list(STARTS)
+    assert [type(start_named(name)) for name in completion.start("")] == list(STARTS)
     text = help_of(verb, "--start")
     if "as for evaluate" not in text:
-        assert all(f"{name} (" in text for name in completion.STARTS)
+        assert all(f"{name} (" in text for name in completion.start(""))
 
 
 def test_the_recipes_and_plans_in_the_help_are_defaults():
-    assert f"with --physics: {usual_recipe(system=False, physics=True)}" in help_of(
+    assert f"with --physics: {default_recipe_name(system=False, physics=True)}" in help_of(
         "fit", "--recipe"
     )
     text = help_of("cross-validate", "--recipe")
-    assert f"Default: {usual_recipe(system=False, physics=False)};" in text
-    assert f"with --system: {usual_recipe(system=True, physics=False)};" in text
-    assert f"with --physics: {usual_recipe(system=False, physics=True)}" in text
+    assert f"Default: {default_recipe_name(system=False, physics=False)};" in text
+    assert f"with --system: {default_recipe_name(system=True, physics=False)};" in text
+    assert f"with --physics: {default_recipe_name(system=False, physics=True)}" in text
     assert f"Default: {USUAL}." in help_of("fit", "--plan")
-    assert USUAL in packaged(["tustinnet.selection"], "plan")
+    assert USUAL in list_packaged(["tustinnet.selection"], "plan")
     for verb, option in (
         ("cross-validate", "--physics"),
         ("learning-curve", "--recipe"),

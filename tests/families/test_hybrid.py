@@ -60,6 +60,7 @@ def test_a_correction_enters_velocities_and_by_the_trapezoidal_rule_positions():
     np.testing.assert_allclose(added[:1], DT**2 / 2 * f, rtol=1e-6)
     np.testing.assert_array_equal(added[2:], 0)
     folded = corrected.simplify()
+    assert isinstance(folded, HybridModel)
     assert isinstance(folded.correction, tn.TustinNet)
     assert folded.correction.network.stem is None
     np.testing.assert_allclose(folded.step(x, u), corrected.step(x, u), rtol=1e-12)

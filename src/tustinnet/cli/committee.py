@@ -31,7 +31,7 @@ def committee(
     from tustinnet.cli.request import list_input_files
     from tustinnet.errors import InputError
     from tustinnet.families.committee import committee as make_committee
-    from tustinnet.simulate.range import KEY, Range, joined
+    from tustinnet.simulate.range import KEY, Range, join_ranges
     from tustinnet.store.files import require_outputs
     from tustinnet.store.header import read_header
     from tustinnet.store.kept_system import header_of, keep, require_room
@@ -51,8 +51,6 @@ def committee(
     system_file = shared_system if isinstance(shared_system, SystemFile) else None
     if not overwrite:
         require_room(system_file, out.parent)
-    if any(member.encoder for member in members):
-        terminal.messages().print("note: the encoders of the members are not used in a committee")
     headers = [read_header(path) for path in models]
     files: list[dict[str, Any]] = []
     for path, header in zip(models, headers, strict=True):

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterable
 
 SPLITS = ("train", "validation", "test")
-STARTS = ("file", "derived-6", "model-20", "warm-up-20", "encoder-20")
 
 
 def _make_completer(names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:

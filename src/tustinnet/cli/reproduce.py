@@ -110,7 +110,7 @@ def reproduce(
     if not runs.is_dir() and not table1.is_table(out / _TABLES[0]):
         require_outputs([out / name for name in (*_TABLES, REPORT)], overwrite=overwrite)
     console.print(f"data: {folder}; scoring the {scored_split} split, start '{table1.START}'")
-    if changed := QUBE_SERVO2.differing(folder):
+    if changed := QUBE_SERVO2.changed_files(folder):
         more = f" and {len(changed) - 1} more" if len(changed) > 1 else ""
         console.print(f"warning: not as published (checksums differ): {changed[0]}{more}")
     if remark:

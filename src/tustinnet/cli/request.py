@@ -114,7 +114,7 @@ def read_origin(
 
 
 def make_members(seeds: str | None, recipe: "Recipe") -> "list[Member]":
-    """Makes the members of a fit from `--seeds` and the learning rates of the recipe.
+    """Makes the members of a fit from `--seeds`.
 
     Raises:
         InputError: seeds of an identification; see also `parse_seeds`.
@@ -127,7 +127,7 @@ def make_members(seeds: str | None, recipe: "Recipe") -> "list[Member]":
             "--seeds", f"an option of a training; '{recipe.name}' identifies",
             "a recipe of a kind with weights", "an identification has no seeds",
         )  # fmt: skip
-    return [Member(seed, rate) for seed in parse_seeds(seeds) for rate in rates_of(recipe)]
+    return [Member(seed) for seed in parse_seeds(seeds)]
 
 
 def parse_seeds(text: str | None) -> tuple[int, ...]:

@@ -19,9 +19,7 @@ def show(model: options.Model, json: options.Json = False) -> None:
     if json:
         terminal.print_json(header)
         return
-    with convert_errors(
-        model, "its header is not one that fits write", "a run's model file"
-    ):
+    with convert_errors(model, "its header is not one that fits write", "a run's model file"):
         lines = [
             *_channel_lines(header), *structure, *_fit_lines(header),
             *_identification_lines(header), *_score_lines(header),

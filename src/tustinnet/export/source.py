@@ -245,7 +245,6 @@ def find_input_layout(model: Model) -> InputLayout:
         signal: Excitation = excitation(samples, holds, [0.0] * len(inputs))
         return np.asarray(model.step_inputs(signal))
 
-
     def depends_beyond(reach: int) -> bool:
         """Whether a step depends on samples farther away."""
         samples = np.ones((2 * _FARTHEST + 2, len(inputs)))

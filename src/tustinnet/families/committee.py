@@ -177,7 +177,9 @@ class Committee(Model):
         """The state after a period [s], where all members can step by any."""
         return self._step_all(x, u, lambda member, own, inputs: member.advance(own, inputs, period))
 
-    def _step_all(self, x: State, u: StepInput, move: Callable[[Model, State, Array], State]) -> State:
+    def _step_all(
+        self, x: State, u: StepInput, move: Callable[[Model, State, Array], State]
+    ) -> State:
         """The state after `move` has stepped every member."""
         channels = self.channels
         ends = np.cumsum([0, *map(len, self._internal_names)]).tolist()

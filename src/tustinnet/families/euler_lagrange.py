@@ -93,7 +93,7 @@ class EulerLagrangeFamily(IdentifiedFamily):
         elif made := _made_for_records(name):
             channels = Channels.from_header(header)
             terms = [Parameter(*fields) for fields in header["terms"]]
-            loaded = made.restored(channels.coordinates, channels.inputs, terms)
+            loaded = made.restore(channels.coordinates, channels.inputs, terms)
         else:
             loaded = load_system(name)
         if loaded.name != name:

@@ -56,7 +56,7 @@ def make_free_runs(
             weights.append(1.0 / (len(e) - start.first) * (i < len(own)))
     tails = [segment[start.first :] for segment in segments]
     arrays = (
-        start.material(model, segments),
+        start.start_data(model, segments),
         input_signals(model, segments, slice(start.first, None)).u,
         stack_padded([e.q for e in tails]),
         stack_padded([np.full(len(e), w) for e, w in zip(tails, weights, strict=True)]),

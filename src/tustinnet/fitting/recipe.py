@@ -24,7 +24,7 @@ from tustinnet.families.family import (
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import MOST_SUBSTEPS
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.registry import FAMILIES, USUAL
+from tustinnet.registry import DEFAULT_FAMILY, FAMILIES
 from tustinnet.simulate.starts import start_named
 
 Compared = Literal["position", "state"]
@@ -223,7 +223,7 @@ class SearchRecipe(Declaration):
         expected = "expected choose, anchored, unanchored, file or derived-6"
         if start.first:
             raise ValueError(f"a start after the first sample; {expected}")
-        if start.fitted:
+        if start.fitted_samples:
             raise ValueError(
                 f"a start that is fitted through the model; {expected}; `refine` fits the "
                 "parameters to free runs from it"
@@ -429,7 +429,7 @@ def declare_recipe(content: Mapping[str, Any], where: object) -> Recipe:
     table = content.get("model", {})
     if not isinstance(table, dict):
         raise InputError(f"{where}, model", f"{table!r}", 'a table with `kind = "..."`')
-    kind = str(table.get("kind", USUAL))
+    kind = str(table.get("kind", DEFAULT_FAMILY))
     kinds = [name for name in FAMILIES.names() if not FAMILIES[name].remedy]
     if kind not in kinds:
         problem, remedy = f"no kind of model '{kind}'", ""

@@ -169,7 +169,9 @@ def make_task(
     if origin is not None:
         for e in data:
             require_fit(origin.model, e)
-        for_records = loaded.for_record(list(data)) if isinstance(loaded, SystemTemplate) else loaded
+        for_records = (
+            loaded.for_records(list(data)) if isinstance(loaded, SystemTemplate) else loaded
+        )
         recipe = recipe.from_model(origin.model, for_records)
     return Task(recipe, (Fold(assign_roles(data), physics, origin),), tuple(members), loaded)
 
@@ -190,7 +192,7 @@ def _require_members(members: Sequence[Member], recipe: Recipe) -> None:
 
 def resolve_system(
     recipe: Recipe, system: AnySystem | None
-) -> LagrangianSystem | MadeForRecords | None:
+) -> LagrangianSystem | SystemTemplate | None:
     """The system whose parameters a recipe identifies: `system`, or else the one that it names.
 
     None for recipes that identify none, and where no system is named.
@@ -198,7 +200,7 @@ def resolve_system(
     if not isinstance(recipe, IdentificationRecipe):
         return None
     named = recipe.model.system if system is None else system
-    return None if named is None else to_identify(named)
+    return None if named is None else load_system_or_template(named)
 
 
 def default_recipe_name(*, system: bool, physics: bool) -> str:

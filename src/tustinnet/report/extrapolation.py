@@ -3,27 +3,27 @@
 from typing import Any
 
 from tustinnet.data.experiment import Experiment
-from tustinnet.simulate.range import Left
+from tustinnet.simulate.range import ExtrapolationPoint
 
 
-def describe_extrapolation(point: Left, experiment: Experiment) -> str:
+def describe_extrapolation(point: ExtrapolationPoint, experiment: Experiment) -> str:
     """Describes where a free run leaves the range of the training data, and how far it goes."""
     time = float(experiment.t[point.sample] - experiment.t[0])
     start = f"from {time:.3g} s on the free run is outside the range of the training data"
-    if not point.what:
+    if not point.signal:
         return (
             f"{start}: this combination of positions, velocities and inputs is in no record "
             f"({point.value:.3g} times as far from all of them as records are from one another)"
         )
     low, high = point.recorded
-    return f"{start}: {point.what} reaches {point.value:.4g}, recorded {low:.4g} to {high:.4g}"
+    return f"{start}: {point.signal} reaches {point.value:.4g}, recorded {low:.4g} to {high:.4g}"
 
 
-def extrapolation_content(point: Left, experiment: Experiment) -> dict[str, Any]:
+def extrapolation_content(point: ExtrapolationPoint, experiment: Experiment) -> dict[str, Any]:
     """Plain values of the place where a free run leaves the range of the training data."""
     return {
         "time": float(experiment.t[point.sample] - experiment.t[0]),
-        "what": point.what,
+        "what": point.signal,
         "value": point.value,
         "recorded": list(point.recorded),
     }

@@ -119,10 +119,10 @@ def training_table(run: Run) -> Table:
     """Table of the error of the best model of a run on each training record."""
     identification = run.best.result.identification
     if identification is None:
-        title = f"train, free runs, start '{run.start}'{over(run.best.scores[0].horizon)}"
+        title = f"train, free runs, start '{run.start}'{horizon_words(run.best.scores[0].horizon)}"
     else:
         title = "train, from the identified initial states"
-        if identification.refined:
+        if identification.refit:
             title += ", with the values of the search"
         if len({c.kind for c in run.roles.train[0].channels.coordinates}) > 1:
             title += ", each coordinate relative to its spread"

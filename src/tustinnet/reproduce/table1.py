@@ -149,7 +149,7 @@ def build_rows(
             recipe = read_recipe(entry.recipe)
             if options.keep is not None and isinstance(recipe, TrainingRecipe):
                 changed_name = f"{recipe.name}, keep {options.keep}"
-                changed_recipe = recipe.each(keep=options.keep)
+                changed_recipe = recipe.with_stages(keep=options.keep)
                 recipe = changed_recipe.model_copy(update={"name": changed_name})
             trains = recipe.family.trains
             physics = None if entry.corrects is None else fit(entry.corrects).best.result.model

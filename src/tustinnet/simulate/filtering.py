@@ -84,7 +84,7 @@ def kalman_filter(
     x, start = checked("x0", x0), checked("start", noise.start)
     process = checked("process", noise.process)
     measured = checked("measured", noise.measured, model.channels.n_q)
-    p, folded = np.diag(start**2), model.folded()
+    p, folded = np.diag(start**2), model.simplify()
     u = np.asarray(input_signal(model, experiment).u)
     states, variances = [], []
     for k, q in enumerate(experiment.q):

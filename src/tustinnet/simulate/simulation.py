@@ -13,7 +13,7 @@ from tustinnet.engine.runs import Runs, evaluate, simulate
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
-from tustinnet.models.sensors import delay_of
+from tustinnet.models.sensors import delay_name
 from tustinnet.simulate.input_signal import InputSignal
 
 _RECENT = 8  # models whose equations are at hand
@@ -51,7 +51,7 @@ def system_motion(
             parameters by the delays that the inputs were made with.
     """
     n_u, n_others = len(system.inputs), len(others)
-    delay_names = [delay_of(i) for i in system.inputs]
+    delay_names = [delay_name(i) for i in system.inputs]
 
     def derivative(x: Array, u: Array, p: Array, c: Array) -> Array:
         values = {name: p[i] for i, name in enumerate(searched)}

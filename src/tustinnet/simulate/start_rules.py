@@ -91,7 +91,7 @@ class Start(ABC):
         import jax
         import jax.numpy as jnp
 
-        return jax.vmap(model.beginning)(jnp.asarray(start_data))
+        return jax.vmap(model.initial_state)(jnp.asarray(start_data))
 
     def numeric_states(self, model: Model, start_data: Any) -> Numbers:
         """States at the start as numbers, computed by the engine, (records, n_x).

@@ -34,7 +34,9 @@ def default_start(experiments: Sequence[Experiment], *models: Model) -> str:
     if all(e.v is not None for e in experiments):
         return StoredStart.usual_name()
     is_long = min(map(len, experiments)) >= 2 * FIT_SAMPLES
-    is_fast = is_long and any(scales.fast for scales in coordinate_timescales(experiments).values())
+    is_fast = is_long and any(
+        scales.is_fast for scales in coordinate_timescales(experiments).values()
+    )
     return (FittedStart if is_fast else DerivedStart).usual_name()
 
 

@@ -30,7 +30,7 @@ from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Fold, Member, Task
 from tustinnet.models.contract import Model, with_dtype
 from tustinnet.simulate.batches import batches
-from tustinnet.simulate.horizon import horizon_samples, effective_horizon
+from tustinnet.simulate.horizon import effective_horizon, horizon_samples
 from tustinnet.simulate.starts import Start, default_start, start_named
 
 

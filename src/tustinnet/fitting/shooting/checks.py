@@ -31,7 +31,7 @@ def require_refit_possible(problem: Problem) -> None:
             "leave the record out, or set search.refine=none",
         )  # fmt: skip
     # raises an error, as `file` does where no velocities are stored
-    start.material(problem.nominal_model, problem.records)
+    start.start_data(problem.nominal_model, problem.records)
 
 
 def require_mass_matrix(model: LagrangianModel, records: Sequence[Experiment]) -> None:

@@ -21,7 +21,6 @@ from tustinnet.engine.runs import evaluate
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.sensors import delay_name
-from tustinnet.simulate.simulation import system_motion
 
 GroupIndices = Int[np.ndarray, "n n_g"]  # see `groups.group_indices`
 

@@ -32,7 +32,7 @@ from tustinnet.fitting.shooting.sensors import sensor_parameters
 from tustinnet.fitting.shooting.space import make_search_space
 from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task
 from tustinnet.models.contract import require_float64
-from tustinnet.models.sensors import with_sensor_errors, with_delays
+from tustinnet.models.sensors import with_delays, with_sensor_errors
 from tustinnet.renamed import with_renamed_arguments
 from tustinnet.simulate.batches import batches
 from tustinnet.systems.files import AnySystem, SystemTemplate
@@ -108,7 +108,8 @@ def identify_task(task: Task, member: Member, listener: Listener) -> FitResult:
 def _identify(task: Task, member: Member, listener: Listener) -> Identification:
     require_float64("identify")
     start_time = time.perf_counter()
-    system, recipe, roles = task.system, task.recipe, task.folds[member.fold].roles
+    recipe, roles = task.identification_recipe, task.folds[member.fold].roles
+    system = task.system
     assert system is not None
     records = list(roles.train)
     system = system.for_records(records) if isinstance(system, SystemTemplate) else system
@@ -124,11 +125,11 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
             )
 
     # forces, and parameters of sensors, that the recipe adds to the system
-    begin, fixed = (getattr(recipe.model, key, {}) for key in ("begin", "fixed"))
+    begin, fixed = recipe.model.begin, recipe.model.fixed
     numbers = {name: x for name, x in {**begin, **fixed}.items() if not isinstance(x, str)}
-    system = with_added(system, getattr(recipe.model, "forces", ()), records, numbers)
-    free_sensors = sensor_parameters(system, getattr(recipe.model, "free", ()), records)
-    system = calibrated(system, free_sensors)
+    system = with_added(system, recipe.model.forces, records, numbers)
+    free_sensors = sensor_parameters(system, recipe.model.free, records)
+    system = with_sensor_errors(system, free_sensors)
 
     inputs = with_delays(records[0].inputs, {})  # unknown delays are searched for from 0 on
     problem = Problem(
@@ -142,10 +143,13 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
 
     # the search space and the initial values
     nominal = {p.name: p.nominal for p in problem.parameters}
-    begin, fixed = (expand_values(system, problem.parameters, x) for x in (begin, fixed))
-    fixed = {name: nominal[name] if isinstance(x, str) else x for name, x in fixed.items()}
-    space = make_search_space(system, begin, fixed, problem.parameters)
-    initial_vector = space.clip(space.to_vector(nominal | begin))
+    initial_values = expand_values(system, problem.parameters, begin)
+    fixed_values = {
+        name: nominal[name] if isinstance(x, str) else x
+        for name, x in expand_values(system, problem.parameters, fixed).items()
+    }
+    space = make_search_space(system, initial_values, fixed_values, problem.parameters)
+    initial_vector = space.clip(space.to_vector(nominal | initial_values))
     values = {
         name: jnp.asarray(x, jnp.float64) for name, x in space.to_values(initial_vector).items()
     }

@@ -68,7 +68,7 @@ class Problem:
     @cached_property
     def residual(self) -> Residual:
         """The residual: how simulation and measurement are compared."""
-        return residual_of(self.search, self.records)
+        return make_residual(self.search, self.records)
 
     @cached_property
     def usual_start(self) -> Start:

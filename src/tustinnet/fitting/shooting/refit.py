@@ -16,17 +16,17 @@ from jaxtyping import Float, Int
 
 from tustinnet.engine.runs import Directions, Runs, Samples, compare
 from tustinnet.fitting.listener import Iteration
-from tustinnet.fitting.report import Identification, Refined
+from tustinnet.fitting.report import Identification, Refit
 from tustinnet.fitting.shooting.equations import SystemEquations, system_equations
 from tustinnet.fitting.shooting.levenberg_marquardt import DampingRule, iterate
 from tustinnet.fitting.shooting.problem import Problem, SearchState, make_model, score_validation
 from tustinnet.fitting.shooting.space import SearchSpace
 from tustinnet.models.integrate import Discretised
 from tustinnet.models.parameters import Parameter
-from tustinnet.simulate.drive import drive_of
 from tustinnet.simulate.horizon import horizon_samples, pieces
-from tustinnet.simulate.starts import Fitted, Start
-from tustinnet.simulate.state_fits import fitted_with_derivatives, positions
+from tustinnet.simulate.input_signal import input_signal
+from tustinnet.simulate.starts import FittedStart, Start
+from tustinnet.simulate.state_fits import fit_states_with_derivatives, position_residual
 
 _MAX_ITERATIONS = 10
 _TOLERANCE = 1e-3  # converged: decrease by an iteration, of the cost
@@ -108,7 +108,7 @@ class _RefitPoint:
 
 def _minimise_mean_rmse(
     problem: Problem, state: SearchState, start: Start, free: Sequence[Parameter]
-) -> Refined:
+) -> Refit:
     """Minimises the mean over the records of their RMSE, not of its square.
 
     A record that no parameter explains then pulls no more than others. A parameter's change
@@ -151,7 +151,7 @@ def _minimise_mean_rmse(
 
     def on_iteration(number: int, point: _RefitPoint, damping: float) -> None:
         stage, mean_rmse = f"refit to free runs from {start.name}", point.products.mean_rmse
-        problem.listener.iteration(Iteration(stage, number, mean_rmse, damping, start.name))
+        problem.listener.on_iteration(Iteration(stage, number, mean_rmse, damping, start.name))
 
     point, iterations = _RefitPoint(np.zeros(len(free)), initial, 1.0), 0
     if 0 < scale < np.inf:
@@ -160,7 +160,7 @@ def _minimise_mean_rmse(
         )
         point, iterations = result.point, result.iterations
     values = dict(zip(names, (first + unit * point.change).tolist(), strict=True))
-    return Refined(scale, point.products.mean_rmse, iterations, values)
+    return Refit(scale, point.products.mean_rmse, iterations, values)
 
 
 @dataclass(frozen=True)
@@ -193,7 +193,7 @@ class _FreeRuns:
         model: the model as identified, with the inputs as they act.
         equations: its equations, with derivatives by the free parameters.
         start: the start of the free runs, at the first sample of each.
-        start_data: samples that the start estimates initial states from, see `Start.material`.
+        start_data: samples that the start estimates initial states from, see `Start.start_data`.
         record: index of the record of each run, (n_s,).
         group_indices: the values of parameters per group that apply in each run, (n_s, n_g).
         lengths: samples of each run, (n_s,).
@@ -221,7 +221,7 @@ class _FreeRuns:
             dict(self.space.fixed_values) | by_name, self.group_indices
         )
         measured, inputs, q = self.start_data, None, None
-        if isinstance(self.start, Fitted):
+        if isinstance(self.start, FittedStart):
             measured, inputs, q = self.start_data
         # measured states, with the internal ones that are expected there
         x0 = np.concatenate(
@@ -229,7 +229,7 @@ class _FreeRuns:
         )
         x0, by_parameter, _ = equations.initial_states(x0, parameter_rows, np.ones(len(x0)))
         if inputs is not None and q is not None:
-            x0, by_parameter = fitted_with_derivatives(
+            x0, by_parameter = fit_states_with_derivatives(
                 model, equations.motion, parameter_rows, x0, by_parameter, inputs, q
             )
         runs = Runs(
@@ -238,7 +238,7 @@ class _FreeRuns:
             periods=np.full(len(self.inputs), model.dt),
         )  # fmt: skip
         result = compare(
-            equations.motion, positions(model.channels.n_q), runs, model.substeps,
+            equations.motion, position_residual(model.channels.n_q), runs, model.substeps,
             Directions(by_parameter, parameters=True), self.samples,
         )  # fmt: skip
         free = equations.free_columns(self.space)
@@ -264,7 +264,7 @@ def _make_free_runs(
     for i, e in enumerate(problem.records):
         parts += (record_parts := pieces(e, steps, start))
         record += [i] * len(record_parts)
-    inputs = [np.asarray(drive_of(model, part).u) for part in parts]
+    inputs = [np.asarray(input_signal(model, part).u) for part in parts]
     input_rows = np.concatenate([np.concatenate([u, np.zeros_like(u[:1])]) for u in inputs])
     lengths = np.array([len(part) for part in parts])
     # every record counts the same, however long
@@ -276,7 +276,7 @@ def _make_free_runs(
         model=model,
         equations=system_equations(problem.system, space.names),
         start=start,
-        start_data=start.material(model, parts),
+        start_data=start.start_data(model, parts),
         record=np.array(record),
         group_indices=problem.group_indices(problem.records)[record],
         lengths=lengths,

@@ -69,8 +69,8 @@ def search(problem: Problem, state: SearchState) -> tuple[SearchState, str]:
         )
         unexplained = float(estimate.unexplained.max())
         values = state.space.to_values_in_range(estimate.vector)
-        problem.listener.iteration(Iteration(ESTIMATE, 1, unexplained, 0.0))
-        problem.listener.searched(SearchedStage(ESTIMATE, "", 1, unexplained, "converged", values))
+        problem.listener.on_iteration(Iteration(ESTIMATE, 1, unexplained, 0.0))
+        problem.listener.on_stage(StageResult(ESTIMATE, "", 1, unexplained, "converged", values))
         state = replace(state, vector=estimate.vector, unexplained=unexplained)
     state = choose_substeps(problem, update_horizons(problem, state))
 

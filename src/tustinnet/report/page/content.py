@@ -215,6 +215,6 @@ def _range_content(results: Sequence[ModelResult], channels: Channels) -> dict[s
             "q": training_range.states[channels.position].tolist(),
             "v": training_range.states[channels.velocity].tolist(),
             "u": training_range.inputs.tolist(),
-            "cloud": None if cloud is None else clouds.index(cloud),
+            "cloud": None if support is None else clouds.index(support),
         })  # fmt: skip
     return {"ranges": ranges, "clouds": clouds}

@@ -22,7 +22,7 @@ def write_run_report(run: Run, command: str) -> Path:
     best, folder = run.best, run.folder
     models = read_reported_models([folder / MODEL], [best.result.model])
     scored_models = [replace(m, scores=best.scores) for m in models]
-    return write_scored_report(scored_models, run.roles.judging, folder / REPORT, command)
+    return write_scored_report(scored_models, run.roles.ranking, folder / REPORT, command)
 
 
 def write_scored_report(

@@ -75,7 +75,9 @@ def compute_model_result(
     runs = [score.simulated for score in scores]
     training_range = Range.from_header(dict(header), model) if header else None
     extrapolations = [
-        None if training_range is None else training_range.extrapolation_point(model.channels, x, e.u)
+        None
+        if training_range is None
+        else training_range.extrapolation_point(model.channels, x, e.u)
         for e, x in zip(records, runs, strict=True)
     ]
     residuals: list[ResidualReport] = []

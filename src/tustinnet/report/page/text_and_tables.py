@@ -96,7 +96,8 @@ def describe_accuracy(
             count = "all" if trained == len(records) else trained
             record_text += f", {count} of which it was fitted to"
     return (
-        f"Simulated from its start alone{over(scores[0].horizon)}, it is off by {mean} {unit} "
+        f"Simulated from its start alone{horizon_words(scores[0].horizon)}, "
+        f"it is off by {mean} {unit} "
         f"{'on average over' if scores[1:] else 'on'} {record_text}{spread}."
     )
 
