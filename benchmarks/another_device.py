@@ -23,8 +23,13 @@ import numpy as np
 from rich.console import Console
 
 import tustinnet as tn
-from tustinnet.evaluate.folds import Question, make_question
-from tustinnet.evaluate.learning import (
+from tustinnet.fitting.report import FitResult
+from tustinnet.fitting.task import Origin
+from tustinnet.report.figures import write_figure
+from tustinnet.report.learning import learning_figure, learning_table
+from tustinnet.report.progress import FitProgress
+from tustinnet.selection.cross_validation import Question, make_cross_validation_options
+from tustinnet.selection.learning import (
     ENOUGH,
     LearningCurve,
     Maybe,
@@ -33,11 +38,6 @@ from tustinnet.evaluate.learning import (
     scored,
     trained,
 )
-from tustinnet.fitting.report import FitResult
-from tustinnet.fitting.task import Origin
-from tustinnet.report.figures import write_figure
-from tustinnet.report.learning import learning_figure, learning_table
-from tustinnet.report.progress import FitProgress
 from tustinnet.systems.qube_servo2_twin import TWIN_VALUES, twin
 
 Found = dict[str, list[Maybe]]
@@ -162,7 +162,9 @@ def main() -> None:
         recipes = (tn.read_recipe(given.network, changes) for changes in ((), GENTLE))
         found = networks(places, *recipes)
     else:
-        found = with_physics(places, make_question(given.hybrid, system=given.system))
+        found = with_physics(
+            places, make_cross_validation_options(given.hybrid, system=given.system)
+        )
     points = [p for name, of in found.items() for p in scored(name, places, of, given.start)]
     left_out = tuple(len(p.scored) for p in places if p.size == sizes[0])
     curve = LearningCurve("rad", given.start, sizes, tuple(points), left_out)

@@ -24,14 +24,14 @@ jax.config.update("jax_enable_x64", True)
 
 import tustinnet as tn
 from tustinnet.data.dataset import DataSet
-from tustinnet.evaluate.bands import Band, Guess, band_of, calibrated, guesses
+from tustinnet.evaluate.bands import Band, Guess, calibrated, guesses, make_band
 from tustinnet.evaluate.coverage import covered
-from tustinnet.evaluate.folds import dealt
 from tustinnet.families.family import family_of
 from tustinnet.fitting.fit import fit_task
 from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Fold, Member, Task
+from tustinnet.selection.cross_validation import dealt
 
 INNER = 3  # folds of the others
 
@@ -116,8 +116,8 @@ def main() -> None:
     scored_all: list[tn.Experiment] = []
     for made, records, tried, scored in (by_committees if given.run else by_fits)(given, data):
         calibration, n = calibrated(made, records, given.start), len(records)
-        bands["time"] += [band_of(calibration, g, 0.9) for g in tried]
-        bands["record"] += [band_of(calibration, g, n / (n + 1), "record") for g in tried]
+        bands["time"] += [make_band(calibration, g, 0.9) for g in tried]
+        bands["record"] += [make_band(calibration, g, n / (n + 1), "record") for g in tried]
         scored_all += scored
     rows = []
     for of, some in bands.items():

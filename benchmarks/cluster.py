@@ -23,8 +23,8 @@ import numpy as np
 import tustinnet as tn
 from tustinnet.fitting.listener import Listener
 from tustinnet.selection.cluster import AUTO, cluster
-from tustinnet.selection.executors import Executor, InProcess
-from tustinnet.selection.jobs import Job, JobResult, Judging, Workplace
+from tustinnet.selection.jobs import Job, JobResult, Judging, RunContext
+from tustinnet.selection.runner import Executor, InProcess
 
 FOLDS, SEEDS, EPOCHS = 5, 4, 6
 
@@ -43,12 +43,12 @@ def done(executor: Executor, jobs: Sequence[Job]) -> list[JobResult]:
     return found
 
 
-def measure(name: str, make: Callable[[Workplace], Executor], data: tn.DataSet) -> None:
+def measure(name: str, make: Callable[[RunContext], Executor], data: tn.DataSet) -> None:
     """Prints how long the jobs take with an executor, and how long when they are done already."""
     recipe = tn.read_recipe("linear", [f"stages.*.epochs={EPOCHS}"])
     jobs = [Job("linear", recipe, f, (seed,)) for seed in range(SEEDS) for f in range(FOLDS)]
     with tempfile.TemporaryDirectory() as folder:
-        at = Workplace(Path(folder), data, Judging(FOLDS, "model-20"))
+        at = RunContext(Path(folder), data, Judging(FOLDS, "model-20"))
         executor, begun = make(at), time.monotonic()
         seconds = [result.seconds for result in done(executor, jobs)]
         whole, begun = time.monotonic() - begun, time.monotonic()

@@ -28,11 +28,11 @@ import numpy as np
 from rich.console import Console
 
 import tustinnet as tn
-from tustinnet.evaluate.folds import make_question, taking_part
-from tustinnet.evaluate.learning import Maybe, Place, identified, score_place, trained
 from tustinnet.fitting.report import FitResult
 from tustinnet.report.progress import FitProgress
 from tustinnet.report.tables import Table, number
+from tustinnet.selection.cross_validation import make_cross_validation_options, records_without_test
+from tustinnet.selection.learning import Maybe, Place, identified, score_place, trained
 
 RECIPES = Path(__file__).parent / "recipes"
 KINDS = {"noise 3.5 V": "wN_3_5V", "higher falls": "fall"}
@@ -41,7 +41,7 @@ REFERENCE = "mixed"
 
 def sets_of(data: tn.DataSet) -> dict[str, list[list[tn.Experiment]]]:
     """The training records of each set; of `mixed` two lots."""
-    known = taking_part(data)
+    known = records_without_test(data)
     noise = [e for e in known if not e.name.startswith("fall")]
     falls = sorted((e for e in known if e.name.startswith("fall")), key=lambda e: np.cos(e.q[0, 1]))
     low, high = falls[: len(falls) // 2], falls[len(falls) // 2 :]
@@ -54,7 +54,7 @@ def sets_of(data: tn.DataSet) -> dict[str, list[list[tn.Experiment]]]:
 def scored_of(data: tn.DataSet, used: Sequence[tn.Experiment]) -> list[tn.Experiment]:
     """The wilder records that were not used."""
     gentle = {e.name for e in sets_of(data)["gentle"][0]}
-    wild = [e for e in taking_part(data) if e.name.startswith(tuple(KINDS.values()))]
+    wild = [e for e in records_without_test(data) if e.name.startswith(tuple(KINDS.values()))]
     return [e for e in wild if e.name not in gentle and e.name not in {of.name for of in used}]
 
 
@@ -107,7 +107,7 @@ def main() -> None:
         tn.read_recipe(name, [f"stages.*.epochs={epochs}"])
         for name, epochs in zip((given.network, given.hybrid), given.epochs, strict=True)
     )
-    question = make_question(hybrid_recipe, system=given.system)
+    question = make_cross_validation_options(hybrid_recipe, system=given.system)
     alone = [Place(0, len(of), of, tuple(scored_of(data, of))) for _, of in lots]
     places = [
         Place(seed, p.size, p.records, p.scored) for seed in range(given.seeds) for p in alone

@@ -30,12 +30,12 @@ from rich.console import Console
 
 import tustinnet as tn
 from tustinnet.data.proposals import Proposal
-from tustinnet.evaluate.folds import fitted
 from tustinnet.evaluate.next_record import ranked
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Fold, Member, Task
 from tustinnet.report.progress import FitProgress
 from tustinnet.report.tables import Table, number
+from tustinnet.selection.cross_validation import fitted
 from tustinnet.systems.qube_servo2 import WITH_MEMORY
 from tustinnet.systems.qube_servo2_twin import TWIN_VALUES, twin
 from tustinnet.systems.twin import AS_LOGGED, Run, log_runs

@@ -3,7 +3,10 @@
 import warnings
 
 # public Python names, `tn.NAME`
-NAMES: dict[str, str] = {}
+NAMES: dict[str, str] = {
+    "Asked": "SelectionOptions",
+    "make_question": "make_cross_validation_options",
+}
 
 
 def current_name(name: str, names: dict[str, str], kind: str) -> str:

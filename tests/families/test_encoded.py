@@ -20,7 +20,7 @@ from tustinnet.fitting.task import Origin, make_task
 from tustinnet.models.state_encoder import encoder_features
 from tustinnet.simulate.drive import drive_of
 from tustinnet.simulate.starts import default_start, start_states
-from tustinnet.store.header import shown
+from tustinnet.store.header import read_description
 from tustinnet.store.run import MODEL, run_task
 from tustinnet.store.sealed import read_sealed
 
@@ -77,7 +77,7 @@ def test_every_family_that_trains_has_one_and_files_keep_it(kind, tmp_path):
     runs = [tn.free_run(m, known, f"encoder-{SAMPLES}") for m in (model, again)]
     for a, b in zip(*runs, strict=True):
         np.testing.assert_array_equal(a, b)
-    told = dict(shown(tmp_path / "model.safetensors")[1])
+    told = dict(read_description(tmp_path / "model.safetensors")[1])
     assert told["dynamics"] == KINDS[kind]["kind"]
     assert told["encoder"] == f"the state from {SAMPLES} samples, 32 hidden units"
 

@@ -16,7 +16,7 @@ import safetensors.numpy
 import tustinnet as tn
 from tustinnet.fitting.listener import Iteration, Listener, SearchedStage
 from tustinnet.fitting.task import Member, make_task
-from tustinnet.store.log import SearchLog, read_log, read_search
+from tustinnet.store.log import SearchLog, read_log, read_search_log
 from tustinnet.store.run import MODEL, Earlier, Run, run_task
 
 
@@ -244,10 +244,10 @@ def test_the_log_of_an_identification_is_read_up_to_its_damage(tmp_path, bad):
     log.stage(SearchedStage("first values", "", 1, 0.5, "converged", {"mass": 2.0}))
     log.close()
     assert read_log(tmp_path) == []
-    whole = read_search(tmp_path)
+    whole = read_search_log(tmp_path)
     assert [line.get("cost") for line in whole] == [None, 0.5]
     assert whole[1]["parameters"] == {"mass": 2.0}
     with (tmp_path / "log.jsonl").open("a") as file:
         file.write(bad + "\n")
-    assert read_search(tmp_path) == whole
-    assert read_search(tmp_path / "nowhere") == []
+    assert read_search_log(tmp_path) == whole
+    assert read_search_log(tmp_path / "nowhere") == []

@@ -29,32 +29,32 @@ def calibrate(
     terminal.prepare_jax()
     from tustinnet.cli.request import files_of, judged_records, model_of
     from tustinnet.errors import InputError
-    from tustinnet.evaluate.bands import KEY, alternatives_of, calibrated, guesses
+    from tustinnet.evaluate.bands import KEY, calibrate_bands, find_alternatives, predict
     from tustinnet.store.files import require_outputs
-    from tustinnet.store.header import read_header, records_in
-    from tustinnet.store.kept_system import keep, kept_with, require_room
-    from tustinnet.store.model_file import ENDINGS, copy_with
+    from tustinnet.store.header import read_header, records_in_header
+    from tustinnet.store.kept_system import find_system_copy, require_copy_fits, write_system_copy
+    from tustinnet.store.model_file import ENDINGS, copy_with_header
 
     read = files_of(data, card, model, system)
     require_outputs([out], overwrite=overwrite, read=read, endings=ENDINGS)
     judged = model_of(model, system)
     header = read_header(model)
-    others = alternatives_of(judged, header, model)
+    others = find_alternatives(judged, header, model)
     records, begin = judged_records(data, card, split, start, [judged])
-    made_from = records_in(header)
+    made_from = records_in_header(header)
     if seen := [e.name for e in records if e.sha256 in made_from]:
         raise InputError(
             "calibrate", f"{', '.join(seen[:3])}, which {model} was made from",
             "records that it never saw", "name them by --split",
         )  # fmt: skip
-    made = guesses(judged, others, records, begin, horizon=horizon)
-    found = calibrated(made, records, begin, horizon)
-    copy = kept_with(model)
+    made = predict(judged, others, records, begin, horizon=horizon)
+    found = calibrate_bands(made, records, begin, horizon)
+    copy = find_system_copy(model)
     if not overwrite:
-        require_room(copy, out.parent)
-    copy_with(model, out, **{KEY: found.as_header()})
+        require_copy_fits(copy, out.parent)
+    copy_with_header(model, out, **{KEY: found.as_header()})
     if copy is not None:
-        keep(copy, out.parent)
+        write_system_copy(copy, out.parent)
     if json:
         terminal.print_json({"file": str(out), "start": begin, "records": found.records,
                              "highest_level": found.most})  # fmt: skip

@@ -31,7 +31,7 @@ def committee(
     from tustinnet.cli.request import files_of
     from tustinnet.families.committee import committee as put_together
     from tustinnet.store.files import require_outputs
-    from tustinnet.store.kept_system import header_of, keep, require_room
+    from tustinnet.store.kept_system import require_copy_fits, system_header, write_system_copy
     from tustinnet.store.model_file import ENDINGS, load_models, save
     from tustinnet.systems.files import SystemFile, find_system
 
@@ -42,17 +42,17 @@ def committee(
     members = load_models(models, [] if given is None else [given], lambda path: None)
     copied = given if isinstance(given, SystemFile) else None
     if not overwrite:
-        require_room(copied, out.parent)
+        require_copy_fits(copied, out.parent)
     if any(model.encoder for model in members):
         terminal.messages().print("note: a committee does without the encoders of its members")
     header = {
         "files": [_file(path) for path in models],
         **_range(models, members),
-        **header_of(copied),
+        **system_header(copied),
     }
     save(put_together(members, shares), out, **header)
     if copied is not None:
-        keep(copied, out.parent)
+        write_system_copy(copied, out.parent)
         terminal.remember_trust(copied)
     terminal.messages().print(f"{len(members)} models: {out}")
 

@@ -1,6 +1,6 @@
 """`tustinnet cross-validate`: a recipe on records that its models never saw."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,8 +10,7 @@ import typer
 from tustinnet.cli import completion, options, terminal
 
 if TYPE_CHECKING:
-    from tustinnet.selection.executors import Executor
-    from tustinnet.selection.jobs import Workplace
+    from tustinnet.selection.runner import MakeExecutor
 
 _FILE, _TABLE = "folds.json", "folds.md"
 
@@ -67,27 +66,36 @@ def cross_validate(
 
     require_cores(cluster, device)
     terminal.prepare_jax(device)
-    from tustinnet.evaluate.folds import cross_validate, make_question, taking_part
     from tustinnet.report.fits import folds_table
     from tustinnet.report.progress import FitProgress
-    from tustinnet.selection.cross_validation import cross_validate_by_jobs, forget
-    from tustinnet.store.files import owned, require_outputs, to_json, write_into
+    from tustinnet.selection.cross_validation import (
+        cross_validate,
+        make_cross_validation_options,
+        remove_results,
+    )
+    from tustinnet.selection.folds import records_without_test
+    from tustinnet.store.files import lock_folder, require_outputs, to_json, write_into
     from tustinnet.systems.files import find_system
 
-    asked = make_question(
+    asked = make_cross_validation_options(
         recipe_of(recipe, changes, system=system, physics=physics), system=system, physics=physics,
         folds=folds, seeds=None if seeds is None else seeds_of(seeds), starts=start or (),
     )  # fmt: skip
     told = terminal.messages()
     require_outputs([out / _FILE, out / _TABLE], overwrite=overwrite)
     records = loaded(data, card, out, told, strict=strict)
-    tell_still(taking_part(records), told)
-    with _joined(cluster, quiet=quiet) as by, owned(out), FitProgress(told, quiet=quiet) as bars:
-        if by is None:
-            found = cross_validate(records, asked, bars.follow)
-        else:
-            forget(out, (_FILE, _TABLE), jobs=overwrite)
-            found = cross_validate_by_jobs(records, asked, out, by, system and find_system(system))
+    tell_still(records_without_test(records), told)
+    with (
+        _joined(cluster, quiet=quiet) as by,
+        lock_folder(out),
+        FitProgress(told, quiet=quiet) as bars,
+    ):
+        if by is not None:
+            remove_results(out, (_FILE, _TABLE), jobs=overwrite)
+        found = cross_validate(
+            records, asked, bars.follow, folder=out, executor=by,
+            system=system and find_system(system),
+        )  # fmt: skip
         table = folds_table(found)
         write_into(out, _FILE, to_json(found.as_plain()))
         write_into(out, _TABLE, table.markdown())
@@ -99,9 +107,7 @@ def cross_validate(
 
 
 @contextmanager
-def _joined(
-    address: str | None, *, quiet: bool
-) -> "Iterator[Callable[[Workplace], Executor] | None]":
+def _joined(address: str | None, *, quiet: bool) -> "Iterator[MakeExecutor | None]":
     """The machines of a cluster, None where none is asked for."""
     if address is None:
         yield None

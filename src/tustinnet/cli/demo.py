@@ -98,16 +98,17 @@ def _fitted(
     data: "DataSet", out: Path, told: "Console", *, quiet: bool, json: bool, earlier: Any
 ) -> "list[Subject]":
     """Chooses a model, and scores it and those beside it; the test records took part in nothing."""
-    from tustinnet.cli.select import draw_choice, print_choice, print_files, told_by
+    from tustinnet.cli.select import draw_choice, make_reporter, print_choice, print_files
     from tustinnet.evaluate.scores import evaluate
     from tustinnet.report.page.subject import subjects_of
     from tustinnet.report.progress import FitProgress
-    from tustinnet.selection.jobs import loaded
-    from tustinnet.selection.select import Asked, select_model
+    from tustinnet.selection.select import SelectionOptions, select_model
 
-    asked = Asked(_PLAN, _SYSTEM, _SECONDS)
+    asked = SelectionOptions(_PLAN, _SYSTEM, _SECONDS)
     with FitProgress(told, quiet=quiet) as progress:
-        choice = select_model(data, out / _CHOICE, asked, earlier, told_by(progress, quiet=quiet))
+        choice = select_model(
+            data, out / _CHOICE, asked, earlier, make_reporter(progress, quiet=quiet)
+        )
     if not json:
         print_choice(choice)
     draw_choice(choice)
@@ -115,10 +116,10 @@ def _fitted(
         print_files(choice)
     tests = list(data.split("test"))
     found = []
-    for name in [choice.best, *(name for name in choice.made if name != choice.best)]:
+    for name in [choice.best, *(name for name in choice.origins if name != choice.best)]:
         chosen = name == choice.best
-        model = choice.model if chosen else loaded(choice.file(name), choice.at)
-        (of,) = subjects_of([choice.at.folder / choice.file(name)], [model])
+        model = choice.model if chosen else choice.context.load_model(choice.file(name))
+        (of,) = subjects_of([choice.context.folder / choice.file(name)], [model])
         label = f"{name} (chosen)" if chosen else name
         found.append(replace(of, label=label, scores=evaluate(model, tests, _START)))
     return found

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
     from tustinnet.channels import Channels
     from tustinnet.data.experiment import Experiment
-    from tustinnet.evaluate.bands import Band, BandAsked
-    from tustinnet.evaluate.coverage import Covered
+    from tustinnet.evaluate.bands import Band, BandOptions
+    from tustinnet.evaluate.coverage import Coverage
     from tustinnet.evaluate.scores import Score
     from tustinnet.report.tables import Table
 
@@ -51,7 +51,7 @@ def evaluate(
     """
     terminal.prepare_jax()
     from tustinnet.evaluate.ahead import rmse_ahead
-    from tustinnet.evaluate.coverage import covered
+    from tustinnet.evaluate.coverage import compute_coverage
     from tustinnet.evaluate.scores import Score
     from tustinnet.evaluate.scores import evaluate as score_records
 
@@ -68,7 +68,7 @@ def evaluate(
     for e, score in runs:
         by_split.setdefault(e.split or "all", []).append(score)
     bands = [] if asked is None else request.bands_of(model, judged, records, scores, asked)
-    shares = covered(records, bands) if bands else []
+    shares = compute_coverage(records, bands) if bands else []
     errors = None if ahead is None else rmse_ahead(judged, records, ahead)
     if json:
         content = _content(judged.channels, runs, by_split, horizon)
@@ -135,7 +135,7 @@ def _ahead_table(errors: list[float], channels: "Channels") -> "Table":
     return Table(columns, rows, title="k steps ahead")
 
 
-def _band_table(shares: "list[Covered]", asked: "BandAsked", channels: "Channels") -> "Table":
+def _band_table(shares: "list[Coverage]", asked: "BandOptions", channels: "Channels") -> "Table":
     from tustinnet.report.tables import Table, number
 
     units = {c.name: c.unit for c in channels.coordinates}

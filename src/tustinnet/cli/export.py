@@ -43,10 +43,10 @@ def export(
     terminal.prepare_jax()
     from tustinnet.cli.request import model_of
     from tustinnet.report.tables import Table
-    from tustinnet.store.exported import export_model, targets_of
+    from tustinnet.store.exported import export_model, find_targets
 
     found = export_model(
-        model_of(model, system), targets_of(to, _point(at)), out,
+        model_of(model, system), find_targets(to, _point(at)), out,
         file=model, groups=_groups(group or []), overwrite=overwrite,
     )  # fmt: skip
     if json:

@@ -108,7 +108,7 @@ def _fit_recipe(
     )  # fmt: skip
     from tustinnet.fitting.task import make_task
     from tustinnet.report.progress import FitProgress
-    from tustinnet.store.model_file import load_model, system_of
+    from tustinnet.store.model_file import load_model, read_system_name
     from tustinnet.store.run import run_task
 
     recipe, changes, seeds, physics, origin = asked
@@ -125,7 +125,7 @@ def _fit_recipe(
         told.print("note: no validation split; the scores below are of the training records")
     of = given
     if origin is not None and "system" in chosen.family.needs:
-        of = given or system_of(origin) or None
+        of = given or read_system_name(origin) or None
     elif physics is not None or origin is not None:
         of = None  # it is that of the physics
     file = None if isinstance(given, str) else given
@@ -223,7 +223,7 @@ def _page(run: "Run", leaving: "Leaving") -> str | None:
     from tustinnet.store.run import REPORT
 
     score, folder = run.best.scores[0], run.folder
-    split = run.judged if run.roles.judging[0].split else None
+    split = run.judging_split if run.roles.judging[0].split else None
     given = {"--split": split, "--start": score.start, "--horizon": score.horizon}
     return leaving.report(
         [folder], folder / REPORT, lambda command: report_of_run(run, command), given

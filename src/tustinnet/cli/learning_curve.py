@@ -9,8 +9,8 @@ import typer
 from tustinnet.cli import options, terminal
 
 if TYPE_CHECKING:
-    from tustinnet.evaluate.folds import Question
-    from tustinnet.evaluate.learning import LearningCurve
+    from tustinnet.selection.cross_validation import CrossValidationOptions
+    from tustinnet.selection.learning import LearningCurve
 
 
 class Values(StrEnum):
@@ -67,14 +67,18 @@ def learning_curve(
     """
     terminal.prepare_jax(device)
     from tustinnet.cli.request import loaded, tell_still
-    from tustinnet.evaluate.folds import taking_part
-    from tustinnet.evaluate.learning import learning_curve, make_curve_question, places_of
     from tustinnet.report.learning import learning_table
     from tustinnet.report.progress import FitProgress
-    from tustinnet.store.files import owned, require_outputs, to_json, write_into
+    from tustinnet.selection.folds import records_without_test
+    from tustinnet.selection.learning import (
+        draw_records,
+        learning_curve,
+        make_learning_curve_options,
+    )
+    from tustinnet.store.files import lock_folder, require_outputs, to_json, write_into
 
     question = _with_system(system, physics, hybrid, twin)
-    asked = make_curve_question(
+    asked = make_learning_curve_options(
         recipe or "standard", question, _sizes(records), draws=draws, start=start,
         twin=(twin or Values.identified).value,
     )  # fmt: skip
@@ -82,12 +86,12 @@ def learning_curve(
     names = [f"learning-curve.{ending}" for ending in ("json", "md", "png")]
     require_outputs([out / name for name in names], overwrite=overwrite)
     found = loaded(data, card, out, told, strict=strict)
-    tell_still(taking_part(found), told)
-    places_of(found, asked)  # says at once where there are too few records
-    with owned(out):
+    tell_still(records_without_test(found), told)
+    draw_records(found, asked)  # says at once where there are too few records
+    with lock_folder(out):
         with FitProgress(told, quiet=quiet) as progress:
             curve = learning_curve(found, asked, progress.follow)
-        table, sentences = learning_table(curve), [curve.told(a) for a in curve.approaches]
+        table, sentences = learning_table(curve), [curve.sentence(a) for a in curve.approaches]
         write_into(out, names[0], to_json(curve.as_plain()))
         write_into(out, names[1], table.markdown() + "".join(f"\n* {s}." for s in sentences) + "\n")
         if json:
@@ -119,11 +123,11 @@ def _sizes(records: str | None) -> list[int]:
 
 def _with_system(
     system: str | None, physics: str | None, hybrid: str | None, twin: Any
-) -> "Question | None":
+) -> "CrossValidationOptions | None":
     """What a network corrects and is pre-trained by, where there is a system."""
     from tustinnet.errors import InputError
-    from tustinnet.evaluate.folds import make_question
     from tustinnet.fitting.recipe_reading import read_recipe
+    from tustinnet.selection.cross_validation import make_cross_validation_options
     from tustinnet.systems.files import find_system
 
     if system is not None:
@@ -131,7 +135,7 @@ def _with_system(
         if "physics" not in chosen.family.needs:
             raise InputError("--hybrid", f"a recipe of kind '{chosen.family.kind}'",
                              "a recipe that corrects physics")  # fmt: skip
-        return make_question(chosen, system=find_system(system), physics=physics)
+        return make_cross_validation_options(chosen, system=find_system(system), physics=physics)
     for name, value in (("--physics", physics), ("--hybrid", hybrid), ("--twin", twin)):
         if value is not None:
             raise InputError(name, "means nothing without a system", "a system",

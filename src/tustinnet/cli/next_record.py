@@ -8,7 +8,7 @@ import typer
 from tustinnet.cli import options, terminal
 
 if TYPE_CHECKING:
-    from tustinnet.evaluate.next_record import Ranking
+    from tustinnet.evaluate.next_record import ProposalRanking
     from tustinnet.report.tables import Table
 
 
@@ -37,24 +37,24 @@ def next_record(
     terminal.prepare_jax()
     from tustinnet.cli.request import model_of
     from tustinnet.data.proposals import read_proposals
-    from tustinnet.evaluate.bands import alternatives_of
-    from tustinnet.evaluate.next_record import ranked
+    from tustinnet.evaluate.bands import find_alternatives
+    from tustinnet.evaluate.next_record import rank_proposals
     from tustinnet.store.header import read_header
 
     judged, header = model_of(model, system), read_header(model)
-    alternatives_of(judged, header, model)  # says at once what knows nothing of its errors
+    find_alternatives(judged, header, model)  # says at once what knows nothing of its errors
     asked = read_proposals(proposals, judged.channels)
-    found = ranked(judged, header, asked, horizon=horizon)
+    found = rank_proposals(judged, header, asked, horizon=horizon)
     if json:
         terminal.print_json(found.as_plain())
         return
     terminal.print_tables(_table(found))
-    typer.echo(f"record next: {found.promises[0].name}")
+    typer.echo(f"record next: {found.gains[0].name}")
 
 
-def _table(found: "Ranking") -> "Table":
+def _table(found: "ProposalRanking") -> "Table":
     from tustinnet.report.tables import Table, number
 
-    rows = [[of.name, number(of.value), of.words] for of in found.promises]
+    rows = [[of.name, number(of.value), of.words] for of in found.gains]
     columns = ["proposal", f"tells [{found.unit}]", "most of all"]
     return Table(columns, rows, title=f"By the {found.criterion}")

@@ -48,14 +48,14 @@ def report(
     from tustinnet.report.page.subject import model_file, subjects_of
     from tustinnet.report.page.write import ENDINGS, Asked, written
     from tustinnet.store.files import require_outputs
-    from tustinnet.store.model_file import load_models, system_of
+    from tustinnet.store.model_file import load_models, read_system_name
     from tustinnet.systems.files import find_system, load_system
 
     files = [model_file(path) for path in models]
     read = files_of(data, card, *files, *(system or []))
     require_outputs([out], overwrite=overwrite, read=read, endings=ENDINGS)
     given = [find_system(which) for which in system or []]
-    owned = {system_of(file) for file in files}
+    owned = {read_system_name(file) for file in files}
     named = [load_system(which).name in owned for which in given]
     loaded = load_models(files, [of for of, is_in in zip(given, named, strict=True) if is_in],
                          kept_system)  # fmt: skip

@@ -91,7 +91,7 @@ def reproduce(
     from tustinnet.data.loading import load_folder
     from tustinnet.report.progress import FitProgress
     from tustinnet.reproduce import figures, table1
-    from tustinnet.store.files import owned
+    from tustinnet.store.files import lock_folder
 
     told = terminal.messages()
     folder, card = _located(data)
@@ -107,7 +107,7 @@ def reproduce(
     kept = None if keep is None else keep.value
     ask = table1.Ask(chosen, scored, seeds, kept, overwrite)
     with (
-        owned(out),
+        lock_folder(out),
         FitProgress(told, quiet=quiet) as progress,
         terminal.interruptible("the same command goes on"),
     ):

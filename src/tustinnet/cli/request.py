@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from tustinnet.cli.options import Hardware
     from tustinnet.data.dataset import DataSet
     from tustinnet.data.experiment import Experiment
-    from tustinnet.evaluate.bands import Band, BandAsked
+    from tustinnet.evaluate.bands import Band, BandOptions
     from tustinnet.evaluate.scores import Score
     from tustinnet.fitting.recipe import Recipe
     from tustinnet.fitting.task import Member, Origin
@@ -201,9 +201,9 @@ def kept_system(model: Path) -> "SystemFile | None":
         InputError: it is not trusted.
     """
     from tustinnet.errors import InputError
-    from tustinnet.store.kept_system import is_trusted, kept_with, trust
+    from tustinnet.store.kept_system import find_system_copy, is_trusted, trust
 
-    copy = kept_with(model)
+    copy = find_system_copy(model)
     if copy is None or is_trusted(copy):
         return copy
     if terminal.confirmed(f"{copy.path} is Python code that was kept with this model; run it?"):
@@ -229,7 +229,7 @@ def judged_records(
 
 def bands_of(
     path: Path, model: "Model", records: "Sequence[Experiment]", scores: "Sequence[Score]",
-    asked: "BandAsked",
+    asked: "BandOptions",
 ) -> "list[Band]":  # fmt: skip
     """The bands around free runs.
 
@@ -243,27 +243,27 @@ def bands_of(
     Raises:
         InputError: a model that was not calibrated, or from another start or horizon.
     """
-    from tustinnet.evaluate.bands import Calibration, alternatives_of, bands_around
+    from tustinnet.evaluate.bands import Calibration, find_alternatives, make_bands
     from tustinnet.store.header import read_header
 
     header = read_header(path)
-    others = alternatives_of(model, header, path)
+    others = find_alternatives(model, header, path)
     calibration = Calibration.from_header(header, path)
-    return bands_around(calibration, asked, model, others, records, scores)
+    return make_bands(calibration, asked, model, others, records, scores)
 
 
-def band_asked(level: float | None, *, whole: bool) -> "BandAsked | None":
+def band_asked(level: float | None, *, whole: bool) -> "BandOptions | None":
     """What `--band` and `--whole-records` ask for.
 
     Raises:
         InputError: no share; whole records without a band.
     """
     from tustinnet.errors import InputError
-    from tustinnet.evaluate.bands import BandAsked, require_share
+    from tustinnet.evaluate.bands import BandOptions, require_share
 
     if level is None:
         if whole:
             raise InputError("--whole-records", "no band", "a band", "add --band LEVEL")
         return None
     require_share(level)
-    return BandAsked(level, "record" if whole else "time")
+    return BandOptions(level, "record" if whole else "time")

@@ -42,14 +42,14 @@ def residuals(
     from tustinnet.evaluate.residuals import residual_reports
     from tustinnet.report.residuals import downweighted_table, residual_figure
     from tustinnet.simulate.horizon import over
-    from tustinnet.store.model_file import downweighted_in
+    from tustinnet.store.model_file import read_downweighted
 
     require_figures("--figure", figure, files_of(data, card, model, system), overwrite=overwrite)
     judged = model_of(model, system)
     records, begin = judged_records(data, card, split, start, [judged])
     reports = residual_reports(judged, records, begin, lags, horizon=horizon)
     names = {e.name for e in records}
-    spoilt = [s for s in downweighted_in(model) if s.record in names]
+    spoilt = [s for s in read_downweighted(model) if s.record in names]
     title = f"Residuals of {len(records)} free runs, start '{begin}'{over(horizon)}"
     if json:
         weights = [dataclasses.asdict(s) for s in spoilt]

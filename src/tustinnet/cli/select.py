@@ -59,21 +59,23 @@ def select(
     from tustinnet.report.summary import next_steps
     from tustinnet.selection.cluster import cluster
     from tustinnet.selection.plan import USUAL, read_plan
-    from tustinnet.selection.select import Asked, select_model
+    from tustinnet.selection.select import SelectionOptions, select_model
     from tustinnet.store.run import MODEL
 
     plan, budget, machines = asked
-    wanted = Asked(read_plan(plan or USUAL), system, seconds_of(budget), begun)
+    wanted = SelectionOptions(read_plan(plan or USUAL), system, seconds_of(budget), begun)
     records = load()
     with FitProgress(terminal.messages(), quiet=quiet) as progress:
-        reporter = told_by(progress, quiet=quiet)
+        reporter = make_reporter(progress, quiet=quiet)
         with (
             terminal.interruptible("--resume goes on with what is done"),
-            nullcontext() if machines is None else cluster(machines, reporter.say) as executor,
+            nullcontext()
+            if machines is None
+            else cluster(machines, reporter.on_message) as executor,
         ):
             choice = select_model(records, out, wanted, earlier, reporter, executor)
-    if choice.at.system_file is not None:
-        terminal.remember_trust(choice.at.system_file)
+    if choice.context.system_file is not None:
+        terminal.remember_trust(choice.context.system_file)
     if json:
         terminal.print_json(choice.as_plain())
     else:
@@ -82,7 +84,7 @@ def select(
     page = _page(choice, leaving)
     if not json:
         print_files(choice, page or "")
-        typer.echo(f"next: {next_steps(choice.at.folder / MODEL, leaving.data)}")
+        typer.echo(f"next: {next_steps(choice.context.folder / MODEL, leaving.data)}")
     require_left(page)
 
 
@@ -91,14 +93,14 @@ def _page(choice: "Choice", leaving: "Leaving") -> str | None:
     from tustinnet.report.page.fitted import report_of_choice
     from tustinnet.store.run import REPORT
 
-    folder, start = choice.at.folder, choice.standing(choice.best).starts[0]
-    given = {"--start": start, "--horizon": choice.at.judging.horizon}
+    folder, start = choice.context.folder, choice.result(choice.best).starts[0]
+    given = {"--start": start, "--horizon": choice.context.scoring.horizon}
     return leaving.report(
         [folder], folder / REPORT, lambda command: report_of_choice(choice, command), given
     )
 
 
-def told_by(progress: "FitProgress", *, quiet: bool) -> "Reporter":
+def make_reporter(progress: "FitProgress", *, quiet: bool) -> "Reporter":
     """Who is told while a selection goes on: bars or lines for fits, sentences for rounds."""
     from tustinnet.selection.select import Reporter
 
@@ -116,11 +118,13 @@ def draw_choice(choice: "Choice") -> None:
     from tustinnet.selection.select import TABLE
     from tustinnet.store.files import write_into
 
-    folder = choice.at.folder
+    folder = choice.context.folder
     write_into(folder, TABLE, candidates_table(choice).markdown())
     write_figure(candidates_figure(choice), folder, "figures/candidates.png")
     for name, runs in free_runs(choice).items():
-        write_figure(free_run_figure(choice.at.data[name], runs), folder, f"figures/{name}.png")
+        write_figure(
+            free_run_figure(choice.context.data[name], runs), folder, f"figures/{name}.png"
+        )
 
 
 def print_choice(choice: "Choice") -> None:
@@ -134,7 +138,7 @@ def print_choice(choice: "Choice") -> None:
 
 def print_files(choice: "Choice", page: str = "") -> None:
     """The line that names the files, and says how long the choice took."""
-    out = choice.at.folder
+    out = choice.context.folder
     typer.echo(
         f"model: {out / 'model.safetensors'}   table: {out / 'candidates.md'}   "
         f"figures: {out / 'figures'}{page}   {choice.seconds:.0f} s"

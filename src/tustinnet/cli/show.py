@@ -12,9 +12,9 @@ _LONGEST_LINE = 1000  # characters
 def show(model: options.Model, json: options.Json = False) -> None:
     """Print what a model file contains: structure, parameters, scores."""
     from tustinnet.errors import printable, refusing
-    from tustinnet.store.header import shown
+    from tustinnet.store.header import read_description
 
-    header, own = shown(model)
+    header, own = read_description(model)
     if json:
         terminal.print_json(header)
         return

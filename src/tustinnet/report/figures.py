@@ -130,7 +130,7 @@ def _shade(
     axes: Axes, t: Float[np.ndarray, " n"], band: Band, j: int, e: Experiment, colour: str
 ) -> None:
     """A band of one coordinate, from where the free run begins."""
-    after = slice(band.guess.first, None)
+    after = slice(band.prediction.first, None)
     low, high = (bounded(of[after, j], e.q[after, j]) for of in (band.low, band.high))
     told = f"{100 * band.level:g} % of {'the time' if band.of == 'time' else 'whole records'}"
     axes.fill_between(t[after], low, high, color=colour, alpha=0.2, linewidth=0, label=told)

@@ -3,10 +3,10 @@
 import math
 from collections.abc import Mapping, Sequence
 
-from tustinnet.evaluate.folds import Validated
 from tustinnet.evaluate.scores import rmse_by_record
 from tustinnet.fitting.report import Estimate, Identification
 from tustinnet.report.tables import Table, number, numbers, scale_of
+from tustinnet.selection.cross_validation import CrossValidationResult
 from tustinnet.simulate.horizon import over
 from tustinnet.store.run import Run
 
@@ -35,7 +35,7 @@ def members_table(run: Run) -> Table:
     return Table(
         ["seed", f"mean RMSE [{unit}]", "windows", "epochs", "kept", seconds, "outcome"],
         rows,
-        title=f"{run.best.result.recipe.name}, {run.judged} free runs, start '{run.start}'"
+        title=f"{run.best.result.recipe.name}, {run.judging_split} free runs, start '{run.start}'"
         + over(run.best.scores[0].horizon),
     )
 
@@ -108,7 +108,7 @@ def _error(value: float | None) -> str:
 def judged_table(run: Run) -> Table:
     """The free runs that judge the best model of a run."""
     best = run.best
-    title = f"{run.judged} free runs, start '{run.start}'{over(best.scores[0].horizon)}"
+    title = f"{run.judging_split} free runs, start '{run.start}'{over(best.scores[0].horizon)}"
     return _by_record({**rmse_by_record(best.scores), "mean": best.mean}, title)
 
 
@@ -122,7 +122,7 @@ def fitted_table(run: Run) -> Table:
         + (" by the search, with its values" if found.refined else "")
         + _scaled(run)
     )
-    return _by_record(run.fitted, f"train, {begin}")
+    return _by_record(run.training_rmse, f"train, {begin}")
 
 
 def _scaled(run: Run) -> str:
@@ -136,7 +136,7 @@ def _by_record(rmse: Mapping[str, float], title: str) -> Table:
     return Table(["record", "RMSE"], [list(row) for row in zip(rmse, told, strict=True)], title)
 
 
-def folds_table(found: Validated) -> Table:
+def folds_table(found: CrossValidationResult) -> Table:
     """Every record's mean over the seeds, by start, and the means with their standard errors."""
     summary = found.summary()
     by_start = {start: found.means(start) for start in summary}

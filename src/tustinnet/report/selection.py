@@ -8,8 +8,7 @@ from tustinnet.evaluate.scores import Score, evaluate
 from tustinnet.report.some import some_of
 from tustinnet.report.tables import Table, number, scale_of
 from tustinnet.selection.choice import Choice
-from tustinnet.selection.jobs import loaded
-from tustinnet.selection.ranking import Standing, paired
+from tustinnet.selection.ranking import CandidateResult, paired_difference
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -18,13 +17,13 @@ if TYPE_CHECKING:
 def candidates_table(choice: Choice) -> Table:
     """What was found of every candidate and committee, the best first, those left out last."""
     scored = _in_order(choice)
-    best, starts = choice.standing(choice.best), choice.starts
+    best, starts = choice.result(choice.best), choice.starts
     told = {s.name: [mean_and_error(s.rmse(start=start).values()) if start in s.starts else None
                      for start in starts] for s in scored}  # fmt: skip
     scale = scale_of(mean[0] for of in told.values() for mean in of if mean is not None)
     rows = []
     for s in scored:
-        than = paired(s, best)
+        than = paired_difference(s, best)
         scored_on = len(s.rmse())
         against = (
             "" if s is best else f"{_signed(than.mean, scale)} ± {_in(than.standard_error, scale)}"
@@ -38,7 +37,7 @@ def candidates_table(choice: Choice) -> Table:
     empty = [""] * (len(starts) + 4)
     rows += [
         [f"{s.name}: {s.why or 'not tried'}", *empty, f"{s.seconds:.0f}"]
-        for s in choice.found.candidates
+        for s in choice.candidates.results
         if not s.folds
     ]
     unit = choice.unit
@@ -48,16 +47,16 @@ def candidates_table(choice: Choice) -> Table:
     return Table(columns, rows, title=title)
 
 
-def _in_order(choice: Choice) -> list[Standing]:
+def _in_order(choice: Choice) -> list[CandidateResult]:
     """Those that were scored: what could be chosen, the best first, then what was left behind."""
-    choosable = [s.name for s in choice.found.choosable]
-    best = choice.standing(choice.best)
+    choosable = [s.name for s in choice.candidates.choosable]
+    best = choice.result(choice.best)
 
-    def place(s: Standing) -> tuple[bool, bool, float]:
-        mean = paired(s, best).mean
+    def place(s: CandidateResult) -> tuple[bool, bool, float]:
+        mean = paired_difference(s, best).mean
         return s is not best, s.name not in choosable, math.inf if math.isnan(mean) else mean
 
-    return sorted((s for s in choice.found.standings if s.folds), key=place)
+    return sorted((s for s in choice.candidates.all_results if s.folds), key=place)
 
 
 def _in(value: float, scale: float) -> str:
@@ -100,7 +99,7 @@ def candidates_figure(choice: Choice) -> "Figure":
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.set_xlabel(f"free-run RMSE [{choice.unit}] of records not fitted to")
         axes.set_title(
-            f"{choice.at.data.name}: mean, standard error, each record a point", loc="left"
+            f"{choice.context.data.name}: mean, standard error, each record a point", loc="left"
         )
         axes.grid(visible=False, axis="y")
     return figure
@@ -113,16 +112,16 @@ def free_runs(choice: Choice) -> dict[str, dict[str, Score]]:
     largest part. At most 6 records: the worst, and others down to the best.
     """
     labels = dict.fromkeys([_largest(choice, choice.best), _largest(choice, choice.simplest)])
-    wanted = some_of(choice.standing(choice.best).rmse())
+    wanted = some_of(choice.result(choice.best).rmse())
     found: dict[str, dict[str, Score]] = {}
     for label in labels:
-        for models in choice.standing(label).folds.values():
+        for models in choice.result(label).folds.values():
             first = models[0]
             start, rmse = next(iter(first.rmse.items()))
-            records = [choice.at.data[name] for name in rmse if name in wanted]
+            records = [choice.context.data[name] for name in rmse if name in wanted]
             if not records:
                 continue
-            model, horizon = loaded(first.model, choice.at), choice.at.judging.horizon
+            model, horizon = choice.context.load_model(first.model), choice.context.scoring.horizon
             for score in evaluate(model, records, start, horizon=horizon):
                 found.setdefault(score.experiment, {})[label] = score
     return found
@@ -130,4 +129,4 @@ def free_runs(choice: Choice) -> dict[str, dict[str, Score]]:
 
 def _largest(choice: Choice, name: str) -> str:
     """A candidate, of a committee the one that counts most."""
-    return max(choice.found.members(name), key=lambda member: member[1])[0].name
+    return max(choice.candidates.members(name), key=lambda member: member[1])[0].name

@@ -53,7 +53,7 @@ def _how_good(run: Run) -> str:
 
 
 def _which(run: Run, scores: list[Score]) -> str:
-    return f"{len(scores)} {run.judged} record{'s' if len(scores) > 1 else ''}"
+    return f"{len(scores)} {run.judging_split} record{'s' if len(scores) > 1 else ''}"
 
 
 def _honest(run: Run) -> str:

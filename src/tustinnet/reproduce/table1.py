@@ -21,7 +21,7 @@ from tustinnet.reproduce.published import (
     WEIGHTS_FOLDER,
     load_authors_weights,
 )
-from tustinnet.store.run import MODEL, Run, Tell, run_task
+from tustinnet.store.run import MODEL, MakeListener, Run, run_task
 
 START = "file"  # Table 1 starts from the first row as it is stored
 
@@ -166,7 +166,7 @@ class Ask:
 
 
 def build_rows(
-    data: DataSet, folder: Path, ask: Ask, runs_folder: Path, tell: Callable[[str], Tell]
+    data: DataSet, folder: Path, ask: Ask, runs_folder: Path, tell: Callable[[str], MakeListener]
 ) -> list[Row]:
     """Fits what is to be fitted and scores every model on the split.
 
@@ -217,7 +217,7 @@ def _fitted(
     data: DataSet,
     ask: Ask,
     folder: Path,
-    tell: Callable[[str], Tell],
+    tell: Callable[[str], MakeListener],
     run_of: Callable[[str], Run],
 ) -> Run:
     """Fits the members of an entry; an identification anew, which takes seconds."""

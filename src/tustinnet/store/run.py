@@ -2,19 +2,19 @@
 
 folder/model.safetensors              the model, of several members the best one's
 folder/summary.json                   the account: every member and the spread
-folder/question.json                  what was asked: recipe, records, system
+folder/question.json                  the specification: recipe, records, system
 folder/system.py                      a copy of the system's file, where one was given
 folder/report.html                    the page of it, written by the command when all else is there
 folder/log.jsonl                      of identifications: one line an iteration and a stage
 folder/seed-0/model.safetensors       of trainings: the best weights of that seed
 folder/seed-0/log.jsonl               one line an epoch
-folder/seed-0/checkpoint.safetensors  what `resume` goes on from, of all that train together
+folder/seed-0/checkpoint.safetensors  for `resume`, of all members that train together
 
 Seeds that are trained at several rates have folders like seed-0-rate-0.5.
 """
 
 import statistics
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -23,7 +23,7 @@ from typing import Any, Literal
 from tustinnet.errors import InputError
 from tustinnet.evaluate.scores import Score, evaluate, mean_rmse, rmse_by_record, scores_header
 from tustinnet.fitting.fit import fit_task
-from tustinnet.fitting.gradient.loop import Resumed
+from tustinnet.fitting.gradient.loop import Resumed, ShouldStop, never_stop
 from tustinnet.fitting.gradient.plan import Plan, plan
 from tustinnet.fitting.gradient.state import Progress, TrainingState
 from tustinnet.fitting.gradient.train import train_plan
@@ -36,22 +36,22 @@ from tustinnet.simulate.range import KEY as RANGE
 from tustinnet.simulate.range import Cloud, cloud_of, range_of
 from tustinnet.store.checkpoint import Checkpointer, read_checkpoint
 from tustinnet.store.files import (
-    owned,
+    lock_folder,
     require_outputs,
     require_writable_folder,
     to_json,
     write_into,
 )
 from tustinnet.store.header import ORIGIN
-from tustinnet.store.kept_system import header_of, keep, require_room
-from tustinnet.store.log import DAMAGED, LOG, Log, SearchLog
+from tustinnet.store.kept_system import require_copy_fits, system_header, write_system_copy
+from tustinnet.store.log import DAMAGED, LOG, SearchLog, TrainingLog
 from tustinnet.store.model_file import save
-from tustinnet.store.question import (
-    QUESTION,
-    Question,
-    question_of,
-    require_same,
-    write_question,
+from tustinnet.store.specification import (
+    SPECIFICATION,
+    Specification,
+    make_specification,
+    require_same_specification,
+    write_specification,
 )
 from tustinnet.systems.files import SystemFile
 
@@ -62,7 +62,9 @@ FIGURES = "figures"  # drawn by rooms above this one
 _CHECKPOINT = "checkpoint.safetensors"
 WRITTEN = (MODEL, LOG, DAMAGED, _CHECKPOINT)  # into the folder of a member
 
-Earlier = Literal["refuse", "resume", "discard"]  # what is done with a run that is there
+Earlier = Literal["refuse", "resume", "discard"]  # the treatment of a run that is there
+MakeListener = Callable[[Plan | Task], Listener]
+MakeStopCheck = Callable[[Plan], ShouldStop]
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,7 @@ class Run:
         start: where the free runs start that rank the members.
         folder: where the files are.
         system: the system's file, where one was given.
-        origin: what is known of the model that the fits began with, empty where they began anew.
+        origin: the account of the model that the fits began with, empty where they began anew.
     """
 
     members: tuple[MemberRun, ...]
@@ -113,10 +115,10 @@ class Run:
         return min(self.members, key=lambda run: run.mean)
 
     @cached_property
-    def fitted(self) -> Mapping[str, float]:
+    def training_rmse(self) -> Mapping[str, float]:
         """RMSE of each training record that the best model leaves [rad or m].
 
-        Of a training that of its free run; of an identification from the initial states found.
+        Of a training that of its free run; of an identification from its initial states.
         """
         result = self.best.result
         if result.identification is not None:
@@ -133,7 +135,7 @@ class Run:
         return cloud_of(self.roles.train[0].channels, self.roles.train)
 
     @property
-    def judged(self) -> str:
+    def judging_split(self) -> str:
         """The split whose free runs rank them."""
         return self.roles.judged
 
@@ -148,33 +150,37 @@ class Run:
             "max": max(means),
         }
 
-    def header(self, of: MemberRun) -> dict[str, Any]:
-        """What the model file of a member says beside the model."""
+    def header(self, member: MemberRun) -> dict[str, Any]:
+        """The header of the model file of a member, beside the model's own."""
         channels = self.roles.train[0].channels
         return {
-            **of.result.as_header(),
+            **member.result.as_header(),
             "data": data_header(self.data, self.roles.all),
-            RANGE: range_of(of.result.model, self.roles.train, self._cloud).as_header(),
+            RANGE: range_of(member.result.model, self.roles.train, self._cloud).as_header(),
             "scores": scores_header(
-                self.judged, self.start, channels, of.scores[0].horizon, rmse_by_record(of.scores)
+                self.judging_split,
+                self.start,
+                channels,
+                member.scores[0].horizon,
+                rmse_by_record(member.scores),
             ),
-            **header_of(self.system),
+            **system_header(self.system),
             **({ORIGIN: dict(self.origin)} if self.origin else {}),
         }
 
     def summary(self) -> dict[str, Any]:
-        """The account of the run as plain values: what its best model says, and every member."""
+        """The account of the run as plain values: the best model's header, and every member."""
         best = self.best
         return {
             **self.header(best),
             "recipe": best.result.recipe.name,
             "kind": best.result.recipe.model.kind,
-            "split": self.judged,
+            "split": self.judging_split,
             "start": self.start,
             "horizon": best.scores[0].horizon,
             "best_seed": best.result.seed,
             "spread": self.spread(),
-            "training_rmse": dict(self.fitted),
+            "training_rmse": dict(self.training_rmse),
             "seeds": [
                 {
                     "seed": run.result.seed,
@@ -192,103 +198,113 @@ class Run:
         }
 
 
-Tell = Callable[[Plan | Task], Listener]
-
-
 def run_task(
     task: Task,
     data: str,
     folder: Path,
     earlier: Earlier = "refuse",
-    tell: Tell = lambda prepared: Listener(),
+    make_listener: MakeListener = lambda prepared: Listener(),
     system: SystemFile | None = None,
 ) -> Run:
     """Fits all members of a task and keeps everything in a folder.
 
     Args:
-        task: what to fit; of one fold.
-        data: what the records are called.
+        task: recipe, records and members; of one fold.
+        data: the name of the data set.
         folder: where the files go.
         earlier: what to do with a run that the folder holds: `refuse`, `discard`, or `resume`: go
             on from the checkpoints that are there; members without one start.
-        tell: given the plan of trainings that run together, or the task of an identification,
-            returns who is told while it goes on.
+        make_listener: given the plan of trainings that run together, or the task of an
+            identification, returns the listener of its progress.
         system: the file of the system that the task is of; a copy is kept with the models.
 
     Raises:
         InputError: the folder cannot be written, another run is writing there, it holds an earlier
-            run that is neither resumed nor discarded; what is resumed was asked otherwise, or its
-            checkpoints belong to another run; an identification is to be resumed; see also `fit`.
+            run that is neither resumed nor discarded; a resumed run had another specification, or
+            its checkpoints belong to another run; an identification is to be resumed; see also
+            `fit`.
     """
-    with owned(folder):
+    with lock_folder(folder):
         if earlier != "discard":
-            require_room(system, folder)
-        question = question_of(task, system)
-        _make_room(folder, earlier, question, trains=task.recipe.family.trains)
+            require_copy_fits(system, folder)
+        specification = make_specification(task, system)
+        _prepare_folder(folder, earlier, specification, trains=task.recipe.family.trains)
 
-        def begin(prepared: Plan | Task) -> Listener:
+        def listen(prepared: Plan | Task) -> Listener:
             if isinstance(prepared, Plan):  # a training whose records are known to fit the recipe
-                write_question(folder, question)
-            return tell(prepared)
+                write_specification(folder, specification)
+            return make_listener(prepared)
 
-        done = _fitted(task, data, folder, begin, resume=earlier == "resume")
-        done = replace(done, system=system)
-        write_question(folder, question)
-        _keep(done)
-    return done
+        fits = fit_in_folder(folder, task, listen, resume=earlier == "resume")
+        roles, origin = task.folds[0].roles, task.folds[0].origin
+        members = []
+        for member, result in zip(task.members, fits, strict=True):
+            horizon = within(result.horizon, roles.judging)
+            scores = tuple(evaluate(result.model, roles.judging, result.start, horizon=horizon))
+            place = folder / member.name if task.recipe.family.trains else folder
+            members.append(MemberRun(result, scores, place))
+        account = {} if origin is None else origin.account
+        run = Run(tuple(members), data, roles, fits[0].start, folder, system, account)
+        write_specification(folder, specification)
+        if system is not None:
+            write_system_copy(system, folder)
+        for member in run.members:
+            save(member.result.model, member.folder / MODEL, **run.header(member))
+        save(run.best.result.model, folder / MODEL, **run.header(run.best))
+        write_into(folder, SUMMARY, to_json(run.summary()))
+    return run
 
 
-def _fitted(task: Task, data: str, folder: Path, tell: Tell, *, resume: bool) -> Run:
-    trains, roles = task.recipe.family.trains, task.folds[0].roles
-    fitted = fit_in(folder, task, tell, resume=resume)
-    runs = []
-    for member, result in zip(task.members, fitted, strict=True):
-        horizon = within(result.horizon, roles.judging)
-        scores = tuple(evaluate(result.model, roles.judging, result.start, horizon=horizon))
-        runs.append(MemberRun(result, scores, folder / member.name if trains else folder))
-    origin = task.folds[0].origin
-    known = {} if origin is None else origin.account
-    return Run(tuple(runs), data, roles, fitted[0].start, folder, origin=known)
-
-
-def fit_in(folder: Path, task: Task, tell: Tell, *, resume: bool) -> list[FitResult]:
+def fit_in_folder(
+    folder: Path,
+    task: Task,
+    make_listener: MakeListener,
+    *,
+    resume: bool,
+    make_stop_check: MakeStopCheck = lambda plan: never_stop,
+) -> list[FitResult]:
     """Fits all members of a task with logs and checkpoints in a folder, a folder each.
 
     Args:
         folder: where they go.
-        task: what to fit.
-        tell: see `run_task`.
+        task: recipe, records and members.
+        make_listener: see `run_task`.
         resume: whether to go on from the checkpoints that are there; an identification has none.
+        make_stop_check: given the plan of trainings that run together, returns the `should_stop`
+            of `train_plan`; an identification goes on to its end.
     """
-    if task.recipe.family.trains:
-        return _trained(task, folder, tell, resume=resume)
-    return _searched(task, folder, tell)
+    if not task.recipe.family.trains:
+        return _identify(task, folder, make_listener(task))
+    results: dict[Member, FitResult] = {}
+    for group, resumed in _find_groups(task, folder, resume=resume):
+        prepared = plan(task.of(group))
+        listener, should_stop = make_listener(prepared), make_stop_check(prepared)
+        trained = _train_together(prepared, folder, resumed, listener, should_stop)
+        results.update(zip(group, trained, strict=True))
+    return [results[member] for member in task.members]
 
 
-def _keep(done: Run) -> None:
-    """Writes models, the account of the run and the system's file."""
-    folder = done.folder
-    if done.system is not None:
-        keep(done.system, folder)
-    for run in done.members:
-        save(run.result.model, run.folder / MODEL, **done.header(run))
-    save(done.best.result.model, folder / MODEL, **done.header(done.best))
-    write_into(folder, SUMMARY, to_json(done.summary()))
-
-
-def _make_room(folder: Path, earlier: Earlier, question: Question, *, trains: bool) -> None:
-    """Refuses, discards or leaves what an earlier run left in a folder."""
+def _prepare_folder(
+    folder: Path, earlier: Earlier, specification: Specification, *, trains: bool
+) -> None:
+    """Refuses, discards or keeps the files of an earlier run in a folder."""
     if earlier == "resume" and not trains:
         raise InputError(
             "--resume", "an identification is not resumed", "a training", "leave the option out"
         )
     if earlier == "resume":
-        require_same(folder, question, MODEL)
+        require_same_specification(folder, specification, MODEL)
         (folder / REPORT).unlink(missing_ok=True)  # of the model as it was
         return
     places = sorted(place for place in folder.glob("seed-*") if (place / LOG).exists())
-    if earlier == "discard":
-        _discard(folder, places)
+    if earlier == "discard":  # the files that a run has written, and no others
+        for place in places:
+            for name in WRITTEN:
+                (place / name).unlink(missing_ok=True)
+            if not any(place.iterdir()):
+                place.rmdir()
+        for name in (MODEL, SUMMARY, LOG, REPORT, SPECIFICATION):
+            (folder / name).unlink(missing_ok=True)
     elif places:
         raise InputError(
             folder,
@@ -300,47 +316,28 @@ def _make_room(folder: Path, earlier: Earlier, question: Question, *, trains: bo
     require_outputs(files, overwrite=earlier == "discard")
 
 
-def _discard(folder: Path, seed_folders: Sequence[Path]) -> None:
-    """Removes the files that a run has written, and no others."""
-    for place in seed_folders:
-        for name in WRITTEN:
-            (place / name).unlink(missing_ok=True)
-        if not any(place.iterdir()):
-            place.rmdir()
-    for name in (MODEL, SUMMARY, LOG, REPORT, QUESTION):
-        (folder / name).unlink(missing_ok=True)
-
-
-def _searched(task: Task, folder: Path, tell: Tell) -> list[FitResult]:
+def _identify(task: Task, folder: Path, listener: Listener) -> list[FitResult]:
     """The result of an identification, every iteration in its log."""
     require_writable_folder(folder)
-    told, log = tell(task), SearchLog(folder)
+    log = SearchLog(folder)
 
-    def iteration(of: Iteration) -> None:
-        log.iteration(of)
-        told.iteration(of)
+    def iteration(report: Iteration) -> None:
+        log.write_iteration(report)
+        listener.iteration(report)
 
-    def stage(of: SearchedStage) -> None:
-        log.stage(of)
-        told.searched(of)
+    def stage(report: SearchedStage) -> None:
+        log.write_stage(report)
+        listener.searched(report)
 
     try:
-        return fit_task(task, replace(told, iteration=iteration, searched=stage))
+        return fit_task(task, replace(listener, iteration=iteration, searched=stage))
     finally:
         log.close()
 
 
-def _trained(task: Task, folder: Path, tell: Tell, *, resume: bool) -> list[FitResult]:
-    """The results of all members, in their order, those in the same stage trained together."""
-    results: dict[Member, FitResult] = {}
-    for group, states in _groups(task, folder, resume=resume):
-        prepared = plan(task.of(group))
-        trained = _train_together(prepared, folder, states, tell(prepared))
-        results.update(zip(group, trained, strict=True))
-    return [results[member] for member in task.members]
-
-
-def _groups(task: Task, folder: Path, *, resume: bool) -> list[tuple[list[Member], Resumed | None]]:
+def _find_groups(
+    task: Task, folder: Path, *, resume: bool
+) -> list[tuple[list[Member], Resumed | None]]:
     """Members that train together: those that begin, and those that did when they stopped."""
     groups: list[tuple[list[Member], Resumed | None]] = []
     fresh = list(task.members)
@@ -355,30 +352,37 @@ def _groups(task: Task, folder: Path, *, resume: bool) -> list[tuple[list[Member
 
 
 def _train_together(
-    prepared: Plan, folder: Path, resumed: Resumed | None, told: Listener
+    prepared: Plan,
+    folder: Path,
+    resumed: Resumed | None,
+    listener: Listener,
+    should_stop: ShouldStop,
 ) -> list[FitResult]:
     folders = [folder / member.name for member in prepared.members]
     for place in folders:
         require_writable_folder(place)
-    keeps = Checkpointer(folders[0] / _CHECKPOINT, prepared.task)
-    begun = resumed[1] if resumed else (None,) * len(folders)
+    checkpointer = Checkpointer(folders[0] / _CHECKPOINT, prepared.task)
+    before = resumed[1] if resumed else (None,) * len(folders)
     logs = [
-        Log(place, progress, told.remark) for place, progress in zip(folders, begun, strict=True)
+        TrainingLog(place, progress, listener.remark)
+        for place, progress in zip(folders, before, strict=True)
     ]
 
     def epoch(report: EpochReport) -> None:
         logs[report.member].write(report)
-        told.epoch(report)
+        listener.epoch(report)
 
-    def state(of: TrainingState, progress: tuple[Progress, ...]) -> None:
-        keeps(of, progress)
-        told.state(of, progress)
+    def state(training: TrainingState, progress: tuple[Progress, ...]) -> None:
+        checkpointer(training, progress)
+        listener.state(training, progress)
 
     try:
-        return train_plan(prepared, Listener(epoch, state), resumed)
+        results = train_plan(prepared, Listener(epoch, state), resumed, should_stop)
+        checkpointer.flush()  # a training that was stopped can go on from there
     except KeyboardInterrupt:  # also how SIGTERM and SIGHUP arrive
-        keeps.flush()
+        checkpointer.flush()
         raise
     finally:
         for log in logs:
             log.close()
+    return results

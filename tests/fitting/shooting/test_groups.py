@@ -11,8 +11,8 @@ from swinging import DT, SWING, changed, data_set
 
 import tustinnet as tn
 from tustinnet.data.proposals import Proposal
-from tustinnet.evaluate.bands import alternatives_of
-from tustinnet.evaluate.next_record import ranked
+from tustinnet.evaluate.bands import find_alternatives
+from tustinnet.evaluate.next_record import rank_proposals
 from tustinnet.fitting.shooting.information import information, space_of
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 
@@ -177,8 +177,8 @@ def swing(**groups: str) -> Proposal:
 def what_would_tell(*proposals: Proposal) -> dict[str, float]:
     found = found_per_payload()
     header = {"identification": found.as_plain()}
-    assert alternatives_of(found.model, header, "the model")
-    return {of.name: of.value for of in ranked(found.model, header, proposals).promises}
+    assert find_alternatives(found.model, header, "the model")
+    return {of.name: of.value for of in rank_proposals(found.model, header, proposals).gains}
 
 
 def test_a_proposed_record_is_ranked_with_the_mass_that_it_is_made_with():

@@ -1,7 +1,7 @@
 """The training loop: one for all recipes, blind to the model's family."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import jax
@@ -22,11 +22,22 @@ from tustinnet.fitting.report import FINISHED
 from tustinnet.models.contract import Model
 from tustinnet.simulate.rollout import LONG
 
+OUT_OF_TIME = "out of time"  # the outcome of a training that was stopped
+
 Resumed = tuple[TrainingState, tuple[Progress, ...]]
+ShouldStop = Callable[[Sequence[Progress]], bool]
+
+
+def never_stop(progress: Sequence[Progress]) -> bool:
+    """A `should_stop` without a deadline."""
+    return False
 
 
 def train(
-    prepared: Plan, listener: Listener = SILENT, resume: Resumed | None = None
+    prepared: Plan,
+    listener: Listener = SILENT,
+    resume: Resumed | None = None,
+    should_stop: ShouldStop = never_stop,
 ) -> tuple[Model, tuple[Progress, ...]]:
     """Folds the epochs of all members over the stages.
 
@@ -37,6 +48,8 @@ def train(
         prepared: models, stages, records.
         listener: who is told.
         resume: a state that a listener was given, to go on from there.
+        should_stop: asked after every compiled call, with the members' progress; what the listener
+            was given is not changed by a stop, so that the training can go on from there.
 
     Returns:
         The best models of the last stage that was reached, and where training ended.
@@ -45,15 +58,20 @@ def train(
     state, progress = resume or (prepared.begin(0), (Progress(),) * members)
     going = [p.stage for p in progress if not p.outcome]
     for index in range(going[0] if going else len(stages), len(stages)):
-        state, progress = _run_stage(prepared, index, state, progress, listener)
+        state, progress, stopped = _run_stage(
+            prepared, index, state, progress, listener, should_stop
+        )
+        if stopped:
+            progress = tuple(replace(p, outcome=p.outcome or OUT_OF_TIME) for p in progress)
+            break
         if all(p.outcome for p in progress):
             break
         if index + 1 == len(stages):
             progress = tuple(replace(p, outcome=p.outcome or FINISHED) for p in progress)
         else:
-            weights, stopped = state.weights, state.course.stopped
+            weights, given_up = state.weights, state.course.stopped
             state = begin_stage(
-                weights.best, stages[index + 1], weights.key, prepared.factors, stopped
+                weights.best, stages[index + 1], weights.key, prepared.factors, given_up
             )
             progress = tuple(
                 p
@@ -73,7 +91,9 @@ def _run_stage(
     state: TrainingState,
     progress: tuple[Progress, ...],
     listener: Listener,
-) -> Resumed:
+    should_stop: ShouldStop,
+) -> tuple[TrainingState, tuple[Progress, ...], bool]:
+    """The state and progress at the end of a stage, and whether it was stopped before."""
     stage = prepared.stages[index]
     run = compiled_epochs(prepared, stage)
     while any(_is_due(stage, p) for p in progress):
@@ -90,7 +110,11 @@ def _run_stage(
         for report in sorted(reports, key=lambda r: r.epoch):
             listener.epoch(report)
         listener.state(state, progress)
-    return state, progress
+        last = index + 1 == len(prepared.stages)
+        ends = all(p.outcome or (last and not _is_due(stage, p)) for p in progress)
+        if not ends and should_stop(progress):
+            return state, progress, True
+    return state, progress, False
 
 
 def _went_on(

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from tustinnet.fitting.gradient.epoch import validation_rmse
-from tustinnet.fitting.gradient.loop import Resumed, train
+from tustinnet.fitting.gradient.loop import Resumed, ShouldStop, never_stop, train
 from tustinnet.fitting.gradient.plan import Plan, completed
 from tustinnet.fitting.gradient.state import Progress
 from tustinnet.fitting.listener import SILENT, Listener
@@ -16,13 +16,22 @@ _FEW = 5  # epochs at the ends of a stage
 
 
 def train_plan(
-    prepared: Plan, listener: Listener = SILENT, resume: Resumed | None = None
+    prepared: Plan,
+    listener: Listener = SILENT,
+    resume: Resumed | None = None,
+    should_stop: ShouldStop = never_stop,
 ) -> list[FitResult]:
     """Trains as planned, from the beginning or from a state that a listener was given.
 
+    Args:
+        prepared: models, stages, records.
+        listener: functions that are called while training goes on.
+        resume: a state that a listener was given, to go on from there.
+        should_stop: asked after every compiled call whether to stop, as for a deadline.
+
     Returns:
-        The members' models and how they came about. A training that diverged returns the best
-        weights it had and says so in `outcome`.
+        The members' models and how they came about. A training that diverged or was stopped
+        returns the best weights it had and says so in `outcome`.
     """
     best, progress = train(prepared, listener, resume)
     return [_result(prepared, best, m, p) for m, p in enumerate(progress)]

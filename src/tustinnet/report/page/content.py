@@ -16,7 +16,7 @@ from tustinnet.report.page.judged import Judged
 from tustinnet.report.page.signals import bounded, kept, packed
 from tustinnet.report.page.subject import History
 from tustinnet.simulate.range import Cloud
-from tustinnet.store.log import is_end
+from tustinnet.store.log import is_stage_end
 
 # points of a signal that are tried, the most that a screen shows first
 _POINTS = (2000, 1700, 1400, 1200, 1000, 850, 700, 600, 500, 400, 300, 200, 150, 100)
@@ -127,7 +127,7 @@ def _searched(of: Judged) -> dict[str, Any] | None:
         return None
     costs: list[list[float]] = [[]]
     for line in lines:
-        if is_end(line):
+        if is_stage_end(line):
             costs.append([])
         else:
             costs[-1].append(math.nan if line["cost"] is None else line["cost"])
@@ -197,7 +197,7 @@ def _around(k: int, of: Judged, i: int, q: np.ndarray) -> dict[str, np.ndarray]:
 
 def _ends(band: Band, q: np.ndarray) -> list[np.ndarray]:
     """Lower and upper ends, from where the free run begins."""
-    after = (np.arange(len(q)) >= band.guess.first)[:, None]
+    after = (np.arange(len(q)) >= band.prediction.first)[:, None]
     return [np.where(after, bounded(end, q), np.nan) for end in (band.low, band.high)]
 
 

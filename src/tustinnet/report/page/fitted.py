@@ -52,12 +52,12 @@ def report_of_choice(choice: Choice, command: str) -> Path:
         choice: the choice, its files are written.
         command: what writes a report of all these records.
     """
-    folder, standing = choice.at.folder, choice.standing(choice.best)
-    rmse = standing.rmse()
+    folder, result = choice.context.folder, choice.result(choice.best)
+    rmse = result.rmse()
     shown = some_of(rmse)
-    records = [e for e in choice.at.data if e.name in shown]
+    records = [e for e in choice.context.data if e.name in shown]
     asked = Asked(
-        standing.starts[0], choice.at.judging.horizon, command=command, whole=len(rmse)
+        result.starts[0], choice.context.scoring.horizon, command=command, whole=len(rmse)
     )  # fmt: skip
     subjects = subjects_of([folder / MODEL], [choice.model])
     return written(subjects, records, folder / REPORT, asked)

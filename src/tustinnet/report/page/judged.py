@@ -10,7 +10,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.evaluate.ahead import rmse_ahead
 from tustinnet.evaluate.bands import KEY as BANDS
-from tustinnet.evaluate.bands import Band, BandAsked, Calibration, alternatives_of, bands_around
+from tustinnet.evaluate.bands import Band, BandOptions, Calibration, find_alternatives, make_bands
 from tustinnet.evaluate.energy import energy_along
 from tustinnet.evaluate.residuals import ResidualReport, residual_reports
 from tustinnet.evaluate.scores import Score, evaluate
@@ -80,7 +80,7 @@ def judged(
     residuals: list[ResidualReport] = []
     try:
         lags = min(_LAGS, min(map(len, records)) - start_named(start).first - 1)
-        residuals = residual_reports(model, records, start, lags, horizon=horizon, own=runs)
+        residuals = residual_reports(model, records, start, lags, horizon=horizon, runs=runs)
     except InputError as error:
         notes.append(f"no residuals: {error}")
     bands: list[Band] = []
@@ -102,9 +102,9 @@ def _bands(subject: Subject, records: Sequence[Experiment], scores: Sequence[Sco
     if BANDS not in subject.header:
         return []
     calibration = Calibration.from_header(subject.header, subject.label)
-    asked = BandAsked(min(_LEVEL, calibration.most))
-    others = alternatives_of(subject.model, subject.header, subject.label)
-    return bands_around(calibration, asked, subject.model, others, records, scores)
+    asked = BandOptions(min(_LEVEL, calibration.highest_level))
+    others = find_alternatives(subject.model, subject.header, subject.label)
+    return make_bands(calibration, asked, subject.model, others, records, scores)
 
 
 def _energies(

@@ -8,10 +8,10 @@ from typing import Any
 from tustinnet.errors import InputError
 from tustinnet.evaluate.scores import Score
 from tustinnet.models.contract import Model
-from tustinnet.selection.ending import WHOLE
-from tustinnet.store.header import shown
+from tustinnet.selection.final_models import WHOLE
+from tustinnet.store.header import read_description
 from tustinnet.store.kept_system import CANDIDATES
-from tustinnet.store.log import LOG, is_end, read_log, read_search
+from tustinnet.store.log import LOG, is_stage_end, read_log, read_search_log
 from tustinnet.store.run import MODEL
 
 History = Sequence[Mapping[str, Any]]
@@ -44,7 +44,7 @@ class Subject:
     @property
     def stages(self) -> list[Mapping[str, Any]]:
         """The ends of the stages of its identification, with the parameters there."""
-        return [line for line in self.search if is_end(line)]
+        return [line for line in self.search if is_stage_end(line)]
 
 
 def model_file(path: Path) -> Path:
@@ -72,7 +72,7 @@ def subjects_of(files: Sequence[Path], models: Sequence[Model]) -> list[Subject]
     """
     found = []
     for label, file, model in zip(short_labels(files), files, models, strict=True):
-        header, told = shown(file)
+        header, told = read_description(file)
         folder = _made_in(file.parent, header)
         found.append(Subject(label, model, header, file, told, _histories(folder), _search(folder)))
     return found
@@ -100,7 +100,7 @@ def _histories(folder: Path) -> dict[str, History]:
 
 def _search(folder: Path) -> History:
     """The log of an identification, of a candidate that from all records."""
-    return read_search(folder) or read_search(folder / WHOLE)
+    return read_search_log(folder) or read_search_log(folder / WHOLE)
 
 
 def short_labels(files: Sequence[Path]) -> list[str]:

@@ -26,7 +26,7 @@ from tustinnet.report.page.subject import Subject
 from tustinnet.report.tables import Table, number, numbers
 from tustinnet.selection.jobs import LEFT_OUT
 from tustinnet.simulate.horizon import over
-from tustinnet.store.header import records_in
+from tustinnet.store.header import records_in_header
 from tustinnet.store.model_file import package_versions
 
 _SHOWN = 12  # digits of a checksum
@@ -123,7 +123,7 @@ def _records(subject: Subject, records: Sequence[Experiment], whole: int | None)
 
 def trained_on(subject: Subject, records: Sequence[Experiment]) -> list[str]:
     """The names of those records that a model was fitted to, by their checksums."""
-    known = records_in(subject.header)
+    known = records_in_header(subject.header)
     return [e.name for e in records if e.sha256 and e.sha256 in known]
 
 
@@ -217,7 +217,7 @@ def models_table(found: Sequence[Judged], records: Sequence[Experiment]) -> Tabl
         header, file = of.subject.header, of.subject.file
         recipe, training = header.get("recipe") or {}, header.get("training") or {}
         seed = f", seed {training['seed']}" if "seed" in training else ""
-        made = len(records_in(header))
+        made = len(records_in_header(header))
         rows.append([
             of.subject.label,
             family_of(of.subject.model).kind,
