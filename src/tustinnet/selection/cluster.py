@@ -65,8 +65,8 @@ def cluster(
         on_message: called with sentences on jobs that begin and end.
 
     Yields:
-        A function that makes an executor from a `RunContext`. It raises `InputError` where a machine
-        lacks the packages, or does not share the run's folder.
+        A function that makes an executor from a `RunContext`. It raises `InputError` where a
+        machine lacks the packages, or does not share the run's folder.
 
     Raises:
         InputError: Ray is not installed, no such cluster, or it does not answer within seconds.

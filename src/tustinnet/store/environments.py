@@ -36,7 +36,7 @@ def environment(model: str | Path | Model, **options: Any) -> ModelEnv:
 def environments(
     num_envs: int, model: str | Path | Model, max_episode_steps: int | None = None, **options: Any
 ) -> ModelVectorEnv:
-    """Environments that step at once: `gymnasium.make_vec("tustinnet.gym:TustinNet-v0", 64, model=...)`.
+    """Environments that step at once; the vector entry point of `tustinnet.gym:TustinNet-v0`.
 
     Args:
         num_envs: how many.
