@@ -367,10 +367,45 @@ def test_an_interruption_ends_the_selection(tmp_path, monkeypatch):
         selected(tmp_path)
 
 
-def test_a_budget_that_is_too_short_says_what_the_cheapest_needs(tmp_path):
+def outcomes(choice: Choice) -> list[tuple[str, str]]:
+    """How the jobs of the network ended, as their files have it, and its first training."""
+    found = []
+    for path in sorted(choice.context.folder.glob("candidates/network/*/scores.json")):
+        result = json.loads(path.read_text())["result"]
+        found.append((result["ended"], result["scores"][0]["outcome"]))
+    return found
+
+
+def test_a_training_that_is_stopped_is_scored_and_a_resumed_run_goes_on_with_it(
+    alone, tmp_path, monkeypatch
+):
+    with monkeypatch.context() as patch:
+        patch.setattr(jobs.StopCheck, "__call__", lambda self, progress: True)
+        stopped, _ = selected(tmp_path)
+    assert outcomes(stopped) == [("out of time", "out of time")] * 3
+    assert np.isfinite(list(stopped.result("network").rmse().values())).all()
+    assert any("3 of its 3 trainings were stopped by the budget" in s for s in stopped.sentences)
+    header = read_header(stopped.context.folder / stopped.result("network").models[0].model)
+    assert header["outcome"] == "out of time"
+    resumed, _ = selected(tmp_path, "resume")
+    assert outcomes(resumed) == [("done", "finished")] * 3
+    assert resumed.result("network").rmse() == alone[0].result("network").rmse()
+
+
+def test_a_training_that_reaches_the_deadline_is_chosen_with_its_best_weights(tmp_path):
     text = NETWORK_ONLY.replace(
         'recipe = "small.toml"', 'recipe = "small.toml", set = ["stages.0.epochs=100000"]'
-    )
+    ).replace("folds = 3 }", "folds = 1 }")
+    options = SelectionOptions(plan_in(tmp_path, text), budget=20.0)
+    choice = select_model(swings(), tmp_path / "run", options)
+    assert outcomes(choice) == [("out of time", "out of time")]
+    assert choice.best == "network"
+    assert choice.seconds < 60
+
+
+def test_a_budget_that_is_too_short_says_what_the_cheapest_needs(tmp_path):
+    changes = '["stages.0.epochs=100000", "stages.0.keep=last"]'
+    text = NETWORK_ONLY.replace('recipe = "small.toml"', f'recipe = "small.toml", set = {changes}')
     options = SelectionOptions(plan_in(tmp_path, text), budget=20.0)
     begun = time.monotonic()
     with pytest.raises(

@@ -227,7 +227,8 @@ def cross_validate(
         RecipeScoring(folds, starts[0], names=options.starts),
         folder or Path(),
         models={} if executor is None else None,
-        system=system or options.system,
+        # in this process the system is loaded already; a worker loads its file
+        system=options.system if executor is None else system or options.system,
     )
     if executor is None:
         workers = InProcess(context, lambda job: make_listener, raises=True, together=True)
