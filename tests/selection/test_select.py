@@ -275,14 +275,14 @@ def test_a_job_of_other_records_is_done_again(tmp_path):
     other = replace(data, experiments=(*data[:4], replace(last, q=last.q + 0.01)))
     with pytest.raises(InputError, match=r"another data \(noise3\)"):
         selected(tmp_path, "resume", other)
-    (first.at.folder / "question.json").unlink()  # as of a folder that does not say it
+    (first.context.folder / "question.json").unlink()  # as of a folder that does not say it
     again, _ = selected(tmp_path, "resume", other)
     assert again.result("network").rmse() != first.result("network").rmse()
 
 
 def test_a_damaged_account_of_a_job_is_not_believed(tmp_path):
     first, _ = selected(tmp_path)
-    path = next(first.at.folder.glob("candidates/*/*/scores.json"))
+    path = next(first.context.folder.glob("candidates/*/*/scores.json"))
     for text in ("{", "[]", "{}", path.read_text().replace('"done"', '"fine"')):
         path.write_text(text)
         again, _ = selected(tmp_path, "resume")

@@ -57,9 +57,9 @@ def calibrate(
         write_system_copy(copy, out.parent)
     if json:
         terminal.print_json({"file": str(out), "start": begin, "records": found.records,
-                             "highest_level": found.most})  # fmt: skip
+                             "highest_level": found.highest_level})  # fmt: skip
         return
     terminal.messages().print(
         f"{out}: bands from {len(records)} records, start '{begin}'; they can promise at most "
-        f"{100 * found.most:.1f} %"
+        f"{100 * found.highest_level:.1f} %"
     )

@@ -73,7 +73,7 @@ def evaluate(
     if json:
         content = _content(judged.channels, runs, by_split, horizon)
         if asked is not None:
-            content["band"] = {"level": asked.level, "of": asked.of,
+            content["band"] = {"level": asked.level, "of": asked.scope,
                                "covered": [asdict(of) for of in shares]}  # fmt: skip
         if errors is not None:
             content["ahead"] = {"dt": judged.dt, "rmse": errors.tolist()}
@@ -149,7 +149,7 @@ def _band_table(shares: "list[Coverage]", asked: "BandOptions", channels: "Chann
         ])  # fmt: skip
     columns = ["coordinate", "part", "inside [%]", "95 % interval", "records all inside",
                "width", "width / RMSE", "CRPS"]  # fmt: skip
-    what = "of the time" if asked.of == "time" else "of whole records"
+    what = "of the time" if asked.scope == "time" else "of whole records"
     return Table(columns, rows, title=f"Bands of {100 * asked.level:g} % {what}")
 
 

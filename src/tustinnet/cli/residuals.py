@@ -76,7 +76,7 @@ def residuals(
 
 
 def _plain(report: "ResidualReport") -> dict[str, Any]:
-    content = {**dataclasses.asdict(report), "white": report.white}
+    content = {**dataclasses.asdict(report), "white": report.is_white}
     return {k: v.tolist() if hasattr(v, "tolist") else v for k, v in content.items()}
 
 

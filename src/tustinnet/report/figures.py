@@ -132,7 +132,7 @@ def _shade(
     """A band of one coordinate, from where the free run begins."""
     after = slice(band.prediction.first, None)
     low, high = (bounded(of[after, j], e.q[after, j]) for of in (band.low, band.high))
-    told = f"{100 * band.level:g} % of {'the time' if band.of == 'time' else 'whole records'}"
+    told = f"{100 * band.level:g} % of {'the time' if band.scope == 'time' else 'whole records'}"
     axes.fill_between(t[after], low, high, color=colour, alpha=0.2, linewidth=0, label=told)
 
 
