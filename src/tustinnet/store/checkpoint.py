@@ -143,7 +143,11 @@ def read_checkpoint(path: Path, task: Task) -> tuple[tuple[Member, ...], Resumed
                 )
         if not members:
             return (), None
-        progress = tuple(_read_progress(header["progress"][row]) for row in rows)
+        fields = {field.name for field in dataclasses.fields(Progress)}
+        contents = [header["progress"][row] for row in rows]
+        if any(content.keys() != fields for content in contents):
+            raise ValueError("a progress with other fields")
+        progress = tuple(_PROGRESS.validate_python(content) for content in contents)
         template = _with_plain_key(plan(task.of(members)).begin(header["stage"]))
         leaves, structure = jax.tree.flatten(template)
         stored = [arrays[name] for name in sorted(arrays)]
@@ -154,12 +158,6 @@ def read_checkpoint(path: Path, task: Task) -> tuple[tuple[Member, ...], Resumed
         plain = jax.tree.unflatten(structure, [jnp.asarray(array[rows]) for array in stored])
     key = jax.random.wrap_key_data(plain.weights.key)
     return members, (plain._replace(weights=plain.weights._replace(key=key)), progress)
-
-
-def _read_progress(content: dict[str, Any]) -> Progress:
-    if content.keys() != {field.name for field in dataclasses.fields(Progress)}:
-        raise ValueError("a progress with other fields")
-    return _PROGRESS.validate_python(content)
 
 
 def _with_plain_key(state: TrainingState) -> Any:

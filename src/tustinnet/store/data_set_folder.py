@@ -7,7 +7,6 @@ import tomli_w
 
 from tustinnet.data.catalog import CARD_NAME
 from tustinnet.data.dataset import DataSet
-from tustinnet.data.experiment import Experiment
 from tustinnet.store.files import require_outputs, require_writable_folder, write_into
 
 
@@ -32,15 +31,11 @@ def write_data_set(
     require_outputs([card, *(folder / file for file in files.values())], overwrite=overwrite)
     require_writable_folder(folder)
     for e in data:
-        write_into(folder, files[e.name], _rows(e))
+        columns = [e.u, e.q, e.t[:, None], *([] if e.v is None else [e.v])]
+        lines = [",".join(f"{x:.9g}" for x in row) for row in np.concatenate(columns, axis=1)]
+        write_into(folder, files[e.name], "".join(f"{line}\n" for line in lines))
     write_into(folder, CARD_NAME, _card(data, files, description))
     return card
-
-
-def _rows(e: Experiment) -> str:
-    columns = [e.u, e.q, e.t[:, None], *([] if e.v is None else [e.v])]
-    table = np.concatenate(columns, axis=1)
-    return "".join(",".join(f"{x:.9g}" for x in row) + "\n" for row in table)
 
 
 def _card(data: DataSet, files: dict[str, str], description: str) -> str:
