@@ -198,3 +198,23 @@ def test_free_runs_that_are_further_off_than_the_records_move_end_it_after_a_rou
     found.run(executor := Pretended(of=of))
     assert found.hopeless
     assert {j.fold for j in executor.done} == {0}
+
+
+def test_a_job_yields_its_time_while_others_wait():
+    found, _ = halving()
+    found.run(executor := Pretended())
+    assert [job.yields for job in executor.done[:4]] == [True, True, True, False]
+
+
+def test_a_training_that_the_deadline_stopped_is_ranked_but_not_tried_on_more_folds():
+    def of(job: Job) -> JobResult | None:
+        if job.candidate != "network":
+            return None
+        models = (FitScore(0, "out of time", "m", None, {"model-20": {f"r{job.fold}0": 0.01}}),)
+        return JobResult("network", job.fold, 1.0, "out of time", models, "spent", needs=1e6)
+
+    found, said = halving(deadline=Deadline(time.monotonic() + 100))
+    found.run(executor := Pretended(of=of))
+    assert "network, fold 0: spent" in said
+    assert any(line.startswith("round 1 of 3, one fold: network 0.01, ") for line in said)
+    assert [j.fold for j in executor.done if j.candidate == "network"] == [0]
