@@ -33,7 +33,7 @@ def train_plan(
         The members' models and how they came about. A training that diverged or was stopped
         returns the best weights it had and says so in `outcome`.
     """
-    best, progress = train(prepared, listener, resume)
+    best, progress = train(prepared, listener, resume, should_stop)
     return [_result(prepared, best, m, p) for m, p in enumerate(progress)]
 
 
