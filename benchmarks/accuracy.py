@@ -32,12 +32,12 @@ import numpy as np
 from grey_variants import SHIFTS, VARIANTS, shifted
 
 import tustinnet as tn
-from tustinnet.evaluate.folds import make_question
 from tustinnet.evaluate.scores import Score
 from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.report.fits import folds_table
 from tustinnet.report.tables import Table, number
+from tustinnet.selection.cross_validation import make_cross_validation_options
 from tustinnet.selection.jobs import SCORES
 
 STARTS = ("file", "model-10", "model-20", "model-80")
@@ -53,7 +53,7 @@ def variants(args: argparse.Namespace) -> None:
     tried |= {f"input shifted by {by:g} samples": (shifted(data, by), usual) for by in SHIFTS}
     for title, (records, system) in tried.items():
         found = tn.cross_validate(
-            records, make_question("best-grey", system=system, starts=args.start)
+            records, make_cross_validation_options("best-grey", system=system, starts=args.start)
         )
         print(f"{title}\n\n{folds_table(found).markdown()}", flush=True)
 

@@ -12,7 +12,6 @@ anew. All are scored on the 6 validation records of the other device, which noth
 import argparse
 import json
 from pathlib import Path
-from typing import Any
 
 import jax
 
@@ -23,24 +22,24 @@ import numpy as np
 from rich.console import Console
 
 import tustinnet as tn
-from tustinnet.evaluate.folds import Question, make_question
-from tustinnet.evaluate.learning import (
-    ENOUGH,
-    LearningCurve,
-    Maybe,
-    Place,
-    identified,
-    scored,
-    trained,
-)
-from tustinnet.fitting.report import FitResult
-from tustinnet.fitting.task import Origin
 from tustinnet.report.figures import write_figure
 from tustinnet.report.learning import learning_figure, learning_table
 from tustinnet.report.progress import FitProgress
+from tustinnet.selection.cross_validation import (
+    CrossValidationOptions,
+    make_cross_validation_options,
+)
+from tustinnet.selection.learning import (
+    ENOUGH,
+    Draw,
+    DrawFitter,
+    DrawResult,
+    LearningCurve,
+    make_points,
+)
 from tustinnet.systems.qube_servo2_twin import TWIN_VALUES, twin
 
-Found = dict[str, list[Maybe]]
+Results = dict[str, list[DrawResult]]
 
 RECIPES = Path(__file__).parent / "recipes"
 OFF = 0.2
@@ -63,69 +62,70 @@ def another(device: int) -> tn.DataSet:
     return twin(100 + device, values=values)
 
 
-def places_of(devices: int, sizes: tuple[int, ...]) -> list[Place]:
+def draw_records(devices: int, sizes: tuple[int, ...]) -> list[Draw]:
     """Every device with every number of its records."""
-    found = []
+    draws = []
     for device in range(devices):
         data = another(device)
         records = data.split("train")
         order = np.random.default_rng(device).permutation(len(records))
         mixed, left = tuple(records[int(i)] for i in order), tuple(data.split("validation"))
-        found += [Place(device, n, mixed[:n], left) for n in sizes]
-    return found
+        draws += [Draw(device, n, mixed[:n], left) for n in sizes]
+    return draws
 
 
-def first_device() -> Place:
+def first_device() -> Draw:
     """All records of the first device but those of its test split."""
     known = [e for e in twin(0) if e.split != "test"]
-    return Place(0, len(known), tuple(known), ())
+    return Draw(0, len(known), tuple(known), ())
 
 
-def begun(question: Question, origin: tn.Model) -> Question:
-    """The same identification, beginning at the values of another."""
-    assert question.physics is not None
-    recipe = question.physics.from_model(origin, question.system)
-    return Question(question.recipe, recipe, question.system)
+def model_of(result: DrawResult) -> tn.Model:
+    """The model of a fit that succeeded."""
+    assert result.model is not None, result.outcome
+    return result.model
 
 
-def model_of(of: Maybe) -> tn.Model:
-    """The model that came out."""
-    assert isinstance(of, FitResult), of
-    return of.model
+def score(draws: list[Draw], model: tn.Model, start: str) -> list[DrawResult]:
+    """A model as it is, scored on the records that each draw leaves out."""
+    by_draw = [tn.evaluate(model, draw.scored, start) for draw in draws]
+    rmse = [{s.experiment: s.rmse for s in scores} for scores in by_draw]
+    return [DrawResult(model, "finished", of_draw) for of_draw in rmse]
 
 
-def networks(places: list[Place], network: tn.Recipe, gentle: tn.Recipe) -> Found:
-    """What networks came to, a fit a place: anew, gone on with, and as the first device had it."""
+def networks(draws: list[Draw], network: tn.Recipe, gentle: tn.Recipe, start: str) -> Results:
+    """Results of networks, a fit a draw: anew, gone on with, and as the first device had it."""
     with FitProgress(Console(stderr=True, soft_wrap=True)) as progress:
-        tell: Any = progress.follow
-        first = trained([first_device()], network, tell=tell)[0]
-        origins = [Origin(model_of(first))] * len(places)
+        fitter = DrawFitter(twin(0), start, progress.follow)
+        first = model_of(fitter.train([first_device()], network)[0])
         return {
-            "network, anew": trained(places, network, tell=tell),
-            "network, from": trained(places, gentle, origins=origins, tell=tell),
-            "network of the first device": [first] * len(places),
+            "network, anew": fitter.train(draws, network),
+            "network, from": fitter.train(draws, gentle, origins=[first] * len(draws)),
+            "network of the first device": score(draws, first, start),
         }
 
 
-def with_physics(places: list[Place], question: Question) -> Found:
-    """What grey boxes and hybrids came to, a fit a place."""
-    first, n = [first_device()], len(places)
+def with_physics(draws: list[Draw], options: CrossValidationOptions, start: str) -> Results:
+    """Results of grey boxes and hybrids, a fit a draw."""
+    first, n, recipe, system = [first_device()], len(draws), options.physics, options.system
+    assert recipe is not None
     with FitProgress(Console(stderr=True, soft_wrap=True)) as progress:
-        tell: Any = progress.follow
-        ours = model_of(identified(first, question, tell)[0])
-        both = trained(first, question.recipe, physics=[ours], tell=tell)
-        hybrid = Origin(model_of(both[0]))
-        anew = identified(places, question, tell)
-        theirs = [model_of(of) if isinstance(of, FitResult) else None for of in anew]
+        fitter = DrawFitter(twin(0), start, progress.follow)
+        ours = model_of(fitter.identify(first, recipe, system)[0])
+        hybrid = model_of(fitter.train(first, options.recipe, physics=[ours])[0])
+        anew = fitter.identify(draws, recipe, system)
+        theirs = [result.model for result in anew]
+        table = recipe.family.beginning(recipe.model, ours, system)
+        from_ours = recipe.model_copy(update={"model": table})
         return {
             "grey box, anew": anew,
-            "grey box, from": identified(places, begun(question, ours), tell),
-            "hybrid, anew": trained(places, question.recipe, physics=theirs, tell=tell),
-            "hybrid, from": trained(
-                places, question.recipe, physics=[ours] * n, origins=[hybrid] * n, tell=tell
+            "grey box, from": fitter.identify(draws, from_ours, system),
+            "hybrid, anew": fitter.train(draws, options.recipe, physics=theirs),
+            "hybrid, from": fitter.train(
+                draws, options.recipe, physics=[ours] * n, origins=[hybrid] * n
             ),
-            "hybrid, from, physics anew": trained(
-                places, question.recipe, physics=theirs, origins=[hybrid] * n, tell=tell
+            "hybrid, from, physics anew": fitter.train(
+                draws, options.recipe, physics=theirs, origins=[hybrid] * n
             ),
         }
 
@@ -155,14 +155,15 @@ def main() -> None:
     asked.add_argument("--figure", type=Path, default=Path("results/another_device.png"))
     given = asked.parse_args()
     sizes = tuple(map(int, given.sizes.split(",")))
-    places = places_of(given.devices, sizes)
+    draws = draw_records(given.devices, sizes)
     if given.what == "network":
         recipes = (tn.read_recipe(given.network, changes) for changes in ((), GENTLE))
-        found = networks(places, *recipes)
+        found = networks(draws, *recipes, given.start)
     else:
-        found = with_physics(places, make_question(given.hybrid, system=given.system))
-    points = [p for name, of in found.items() for p in scored(name, places, of, given.start)]
-    left_out = tuple(len(p.scored) for p in places if p.size == sizes[0])
+        options = make_cross_validation_options(given.hybrid, system=given.system)
+        found = with_physics(draws, options, given.start)
+    points = [p for name, of in found.items() for p in make_points(name, draws, of)]
+    left_out = tuple(len(d.scored) for d in draws if d.size == sizes[0])
     curve = LearningCurve("rad", given.start, sizes, tuple(points), left_out)
     given.out.parent.mkdir(parents=True, exist_ok=True)
     given.out.write_text(json.dumps(curve.as_plain(), indent=1))

@@ -24,14 +24,14 @@ jax.config.update("jax_enable_x64", True)
 
 import tustinnet as tn
 from tustinnet.data.dataset import DataSet
-from tustinnet.evaluate.bands import Band, Guess, band_of, calibrated, guesses
-from tustinnet.evaluate.coverage import covered
-from tustinnet.evaluate.folds import dealt
+from tustinnet.evaluate.bands import Band, Prediction, calibrate_bands, make_band, predict
+from tustinnet.evaluate.coverage import compute_coverage
 from tustinnet.families.family import family_of
 from tustinnet.fitting.fit import fit_task
 from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Fold, Member, Task
+from tustinnet.selection.folds import split_into_folds
 
 INNER = 3  # folds of the others
 
@@ -42,26 +42,26 @@ def fitted(folds: list[Fold], recipe: Any, system: Any, seeds: int) -> list[FitR
     return fit_task(Task(recipe, tuple(folds), members, system))
 
 
-def guessed(result: FitResult, records: Any, start: str) -> list[Guess]:
+def guessed(result: FitResult, records: Any, start: str) -> list[Prediction]:
     """Free runs of records with the spread of the model's alternatives."""
     others = family_of(result.model).alternatives(result.model, result.as_header())
-    return guesses(result.model, others, records, start)
+    return predict(result.model, others, records, start)
 
 
-Tried = tuple[list[Guess], list[tn.Experiment], list[Guess], list[tn.Experiment]]
+Tried = tuple[list[Prediction], list[tn.Experiment], list[Prediction], list[tn.Experiment]]
 
 
 def by_fits(given: argparse.Namespace, data: DataSet) -> list[Tried]:
     """Per fold: free runs that calibrate, their records, free runs that are tried, theirs."""
     recipe, system = tn.read_recipe(given.recipe), tn.load_system(given.system)
-    deals = dealt(data)
+    deals = split_into_folds(data)
     inner: list[tuple[int, Any]] = []
     folds: list[Fold] = []
     for k, deal in enumerate(deals):
         others = deal.roles.all
         inner.append((k, None))
         folds.append(Fold(Roles(tuple(others), ())))
-        for d in dealt(DataSet(data.name, tuple(others)), INNER):
+        for d in split_into_folds(DataSet(data.name, tuple(others)), INNER):
             inner.append((k, d.scored))
             folds.append(Fold(Roles(tuple(d.roles.all), ())))
     results, found = fitted(folds, recipe, system, 1), []
@@ -82,8 +82,8 @@ def by_committees(given: argparse.Namespace, data: DataSet) -> list[Tried]:
     wanted = given.of.split(",")
     told = json.loads((given.run / "summary.json").read_text())["candidates"]
     files = {c["name"]: c["models"] for c in told if c["name"] in wanted}
-    each: list[tuple[list[Guess], list[tn.Experiment]]] = []
-    for k, deal in enumerate(dealt(data)):
+    each: list[tuple[list[Prediction], list[tn.Experiment]]] = []
+    for k, deal in enumerate(split_into_folds(data)):
         models, weights = [], []
         for name in wanted:
             there = [given.run / f for f in files[name] if re.search(rf"fold-{k}-seeds", f)]
@@ -91,7 +91,7 @@ def by_committees(given: argparse.Namespace, data: DataSet) -> list[Tried]:
             weights += [1 / len(wanted) / len(there)] * len(there)
         together = tn.committee(models, weights)
         others = family_of(together).alternatives(together, {})
-        each.append((guesses(together, others, deal.scored, given.start), list(deal.scored)))
+        each.append((predict(together, others, deal.scored, given.start), list(deal.scored)))
     found = []
     for k, (tried, scored) in enumerate(each):
         rest = [of for i, of in enumerate(each) if i != k]
@@ -115,13 +115,13 @@ def main() -> None:
     bands: dict[str, list[Band]] = {"time": [], "record": []}
     scored_all: list[tn.Experiment] = []
     for made, records, tried, scored in (by_committees if given.run else by_fits)(given, data):
-        calibration, n = calibrated(made, records, given.start), len(records)
-        bands["time"] += [band_of(calibration, g, 0.9) for g in tried]
-        bands["record"] += [band_of(calibration, g, n / (n + 1), "record") for g in tried]
+        calibration, n = calibrate_bands(made, records, given.start), len(records)
+        bands["time"] += [make_band(calibration, g, 0.9) for g in tried]
+        bands["record"] += [make_band(calibration, g, n / (n + 1), "record") for g in tried]
         scored_all += scored
     rows = []
     for of, some in bands.items():
-        shares = covered(scored_all, some)
+        shares = compute_coverage(scored_all, some)
         rows += [{"of": of, "level": some[0].level, **asdict(share)} for share in shares]
         for share in shares:
             low, high = share.interval

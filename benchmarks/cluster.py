@@ -10,7 +10,7 @@ import argparse
 import pickle
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import jax
@@ -21,41 +21,34 @@ jax.config.update("jax_enable_x64", True)
 import numpy as np
 
 import tustinnet as tn
-from tustinnet.fitting.listener import Listener
 from tustinnet.selection.cluster import AUTO, cluster
-from tustinnet.selection.executors import Executor, InProcess
-from tustinnet.selection.jobs import Job, JobResult, Judging, Workplace
+from tustinnet.selection.jobs import Job, JobResult, RunContext
+from tustinnet.selection.runner import Executor, InProcess, MakeExecutor, run_jobs
+from tustinnet.selection.scoring import ScoringOptions
 
 FOLDS, SEEDS, EPOCHS = 5, 4, 6
 
 
-def done(executor: Executor, jobs: Sequence[Job]) -> list[JobResult]:
+def do_all(executor: Executor, jobs: Sequence[Job]) -> list[JobResult]:
     """Does jobs, as many at once as the executor takes."""
-    waiting, running, found = list(jobs), 0, []
-    while waiting or running:
-        if waiting and executor.free:
-            executor.submit(waiting.pop(0))
-            running += 1
-        else:
-            found.append(executor.result())
-            running -= 1
-    assert all(result.ended == "done" for result in found), found
-    return found
+    results = run_jobs(jobs, executor)
+    assert all(result.ended == "done" for result in results), results
+    return results
 
 
-def measure(name: str, make: Callable[[Workplace], Executor], data: tn.DataSet) -> None:
+def measure(name: str, make: MakeExecutor, data: tn.DataSet) -> None:
     """Prints how long the jobs take with an executor, and how long when they are done already."""
     recipe = tn.read_recipe("linear", [f"stages.*.epochs={EPOCHS}"])
     jobs = [Job("linear", recipe, f, (seed,)) for seed in range(SEEDS) for f in range(FOLDS)]
     with tempfile.TemporaryDirectory() as folder:
-        at = Workplace(Path(folder), data, Judging(FOLDS, "model-20"))
-        executor, begun = make(at), time.monotonic()
-        seconds = [result.seconds for result in done(executor, jobs)]
+        context = RunContext(data, ScoringOptions(FOLDS, "model-20"), Path(folder))
+        executor, begun = make(context), time.monotonic()
+        seconds = [result.seconds for result in do_all(executor, jobs)]
         whole, begun = time.monotonic() - begun, time.monotonic()
-        done(executor, jobs)
+        do_all(executor, jobs)
         again = time.monotonic() - begun
-        files = sum(path.stat().st_size for path in at.folder.rglob("*") if path.is_file())
-    sent, order = len(pickle.dumps(at)), len(pickle.dumps(jobs[0]))
+        files = sum(path.stat().st_size for path in context.folder.rglob("*") if path.is_file())
+    sent, order = len(pickle.dumps(context)), len(pickle.dumps(jobs[0]))
     print(f"{name}: {len(jobs)} jobs in {whole:.1f} s")
     print(f"  a job: median {np.median(seconds):.2f} s, longest {max(seconds):.1f} s (it compiles)")
     print(f"  found done: {again / len(jobs) * 1e3:.1f} ms a job")
@@ -70,7 +63,7 @@ def main() -> None:
     parser.add_argument("address", nargs="?", default=AUTO)
     args = parser.parse_args()
     data = tn.load(args.folder)
-    measure("in process", lambda at: InProcess(at, lambda job: lambda plan: Listener()), data)
+    measure("in process", InProcess, data)
     begun = time.monotonic()
     with cluster(args.address) as workers:
         print(f"joined in {time.monotonic() - begun:.1f} s", flush=True)

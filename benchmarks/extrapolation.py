@@ -28,11 +28,11 @@ import numpy as np
 from rich.console import Console
 
 import tustinnet as tn
-from tustinnet.evaluate.folds import make_question, taking_part
-from tustinnet.evaluate.learning import Maybe, Place, identified, score_place, trained
-from tustinnet.fitting.report import FitResult
 from tustinnet.report.progress import FitProgress
 from tustinnet.report.tables import Table, number
+from tustinnet.selection.cross_validation import make_cross_validation_options
+from tustinnet.selection.folds import records_without_test
+from tustinnet.selection.learning import Draw, DrawFitter, DrawResult
 
 RECIPES = Path(__file__).parent / "recipes"
 KINDS = {"noise 3.5 V": "wN_3_5V", "higher falls": "fall"}
@@ -41,7 +41,7 @@ REFERENCE = "mixed"
 
 def sets_of(data: tn.DataSet) -> dict[str, list[list[tn.Experiment]]]:
     """The training records of each set; of `mixed` two lots."""
-    known = taking_part(data)
+    known = records_without_test(data)
     noise = [e for e in known if not e.name.startswith("fall")]
     falls = sorted((e for e in known if e.name.startswith("fall")), key=lambda e: np.cos(e.q[0, 1]))
     low, high = falls[: len(falls) // 2], falls[len(falls) // 2 :]
@@ -54,7 +54,7 @@ def sets_of(data: tn.DataSet) -> dict[str, list[list[tn.Experiment]]]:
 def scored_of(data: tn.DataSet, used: Sequence[tn.Experiment]) -> list[tn.Experiment]:
     """The wilder records that were not used."""
     gentle = {e.name for e in sets_of(data)["gentle"][0]}
-    wild = [e for e in taking_part(data) if e.name.startswith(tuple(KINDS.values()))]
+    wild = [e for e in records_without_test(data) if e.name.startswith(tuple(KINDS.values()))]
     return [e for e in wild if e.name not in gentle and e.name not in {of.name for of in used}]
 
 
@@ -107,26 +107,25 @@ def main() -> None:
         tn.read_recipe(name, [f"stages.*.epochs={epochs}"])
         for name, epochs in zip((given.network, given.hybrid), given.epochs, strict=True)
     )
-    question = make_question(hybrid_recipe, system=given.system)
-    alone = [Place(0, len(of), of, tuple(scored_of(data, of))) for _, of in lots]
-    places = [
-        Place(seed, p.size, p.records, p.scored) for seed in range(given.seeds) for p in alone
-    ]
+    options = make_cross_validation_options(hybrid_recipe, system=given.system)
+    assert options.physics is not None
+    alone = [Draw(0, len(of), of, tuple(scored_of(data, of))) for _, of in lots]
+    draws = [Draw(seed, d.size, d.records, d.scored) for seed in range(given.seeds) for d in alone]
     with FitProgress(Console(stderr=True, soft_wrap=True)) as progress:
-        physics = identified(alone, question, progress.follow)
-        known = [p.model if isinstance(p, FitResult) else None for p in physics] * given.seeds
-        network = trained(places, network_recipe, tell=progress.follow)
-        hybrid = trained(places, question.recipe, physics=known, tell=progress.follow)
-    results: dict[str, tuple[list[Place], list[Maybe]]] = {
-        "network": (places, network), "grey box": (alone, physics), "hybrid": (places, hybrid),
+        fitter = DrawFitter(data, given.start, progress.follow)
+        physics = fitter.identify(alone, options.physics, options.system)
+        models = [result.model for result in physics] * given.seeds
+        network = fitter.train(draws, network_recipe)
+        hybrid = fitter.train(draws, options.recipe, physics=models)
+    results: dict[str, tuple[list[Draw], list[DrawResult]]] = {
+        "network": (draws, network), "grey box": (alone, physics), "hybrid": (draws, hybrid),
     }  # fmt: skip
     found = []
     for approach, (at, fits) in results.items():
-        for i, (place, fit) in enumerate(zip(at, fits, strict=True)):
-            assert isinstance(fit, FitResult), fit
-            rmse = score_place(fit, place.scored, given.start)
-            found.append({"approach": approach, "set": lots[i % len(lots)][0], "seed": place.draw,
-                          "rmse": rmse})  # fmt: skip
+        for i, (draw, fit) in enumerate(zip(at, fits, strict=True)):
+            assert fit.model is not None, fit.outcome
+            found.append({"approach": approach, "set": lots[i % len(lots)][0],
+                          "seed": draw.number, "rmse": fit.rmse})  # fmt: skip
     given.out.parent.mkdir(parents=True, exist_ok=True)
     given.out.write_text(json.dumps(found, indent=1))
     print(tables(found).markdown())

@@ -30,8 +30,10 @@ from rich.console import Console
 
 import tustinnet as tn
 from tustinnet.data.proposals import Proposal
-from tustinnet.evaluate.folds import fitted
-from tustinnet.evaluate.next_record import ranked
+from tustinnet.evaluate.next_record import rank_proposals
+from tustinnet.fitting.fit import fit_task
+from tustinnet.fitting.gradient.plan import plan
+from tustinnet.fitting.gradient.train import train_plan
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Fold, Member, Task
 from tustinnet.report.progress import FitProgress
@@ -104,15 +106,15 @@ def grey(arms: Sequence[Arm], made: dict[str, tn.Experiment], left: Sequence[tn.
     for arm in arms:
         roles = Roles(tuple(made[name] for name in arm.names), ())
         task = Task(recipe, (Fold(roles),), system=WITH_MEMORY)
-        result = fitted(task, tell)[0]
+        result = fit_task(task, tell(task))[0]
         scores = tn.evaluate(result.model, left, "model-20")
         assert result.identification is not None
         off = [abs(np.log(max(e.value, 1e-12) / TWIN_VALUES[e.name]))
                for e in result.identification.estimates if TWIN_VALUES[e.name] > 0]  # fmt: skip
 
         def rank(of: Sequence[Proposal], result: tn.FitResult = result) -> list[str]:
-            told = ranked(result.model, result.as_header(), of)
-            return [promise.name for promise in told.promises]
+            ranking = rank_proposals(result.model, result.as_header(), of)
+            return [gain.name for gain in ranking.gains]
 
         found.append(([tn.mean_rmse(scores), float(np.median(off))], rank))
     return found
@@ -125,15 +127,16 @@ def network(arms: Sequence[Arm], made: dict[str, tn.Experiment], left: Sequence[
     folds = tuple(Fold(Roles(tuple(made[name] for name in arm.names), ())) for arm in arms)
     members = tuple(Member(MEMBERS * arm.seed + k, fold=f)
                     for f, arm in enumerate(arms) for k in range(MEMBERS))  # fmt: skip
-    results = fitted(Task(recipe, folds, members), tell)
+    prepared = plan(Task(recipe, folds, members))
+    results = train_plan(prepared, tell(prepared))
     found: list[Ranked] = []
     for f in range(len(arms)):
         model = tn.committee([r.model for r in results if r.member.fold == f])
         scores = tn.evaluate(model, left, "model-20")
 
         def rank(of: Sequence[Proposal], model: tn.Model = model) -> list[str]:
-            told = ranked(model, {}, of, horizon=horizon)
-            return [promise.name for promise in told.promises]
+            ranking = rank_proposals(model, {}, of, horizon=horizon)
+            return [gain.name for gain in ranking.gains]
 
         found.append(([tn.mean_rmse(scores)], rank))
     return found

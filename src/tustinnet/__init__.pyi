@@ -9,8 +9,6 @@ from .data.inspection import inspect_experiment as inspect_experiment
 from .data.loading import from_frame as from_frame
 from .errors import InputError as InputError
 from .evaluate.ahead import rmse_ahead as rmse_ahead
-from .evaluate.folds import cross_validate as cross_validate
-from .evaluate.folds import make_question as make_question
 from .evaluate.scores import evaluate as evaluate
 from .evaluate.scores import free_run as free_run
 from .evaluate.scores import mean_rmse as mean_rmse
@@ -41,7 +39,11 @@ from .models.lagrangian import Memory as Memory
 from .models.lagrangian import Parameter as Parameter
 from .report.page.write import write_report as write_report
 from .selection.cluster import cluster as cluster
-from .selection.select import Asked as Asked
+from .selection.cross_validation import cross_validate as cross_validate
+from .selection.cross_validation import (
+    make_cross_validation_options as make_cross_validation_options,
+)
+from .selection.select import SelectionOptions as SelectionOptions
 from .selection.select import select_model as select_model
 from .simulate.adaptive import discretise_adaptively as discretise_adaptively
 from .simulate.filtering import FilterNoise as FilterNoise

@@ -9,6 +9,8 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 # public Python names, `tn.NAME`
 NAMES: dict[str, str] = {
+    "Asked": "SelectionOptions",
+    "make_question": "make_cross_validation_options",
     "Drive": "InputSignal",
     "drive_of": "input_signal",
 }

@@ -12,7 +12,7 @@ from test_verbs import tustinnet
 
 import tustinnet as tn
 from tustinnet.fitting.task import Origin, make_task
-from tustinnet.store.header import records_in
+from tustinnet.store.header import records_in_header
 from tustinnet.systems.files import find_system
 
 
@@ -69,9 +69,9 @@ def test_a_network_goes_on_with_its_own_recipe_and_says_where_it_is_from(
     for said in (summary["from"], header["from"]):
         assert (said["file"], said["sha256"]) == (str(model), digest)
     # what it was made from before, it has seen
-    first = records_in(header_of(model))
+    first = records_in_header(header_of(model))
     assert len(first) == 3
-    assert records_in({"from": header["from"]}) == first
+    assert records_in_header({"from": header["from"]}) == first
     assert digest in tustinnet(capsys, "show", out / "model.safetensors")[1]
     # resumed it is the same; from another model, or from none, it is refused
     kept = (out / "model.safetensors").read_bytes()
@@ -80,7 +80,7 @@ def test_a_network_goes_on_with_its_own_recipe_and_says_where_it_is_from(
     for path in out.rglob("log.jsonl"):
         assert path.read_text().count("\n") == 2
     refused("fit", folder, "--recipe", small_recipe, "--out", out, *STILL, "--resume",
-            told="asked otherwise: another from")  # fmt: skip
+            told="with another from")  # fmt: skip
 
 
 def test_a_correction_goes_on_with_its_physics_or_with_another(grey, folder, tmp_path, capsys):
@@ -147,7 +147,7 @@ def test_what_cannot_go_on_is_one_line(run_folder, grey, folder, tmp_path, capsy
     refused(*fit, *out, "--set", "model.hidden=[8]", told="hidden [8, 6]; expected hidden [8]")
     refused(*fit, *out, "--recipe", "gru", told="kind 'tustin-net'; expected one of kind 'gru'")
     refused(*fit, *out, "--recipe", "grey", "--system", grey.system,
-            told="means nothing to a model of kind 'tustin-net'")  # fmt: skip
+            told="not applicable to a model of kind 'tustin-net'")  # fmt: skip
     refused("fit", folder, "--from", grey.model, "--system", grey.system, *out,
             "--recipe", "standard",
             told="kind 'euler-lagrange'; expected one of kind 'tustin-net'")  # fmt: skip

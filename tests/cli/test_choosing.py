@@ -68,7 +68,7 @@ def test_a_folder_of_logs_and_a_system_become_one_model(folder, tmp_path, out, c
         (["--budget", "soon"], ["--budget", "'soon'", "10min"]),
         (["--budget", "0s"], ["--budget", "above 0"]),
         (["--plan", "best"], ["no plan 'best'", "usual"]),
-        (["--plan", "{}", "--system", "qube-servo2"], ["--system", "means nothing to the plan"]),
+        (["--plan", "{}", "--system", "qube-servo2"], ["--system", "not applicable to the plan"]),
         (["--resume", "--overwrite"], ["both"]),
     ],
     ids=lambda part: " ".join(part),

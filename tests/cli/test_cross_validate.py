@@ -66,7 +66,7 @@ def test_a_system_is_identified_anew_in_every_fold(folder, tmp_path, out, capsys
     [
         (["--recipe", "grey", "--system", "{}", "--seeds", "2"], ["--seeds", "no seeds"]),
         (["--recipe", "grey"], ["--system", "no system"]),
-        (["--recipe", "standard", "--system", "{}"], ["--system", "means nothing"]),
+        (["--recipe", "standard", "--system", "{}"], ["--system", "not applicable"]),
         (["--recipe", "standard", "--physics", "best-grey"], ["--physics", "'tustin-net'"]),
         (["--recipe", "nope"], ["no recipe 'nope'"]),
         (["--recipe", "standard", "--set", "search.loss=state"], ["search", "unknown key"]),

@@ -656,7 +656,7 @@ def test_a_system_that_no_model_is_of_is_refused(run_folder, folder, system, cap
     model = run_folder / "model.safetensors"
     code, _, err = tustinnet(capsys, "evaluate", model, folder, "--system", system)
     assert code == 1
-    assert "means nothing to a model of kind 'tustin-net'" in err
+    assert "not applicable to a model of kind 'tustin-net'" in err
     code, _, err = tustinnet(capsys, "compare", model, folder, "--system", system)
     assert code == 1
     assert "'small-pendulum', which no model is of" in err

@@ -4,6 +4,7 @@ from typing import get_args
 
 import pytest
 import typer
+from tustinnet.evaluate.learning import Twin
 
 from tustinnet.cli import completion, export
 from tustinnet.cli.learning_curve import Values
@@ -11,7 +12,6 @@ from tustinnet.cli.main import app
 from tustinnet.cli.reproduce import Keep
 from tustinnet.data.catalog import QUBE_SERVO2
 from tustinnet.data.declaration import list_packaged
-from tustinnet.evaluate.learning import Twin
 from tustinnet.fitting.recipe import Criterion
 from tustinnet.fitting.recipe_reading import packaged_recipes
 from tustinnet.fitting.task import default_recipe_name
@@ -25,9 +25,7 @@ VERBS = typer.main.get_group(app).commands
 
 def help_of(verb: str, option: str) -> str:
     """The help text of an option or argument."""
-    (text,) = [
-        getattr(p, "help", None) for p in VERBS[verb].params if option in (*p.opts, p.metavar)
-    ]
+    (text,) = [getattr(p, "help", "") for p in VERBS[verb].params if option in (*p.opts, p.metavar)]
     return text
 
 

@@ -13,20 +13,20 @@ from test_verbs import tustinnet
 from torture.pendulum import SYSTEM as SMALL
 
 import tustinnet as tn
-from tustinnet.evaluate import learning
-from tustinnet.evaluate.learning import (
-    CurveQuestion,
-    LearningCurve,
-    Place,
-    Point,
-    make_curve_question,
-    places_of,
-    trained,
-)
 from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.report.figures import write_figure
 from tustinnet.report.learning import learning_figure
+from tustinnet.selection.learning import (
+    Draw,
+    DrawFitter,
+    DrawResult,
+    LearningCurve,
+    LearningCurveOptions,
+    LearningPoint,
+    draw_records,
+    make_learning_curve_options,
+)
 from tustinnet.store.data_set_folder import write_data_set
 from tustinnet.systems.twin import imitate_records
 
@@ -99,10 +99,10 @@ def test_every_way_to_a_model_is_drawn_against_the_number_of_records(
 def test_a_network_alone_is_drawn_without_a_system(six, recipes, tmp_path, monkeypatch, capsys):
     """Of: learning-curve, with what is there replaced."""
 
-    def nothing(places, recipe, **given):
-        return ["not trained"] * len(places)
+    def train(self, draws, recipe, **models):
+        return [DrawResult(None, "not trained", {})] * len(draws)
 
-    monkeypatch.setattr(learning, "trained", nothing)
+    monkeypatch.setattr(DrawFitter, "train", train)
     out = tmp_path / "curve"
     out.mkdir()
     (out / "learning-curve.md").write_text("of before")
@@ -119,7 +119,7 @@ def test_a_network_alone_is_drawn_without_a_system(six, recipes, tmp_path, monke
         (["--records", "2,two"], "--records: '2,two'"),
         (["--records", "4,2"], "two or more rising numbers from 2 on"),
         (["--records", "1,2"], "rising numbers from 2 on"),
-        (["--records", "2,9"], "6 records, of which 4 are left in each draw; expected 9"),
+        (["--records", "2,9"], "6 records, of which 4 remain in each draw; expected 9"),
         (["--physics", "grey"], "--physics: not applicable without a system"),
         (["--hybrid", "hybrid"], "--hybrid: not applicable without a system"),
         (["--twin", "nominal"], "--twin: not applicable without a system"),
@@ -148,43 +148,44 @@ def test_three_records_are_too_few_for_a_curve(folder, tmp_path, capsys):
     card.write_text(card.read_text().replace(', "fall2.csv", "noise1.csv"', ""))
     code, _, err = tustinnet(capsys, "learning-curve", folder, "--out", tmp_path / "curve")
     assert code == 1
-    assert "3 records, of which 0 are left in each draw; expected 4 that are left" in err
+    assert "3 records, of which 0 remain in each draw; expected 4 that remain" in err
 
 
 def test_what_is_scored_was_used_for_nothing_and_draws_are_nested():
     records = [record(f"r{k}", 60, k, "train") for k in range(11)]
     data = tn.DataSet("d", (*records, replace(record("t", 60, 99, "train"), split="test")))
-    places = places_of(data, make_curve_question("standard", draws=3))
-    assert [p.size for p in places[:3]] == [2, 4, 8]
-    for place in places:
-        used, scored = ({e.name for e in of} for of in (place.records, place.scored))
+    draws = draw_records(data, make_learning_curve_options("standard", draws=3))
+    assert [d.size for d in draws[:3]] == [2, 4, 8]
+    for draw in draws:
+        used, scored = ({e.name for e in of} for of in (draw.records, draw.scored))
         assert not used & scored
         assert "t" not in used | scored
-        roles = place.roles(read_recipe("standard"))
-        assert len(roles.train) + len(roles.validation) == place.size
-        assert len(roles.validation) == {2: 1, 4: 1, 8: 2}[place.size]
-        assert not place.roles(read_recipe("best-grey")).validation
-    first, second = places[0], places[1]
+        roles = draw.split.roles_for(read_recipe("standard"))
+        assert len(roles.train) + len(roles.validation) == draw.size
+        assert len(roles.validation) == {2: 1, 4: 1, 8: 2}[draw.size]
+        assert not draw.split.roles_for(read_recipe("best-grey")).validation
+    first, second = draws[0], draws[1]
     assert second.records[:2] == first.records
 
 
-def network_of(place: Place, recipe: Recipe, *beside: Place) -> np.ndarray:
-    """A step of the network of a place, trained with others beside."""
-    result = trained([*beside, place], recipe)[-1]
-    assert isinstance(result, tn.FitResult)
+def network_of(draw: Draw, recipe: Recipe, *beside: Draw) -> np.ndarray:
+    """A step of the network of a draw, trained with others beside."""
+    fitter = DrawFitter(tn.DataSet("draw", draw.records), "derived-6")
+    result = fitter.train([*beside, draw], recipe)[-1]
+    assert result.model is not None
     return np.asarray(result.model.step(jnp.array([0.3, -0.2]), jnp.zeros(1)))
 
 
 def test_few_records_take_no_windows_from_the_points_with_more(recipes):
     records = tuple(record(f"r{k}", 60, k, "train") for k in range(8))
-    few, many = (Place(0, n, records[:n], ()) for n in (1, 8))
+    few, many = (Draw(0, n, records[:n], ()) for n in (1, 8))
     recipe = read_recipe(recipes.network, ["stages.0.windows.count=200"])
     np.testing.assert_array_equal(network_of(many, recipe), network_of(many, recipe, few))
 
 
 def test_records_of_two_devices_may_share_their_names(recipes):
     one, other = (
-        Place(d, 2, tuple(record(f"r{k}", 60, 10 * d + k, "train") for k in range(2)), ())
+        Draw(d, 2, tuple(record(f"r{k}", 60, 10 * d + k, "train") for k in range(2)), ())
         for d in range(2)
     )
     recipe = read_recipe(recipes.network)
@@ -193,26 +194,26 @@ def test_records_of_two_devices_may_share_their_names(recipes):
 
 
 def curve_of(*draws) -> LearningCurve:
-    points = [Point("network", d, n, x, "") for d, of in enumerate(draws)
+    points = [LearningPoint("network", d, n, x, "") for d, of in enumerate(draws)
               for n, x in zip((2, 4, 8), of, strict=True)]  # fmt: skip
     return LearningCurve("rad", "file", (2, 4, 8), tuple(points), (3,) * len(draws))
 
 
 def test_enough_is_where_more_gain_less_than_a_tenth():
     flat = curve_of([0.3, 0.105, 0.1], [0.3, 0.2, 0.1], [np.inf, 0.1, 0.1])
-    assert flat.needed("network").by_draw == (4, 8, 4)
-    assert flat.told("network") == (
+    assert flat.find_enough("network").by_draw == (4, 8, 4)
+    assert flat.sentence("network") == (
         "network: 4 records are enough (3 draws: 4 to 8): the error is within 10 % of what 8 leave"
     )
     falling = curve_of([0.4, 0.2, 0.1], [0.4, 0.3, 0.1])
-    assert falling.needed("network").records is None
+    assert falling.find_enough("network").records is None
     assert "8 records are not known to be enough (2 draws: 8 to 8): from 4 to 8" in (
-        falling.told("network")
+        falling.sentence("network")
     )
     # nothing is enough where even the most gave no model
-    assert curve_of([np.inf] * 3).needed("network").records is None
+    assert curve_of([np.inf] * 3).find_enough("network").records is None
     # a dip that does not last is not enough
-    assert curve_of([0.1, 0.3, 0.1]).needed("network").by_draw == (8,)
+    assert curve_of([0.1, 0.3, 0.1]).find_enough("network").by_draw == (8,)
 
 
 @pytest.mark.parametrize("draws", [([np.inf, 0.2, 0.1], [0.4, 0.3, 0.2]), ([np.inf] * 3,) * 2])
@@ -235,6 +236,13 @@ def test_a_twin_stays_where_records_were(pendulum):
 
 
 def test_a_question_keeps_what_it_is_asked():
-    asked = make_curve_question("standard", None, (2, 4), draws=5, twin="nominal", start="file")
-    assert isinstance(asked, CurveQuestion)
-    assert (asked.sizes, asked.draws, asked.twin, asked.start) == ((2, 4), 5, "nominal", "file")
+    options = make_learning_curve_options(
+        "standard", None, (2, 4), draws=5, twin="nominal", start="file"
+    )
+    assert isinstance(options, LearningCurveOptions)
+    assert (options.sizes, options.draws, options.twin, options.start) == (
+        (2, 4),
+        5,
+        "nominal",
+        "file",
+    )

@@ -107,7 +107,7 @@ def test_what_cannot_be_asked_is_one_line(place, run_folder, tmp_path, capsys):
     table.write_text("torque,brake\n1,2\n1,2\n")
     refuse(capsys, "'brake', which is no input", *given, "--system", place.system)
     table.write_text("torque\n1\n2\n")
-    refuse(capsys, "--horizon: means nothing", *given, "--system", place.system, "--horizon", 1)
+    refuse(capsys, "--horizon: not applicable", *given, "--system", place.system, "--horizon", 1)
     network = run_folder / "model.safetensors"
     refuse(capsys, "nothing says how sure it is", network, place.proposals)
     refuse(capsys, "no such file", place.model, tmp_path / "x.toml", "--system", place.system)

@@ -105,8 +105,8 @@ def refused(place, capsys, monkeypatch, pendulum):
         before = everything(place.root)
         with monkeypatch.context() as patched:
             patched.setattr(scores, "evaluate", computes)
-            patched.setattr(run, "fit_in", computes)
-            patched.setattr(jobs, "fit_in", computes)
+            patched.setattr(run, "fit_in_folder", computes)
+            patched.setattr(jobs, "fit_in_folder", computes)
             if arguments[0] == "reproduce":
                 _stand_in_for_the_measured_data(patched, place.logs, pendulum)
             code, out, err = tustinnet(capsys, *arguments)

@@ -143,8 +143,8 @@ def refused(place, capsys, monkeypatch):
         pytest.fail("fitted before it refused")
 
     def check(*verb: object, told: str) -> None:
-        monkeypatch.setattr(store, "fit_in", fits)
-        monkeypatch.setattr(jobs, "fit_in", fits)
+        monkeypatch.setattr(store, "fit_in_folder", fits)
+        monkeypatch.setattr(jobs, "fit_in_folder", fits)
         before = everything(place.root)
         code, out, err = tustinnet(capsys, *verb)
         assert (code, out) == (1, ""), err

@@ -9,15 +9,15 @@ from swinging import SWING, records
 
 import tustinnet as tn
 from tustinnet.errors import InputError
-from tustinnet.evaluate.bands import Calibration, Guess, band_of, calibrated, guesses
-from tustinnet.evaluate.coverage import covered
+from tustinnet.evaluate.bands import Calibration, Prediction, calibrate_bands, make_band, predict
+from tustinnet.evaluate.coverage import compute_coverage
 from tustinnet.families.family import family_of
 
 N = 400
 TOLD = tn.Coordinate("a", "linear")
 
 
-def made(seed: int, scale: float = 0.02, n_rest: int = 100) -> tuple[Guess, tn.Experiment]:
+def made(seed: int, scale: float = 0.02, n_rest: int = 100) -> tuple[Prediction, tn.Experiment]:
     """A made-up free run whose errors grow, its alternatives a tenth as far apart as its errors."""
     generator = np.random.default_rng(seed)
     t = np.arange(N)
@@ -27,50 +27,54 @@ def made(seed: int, scale: float = 0.02, n_rest: int = 100) -> tuple[Guess, tn.E
     truth = np.cos(t / 20)
     e = tn.from_arrays(truth[:, None], dt=0.01, coordinates=[TOLD], name=f"r{seed}")
     moving = t < N - n_rest
-    guess = Guess(e.name, (truth + size * wander)[:, None], 0.1 * size[:, None], moving, 0)
-    return guess, e
+    prediction = Prediction(
+        e.name, (truth + size * wander)[:, None], 0.1 * size[:, None], moving, 0
+    )
+    return prediction, e
 
 
-def some(seeds: range) -> tuple[list[Guess], list[tn.Experiment]]:
+def some(seeds: range) -> tuple[list[Prediction], list[tn.Experiment]]:
     pairs = [made(seed) for seed in seeds]
     return [g for g, _ in pairs], [e for _, e in pairs]
 
 
 def test_bands_hold_their_share_of_records_that_were_used_for_nothing():
-    calibration = calibrated(*some(range(30)), "file")
+    calibration = calibrate_bands(*some(range(30)), "file")
     held, whole = [], []
-    for guess, e in zip(*some(range(100, 400)), strict=True):
-        held.append(band_of(calibration, guess, 0.9).holds(e.q).mean())
-        whole.append(band_of(calibration, guess, 0.9, "record").holds(e.q).all())
+    for prediction, e in zip(*some(range(100, 400)), strict=True):
+        held.append(make_band(calibration, prediction, 0.9).contains(e.q).mean())
+        whole.append(make_band(calibration, prediction, 0.9, "record").contains(e.q).all())
     assert 0.88 < np.mean(held) < 0.94
     assert 0.85 < np.mean(whole) <= 1.0
 
 
 def test_higher_levels_are_wider_and_whole_records_widest():
-    calibration = calibrated(*some(range(12)), "file")
-    guess, _ = made(50)
+    calibration = calibrate_bands(*some(range(12)), "file")
+    prediction, _ = made(50)
     widths = [
-        *(np.mean(calibration.half(guess, level)) for level in (0.5, 0.8, 0.9)),
-        np.mean(calibration.half(guess, 0.9, "record")),
+        *(np.mean(calibration.half_width(prediction, level)) for level in (0.5, 0.8, 0.9)),
+        np.mean(calibration.half_width(prediction, 0.9, "record")),
     ]
     assert widths == sorted(widths)
 
 
 def test_few_records_promise_little_and_say_how_many_are_needed():
-    calibration = calibrated(*some(range(6)), "file")
-    guess, _ = made(50)
-    band_of(calibration, guess, 6 / 7, "record")
+    calibration = calibrate_bands(*some(range(6)), "file")
+    prediction, _ = made(50)
+    make_band(calibration, prediction, 6 / 7, "record")
     with pytest.raises(InputError, match=r"more than 85.7 %; expected 9 records or more"):
-        band_of(calibration, guess, 0.9)
+        make_band(calibration, prediction, 0.9)
     with pytest.raises(InputError, match="at least 2"):
-        calibrated(*some(range(1)), "file")
+        calibrate_bands(*some(range(1)), "file")
 
 
 def test_a_header_brings_back_the_same_bands():
-    calibration = calibrated(*some(range(9)), "file", 1.5)
+    calibration = calibrate_bands(*some(range(9)), "file", 1.5)
     again = Calibration.from_header({"bands": calibration.as_header()}, "model")
-    guess, _ = made(50)
-    np.testing.assert_array_equal(calibration.half(guess, 0.7), again.half(guess, 0.7))
+    prediction, _ = made(50)
+    np.testing.assert_array_equal(
+        calibration.half_width(prediction, 0.7), again.half_width(prediction, 0.7)
+    )
     with pytest.raises(InputError, match="was calibrated"):
         again.require(0.7, "model-20", 1.5)
     with pytest.raises(InputError, match="without bands"):
@@ -78,10 +82,10 @@ def test_a_header_brings_back_the_same_bands():
 
 
 def test_coverage_is_told_with_its_interval_and_score():
-    calibration = calibrated(*some(range(30)), "file")
+    calibration = calibrate_bands(*some(range(30)), "file")
     tried, known = some(range(100, 120))
-    bands = [band_of(calibration, guess, 0.9) for guess in tried]
-    moving, rest = covered(known, bands)
+    bands = [make_band(calibration, prediction, 0.9) for prediction in tried]
+    moving, rest = compute_coverage(known, bands)
     assert (moving.part, rest.part, moving.records) == ("moving", "rest", 20)
     k = 20 * moving.inside
     assert moving.interval[0] == pytest.approx(scipy.stats.beta.ppf(0.025, k, 21 - k))
@@ -104,24 +108,28 @@ def test_alternatives_of_an_identified_system_are_drawn_from_its_errors():
         values = [float(of.continuous.values[e.name]) for of in drawn]
         if e.error:
             assert 0.4 * e.error < np.std(values) < 1.8 * e.error
-    made_ = guesses(result.model, others, known[:2], "model-20")
+    made_ = predict(result.model, others, known[:2], "model-20")
     assert all((g.spread[g.first :] >= 0).all() for g in made_)
     assert any(g.spread.max() > 0 for g in made_)
 
 
 def test_a_free_run_that_is_not_finite_is_refused():
-    guess, e = made(1)
-    bad = Guess(guess.record, guess.simulated * np.inf, guess.spread, guess.moving, 0)
+    prediction, e = made(1)
+    bad = Prediction(
+        prediction.record, prediction.simulated * np.inf, prediction.spread, prediction.moving, 0
+    )
     with pytest.raises(InputError, match="calibrate over a horizon"):
-        calibrated([bad, guess], [e, e], "file")
+        calibrate_bands([bad, prediction], [e, e], "file")
 
 
 def test_rest_has_a_band_of_its_own_where_only_some_records_come_to_rest():
-    def of(seeds: range) -> tuple[list[Guess], list[tn.Experiment]]:
+    def of(seeds: range) -> tuple[list[Prediction], list[tn.Experiment]]:
         pairs = [made(seed, n_rest=200 if seed % 2 else 0) for seed in seeds]
-        for guess, _ in pairs:  # a tenth of the error is left at rest, the alternatives agree
-            guess.simulated[~guess.moving] = 0.0 * guess.simulated[~guess.moving]
-            guess.spread[~guess.moving] = 0.0
+        for prediction, _ in pairs:  # a tenth of the error is left at rest, the alternatives agree
+            prediction.simulated[~prediction.moving] = (
+                0.0 * prediction.simulated[~prediction.moving]
+            )
+            prediction.spread[~prediction.moving] = 0.0
         still = [
             tn.from_arrays(
                 np.where(g.moving[:, None], e.q, 1e-4 * np.sin(np.arange(N)[:, None])), dt=0.01,
@@ -131,23 +139,23 @@ def test_rest_has_a_band_of_its_own_where_only_some_records_come_to_rest():
         ]  # fmt: skip
         return [g for g, _ in pairs], still
 
-    calibration = calibrated(*of(range(30)), "file")
+    calibration = calibrate_bands(*of(range(30)), "file")
     (moving,), (resting,) = calibration.moving, calibration.resting
-    assert resting.knows(0.9)
-    assert not resting.knows(0.95)  # 15 records come to rest
-    assert moving.knows(0.95)
+    assert resting.has_level(0.9)
+    assert not resting.has_level(0.95)  # 15 records come to rest
+    assert moving.has_level(0.95)
     tried, known = of(range(101, 121, 2))
-    bands = [band_of(calibration, guess, 0.9) for guess in tried]
-    _, rest = covered(known, bands)
+    bands = [make_band(calibration, prediction, 0.9) for prediction in tried]
+    _, rest = compute_coverage(known, bands)
     assert 0.85 < rest.inside < 0.97
     assert rest.width < 5 * rest.rmse
     # at a level that they cannot promise, what holds for motion holds for them
-    half = calibration.half(tried[0], 0.96)[~tried[0].moving, 0]
+    half = calibration.half_width(tried[0], 0.96)[~tried[0].moving, 0]
     np.testing.assert_allclose(half, moving.factor(0.96, "time") * moving.floor)
 
 
 def test_a_width_follows_the_root_of_the_spread():
-    calibration = calibrated(*some(range(30)), "file")
+    calibration = calibrate_bands(*some(range(30)), "file")
     (moving,) = calibration.moving
     assert moving.unit is not None
     assert moving.floor == pytest.approx(0.2 * moving.unit)
@@ -156,7 +164,7 @@ def test_a_width_follows_the_root_of_the_spread():
 
 
 def test_bands_of_files_from_before_are_as_they_were():
-    calibration = calibrated(*some(range(9)), "file")
+    calibration = calibrate_bands(*some(range(9)), "file")
     header = calibration.as_header()
     for part in (*header["moving"], *header["resting"]):
         del part["unit"]

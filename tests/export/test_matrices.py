@@ -16,7 +16,7 @@ import tustinnet as tn
 from tustinnet.errors import InputError
 from tustinnet.export.mat import TARGET, Matrices
 from tustinnet.program.numbers import run
-from tustinnet.store.exported import targets_of
+from tustinnet.store.exported import find_targets
 
 
 def names_of(cells: np.ndarray) -> list[str]:
@@ -78,7 +78,7 @@ def test_the_pages_programs_write_and_read_matrices(tmp_path, monkeypatch):
 
 
 def test_inputs_at_other_samples_have_columns_and_names_of_their_own(tmp_path):
-    tn.export_model(example("hybrid"), targets_of("mat", {"voltage": 2.0}), tmp_path)
+    tn.export_model(example("hybrid"), find_targets("mat", {"voltage": 2.0}), tmp_path)
     read = loadmat(tmp_path / "linear.mat")
     assert names_of(read["inputs"]) == ["voltage", "voltage_after_1", "voltage_before_1"]
     np.testing.assert_array_equal(read["u"], np.full((3, 1), 2.0))
@@ -113,8 +113,8 @@ def test_slopes_that_are_not_finite_are_refused(tmp_path):
 
 def test_an_operating_point_is_refused_where_no_target_has_one():
     with pytest.raises(InputError, match=r"--at: an operating point for casadi; .* add mat"):
-        targets_of("casadi", {"theta": 0.1})
-    both = targets_of("casadi,mat", {"theta": 0.1})
+        find_targets("casadi", {"theta": 0.1})
+    both = find_targets("casadi,mat", {"theta": 0.1})
     assert [target.name for target in both] == ["casadi", "mat"]
     assert both[1] == Matrices({"theta": 0.1})
 
@@ -122,4 +122,4 @@ def test_an_operating_point_is_refused_where_no_target_has_one():
 @pytest.mark.parametrize("to", ["mat,mat", ["mat", Matrices()], []])
 def test_targets_are_named_once(to):
     with pytest.raises(InputError, match="none of them twice"):
-        targets_of(to)
+        find_targets(to)

@@ -16,8 +16,8 @@ from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.models.contract import with_dtype
 from tustinnet.models.parameters import Parameter
 from tustinnet.simulate.rollout import rollouts
-from tustinnet.store.header import shown
-from tustinnet.store.model_file import system_of
+from tustinnet.store.header import read_description
+from tustinnet.store.model_file import read_system_name
 
 BAND = replace(CHANNELS, inputs=(replace(SWING.inputs[0], hold="band-limited"),))
 
@@ -205,7 +205,7 @@ def test_a_file_gives_it_back_with_one_system_for_all(tmp_path):
     together = tn.committee(every_family(), range(1, 10))
     file = tmp_path / "committee.safetensors"
     tn.save(together, file)
-    assert system_of(file) == "creeping swing"
+    assert read_system_name(file) == "creeping swing"
     again = tn.load_model(file, CREEPING)
     assert isinstance(again, tn.Committee)
     assert jax.tree.structure(again) == jax.tree.structure(together)
@@ -231,7 +231,7 @@ def test_a_packaged_system_is_found_and_networks_take_none(tmp_path):
     assert arrays_of(tn.load_model(tmp_path / "nets.safetensors")) == arrays_of(
         tn.committee([network(0), network(1)])
     )
-    with pytest.raises(tn.InputError, match="means nothing to a model of kind 'committee'"):
+    with pytest.raises(tn.InputError, match="not applicable to a model of kind 'committee'"):
         tn.load_model(tmp_path / "nets.safetensors", CREEPING)
 
 
@@ -245,7 +245,7 @@ def test_a_file_is_of_one_system(tmp_path):
 def test_show_tells_what_members_of_a_structure_say_alike(tmp_path):
     file = tmp_path / "committee.safetensors"
     tn.save(tn.committee([hybrid(0), network(1), hybrid(2, gravity=1.2)], [2, 1, 1]), file)
-    _, lines = shown(file)
+    _, lines = read_description(file)
     told = [text for word, text in lines if word == "members"]
     assert told == ["hybrid: 1, 3; weight 0.5, 0.25", "tustin-net: 2; weight 0.25"]
     words = [word for word, _ in lines]

@@ -223,7 +223,7 @@ def test_training_corrects_what_the_physics_leaves_and_the_file_keeps_it(records
     again = run_task(task(model), records.name, folder, "resume")
     assert again.best.mean == run.best.mean
     other = jax.tree.map(lambda value: value * 1.01, model)
-    with pytest.raises(tn.InputError, match="asked otherwise: another physics;"):
+    with pytest.raises(tn.InputError, match="with another physics;"):
         run_task(task(other), records.name, folder, "resume")
 
 

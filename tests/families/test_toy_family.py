@@ -15,12 +15,12 @@ from conftest import write_folder
 import tustinnet as tn
 from tustinnet.channels import Channels
 from tustinnet.cli.main import run
-from tustinnet.evaluate.folds import cross_validate, make_question
 from tustinnet.families.family import Hyper, TrainedFamily, named_arrays, restore_arrays
 from tustinnet.fitting.task import Member, make_task
 from tustinnet.models.blocks import Affine, Scaling, feature_count, learn_scaling, random_affine
 from tustinnet.models.contract import AccelerationModel
 from tustinnet.registry import FAMILIES
+from tustinnet.selection.cross_validation import cross_validate, make_cross_validation_options
 from tustinnet.store.run import MODEL, run_task
 
 
@@ -182,7 +182,7 @@ def test_it_is_saved_loaded_shown_compared_and_simulated(place, pendulum, tmp_pa
 
 
 def test_it_is_cross_validated(pendulum):
-    found = cross_validate(pendulum, make_question(RECIPE, folds=3, seeds=[0, 1]))
+    found = cross_validate(pendulum, make_cross_validation_options(RECIPE, folds=3, seeds=[0, 1]))
     assert sorted({s.record for s in found.scores}) == sorted(e.name for e in pendulum)
     assert len(found.scores) == 10
 

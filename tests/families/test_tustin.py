@@ -22,7 +22,7 @@ from tustinnet.models.contract import require_fit, with_dtype
 from tustinnet.registry import FAMILIES
 from tustinnet.simulate.along import states_along
 from tustinnet.simulate.rollout import rollouts
-from tustinnet.store.header import shown
+from tustinnet.store.header import read_description
 
 MIXED = (tn.Coordinate("cart", "linear"), tn.Coordinate("pole", "angular"))
 FORCE = (tn.Input("force", "N"),)
@@ -238,7 +238,7 @@ def test_what_is_remembered_is_kept_in_the_file(tmp_path):
     assert isinstance(again, TustinNet)
     assert again.remembered == 0.5
     np.testing.assert_array_equal(again.rest, model.rest)
-    told = dict(shown(tmp_path / "m.safetensors")[1])
+    told = dict(read_description(tmp_path / "m.safetensors")[1])
     assert told["memory"] == "relaxing in 0.2 s, 1 s; begins with 0.5 of the way from (1, 3.14)"
 
 

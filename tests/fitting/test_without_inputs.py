@@ -8,11 +8,11 @@ from free_swings import FREE, free, free_swings
 from swinging import TRUTH
 
 import tustinnet as tn
-from tustinnet.evaluate.bands import Band, BandAsked, bands_around, calibrated, guesses
-from tustinnet.evaluate.folds import cross_validate, make_question
+from tustinnet.evaluate.bands import Band, BandOptions, calibrate_bands, make_bands, predict
 from tustinnet.evaluate.residuals import residual_reports
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.task import Member, make_task
+from tustinnet.selection.cross_validation import cross_validate, make_cross_validation_options
 from tustinnet.simulate import rollout as simulator
 from tustinnet.simulate.horizon import effective_horizon
 from tustinnet.simulate.rollout import rollouts
@@ -96,12 +96,14 @@ def test_bands_committees_residuals_and_folds_take_them():
     data = free_swings((None,) * 4)
     every = list(data)
     together = tn.committee([free(), free(TRUTH | {"gravity": 1.45})])
-    made = guesses(together, [free(), free(TRUTH | {"gravity": 1.45})], every, "model-10")
-    bands = bands_around(
-        calibrated(made, every, "model-10"), BandAsked(0.5), together,
+    made = predict(together, [free(), free(TRUTH | {"gravity": 1.45})], every, "model-10")
+    bands = make_bands(
+        calibrate_bands(made, every, "model-10"), BandOptions(0.5), together,
         [free(), free(TRUTH | {"gravity": 1.45})], every, tn.evaluate(together, every, "model-10"),
     )  # fmt: skip
     assert all(isinstance(band, Band) for band in bands)
     assert [len(r.cross) for r in residual_reports(together, every, "model-10")] == [0]
-    found = cross_validate(data, make_question(recipe(TRAINED["tustin-net"]), folds=3))
+    found = cross_validate(
+        data, make_cross_validation_options(recipe(TRAINED["tustin-net"]), folds=3)
+    )
     assert {score.record for score in found.scores} == {e.name for e in every}

@@ -1,5 +1,6 @@
 """Jobs on a cluster: this machine as one, workers that die, addresses that do not answer."""
 
+import contextlib
 import os
 import signal
 import socket
@@ -18,17 +19,18 @@ from swinging import SWING
 
 from tustinnet.data.declaration import parse_toml
 from tustinnet.errors import InputError
-from tustinnet.evaluate.folds import cross_validate, make_question
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.selection import cluster as room
-from tustinnet.selection.cluster import _work, cluster, perform_here, versions
-from tustinnet.selection.cross_validation import cross_validate_by_jobs
-from tustinnet.selection.jobs import Job, Judging, Workplace
-from tustinnet.selection.select import Asked, Reporter, select_model
+from tustinnet.selection.cluster import _make_work, cluster, perform_here, versions
+from tustinnet.selection.cross_validation import cross_validate, make_cross_validation_options
+from tustinnet.selection.deadline import NEVER
+from tustinnet.selection.jobs import Job, RunContext
+from tustinnet.selection.scoring import ScoringOptions
+from tustinnet.selection.select import Reporter, SelectionOptions, select_model
 from tustinnet.systems.files import SystemFile
 
 with_ray = pytest.mark.skipif(find_spec("ray") is None, reason="ray is not installed")
-JUDGING = Judging(3, "model-10")
+SCORING = ScoringOptions(3, "model-10")
 PARTED = "import os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n"
 
 
@@ -36,7 +38,7 @@ PARTED = "import os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n"
 def machine():
     """This machine as a cluster, and what was said of its jobs."""
     said: list[str] = []
-    with cluster(say=said.append) as workers:
+    with cluster(on_message=said.append) as workers:
         yield workers, said
 
 
@@ -71,8 +73,8 @@ def worker_of(driver: int) -> int | None:
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="finds processes in /proc")
 def test_a_selection_with_a_killed_worker_comes_to_what_one_process_comes_to(machine, tmp_path):
     workers, said = machine
-    asked = Asked(plan_in(tmp_path, PLAN[: PLAN.rindex("[[rounds]]")]), SWING)
-    here = select_model(swings(), tmp_path / "here", asked)
+    options = SelectionOptions(plan_in(tmp_path, PLAN[: PLAN.rindex("[[rounds]]")]), SWING)
+    here = select_model(swings(), tmp_path / "here", options)
     killed: list[int] = []
 
     def kill() -> None:
@@ -86,13 +88,13 @@ def test_a_selection_with_a_killed_worker_comes_to_what_one_process_comes_to(mac
 
     killer = threading.Thread(target=kill, daemon=True)
     killer.start()
-    there = select_model(swings(), tmp_path / "there", asked, "refuse", Reporter(), workers)
+    there = select_model(swings(), tmp_path / "there", options, "refuse", Reporter(), workers)
     killer.join(10)
     assert len(killed) == 1
     assert len([line for line in said if line.endswith("its worker died, done again")]) == 1
     assert (there.best, there.sentences[1:]) == (here.best, here.sentences[1:])
     for name in ("grey", "network", "hybrid"):
-        assert there.standing(name).folds == here.standing(name).folds
+        assert there.result(name).folds == here.result(name).folds
     found, wanted = arrays_below(tmp_path / "there"), arrays_below(tmp_path / "here")
     assert found.keys() == wanted.keys()
     for path, arrays in wanted.items():
@@ -105,10 +107,10 @@ def test_a_selection_with_a_killed_worker_comes_to_what_one_process_comes_to(mac
 def test_a_cross_validation_comes_to_what_one_process_comes_to(machine, tmp_path):
     workers, said = machine
     recipe = read_recipe(parse_toml(NETWORK), ["stages.*.epochs=5"])
-    asked = make_question(recipe, folds=3, seeds=(0, 1))
+    options = make_cross_validation_options(recipe, folds=3, seeds=(0, 1))
     here, there = (
-        cross_validate(swings(), asked),
-        cross_validate_by_jobs(swings(), asked, tmp_path, workers),
+        cross_validate(swings(), options),
+        cross_validate(swings(), options, folder=tmp_path, executor=workers),
     )
     assert sorted(there.scores, key=str) == sorted(here.scores, key=str)
     assert sum(line.startswith("recipe, fold") and "done on" in line for line in said) == 3
@@ -117,9 +119,9 @@ def test_a_cross_validation_comes_to_what_one_process_comes_to(machine, tmp_path
 @with_ray
 def test_a_job_whose_workers_always_die_is_told_as_a_failure(machine, tmp_path):
     workers, said = machine
-    at = Workplace(tmp_path, swings(), JUDGING, SystemFile(Path("deadly.py"), PARTED))
-    executor = workers(at)
-    executor.submit(Job("grey", read_recipe("grey"), 1))
+    system = SystemFile(Path("deadly.py"), PARTED)
+    executor = workers(RunContext(swings(), SCORING, tmp_path, system=system))
+    executor.submit(Job("grey", read_recipe("grey"), 1), NEVER)
     found = executor.result()
     assert (found.candidate, found.fold, found.ended) == ("grey", 1, "failed")
     assert found.why.startswith("its worker died 3 times (WorkerCrashedError: ")
@@ -130,12 +132,12 @@ def test_a_job_whose_workers_always_die_is_told_as_a_failure(machine, tmp_path):
 def test_what_goes_wrong_in_a_job_is_told_as_in_one_process(machine, tmp_path):
     workers, _ = machine
     system = SystemFile(Path("arm.py"), "SYSTEM = 1 / 0\n")
-    executor = workers(Workplace(tmp_path, swings(), JUDGING, system))
-    assert executor.free
-    executor.submit(Job("grey", read_recipe("grey"), 0))
-    assert executor.free == (executor._places > 1)
+    executor = workers(RunContext(swings(), SCORING, tmp_path, system=system))
+    assert executor.is_free
+    executor.submit(Job("grey", read_recipe("grey"), 0), NEVER)
+    assert executor.is_free == (executor._places > 1)
     found = executor.result()
-    assert executor.free
+    assert executor.is_free
     assert found.ended == "failed"
     assert "arm.py" in found.why
     assert "line 1" in found.why
@@ -169,26 +171,26 @@ def test_auto_is_the_cluster_that_the_environment_names(monkeypatch):
             pass
 
 
+@with_ray
 @pytest.mark.parametrize("answer", [b"", b"HTTP/1.1 400 Bad Request\r\n"], ids=["none", "other"])
 def test_a_port_where_something_else_listens_is_told_in_time(answer, monkeypatch):
-    monkeypatch.setattr(room, "_ANSWERS", 0.5)
+    monkeypatch.setattr(room, "_ANSWERS", 3.0)
     with socket.create_server(("127.0.0.1", 0)) as server:
 
         def listen() -> None:
-            known, _ = server.accept()
-            known.sendall(answer)
-            known.recv(1000)
-            time.sleep(1)
-            known.close()
+            for _ in range(2):  # whether somebody listens, then what it says
+                known, _ = server.accept()
+                with known, contextlib.suppress(OSError):
+                    known.sendall(answer)
+                    known.recv(1000)
 
-        other = threading.Thread(target=listen)
+        other = threading.Thread(target=listen, daemon=True)
         other.start()
         address = f"127.0.0.1:{server.getsockname()[1]}"
         begun = time.monotonic()
         with pytest.raises(InputError, match=r"does not answer"), cluster(address):
             pass
-        assert time.monotonic() - begun < 5
-        other.join()
+        assert time.monotonic() - begun < 8
 
 
 def test_without_ray_the_extra_is_named(monkeypatch):
@@ -210,9 +212,9 @@ def test_a_machine_with_other_packages_or_another_folder_does_nothing(tmp_path):
 
 @with_ray
 def test_a_folder_that_a_worker_does_not_see_ends_the_selection(machine, tmp_path):
-    executor = machine[0](Workplace(tmp_path, swings(), JUDGING))
+    executor = machine[0](RunContext(swings(), SCORING, tmp_path))
     executor._mark.unlink()  # as on a machine that has a folder of its own there
-    executor.submit(Job("linear", read_recipe("linear"), 0))
+    executor.submit(Job("linear", read_recipe("linear"), 0), NEVER)
     with pytest.raises(InputError, match=r"worker on .*: does not see .*all machines share"):
         executor.result()
 
@@ -223,7 +225,7 @@ def test_a_worker_without_the_package_says_so():
     code = f"""
 import pickle, sys
 sys.modules["tustinnet"] = None
-work = pickle.loads({cloudpickle.dumps(_work())!r})
+work = pickle.loads({cloudpickle.dumps(_make_work())!r})
 print(work(b"", b"", {{"jax": {{}}}}))
 """
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

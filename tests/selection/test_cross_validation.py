@@ -8,21 +8,25 @@ from swinging import SWING
 
 import tustinnet as tn
 from tustinnet.data.declaration import parse_toml
-from tustinnet.evaluate.folds import Question, cross_validate, make_question
 from tustinnet.fitting.listener import SILENT
-from tustinnet.selection.cross_validation import cross_validate_by_jobs, forget
-from tustinnet.selection.executors import InProcess
-from tustinnet.selection.jobs import Job, Workplace
+from tustinnet.selection.cross_validation import (
+    CrossValidationOptions,
+    cross_validate,
+    make_cross_validation_options,
+    remove_results,
+)
+from tustinnet.selection.jobs import Job, RunContext
+from tustinnet.selection.runner import InProcess
 
 
-def here(at: Workplace) -> InProcess:
-    return InProcess(at, lambda job: lambda prepared: SILENT)
+def here(context: RunContext) -> InProcess:
+    return InProcess(context)
 
 
 class Counting(InProcess):
     """In this process; counts the jobs that were not done before."""
 
-    def __init__(self, at: Workplace) -> None:
+    def __init__(self, context: RunContext) -> None:
         self.fitted: list[tuple[str, int]] = []
 
         def tell(job: Job):
@@ -32,31 +36,34 @@ class Counting(InProcess):
 
             return begun
 
-        super().__init__(at, tell)
+        super().__init__(context, tell)
 
 
-def asked(kind: str) -> Question:
+def options_for(kind: str) -> CrossValidationOptions:
     brief = ["stages.*.epochs=5"]
     if kind == "network":
         network = tn.read_recipe(parse_toml(NETWORK), brief)
-        return make_question(network, folds=3, seeds=(2, 5), starts=("derived-6", "model-10"))
+        return make_cross_validation_options(
+            network, folds=3, seeds=(2, 5), starts=("derived-6", "model-10")
+        )
     hybrid = tn.read_recipe(parse_toml(HYBRID), brief)
     grey = tn.read_recipe(parse_toml(GREY))
-    return make_question(hybrid, system=SWING, physics=grey, folds=3)
+    return make_cross_validation_options(hybrid, system=SWING, physics=grey, folds=3)
 
 
 @pytest.mark.parametrize("kind", ["network", "hybrid"])
 def test_scores_are_those_of_one_piece_and_jobs_that_are_done_are_kept(kind, tmp_path):
-    question, made = asked(kind), []
+    options, made = options_for(kind), []
 
-    def executor(at: Workplace) -> Counting:
-        made.append(Counting(at))
+    def executor(context: RunContext) -> Counting:
+        made.append(Counting(context))
         return made[-1]
 
-    whole = cross_validate(swings(), question)
+    whole = cross_validate(swings(), options)
     system = SWING if kind == "hybrid" else None
     found = [
-        cross_validate_by_jobs(swings(), question, tmp_path, executor, system) for _ in range(2)
+        cross_validate(swings(), options, folder=tmp_path, executor=executor, system=system)
+        for _ in range(2)
     ]
     for of in found:
         assert of.outcomes == whole.outcomes
@@ -66,21 +73,21 @@ def test_scores_are_those_of_one_piece_and_jobs_that_are_done_are_kept(kind, tmp
     physics = [("physics", fold) for fold in range(3)] if kind == "hybrid" else []
     assert [of.fitted for of in made] == [physics + folds, []]
     (tmp_path / "folds.json").touch()
-    forget(tmp_path, ["folds.json", "folds.md"], jobs=True)
+    remove_results(tmp_path, ["folds.json", "folds.md"], jobs=True)
     assert not (tmp_path / "folds.json").exists()
-    cross_validate_by_jobs(swings(), question, tmp_path, executor, system)
+    cross_validate(swings(), options, folder=tmp_path, executor=executor, system=system)
     assert made[-1].fitted == physics + folds
 
 
 def test_a_job_that_fails_is_told_with_its_fold(tmp_path):
     short = tn.DataSet("short", tuple(e[:18] for e in swings()))
     with pytest.raises(tn.InputError, match=r"fold 0: .*18 samples; expected more than a window"):
-        cross_validate_by_jobs(short, asked("network"), tmp_path, here)
+        cross_validate(short, options_for("network"), folder=tmp_path, executor=here)
 
 
 def test_a_horizon_that_no_record_has_is_refused_before_anything_is_fitted(tmp_path):
-    question = asked("network")
-    far = question.recipe.model_copy(update={"horizon": 100.0})
+    options = options_for("network")
+    far = options.recipe.model_copy(update={"horizon": 100.0})
     with pytest.raises(tn.InputError, match="horizon"):
-        cross_validate_by_jobs(swings(), replace(question, recipe=far), tmp_path, here)
+        cross_validate(swings(), replace(options, recipe=far), folder=tmp_path, executor=here)
     assert not list(tmp_path.iterdir())

@@ -2,15 +2,15 @@
 
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 from small_selection import swings
 
-from tustinnet.selection.clock import Clock
+from tustinnet.selection.deadline import NEVER, Deadline
 from tustinnet.selection.halving import Halving
-from tustinnet.selection.jobs import Job, JobResult, Judging, SeedScore, Workplace
+from tustinnet.selection.jobs import FitScore, Job, JobResult, RunContext
 from tustinnet.selection.plan import SelectionPlan
+from tustinnet.selection.scoring import ScoringOptions
 
 PLAN = {
     "name": "pretended",
@@ -34,10 +34,10 @@ class Pretended:
         self._waiting: list[Job] = []
 
     @property
-    def free(self) -> bool:
+    def is_free(self) -> bool:
         return len(self._waiting) < self._slots
 
-    def submit(self, job: Job) -> None:
+    def submit(self, job: Job, deadline: Deadline) -> None:
         self._waiting.append(job)
 
     def result(self) -> JobResult:
@@ -48,16 +48,16 @@ class Pretended:
             return other
         rmse = {f"r{job.fold}{i}": QUALITY[job.candidate] + 0.01 * i for i in range(2)}
         models = tuple(
-            SeedScore(seed, "finished", f"{job.folder}/{seed}", None, {"model-20": rmse})
+            FitScore(seed, "finished", f"{job.folder}/{seed}", None, {"model-20": rmse})
             for seed in job.seeds
         )
         return JobResult(job.candidate, job.fold, 1.0, "done", models)
 
 
-def halving(plan: dict | None = None, clock: Clock | None = None) -> tuple[Halving, list[str]]:
+def halving(plan: dict | None = None, deadline: Deadline = NEVER) -> tuple[Halving, list[str]]:
     of, said = SelectionPlan.model_validate(plan or PLAN), []
-    at = Workplace(Path(), swings(), Judging(3, "model-20"), clock=clock or Clock())
-    return Halving(of, of.candidates, at, said.append), said
+    context = RunContext(swings(), ScoringOptions(3, "model-20"))
+    return Halving(of, of.candidates, context, said.append, deadline), said
 
 
 @pytest.mark.parametrize("slots", [1, 3])
@@ -113,7 +113,7 @@ def test_a_kind_goes_on_with_its_simplest_that_is_as_good():
         rmse = {f"r{job.fold}{i}": quality[job.candidate] * (1 + i) ** 2 for i in range(2)}
         if job.candidate == "grey":
             rmse = dict(zip(rmse, reversed(rmse.values()), strict=True))
-        models = (SeedScore(0, "finished", "m", None, {"model-20": rmse}),)
+        models = (FitScore(0, "finished", "m", None, {"model-20": rmse}),)
         return JobResult(job.candidate, job.fold, 1.0, "done", models)
 
     found, _ = halving({**PLAN, "candidates": [*PLAN["candidates"][:2], other],
@@ -146,14 +146,16 @@ def test_what_fails_is_left_and_told_and_the_others_go_on():
     found, said = halving()
     left = found.run(Pretended(of=of))
     assert [s.name for s in left] == ["network", "linear"]
-    assert found.standings["grey"].why == "arm.py fails at line 3"
-    assert found.standings["hybrid"].why == "nothing to correct: grey"
+    assert found.results["grey"].why == "arm.py fails at line 3"
+    assert found.results["hybrid"].why == "nothing to correct: grey"
     assert "grey, fold 0: arm.py fails at line 3" in said
     assert said.count("hybrid: left out, nothing to correct: grey") == 1
 
 
 def test_no_job_begins_that_would_take_longer_than_what_is_left():
-    found, said = halving(clock=Clock(time.monotonic() + 0.9))  # every job says that it took 1 s
+    found, said = halving(
+        deadline=Deadline(time.monotonic() + 0.9)
+    )  # every job says that it took 1 s
     left = found.run(executor := Pretended())
     assert {j.fold for j in executor.done} == {0}
     assert [s.name for s in left][:2] == ["hybrid", "network"]
@@ -163,12 +165,12 @@ def test_no_job_begins_that_would_take_longer_than_what_is_left():
 
 def test_candidates_are_not_tried_for_the_first_time_when_most_of_the_time_is_spent(monkeypatch):
     left = [100.0]
-    monkeypatch.setattr(Clock, "left", property(lambda self: left[0]))
+    monkeypatch.setattr(Deadline, "remaining", property(lambda self: left[0]))
 
     def slow(job: Job) -> None:
         left[0] -= 61.0
 
-    found, said = halving()
+    found, said = halving(deadline=Deadline(0.0))
     scored = found.run(executor := Pretended(of=slow))
     assert [s.name for s in scored] == ["linear"]
     assert len(executor.done) == 1
@@ -189,10 +191,30 @@ def test_the_cheapest_of_those_that_time_ended_is_known():
 def test_free_runs_that_are_further_off_than_the_records_move_end_it_after_a_round():
     def of(job: Job) -> JobResult:
         rmse = {f"r{job.fold}": float("inf") if job.candidate == "grey" else 50.0}
-        models = (SeedScore(0, "finished", "m", None, {"model-20": rmse}),)
+        models = (FitScore(0, "finished", "m", None, {"model-20": rmse}),)
         return JobResult(job.candidate, job.fold, 1.0, "done", models)
 
     found, _ = halving()
     found.run(executor := Pretended(of=of))
     assert found.hopeless
     assert {j.fold for j in executor.done} == {0}
+
+
+def test_a_job_yields_its_time_while_others_wait():
+    found, _ = halving()
+    found.run(executor := Pretended())
+    assert [job.yields for job in executor.done[:4]] == [True, True, True, False]
+
+
+def test_a_training_that_the_deadline_stopped_is_ranked_but_not_tried_on_more_folds():
+    def of(job: Job) -> JobResult | None:
+        if job.candidate != "network":
+            return None
+        models = (FitScore(0, "out of time", "m", None, {"model-20": {f"r{job.fold}0": 0.01}}),)
+        return JobResult("network", job.fold, 1.0, "out of time", models, "spent", needs=1e6)
+
+    found, said = halving(deadline=Deadline(time.monotonic() + 100))
+    found.run(executor := Pretended(of=of))
+    assert "network, fold 0: spent" in said
+    assert any(line.startswith("round 1 of 3, one fold: network 0.01, ") for line in said)
+    assert [j.fold for j in executor.done if j.candidate == "network"] == [0]

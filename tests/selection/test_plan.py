@@ -91,7 +91,7 @@ def test_a_plan_that_does_not_fit_is_refused_in_a_line(tmp_path, old, new, told)
     ],
 )
 def test_a_committee_is_of_candidates_that_are_left(which, left, members):
-    assert Average(name="some", **which).among(left) == members
+    assert Average(name="some", **which).members_among(left) == members
 
 
 def test_an_unknown_plan_is_told_with_those_that_there_are():

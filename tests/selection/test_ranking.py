@@ -5,20 +5,28 @@ import math
 import pytest
 
 from tustinnet.evaluate.metrics import mean_and_error
-from tustinnet.selection.jobs import JobResult, SeedScore
-from tustinnet.selection.ranking import Standing, hanging, paired, ranked, simplest
+from tustinnet.selection.jobs import FitScore, JobResult
+from tustinnet.selection.ranking import (
+    CandidateResult,
+    find_decisive_record,
+    find_simplest,
+    paired_difference,
+    rank,
+)
 
 
-def scores(values: dict[str, float], seed: int = 0) -> SeedScore:
-    return SeedScore(seed, "finished", f"m{seed}", None, {"model-20": values, "file": values})
+def scores(values: dict[str, float], seed: int = 0) -> FitScore:
+    return FitScore(seed, "finished", f"m{seed}", None, {"model-20": values, "file": values})
 
 
-def standing(name: str, *folds: dict[str, float]) -> Standing:
-    return Standing(name, {i: (scores(values),) for i, values in enumerate(folds)})
+def standing(name: str, *folds: dict[str, float]) -> CandidateResult:
+    return CandidateResult(name, {i: (scores(values),) for i, values in enumerate(folds)})
 
 
 def test_seeds_are_averaged_record_by_record():
-    of = Standing("a", {0: (scores({"r": 1.0}), scores({"r": 3.0}, 1)), 1: (scores({"s": 5.0}),)})
+    of = CandidateResult(
+        "a", {0: (scores({"r": 1.0}), scores({"r": 3.0}, 1)), 1: (scores({"s": 5.0}),)}
+    )
     assert of.rmse() == {"r": 2.0, "s": 5.0}
     assert of.rmse([0]) == {"r": 2.0}
     assert of.rmse(start="file") == {"r": 2.0, "s": 5.0}
@@ -27,23 +35,26 @@ def test_seeds_are_averaged_record_by_record():
 def test_candidates_are_ranked_by_the_folds_that_all_of_them_have():
     # the second fold is the harder one; only `b` has it
     a, b = standing("a", {"r": 2.0}), standing("b", {"r": 1.0}, {"s": 9.0})
-    assert [s.name for s in ranked([a, b])] == ["b", "a"]
+    assert [s.name for s in rank([a, b])] == ["b", "a"]
 
 
 def test_those_that_share_no_fold_are_ranked_by_what_each_has():
-    a, b = Standing("a", {0: (scores({"r": 2.0}),)}), Standing("b", {1: (scores({"s": 1.0}),)})
-    assert [s.name for s in ranked([a, b])] == ["b", "a"]
+    a, b = (
+        CandidateResult("a", {0: (scores({"r": 2.0}),)}),
+        CandidateResult("b", {1: (scores({"s": 1.0}),)}),
+    )
+    assert [s.name for s in rank([a, b])] == ["b", "a"]
 
 
 def test_what_left_all_bounds_comes_last_and_what_was_not_scored_not_at_all():
-    found = ranked([standing("a", {"r": math.inf}), standing("b", {"r": 7.0}), Standing("c")])
+    found = rank([standing("a", {"r": math.inf}), standing("b", {"r": 7.0}), CandidateResult("c")])
     assert [s.name for s in found] == ["b", "a"]
 
 
 def test_differences_are_paired_by_record():
     a = standing("a", {"r": 1.0, "s": 2.0, "t": 4.0})
     b = standing("b", {"r": 2.0, "s": 3.5, "t": 4.0, "u": 100.0})
-    found = paired(b, a)
+    found = paired_difference(b, a)
     assert found.records == 3
     assert found.mean == pytest.approx((1 + 1.5 + 0) / 3)
     assert found.standard_error == pytest.approx(mean_and_error([1.0, 1.5, 0.0])[1])
@@ -53,26 +64,26 @@ def test_the_simplest_within_one_standard_error_is_named():
     best = standing("best", {"r": 1.0, "s": 2.0, "t": 3.0})
     level = standing("level", {"r": 1.2, "s": 1.9, "t": 3.1})  # 0.067 +- 0.088
     worse = standing("worse", {"r": 2.0, "s": 3.0, "t": 4.1})
-    assert simplest([worse, level, best], best) is level
-    assert simplest([worse, best], best) is best
+    assert find_simplest([worse, level, best], best) is level
+    assert find_simplest([worse, best], best) is best
 
 
 def test_a_difference_of_a_fiftieth_is_none_however_sure():
     best = standing("best", {"r": 1.0, "s": 2.0})
     near = standing("near", {"r": 1.01, "s": 2.01})  # 0.01 +- 0
-    assert simplest([near, best], best) is near
+    assert find_simplest([near, best], best) is near
 
 
 def test_one_record_says_nothing_of_an_error():
     one, best = standing("one", {"r": 1.0}), standing("best", {"r": 1.0})
-    assert math.isnan(paired(one, best).standard_error)
-    assert simplest([one, best], best) is best
+    assert math.isnan(paired_difference(one, best).standard_error)
+    assert find_simplest([one, best], best) is best
 
 
 def test_a_job_that_failed_leaves_its_reason_and_what_was_there_before():
-    after = standing("a", {"r": 1.0}).after(JobResult("a", 1, 5.0, "failed", why="no window"))
+    after = standing("a", {"r": 1.0}).with_job(JobResult("a", 1, 5.0, "failed", why="no window"))
     assert (after.why, list(after.folds), after.seconds) == ("no window", [0], 5.0)
-    late = standing("a", {"r": 1.0}).after(JobResult("a", 1, 5.0, "out of time", why="spent"))
+    late = standing("a", {"r": 1.0}).with_job(JobResult("a", 1, 5.0, "out of time", why="spent"))
     assert late.why == ""
 
 
@@ -81,30 +92,32 @@ def test_one_that_was_soon_left_takes_no_records_from_the_others():
     a = standing("a", {"q": 2.1, "r": 2.0}, {"s": 1.0}, {"t": 1.0})
     b = standing("b", {"q": 1.9, "r": 1.9}, {"s": 3.0}, {"t": 3.0})
     soon = standing("soon", {"q": 9.0, "r": 9.0})
-    assert [s.name for s in ranked([b, soon, a])] == ["a", "b", "soon"]
+    assert [s.name for s in rank([b, soon, a])] == ["a", "b", "soon"]
 
 
 def test_one_that_was_soon_left_is_the_best_only_beyond_doubt():
     a = standing("a", {"q": 2.1, "r": 2.0}, {"s": 1.0})
     sure = standing("sure", {"q": 1.0, "r": 1.0})
     doubtful = standing("doubtful", {"q": 3.0, "r": 0.9})  # better by 0.1 +- 1
-    single = Standing("single", {0: (scores({"q": 0.1}),)})
-    found = [s.name for s in ranked([single, doubtful, a, sure])]
+    single = CandidateResult("single", {0: (scores({"q": 0.1}),)})
+    found = [s.name for s in rank([single, doubtful, a, sure])]
     assert found == ["sure", "a", "doubtful", "single"]
 
 
 def test_where_all_that_were_scored_on_most_folds_left_all_bounds_a_shorter_one_comes_first():
     a, short = standing("a", {"r": 1.0}, {"s": math.inf}), standing("short", {"r": 3.0})
-    assert [s.name for s in ranked([a, short])] == ["short", "a"]
+    assert [s.name for s in rank([a, short])] == ["short", "a"]
 
 
 def test_a_record_that_decides_is_named():
     linear = standing("linear", {"r": 1.0, "s": 1.1}, {"t": 1.2, "payload": 2.0})
     network = standing("network", {"r": 0.1, "s": 0.2}, {"t": 0.2, "payload": 30.0})
-    found = hanging(linear, [network, standing("worse", {"r": 3.0, "s": 3.0}, {"t": 3.0})])
+    found = find_decisive_record(
+        linear, [network, standing("worse", {"r": 3.0, "s": 3.0}, {"t": 3.0})]
+    )
     assert found is not None
     record, other, than = found
     assert (record, other.name, than.records) == ("payload", "network", 3)
     assert than.mean == pytest.approx(-2.8 / 3)
-    assert hanging(network, [linear]) is None  # not the best of all
-    assert hanging(linear, [standing("few", {"r": 0.1}, {"payload": 30.0})]) is None
+    assert find_decisive_record(network, [linear]) is None  # not the best of all
+    assert find_decisive_record(linear, [standing("few", {"r": 0.1}, {"payload": 30.0})]) is None

@@ -18,14 +18,19 @@ from tustinnet.evaluate.bands import Calibration
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.fitting.gradient.epoch import _run
 from tustinnet.selection import choice as chosen
-from tustinnet.selection import ending, jobs
+from tustinnet.selection import final_models, jobs, scoring
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.jobs import Job
 from tustinnet.selection.plan import read_plan
-from tustinnet.selection.select import Asked, Reporter, _taking_part, select_model
+from tustinnet.selection.select import (
+    Reporter,
+    SelectionOptions,
+    _applicable_candidates,
+    select_model,
+)
 from tustinnet.store.header import read_header
-from tustinnet.store.model_file import system_of
-from tustinnet.store.run import Earlier, fit_in
+from tustinnet.store.model_file import read_system_name
+from tustinnet.store.run import Earlier, fit_in_folder
 
 
 def selected(folder: Path, earlier: Earlier = "refuse", data=None, **changes):
@@ -34,10 +39,12 @@ def selected(folder: Path, earlier: Earlier = "refuse", data=None, **changes):
 
     def tell(job: Job):
         done.append(job)
-        return Reporter().tell(job)
+        return Reporter().make_listener(job)
 
-    asked = Asked(plan_in(folder, NETWORK_ONLY), **changes)
-    choice = select_model(data or swings(), folder / "run", asked, earlier, Reporter(tell=tell))
+    options = SelectionOptions(plan_in(folder, NETWORK_ONLY), **changes)
+    choice = select_model(
+        data or swings(), folder / "run", options, earlier, Reporter(make_listener=tell)
+    )
     return choice, done
 
 
@@ -50,8 +57,10 @@ class Made(NamedTuple):
 def made(tmp_path_factory) -> Made:
     """A selection with a system, and what was said while it went on."""
     folder, said = tmp_path_factory.mktemp("selection"), []
-    asked = Asked(plan_in(folder), SWING)
-    return Made(select_model(swings(), folder / "run", asked, reporter=Reporter(said.append)), said)
+    options = SelectionOptions(plan_in(folder), SWING)
+    return Made(
+        select_model(swings(), folder / "run", options, reporter=Reporter(said.append)), said
+    )
 
 
 @pytest.fixture(scope="module")
@@ -63,10 +72,10 @@ def alone(tmp_path_factory):
 
 
 def test_the_chosen_model_has_bands_from_the_records_that_folds_left_out(made):
-    header = read_header(made.choice.at.folder / "model.safetensors")
+    header = read_header(made.choice.context.folder / "model.safetensors")
     bands = Calibration.from_header(header, "model")
     assert sorted(bands.records) == sorted(e.name for e in swings())
-    assert bands.start == made.choice.at.judging.start
+    assert bands.start == made.choice.context.scoring.start
     assert any("bands (simulate --band) of up to 83 %" in of for of in made.choice.sentences)
     assert header["identification"]["estimates"]  # without its errors it had no alternatives
 
@@ -74,73 +83,73 @@ def test_the_chosen_model_has_bands_from_the_records_that_folds_left_out(made):
 def test_one_model_a_fold_says_nothing_of_bands(alone):
     choice, _ = alone
     assert choice.bands is None
-    assert "bands" not in read_header(choice.at.folder / "model.safetensors")
+    assert "bands" not in read_header(choice.context.folder / "model.safetensors")
 
 
 def test_the_chosen_model_is_the_best_on_records_that_its_models_did_not_see(made):
     choice = made.choice
-    means = {s.name: mean_and_error(s.rmse().values())[0] for s in choice.found.choosable}
+    means = {s.name: mean_and_error(s.rmse().values())[0] for s in choice.candidates.choosable}
     assert choice.best == min(means, key=lambda name: means[name])
-    for standing in choice.found.candidates:
-        for fold, models in standing.folds.items():
-            deal = jobs.dealt(choice.at.data, 3)[fold]
+    for result in choice.candidates.results:
+        for fold, models in result.folds.items():
+            split = choice.context.splits[fold]
             for model in models:
                 trained = {
                     r["name"]
-                    for r in read_header(choice.at.folder / model.model)["data"]["records"]
+                    for r in read_header(choice.context.folder / model.model)["data"]["records"]
                 }
-                scored = {e.name for e in deal.scored}
+                scored = {e.name for e in split.scored}
                 assert not trained & scored
                 assert set(next(iter(model.rmse.values()))) == scored
 
 
 def test_the_scores_are_those_of_the_models_in_the_folders(made):
     choice = made.choice
-    first = choice.standing("network").folds[1][0]
-    model = tn.load_model(choice.at.folder / first.model)
+    first = choice.result("network").folds[1][0]
+    model = tn.load_model(choice.context.folder / first.model)
     for start, rmse in first.rmse.items():
-        records = [choice.at.data[name] for name in rmse]
+        records = [choice.context.data[name] for name in rmse]
         again = {s.experiment: s.rmse for s in tn.evaluate(model, records, start)}
         assert again == pytest.approx(dict(rmse), rel=1e-9)
 
 
 def test_a_committee_is_judged_with_the_shares_that_other_folds_chose(made):
     choice = made.choice
-    both = choice.found.averages["both"]
+    both = choice.candidates.committees["both"]
     assert set(both.shares) == {"network", "hybrid"}
     assert sum(both.shares.values()) == pytest.approx(1)
-    assert set(both.standing.folds) == {0, 1, 2}
+    assert set(both.result.folds) == {0, 1, 2}
     # the network is much worse: no fold gives it the larger share
     assert both.shares["network"] <= 0.5
     assert (
-        mean_and_error(both.standing.rmse().values())[0]
-        < mean_and_error(choice.standing("network").rmse().values())[0]
+        mean_and_error(both.result.rmse().values())[0]
+        < mean_and_error(choice.result("network").rmse().values())[0]
     )
 
 
 def test_a_committee_of_the_best_that_is_one_of_them_alone_is_left_out(made):
-    assert "best two averaged" not in made.choice.found.averages
+    assert "best two averaged" not in made.choice.candidates.committees
     assert "best two averaged: left out, one of them alone is as good" in made.said
 
 
 def test_parameters_of_a_chosen_system_are_identified_from_all_records(made):
     choice = made.choice
     assert {choice.best, choice.simplest} & {"grey"}
-    assert choice.made["grey"] == "identified from all 5 records"
-    model: Any = tn.load_model(choice.at.folder / choice.file("grey"), SWING)
+    assert choice.origins["grey"] == "identified from all 5 records"
+    model: Any = tn.load_model(choice.context.folder / choice.file("grey"), SWING)
     for name in ("damping", "gravity", "gain"):
         assert float(model.continuous.values[name]) == pytest.approx(TRUTH[name], rel=0.03)
 
 
 def test_networks_of_all_folds_become_one_committee(alone):
     choice, _ = alone
-    model = tn.load_model(choice.at.folder / "model.safetensors")
-    each = [tn.load_model(choice.at.folder / m.model) for m in choice.standing("network").models]
+    model = tn.load_model(choice.context.folder / "model.safetensors")
+    each = [tn.load_model(choice.context.folder / m.model) for m in choice.result("network").models]
     assert len(each) == 3
     x, u = jnp.array([0.3, -0.2]), jnp.array([0.7])
     mean = np.mean([np.asarray(m.step(x, u)) for m in each], axis=0)
     np.testing.assert_allclose(np.asarray(model.step(x, u)), mean, rtol=1e-6)
-    assert choice.made["network"] == "the average of 3 models of 3 folds"
+    assert choice.origins["network"] == "the average of 3 models of 3 folds"
 
 
 def test_candidates_for_fast_records_are_left_out_of_slow_ones(tmp_path):
@@ -148,8 +157,8 @@ def test_candidates_for_fast_records_are_left_out_of_slow_ones(tmp_path):
         "candidates = [", 'candidates = [{ name = "fast", recipe = "small.toml", when = "fast" }, '
     )
     said: list[str] = []
-    asked = Asked(plan_in(tmp_path, both))
-    select_model(swings(), tmp_path / "slow", asked, reporter=Reporter(said.append))
+    options = SelectionOptions(plan_in(tmp_path, both))
+    select_model(swings(), tmp_path / "slow", options, reporter=Reporter(said.append))
     assert said[0] == "left out, only for fast records: fast"
     plan = read_plan(plan_in(tmp_path, both))
     t = np.arange(200)
@@ -157,7 +166,10 @@ def test_candidates_for_fast_records_are_left_out_of_slow_ones(tmp_path):
         tn.from_arrays(np.sin(0.8 * t + i), dt=0.02, coordinates={"a": "angular"}, name=f"r{i}")
         for i in range(3)
     ))  # fmt: skip
-    assert [c.name for c in _taking_part(plan, Asked(), fast)[0]] == ["fast", "network"]
+    assert [c.name for c in _applicable_candidates(plan, SelectionOptions(), fast)[0]] == [
+        "fast",
+        "network",
+    ]
 
 
 # --- what is written and told ---
@@ -165,22 +177,22 @@ def test_candidates_for_fast_records_are_left_out_of_slow_ones(tmp_path):
 
 def test_summary_and_header_say_what_was_found(made):
     choice = made.choice
-    summary = json.loads((choice.at.folder / "summary.json").read_text())
+    summary = json.loads((choice.context.folder / "summary.json").read_text())
     assert summary["best"] == choice.best
     by_name = {c["name"]: c for c in summary["candidates"]}
     assert set(by_name) >= {"grey", "network", "hybrid", "both", "hybrid, seeds averaged"}
     for name, of in by_name.items():
         rmse = of["starts"]["model-10"]["rmse"]
-        assert rmse == pytest.approx(choice.standing(name).rmse())
+        assert rmse == pytest.approx(choice.result(name).rmse())
         assert of["starts"]["model-10"]["mean"] == pytest.approx(np.mean(list(rmse.values())))
     assert by_name[choice.best]["difference"]["mean"] == 0.0
-    header = read_header(choice.at.folder / "model.safetensors")
+    header = read_header(choice.context.folder / "model.safetensors")
     assert header["selection"]["chosen"] == choice.best
     assert header["scores"]["mean"] == pytest.approx(
         by_name[choice.best]["starts"]["model-10"]["mean"]
     )
     assert len(header["data"]["records"]) == 5
-    inputs = np.concatenate([e.u for e in choice.at.data])
+    inputs = np.concatenate([e.u for e in choice.context.data])
     assert header["range"]["inputs"] == [[inputs.min(), inputs.max()]]
     assert len(header["range"]["states"]) == choice.model.state_size
 
@@ -197,8 +209,9 @@ def test_plain_words_say_how_good_it_is_and_why_this_one(made):
 def test_words_say_of_how_many_records_and_when_no_candidate_is_close(made, monkeypatch):
     choice, name = made.choice, "grey"
     fewer = [replace(s, folds={0: s.folds[0]}) if s.name == name else s
-             for s in choice.found.candidates]  # fmt: skip
-    cut = replace(choice, found=replace(choice.found, candidates=tuple(fewer)), best=name)
+             for s in choice.candidates.results]  # fmt: skip
+    candidates = replace(choice.candidates, results=tuple(fewer))
+    cut = replace(choice, candidates=candidates, best=name)
     assert "free runs of 2 of the 5 records that its models" in cut.sentences[1]
     close = [monkeypatch.setattr(chosen, "_POOR", level) or cut.sentences for level in (9.0, 0.0)]
     assert len(close[1]) == len(close[0]) + 1
@@ -206,34 +219,34 @@ def test_words_say_of_how_many_records_and_when_no_candidate_is_close(made, monk
 
 
 def test_every_model_can_be_loaded(made):
-    folder = made.choice.at.folder
+    folder = made.choice.context.folder
     files = sorted(folder.glob("**/*.safetensors"))
     models = [f for f in files if f.name == "model.safetensors"]
     assert len(models) > 10
     for file in models:
-        found = tn.load_model(file, SWING if system_of(file) else None)
+        found = tn.load_model(file, SWING if read_system_name(file) else None)
         assert found.channels.n_q == 1
 
 
 def test_where_whole_free_runs_say_nothing_a_horizon_is_judged_over_and_nothing_fitted_again(
     tmp_path, monkeypatch
 ):
-    whole = jobs.evaluate
+    whole = scoring.evaluate
 
     def unstable(model, records, start, *, horizon=None):
         scores = whole(model, records, start, horizon=horizon)
         return [replace(s, rmse=np.inf) for s in scores] if horizon is None else scores
 
-    monkeypatch.setattr(jobs, "evaluate", unstable)
+    monkeypatch.setattr(scoring, "evaluate", unstable)
     fitted: list[Path] = []
-    monkeypatch.setattr(jobs, "fit_in", lambda folder, *more, **named: (
-        fitted.append(folder), fit_in(folder, *more, **named))[1])  # fmt: skip
+    monkeypatch.setattr(jobs, "fit_in_folder", lambda folder, *more, **named: (
+        fitted.append(folder), fit_in_folder(folder, *more, **named))[1])  # fmt: skip
     choice, _ = selected(tmp_path)
-    horizon = choice.at.judging.horizon
+    horizon = choice.context.scoring.horizon
     assert horizon == pytest.approx(0.1 * 200 * 0.02, abs=0.25)
     assert f"judged over pieces of {horizon:.3g} s instead" in choice.sentences[-1]
     assert len(fitted) == len(set(fitted)) == 3
-    assert np.isfinite(list(choice.standing("network").rmse().values())).all()
+    assert np.isfinite(list(choice.result("network").rmse().values())).all()
 
 
 # --- stopped and resumed ---
@@ -242,17 +255,17 @@ def test_where_whole_free_runs_say_nothing_a_horizon_is_judged_over_and_nothing_
 def test_a_selection_is_refused_where_another_is(alone):
     choice, _ = alone
     with pytest.raises(InputError, match=r"earlier selection.*--resume"):
-        selected(choice.at.folder.parent)
+        selected(choice.context.folder.parent)
 
 
 def test_resumed_it_does_no_job_twice_and_comes_to_the_same(alone):
     choice, _ = alone
-    before = (choice.at.folder / "model.safetensors").read_bytes()
-    again, told = selected(choice.at.folder.parent, "resume")
+    before = (choice.context.folder / "model.safetensors").read_bytes()
+    again, told = selected(choice.context.folder.parent, "resume")
     assert len(told) == 3  # asked of, not fitted
-    assert again.standing("network").rmse() == choice.standing("network").rmse()
-    assert again.standing("network").seconds == choice.standing("network").seconds
-    assert (choice.at.folder / "model.safetensors").read_bytes() == before
+    assert again.result("network").rmse() == choice.result("network").rmse()
+    assert again.result("network").seconds == choice.result("network").seconds
+    assert (choice.context.folder / "model.safetensors").read_bytes() == before
 
 
 def test_a_job_of_other_records_is_done_again(tmp_path):
@@ -262,18 +275,18 @@ def test_a_job_of_other_records_is_done_again(tmp_path):
     other = replace(data, experiments=(*data[:4], replace(last, q=last.q + 0.01)))
     with pytest.raises(InputError, match=r"another data \(noise3\)"):
         selected(tmp_path, "resume", other)
-    (first.at.folder / "question.json").unlink()  # as of a folder that does not say it
+    (first.context.folder / "question.json").unlink()  # as of a folder that does not say it
     again, _ = selected(tmp_path, "resume", other)
-    assert again.standing("network").rmse() != first.standing("network").rmse()
+    assert again.result("network").rmse() != first.result("network").rmse()
 
 
 def test_a_damaged_account_of_a_job_is_not_believed(tmp_path):
     first, _ = selected(tmp_path)
-    path = next(first.at.folder.glob("candidates/*/*/scores.json"))
+    path = next(first.context.folder.glob("candidates/*/*/scores.json"))
     for text in ("{", "[]", "{}", path.read_text().replace('"done"', '"fine"')):
         path.write_text(text)
         again, _ = selected(tmp_path, "resume")
-        assert again.standing("network").rmse() == first.standing("network").rmse()
+        assert again.result("network").rmse() == first.result("network").rmse()
 
 
 def compiled_programs() -> int:
@@ -290,10 +303,10 @@ def test_jobs_of_one_candidate_share_a_compiled_program(tmp_path):
 
     def tell(job: Job):
         sizes.append(compiled_programs())
-        return Reporter().tell(job)
+        return Reporter().make_listener(job)
 
-    asked = Asked(plan_in(tmp_path, NETWORK_ONLY))
-    select_model(cut, tmp_path / "run", asked, "refuse", Reporter(tell=tell))
+    options = SelectionOptions(plan_in(tmp_path, NETWORK_ONLY))
+    select_model(cut, tmp_path / "run", options, "refuse", Reporter(make_listener=tell))
     assert sizes[1] == sizes[2] == sizes[0] + 1
 
 
@@ -314,23 +327,23 @@ def failing(monkeypatch, names: set[str], error: BaseException) -> None:
     def fit(folder, *more, **named):
         if names & set(folder.parts):
             raise error
-        return fit_in(folder, *more, **named)
+        return fit_in_folder(folder, *more, **named)
 
-    monkeypatch.setattr(jobs, "fit_in", fit)
+    monkeypatch.setattr(jobs, "fit_in_folder", fit)
 
 
 def test_a_candidate_that_raises_is_told_in_a_line_and_the_others_go_on(tmp_path, monkeypatch):
     failing(monkeypatch, {"network"}, ZeroDivisionError("integer modulo\nby zero"))
     said: list[str] = []
-    asked = Asked(plan_in(tmp_path, TWO), SWING)
-    choice = select_model(swings(), tmp_path / "run", asked, reporter=Reporter(said.append))
+    options = SelectionOptions(plan_in(tmp_path, TWO), SWING)
+    choice = select_model(swings(), tmp_path / "run", options, reporter=Reporter(said.append))
     assert choice.best == "grey"
     why = "ZeroDivisionError: integer modulo by zero"
     assert said.count(f"network, fold 0: {why}") == 1
-    assert choice.standing("network").why == why
+    assert choice.result("network").why == why
     failing(monkeypatch, {"network", "grey"}, MemoryError())
     with pytest.raises(InputError, match=r"no candidate could be fitted \(grey, network: MemoryE"):
-        select_model(swings(), tmp_path / "none", asked)
+        select_model(swings(), tmp_path / "none", options)
 
 
 def test_an_identification_from_all_records_that_raises_leaves_the_models_of_folds(
@@ -339,10 +352,10 @@ def test_an_identification_from_all_records_that_raises_leaves_the_models_of_fol
     def fails(*arguments, **named):
         raise FloatingPointError("overflow")
 
-    monkeypatch.setattr(ending, "fit_in", fails)
+    monkeypatch.setattr(final_models, "fit_in_folder", fails)
     plan = plan_in(tmp_path, TWO.replace(', { name = "network", recipe = "small.toml" }', ""))
-    choice = select_model(swings(), tmp_path / "run", Asked(plan, SWING))
-    assert choice.made["grey"].endswith(
+    choice = select_model(swings(), tmp_path / "run", SelectionOptions(plan, SWING))
+    assert choice.origins["grey"].endswith(
         "; not identified from all records: FloatingPointError: overflow"
     )
     assert (tmp_path / "run" / "model.safetensors").is_file()
@@ -354,16 +367,51 @@ def test_an_interruption_ends_the_selection(tmp_path, monkeypatch):
         selected(tmp_path)
 
 
-def test_a_budget_that_is_too_short_says_what_the_cheapest_needs(tmp_path):
+def outcomes(choice: Choice) -> list[tuple[str, str]]:
+    """How the jobs of the network ended, as their files have it, and its first training."""
+    found = []
+    for path in sorted(choice.context.folder.glob("candidates/network/*/scores.json")):
+        result = json.loads(path.read_text())["result"]
+        found.append((result["ended"], result["scores"][0]["outcome"]))
+    return found
+
+
+def test_a_training_that_is_stopped_is_scored_and_a_resumed_run_goes_on_with_it(
+    alone, tmp_path, monkeypatch
+):
+    with monkeypatch.context() as patch:
+        patch.setattr(jobs.StopCheck, "__call__", lambda self, progress: True)
+        stopped, _ = selected(tmp_path)
+    assert outcomes(stopped) == [("out of time", "out of time")] * 3
+    assert np.isfinite(list(stopped.result("network").rmse().values())).all()
+    assert any("3 of its 3 trainings were stopped by the budget" in s for s in stopped.sentences)
+    header = read_header(stopped.context.folder / stopped.result("network").models[0].model)
+    assert header["outcome"] == "out of time"
+    resumed, _ = selected(tmp_path, "resume")
+    assert outcomes(resumed) == [("done", "finished")] * 3
+    assert resumed.result("network").rmse() == alone[0].result("network").rmse()
+
+
+def test_a_training_that_reaches_the_deadline_is_chosen_with_its_best_weights(tmp_path):
     text = NETWORK_ONLY.replace(
         'recipe = "small.toml"', 'recipe = "small.toml", set = ["stages.0.epochs=100000"]'
-    )
-    asked = Asked(plan_in(tmp_path, text), budget=20.0)
+    ).replace("folds = 3 }", "folds = 1 }")
+    options = SelectionOptions(plan_in(tmp_path, text), budget=20.0)
+    choice = select_model(swings(), tmp_path / "run", options)
+    assert outcomes(choice) == [("out of time", "out of time")]
+    assert choice.best == "network"
+    assert choice.seconds < 60
+
+
+def test_a_budget_that_is_too_short_says_what_the_cheapest_needs(tmp_path):
+    changes = '["stages.0.epochs=100000", "stages.0.keep=last"]'
+    text = NETWORK_ONLY.replace('recipe = "small.toml"', f'recipe = "small.toml", set = {changes}')
+    options = SelectionOptions(plan_in(tmp_path, text), budget=20.0)
     begun = time.monotonic()
     with pytest.raises(
         InputError, match=r"no candidate was fitted.*network, needs about \d+ s.*--resume"
     ):
-        select_model(swings(), tmp_path / "run", asked)
+        select_model(swings(), tmp_path / "run", options)
     assert time.monotonic() - begun < 60
 
 
@@ -376,20 +424,20 @@ def test_one_record_is_cut_and_told(tmp_path):
         coordinates=one[0].coordinates, inputs=one[0].inputs),))  # fmt: skip
     choice, _ = selected(tmp_path, data=long)
     assert "cut into 6 pieces in time" in choice.sentences[-1]
-    assert len(choice.standing("network").rmse()) == 6
+    assert len(choice.result("network").rmse()) == 6
 
 
 def test_test_records_take_part_in_nothing(tmp_path):
     data = swings()
     kept = replace(data[0], split="test")
     choice, _ = selected(tmp_path, data=replace(data, experiments=(kept, *data[1:])))
-    assert kept.name not in choice.standing("network").rmse()
-    told = read_header(choice.at.folder / "model.safetensors")["data"]["records"]
+    assert kept.name not in choice.result("network").rmse()
+    told = read_header(choice.context.folder / "model.safetensors")["data"]["records"]
     assert kept.name not in [r["name"] for r in told]
 
 
 def test_what_means_nothing_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"--system.*means nothing to the plan 'network only'"):
+    with pytest.raises(InputError, match=r"--system.*not applicable to the plan 'network only'"):
         selected(tmp_path, system=SWING)
     with pytest.raises(InputError, match=r"--budget.*-1"):
         selected(tmp_path, budget=-1.0)
@@ -399,9 +447,9 @@ def test_candidates_of_a_system_are_left_out_without_one(tmp_path):
     said: list[str] = []
     plan = plan_in(tmp_path).read_text().replace("folds = 3\nseeds = 2", "folds = 3\nseeds = 1")
     plan = plan[: plan.rindex("[[rounds]]")]
-    asked = Asked(plan_in(tmp_path, plan))
-    choice = select_model(swings(), tmp_path / "run", asked, reporter=Reporter(said.append))
-    assert said[0] == "left out, for want of a system (--system): grey, hybrid"
+    options = SelectionOptions(plan_in(tmp_path, plan))
+    choice = select_model(swings(), tmp_path / "run", options, reporter=Reporter(said.append))
+    assert said[0] == "left out, requires a system (--system): grey, hybrid"
     assert choice.best == "network"
     assert choice.sentences[-1] == said[0]
 
@@ -430,8 +478,8 @@ folds = 3
 def test_without_a_system_a_mechanism_is_found_and_corrected(tmp_path):
     plan = plan_in(tmp_path, MECHANISM)
     with pytest.raises(InputError, match=r"only without a system: mechanism, hybrid"):
-        select_model(swings(), tmp_path / "refused", Asked(plan, SWING))
-    choice = select_model(swings(), tmp_path / "run", Asked(plan))
+        select_model(swings(), tmp_path / "refused", SelectionOptions(plan, SWING))
+    choice = select_model(swings(), tmp_path / "run", SelectionOptions(plan))
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     of = {c["name"]: c for c in summary["candidates"]}
     assert of["mechanism"]["starts"]["model-10"]["mean"] < 0.02

@@ -9,7 +9,7 @@ import pytest
 
 import tustinnet as tn
 from tustinnet.store.data_set_folder import write_data_set
-from tustinnet.store.files import owned, write_into
+from tustinnet.store.files import lock_folder, write_into
 
 
 def test_a_file_is_written_below_its_folder(tmp_path):
@@ -56,9 +56,9 @@ def test_a_file_that_does_not_fit_leaves_the_one_before(tmp_path):
 def test_a_folder_has_one_owner_at_a_time(tmp_path):
     pytest.importorskip("fcntl")
     taken = pytest.raises(tn.InputError, match="another run is writing there")
-    with owned(tmp_path / "run"), taken, owned(tmp_path / "run"):
+    with lock_folder(tmp_path / "run"), taken, lock_folder(tmp_path / "run"):
         pass
-    with owned(tmp_path / "run"):
+    with lock_folder(tmp_path / "run"):
         assert not list((tmp_path / "run").iterdir())
 
 
@@ -67,7 +67,7 @@ def test_what_a_killed_run_left_half_written_goes(tmp_path):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes(b"half")
     (tmp_path / ".mine").write_text("stays")
-    with owned(tmp_path):
+    with lock_folder(tmp_path):
         assert sorted(p.name for p in tmp_path.rglob("*")) == [".mine", "seed-0"]
 
 

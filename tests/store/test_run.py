@@ -16,7 +16,7 @@ import safetensors.numpy
 import tustinnet as tn
 from tustinnet.fitting.listener import Iteration, Listener, StageResult
 from tustinnet.fitting.task import Member, make_task
-from tustinnet.store.log import SearchLog, read_log, read_search
+from tustinnet.store.log import SearchLog, read_log, read_search_log
 from tustinnet.store.run import MODEL, Earlier, Run, run_task
 
 
@@ -186,7 +186,7 @@ def test_a_run_without_validation_records_is_judged_on_its_training_records(
     pendulum, small_recipe, tmp_path
 ):
     alone = run(pendulum.split("train"), small(small_recipe), [0], tmp_path / "run")
-    assert alone.judged == "train"
+    assert alone.judging_split == "train"
     assert len(alone.members[0].scores) == 3
 
 
@@ -240,14 +240,14 @@ def test_killed_at_any_moment_and_resumed_it_ends_with_the_same_bits(
 )  # fmt: skip
 def test_the_log_of_an_identification_is_read_up_to_its_damage(tmp_path, bad):
     log = SearchLog(tmp_path)
-    log.iteration(Iteration("equation-error estimate", 1, float("nan"), 0.0))
-    log.stage(StageResult("equation-error estimate", "", 1, 0.5, "converged", {"mass": 2.0}))
+    log.write_iteration(Iteration("equation-error estimate", 1, float("nan"), 0.0))
+    log.write_stage(StageResult("equation-error estimate", "", 1, 0.5, "converged", {"mass": 2.0}))
     log.close()
     assert read_log(tmp_path) == []
-    whole = read_search(tmp_path)
+    whole = read_search_log(tmp_path)
     assert [line.get("cost") for line in whole] == [None, 0.5]
     assert whole[1]["parameters"] == {"mass": 2.0}
     with (tmp_path / "log.jsonl").open("a") as file:
         file.write(bad + "\n")
-    assert read_search(tmp_path) == whole
-    assert read_search(tmp_path / "nowhere") == []
+    assert read_search_log(tmp_path) == whole
+    assert read_search_log(tmp_path / "nowhere") == []

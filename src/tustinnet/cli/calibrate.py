@@ -29,37 +29,37 @@ def calibrate(
     terminal.prepare_jax()
     from tustinnet.cli.request import list_input_files, load_model, load_records_and_start
     from tustinnet.errors import InputError
-    from tustinnet.evaluate.bands import KEY, alternatives_of, calibrated, guesses
+    from tustinnet.evaluate.bands import KEY, calibrate_bands, find_alternatives, predict
     from tustinnet.store.files import require_outputs
-    from tustinnet.store.header import read_header, records_in
-    from tustinnet.store.kept_system import keep, kept_with, require_room
-    from tustinnet.store.model_file import ENDINGS, copy_with
+    from tustinnet.store.header import read_header, records_in_header
+    from tustinnet.store.kept_system import find_system_copy, require_copy_fits, write_system_copy
+    from tustinnet.store.model_file import ENDINGS, copy_with_header
 
     inputs = list_input_files(data, card, model, system)
     require_outputs([out], overwrite=overwrite, read=inputs, endings=ENDINGS)
     simulator = load_model(model, system)
     header = read_header(model)
-    others = alternatives_of(simulator, header, model)
+    others = find_alternatives(simulator, header, model)
     records, start = load_records_and_start(data, card, split, start, [simulator])
-    training_checksums = records_in(header)
+    training_checksums = records_in_header(header)
     if training := [e.name for e in records if e.sha256 in training_checksums]:
         raise InputError(
             "calibrate", f"{', '.join(training[:3])}, which {model} was fitted to",
             "records that it was not fitted to", "select them by --split",
         )  # fmt: skip
-    predictions = guesses(simulator, others, records, start, horizon=horizon)
-    calibration = calibrated(predictions, records, start, horizon)
-    system_copy = kept_with(model)
+    predictions = predict(simulator, others, records, start, horizon=horizon)
+    calibration = calibrate_bands(predictions, records, start, horizon)
+    system_copy = find_system_copy(model)
     if not overwrite:
-        require_room(system_copy, out.parent)
-    copy_with(model, out, **{KEY: calibration.as_header()})
+        require_copy_fits(system_copy, out.parent)
+    copy_with_header(model, out, **{KEY: calibration.as_header()})
     if system_copy is not None:
-        keep(system_copy, out.parent)
+        write_system_copy(system_copy, out.parent)
     if json:
         terminal.print_json({"file": str(out), "start": start, "records": calibration.records,
-                             "highest_level": calibration.most})  # fmt: skip
+                             "highest_level": calibration.highest_level})  # fmt: skip
         return
     terminal.messages().print(
         f"{out}: bands from {len(records)} records, start '{start}'; their highest level is "
-        f"{100 * calibration.most:.1f} %"
+        f"{100 * calibration.highest_level:.1f} %"
     )

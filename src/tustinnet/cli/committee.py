@@ -34,7 +34,7 @@ def committee(
     from tustinnet.simulate.range import KEY, Range, join_ranges
     from tustinnet.store.files import require_outputs
     from tustinnet.store.header import read_header
-    from tustinnet.store.kept_system import header_of, keep, require_room
+    from tustinnet.store.kept_system import require_copy_fits, system_header, write_system_copy
     from tustinnet.store.model_file import ENDINGS, load_models, save
     from tustinnet.systems.files import SystemFile, find_system
 
@@ -50,7 +50,7 @@ def committee(
     )
     system_file = shared_system if isinstance(shared_system, SystemFile) else None
     if not overwrite:
-        require_room(system_file, out.parent)
+        require_copy_fits(system_file, out.parent)
     headers = [read_header(path) for path in models]
     files: list[dict[str, Any]] = []
     for path, header in zip(models, headers, strict=True):
@@ -62,9 +62,9 @@ def committee(
     complete = [part for part in ranges if part is not None]
     if len(complete) == len(ranges):
         content[KEY] = join_ranges(complete, members[0].channels).as_header()
-    save(make_committee(members, shares), out, **content, **header_of(system_file))
+    save(make_committee(members, shares), out, **content, **system_header(system_file))
     if system_file is not None:
-        keep(system_file, out.parent)
+        write_system_copy(system_file, out.parent)
         terminal.remember_trust(system_file)
     terminal.messages().print(f"{len(members)} models: {out}")
 

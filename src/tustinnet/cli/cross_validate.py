@@ -1,6 +1,6 @@
 """`tustinnet cross-validate`: scores of a recipe on records that its models were not fitted to."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,8 +10,7 @@ import typer
 from tustinnet.cli import completion, options, terminal
 
 if TYPE_CHECKING:
-    from tustinnet.selection.executors import Executor
-    from tustinnet.selection.jobs import Workplace
+    from tustinnet.selection.runner import MakeExecutor
 
 _FILE, _TABLE = "folds.json", "folds.md"
 
@@ -67,14 +66,18 @@ def cross_validate(
 
     request.require_cores(cluster, device)
     terminal.prepare_jax(device)
-    from tustinnet.evaluate.folds import cross_validate, make_question, taking_part
     from tustinnet.report.fits import folds_table
     from tustinnet.report.progress import FitProgress
-    from tustinnet.selection.cross_validation import cross_validate_by_jobs, forget
-    from tustinnet.store.files import owned, require_outputs, to_json, write_into
+    from tustinnet.selection.cross_validation import (
+        cross_validate,
+        make_cross_validation_options,
+        remove_results,
+    )
+    from tustinnet.selection.folds import records_without_test
+    from tustinnet.store.files import lock_folder, require_outputs, to_json, write_into
     from tustinnet.systems.files import find_system
 
-    validation = make_question(
+    validation = make_cross_validation_options(
         request.choose_recipe(recipe, changes, system=system, physics=physics), system=system,
         physics=physics, folds=folds, seeds=None if seeds is None else request.parse_seeds(seeds),
         starts=start or (),
@@ -82,18 +85,18 @@ def cross_validate(
     console = terminal.messages()
     require_outputs([out / _FILE, out / _TABLE], overwrite=overwrite)
     records = request.load_records_to_fit(data, card, out, console, strict=strict)
-    request.print_still_coordinates(taking_part(records), console)
+    request.print_still_coordinates(records_without_test(records), console)
     with (
         _open_cluster(cluster, quiet=quiet) as executor,
-        owned(out),
+        lock_folder(out),
         FitProgress(console, quiet=quiet) as progress,
     ):
-        if executor is None:
-            result = cross_validate(records, validation, progress.follow)
-        else:
-            forget(out, (_FILE, _TABLE), jobs=overwrite)
-            system_file = system and find_system(system)
-            result = cross_validate_by_jobs(records, validation, out, executor, system_file)
+        if executor is not None:
+            remove_results(out, (_FILE, _TABLE), jobs=overwrite)
+        result = cross_validate(
+            records, validation, progress.follow, folder=out, executor=executor,
+            system=system and find_system(system),
+        )  # fmt: skip
         table = folds_table(result)
         write_into(out, _FILE, to_json(result.as_plain()))
         write_into(out, _TABLE, table.markdown())
@@ -105,9 +108,7 @@ def cross_validate(
 
 
 @contextmanager
-def _open_cluster(
-    address: str | None, *, quiet: bool
-) -> "Iterator[Callable[[Workplace], Executor] | None]":
+def _open_cluster(address: str | None, *, quiet: bool) -> "Iterator[MakeExecutor | None]":
     """Executor of jobs on a cluster within the context; None without an address."""
     if address is None:
         yield None

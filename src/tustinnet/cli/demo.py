@@ -130,10 +130,9 @@ def _select_and_score(
     from tustinnet.evaluate.scores import evaluate
     from tustinnet.report.page.reported_model import read_reported_models
     from tustinnet.report.progress import FitProgress
-    from tustinnet.selection.jobs import loaded
-    from tustinnet.selection.select import Asked, select_model
+    from tustinnet.selection.select import SelectionOptions, select_model
 
-    selection = Asked(_PLAN, _SYSTEM, _SECONDS)
+    selection = SelectionOptions(_PLAN, _SYSTEM, _SECONDS)
     with FitProgress(console, quiet=quiet) as progress:
         reporter = make_reporter(progress, quiet=quiet)
         choice = select_model(data, out / _CHOICE, selection, earlier, reporter)
@@ -144,10 +143,10 @@ def _select_and_score(
         print_files(choice)
     tests = list(data.split("test"))
     models = []
-    for name in [choice.best, *(name for name in choice.made if name != choice.best)]:
+    for name in [choice.best, *(name for name in choice.origins if name != choice.best)]:
         is_chosen = name == choice.best
-        model = choice.model if is_chosen else loaded(choice.file(name), choice.at)
-        (reported,) = read_reported_models([choice.at.folder / choice.file(name)], [model])
+        model = choice.model if is_chosen else choice.context.load_model(choice.file(name))
+        (reported,) = read_reported_models([choice.context.folder / choice.file(name)], [model])
         label = f"{name} (chosen)" if is_chosen else name
         models.append(replace(reported, label=label, scores=evaluate(model, tests, _START)))
     return models

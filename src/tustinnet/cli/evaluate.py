@@ -12,8 +12,8 @@ from tustinnet.cli import options, request, terminal
 
 if TYPE_CHECKING:
     from tustinnet.channels import Channels
-    from tustinnet.evaluate.bands import BandAsked
-    from tustinnet.evaluate.coverage import Covered
+    from tustinnet.evaluate.bands import BandOptions
+    from tustinnet.evaluate.coverage import Coverage
     from tustinnet.evaluate.scores import Score
     from tustinnet.report.tables import Table
 
@@ -51,7 +51,7 @@ def evaluate(
     """
     terminal.prepare_jax()
     from tustinnet.evaluate.ahead import rmse_ahead
-    from tustinnet.evaluate.coverage import covered
+    from tustinnet.evaluate.coverage import compute_coverage
     from tustinnet.evaluate.scores import Score, mean_rmse
     from tustinnet.evaluate.scores import evaluate as score_records
 
@@ -70,7 +70,7 @@ def evaluate(
     bands, coverage = [], []
     if band_options is not None:
         bands = request.compute_bands(model, simulator, records, scores, band_options)
-        coverage = covered(records, bands)
+        coverage = compute_coverage(records, bands)
     errors = None if ahead is None else rmse_ahead(simulator, records, ahead)
     if json:
         experiments = []
@@ -86,8 +86,8 @@ def evaluate(
             "means": {name: mean_rmse(group) for name, group in by_split.items()},
         }
         if band_options is not None:
-            content["band"] = {"level": band_options.level, "of": band_options.of,
-                               "covered": [asdict(share) for share in coverage]}  # fmt: skip
+            content["band"] = {"level": band_options.level, "of": band_options.scope,
+                               "compute_coverage": [asdict(share) for share in coverage]}  # fmt: skip
         if errors is not None:
             content["ahead"] = {"dt": simulator.dt, "rmse": errors.tolist()}
         terminal.print_json(content)
@@ -120,7 +120,7 @@ def _ahead_table(errors: list[float], channels: "Channels") -> "Table":
 
 
 def _band_table(
-    coverage: "Sequence[Covered]", band_options: "BandAsked", channels: "Channels"
+    coverage: "Sequence[Coverage]", band_options: "BandOptions", channels: "Channels"
 ) -> "Table":
     """Table of the share of the motion inside the bands, and of their width."""
     from tustinnet.report.tables import Table, number
@@ -136,7 +136,7 @@ def _band_table(
         ])  # fmt: skip
     columns = ["coordinate", "part", "inside [%]", "95 % interval", "records all inside",
                "width", "width / RMSE", "CRPS"]  # fmt: skip
-    share = "of the time" if band_options.of == "time" else "of whole records"
+    share = "of the time" if band_options.scope == "time" else "of whole records"
     return Table(columns, rows, title=f"Bands of {100 * band_options.level:g} % {share}")
 
 

@@ -45,13 +45,13 @@ def export(
     from tustinnet.cli.request import load_model
     from tustinnet.errors import InputError
     from tustinnet.report.tables import Table
-    from tustinnet.store.exported import export_model, targets_of
+    from tustinnet.store.exported import export_model, find_targets
 
     groups = dict(pair.split("=", 1) for pair in group or [] if "=" in pair)
     if len(groups) < len(group or []):
         raise InputError("--group", f"'{', '.join(group or [])}'", "NAME=VALUE, each name once")
     exports = export_model(
-        load_model(model, system), targets_of(to, _parse_point(at)), out,
+        load_model(model, system), find_targets(to, _parse_point(at)), out,
         file=model, groups=groups, overwrite=overwrite,
     )  # fmt: skip
     if json:

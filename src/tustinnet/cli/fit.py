@@ -117,7 +117,7 @@ def _fit_recipe(
     from tustinnet.cli.automatic_report import require_report
     from tustinnet.fitting.task import make_task
     from tustinnet.report.progress import FitProgress
-    from tustinnet.store.model_file import load_model, system_of
+    from tustinnet.store.model_file import load_model, read_system_name
     from tustinnet.store.run import MODEL, run_task
 
     system, console = fit_options.system, terminal.messages()
@@ -137,7 +137,7 @@ def _fit_recipe(
         console.print("note: no validation split; the scores below are of the training records")
     task_system = system
     if origin is not None and "system" in recipe.family.needs:
-        task_system = system or system_of(origin) or None
+        task_system = system or read_system_name(origin) or None
     elif physics is not None or origin is not None:
         task_system = None  # it is that of the physics
     system_file = None if isinstance(system, str) else system
@@ -196,7 +196,7 @@ def _write_report(run: "Run", fit_options: "FitOptions") -> str | None:
     from tustinnet.store.run import REPORT
 
     score, folder = run.best.scores[0], run.folder
-    split = run.judged if run.roles.ranking[0].split else None
+    split = run.judging_split if run.roles.ranking[0].split else None
     return fit_options.report.write(
         [folder],
         folder / REPORT,

@@ -9,7 +9,7 @@ import typer
 from tustinnet.cli import options, terminal
 
 if TYPE_CHECKING:
-    from tustinnet.evaluate.folds import Question
+    from tustinnet.selection.cross_validation import CrossValidationOptions
 
 
 class Values(StrEnum):
@@ -67,11 +67,15 @@ def learning_curve(
     terminal.prepare_jax(device)
     from tustinnet.cli.request import load_records_to_fit, print_still_coordinates
     from tustinnet.errors import InputError
-    from tustinnet.evaluate.folds import taking_part
-    from tustinnet.evaluate.learning import learning_curve, make_curve_question, places_of
     from tustinnet.report.learning import learning_figure, learning_table
     from tustinnet.report.progress import FitProgress
-    from tustinnet.store.files import owned, require_outputs, to_json, write_into
+    from tustinnet.selection.folds import records_without_test
+    from tustinnet.selection.learning import (
+        draw_records,
+        learning_curve,
+        make_learning_curve_options,
+    )
+    from tustinnet.store.files import lock_folder, require_outputs, to_json, write_into
 
     system_options = _make_system_options(system, physics, hybrid, twin)
     try:
@@ -79,7 +83,7 @@ def learning_curve(
     except ValueError:
         raise InputError("--records", f"'{records}'", "numbers, separated by commas",
                          "for instance --records 2,4,8") from None  # fmt: skip
-    curve_options = make_curve_question(
+    curve_options = make_learning_curve_options(
         recipe or "standard", system_options, sizes, draws=draws, start=start,
         twin=(twin or Values.identified).value,
     )  # fmt: skip
@@ -87,12 +91,12 @@ def learning_curve(
     names = [f"learning-curve.{ending}" for ending in ("json", "md", "png")]
     require_outputs([out / name for name in names], overwrite=overwrite)
     data_set = load_records_to_fit(data, card, out, console, strict=strict)
-    print_still_coordinates(taking_part(data_set), console)
-    places_of(data_set, curve_options)  # raises at once where there are too few records
-    with owned(out):
+    print_still_coordinates(records_without_test(data_set), console)
+    draw_records(data_set, curve_options)  # raises at once where there are too few records
+    with lock_folder(out):
         with FitProgress(console, quiet=quiet) as progress:
             curve = learning_curve(data_set, curve_options, progress.follow)
-        table, sentences = learning_table(curve), [curve.told(a) for a in curve.approaches]
+        table, sentences = learning_table(curve), [curve.sentence(a) for a in curve.approaches]
         write_into(out, names[0], to_json(curve.as_plain()))
         write_into(out, names[1], table.markdown() + "".join(f"\n* {s}." for s in sentences) + "\n")
         if json:
@@ -110,15 +114,15 @@ def learning_curve(
 
 def _make_system_options(
     system: str | None, physics: str | None, hybrid: str | None, twin: Values | None
-) -> "Question | None":
+) -> "CrossValidationOptions | None":
     """Options of the approaches that use a system; None without a system.
 
     Raises:
         InputError: an option that requires a system, without one; a recipe that is no hybrid.
     """
     from tustinnet.errors import InputError
-    from tustinnet.evaluate.folds import make_question
     from tustinnet.fitting.recipe_reading import read_recipe
+    from tustinnet.selection.cross_validation import make_cross_validation_options
     from tustinnet.systems.files import find_system
 
     if system is not None:
@@ -126,7 +130,7 @@ def _make_system_options(
         if "physics" not in recipe.family.needs:
             raise InputError("--hybrid", f"a recipe of kind '{recipe.family.kind}'",
                              "a recipe that corrects physics")  # fmt: skip
-        return make_question(recipe, system=find_system(system), physics=physics)
+        return make_cross_validation_options(recipe, system=find_system(system), physics=physics)
     for option, value in (("--physics", physics), ("--hybrid", hybrid), ("--twin", twin)):
         if value is not None:
             raise InputError(option, "not applicable without a system", "a system",

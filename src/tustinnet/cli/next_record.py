@@ -33,20 +33,20 @@ def next_record(
     terminal.prepare_jax()
     from tustinnet.cli.request import load_model
     from tustinnet.data.proposals import read_proposals
-    from tustinnet.evaluate.bands import alternatives_of
-    from tustinnet.evaluate.next_record import ranked
+    from tustinnet.evaluate.bands import find_alternatives
+    from tustinnet.evaluate.next_record import rank_proposals
     from tustinnet.report.tables import Table, number
     from tustinnet.store.header import read_header
 
     simulator, header = load_model(model, system), read_header(model)
     # raises at once where the errors of the model are unknown
-    alternatives_of(simulator, header, model)
+    find_alternatives(simulator, header, model)
     candidates = read_proposals(proposals, simulator.channels)
-    ranking = ranked(simulator, header, candidates, horizon=horizon)
+    ranking = rank_proposals(simulator, header, candidates, horizon=horizon)
     if json:
         terminal.print_json(ranking.as_plain())
         return
-    rows = [[gain.name, number(gain.value), gain.words] for gain in ranking.promises]
+    rows = [[gain.name, number(gain.value), gain.words] for gain in ranking.gains]
     columns = ["proposal", f"gain [{ranking.unit}]", "largest effect"]
     terminal.print_tables(Table(columns, rows, title=f"By the {ranking.criterion}"))
-    typer.echo(f"record next: {ranking.promises[0].name}")
+    typer.echo(f"record next: {ranking.gains[0].name}")

@@ -48,14 +48,14 @@ def report(
     from tustinnet.report.page.reported_model import model_file, read_reported_models
     from tustinnet.report.page.write import ENDINGS, ReportOptions, write_page
     from tustinnet.store.files import require_outputs
-    from tustinnet.store.model_file import load_models, system_of
+    from tustinnet.store.model_file import load_models, read_system_name
     from tustinnet.systems.files import find_system, load_system
 
     files = [model_file(path) for path in models]
     inputs = list_input_files(data, card, *files, *(system or []))
     require_outputs([out], overwrite=overwrite, read=inputs, endings=ENDINGS)
     systems = [find_system(name) for name in system or []]
-    model_systems = {system_of(file) for file in files}
+    model_systems = {read_system_name(file) for file in files}
     # the system of a model restores it, another one draws the mechanism
     restoring: list[SystemFile | str] = []
     drawing: list[SystemFile | str] = []

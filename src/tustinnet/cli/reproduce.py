@@ -91,7 +91,7 @@ def reproduce(
     from tustinnet.errors import InputError
     from tustinnet.report.progress import FitProgress
     from tustinnet.reproduce import figures, table1
-    from tustinnet.store.files import owned, require_outputs, to_json, write_into
+    from tustinnet.store.files import lock_folder, require_outputs, to_json, write_into
     from tustinnet.store.run import REPORT
 
     console = terminal.messages()
@@ -121,7 +121,7 @@ def reproduce(
         model_names, scored_split, seeds, None if keep is None else keep.value, overwrite
     )
     with (
-        owned(out),
+        lock_folder(out),
         FitProgress(console, quiet=quiet) as progress,
         terminal.interruptible("the same command continues"),
     ):

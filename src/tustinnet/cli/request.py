@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from tustinnet.cli.options import Hardware
     from tustinnet.data.dataset import DataSet
     from tustinnet.data.experiment import Experiment
-    from tustinnet.evaluate.bands import Band, BandAsked
+    from tustinnet.evaluate.bands import Band, BandOptions
     from tustinnet.evaluate.scores import Score
     from tustinnet.fitting.recipe import Recipe
     from tustinnet.fitting.task import Member, Origin
@@ -262,9 +262,9 @@ def kept_system(model: Path) -> "SystemFile | None":
         InputError: the file is not trusted.
     """
     from tustinnet.errors import InputError
-    from tustinnet.store.kept_system import is_trusted, kept_with, trust
+    from tustinnet.store.kept_system import find_system_copy, is_trusted, trust
 
-    copy = kept_with(model)
+    copy = find_system_copy(model)
     if copy is None or is_trusted(copy):
         return copy
     if terminal.confirm(f"{copy.path} is Python code that was kept with this model; run it?"):
@@ -298,7 +298,7 @@ def load_records_and_start(
 
 def compute_bands(
     path: Path, model: "Model", records: "Sequence[Experiment]", scores: "Sequence[Score]",
-    band_options: "BandAsked",
+    band_options: "BandOptions",
 ) -> "list[Band]":  # fmt: skip
     """Computes the bands around free runs.
 
@@ -312,27 +312,27 @@ def compute_bands(
     Raises:
         InputError: a model that was not calibrated, or from another start or horizon.
     """
-    from tustinnet.evaluate.bands import Calibration, alternatives_of, bands_around
+    from tustinnet.evaluate.bands import Calibration, find_alternatives, make_bands
     from tustinnet.store.header import read_header
 
     header = read_header(path)
-    others = alternatives_of(model, header, path)
+    others = find_alternatives(model, header, path)
     calibration = Calibration.from_header(header, path)
-    return bands_around(calibration, band_options, model, others, records, scores)
+    return make_bands(calibration, band_options, model, others, records, scores)
 
 
-def make_band_options(level: float | None, *, whole: bool) -> "BandAsked | None":
+def make_band_options(level: float | None, *, whole: bool) -> "BandOptions | None":
     """Makes the options of bands from `--band` and `--whole-records`; None without bands.
 
     Raises:
         InputError: a level that is no share; whole records without a band.
     """
     from tustinnet.errors import InputError
-    from tustinnet.evaluate.bands import BandAsked, require_share
+    from tustinnet.evaluate.bands import BandOptions, require_share
 
     if level is None:
         if whole:
             raise InputError("--whole-records", "no band", "a band", "add --band LEVEL")
         return None
     require_share(level)
-    return BandAsked(level, "record" if whole else "time")
+    return BandOptions(level, "record" if whole else "time")

@@ -42,7 +42,7 @@ def residuals(
     from tustinnet.evaluate.residuals import residual_reports
     from tustinnet.report.residuals import downweighted_table, residual_figure
     from tustinnet.simulate.horizon import horizon_words
-    from tustinnet.store.model_file import downweighted_in
+    from tustinnet.store.model_file import read_downweighted
 
     inputs = request.list_input_files(data, card, model, system)
     request.require_figures("--figure", figure, inputs, overwrite=overwrite)
@@ -51,12 +51,12 @@ def residuals(
     records, start = request.load_records_and_start(data, card, split, start, [simulator])
     reports = residual_reports(simulator, records, start, lags, horizon=horizon)
     names = {e.name for e in records}
-    downweighted = [s for s in downweighted_in(model) if s.record in names]
+    downweighted = [s for s in read_downweighted(model) if s.record in names]
     title = f"Residuals of {len(records)} free runs, start '{start}'{horizon_words(horizon)}"
     if json:
         coordinates = []
         for r in reports:
-            content = {**dataclasses.asdict(r), "white": r.white}
+            content = {**dataclasses.asdict(r), "white": r.is_white}
             coordinates.append(
                 {k: v.tolist() if hasattr(v, "tolist") else v for k, v in content.items()}
             )
@@ -91,7 +91,7 @@ def _residual_table(
     rows = [
         [
             r.coordinate, number(r.rms), number(r.mean), number(float(r.autocorrelation[1])),
-            number(r.white_bound), f"{100 * r.outside:.0f} %",
+            number(r.is_white_bound), f"{100 * r.outside:.0f} %",
             *[f"{100 * share:.0f} %" for share in r.cross_outside],
         ]
         for r in reports

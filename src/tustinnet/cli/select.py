@@ -59,11 +59,11 @@ def select(
     from tustinnet.report.summary import next_steps
     from tustinnet.selection.cluster import cluster
     from tustinnet.selection.plan import USUAL, read_plan
-    from tustinnet.selection.select import Asked, select_model
+    from tustinnet.selection.select import SelectionOptions, select_model
     from tustinnet.store.run import MODEL, REPORT
 
     quiet, report = fit_options.quiet, fit_options.report
-    selection = Asked(
+    selection = SelectionOptions(
         read_plan(plan or USUAL), fit_options.system, parse_seconds(budget), start_time
     )
     records = fit_options.load()
@@ -73,24 +73,24 @@ def select(
             terminal.interruptible("--resume continues with what is done"),
             nullcontext()
             if cluster_address is None
-            else cluster(cluster_address, reporter.say) as executor,
+            else cluster(cluster_address, reporter.on_message) as executor,
         ):
             choice = select_model(
                 records, fit_options.out, selection, fit_options.earlier, reporter, executor
             )
-    if choice.at.system_file is not None:
-        terminal.remember_trust(choice.at.system_file)
+    if choice.context.system_file is not None:
+        terminal.remember_trust(choice.context.system_file)
     if fit_options.json:
         terminal.print_json(choice.as_plain())
     else:
         print_choice(choice)
     draw_choice(choice)
-    folder, start = choice.at.folder, choice.standing(choice.best).starts[0]
+    folder, start = choice.context.folder, choice.result(choice.best).starts[0]
     page = report.write(
         [folder],
         folder / REPORT,
         lambda command: write_choice_report(choice, command),
-        {"--start": start, "--horizon": choice.at.judging.horizon},
+        {"--start": start, "--horizon": choice.context.scoring.horizon},
     )
     if not fit_options.json:
         print_files(choice, page or "")
@@ -116,11 +116,13 @@ def draw_choice(choice: "Choice") -> None:
     from tustinnet.selection.select import TABLE
     from tustinnet.store.files import write_into
 
-    folder = choice.at.folder
+    folder = choice.context.folder
     write_into(folder, TABLE, candidates_table(choice).markdown())
     write_figure(candidates_figure(choice), folder, "figures/candidates.png")
     for name, runs in free_runs(choice).items():
-        write_figure(free_run_figure(choice.at.data[name], runs), folder, f"figures/{name}.png")
+        write_figure(
+            free_run_figure(choice.context.data[name], runs), folder, f"figures/{name}.png"
+        )
 
 
 def print_choice(choice: "Choice") -> None:
@@ -134,7 +136,7 @@ def print_choice(choice: "Choice") -> None:
 
 def print_files(choice: "Choice", report: str = "") -> None:
     """Prints the line that names the files, and the duration of the choice."""
-    out = choice.at.folder
+    out = choice.context.folder
     typer.echo(
         f"model: {out / 'model.safetensors'}   table: {out / 'candidates.md'}   "
         f"figures: {out / 'figures'}{report}   {choice.seconds:.0f} s"

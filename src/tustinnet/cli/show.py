@@ -13,9 +13,9 @@ Lines = list[tuple[str, str]]
 def show(model: options.Model, json: options.Json = False) -> None:
     """Print what a model file contains: structure, parameters, scores."""
     from tustinnet.errors import convert_errors, to_printable
-    from tustinnet.store.header import shown
+    from tustinnet.store.header import read_description
 
-    header, structure = shown(model)
+    header, structure = read_description(model)
     if json:
         terminal.print_json(header)
         return

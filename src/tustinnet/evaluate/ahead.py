@@ -1,4 +1,4 @@
-"""How far ahead a model sees: k-step-ahead errors."""
+"""k-step-ahead errors of a model."""
 
 from collections.abc import Sequence
 
@@ -51,19 +51,19 @@ def rmse_ahead(
         require_fit(model, e)
     squares, count = np.zeros(horizon), np.zeros(horizon)
     along = states_along(evaluated, experiments, velocity)
-    begins = [np.arange(evaluated.warm_up, len(e) - 1, every) for e in experiments]
+    start_indices = [np.arange(evaluated.warm_up, len(e) - 1, every) for e in experiments]
     # as many at once everywhere, so that one compiled program serves records of all lengths
-    size = max(1, min(_STEPS_AT_ONCE // horizon, max(map(len, begins))))
-    for e, states, mine in zip(experiments, along, begins, strict=True):
-        own = evaluated.for_record(e)
-        driven = np.asarray(input_signal(own, e).u)
-        for first in range(0, len(mine), size):
-            begin = mine[first : first + size]
+    size = max(1, min(_STEPS_AT_ONCE // horizon, max(map(len, start_indices))))
+    for e, states, indices in zip(experiments, along, start_indices, strict=True):
+        simulator = evaluated.for_record(e)
+        inputs = np.asarray(input_signal(simulator, e).u)
+        for first in range(0, len(indices), size):
+            begin = indices[first : first + size]
             index = np.resize(begin, size)[:, None] + np.arange(horizon)
             inside = (index < len(e) - 1) & (np.arange(size) < len(begin))[:, None]
             index = np.minimum(index, len(e) - 2)  # beyond the end any input will do
-            drive = InputSignal(driven[index])
-            runs = np.asarray(simulate_runs(own, states[index[:, 0]], drive))
+            drive = InputSignal(inputs[index])
+            runs = np.asarray(simulate_runs(simulator, states[index[:, 0]], drive))
             error = np.sum((runs[:, 1:, e.channels.position] - e.q[index + 1]) ** 2, axis=2)
             squares += np.sum(np.where(inside, error, 0.0), axis=0)
             count += np.sum(inside, axis=0)

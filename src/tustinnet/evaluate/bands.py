@@ -28,12 +28,12 @@ _GRID = np.arange(1, 1000) / 1000  # levels that factors are kept for
 _FEWEST = 2  # samples of every record for a part of its own
 _LEAST = 1e-12  # floor of records without any error [rad or m]
 _ROUNDING = 1e-9
-Of = Literal["time", "record"]
+BandScope = Literal["time", "record"]
 
 
 @dataclass(frozen=True)
-class Guess:
-    """What a model says of a record, and how its alternatives differ.
+class Prediction:
+    """The free run of a model over a record, and how its alternatives differ.
 
     Attributes:
         record: the record's name.
@@ -72,37 +72,37 @@ class Part:
         """The root of the spread, or the floor [rad or m]; smooth between."""
         return np.sqrt((spread if self.unit is None else self.unit) * spread + self.floor**2)
 
-    def factor(self, level: float, of: Of) -> float:
-        """What a band of a level is times the width.
+    def factor(self, level: float, scope: BandScope) -> float:
+        """Times of the width that hold a share of the time, or of whole records.
 
         Raises:
             InputError: too few records for this level.
         """
         require_level(level, len(self.records))
-        if of == "record":
+        if scope == "record":
             return self.records[math.ceil(level * (len(self.records) + 1) - _ROUNDING) - 1]
-        return self.of_time(level)
+        return self.time_factor(level)
 
-    def knows(self, level: float) -> bool:
-        """Whether its records say what holds a share of the time."""
-        return _place(level) < len(self.factors)
+    def has_level(self, level: float) -> bool:
+        """Whether its records are enough for a share of the time."""
+        return _factor_index(level) < len(self.factors)
 
-    def of_time(self, level: float) -> float:
-        """Times of the width that hold a share of the time, or as much as is known."""
-        return self.factors[min(_place(level), len(self.factors) - 1)]
+    def time_factor(self, level: float) -> float:
+        """Times of the width that hold a share of the time, or the largest share available."""
+        return self.factors[min(_factor_index(level), len(self.factors) - 1)]
 
 
 @dataclass(frozen=True)
-class BandAsked:
-    """Which band.
+class BandOptions:
+    """Level and scope of a band.
 
     Attributes:
         level: the share that is to lie inside.
-        of: of what: `time` or `record`.
+        scope: a share of the `time`, or of whole records (`record`).
     """
 
     level: float
-    of: Of = "time"
+    scope: BandScope = "time"
 
 
 @dataclass(frozen=True)
@@ -111,28 +111,28 @@ class Band:
 
     Attributes:
         level: the share that is to lie inside.
-        of: of what it is a share: the time, or whole records.
+        scope: what it is a share of: the time, or whole records.
         low: lower end, (n, n_q) [rad or m].
         high: upper end, (n, n_q).
-        guess: the free run.
+        prediction: the free run.
         calibration: what the band was made of.
     """
 
     level: float
-    of: Of
+    scope: BandScope
     low: Float[np.ndarray, "n n_q"]
     high: Float[np.ndarray, "n n_q"]
-    guess: Guess
+    prediction: Prediction
     calibration: "Calibration"
 
-    def holds(self, q: Float[np.ndarray, "n n_q"]) -> Bool[np.ndarray, "n n_q"]:
-        """Where positions lie inside, (n, n_q)."""
+    def contains(self, q: Float[np.ndarray, "n n_q"]) -> Bool[np.ndarray, "n n_q"]:
+        """Whether positions lie inside, (n, n_q)."""
         return (self.low <= q) & (q <= self.high)
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """What bands are made of; kept in the model's file.
+    """Widths and factors that bands are made of; kept in the model's file.
 
     Attributes:
         start: where the free runs started.
@@ -150,31 +150,34 @@ class Calibration:
     resting: tuple[Part, ...]
 
     @property
-    def most(self) -> float:
+    def highest_level(self) -> float:
         """The highest level that so many calibration records can promise."""
-        return most_of(len(self.records))
+        return highest_level(len(self.records))
 
-    def half(self, guess: Guess, level: float, of: Of = "time") -> Float[np.ndarray, "n n_q"]:
+    def half_width(
+        self, prediction: Prediction, level: float, scope: BandScope = "time"
+    ) -> Float[np.ndarray, "n n_q"]:
         """Half the width of the band of a free run, (n, n_q) [rad or m].
 
         Args:
-            guess: the free run.
+            prediction: the free run.
             level: the share that is to lie inside, 0..1: of the time, or of whole records.
-            of: `time`: at every time the truth lies inside with this probability, averaged over
+            scope: `time`: at every time the truth lies inside with this probability, averaged over
                 a record; `record`: all of a record lies inside with this probability.
 
         Raises:
             InputError: a level for which there are too few calibration records.
         """
-        half = np.empty_like(guess.simulated)
+        half = np.empty_like(prediction.simulated)
         for j, (moving, resting) in enumerate(zip(self.moving, self.resting, strict=True)):
-            still = resting if of == "record" or resting.knows(level) else moving
-            for part, where in ((moving, guess.moving), (still, ~guess.moving)):
-                half[where, j] = part.factor(level, of) * part.width(guess.spread[where, j])
+            still = resting if scope == "record" or resting.has_level(level) else moving
+            for part, where in ((moving, prediction.moving), (still, ~prediction.moving)):
+                width = part.width(prediction.spread[where, j])
+                half[where, j] = part.factor(level, scope) * width
         return half
 
     def require(self, level: float, start: str, horizon: float | None) -> None:
-        """Raises unless bands of a level are known for free runs of this start and horizon."""
+        """Raises unless bands of a level are calibrated for free runs of this start and horizon."""
         require_level(level, len(self.records))
         if (self.start, self.horizon) != (start, horizon):
             raise InputError(
@@ -184,33 +187,32 @@ class Calibration:
             )  # fmt: skip
 
     def as_header(self) -> dict[str, Any]:
-        """The same as plain values, as model files have it."""
+        """The calibration as plain values, as model files have it."""
         return asdict(self)
 
     @classmethod
     def from_header(cls, header: Mapping[str, Any], where: object) -> "Calibration":
-        """What the header of a model's file says.
+        """The calibration in the header of a model's file.
 
         Raises:
             InputError: the model was not calibrated.
         """
-        told = header.get(KEY)
-        if told is None:
+        content = header.get(KEY)
+        if content is None:
             raise InputError(
                 where, "a model without bands", "one that was calibrated", "tustinnet calibrate"
             )
         parts = {
             key: tuple(
                 Part(p["floor"], tuple(p["factors"]), tuple(p["records"]), p.get("unit"))
-                for p in told[key]
+                for p in content[key]
             )
             for key in ("moving", "resting")
         }
-        return cls(told["start"], told["horizon"], tuple(told["records"]), **parts)
+        return cls(content["start"], content["horizon"], tuple(content["records"]), **parts)
 
 
-def _place(level: float) -> int:
-    """Which of a part's factors is that of a level."""
+def _factor_index(level: float) -> int:
     return math.ceil(level * (len(_GRID) + 1) - _ROUNDING) - 1
 
 
@@ -218,7 +220,7 @@ def _over(horizon: float | None) -> str:
     return ", whole records" if horizon is None else f", horizon {horizon:g} s"
 
 
-def most_of(records: int) -> float:
+def highest_level(records: int) -> float:
     """The highest level that so many calibration records can promise: n of them n / (n + 1)."""
     return records / (records + 1)
 
@@ -232,58 +234,60 @@ def require_share(level: float) -> None:
 def require_level(level: float, records: int) -> None:
     """Raises unless so many calibration records can promise a level."""
     require_share(level)
-    if level > most_of(records) + _ROUNDING:
+    if level > highest_level(records) + _ROUNDING:
         needed = math.ceil(level / (1 - level) - _ROUNDING)
         raise InputError(
             f"a band of {100 * level:g} %", f"{records} calibration records, which cannot promise "
-            f"more than {100 * most_of(records):.1f} %", f"{needed} records or more",
-            "calibrate with more records, or ask for less",
+            f"more than {100 * highest_level(records):.1f} %", f"{needed} records or more",
+            "calibrate with more records, or request a lower level",
         )  # fmt: skip
 
 
-def band_of(of: Calibration, guess: Guess, level: float, share: Of = "time") -> Band:
-    """The band around a free run, see `Calibration.half`."""
-    half = of.half(guess, level, share)
-    low, high = guess.simulated - half, guess.simulated + half
-    return Band(level, share, low, high, guess, of)
-
-
-def alternatives_of(model: Model, header: Mapping[str, Any], where: object) -> Sequence[Model]:
+def find_alternatives(model: Model, header: Mapping[str, Any], where: object) -> Sequence[Model]:
     """Models that the records of a model would allow as well.
 
     Args:
         model: the model.
-        header: what its file says.
+        header: the header of its file.
         where: what errors name.
 
     Raises:
-        InputError: a model that does not know its own errors.
+        InputError: a model without members or errors of its parameters.
     """
-    found = family_of(model).alternatives(model, dict(header))
-    if not found:
+    alternatives = family_of(model).alternatives(model, dict(header))
+    if not alternatives:
         raise InputError(
             where, "a model without members or errors of its parameters: nothing says how sure it "
             "is", "a committee, or an identified system",
             "put several seeds or folds together (tustinnet committee)",
         )  # fmt: skip
-    return found
+    return alternatives
 
 
-def bands_around(
+def make_band(
+    calibration: Calibration, prediction: Prediction, level: float, scope: BandScope = "time"
+) -> Band:
+    """The band around a free run, see `Calibration.half_width`."""
+    half = calibration.half_width(prediction, level, scope)
+    low, high = prediction.simulated - half, prediction.simulated + half
+    return Band(level, scope, low, high, prediction, calibration)
+
+
+def make_bands(
     calibration: Calibration,
-    asked: BandAsked,
+    options: BandOptions,
     model: Model,
     alternatives: Sequence[Model],
     experiments: Sequence[Experiment],
     scores: Sequence[Score],
 ) -> list[Band]:
-    """The bands around free runs that are known.
+    """The bands around free runs that were scored.
 
     Args:
         calibration: what bands are made of.
-        asked: which ones.
+        options: their level and scope.
         model: the model.
-        alternatives: see `alternatives_of`.
+        alternatives: see `find_alternatives`.
         experiments: the records.
         scores: their free runs.
 
@@ -292,22 +296,22 @@ def bands_around(
             horizon than those calibrated.
     """
     start, horizon = scores[0].start, scores[0].horizon
-    calibration.require(asked.level, start, horizon)
-    own = [score.simulated for score in scores]
-    made = guesses(model, alternatives, experiments, start, horizon=horizon, own=own)
-    return [band_of(calibration, guess, asked.level, asked.of) for guess in made]
+    calibration.require(options.level, start, horizon)
+    runs = [score.simulated for score in scores]
+    predictions = predict(model, alternatives, experiments, start, horizon=horizon, runs=runs)
+    return [make_band(calibration, p, options.level, options.scope) for p in predictions]
 
 
-def guesses(
+def predict(
     model: Model,
     alternatives: Sequence[Model],
     experiments: Sequence[Experiment],
     start: str,
     *,
     horizon: float | None = None,
-    own: Sequence[Float[np.ndarray, "_ n_x"]] | None = None,
-) -> list[Guess]:
-    """Free runs with the spread of a model's alternatives.
+    runs: Sequence[Float[np.ndarray, "_ n_x"]] | None = None,
+) -> list[Prediction]:
+    """Free runs of records, and how the alternatives of the model differ from them.
 
     Args:
         model: the model.
@@ -315,38 +319,32 @@ def guesses(
         experiments: the records.
         start: where the free runs start.
         horizon: how long they last at most [s], None for whole records.
-        own: the model's free runs, where they are known.
+        runs: the model's free runs, if they were computed before.
 
     Raises:
         InputError: see `free_run`.
     """
 
-    def runs(of: Model) -> Sequence[np.ndarray]:
-        return free_run(of, experiments, start, horizon=horizon)
+    def simulate(simulator: Model) -> Sequence[np.ndarray]:
+        return free_run(simulator, experiments, start, horizon=horizon)
 
-    every, first = [own or runs(model), *map(runs, alternatives)], start_named(start).first
-    found = []
-    for e, x, *others in zip(experiments, *every, strict=True):
-        q = x[:, e.channels.position]
+    all_runs, first = [runs or simulate(model), *map(simulate, alternatives)], start_named(start)
+    predictions = []
+    for e, x, *others in zip(experiments, *all_runs, strict=True):
+        q, v = x[:, e.channels.position], x[:, e.channels.velocity]
         with np.errstate(over="ignore", invalid="ignore"):
             away = np.stack([other[:, e.channels.position] - q for other in others])
             spread = np.sqrt(np.mean(away**2, axis=0))
-        found.append(Guess(e.name, q, spread, _moving(q, x[:, e.channels.velocity], e), first))
-    return found
+        moving = np.ones(len(q), bool)
+        if np.isfinite(q).all() and np.isfinite(v).all():
+            thresholds = rest_thresholds(q, v, e.channels.resolution, e.dt)
+            moving = np.arange(len(q)) < settling_index(q, v, thresholds)
+        predictions.append(Prediction(e.name, q, spread, moving, first.first))
+    return predictions
 
 
-def _moving(
-    q: Float[np.ndarray, "n n_q"], v: Float[np.ndarray, "n n_q"], e: Experiment
-) -> Bool[np.ndarray, " n"]:
-    """Where a free run moves: before it has come to rest."""
-    if not (np.isfinite(q).all() and np.isfinite(v).all()):
-        return np.ones(len(q), bool)
-    settled = settling_index(q, v, rest_thresholds(q, v, e.channels.resolution, e.dt))
-    return np.arange(len(q)) < settled
-
-
-def calibrated(
-    made: Sequence[Guess],
+def calibrate_bands(
+    predictions: Sequence[Prediction],
     experiments: Sequence[Experiment],
     start: str,
     horizon: float | None = None,
@@ -354,7 +352,7 @@ def calibrated(
     """Bands that hold what happened on records that the model was not made from.
 
     Args:
-        made: what the model says of them.
+        predictions: the model's free runs of the records.
         experiments: the records.
         start: where the free runs started.
         horizon: how long they lasted at most [s].
@@ -362,55 +360,57 @@ def calibrated(
     Raises:
         InputError: fewer than two records, or a free run that is not finite.
     """
-    if len(made) < 2:
-        raise InputError("calibrate", f"{len(made)} records", "at least 2")
-    for guess in made:
-        if not (np.isfinite(guess.simulated).all() and np.isfinite(guess.spread).all()):
+    if len(predictions) < 2:
+        raise InputError("calibrate", f"{len(predictions)} records", "at least 2")
+    for prediction in predictions:
+        if not (np.isfinite(prediction.simulated).all() and np.isfinite(prediction.spread).all()):
             raise InputError(
-                guess.record, "a free run that leaves the range of floating-point numbers",
-                "finite ones", "calibrate over a horizon",
+                prediction.record, "a free run that diverges", "finite ones",
+                "calibrate over a horizon",
             )  # fmt: skip
-    each = [
-        _of_coordinate(made, [e.q[:, j] for e in experiments], j)
+    parts = [
+        _calibrate_coordinate(predictions, [e.q[:, j] for e in experiments], j)
         for j in range(experiments[0].channels.n_q)
     ]
-    moving, resting = zip(*each, strict=True)
-    return Calibration(start, horizon, tuple(g.record for g in made), moving, resting)
+    moving, resting = zip(*parts, strict=True)
+    return Calibration(start, horizon, tuple(p.record for p in predictions), moving, resting)
 
 
-def _of_coordinate(
-    made: Sequence[Guess], measured: Sequence[np.ndarray], j: int
+def _calibrate_coordinate(
+    predictions: Sequence[Prediction], measured: Sequence[np.ndarray], j: int
 ) -> tuple[Part, Part]:
-    """The band of a coordinate while something moves, and after that."""
-    errors = [np.abs(g.simulated[:, j] - q) for g, q in zip(made, measured, strict=True)]
-    spreads = [g.spread[:, j] for g in made]
-    after = [np.arange(len(g.moving)) >= g.first for g in made]
+    """The bands of a coordinate while something moves, and after that."""
+    errors = [np.abs(p.simulated[:, j] - q) for p, q in zip(predictions, measured, strict=True)]
+    spreads = [p.spread[:, j] for p in predictions]
+    after = [np.arange(len(p.moving)) >= p.first for p in predictions]
     parts = []
     for rest in (False, True):
-        where = [w & (g.moving != rest) for g, w in zip(made, after, strict=True)]
-        there = [i for i, w in enumerate(where) if w.sum() >= _FEWEST]
-        if len(there) < (2 if rest else len(made)):
-            where, there = after, range(len(made))  # too little: no part of its own
-        parts.append(_part(*([of[i][where[i]] for i in there] for of in (errors, spreads))))
+        where = [w & (p.moving != rest) for p, w in zip(predictions, after, strict=True)]
+        usable = [i for i, w in enumerate(where) if w.sum() >= _FEWEST]
+        if len(usable) < (2 if rest else len(predictions)):
+            where, usable = after, range(len(predictions))  # too little: no part of its own
+        parts.append(
+            _make_part(*([rows[i][where[i]] for i in usable] for rows in (errors, spreads)))
+        )
     # a record is either inside as a whole or not: one factor for both parts
     whole = []
-    for g, w, error, spread in zip(made, after, errors, spreads, strict=True):
-        width = np.where(g.moving, parts[0].width(spread), parts[1].width(spread))
+    for p, w, error, spread in zip(predictions, after, errors, spreads, strict=True):
+        width = np.where(p.moving, parts[0].width(spread), parts[1].width(spread))
         whole.append(float(np.max((error / width)[w])))
     moving, resting = (replace(part, records=tuple(sorted(whole))) for part in parts)
     return moving, resting
 
 
-def _part(errors: Sequence[np.ndarray], spreads: Sequence[np.ndarray]) -> Part:
+def _make_part(errors: Sequence[np.ndarray], spreads: Sequence[np.ndarray]) -> Part:
     """The widths, and times of these that hold 0.1, 0.2, ... % of the time."""
     scale = math.sqrt(np.mean([np.mean(e**2) for e in errors])) or _LEAST
     bare, n = Part(_FLOOR * scale, (), (), scale), len(errors)
     ratios = [e / bare.width(s) for e, s in zip(errors, spreads, strict=True)]
-    every = np.concatenate(ratios)
+    pooled = np.concatenate(ratios)
     # each record counts the same, however long; one more is taken to lie outside
     weights = np.concatenate([np.full(len(r), 1 / len(r)) for r in ratios])
-    order = np.argsort(every)
+    order = np.argsort(pooled)
     reached = np.cumsum(weights[order]) / (n + 1)
     levels = _GRID[: math.floor(n / (n + 1) * (len(_GRID) + 1) + _ROUNDING)]
-    places = np.minimum(np.searchsorted(reached, levels - _ROUNDING), len(every) - 1)
-    return replace(bare, factors=tuple(every[order][places].tolist()))
+    places = np.minimum(np.searchsorted(reached, levels - _ROUNDING), len(pooled) - 1)
+    return replace(bare, factors=tuple(pooled[order][places].tolist()))

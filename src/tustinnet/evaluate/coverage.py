@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.evaluate.bands import Band
@@ -14,7 +14,7 @@ _TENTHS = np.arange(1, 10) / 10  # levels whose bands' ends are the quantiles of
 
 
 @dataclass(frozen=True)
-class Covered:
+class Coverage:
     """How much of some records lies inside bands, of one coordinate.
 
     Attributes:
@@ -40,28 +40,50 @@ class Covered:
     crps: float
 
 
-def covered(experiments: Sequence[Experiment], bands: Sequence[Band]) -> list[Covered]:
+def compute_coverage(experiments: Sequence[Experiment], bands: Sequence[Band]) -> list[Coverage]:
     """How much of some records lies inside their bands, by coordinate, motion and rest apart.
 
     Args:
         experiments: the records.
         bands: around their free runs.
     """
-    found = []
-    crps = [crps_of(e, band) for e, band in zip(experiments, bands, strict=True)]
+    result = []
+    crps = [compute_crps(e, band) for e, band in zip(experiments, bands, strict=True)]
     for j, c in enumerate(experiments[0].coordinates):
         for part in ("moving", "rest"):
-            rows = [
-                _one(e, band, score, where, j)
-                for e, band, score in zip(experiments, bands, crps, strict=True)
-                if (where := _where(band, part)).any()
-            ]
-            if rows:
-                found.append(_mean(c.name, part, np.array(rows)))
-    return found
+            rows = []
+            for e, band, score in zip(experiments, bands, crps, strict=True):
+                moving = band.prediction.moving
+                where = moving if part == "moving" else ~moving
+                where = where & (np.arange(len(moving)) >= band.prediction.first)
+                if not where.any():
+                    continue
+                inside = band.contains(e.q)[where, j]
+                middle = (band.low + band.high)[where, j] / 2
+                width = (band.high - band.low)[where, j].mean()
+                square = np.mean((middle - e.q[where, j]) ** 2)
+                row = (inside.mean(), inside.all(), width, square, score[where, j].mean())
+                rows.append([float(x) for x in row])
+            if not rows:
+                continue
+            inside, whole, width, square, score = np.array(rows).T
+            result.append(
+                Coverage(
+                    c.name,
+                    part,
+                    inside=float(inside.mean()),
+                    interval=_binomial_interval(float(inside.sum()), len(rows)),
+                    records=len(rows),
+                    whole=int(whole.sum()),
+                    width=float(width.mean()),
+                    rmse=float(np.sqrt(square).mean()),
+                    crps=float(score.mean()),
+                )
+            )
+    return result
 
 
-def crps_of(experiment: Experiment, band: Band) -> Float[np.ndarray, "n n_q"]:
+def compute_crps(experiment: Experiment, band: Band) -> Float[np.ndarray, "n n_q"]:
     """Continuous ranked probability score at every time, (n, n_q) [rad or m].
 
     From the ends of bands of 10, 20, ... % around the same free run, as far as there are enough
@@ -70,46 +92,17 @@ def crps_of(experiment: Experiment, band: Band) -> Float[np.ndarray, "n n_q"]:
     """
     import scoringrules  # takes long to load, and only bands need it
 
-    calibration, guess = band.calibration, band.guess
-    levels = [level for level in _TENTHS.tolist() if level <= calibration.most]
-    halves = np.stack([calibration.half(guess, level) for level in levels], axis=-1)
-    middle = guess.simulated[..., None]
+    calibration, prediction = band.calibration, band.prediction
+    levels = [level for level in _TENTHS.tolist() if level <= calibration.highest_level]
+    halves = np.stack([calibration.half_width(prediction, level) for level in levels], axis=-1)
+    middle = prediction.simulated[..., None]
     quantiles = np.concatenate([middle - halves[..., ::-1], middle, middle + halves], axis=-1)
     tails = (1 - np.array(levels)) / 2
     shares = np.concatenate([tails[::-1], [0.5], 1 - tails])
     return np.asarray(scoringrules.crps_quantile(experiment.q, quantiles, shares))
 
 
-def _where(band: Band, part: str) -> Bool[np.ndarray, " n"]:
-    moving = band.guess.moving
-    after = np.arange(len(moving)) >= band.guess.first
-    return after & (moving if part == "moving" else ~moving)
-
-
-def _one(
-    e: Experiment, band: Band, crps: np.ndarray, where: np.ndarray, j: int
-) -> tuple[float, ...]:
-    """Share inside, whether all is, mean width, mean square error, score; of one record."""
-    inside = band.holds(e.q)[where, j]
-    middle = (band.low + band.high)[where, j] / 2
-    width = (band.high - band.low)[where, j]
-    square = np.mean((middle - e.q[where, j]) ** 2)
-    parts = (inside.mean(), inside.all(), width.mean(), square, crps[where, j].mean())
-    return tuple(float(x) for x in parts)
-
-
-def _mean(coordinate: str, part: str, rows: np.ndarray) -> Covered:
-    inside, whole, width, square, crps = rows.T
-    n = len(rows)
-    return Covered(
-        coordinate, part,
-        inside=float(inside.mean()), interval=_interval(float(inside.sum()), n),
-        records=n, whole=int(whole.sum()),
-        width=float(width.mean()), rmse=float(np.sqrt(square).mean()), crps=float(crps.mean()),
-    )  # fmt: skip
-
-
-def _interval(successes: float, trials: int) -> tuple[float, float]:
+def _binomial_interval(successes: float, trials: int) -> tuple[float, float]:
     """The exact binomial interval (Clopper, Pearson 1934), also of a broken number of successes."""
     import scipy.special  # only bands need it
 

@@ -33,12 +33,12 @@ def energy_along(
         return None
     states = {e.name: x[:, e.channels.measured] for e, x in zip(experiments, runs, strict=True)}
 
-    def of_batch(own: Model, some: Sequence[Experiment]) -> list[np.ndarray]:
-        equations = family_of(own).equations(own)
+    def evaluate_batch(folded: Model, batch: Sequence[Experiment]) -> list[np.ndarray]:
+        equations = family_of(folded).equations(folded)
         assert equations is not None
-        every = [states[e.name] for e in some]
-        formula = Formula(lambda x: equations.energy(x)[None], every[0].shape[1])
-        energy = evaluate(formula, np.concatenate(every))[:, 0]
-        return np.split(energy, np.cumsum([len(x) for x in every])[:-1])
+        rows = [states[e.name] for e in batch]
+        formula = Formula(lambda x: equations.energy(x)[None], rows[0].shape[1])
+        energy = evaluate(formula, np.concatenate(rows))[:, 0]
+        return np.split(energy, np.cumsum([len(x) for x in rows])[:-1])
 
-    return map_in_batches(model, experiments, of_batch)
+    return map_in_batches(model, experiments, evaluate_batch)

@@ -44,7 +44,7 @@ def fit_percent(simulated: Trajectory, measured: Trajectory) -> PerCoordinate:
 
 def mean_and_error(values: Iterable[float]) -> tuple[float, float]:
     """Mean and its standard error, NaN of a single value or where one is not finite."""
-    found = np.array(list(values))
-    known = len(found) > 1 and bool(np.isfinite(found).all())
-    error = float(found.std(ddof=1) / np.sqrt(len(found))) if known else float("nan")
-    return float(found.mean()), error
+    array, error = np.array(list(values)), float("nan")
+    if len(array) > 1 and np.isfinite(array).all():
+        error = float(array.std(ddof=1) / np.sqrt(len(array)))
+    return float(array.mean()), error

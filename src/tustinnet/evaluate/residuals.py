@@ -1,4 +1,4 @@
-"""What the errors of a simulation still contain: whiteness, correlation with the inputs."""
+"""Residuals of a simulation: whiteness, correlation with the inputs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -46,26 +46,26 @@ class ResidualReport:
     cross_outside: Float[np.ndarray, " n_u"]
 
     @property
-    def white(self) -> bool:
+    def is_white(self) -> bool:
         """Whether no more lags are outside than independent residuals would have."""
         return self.outside <= 1 - CONFIDENCE + 0.01
 
     @property
     def sentence(self) -> str:
-        """What it means."""
+        """The verdict in a sentence."""
         first = float(self.autocorrelation[1]) if len(self.autocorrelation) > 1 else 0.0
-        told = (
+        sentence = (
             "white: nothing predictable is left"
-            if self.white
+            if self.is_white
             else f"not white ({100 * self.outside:.0f} % of the lags outside, {first:.2f} from one "
             "sample to the next): the model lacks something"
         )
         if len(self.cross_outside) and float(self.cross_outside.max()) > 1 - CONFIDENCE + 0.01:
-            told += (
+            sentence += (
                 f"; {100 * self.cross_outside.max():.0f} % of the lags correlate with an input: "
                 "its effect is not all modelled"
             )
-        return told
+        return sentence
 
 
 def residual_reports(
@@ -75,7 +75,7 @@ def residual_reports(
     lags: int = 50,
     *,
     horizon: float | None = None,
-    own: Sequence[Float[np.ndarray, "_ n_x"]] | None = None,
+    runs: Sequence[Float[np.ndarray, "_ n_x"]] | None = None,
 ) -> list[ResidualReport]:
     """Examines the free-run residuals (measured minus simulated) of records.
 
@@ -88,7 +88,7 @@ def residual_reports(
         lags: largest lag in samples.
         horizon: how long a free run lasts at most [s], see `free_run`; correlations reach across
             the segments of a record.
-        own: the free runs, where they are known.
+        runs: the free runs, if they were computed before.
 
     Raises:
         InputError: lags that the shortest record does not have, a free run that diverges; see also
@@ -101,7 +101,7 @@ def residual_reports(
     shortest = min(len(e) for e in experiments)
     if not 1 <= lags < shortest:
         raise InputError("lags", f"{lags} samples", f"1 to {shortest - 1}")
-    runs = own or free_run(model, experiments, start, horizon=horizon)
+    runs = runs or free_run(model, experiments, start, horizon=horizon)
     begin, at = start_named(start).first, model.channels.position
     residuals = [e.q[begin:] - x[begin:, at] for e, x in zip(experiments, runs, strict=True)]
     for e, r in zip(experiments, residuals, strict=True):
@@ -126,27 +126,27 @@ def _report(
     lags: int,
 ) -> ResidualReport:
     """The report of one coordinate; `inputs` are those of the records that have some."""
-    whole = np.concatenate(series)
-    own = _correlation(series, series, lags)
-    bound = _QUANTILE / np.sqrt(len(whole))
+    pooled = np.concatenate(series)
+    auto = _correlation(series, series, lags)
+    bound = _QUANTILE / np.sqrt(len(pooled))
     crossed = [
-        _cross([series[i] for i in forced], [u[:, k] for u in inputs], lags)
+        _cross_correlation([series[i] for i in forced], [u[:, k] for u in inputs], lags)
         for k in range(model.channels.n_u if forced else 0)
     ]
     return ResidualReport(
         coordinate=model.coordinates[j].name,
-        rms=float(np.sqrt(np.mean(whole**2))),
-        mean=float(whole.mean()),
-        autocorrelation=own[lags:],
+        rms=float(np.sqrt(np.mean(pooled**2))),
+        mean=float(pooled.mean()),
+        autocorrelation=auto[lags:],
         white_bound=float(bound),
-        outside=float(np.mean(np.abs(own[lags + 1 :]) > bound)),
+        outside=float(np.mean(np.abs(auto[lags + 1 :]) > bound)),
         cross=np.array([c[0] for c in crossed]).reshape(len(crossed), 2 * lags + 1),
         cross_bound=np.array([c[1] for c in crossed]),
         cross_outside=np.array([c[2] for c in crossed]),
     )
 
 
-def _cross(
+def _cross_correlation(
     residuals: Sequence[np.ndarray], inputs: Sequence[np.ndarray], lags: int
 ) -> tuple[Float[np.ndarray, " both"], float, float]:
     """Correlation of residuals with an input, its bound, the share of lags 0..L outside."""

@@ -28,7 +28,7 @@ class Score:
         start: where the free run started.
         rmse: root mean square of the position error's 2-norm, from where the free run begins
             [rad or m].
-        rmse_after: the same without the samples that the start was fitted to.
+        rmse_after: that RMSE without the samples that the start was fitted to.
         coordinate_rmse: per coordinate [rad or m].
         nrmse: per coordinate, over the standard deviation of the measurement.
         fit_percent: per coordinate, 100 (1 - NRMSE).
@@ -73,42 +73,36 @@ def free_run(
             float64 is off.
     """
     require_float64("free_run")
-    experiments, rule = _listed(experiments), _rule(start)
+    experiments = [experiments] if isinstance(experiments, Experiment) else experiments
+    rule = start_named(start) if isinstance(start, str) else start
     for experiment in experiments:
         require_fit(model, experiment)
     simulator = with_dtype(model, np.float64).simplify()
     samples = horizon_samples(horizon, experiments, rule)
 
-    def run(own: Model, some: Sequence[Experiment]) -> list[np.ndarray]:
-        return _free_runs(own, some, rule, samples)
+    def run_batch(folded: Model, batch: Sequence[Experiment]) -> list[np.ndarray]:
+        return _free_runs(folded, batch, rule, samples)
 
-    return map_in_batches(simulator, experiments, run)
+    return map_in_batches(simulator, experiments, run_batch)
 
 
 def _free_runs(
     simulator: Model, experiments: Sequence[Experiment], rule: Start, samples: int | None
 ) -> list[Float[np.ndarray, "n n_x"]]:
-    """Of records that share a model."""
+    """The free runs of records that share a model."""
     segments = [pieces(e, samples, rule) for e in experiments]
-    every = [piece for of in segments for piece in of]
-    x0 = start_states(simulator, every, rule)
-    drive = input_signals(simulator, every, slice(rule.first, None))
-    found = iter(simulate_runs(simulator, x0, drive))
+    flat = [piece for record in segments for piece in record]
+    x0 = start_states(simulator, flat, rule)
+    drive = input_signals(simulator, flat, slice(rule.first, None))
+    states = iter(simulate_runs(simulator, x0, drive))
     runs = [
-        np.concatenate([next(found)[: len(piece) - rule.first] for piece in of]) for of in segments
+        np.concatenate([next(states)[: len(piece) - rule.first] for piece in record])
+        for record in segments
     ]
     if not rule.first:
         return runs
     heads = states_along(simulator, [e[: rule.first + 1] for e in experiments], "stencil")
     return [np.concatenate([head[:-1], run]) for head, run in zip(heads, runs, strict=True)]
-
-
-def _listed(experiments: Sequence[Experiment] | Experiment) -> Sequence[Experiment]:
-    return [experiments] if isinstance(experiments, Experiment) else experiments
-
-
-def _rule(start: str | Start) -> Start:
-    return start_named(start) if isinstance(start, str) else start
 
 
 def evaluate(
@@ -128,13 +122,14 @@ def evaluate(
             all its segments. None for whole records.
 
     Returns:
-        Per record RMSE, per-coordinate figures and the simulation. A free run that leaves the
-        range of floating-point numbers scores infinity.
+        Per record RMSE, per-coordinate figures and the simulation. A free run that diverges
+        scores infinity.
 
     Raises:
         InputError: see `free_run`.
     """
-    experiments, rule, scores = _listed(experiments), _rule(start), []
+    experiments = [experiments] if isinstance(experiments, Experiment) else experiments
+    rule, scores = start_named(start) if isinstance(start, str) else start, []
     samples = horizon_samples(horizon, experiments, rule)
     runs = free_run(model, experiments, rule, horizon=horizon)
     for e, x in zip(experiments, runs, strict=True):
@@ -178,11 +173,11 @@ def rmse_by_record(scores: Sequence[Score]) -> dict[str, float]:
 
 
 def scores_header(
-    judged: str, start: str, channels: Channels, horizon: float | None, rmse: Mapping[str, float]
+    split: str, start: str, channels: Channels, horizon: float | None, rmse: Mapping[str, float]
 ) -> Mapping[str, Any]:
-    """How a model simulates the records it is judged by, as files have it."""
+    """The scores of a model on a split of the records, as files have them."""
     return {
-        "split": judged,
+        "split": split,
         "start": start,
         "horizon": horizon,
         "unit": channels.unit,

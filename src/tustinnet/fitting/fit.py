@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 
 from tustinnet.data.dataset import DataSet
-from tustinnet.fitting.gradient.loop import ResumePoint
+from tustinnet.fitting.gradient.loop import ResumePoint, ShouldStop, never_stop
 from tustinnet.fitting.gradient.plan import TrainingPlan, groups_alike, make_plan
 from tustinnet.fitting.gradient.train import train_plan
 from tustinnet.fitting.listener import SILENT, Listener
@@ -16,6 +16,7 @@ from tustinnet.simulate.programs import make_room
 from tustinnet.systems.files import AnySystem
 
 MakeListener = Callable[[TrainingPlan | Task], Listener]
+MakeStopCheck = Callable[[TrainingPlan], ShouldStop]
 
 
 def fit(
@@ -87,6 +88,7 @@ def fit_task(
     task: Task,
     make_listener: MakeListener = lambda _: SILENT,
     resume: Sequence[tuple[Sequence[Member], ResumePoint]] = (),
+    make_stop_check: MakeStopCheck = lambda _: never_stop,
 ) -> list[FitResult]:
     """Fits all members of a task; those that are alike train together.
 
@@ -96,6 +98,8 @@ def fit_task(
             with the plan of a training, whose records are then known to fit the recipe, or with
             the task of an identification.
         resume: members whose training goes on together, and from where; the others begin anew.
+        make_stop_check: given the plan of trainings that run together, returns the `should_stop`
+            of `train_plan`; an identification goes on to its end.
 
     Returns:
         One result for each member, in their order.
@@ -115,5 +119,6 @@ def fit_task(
     results: dict[Member, FitResult] = {}
     for members, state in [*groups, *resume]:
         plan = make_plan(task.with_members(members))
-        results.update(zip(members, train_plan(plan, make_listener(plan), state), strict=True))
+        trained = train_plan(plan, make_listener(plan), state, make_stop_check(plan))
+        results.update(zip(members, trained, strict=True))
     return [results[member] for member in task.members]

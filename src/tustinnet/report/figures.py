@@ -131,9 +131,9 @@ def _draw_band(
     axes: Axes, t: Float[np.ndarray, " n"], band: Band, j: int, e: Experiment, colour: str
 ) -> None:
     """Draws the band of coordinate `j`, from where the free run begins."""
-    after = slice(band.guess.first, None)
+    after = slice(band.prediction.first, None)
     low, high = (bounded(end[after, j], e.q[after, j]) for end in (band.low, band.high))
-    label = f"{100 * band.level:g} % of {'the time' if band.of == 'time' else 'whole records'}"
+    label = f"{100 * band.level:g} % of {'the time' if band.scope == 'time' else 'whole records'}"
     axes.fill_between(t[after], low, high, color=colour, alpha=0.2, linewidth=0, label=label)
 
 

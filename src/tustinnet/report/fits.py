@@ -3,10 +3,10 @@
 import math
 from collections.abc import Mapping, Sequence
 
-from tustinnet.evaluate.folds import Validated
 from tustinnet.evaluate.scores import rmse_by_record
 from tustinnet.fitting.report import Estimate, Identification
 from tustinnet.report.tables import Table, number, numbers, scale_of
+from tustinnet.selection.cross_validation import CrossValidationResult
 from tustinnet.simulate.horizon import horizon_words
 from tustinnet.store.run import Run
 
@@ -35,7 +35,7 @@ def members_table(run: Run) -> Table:
     return Table(
         ["seed", f"mean RMSE [{unit}]", "windows", "epochs", "kept", seconds, "outcome"],
         rows,
-        title=f"{run.best.result.recipe.name}, {run.judged} free runs, start '{run.start}'"
+        title=f"{run.best.result.recipe.name}, {run.judging_split} free runs, start '{run.start}'"
         + horizon_words(run.best.scores[0].horizon),
     )
 
@@ -111,7 +111,9 @@ def position_in_range(e: Estimate, value: float) -> float:
 def validation_table(run: Run) -> Table:
     """Table of the free runs that score the best model of a run."""
     best = run.best
-    title = f"{run.judged} free runs, start '{run.start}'{horizon_words(best.scores[0].horizon)}"
+    title = (
+        f"{run.judging_split} free runs, start '{run.start}'{horizon_words(best.scores[0].horizon)}"
+    )
     return _rmse_table({**rmse_by_record(best.scores), "mean": best.mean}, title)
 
 
@@ -126,7 +128,7 @@ def training_table(run: Run) -> Table:
             title += ", with the values of the search"
         if len({c.kind for c in run.roles.train[0].channels.coordinates}) > 1:
             title += ", each coordinate relative to its spread"
-    return _rmse_table(run.fitted, title)
+    return _rmse_table(run.training_rmse, title)
 
 
 def _rmse_table(rmse: Mapping[str, float], title: str) -> Table:
@@ -134,7 +136,7 @@ def _rmse_table(rmse: Mapping[str, float], title: str) -> Table:
     return Table(["record", "RMSE"], [list(row) for row in zip(rmse, cells, strict=True)], title)
 
 
-def folds_table(result: Validated) -> Table:
+def folds_table(result: CrossValidationResult) -> Table:
     """Table of a cross-validation: every record's mean over the seeds, by start, and the means."""
     summary = result.summary()
     by_start = {start: result.means(start) for start in summary}

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tustinnet.evaluate.learning import LearningCurve
 from tustinnet.report.tables import Table, number
+from tustinnet.selection.learning import LearningCurve
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

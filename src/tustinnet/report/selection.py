@@ -8,8 +8,7 @@ from tustinnet.evaluate.scores import Score, evaluate
 from tustinnet.report.shown_records import choose_shown_records
 from tustinnet.report.tables import Table, number, scale_of
 from tustinnet.selection.choice import Choice
-from tustinnet.selection.jobs import loaded
-from tustinnet.selection.ranking import Standing, paired
+from tustinnet.selection.ranking import CandidateResult, paired_difference
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
 def candidates_table(choice: Choice) -> Table:
     """Table of all candidates and committees, the best first, those without scores last."""
     results = _sort_scored(choice)
-    best, starts = choice.standing(choice.best), choice.starts
+    best, starts = choice.result(choice.best), choice.starts
     means = {s.name: [mean_and_error(s.rmse(start=start).values()) if start in s.starts else None
                       for start in starts] for s in results}  # fmt: skip
     scale = scale_of(mean[0] for cells in means.values() for mean in cells if mean is not None)
@@ -28,7 +27,7 @@ def candidates_table(choice: Choice) -> Table:
 
     rows = []
     for s in results:
-        difference, count = paired(s, best), len(s.rmse())
+        difference, count = paired_difference(s, best), len(s.rmse())
         against = ""
         if s is not best:
             sign = "+" if difference.mean >= 0 else ""
@@ -47,7 +46,7 @@ def candidates_table(choice: Choice) -> Table:
     empty = [""] * (len(starts) + 4)
     rows += [
         [f"{s.name}: {s.why or 'not tried'}", *empty, f"{s.seconds:.0f}"]
-        for s in choice.found.candidates
+        for s in choice.candidates.results
         if not s.folds
     ]
     unit = choice.unit
@@ -57,16 +56,16 @@ def candidates_table(choice: Choice) -> Table:
     return Table(columns, rows, title=title)
 
 
-def _sort_scored(choice: Choice) -> list[Standing]:
+def _sort_scored(choice: Choice) -> list[CandidateResult]:
     """Candidates and committees with scores: the best first, those that cannot be chosen last."""
-    choosable = [s.name for s in choice.found.choosable]
-    best = choice.standing(choice.best)
+    choosable = [s.name for s in choice.candidates.choosable]
+    best = choice.result(choice.best)
 
-    def rank(s: Standing) -> tuple[bool, bool, float]:
-        mean = paired(s, best).mean
+    def rank(s: CandidateResult) -> tuple[bool, bool, float]:
+        mean = paired_difference(s, best).mean
         return s is not best, s.name not in choosable, math.inf if math.isnan(mean) else mean
 
-    return sorted((s for s in choice.found.standings if s.folds), key=rank)
+    return sorted((s for s in choice.candidates.all_results if s.folds), key=rank)
 
 
 def candidates_figure(choice: Choice) -> "Figure":
@@ -94,7 +93,7 @@ def candidates_figure(choice: Choice) -> "Figure":
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.set_xlabel(f"free-run RMSE [{choice.unit}] of records not fitted to")
         axes.set_title(
-            f"{choice.at.data.name}: mean, standard error, each record a point", loc="left"
+            f"{choice.context.data.name}: mean, standard error, each record a point", loc="left"
         )
         axes.grid(visible=False, axis="y")
     return figure
@@ -108,19 +107,19 @@ def free_runs(choice: Choice) -> dict[str, dict[str, Score]]:
     from the worst to the best.
     """
     labels = dict.fromkeys(
-        max(choice.found.members(name), key=lambda member: member[1])[0].name
+        max(choice.candidates.members(name), key=lambda member: member[1])[0].name
         for name in (choice.best, choice.simplest)
     )
-    shown_names = choose_shown_records(choice.standing(choice.best).rmse())
+    shown_names = choose_shown_records(choice.result(choice.best).rmse())
     runs: dict[str, dict[str, Score]] = {}
     for label in labels:
-        for models in choice.standing(label).folds.values():
+        for models in choice.result(label).folds.values():
             first = models[0]
             start, rmse = next(iter(first.rmse.items()))
-            records = [choice.at.data[name] for name in rmse if name in shown_names]
+            records = [choice.context.data[name] for name in rmse if name in shown_names]
             if not records:
                 continue
-            model, horizon = loaded(first.model, choice.at), choice.at.judging.horizon
+            model, horizon = choice.context.load_model(first.model), choice.context.scoring.horizon
             for score in evaluate(model, records, start, horizon=horizon):
                 runs.setdefault(score.experiment, {})[label] = score
     return runs

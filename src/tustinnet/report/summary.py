@@ -62,7 +62,7 @@ def _describe_accuracy(run: Run) -> str:
     elif isinstance(recipe, TrainingRecipe) and any(s.keep != "last" for s in recipe.stages):
         remark = ". This is slightly optimistic: the kept weights were chosen by these records"
     return (
-        f"free runs{horizon_words(scores[0].horizon)} of {len(finite)} {run.judged} "
+        f"free runs{horizon_words(scores[0].horizon)} of {len(finite)} {run.judging_split} "
         f"record{'s' if len(finite) > 1 else ''} are off by "
         f"{number(mean_rmse(finite))} {channels.unit} (mean RMSE): {shares} "
         f"standard deviation{diverged}{remark}"

@@ -10,6 +10,7 @@ from typing import Any
 from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
 from tustinnet.evaluate.scores import Score, evaluate, mean_rmse, rmse_by_record
+from tustinnet.fitting.fit import MakeListener
 from tustinnet.fitting.recipe import Criterion, TrainingRecipe
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.task import Member, make_task
@@ -22,7 +23,7 @@ from tustinnet.reproduce.published import (
     WEIGHTS_FOLDER,
     load_authors_weights,
 )
-from tustinnet.store.run import MODEL, Run, Tell, run_task
+from tustinnet.store.run import MODEL, Run, run_task
 
 START = "file"  # Table 1 starts from the first row as it is stored
 
@@ -129,7 +130,7 @@ def build_rows(
     folder: Path,
     options: ReproductionOptions,
     runs_folder: Path,
-    make_listener: Callable[[str], Tell],
+    make_listener: Callable[[str], MakeListener],
 ) -> list[Row]:
     """Fits the models and scores each of them on the split.
 

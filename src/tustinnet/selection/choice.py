@@ -1,4 +1,4 @@
-"""The choice of a selection: which model, how good, why."""
+"""The choice of a selection: the model, its accuracy, the reasons."""
 
 import math
 from collections.abc import Mapping
@@ -9,17 +9,23 @@ from typing import Any
 from tustinnet.data.experiment import Experiment
 from tustinnet.evaluate.bands import KEY as BANDS
 from tustinnet.evaluate.bands import Calibration
-from tustinnet.evaluate.folds import taking_part
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.evaluate.scores import scores_header
+from tustinnet.fitting.gradient.loop import OUT_OF_TIME
 from tustinnet.fitting.report import data_header
 from tustinnet.models.contract import Model
-from tustinnet.selection.ending import Final, Found
-from tustinnet.selection.jobs import LEFT_OUT, Workplace
-from tustinnet.selection.ranking import CLEAR, Standing, hanging, paired
+from tustinnet.selection.final_models import Candidates, FinalModel
+from tustinnet.selection.folds import records_without_test
+from tustinnet.selection.jobs import LEFT_OUT, RunContext
+from tustinnet.selection.ranking import (
+    CLEAR,
+    CandidateResult,
+    find_decisive_record,
+    paired_difference,
+)
 from tustinnet.simulate.range import KEY as RANGE
 from tustinnet.simulate.range import TrainingSupport, recorded_range, training_support
-from tustinnet.store.kept_system import CANDIDATES, header_of
+from tustinnet.store.kept_system import CANDIDATES, system_header
 from tustinnet.store.run import MODEL
 
 _POOR = 0.2  # of the motion, an error with which a model is of little use
@@ -27,14 +33,14 @@ _POOR = 0.2  # of the motion, an error with which a model is of little use
 
 @dataclass(frozen=True)
 class Choice:
-    """What a selection came to.
+    """The model that a selection chose, and what it was compared with.
 
     Attributes:
-        at: where it is, the records, how candidates were compared.
-        found: what was found of candidates and committees.
+        context: folder, records, how candidates were compared.
+        candidates: the results of candidates and committees.
         best: the candidate or committee that was chosen.
         simplest: the simplest that is as good as it.
-        made: what the models of those that could be chosen were made of, in words.
+        origins: how the models of those that could be chosen were made, in words.
         model: the chosen model.
         bands: around free runs of the chosen one, None where nothing says how wide they are.
         notes: what else was done or left out, in sentences.
@@ -42,11 +48,11 @@ class Choice:
         budget: how long it was to take at most [s], None for no limit.
     """
 
-    at: Workplace
-    found: Found
+    context: RunContext
+    candidates: Candidates
     best: str
     simplest: str
-    made: Mapping[str, str]
+    origins: Mapping[str, str]
     model: Model
     bands: Calibration | None = None
     notes: tuple[str, ...] = ()
@@ -55,85 +61,100 @@ class Choice:
 
     @property
     def unit(self) -> str:
-        """Of the RMSE."""
-        return self.at.data.channels.unit
+        """The unit of the RMSE."""
+        return self.context.data.channels.unit
 
     @property
     def starts(self) -> tuple[str, ...]:
-        """The starts that candidates were scored from, first the one that judges."""
-        every = [start for s in self.found.standings for start in s.starts]
-        return tuple(dict.fromkeys([self.at.judging.start, *every]))
+        """The starts that candidates were scored from, first the one that decides."""
+        starts = [start for r in self.candidates.all_results for start in r.starts]
+        return tuple(dict.fromkeys([self.context.scoring.start, *starts]))
 
     def file(self, name: str) -> str:
         """The model file of a candidate or committee that could be chosen, below the folder."""
         return f"{CANDIDATES}/{name}/{MODEL}"
 
-    def standing(self, name: str) -> Standing:
-        """That of a candidate or committee."""
-        return self.found.standing(name)
+    def result(self, name: str) -> CandidateResult:
+        """The result of a candidate or committee."""
+        return self.candidates.result(name)
 
     @cached_property
-    def _recorded(self) -> list[Experiment]:
-        return taking_part(self.at.data)
+    def _records(self) -> list[Experiment]:
+        return records_without_test(self.context.data)
 
     @cached_property
     def _cloud(self) -> TrainingSupport | None:
-        return training_support(self.at.data.channels, self._recorded)
+        return training_support(self.context.data.channels, self._records)
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """How good the chosen model is, and why this one, in plain words."""
-        best = self.standing(self.best)
+        """The accuracy of the chosen model, and the reasons for it, in plain words."""
+        best, unit = self.result(self.best), self.unit
         rmse = best.rmse()
         mean, error = mean_and_error(rmse.values())
-        told = [f"chosen: {self.best}, {self.made[self.best]}"]
+        sentences = [f"chosen: {self.best}, {self.origins[self.best]}"]
         if not math.isfinite(mean):
-            told.append("free runs of some records leave all bounds: set `horizon` in the plan")
-            return (*told, *self.notes)
+            sentences.append("free runs of some records diverge: set `horizon` in the plan")
+            return (*sentences, *self.notes)
         spread = "" if math.isnan(error) else f" ± {error:.2g}"
         worst = max(rmse, key=lambda record: rmse[record])
-        several, every = "s" if len(rmse) > 1 else "", len(self._recorded)
-        of = f" of the {every}" if every > len(rmse) > 1 else ""
-        share = mean / self.at.motion
-        told.append(
-            f"free runs of {len(rmse)}{of} record{several} that its models were not fitted to: "
-            f"{mean:.3g}{spread} {self.unit}, {100 * share:.2g} % of the motion; "
-            f"worst {worst}, {rmse[worst]:.3g} {self.unit}"
+        plural, total = "s" if len(rmse) > 1 else "", len(self._records)
+        count = f"{len(rmse)} of the {total}" if total > len(rmse) > 1 else f"{len(rmse)}"
+        share = mean / self.context.motion
+        sentences.append(
+            f"free runs of {count} record{plural} that its models were not fitted to: "
+            f"{mean:.3g}{spread} {unit}, {100 * share:.2g} % of the motion; "
+            f"worst {worst}, {rmse[worst]:.3g} {unit}"
         )
         if share > _POOR:
-            told.append(
+            sentences.append(
                 "no candidate follows these records closely: look at them (inspect), give more "
                 "time (--budget) or equations of motion (--system)"
             )
-        told.append(self._against(best))
-        told += self._hanging(best)
+        sentences.append(self._comparison_with_next(best))
+        scored = [r for r in self.candidates.all_results if r.folds and r.name != best.name]
+        decisive = find_decisive_record(best, scored)
+        if decisive is not None:
+            record, other, difference = decisive
+            sentences.append(
+                f"one record decides: without {record}, {other.name} would be better by "
+                f"{-difference.mean:.2g} ± {difference.standard_error:.2g} {unit} on "
+                f"{difference.records} records; see whether {record} was made with the same "
+                "machine, load and settings"
+            )
+        members = [m for r, _ in self.candidates.members(self.best) for m in r.models]
+        stopped = sum(m.outcome == OUT_OF_TIME for m in members)
+        if stopped:
+            sentences.append(
+                f"{stopped} of its {len(members)} trainings were stopped by the budget, with their "
+                "best weights so far: go on with them by --resume, or give more time (--budget)"
+            )
         if self.simplest != self.best:
-            than = paired(self.standing(self.simplest), best)
-            told.append(
-                f"simplest that is as good: {self.simplest}, {self.made[self.simplest]} "
-                f"({than.mean:+.2g} ± {than.standard_error:.2g} {self.unit}): "
-                f"{self.at.folder / self.file(self.simplest)}"
+            difference = paired_difference(self.result(self.simplest), best)
+            sentences.append(
+                f"simplest that is as good: {self.simplest}, {self.origins[self.simplest]} "
+                f"({difference.mean:+.2g} ± {difference.standard_error:.2g} {unit}): "
+                f"{self.context.folder / self.file(self.simplest)}"
             )
         if self.bands is not None:
-            most, known = math.floor(100 * self.bands.most), len(self.bands.records)
-            told.append(
-                f"its free runs have bands (simulate --band) of up to {most} %, calibrated on the "
-                f"{known} records that folds left out"
+            level = math.floor(100 * self.bands.highest_level)
+            sentences.append(
+                f"its free runs have bands (simulate --band) of up to {level} %, calibrated on the "
+                f"{len(self.bands.records)} records that folds left out"
             )
-        return (*told, *self.notes)
+        return (*sentences, *self.notes)
 
-    def _against(self, best: Standing) -> str:
-        """How the chosen one stands to the next one."""
-        left = self.found.choosable
-        every = left if len(left) > 1 else [s for s in self.found.standings if s.folds]
-        others = [s for s in every if s.name != best.name]
-        if not others:
+    def _comparison_with_next(self, best: CandidateResult) -> str:
+        results = self.candidates.choosable
+        if len(results) <= 1:
+            results = [r for r in self.candidates.all_results if r.folds]
+        differences = {r.name: paired_difference(r, best) for r in results if r.name != best.name}
+        if not differences:
             return "nothing else was scored to compare it with"
-        than = {s.name: paired(s, best) for s in others}
-        name = min(than, key=lambda other: than[other].mean)
-        mean, error = than[name].mean, than[name].standard_error
+        name = min(differences, key=lambda other: differences[other].mean)
+        difference = differences[name]
+        mean, error, count = difference.mean, difference.standard_error, difference.records
         word = "clearly" if mean > CLEAR * error else "not clearly"
-        count = than[name].records
         # one record has no standard error
         on = (
             f"± {error:.2g} {self.unit} on {count} records"
@@ -142,72 +163,63 @@ class Choice:
         )
         return f"{word} better than the next, {name}: by {mean:.2g} {on}"
 
-    def _hanging(self, best: Standing) -> list[str]:
-        """Whether a single record decided."""
-        others = [s for s in self.found.standings if s.folds and s.name != best.name]
-        found = hanging(best, others)
-        if found is None:
-            return []
-        record, other, than = found
-        return [
-            f"one record decides: without {record}, {other.name} would be better by "
-            f"{-than.mean:.2g} ± {than.standard_error:.2g} {self.unit} on {than.records} records; "
-            f"see whether {record} was made with the same machine, load and settings"
-        ]
-
-    def header(self, name: str, final: Final) -> dict[str, Any]:
-        """What the model file of a candidate or committee says beside the model."""
-        standing = self.standing(name)
-        rmse, channels, horizon = standing.rmse(), self.at.data.channels, self.at.judging.horizon
+    def header(self, name: str, final: FinalModel) -> dict[str, Any]:
+        """The header of the model file of a candidate or committee, beside the model's own."""
+        result, data, scoring = self.result(name), self.context.data, self.context.scoring
+        rmse = result.rmse()
         needs_system = any(
-            self.found.plan.candidate(s.name).content.family.needs
-            for s, _ in self.found.members(name)
+            self.candidates.plan.candidate(r.name).content.family.needs
+            for r, _ in self.candidates.members(name)
         )
         return {
-            **final.about,
-            "data": data_header(self.at.data.name, list(self.at.data)),
-            RANGE: recorded_range(final.model, self._recorded, self._cloud).as_header(),
-            "selection": {"plan": self.found.plan.name, "chosen": name, "made": self.made[name]},
+            **final.header,
+            "data": data_header(data.name, list(data)),
+            RANGE: recorded_range(final.model, self._records, self._cloud).as_header(),
+            "selection": {
+                "plan": self.candidates.plan.name,
+                "chosen": name,
+                "made": self.origins[name],
+            },
             "scores": {
-                **scores_header(LEFT_OUT, standing.starts[0], channels, horizon, rmse),
+                **scores_header(LEFT_OUT, result.starts[0], data.channels, scoring.horizon, rmse),
                 "standard_error": mean_and_error(rmse.values())[1],
             },
-            **(header_of(self.at.system_file) if needs_system else {}),
+            **(system_header(self.context.system_file) if needs_system else {}),
             **({BANDS: self.bands.as_header()} if self.bands and name == self.best else {}),
         }
 
     def as_plain(self) -> dict[str, Any]:
-        """All of it as plain values."""
-        best = self.standing(self.best)
+        """The selection as plain values."""
+        best = self.result(self.best)
         return {
-            "plan": self.found.plan.model_dump(mode="json"),
-            "data": self.at.data.name,
+            "plan": self.candidates.plan.model_dump(mode="json"),
+            "data": self.context.data.name,
             "unit": self.unit,
-            "folds": self.at.judging.folds,
-            "start": self.at.judging.start,
-            "horizon": self.at.judging.horizon,
+            "folds": self.context.scoring.folds,
+            "start": self.context.scoring.start,
+            "horizon": self.context.scoring.horizon,
             "best": self.best,
             "simplest": self.simplest,
             "seconds": self.seconds,
             "budget": self.budget,
             "sentences": list(self.sentences),
-            "candidates": [self._plain(s, best) for s in self.found.standings],
+            "candidates": [self._result_as_plain(r, best) for r in self.candidates.all_results],
         }
 
-    def _plain(self, of: Standing, best: Standing) -> dict[str, Any]:
-        common = {"name": of.name, "seconds": of.seconds, "why": of.why}
-        if not of.folds:
+    def _result_as_plain(self, result: CandidateResult, best: CandidateResult) -> dict[str, Any]:
+        common = {"name": result.name, "seconds": result.seconds, "why": result.why}
+        if not result.folds:
             return common
-        than = paired(of, best)
-        by_start = {start: of.rmse(start=start) for start in of.starts}
-        averages = self.found.averages
+        difference = paired_difference(result, best)
+        by_start = {start: result.rmse(start=start) for start in result.starts}
+        committee = self.candidates.committees.get(result.name)
         return {
             **common,
-            "model": self.file(of.name) if of.name in self.made else None,
-            "made": self.made.get(of.name),
-            "shares": dict(averages[of.name].shares) if of.name in averages else None,
-            "folds": sorted(of.folds),
-            "seeds": sorted({m.seed for m in of.models}),
+            "model": self.file(result.name) if result.name in self.origins else None,
+            "made": self.origins.get(result.name),
+            "shares": None if committee is None else dict(committee.shares),
+            "folds": sorted(result.folds),
+            "seeds": sorted({m.seed for m in result.models}),
             "starts": {
                 start: dict(
                     zip(("mean", "standard_error"), mean_and_error(rmse.values()), strict=True)
@@ -216,9 +228,9 @@ class Choice:
                 for start, rmse in by_start.items()
             },
             "difference": {
-                "mean": than.mean,
-                "standard_error": than.standard_error,
-                "records": than.records,
+                "mean": difference.mean,
+                "standard_error": difference.standard_error,
+                "records": difference.records,
             },
-            "models": [m.model for m in of.models if m.model],
+            "models": [m.model for m in result.models if m.model],
         }

@@ -1,4 +1,4 @@
-"""Who does jobs: the machines of a Ray cluster; a laptop is a cluster of one.
+"""An executor of jobs: the machines of a Ray cluster; a laptop is a cluster of one.
 
 The run's folder is on a place that all machines share, under one path. Workers write below it as
 this process would; they are sent the records once, then a job at a time, and only results come
@@ -11,6 +11,8 @@ import pickle
 import re
 import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 import uuid
@@ -29,31 +31,29 @@ import jax
 
 from tustinnet.cores import count_cores
 from tustinnet.errors import InputError, convert_errors, describe_error, require_package
-from tustinnet.fitting.listener import Listener
-from tustinnet.selection.clock import Clock
-from tustinnet.selection.executors import Executor
-from tustinnet.selection.jobs import Job, JobResult, Workplace, perform
+from tustinnet.fitting.listener import SILENT
+from tustinnet.selection.deadline import NEVER, Deadline
+from tustinnet.selection.jobs import Job, JobResult, RunContext, perform_jobs
+from tustinnet.selection.runner import Executor, MakeExecutor
 from tustinnet.store.files import PART
 from tustinnet.systems.files import find_system
 
 AUTO = "auto"
-_ANSWERS = 5.0  # seconds in which the address of a cluster answers
-# what HTTP/2 begins with (RFC 9113, 3.4), which the head of a cluster speaks: settings for settings
-_SETTINGS = b"\x04"
-_GREETING = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes(3) + _SETTINGS + bytes(5)
+_CONNECTS = 5.0  # seconds in which somebody listens at the address of a cluster
+_ANSWERS = 20.0  # seconds in which a cluster answers, with those that loading Ray takes
 _TRIES = 3  # of a job whose workers die
 _MOMENT = 0.2  # seconds
 _STORE = 2**27  # bytes of shared memory of a cluster of one; more goes to the disk
 _PACKAGES = ("tustinnet", "jax", "jaxlib", "numpy")  # of one version everywhere
 _QUIET = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0"}
 
-Say = Callable[[str], None]
+OnMessage = Callable[[str], None]
 
 
 @contextmanager
 def cluster(
-    address: str = AUTO, say: Say = lambda sentence: None
-) -> Iterator[Callable[[Workplace], Executor]]:
+    address: str = AUTO, on_message: OnMessage = lambda sentence: None
+) -> Iterator[MakeExecutor]:
     """The machines of a Ray cluster, as `select_model` takes them (`executor=`).
 
     A job is given as many cores as JAX has CPU devices in this process; a machine does as many
@@ -62,27 +62,33 @@ def cluster(
     Args:
         address: `HOST:PORT` of a cluster's head, of which this machine is one; or `auto`: the
             cluster that RAY_ADDRESS names, else this machine alone.
-        say: who is told, in sentences, which jobs begin and end.
+        on_message: called with sentences on jobs that begin and end.
 
     Yields:
-        What makes an executor of what all jobs share. It raises `InputError` where a machine
-        lacks the packages, or does not share the run's folder.
+        A function that makes an executor from a `RunContext`. It raises `InputError` where a
+        machine lacks the packages, or does not share the run's folder.
 
     Raises:
         InputError: Ray is not installed, no such cluster, or it does not answer within seconds.
     """
-    found = _found(address)
-    ray, made = _ray(), []
-    _join(ray, found)
+    head = _find_head(address)
+    for name, value in _QUIET.items():
+        os.environ.setdefault(name, value)
+    require_package("ray", "ray", "cluster")
+    ray: Any = import_module("ray")
+    if head is not None:
+        _require_answer(head, address)
+    _join(ray, head)
+    executors: list[_Workers] = []
     try:
 
-        def executor(at: Workplace) -> Executor:
-            made.append(_Workers(ray, at, say))
-            return made[-1]
+        def make_executor(context: RunContext) -> Executor:
+            executors.append(_Workers(ray, context, on_message))
+            return executors[-1]
 
-        yield executor
+        yield make_executor
     finally:
-        for workers in made:
+        for workers in executors:
             workers.close()
         ray.shutdown()
 
@@ -92,12 +98,12 @@ class _Workers:
 
     Args:
         ray: the library.
-        at: what all jobs share.
-        say: who is told which jobs begin and end.
+        context: records, folder, system, scoring.
+        on_message: called with sentences on jobs that begin and end.
     """
 
-    def __init__(self, ray: Any, at: Workplace, say: Say) -> None:
-        self._ray, self._say, self._clock = ray, say, at.clock
+    def __init__(self, ray: Any, context: RunContext, on_message: OnMessage) -> None:
+        self._ray, self._on_message = ray, on_message
         self._running: dict[Future[Any], _Running] = {}
         self._cores = len(jax.devices("cpu"))
         if not self._places:
@@ -105,49 +111,58 @@ class _Workers:
                 "cluster", f"no machine with {self._cores} cores, which a job is given",
                 "a machine with as many", "set JAX_NUM_CPU_DEVICES to give a job fewer",
             )  # fmt: skip
-        folder = at.folder.resolve()
+        folder = context.folder.resolve()
         self._mark = folder / f".shared-{uuid.uuid4().hex}{PART}"
         self._mark.touch()
-        system = find_system(at.system) if isinstance(at.system, str | Path) else at.system
-        # made anew, it holds nothing that was computed here; time is told job by job
-        sent = replace(at, folder=folder, system=system, clock=Clock())
+        system = context.system
+        system = find_system(system) if isinstance(system, str | Path) else system
+        # made anew, it holds nothing that was computed here
+        sent = replace(context, folder=folder, system=system)
         self._sent = ray.put(ray.cloudpickle.dumps(sent))
-        self._about = {"mark": str(self._mark), "jax": _jax_settings(), "versions": versions()}
-        self._work = ray.remote(num_cpus=self._cores, max_retries=0)(_work())
+        self._setup = {"mark": str(self._mark), "jax": _jax_settings(), "versions": versions()}
+        self._work = ray.remote(num_cpus=self._cores, max_retries=0)(_make_work())
 
     @property
-    def free(self) -> bool:
+    def is_free(self) -> bool:
         """Whether a machine has cores left; machines come and go."""
         return len(self._running) < max(1, self._places)
 
-    def submit(self, job: Job) -> None:
+    def submit(self, job: Job, deadline: Deadline = NEVER) -> None:
         """Sends a job."""
-        self._say(f"{_named(job)}: begins")
-        self._send(_Running(job, time.monotonic()))
+        self._on_message(f"{job.candidate}, fold {job.fold}: begins")
+        self._send(_Running(job, deadline, time.monotonic()))
 
     def result(self) -> JobResult:
         """Waits for the next job that ends."""
         while True:
-            ended = self._next()
-            of = self._running.pop(ended)
+            # a moment at a time, in Python, so that signals are handled
+            while not (done := wait(self._running, _MOMENT, FIRST_COMPLETED).done):
+                pass
+            future = next(iter(done))
+            running = self._running.pop(future)
+            name = f"{running.job.candidate}, fold {running.job.fold}"
             try:
-                host, found = ended.result()
+                host, result = future.result()
             except self._ray.exceptions.RayTaskError:  # of the job, not of its worker
                 raise
             except self._ray.exceptions.RayError as error:
-                lost = self._lost(of, error)
-                if lost is not None:
-                    return lost
-                continue
-            if not isinstance(found, JobResult):
-                raise InputError(f"worker on {host}", *found)
-            if found.ended == "done":
-                told = f"done on {host} in {found.seconds:.1f} s"
-                self._say(f"{_named(of.job)}: {'was done before' if found.earlier else told}")
-            return found
+                if running.attempts < _TRIES:
+                    self._on_message(f"{name}: its worker died, done again")
+                    self._send(replace(running, attempts=running.attempts + 1))
+                    continue
+                text = (str(error).strip().splitlines() or [""])[0]
+                why = f"its worker died {running.attempts} times ({type(error).__name__}: {text})"
+                job, seconds = running.job, time.monotonic() - running.started
+                return JobResult(job.candidate, job.fold, seconds, "failed", why=why)
+            if not isinstance(result, JobResult):
+                raise InputError(f"worker on {host}", *result)
+            if result.ended == "done":
+                new = f"done on {host} in {result.seconds:.1f} s"
+                self._on_message(f"{name}: {'was done before' if result.earlier else new}")
+            return result
 
     def close(self) -> None:
-        """Takes away the mark that the folder is shared."""
+        """Removes the file that shows workers that they share the folder."""
         self._mark.unlink(missing_ok=True)
 
     @property
@@ -156,26 +171,9 @@ class _Workers:
         alive = [node for node in self._ray.nodes() if node["Alive"]]
         return sum(int(node["Resources"].get("CPU", 0)) // self._cores for node in alive)
 
-    def _next(self) -> Future[Any]:
-        """Waits for a job; in Python, a moment at a time, so that signals are heard."""
-        while True:
-            if done := wait(self._running, _MOMENT, FIRST_COMPLETED).done:
-                return next(iter(done))
-
-    def _send(self, of: "_Running") -> None:
-        order = pickle.dumps((of.job, self._clock.left))
-        self._running[self._work.remote(self._sent, order, self._about).future()] = of
-
-    def _lost(self, of: "_Running", error: Exception) -> JobResult | None:
-        """Sends a job again whose worker died; what to tell of it, where that is in vain."""
-        if of.tried < _TRIES:
-            self._say(f"{_named(of.job)}: its worker died, done again")
-            self._send(replace(of, tried=of.tried + 1))
-            return None
-        told = str(error).strip().splitlines() or [""]
-        why = f"its worker died {of.tried} times ({type(error).__name__}: {told[0]})"
-        spent = time.monotonic() - of.begun
-        return JobResult(of.job.candidate, of.job.fold, spent, "failed", why=why)
+    def _send(self, running: "_Running") -> None:
+        order = pickle.dumps((running.job, running.deadline.remaining))
+        self._running[self._work.remote(self._sent, order, self._setup).future()] = running
 
 
 @dataclass(frozen=True)
@@ -184,94 +182,92 @@ class _Running:
 
     Attributes:
         job: which.
-        begun: when it was sent first, `time.monotonic()`.
-        tried: how often it was sent.
+        deadline: when it has to end.
+        started: when it was sent first, `time.monotonic()`.
+        attempts: how often it was sent.
     """
 
     job: Job
-    begun: float
-    tried: int = 1
-
-
-def _named(job: Job) -> str:
-    return f"{job.candidate}, fold {job.fold}"
+    deadline: Deadline
+    started: float
+    attempts: int = 1
 
 
 # --- in the worker ---
 
 
-def _work() -> Callable[[bytes, bytes, dict[str, Any]], Any]:
-    """What a worker does, a function within another: Ray sends its code, not its name.
+def _make_work() -> Callable[[bytes, bytes, dict[str, Any]], Any]:
+    """The function that a worker runs, within another: Ray sends its code, not its name.
 
-    So it can tell where the package is missing. What it is told about JAX is said before JAX is
-    loaded; all else is sent as bytes that are read by packages that are known to be the same.
+    So it can report that the package is missing. JAX is set up before it is loaded; all else is
+    sent as bytes that are read by packages that are known to be the same.
     """
 
-    def work(sent: bytes, order: bytes, about: dict[str, Any]) -> Any:
+    def work(sent: bytes, order: bytes, setup: dict[str, Any]) -> Any:
         import os
         import socket
 
         host = socket.gethostname()
-        os.environ.update(about["jax"])
+        os.environ.update(setup["jax"])
         try:
             from tustinnet.selection.cluster import perform_here
         except ImportError as error:
             return host, (f"cannot load tustinnet ({error})", "the package on every machine",
                           "pip install tustinnet there")  # fmt: skip
-        return host, perform_here(sent, order, about)
+        return host, perform_here(sent, order, setup)
 
     return work
 
 
-def perform_here(sent: bytes, order: bytes, about: dict[str, Any]) -> JobResult | tuple[str, ...]:
+def perform_here(sent: bytes, order: bytes, setup: dict[str, Any]) -> JobResult | tuple[str, ...]:
     """Does a job in a worker.
 
     Args:
-        sent: the `Workplace`, pickled.
-        order: the job, and how many seconds are left, pickled.
-        about: `mark`, the file that tells the run's folder; `versions` of packages.
+        sent: the `RunContext`, pickled.
+        order: the job, and how many seconds remain, pickled.
+        setup: `mark`, the file that shows the run's folder; `versions` of packages.
 
     Returns:
-        What the job came to; or what is wrong with this machine, what is expected, what to do.
+        The job's result; or what is wrong with this machine, what is expected, what to do.
     """
-    if (here := versions()) != about["versions"]:
-        other = {n: v for n, v in about["versions"].items() if here.get(n) != v}
+    if (here := versions()) != setup["versions"]:
+        other = {n: v for n, v in setup["versions"].items() if here.get(n) != v}
         return (
             "has " + ", ".join(f"{name} {here.get(name)}" for name in other),
             "the versions of the process that asks: "
             + ", ".join(f"{name} {v}" for name, v in other.items()),
         )
-    mark = Path(about["mark"])
+    mark = Path(setup["mark"])
     if not mark.is_file():
         return (
             f"does not see {mark.parent} as it is where the run was begun",
             "a folder that all machines share, under one path",
             "choose another --out",
         )
-    job, left = pickle.loads(order)
-    clock = Clock(None if left == float("inf") else time.monotonic() + left)
-    return perform(job, _workplace(sent), clock.within(lambda prepared: Listener()))
+    job, remaining = pickle.loads(order)
+    deadline = Deadline.after(remaining)
+    return perform_jobs([job], _load_context(sent), lambda prepared: SILENT, deadline)[0]
 
 
 @lru_cache(maxsize=1)
-def _workplace(sent: bytes) -> Workplace:
-    """The same object for all jobs: a system is loaded once, and its programs compiled once."""
+def _load_context(sent: bytes) -> RunContext:
+    """One object for all jobs: a system is loaded once, and its programs compiled once."""
     return pickle.loads(sent)
 
 
 def versions() -> dict[str, str]:
-    """Of the packages that results depend on."""
-    found = {}
+    """The versions of the packages that results depend on."""
+    result = {}
     for name in _PACKAGES:
         try:
-            found[name] = version(name)
+            result[name] = version(name)
         except PackageNotFoundError:
-            found[name] = "of no version"
-    return found
+            result[name] = "of no version"
+    return result
 
 
 def _jax_settings() -> dict[str, str]:
-    """How JAX is set up here, as variables of the environment."""
+    """The settings of JAX in this process, as variables of the environment."""
     config: Any = jax.config
     settings = {
         "JAX_PLATFORMS": "cpu",
@@ -292,42 +288,44 @@ def _jax_settings() -> dict[str, str]:
 # --- joining a cluster ---
 
 
-def _ray() -> Any:
-    for name, value in _QUIET.items():
-        os.environ.setdefault(name, value)
-    require_package("ray", "ray", "cluster")
-    return import_module("ray")
-
-
-def _found(address: str) -> str | None:
-    """The address of a cluster that answers; None where this machine is to be one."""
-    named = os.environ.get("RAY_ADDRESS", "") if address == AUTO else address
-    if address == AUTO and named in ("", "local"):
+def _find_head(address: str) -> str | None:
+    """The address of a cluster where somebody listens; None where this machine is to be one."""
+    name = os.environ.get("RAY_ADDRESS", "") if address == AUTO else address
+    if address == AUTO and name in ("", "local"):
         return None
-    where = f"RAY_ADDRESS={named}" if address == AUTO else f"cluster {named}"
-    parts = re.fullmatch(r"([^\s/:]+|\[[0-9a-fA-F:]+\]):(\d{1,5})", named)
+    parts = re.fullmatch(r"([^\s/:]+|\[[0-9a-fA-F:]+\]):(\d{1,5})", name)
     if parts is None:
-        raise InputError(where, "no address", "auto, or HOST:PORT of a cluster's head",
+        raise InputError(_where(name, address), "no address",
+                         "auto, or HOST:PORT of a cluster's head",
                          "for instance 10.0.0.5:6379")  # fmt: skip
     try:
-        _ask(parts[1].strip("[]"), int(parts[2]))
+        socket.create_connection((parts[1].strip("[]"), int(parts[2])), _CONNECTS).close()
     except (OSError, OverflowError, UnicodeError) as error:
-        raise InputError(
-            where, f"does not answer ({describe_error(error)})", "the head of a running cluster",
-            "start one there: ray start --head --port 6379",
-        ) from None  # fmt: skip
-    return named
+        raise _no_answer(_where(name, address), describe_error(error)) from None
+    return name
 
 
-def _ask(host: str, port: int) -> None:
-    """Raises `OSError` where nobody answers, or somebody else: Ray itself asks for minutes."""
-    with socket.create_connection((host, port), _ANSWERS) as asked:
-        if os.environ.get("RAY_USE_TLS", "0") != "0":
-            return  # it answers nobody without a certificate
-        asked.settimeout(_ANSWERS)
-        asked.sendall(_GREETING)
-        if asked.recv(4)[3:] != _SETTINGS:
-            raise OSError("not as a cluster does")
+def _require_answer(head: str, address: str) -> None:
+    """Raises unless a cluster answers Ray's own client in time, which by itself tries for minutes.
+
+    A cluster that refuses it answers, too; joining it then tells the error_message.
+    """
+    command = [sys.executable, "-P", "-m", "ray.scripts.scripts", "status", "--address", head]
+    try:
+        subprocess.run(command, capture_output=True, timeout=_ANSWERS, check=False)
+    except subprocess.TimeoutExpired:
+        raise _no_answer(_where(head, address), f"not effective_horizon {_ANSWERS:g} s") from None
+
+
+def _where(head: str, address: str) -> str:
+    return f"RAY_ADDRESS={head}" if address == AUTO else f"cluster {head}"
+
+
+def _no_answer(where: str, why: str) -> InputError:
+    return InputError(
+        where, f"does not answer ({why})", "the head of a running cluster",
+        "start one there: ray start --head --port 6379",
+    )  # fmt: skip
 
 
 def _join(ray: Any, address: str | None) -> None:

@@ -1,91 +1,276 @@
-"""Cross-validation by jobs: each fold is fitted wherever an executor has room."""
+"""Cross-validation: every record scored by models that never saw it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
-from tustinnet.evaluate.folds import Question, Validated, dealt, fold_scores, starts_asked
-from tustinnet.selection.executors import Executor
-from tustinnet.selection.jobs import SCORES, Job, JobResult, Judging, Workplace, loaded
+from tustinnet.evaluate.metrics import mean_and_error
+from tustinnet.fitting.fit import MakeListener
+from tustinnet.fitting.listener import SILENT
+from tustinnet.fitting.recipe import Recipe
+from tustinnet.fitting.recipe_reading import read_recipe
+from tustinnet.fitting.task import AnyRecipe, resolve_system
+from tustinnet.models.lagrangian import LagrangianSystem
+from tustinnet.selection.folds import FOLDS, records_without_test, split_into_folds
+from tustinnet.selection.jobs import SCORES, Job, JobResult, RunContext
+from tustinnet.selection.runner import InProcess, MakeExecutor, run_jobs
+from tustinnet.selection.scoring import RecipeScoring
+from tustinnet.simulate.horizon import horizon_samples
+from tustinnet.simulate.starts import FIT_SAMPLES, default_start, start_named
 from tustinnet.store.kept_system import CANDIDATES
-from tustinnet.systems.files import AnySystem
+from tustinnet.systems.files import AnySystem, SystemTemplate, load_system_or_template
 
-_PHYSICS, _RECIPE = "physics", "recipe"  # what the folders of jobs are called
+DEFAULT_PHYSICS = "best-grey"  # identifies the physics of a hybrid where nothing else is given
+_PHYSICS, _RECIPE = "physics", "recipe"  # names of the candidates, and of their jobs' folders
 
 
-def cross_validate_by_jobs(
-    data: DataSet,
-    asked: Question,
-    folder: Path,
-    executor: Callable[[Workplace], Executor],
+@dataclass(frozen=True)
+class FoldScore:
+    """A record, scored by a model that never saw it.
+
+    Attributes:
+        record: the record.
+        fold: the fold it is in, from 0.
+        seed: the seed of the model.
+        rmse: RMSE of its free run by start [rad or m].
+    """
+
+    record: str
+    fold: int
+    seed: int
+    rmse: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class CrossValidationResult:
+    """Scores of a cross-validation.
+
+    Attributes:
+        recipe: the recipe that was fitted.
+        unit: of the RMSE.
+        scores: of every record, for every seed.
+        outcomes: why each fit ended, by fold and seed.
+        seconds: time of all fits.
+    """
+
+    recipe: str
+    unit: str
+    scores: tuple[FoldScore, ...]
+    outcomes: Mapping[str, str]
+    seconds: float
+
+    def means(self, start: str) -> dict[str, float]:
+        """Mean over the seeds of every record's RMSE [rad or m]."""
+        by_record: dict[str, list[float]] = {}
+        for score in self.scores:
+            by_record.setdefault(score.record, []).append(score.rmse[start])
+        return {record: float(np.mean(values)) for record, values in by_record.items()}
+
+    def summary(self) -> dict[str, dict[str, Any]]:
+        """By start: mean over the records, its standard error, the mean of each seed."""
+        summary = {}
+        for start in self.scores[0].rmse:
+            mean, error = mean_and_error(self.means(start).values())
+            by_seed: dict[int, list[float]] = {}
+            for score in self.scores:
+                by_seed.setdefault(score.seed, []).append(score.rmse[start])
+            summary[start] = {
+                "mean": mean,
+                "standard_error": error,
+                "by_seed": {
+                    str(seed): float(np.mean(by_seed[seed])) for seed in sorted(by_seed)
+                },
+            }  # fmt: skip
+        return summary
+
+    def as_plain(self) -> dict[str, Any]:
+        """The result as plain values."""
+        return {
+            "recipe": self.recipe,
+            "unit": self.unit,
+            "summary": self.summary(),
+            "seconds": self.seconds,
+            "outcomes": dict(self.outcomes),
+            "records": [
+                {"record": s.record, "fold": s.fold, "seed": s.seed, "rmse": dict(s.rmse)}
+                for s in self.scores
+            ],
+        }
+
+
+@dataclass(frozen=True)
+class CrossValidationOptions:
+    """Recipe, folds and starts of a cross-validation.
+
+    Attributes:
+        recipe: the recipe that is fitted.
+        physics: the recipe that identifies the physics that a hybrid corrects, anew in every fold,
+            or None.
+        system: the system that is identified, or None.
+        folds: how many.
+        seeds: those of every fold.
+        starts: where free runs start; by default the default start, and `model-20`.
+    """
+
+    recipe: Recipe
+    physics: Recipe | None = None
+    system: LagrangianSystem | SystemTemplate | None = None
+    folds: int = FOLDS
+    seeds: tuple[int, ...] = (0,)
+    starts: tuple[str, ...] = ()
+
+
+def make_cross_validation_options(
+    recipe: AnyRecipe,
+    *,
     system: AnySystem | None = None,
-) -> Validated:
-    """Does what `cross_validate` does, a job for every fold.
-
-    Jobs that are done below the folder already, of the same fit, are not done again.
+    physics: AnyRecipe | None = None,
+    folds: int = FOLDS,
+    seeds: Sequence[int] | None = None,
+    starts: Sequence[str] = (),
+) -> CrossValidationOptions:
+    """Options of `cross_validate`, checked.
 
     Args:
-        data: the records; the split `test` stays out.
-        asked: what to fit, how often.
-        folder: where jobs write models and logs, below `candidates`.
-        executor: where the jobs are done, as `cluster` gives it.
-        system: the system of the question as it was named, for workers to load.
+        recipe: the recipe that is fitted.
+        system: the system that is identified, or whose identified model a network corrects.
+        physics: the recipe that identifies the physics that a network corrects; `best-grey` by
+            default.
+        folds: how many.
+        seeds: those of every fold; 0 by default.
+        starts: where free runs start; by default the default start, and `model-20`.
 
     Raises:
-        InputError: as `cross_validate`; a job that failed.
+        InputError: an argument that is not applicable to the recipe, or one that it requires is
+            missing.
     """
-    deals, starts = dealt(data, asked.folds), starts_asked(data, asked)
-    at = Workplace(folder, data, Judging(len(deals), starts[0]), system)
-    do, found = executor(at), []
-    physics: dict[int, str] = {}
-    if asked.physics is not None:
-        found += _done(do, [Job(_PHYSICS, asked.physics, fold) for fold in range(len(deals))])
-        physics = {result.fold: result.scores[0].model for result in found}
-    seeds = asked.seeds if asked.recipe.family.trains else (0,)
-    jobs = [
-        Job(_RECIPE, asked.recipe, fold, seeds, physics.get(fold)) for fold in range(len(deals))
-    ]
-    fits = sorted(_done(do, jobs), key=lambda result: result.fold)
-    scores = [
-        score
-        for result in fits
-        for of in result.scores
-        for score in fold_scores(
-            loaded(of.model, at), (result.fold, of.seed), of.horizon,
-            deals[result.fold].scored, data, asked,
-        )
-    ]  # fmt: skip
-    return Validated(
-        recipe=asked.recipe.name,
-        unit=data.channels.unit,
-        scores=tuple(scores),
-        outcomes={f"fold {r.fold}, seed {of.seed}": of.outcome for r in fits for of in r.scores},
-        seconds=sum(result.seconds for result in (*found, *fits)),
+    recipe = read_recipe(recipe)
+    family = recipe.family
+    corrects = "physics" in family.needs
+    if physics is not None and not corrects:
+        raise InputError("--physics", f"not applicable to a recipe of kind '{family.kind}'",
+                         "a recipe that corrects physics")  # fmt: skip
+    if seeds is not None and not family.trains:
+        raise InputError("--seeds", "an identification has no seeds", "a recipe with weights")
+    if seeds is not None and (not seeds or len(set(seeds)) < len(seeds)):
+        raise InputError("--seeds", f"{list(seeds)}", "at least one, all different")
+    identification = read_recipe(physics or DEFAULT_PHYSICS) if corrects else recipe
+    if corrects and not identification.family.correctable:
+        raise InputError(
+            "--physics",
+            f"a recipe of kind '{identification.family.kind}', whose models are trained",
+            "a recipe whose models a network can correct",
+        )  # fmt: skip
+    needs_system = "system" in identification.family.needs
+    if system is None:
+        system = resolve_system(identification, None)
+    if (system is None) == needs_system:
+        given = "no system" if needs_system else "a system, not applicable to this recipe"
+        raise InputError("--system", given, "a system for recipes that identify one")
+    return CrossValidationOptions(
+        recipe=recipe,
+        physics=identification if corrects else None,
+        system=None if system is None else load_system_or_template(system),
+        folds=folds,
+        seeds=tuple(seeds or (0,)),
+        starts=tuple(start_named(start).name for start in starts),
     )
 
 
-def forget(folder: Path, results: Sequence[str], *, jobs: bool) -> None:
+def cross_validate(
+    data: DataSet,
+    options: CrossValidationOptions,
+    make_listener: MakeListener = lambda prepared: SILENT,
+    *,
+    folder: Path | None = None,
+    executor: MakeExecutor | None = None,
+    system: AnySystem | None = None,
+) -> CrossValidationResult:
+    """Fits a recipe to every choice of folds and scores the records that were left out.
+
+    In this process, members of all folds train together where their models and windows are alike.
+    An executor does a job for every fold; jobs that are done below the folder already, of the same
+    fit, are not done again.
+
+    Args:
+        data: the records; the folds do not respect splits, but `test` stays out.
+        options: the recipe, the number of folds and seeds.
+        make_listener: given what is fitted together in this process, the plan of trainings or the
+            task of an identification, returns the listener of its progress.
+        folder: where an executor's jobs write models and logs, below `candidates`.
+        executor: where the jobs are done, as `cluster` gives it; by default in this process, and
+            nothing is written.
+        system: the system of the options as it was named, for workers to load.
+
+    Returns:
+        The score of every record for every seed; `summary` has means and standard errors.
+
+    Raises:
+        InputError: too few records, a horizon of the recipe that is too short for a start, or too
+            long; see also `fit`.
+    """
+    records, recipe = records_without_test(data), options.recipe
+    folds = len(split_into_folds(data, options.folds))
+    starts = options.starts or (default_start(records), f"model-{FIT_SAMPLES}")
+    for start in starts:
+        horizon_samples(recipe.longest_run, records, start_named(start))
+    context = RunContext(
+        data,
+        RecipeScoring(folds, starts[0], names=options.starts),
+        folder or Path(),
+        models={} if executor is None else None,
+        # in this process the system is loaded already; a worker loads its file
+        system=options.system if executor is None else system or options.system,
+    )
+    if executor is None:
+        workers = InProcess(context, lambda job: make_listener, raises=True, together=True)
+    else:
+        workers = executor(context)
+    jobs, physics = [], dict[int, str]()
+    if options.physics is not None:
+        jobs += [Job(_PHYSICS, options.physics, fold) for fold in range(folds)]
+    seeds = options.seeds if recipe.family.trains else (0,)
+    jobs += [Job(_RECIPE, recipe, f, seeds, waits_for=(_PHYSICS,)) for f in range(folds)]
+
+    def on_result(result: JobResult) -> None:
+        if result.ended != "done":
+            raise InputError(f"fold {result.fold}", result.why)
+        if result.candidate == _PHYSICS:
+            physics[result.fold] = result.scores[0].model
+
+    results = run_jobs(
+        jobs, workers, on_result=on_result,
+        prepare=lambda job: (
+            replace(job, physics=physics.get(job.fold)) if job.candidate == _RECIPE else job
+        ),
+    )  # fmt: skip
+    fits = sorted((r for r in results if r.candidate == _RECIPE), key=lambda r: r.fold)
+    return CrossValidationResult(
+        recipe=recipe.name,
+        unit=data.channels.unit,
+        scores=tuple(
+            FoldScore(e.name, r.fold, s.seed, {start: s.rmse[start][e.name] for start in s.rmse})
+            for r in fits
+            for s in r.scores
+            for e in context.splits[r.fold].scored
+        ),
+        outcomes={f"fold {r.fold}, seed {s.seed}": s.outcome for r in fits for s in r.scores},
+        seconds=sum(r.seconds for r in results),
+    )
+
+
+def remove_results(folder: Path, files: Sequence[str], *, jobs: bool) -> None:
     """Removes the results of an earlier validation by name, and perhaps the scores of its jobs.
 
-    What is interrupted then leaves no results of another validation.
+    An interruption then leaves no results of another validation.
     """
-    for name in results:
+    for name in files:
         (folder / name).unlink(missing_ok=True)
     for name in (_PHYSICS, _RECIPE) if jobs else ():
         for path in (folder / CANDIDATES / name).glob(f"*/{SCORES}"):
             path.unlink()
-
-
-def _done(executor: Executor, jobs: Sequence[Job]) -> list[JobResult]:
-    """What jobs came to, in the order in which they ended."""
-    waiting, found = list(jobs), []
-    while len(found) < len(jobs):
-        if waiting and executor.free:
-            executor.submit(waiting.pop(0))
-            continue
-        result = executor.result()
-        if result.ended != "done":
-            raise InputError(f"fold {result.fold}", result.why)
-        found.append(result)
-    return found

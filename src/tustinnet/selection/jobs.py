@@ -1,73 +1,72 @@
 """Jobs: a candidate fitted to one fold, its free runs scored on the records left out.
 
-A job is done where its folder has a `scores.json`. What is in the folders is the truth: whoever
-finds the file there, of the same job, need not do it again.
+Whatever is fitted to be scored on other records is a job: the folds of a selection and of a
+cross-validation, the draws of a learning curve. A job of a run with a folder is done where its
+folder has a `scores.json`. The folders are the truth: whoever finds the file there, of the same
+job, need not do it again.
 """
 
 import hashlib
 import json
 import math
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import ConfigDict, TypeAdapter
 
 from tustinnet.data.dataset import DataSet
 from tustinnet.errors import error_message
-from tustinnet.evaluate.folds import Deal, dealt, taking_part, used_by
-from tustinnet.evaluate.scores import evaluate, rmse_by_record, scores_header
+from tustinnet.evaluate.scores import scores_header
+from tustinnet.fitting.fit import MakeListener, fit_task
+from tustinnet.fitting.gradient.loop import OUT_OF_TIME
+from tustinnet.fitting.gradient.plan import TrainingPlan
+from tustinnet.fitting.listener import Listener
 from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.report import FitResult, data_header
-from tustinnet.fitting.task import Fold, Member, Task, resolve_system
+from tustinnet.fitting.task import Fold, Member, Origin, Task, resolve_system
 from tustinnet.models.contract import Model
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.selection.clock import Clock, OutOfTime
-from tustinnet.simulate.starts import default_start
+from tustinnet.selection.deadline import NEVER, Deadline, OutOfTime, StopCheck
+from tustinnet.selection.folds import FoldSplit, split_into_folds
+from tustinnet.selection.scoring import RmseByStart, ScoringOptions
 from tustinnet.store.checkpoint import fingerprint
-from tustinnet.store.files import require_writable_folder, sweep, to_json, write_into
-from tustinnet.store.kept_system import CANDIDATES, header_of
-from tustinnet.store.model_file import load_model, save, system_of
-from tustinnet.store.run import MODEL, Tell, fit_in
+from tustinnet.store.files import (
+    remove_partial_files,
+    require_writable_folder,
+    to_json,
+    write_into,
+)
+from tustinnet.store.kept_system import CANDIDATES, system_header
+from tustinnet.store.model_file import load_model, read_system_name, save
+from tustinnet.store.run import MODEL, fit_in_folder
 from tustinnet.systems.files import AnySystem, SystemFile, SystemTemplate, load_system_or_template
 
 SCORES = "scores.json"
 SPENT = "the budget was spent"
-_EVERY = slice(None)
+SPENT_BUT_SCORED = f"{SPENT}: its best weights so far are scored"
 LEFT_OUT = "left out"  # where files name a split: records that a model was not fitted to
 
 Ended = Literal["done", "out of time", "failed"]
 
 
-@dataclass(frozen=True)
-class Judging:
-    """How candidates are compared.
-
-    Attributes:
-        folds: into how many folds the records are dealt.
-        start: where free runs start; models that need a warm-up start with theirs.
-        horizon: how long a free run lasts at most [s], None for whole records.
-    """
-
-    folds: int
-    start: str
-    horizon: float | None = None
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Job:
     """A candidate to be fitted to one fold.
 
     Attributes:
         candidate: its name.
         recipe: its recipe.
-        fold: the fold whose records it is scored on.
+        fold: the fold whose records it is scored on, an index of the run's splits.
         seeds: those that train together; an identification has the seed 0.
-        physics: the model file that a network corrects, below the run's folder, or None.
+        physics: the model that a network corrects, as `FitScore.model` names it, or None.
+        origin: the model that the fit begins with, or None.
+        waits_for: candidates whose jobs of this fold come first, where there are any.
+        yields: whether a training that cannot end in time stops early, for jobs that wait.
     """
 
     candidate: str
@@ -75,10 +74,13 @@ class Job:
     fold: int
     seeds: tuple[int, ...] = (0,)
     physics: str | None = None
+    origin: Origin | None = None
+    waits_for: tuple[str, ...] = ()
+    yields: bool = False
 
     @property
     def name(self) -> str:
-        """Its folder below that of the candidate."""
+        """The name of its folder below that of the candidate."""
         return f"fold-{self.fold}-seeds-{'-'.join(map(str, self.seeds))}"
 
     @property
@@ -88,7 +90,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class SeedScore:
+class FitScore:
     """A model that a job has made, and how it simulates the records left out.
 
     Attributes:
@@ -103,21 +105,22 @@ class SeedScore:
     outcome: str
     model: str
     horizon: float | None
-    rmse: Mapping[str, Mapping[str, float]]
+    rmse: RmseByStart
 
 
 @dataclass(frozen=True)
 class JobResult:
-    """What a job came to.
+    """The scores of a job, or the reason why it has none.
 
     Attributes:
         candidate: of which candidate.
         fold: of which fold.
         seconds: time it took.
-        ended: whether it was done.
-        scores: of every seed, where it was.
-        why: what went wrong, where it was not.
-        needs: how long it would have taken [s], as far as that is known, where time was up.
+        ended: whether it was done. A job that is `out of time` may have scores: of the best weights
+            when the deadline came.
+        scores: of every seed, where there are any.
+        why: the reason where it was not done.
+        needs: how long it would have taken [s], if known, where time was up.
         earlier: whether it was found done.
     """
 
@@ -127,7 +130,7 @@ class JobResult:
     fold: int
     seconds: float
     ended: Ended
-    scores: tuple[SeedScore, ...] = ()
+    scores: tuple[FitScore, ...] = ()
     why: str = ""
     needs: float | None = None
     earlier: bool = False
@@ -137,37 +140,43 @@ _RESULT = TypeAdapter(JobResult)
 
 
 @dataclass(frozen=True)
-class Workplace:
-    """What all jobs of a run share.
+class RunContext:
+    """Records, system and scoring that all jobs of a run share.
 
     Attributes:
-        folder: the run's folder.
         data: the records.
-        judging: how candidates are compared.
+        scoring: how free runs are scored.
+        folder: the run's folder.
+        models: models by the name of their file, of a run that keeps all in memory and writes
+            nothing; None of a run with a folder.
         system: the system that is given, or None.
-        clock: when time is up.
-        resume: whether to go on from checkpoints of jobs that were begun.
+        resume: whether to go on from checkpoints of jobs that were not finished.
+        drawn: the splits that jobs are fitted to; None for the folds of the records.
     """
 
-    folder: Path
     data: DataSet
-    judging: Judging
-    system: AnySystem | None = None
-    clock: Clock = field(default_factory=Clock)
+    scoring: ScoringOptions
+    folder: Path = Path()
+    models: dict[str, Model] | None = None
+    system: AnySystem | SystemTemplate | None = None
     resume: bool = False
+    drawn: tuple[FoldSplit, ...] | None = None
+
+    @cached_property
+    def splits(self) -> tuple[FoldSplit, ...]:
+        """Records to fit to and to score, which jobs name by their index."""
+        if self.drawn is not None:
+            return self.drawn
+        return tuple(split_into_folds(self.data, self.scoring.folds))
 
     @cached_property
     def loaded_system(self) -> LagrangianSystem | SystemTemplate | None:
-        """The system that is given, its file run once."""
-        return None if self.system is None else load_system_or_template(self.system)
-
-    def run_system_file(self) -> None:
-        """Runs the system's file, if one is given: what is wrong with it is told once, at first.
+        """The system that is given, its file run once.
 
         Raises:
-            InputError: it cannot be run, or says no system that can be computed.
+            InputError: it cannot be run, or defines no system that can be computed.
         """
-        _ = self.loaded_system
+        return None if self.system is None else load_system_or_template(self.system)
 
     @cached_property
     def motion(self) -> float:
@@ -180,145 +189,191 @@ class Workplace:
         """The system's file, where it is in one."""
         return self.system if isinstance(self.system, SystemFile) else None
 
+    def load_model(self, name: str) -> Model:
+        """The model of a file below the run's folder."""
+        if self.models is not None:
+            return self.models[name]
+        path = self.folder / name
+        return load_model(path, self.loaded_system if read_system_name(path) else None)
 
-def perform(job: Job, at: Workplace, tell: Tell) -> JobResult:
-    """Does a job, or finds it done.
+    def score(self, model: Model, fit_horizon: float | None, fold: int) -> RmseByStart:
+        """RMSE of the records that a fold leaves out, by start."""
+        split = self.splits[fold]
+        return self.scoring.score(model, fit_horizon, split, self.data) if split.scored else {}
 
-    Models, logs and checkpoints are below the job's folder; `scores.json` is written last.
+
+def perform_jobs(
+    jobs: Sequence[Job],
+    context: RunContext,
+    make_listener: MakeListener,
+    deadline: Deadline = NEVER,
+    *,
+    raises: bool = False,
+) -> list[JobResult]:
+    """Fits the models of jobs and scores each on the records that it was not fitted to.
+
+    In a folder, models, logs and checkpoints are below the job's folder; `scores.json` is written
+    last. A training that the deadline stops is scored with its best weights so far.
 
     Args:
-        job: what to do.
-        at: where, with what.
-        tell: given the plan of a training, or the task of an identification, returns who is told
-            while it goes on.
+        jobs: a job; or, of a run in memory, several of one candidate, which train together.
+        context: records, folder, system, scoring.
+        make_listener: given the plan of a training, or the task of an identification, returns the
+            listener of its progress.
+        deadline: when it has to end.
+        raises: whether errors are raised; otherwise they are results.
+
+    Returns:
+        A result a job.
     """
-    begun = time.monotonic()
+    started, checks = time.monotonic(), list[StopCheck]()
+
+    def make_stop_check(prepared: TrainingPlan) -> StopCheck:
+        checks.append(StopCheck(deadline, prepared, yields=any(job.yields for job in jobs)))
+        return checks[-1]
+
+    def listen(prepared: TrainingPlan | Task) -> Listener:
+        listener = make_listener(prepared)
+        return listener if isinstance(prepared, TrainingPlan) else deadline.limit_search(listener)
+
+    def spent() -> float:
+        return (time.monotonic() - started) / len(jobs)
+
     try:
-        task, deal = _task(job, at)
-        of = _digest(task, at)
-        found = _done_before(job, at, of)
-        if found is None:
-            folder = at.folder / job.folder
+        task = make_job_task(jobs, context)
+        if context.models is not None:
+            fits = fit_task(task, listen, make_stop_check=make_stop_check)
+            return [_score_fits(job, context, fits, spent, checks) for job in jobs]
+        (job,) = jobs
+        digest = _fit_digest(task, context)
+        earlier = _find_earlier_result(job, context, digest)
+        if earlier is not None:
+            result = earlier
+        else:
+            folder = context.folder / job.folder
             require_writable_folder(folder)
-            sweep(folder)
-            results = fit_in(folder, task, at.clock.within(tell), resume=at.resume)
-            scores = _scored(job, at, results, deal)
-            found = JobResult(job.candidate, job.fold, time.monotonic() - begun, "done", scores)
-    except OutOfTime as stop:
-        spent = time.monotonic() - begun
-        why, needs = SPENT, None if stop.left is None else spent + stop.left
-        return JobResult(job.candidate, job.fold, spent, "out of time", why=why, needs=needs)
-    except Exception as error:  # of any kind: the others go on, and whoever waits is told why
-        spent = time.monotonic() - begun
-        return JobResult(job.candidate, job.fold, spent, "failed", why=error_message(error))
-    told = _RESULT.dump_python(found, mode="json", exclude={"earlier"})
-    content = {"fit": of, "judging": asdict(at.judging), "result": told}
-    write_into(at.folder, f"{job.folder}/{SCORES}", to_json(content))
-    return found
+            remove_partial_files(folder)
+            fits = fit_in_folder(
+                folder, task, listen, resume=context.resume, make_stop_check=make_stop_check
+            )
+            result = _score_fits(job, context, fits, spent, checks)
+    except OutOfTime:
+        return [JobResult(j.candidate, j.fold, spent(), "out of time", why=SPENT) for j in jobs]
+    except Exception as error:  # of any kind: the others go on, and the error_message is reported
+        if raises:
+            raise
+        why = error_message(error)
+        return [JobResult(j.candidate, j.fold, spent(), "failed", why=why) for j in jobs]
+    if result.scores:
+        plain = _RESULT.dump_python(result, mode="json", exclude={"earlier"})
+        content = {"fit": digest, "judging": context.scoring.as_plain(), "result": plain}
+        write_into(context.folder, f"{job.folder}/{SCORES}", to_json(content))
+    return [result]
 
 
-def _task(job: Job, at: Workplace) -> tuple[Task, Deal]:
-    """What is fitted; all folds are in it, so that each compiles to the same program."""
-    deals = dealt(at.data, at.judging.folds)
-    physics = None if job.physics is None else loaded(job.physics, at)
-    folds = tuple(Fold(used_by(deal.roles, job.recipe), physics) for deal in deals)
-    members = tuple(Member(seed, fold=job.fold) for seed in job.seeds)
-    own = resolve_system(job.recipe, at.loaded_system)
-    return Task(job.recipe, folds, members, own), deals[job.fold]
+def make_job_task(jobs: Sequence[Job], context: RunContext) -> Task:
+    """The task of jobs of one candidate; all folds are in it, so that each compiles alike."""
+    first = jobs[0]
+    by_fold = {
+        job.fold: (None if job.physics is None else context.load_model(job.physics), job.origin)
+        for job in jobs
+    }
+    folds = tuple(
+        Fold(split.roles_for(first.recipe), *by_fold.get(f, by_fold[first.fold]))
+        for f, split in enumerate(context.splits)
+    )
+    members = tuple(Member(seed, fold=job.fold) for job in jobs for seed in job.seeds)
+    return Task(first.recipe, folds, members, resolve_system(first.recipe, context.loaded_system))
 
 
-def _digest(task: Task, at: Workplace) -> str:
-    """What a finished job belongs to: its fit, whatever it was judged by."""
-    digest = hashlib.sha256(str(at.judging.folds).encode())
+def _fit_digest(task: Task, context: RunContext) -> str:
+    """The digest of a job's fit, whatever it is scored by."""
+    digest = hashlib.sha256(str(context.scoring.folds).encode())
     for member in task.members:
         digest.update(fingerprint(task, member).encode())
-    if at.system_file is not None:
-        digest.update(at.system_file.sha256.encode())
+    if context.system_file is not None:
+        digest.update(context.system_file.sha256.encode())
     elif task.system is not None:
         digest.update(task.system.name.encode())
     return digest.hexdigest()
 
 
-def _done_before(job: Job, at: Workplace, of: str) -> JobResult | None:
-    """The result that is there already, of this very fit; None where there is none.
+def _find_earlier_result(job: Job, context: RunContext, digest: str) -> JobResult | None:
+    """The result in the job's folder, of this very fit; None where there is none.
 
-    Where it was judged otherwise its models are judged again.
+    Where it was scored otherwise its models are scored again. A training that the deadline stopped
+    counts within the same run; a resumed run goes on with it.
     """
+    path = context.folder / job.folder / SCORES
     try:
-        content = json.loads((at.folder / job.folder / SCORES).read_text(encoding="utf-8"))
-        if content["fit"] != of:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if content["fit"] != digest:
             return None
-        found, before = _read_result(content["result"]), content["judging"]
+        for score in content["result"]["scores"]:  # a number that is not finite is null in a file
+            score["rmse"] = {
+                start: {name: math.inf if x is None else x for name, x in rmse.items()}
+                for start, rmse in score["rmse"].items()
+            }
+        result, scoring = _RESULT.validate_python(content["result"]), content["judging"]
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
-    if not all((at.folder / s.model).is_file() for s in found.scores):
+    if result.ended != "done" and context.resume:
         return None
-    found = replace(found, earlier=True)
-    if before == asdict(at.judging):
-        return found
-    names = list(next(iter(found.scores[0].rmse.values())))
-    scores = [replace(s, rmse=judged(loaded(s.model, at), at, names)) for s in found.scores]
-    return replace(found, scores=tuple(scores))
+    if not all((context.folder / s.model).is_file() for s in result.scores):
+        return None
+    result = replace(result, earlier=True)
+    if scoring == context.scoring.as_plain():
+        return result
+    scores = [
+        replace(s, rmse=context.score(context.load_model(s.model), s.horizon, job.fold))
+        for s in result.scores
+    ]
+    return replace(result, scores=tuple(scores))
 
 
-def _read_result(content: Any) -> JobResult:
-    """A result as its file has it, where a number that is not finite is null."""
-    for score in content["scores"]:
-        score["rmse"] = {
-            start: {name: math.inf if x is None else x for name, x in of.items()}
-            for start, of in score["rmse"].items()
-        }
-    return _RESULT.validate_python(content)
+def _score_fits(
+    job: Job,
+    context: RunContext,
+    fits: Sequence[FitResult],
+    spent: Callable[[], float],
+    checks: Sequence[StopCheck],
+) -> JobResult:
+    """Keeps the models of a job and scores each on the records that were left out."""
+    fits = [fit for fit in fits if fit.member.fold == job.fold]
+    scores = []
+    for fit in sorted(fits, key=lambda fit: job.seeds.index(fit.seed)):
+        if fit.outcome == OUT_OF_TIME and not _has_useful_weights(fit):
+            continue
+        rmse = context.score(fit.model, fit.horizon, job.fold)
+        model = f"{job.folder}/{fit.member.name}/{MODEL}"
+        if context.models is not None:
+            context.models[model] = fit.model
+        else:
+            start, of_start = next(iter(rmse.items()))
+            split, channels = context.splits[job.fold], context.data.channels
+            header = {
+                **fit.as_header(),
+                "data": data_header(context.data.name, split.roles.all),
+                "scores": scores_header(
+                    LEFT_OUT, start, channels, context.scoring.horizon, of_start
+                ),
+                **(system_header(context.system_file) if fit.recipe.family.needs else {}),
+            }
+            save(fit.model, context.folder / model, **header)
+        scores.append(FitScore(fit.seed, fit.outcome, model, fit.horizon, rmse))
+    ended: Ended = "out of time" if any(f.outcome == OUT_OF_TIME for f in fits) else "done"
+    if ended == "done":
+        return JobResult(job.candidate, job.fold, spent(), ended, tuple(scores))
+    rest = [check.needed for check in checks if check.needed is not None]
+    return JobResult(
+        job.candidate, job.fold, spent(), ended, tuple(scores),
+        why=SPENT_BUT_SCORED if scores else SPENT,
+        needs=spent() + max(rest) if rest else None,
+    )  # fmt: skip
 
 
-def _scored(
-    job: Job, at: Workplace, results: Sequence[FitResult], deal: Deal
-) -> tuple[SeedScore, ...]:
-    """Writes the models and scores each on the records that were left out."""
-    found = []
-    for result in results:
-        rmse = judged(result.model, at, [e.name for e in deal.scored])
-        model = f"{job.folder}/{result.member.name}/{MODEL}"
-        save(result.model, at.folder / model, **_header(result, at, deal, rmse))
-        found.append(SeedScore(result.seed, result.outcome, model, result.horizon, rmse))
-    return tuple(found)
-
-
-def starts_of(model: Model, at: Workplace) -> tuple[str, ...]:
-    """Where free runs of a model start: first the start that judges, then the usual one."""
-    usual = default_start(list(at.data), model)
-    return (usual,) if model.warm_up else tuple(dict.fromkeys((at.judging.start, usual)))
-
-
-def judged(
-    model: Model, at: Workplace, names: Sequence[str], starts: slice = _EVERY
-) -> dict[str, dict[str, float]]:
-    """RMSE of some records by start, of all starts or some; that which judges comes first.
-
-    All records run, whoever is asked for, so that models that are alike share a program.
-    """
-    known = taking_part(at.data)
-    found = {}
-    for start in starts_of(model, at)[starts]:
-        of = rmse_by_record(evaluate(model, known, start, horizon=at.judging.horizon))
-        found[start] = {name: of[name] for name in names}
-    return found
-
-
-def _header(
-    result: FitResult, at: Workplace, deal: Deal, rmse: Mapping[str, Mapping[str, float]]
-) -> dict[str, Any]:
-    """What a model file says beside the model."""
-    start, of = next(iter(rmse.items()))
-    return {
-        **result.as_header(),
-        "data": data_header(at.data.name, deal.roles.all),
-        "scores": scores_header(LEFT_OUT, start, at.data.channels, at.judging.horizon, of),
-        **(header_of(at.system_file) if result.recipe.family.needs else {}),
-    }
-
-
-def loaded(model: str, at: Workplace) -> Model:
-    """The model of a file below the run's folder."""
-    path = at.folder / model
-    return load_model(path, at.loaded_system if system_of(path) else None)
+def _has_useful_weights(fit: FitResult) -> bool:
+    """Whether a training that was stopped has done an epoch whose validation error is finite."""
+    training = fit.details["training"]
+    started = training["kept_epoch"] > 0 or len(training["epochs"]) > 1
+    return started and fit.validation_rmse is not None and math.isfinite(fit.validation_rmse)

@@ -36,7 +36,7 @@ class Candidate(Declaration):
         corrects: candidates whose models are what a recipe that corrects physics corrects: in
             every fold the one of them that is best so far.
         when: `always`, or only for records that are `fast` or `slow`: where a coordinate has few
-            samples in a period of its strongest line, or none has; or only where `no-system` is
+            samples in a period of its dominant frequency, or none has; or only where `no-system` is
             given.
         last: whether it is tried for the first time after all others, where time is left; what
             corrects it does not wait for it then.
@@ -65,7 +65,7 @@ class Average(Declaration):
     Attributes:
         name: what it is called.
         of: the candidates, each with all of its seeds; or
-        best: how many of the candidates that are left after the last round, the best first.
+        best: how many of the candidates that remain after the last round, the best first.
     """
 
     name: Name
@@ -73,20 +73,20 @@ class Average(Declaration):
     best: int | None = Field(default=None, ge=2, le=_MOST_AVERAGED)
 
     @model_validator(mode="after")
-    def _one_way(self) -> "Average":
+    def _require_one_rule(self) -> "Average":
         if bool(self.of) == (self.best is not None):
             raise ValueError("either `of`, the candidates by name, or `best`, how many")
         return self
 
-    def among(self, left: Sequence[str]) -> tuple[str, ...]:
-        """Its candidates among those that are left, the best first; none where one is missing."""
+    def members_among(self, remaining: Sequence[str]) -> tuple[str, ...]:
+        """Its candidates among those that remain, the best first; none where one is missing."""
         if self.best is not None:
-            return tuple(left[: self.best]) if len(left) > 1 else ()
-        return self.of if set(self.of) <= set(left) else ()
+            return tuple(remaining[: self.best]) if len(remaining) > 1 else ()
+        return self.of if set(self.of) <= set(remaining) else ()
 
 
 class Round(Declaration):
-    """What candidates are fitted to before some of them are left behind.
+    """Folds and seeds that candidates are fitted to before some of them are left behind.
 
     Attributes:
         folds: on how many of the folds, from the first on.
@@ -101,15 +101,15 @@ class Round(Declaration):
 
 
 class SelectionPlan(Declaration):
-    """What is tried, and how it is compared.
+    """Candidates that are tried, and how they are compared.
 
     Attributes:
         name: what it is called.
         description: a sentence for people.
-        folds: into how many folds the records are dealt; with fewer records as many as there are.
+        folds: into how many folds the records are split; with fewer records as many as there are.
         start: where the free runs start that judge; models that need a warm-up start with theirs.
         horizon: how long a free run that judges lasts at most [s]; none for whole records.
-        candidates: from the simplest to the most complex, which is also from cheap to dear.
+        candidates: from the simplest to the most complex, which is also by increasing cost.
         committees: averages of candidates.
         rounds: successive halving: the folds and seeds of each round.
     """
@@ -125,20 +125,29 @@ class SelectionPlan(Declaration):
 
     @field_validator("start")
     @classmethod
-    def _known(cls, start: str) -> str:
+    def _require_start(cls, start: str) -> str:
         return start_named(start, "").name
 
     @model_validator(mode="after")
-    def _complete(self) -> "SelectionPlan":
-        names = [c.name for c in (*self.candidates, *self.committees)]
-        _require_once(names, "candidates or committees")
-        known: list[str] = []
-        for candidate in self.candidates:
-            _require_known(candidate.corrects, known, f"'{candidate.name}' corrects")
-            known.append(candidate.name)
+    def _check_names_and_rounds(self) -> "SelectionPlan":
+        def require_unique(names: Sequence[str], what: str) -> None:
+            twice = next((n for i, n in enumerate(names) if n in names[:i]), None)
+            if twice is not None:
+                raise ValueError(f"two {what} are called '{twice}'")
+
+        def require_earlier(names: Sequence[str], earlier: Sequence[str], who: str) -> None:
+            for name in names:
+                if name not in earlier:
+                    raise ValueError(f"{who} '{name}', which is no candidate before it")
+
+        candidates = [c.name for c in self.candidates]
+        names = [*candidates, *(c.name for c in self.committees)]
+        require_unique(names, "candidates or committees")
+        for i, candidate in enumerate(self.candidates):
+            require_earlier(candidate.corrects, candidates[:i], f"'{candidate.name}' corrects")
         for committee in self.committees:
-            _require_once(committee.of, f"members of '{committee.name}'")
-            _require_known(committee.of, known, f"'{committee.name}' is of")
+            require_unique(committee.of, f"members of '{committee.name}'")
+            require_earlier(committee.of, candidates, f"'{committee.name}' is of")
         for before, after in zip(self.rounds, self.rounds[1:], strict=False):
             if after.folds < before.folds or after.seeds < before.seeds or after == before:
                 raise ValueError("a round has fewer folds or seeds than the one before it")
@@ -149,18 +158,6 @@ class SelectionPlan(Declaration):
     def candidate(self, name: str) -> Candidate:
         """The candidate of that name."""
         return next(c for c in self.candidates if c.name == name)
-
-
-def _require_once(names: Sequence[str], what: str) -> None:
-    twice = next((n for i, n in enumerate(names) if n in names[:i]), None)
-    if twice is not None:
-        raise ValueError(f"two {what} are called '{twice}'")
-
-
-def _require_known(names: Sequence[str], known: Sequence[str], who: str) -> None:
-    for name in names:
-        if name not in known:
-            raise ValueError(f"{who} '{name}', which is no candidate before it")
 
 
 def packaged_plans() -> list[str]:
@@ -183,20 +180,18 @@ def read_plan(which: "str | Path | SelectionPlan") -> SelectionPlan:
     else:
         content, where = read_packaged(which, [_HOME], _PLAN)
         plan = declare(content, SelectionPlan, where)
-        if str(which) not in packaged_plans():
-            plan = _beside(plan, Path(which).parent)
+        if str(which) not in packaged_plans():  # its recipe files are beside it
+            folder = Path(which).parent
+            candidates = tuple(
+                c.model_copy(update={"recipe": str(folder / c.recipe)})
+                if c.recipe.endswith(".toml")
+                else c
+                for c in plan.candidates
+            )
+            plan = plan.model_copy(update={"candidates": candidates})
     for candidate in plan.candidates:
         _check(candidate, plan)
     return plan
-
-
-def _beside(plan: SelectionPlan, folder: Path) -> SelectionPlan:
-    """The same with recipes that are files looked for from the plan's folder on."""
-    found = tuple(
-        c.model_copy(update={"recipe": str(folder / c.recipe)}) if c.recipe.endswith(".toml") else c
-        for c in plan.candidates
-    )
-    return plan.model_copy(update={"candidates": found})
 
 
 def _check(candidate: Candidate, plan: SelectionPlan) -> None:
@@ -207,8 +202,8 @@ def _check(candidate: Candidate, plan: SelectionPlan) -> None:
         raise InputError(where, str(error)) from error
     takes = "physics" in recipe.family.needs
     if takes != bool(candidate.corrects):
-        found = "no `corrects`" if takes else "`corrects`"
-        raise InputError(where, f"{found} with a recipe of kind '{recipe.family.kind}'",
+        given = "no `corrects`" if takes else "`corrects`"
+        raise InputError(where, f"{given} with a recipe of kind '{recipe.family.kind}'",
                          "candidates to correct, for recipes that correct physics")  # fmt: skip
     for name in candidate.corrects:
         family = plan.candidate(name).content.family

@@ -1,12 +1,13 @@
-"""What has been found of candidates, and how they compare."""
+"""Results of candidates, and how they compare."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from tustinnet.evaluate.metrics import mean_and_error
-from tustinnet.selection.jobs import JobResult, SeedScore
+from tustinnet.selection.jobs import FitScore, JobResult
 
 _LEVEL = 0.02  # of an error, a difference that nobody minds
 _FEW = 3  # records that say something of a difference
@@ -14,7 +15,7 @@ CLEAR = 2.0  # standard errors of a clear difference
 
 
 @dataclass(frozen=True)
-class Paired:
+class PairedDifference:
     """How much worse a candidate is than another one, record by record.
 
     Attributes:
@@ -29,8 +30,8 @@ class Paired:
 
 
 @dataclass(frozen=True)
-class Standing:
-    """What has been found of a candidate.
+class CandidateResult:
+    """The models of a candidate and their scores.
 
     Attributes:
         name: its name.
@@ -40,23 +41,23 @@ class Standing:
     """
 
     name: str
-    folds: Mapping[int, tuple[SeedScore, ...]] = field(default_factory=dict)
+    folds: Mapping[int, tuple[FitScore, ...]] = field(default_factory=dict)
     seconds: float = 0.0
     why: str = ""
 
-    def after(self, result: JobResult) -> "Standing":
-        """The same after one more job."""
+    def with_job(self, result: JobResult) -> "CandidateResult":
+        """The result with one more job."""
         seconds = self.seconds + result.seconds
-        if result.ended == "done":
+        if result.scores:
             models = (*self.folds.get(result.fold, ()), *result.scores)
             folds = {**self.folds, result.fold: models}
-            return Standing(self.name, folds, seconds, self.why)
+            return CandidateResult(self.name, folds, seconds, self.why)
         why = result.why if result.ended == "failed" or not self.folds else self.why
-        return Standing(self.name, self.folds, seconds, why)
+        return CandidateResult(self.name, self.folds, seconds, why)
 
     @property
-    def models(self) -> tuple[SeedScore, ...]:
-        """All of its models."""
+    def models(self) -> tuple[FitScore, ...]:
+        """The models of all folds."""
         return tuple(model for fold in sorted(self.folds) for model in self.folds[fold])
 
     @property
@@ -74,48 +75,62 @@ class Standing:
         by_record: dict[str, list[float]] = {}
         for fold in self.folds if folds is None else folds:
             for model in self.folds[fold]:
-                named = list(model.rmse)[start] if isinstance(start, int) else start
-                for record, value in model.rmse.get(named, {}).items():
+                name = list(model.rmse)[start] if isinstance(start, int) else start
+                for record, value in model.rmse.get(name, {}).items():
                     by_record.setdefault(record, []).append(value)
         return {record: float(np.mean(values)) for record, values in by_record.items()}
 
 
-def paired(one: Standing, other: Standing, without: str = "") -> Paired:
+def paired_difference(
+    one: CandidateResult, other: CandidateResult, without: str = ""
+) -> PairedDifference:
     """How much worse one is than another on the records that both were scored on, but for one."""
     ours, theirs = one.rmse(), other.rmse()
-    both = [record for record in ours if record in theirs and record != without]
+    shared = [record for record in ours if record in theirs and record != without]
     with np.errstate(invalid="ignore"):
         mean, error = mean_and_error(
-            np.subtract([ours[r] for r in both], [theirs[r] for r in both])
+            np.subtract([ours[r] for r in shared], [theirs[r] for r in shared])
         )
-    return Paired(mean, error, len(both))
+    return PairedDifference(mean, error, len(shared))
 
 
-def hanging(best: Standing, others: Sequence[Standing]) -> tuple[str, Standing, Paired] | None:
-    """The record without which another one would be clearly better than the best.
+class DecisiveRecord(NamedTuple):
+    """A record without which another candidate would be clearly better than the best.
 
-    Returns:
-        The record, the other one, and how much worse that is without the record, a negative mean;
-        None where no single record decides.
+    Attributes:
+        record: the record.
+        other: the other candidate.
+        difference: how much worse that is without the record, a negative mean.
     """
-    found = []
+
+    record: str
+    other: CandidateResult
+    difference: PairedDifference
+
+
+def find_decisive_record(
+    best: CandidateResult, others: Sequence[CandidateResult]
+) -> DecisiveRecord | None:
+    """The record without which another one would be best by most; None if no record decides."""
+    decisive = []
     for other in others:
-        if not paired(other, best).mean > 0:
+        if not paired_difference(other, best).mean > 0:
             continue
         theirs = other.rmse()
         for record in [r for r in best.rmse() if r in theirs]:
-            than = paired(other, best, without=record)
-            if than.records >= _FEW and than.mean < -CLEAR * than.standard_error:
-                found.append((record, other, than))
-    return min(found, key=lambda of: of[2].mean, default=None)
+            difference = paired_difference(other, best, without=record)
+            clear = difference.mean < -CLEAR * difference.standard_error
+            if difference.records >= _FEW and clear:
+                decisive.append(DecisiveRecord(record, other, difference))
+    return min(decisive, key=lambda d: d.difference.mean, default=None)
 
 
-def shared_folds(standings: Sequence[Standing]) -> set[int] | None:
+def shared_folds(results: Sequence[CandidateResult]) -> set[int] | None:
     """The folds that all of some candidates were scored on; None where there are none."""
-    return set.intersection(*(set(s.folds) for s in standings)) or None if standings else None
+    return set.intersection(*(set(r.folds) for r in results)) or None if results else None
 
 
-def ranked(standings: Sequence[Standing]) -> list[Standing]:
+def rank(results: Sequence[CandidateResult]) -> list[CandidateResult]:
     """The candidates that were scored, the best first.
 
     Those that were scored on the most folds, by the folds that all of them have. The best of these
@@ -123,39 +138,41 @@ def ranked(standings: Sequence[Standing]) -> list[Standing]:
     left does not take records away from the others. It comes before the best only where it is
     better by more than a standard error of the difference.
     """
-    scored = [s for s in standings if s.folds]
-    most = max((len(s.folds) for s in scored), default=0)
-    longest = [s for s in scored if len(s.folds) == most]
+    scored = [r for r in results if r.folds]
+    most = max((len(r.folds) for r in scored), default=0)
+    longest = [r for r in scored if len(r.folds) == most]
     shared = shared_folds(longest)
-    means = {s.name: mean_and_error(s.rmse(shared).values())[0] for s in longest}
-    finite = [s for s in longest if np.isfinite(means[s.name])]
-    best = min(finite, key=lambda s: means[s.name], default=None)
+    means = {r.name: mean_and_error(r.rmse(shared).values())[0] for r in longest}
+    finite = [r for r in longest if np.isfinite(means[r.name])]
+    best = min(finite, key=lambda r: means[r.name], default=None)
 
-    def error(of: Standing) -> float:
-        if of.name in means:
-            value = means[of.name]
+    def error(result: CandidateResult) -> float:
+        if result.name in means:
+            value = means[result.name]
         elif best is None:
-            value = mean_and_error(of.rmse().values())[0]
+            value = mean_and_error(result.rmse().values())[0]
         else:
-            than = paired(of, best)
-            value = means[best.name] + than.mean + than.standard_error  # none of a single record
+            difference = paired_difference(result, best)
+            # the standard error of a single record is NaN, which comes last
+            value = means[best.name] + difference.mean + difference.standard_error
         return value if np.isfinite(value) else np.inf
 
     return sorted(scored, key=error)
 
 
-def simplest(standings: Sequence[Standing], best: Standing) -> Standing:
+def find_simplest(results: Sequence[CandidateResult], best: CandidateResult) -> CandidateResult:
     """The first of some candidates that is as good as the best.
 
     That is: worse by no more than a standard error of the difference, or by a fiftieth.
 
     Args:
-        standings: from the simplest to the most complex.
+        results: from the simplest to the most complex.
         best: the best of them.
     """
-    for standing in standings:
-        than = paired(standing, best)
-        level = _LEVEL * mean_and_error(best.rmse().values())[0]
-        if standing is best or (than.records > 1 and than.mean <= max(than.standard_error, level)):
-            return standing
+    level = _LEVEL * mean_and_error(best.rmse().values())[0]
+    for result in results:
+        difference = paired_difference(result, best)
+        as_good = difference.mean <= max(difference.standard_error, level)
+        if result is best or (difference.records > 1 and as_good):
+            return result
     return best

@@ -1,4 +1,4 @@
-"""Checkpoints: all that a training needs to go on as if it had never stopped.
+"""Checkpoints: files with all that a training needs to go on as if it had never stopped.
 
 Members that train together are in one file: what they compute depends, in the last bits, on who
 trains beside them, so that a resumed run must have the same ones at the same moment.
@@ -42,34 +42,34 @@ class Checkpointer:
 
     def __init__(self, path: Path, task: Task) -> None:
         self._path = path
-        self._belongs = {member.name: fingerprint(task, member) for member in task.members}
+        self._fingerprints = {member.name: fingerprint(task, member) for member in task.members}
         self._written = time.monotonic()
-        self._told: tuple[Progress, ...] = ()
+        self._progress: tuple[Progress, ...] = ()
         self._unwritten: TrainingState | None = None
 
     def __call__(self, state: TrainingState, progress: tuple[Progress, ...]) -> None:
-        """Told after every compiled call."""
-        before, now = ([(p.stage, p.outcome) for p in of] for of in (self._told, progress))
-        changed = self._told and before != now
-        self._told, self._unwritten = progress, state
+        """Takes the state after a compiled call."""
+        before, now = ([(p.stage, p.outcome) for p in row] for row in (self._progress, progress))
+        changed = self._progress and before != now
+        self._progress, self._unwritten = progress, state
         if changed or time.monotonic() - self._written >= _INTERVAL:
             self.flush()
 
     def flush(self) -> None:
-        """Writes the last state that was told, where that was not done yet."""
+        """Writes the last state, where that was not done yet."""
         if self._unwritten is not None:
-            write_checkpoint(self._path, self._unwritten, self._told, self._belongs)
+            write_checkpoint(self._path, self._unwritten, self._progress, self._fingerprints)
             self._written, self._unwritten = time.monotonic(), None
 
 
 def fingerprint(task: Task, member: Member) -> str:
-    """What a checkpoint belongs to: the recipe, the member, its records, physics and origin."""
+    """A digest of the fit of a member: recipe, seed, records, physics and origin."""
     fold = task.folds[member.fold]
     digest = hashlib.sha256(task.recipe.model_dump_json().encode())
     digest.update(member.name.encode())
-    for given in (fold.physics, fold.origin and fold.origin.model):
-        if given is not None:
-            feed_model(digest, given)
+    for model in (fold.physics, fold.origin and fold.origin.model):
+        if model is not None:
+            feed_model(digest, model)
     for role, records in (("train", fold.roles.train), ("validation", fold.roles.validation)):
         for e in records:
             digest.update(f"{role} ".encode())
@@ -86,7 +86,7 @@ def feed_model(digest: Any, model: Model) -> None:
 
 
 def feed_record(digest: Any, experiment: Experiment) -> None:
-    """Adds a record to a digest: its name, what is declared of it, its samples."""
+    """Adds a record to a digest: its name, its declaration, its samples."""
     e = experiment
     digest.update(f"{e.name} {e.channels} {e.k_bar}".encode())
     for array in (e.t, e.q, e.u, e.v):
@@ -97,7 +97,7 @@ def write_checkpoint(
     path: Path,
     state: TrainingState,
     progress: Sequence[Progress],
-    belongs: Mapping[str, str],
+    fingerprints: Mapping[str, str],
 ) -> None:
     """Writes the checkpoint of members that train together, whole or not at all.
 
@@ -105,20 +105,23 @@ def write_checkpoint(
         path: the file.
         state: of all of them.
         progress: of each.
-        belongs: names and fingerprints of each.
+        fingerprints: of each, by name.
     """
     header = {
         "kind": _KIND,
         "stage": max(p.stage for p in progress),
-        "members": dict(belongs),
+        "members": dict(fingerprints),
         "progress": [dataclasses.asdict(p) for p in progress],
     }
-    arrays = {f"{i:04d}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(_plain(state)))}
+    arrays = {
+        f"{i:04d}": np.asarray(leaf)
+        for i, leaf in enumerate(jax.tree.leaves(_with_plain_key(state)))
+    }
     write_sealed(path.parent, path.name, header, arrays)
 
 
 def read_checkpoint(path: Path, task: Task) -> tuple[tuple[Member, ...], ResumePoint | None]:
-    """Those members of a task that a checkpoint has, their state and progress; None of nobody.
+    """The members of a task that a checkpoint has, their state and progress; None of no member.
 
     Raises:
         InputError: damaged, or of another recipe, seed, rate or data set.
@@ -126,12 +129,12 @@ def read_checkpoint(path: Path, task: Task) -> tuple[tuple[Member, ...], ResumeP
     header, arrays = read_sealed(path, [_KIND])
     with convert_errors(path, "not a whole checkpoint", "a checkpoint written by tustinnet",
                   "start anew with --overwrite"):  # fmt: skip
-        kept = list(header["members"].items())
-        named = {member.name: member for member in task.members}
-        rows = [row for row, (name, _) in enumerate(kept) if name in named]
-        members = tuple(named[kept[row][0]] for row in rows)
+        stored_members = list(header["members"].items())
+        by_name = {member.name: member for member in task.members}
+        rows = [row for row, (name, _) in enumerate(stored_members) if name in by_name]
+        members = tuple(by_name[stored_members[row][0]] for row in rows)
         for member, row in zip(members, rows, strict=True):
-            if kept[row][1] != fingerprint(task, member):
+            if stored_members[row][1] != fingerprint(task, member):
                 raise InputError(
                     path,
                     "the checkpoint belongs to another recipe, seed, rate, data set or version",
@@ -140,8 +143,12 @@ def read_checkpoint(path: Path, task: Task) -> tuple[tuple[Member, ...], ResumeP
                 )
         if not members:
             return (), None
-        progress = tuple(_progress_in(header["progress"][row]) for row in rows)
-        template = _plain(make_plan(task.with_members(members)).begin(header["stage"]))
+        fields = {field.name for field in dataclasses.fields(Progress)}
+        contents = [header["progress"][row] for row in rows]
+        if any(content.keys() != fields for content in contents):
+            raise ValueError("a progress with other fields")
+        progress = tuple(_PROGRESS.validate_python(content) for content in contents)
+        template = _with_plain_key(make_plan(task.with_members(members)).begin(header["stage"]))
         leaves, structure = jax.tree.flatten(template)
         stored = [arrays[name] for name in sorted(arrays)]
         if [(a.shape, a.dtype) for a in leaves] != [
@@ -153,13 +160,7 @@ def read_checkpoint(path: Path, task: Task) -> tuple[tuple[Member, ...], ResumeP
     return members, (plain._replace(weights=plain.weights._replace(key=key)), progress)
 
 
-def _progress_in(content: dict[str, Any]) -> Progress:
-    if content.keys() != {field.name for field in dataclasses.fields(Progress)}:
-        raise ValueError("a progress with other fields")
-    return _PROGRESS.validate_python(content)
-
-
-def _plain(state: TrainingState) -> Any:
-    """The same state with the key as plain numbers."""
+def _with_plain_key(state: TrainingState) -> Any:
+    """A state with the key as plain numbers."""
     key = jax.random.key_data(state.weights.key)
     return state._replace(weights=state.weights._replace(key=key))

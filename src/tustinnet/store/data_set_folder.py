@@ -7,7 +7,6 @@ import tomli_w
 
 from tustinnet.data.catalog import CARD_NAME
 from tustinnet.data.dataset import DataSet
-from tustinnet.data.experiment import Experiment
 from tustinnet.store.files import require_outputs, require_writable_folder, write_into
 
 
@@ -21,7 +20,7 @@ def write_data_set(
     Args:
         data: the records.
         folder: where to; a file a record in a subfolder a split.
-        description: what the card says of them.
+        description: a sentence for the card.
         overwrite: replace files that are there.
 
     Returns:
@@ -32,33 +31,29 @@ def write_data_set(
     require_outputs([card, *(folder / file for file in files.values())], overwrite=overwrite)
     require_writable_folder(folder)
     for e in data:
-        write_into(folder, files[e.name], _rows(e))
+        columns = [e.u, e.q, e.t[:, None], *([] if e.v is None else [e.v])]
+        lines = [",".join(f"{x:.9g}" for x in row) for row in np.concatenate(columns, axis=1)]
+        write_into(folder, files[e.name], "".join(f"{line}\n" for line in lines))
     write_into(folder, CARD_NAME, _card(data, files, description))
     return card
 
 
-def _rows(e: Experiment) -> str:
-    columns = [e.u, e.q, e.t[:, None], *([] if e.v is None else [e.v])]
-    table = np.concatenate(columns, axis=1)
-    return "".join(",".join(f"{x:.9g}" for x in row) + "\n" for row in table)
-
-
 def _card(data: DataSet, files: dict[str, str], description: str) -> str:
-    first, of = data[0], data.channels
-    time = of.n_u + of.n_q + 1
+    first, channels = data[0], data.channels
+    time = channels.n_u + channels.n_q + 1
     inputs = [
         {"name": i.name, "column": k, "unit": i.unit, "hold": i.hold or "zero-order"}
         | ({} if i.delay == 0 else {"delay": "unknown" if i.delay is None else i.delay})
         | ({"limits": list(i.limits)} if i.limits else {})
-        for k, i in enumerate(of.inputs, 1)
+        for k, i in enumerate(channels.inputs, 1)
     ]
     coordinates = [
         {"name": c.name, "kind": c.kind, "column": k, "unit": c.unit}
         | ({"resolution": c.resolution} if c.resolution else {})
         | ({} if first.v is None else {"velocity": {
-            "column": k + of.n_q + 1, "unit": f"{c.unit}/s", "measured": first.v_measured,
+            "column": k + channels.n_q + 1, "unit": f"{c.unit}/s", "measured": first.v_measured,
         }})
-        for k, c in enumerate(of.coordinates, of.n_u + 1)
+        for k, c in enumerate(channels.coordinates, channels.n_u + 1)
     ]  # fmt: skip
     splits = {
         split: [
@@ -72,7 +67,7 @@ def _card(data: DataSet, files: dict[str, str], description: str) -> str:
         "name": data.name,
         "description": description,
         "dt": data.dt,
-        "format": {"header": False, "columns": time + (0 if first.v is None else of.n_q)},
+        "format": {"header": False, "columns": time + (0 if first.v is None else channels.n_q)},
         "time": {"column": time},
         "inputs": inputs,
         "coordinates": coordinates,

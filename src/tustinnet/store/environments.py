@@ -11,7 +11,7 @@ from tustinnet.export.source import make_source
 from tustinnet.models.contract import Model
 from tustinnet.simulate.range import KEY, Range
 from tustinnet.store.header import read_header
-from tustinnet.store.kept_system import is_trusted, kept_with
+from tustinnet.store.kept_system import find_system_copy, is_trusted
 from tustinnet.store.model_file import load_model
 from tustinnet.systems.files import AnySystem
 
@@ -36,7 +36,7 @@ def environment(model: str | Path | Model, **options: Any) -> ModelEnv:
 def environments(
     num_envs: int, model: str | Path | Model, max_episode_steps: int | None = None, **options: Any
 ) -> ModelVectorEnv:
-    """Many that step at once: `gymnasium.make_vec("tustinnet.gym:TustinNet-v0", 64, model=...)`.
+    """Environments that step at once; the vector entry point of `tustinnet.gym:TustinNet-v0`.
 
     Args:
         num_envs: how many.
@@ -56,19 +56,16 @@ def _rules(
     system: AnySystem | None = None,
     groups: Mapping[str, str] | None = None,
     range: Mapping[str, Any] | None = None,
-    **asked: Any,
+    **options: Any,
 ) -> Rules:
     # in double precision, whatever else JAX is used for
     with jax.enable_x64(True):
-        found, about = _opened(model, system)
-        told = about if range is None else {KEY: range}
-        return Rules(make_source(found, Range.from_header(told, found), groups, about), **asked)
-
-
-def _opened(model: str | Path | Model, system: AnySystem | None) -> tuple[Model, Mapping[str, Any]]:
-    """A model, and what its file says; code is run where it is named or trusted."""
-    if isinstance(model, Model):
-        return model, {}
-    kept = kept_with(Path(model)) if system is None else None
-    trusted = kept if kept is not None and is_trusted(kept) else None
-    return load_model(model, system or trusted), read_header(model)
+        header: Mapping[str, Any] = {}
+        if not isinstance(model, Model):
+            path = model
+            # code is run where it is named or trusted
+            kept = find_system_copy(Path(path)) if system is None else None
+            trusted = kept if kept is not None and is_trusted(kept) else None
+            model, header = load_model(path, system or trusted), read_header(path)
+        limits = Range.from_header(header if range is None else {KEY: range}, model)
+        return Rules(make_source(model, limits, groups, header), **options)

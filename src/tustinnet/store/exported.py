@@ -19,9 +19,9 @@ from tustinnet.registry import TARGETS
 from tustinnet.simulate.range import Range
 from tustinnet.store.files import (
     PART,
+    remove_partial_files,
     require_outputs,
     require_writable_folder,
-    sweep,
     to_json,
     write_into,
 )
@@ -36,7 +36,7 @@ To = str | Target | Sequence[str | Target]
 
 
 @dataclass(frozen=True)
-class Exported:
+class ExportResult:
     """A model that was exported.
 
     Attributes:
@@ -44,7 +44,7 @@ class Exported:
         folder: where its files are.
         files: their names.
         checked: how they compare with the model.
-        notes: what whoever uses them has to know.
+        notes: remarks for those who use them.
     """
 
     target: str
@@ -62,13 +62,13 @@ def export_model(
     file: str | Path | None = None,
     groups: Mapping[str, str] | None = None,
     overwrite: bool = False,
-) -> list[Exported]:
+) -> list[ExportResult]:
     """Writes a model in other forms, each compared with the model before it is written.
 
     Args:
         model: a model that steps from sample to sample.
         to: a target (`c`, `fmu`, `casadi`, `onnx`, `js`, `stablehlo`, `mat`), several, or `all`;
-            by name, or as `targets_of` makes it with an operating point.
+            by name, or as `find_targets` makes it with an operating point.
         out: the folder; of several targets each gets a folder of its name in it.
         file: the model's file. From it the card takes data and scores, and the check takes the
             range of the training records.
@@ -84,27 +84,37 @@ def export_model(
             a model that the target cannot say; a step that differs from the model's. Nothing is
             written then.
     """
-    targets = targets_of(to)
+    targets = find_targets(to)
     _require_extras(targets)
     require_stepping(model)
-    about = {} if file is None else read_header(file)
-    if file is not None and about["kind"] != family_of(model).kind:
+    header = {} if file is None else read_header(file)
+    if file is not None and header["kind"] != family_of(model).kind:
         raise InputError(
-            file, f"the file of a model of the kind '{about['kind']}'",
+            file, f"the file of a model of the kind '{header['kind']}'",
             f"that of the model given, of the kind '{family_of(model).kind}'",
         )  # fmt: skip
-    source = make_source(model, Range.from_header(about, model), groups, about)
+    source = make_source(model, Range.from_header(header, model), groups, header)
     folders = [Path(out) / t.name if len(targets) > 1 else Path(out) for t in targets]
     for folder in folders:
-        _require_room(folder, overwrite=overwrite)
-    made = [_made(source, t, file, folder) for t, folder in zip(targets, folders, strict=True)]
-    for exported, files in made:
-        _write_anew(exported.folder, files)
-    return [exported for exported, _ in made]
+        # an empty folder, or an export that may be replaced
+        entries = folder.iterdir() if folder.is_dir() else ()
+        if any(not e.name.endswith(PART) for e in entries) and not _holds_export(folder):
+            raise InputError(
+                folder, "a folder that holds something else", "an empty folder",
+                "choose another --out",
+            )  # fmt: skip
+        require_outputs([folder / CARD], overwrite=overwrite)
+    exports = [_export(source, t, file, folder) for t, folder in zip(targets, folders, strict=True)]
+    for result, files in exports:
+        require_writable_folder(result.folder)
+        remove_partial_files(result.folder)
+        _remove_obsolete_files(result.folder, files)
+        _write(result.folder, files)
+    return [result for result, _ in exports]
 
 
 def _require_extras(targets: Sequence[Target]) -> None:
-    """Raises for all targets together unless the libraries are here that they need."""
+    """Raises, for all targets together, unless the libraries that they need are installed."""
     lacking = []
     for target in targets:
         try:
@@ -122,7 +132,7 @@ def _require_extras(targets: Sequence[Target]) -> None:
         )  # fmt: skip
 
 
-def targets_of(to: To, at: Mapping[str, float] | None = None) -> list[Target]:
+def find_targets(to: To, at: Mapping[str, float] | None = None) -> list[Target]:
     """Targets by name; `all` of them.
 
     Args:
@@ -131,36 +141,26 @@ def targets_of(to: To, at: Mapping[str, float] | None = None) -> list[Target]:
             as `{"theta": 0.1}`; those that are not named are 0.
 
     Raises:
-        InputError: a target that is not known, or twice; an operating point for none that has one.
+        InputError: an unknown target, or one twice; an operating point for none that has one.
     """
     listed = [name.strip() for name in to.split(",")] if isinstance(to, str) else to
-    given = [listed] if isinstance(listed, Target) else list(listed)
-    if ALL in given and len(given) > 1:
+    requested = [listed] if isinstance(listed, Target) else list(listed)
+    if ALL in requested and len(requested) > 1:
         raise InputError("--to", "'all' beside others", "all by itself, or targets by name")
-    given = list(TARGETS.names()) if given == [ALL] else given
-    found: list[Target] = [g if isinstance(g, Target) else TARGETS[g] for g in given]
-    names = [target.name for target in found]
-    if not found or len(set(names)) < len(names):
+    requested = list(TARGETS.names()) if requested == [ALL] else requested
+    targets: list[Target] = [r if isinstance(r, Target) else TARGETS[r] for r in requested]
+    names = [target.name for target in targets]
+    if not targets or len(set(names)) < len(names):
         raise InputError("--to", f"'{','.join(names)}'", "targets, none of them twice")
     if not at:
-        return found
-    moved = [target.at_operating_point(at) for target in found]
-    if moved == found:
+        return targets
+    moved = [target.at_operating_point(at) for target in targets]
+    if moved == targets:
         raise InputError(
             "--at", f"an operating point for {', '.join(names)}", "a target that has one",
             "leave it out, or add mat to --to",
         )  # fmt: skip
     return moved
-
-
-def _require_room(folder: Path, *, overwrite: bool) -> None:
-    """Raises unless a folder is empty, or holds an export that may be replaced."""
-    entries = folder.iterdir() if folder.is_dir() else ()
-    if any(not e.name.endswith(PART) for e in entries) and not _holds_export(folder):
-        raise InputError(
-            folder, "a folder that holds something else", "an empty folder", "choose another --out"
-        )
-    require_outputs([folder / CARD], overwrite=overwrite)
 
 
 def _holds_export(folder: Path) -> bool:
@@ -170,40 +170,33 @@ def _holds_export(folder: Path) -> bool:
         return False
 
 
-def _made(
+def _export(
     source: Source, target: Target, file: str | Path | None, folder: Path
-) -> tuple[Exported, Files]:
+) -> tuple[ExportResult, Files]:
     """The files of a target, compared with the model; the card among them."""
     files = target.files(source)
     with tempfile.TemporaryDirectory() as place:
         _write(Path(place), files)
         try:
-            found = check_export(source, target, target.stepper(Path(place), source))
+            check = check_export(source, target, target.stepper(Path(place), source))
         except NotRunnable as unbuilt:
             alike = check_export(source, target, lambda x, u: run(source.step, x=x, u=u)["x"])
             note = f"not run here: {unbuilt}; what it is written from was compared"
-            found = CheckResult(alike.steps, alike.difference, note)
-    made = Exported(target.name, folder, (*files, CARD), found, source.notes)
+            check = CheckResult(alike.steps, alike.difference, note)
+    result = ExportResult(target.name, folder, (*files, CARD), check, source.notes)
     # first the card: where writing was stopped, it says that the folder is an export's
-    return made, {CARD: to_json(_card(source, target, files, found, file)), **files}
+    return result, {CARD: to_json(_make_card(source, target, files, check, file)), **files}
 
 
-def _write_anew(folder: Path, files: Files) -> None:
-    require_writable_folder(folder)
-    sweep(folder)
-    _discard_earlier(folder, files)
-    _write(folder, files)
-
-
-def _discard_earlier(folder: Path, files: Files) -> None:
-    """Removes what an earlier export left that this one does not replace, as it was written."""
+def _remove_obsolete_files(folder: Path, files: Files) -> None:
+    """Removes files of an earlier export that this one does not replace, if they are unchanged."""
     try:
         earlier = json.loads((folder / CARD).read_text(encoding="utf-8"))["files"].items()
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return
-    for path, digest in ((folder / name, of) for name, of in earlier if name not in files):
-        ours = path.parent == folder and path.is_file()
-        if ours and sha256(path.read_bytes()).hexdigest() == digest:
+    for path, digest in ((folder / name, digest) for name, digest in earlier if name not in files):
+        in_folder = path.parent == folder and path.is_file()
+        if in_folder and sha256(path.read_bytes()).hexdigest() == digest:
             path.unlink()
 
 
@@ -212,13 +205,13 @@ def _write(folder: Path, files: Files) -> None:
         write_into(folder, name, content)
 
 
-def _card(
-    source: Source, target: Target, files: Files, found: CheckResult, file: str | Path | None
+def _make_card(
+    source: Source, target: Target, files: Files, check: CheckResult, file: str | Path | None
 ) -> dict[str, Any]:
-    """What an exported folder says of itself."""
-    channels, known = source.channels, source.range
-    ranges = [None] * source.n_x if known is None else known.states.tolist()
-    acting = [None] * channels.n_u if known is None else known.inputs.tolist()
+    """The card of an exported folder."""
+    channels, limits = source.channels, source.range
+    state_limits = [None] * source.n_x if limits is None else limits.states.tolist()
+    input_limits = [None] * channels.n_u if limits is None else limits.inputs.tolist()
     contents = {k: v.encode() if isinstance(v, str) else v for k, v in files.items()}
     return {
         "form": _MARK,
@@ -232,12 +225,12 @@ def _card(
         "period": source.channels.dt,
         "states": [
             {"name": name, "unit": unit, "range": ends}
-            for name, unit, ends in zip(source.states, source.units, ranges, strict=True)
+            for name, unit, ends in zip(source.states, source.units, state_limits, strict=True)
         ],
         "inputs": [
             {"name": i.name, "unit": i.unit, "hold": i.hold or "zero-order", "delay": i.delay,
              "limits": i.limits, "range": ends}
-            for i, ends in zip(channels.inputs, acting, strict=True)
+            for i, ends in zip(channels.inputs, input_limits, strict=True)
         ],
         "parameters": [
             {"name": name, "unit": unit, "value": value}
@@ -246,8 +239,8 @@ def _card(
         "samples": list(source.input_layout.offsets),
         "warm_up": source.model.warm_up,
         "scores": source.about.get("scores"),
-        "check": {"steps": found.steps, "difference": found.difference,
-                  "bound": target.bound, "note": found.note},
+        "check": {"steps": check.steps, "difference": check.difference,
+                  "bound": target.bound, "note": check.note},
         "notes": list(source.notes),
         "versions": package_versions(),
     }  # fmt: skip

@@ -45,7 +45,7 @@ def write_into(folder: Path, name: str, content: bytes | str) -> None:
         finally:
             temporary.unlink(missing_ok=True)
     except OSError as error:
-        raise unwritable(path, error) from error
+        raise unwritable_error(path, error) from error
 
 
 def require_writable_folder(folder: Path) -> None:
@@ -56,14 +56,14 @@ def require_writable_folder(folder: Path) -> None:
         probe.touch()
         probe.unlink()
     except OSError as error:
-        raise unwritable(folder, error) from error
+        raise unwritable_error(folder, error) from error
 
 
-def sweep(folder: Path) -> None:
-    """Removes what killed processes left half-written in a folder and those in it."""
+def remove_partial_files(folder: Path) -> None:
+    """Removes half-written files of killed processes in a folder and those in it."""
     for pattern in (f".*{PART}", f"*/.*{PART}"):
-        for left in folder.glob(pattern):
-            left.unlink(missing_ok=True)
+        for path in folder.glob(pattern):
+            path.unlink(missing_ok=True)
 
 
 def remove_below(folder: Path, names: Collection[str]) -> None:
@@ -76,10 +76,10 @@ def remove_below(folder: Path, names: Collection[str]) -> None:
 
 
 @contextmanager
-def owned(folder: Path) -> Iterator[None]:
-    """A folder that one run writes into, made where it is not there.
+def lock_folder(folder: Path) -> Iterator[None]:
+    """Locks a folder for the one run that writes into it; makes it where it is not there.
 
-    What killed runs left half-written is removed. The lock is on the folder itself: it leaves no
+    Half-written files of killed runs are removed. The lock is on the folder itself: it leaves no
     file, and ends with the process however that ends.
 
     Raises:
@@ -100,7 +100,7 @@ def owned(folder: Path) -> Iterator[None]:
     except OSError:
         pass  # a file system without locks
     try:
-        sweep(folder)
+        remove_partial_files(folder)
         yield
     finally:
         if descriptor is not None:
@@ -128,10 +128,10 @@ def require_outputs(
     """
     # `os.path`, for which what cannot be looked at is not there
     listed = list(paths)
-    there = [path for path in listed if os.path.exists(path)]  # noqa: PTH110
+    existing = [path for path in listed if os.path.exists(path)]  # noqa: PTH110
     sources = [source for source in read if os.path.exists(source)]  # noqa: PTH110
     for path in listed:
-        if path in there and any(path.samefile(source) for source in sources):
+        if path in existing and any(path.samefile(source) for source in sources):
             raise InputError(path, "what the command reads", "another file for what it writes")
         if endings and path.suffix.lower() not in endings:
             raise InputError(
@@ -139,10 +139,10 @@ def require_outputs(
             )
         if endings and path.is_dir():
             raise InputError(path, "a folder", "a file")
-    if there and not overwrite:
-        more = f" and {len(there) - 1} more" if len(there) > 1 else ""
+    if existing and not overwrite:
+        more = f" and {len(existing) - 1} more" if len(existing) > 1 else ""
         raise InputError(
-            there[0],
+            existing[0],
             f"there already{more}",
             "a new file",
             "choose another place, or add --overwrite",
@@ -151,22 +151,22 @@ def require_outputs(
 
 def to_json(content: Any) -> str:
     """JSON for people and programs: indented; numbers that are not finite become null."""
-    return json.dumps(finite(content), indent=1, ensure_ascii=False) + "\n"
+    return json.dumps(nonfinite_to_none(content), indent=1, ensure_ascii=False) + "\n"
 
 
-def finite(content: Any) -> Any:
-    """The same content with None where a number is not finite, which JSON cannot say."""
+def nonfinite_to_none(content: Any) -> Any:
+    """Content with None where a number is not finite, which JSON cannot say."""
     if isinstance(content, dict):
-        return {key: finite(value) for key, value in content.items()}
+        return {key: nonfinite_to_none(value) for key, value in content.items()}
     if isinstance(content, list | tuple):
-        return [finite(value) for value in content]
+        return [nonfinite_to_none(value) for value in content]
     if isinstance(content, float) and not math.isfinite(content):
         return None
     return content
 
 
-def unwritable(path: Path, error: OSError) -> InputError:
-    """What is said of a file that cannot be written."""
+def unwritable_error(path: Path, error: OSError) -> InputError:
+    """The error of a file that cannot be written."""
     blocked = isinstance(error, FileExistsError | NotADirectoryError)
     reason = "a file stands where a folder is needed" if blocked else error.strerror or str(error)
     return InputError(

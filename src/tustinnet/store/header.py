@@ -18,7 +18,7 @@ ORIGIN = "from"  # in headers: the model that a fit began with
 
 
 class _Header(Declaration):
-    """What the header of every model file says; the rest is its family's, and the fit's."""
+    """The keys in the header of every model file; the rest is its family's, and the fit's."""
 
     model_config = ConfigDict(extra="allow", allow_inf_nan=False)
 
@@ -53,8 +53,8 @@ def read_header_and_arrays(path: Path) -> tuple[dict[str, Any], dict[str, np.nda
     return header, arrays
 
 
-def shown(path: str | Path) -> tuple[dict[str, Any], list[tuple[str, str]]]:
-    """The header of a model file, and what the model's family tells of it.
+def read_description(path: str | Path) -> tuple[dict[str, Any], list[tuple[str, str]]]:
+    """The header of a model file, and the description of the model by its family.
 
     Raises:
         InputError: as `load_model`.
@@ -64,19 +64,20 @@ def shown(path: str | Path) -> tuple[dict[str, Any], list[tuple[str, str]]]:
         return header, summarise(header, arrays)
 
 
-def records_in(header: Mapping[str, Any]) -> dict[str, str]:
+def records_in_header(header: Mapping[str, Any]) -> dict[str, str]:
     """The records that a model was made from: names by checksum.
 
-    A fit trains with the records of `train`, a selection with all but those of `test`; what was
-    put together was made from the records of all its parts.
+    A fit trains with the records of `train`, a selection with all but those of `test`; a committee
+    was made from the records of all its parts.
     """
     listed = header.get("data", {}).get("records", ())
-    chosen = "selection" in header
-    found = {
-        of["sha256"]: of["name"]
-        for of in listed
-        if of["sha256"] and (of["split"] != "test" if chosen else of["split"] == "train")
+    selected = "selection" in header
+    records = {
+        record["sha256"]: record["name"]
+        for record in listed
+        if record["sha256"]
+        and (record["split"] != "test" if selected else record["split"] == "train")
     }
     for part in header.get("files", ()):
-        found |= records_in(part)
-    return found | header.get(ORIGIN, {}).get("made_from", {})
+        records |= records_in_header(part)
+    return records | header.get(ORIGIN, {}).get("made_from", {})

@@ -9,7 +9,7 @@ from typing import Any
 
 from tustinnet.fitting.gradient.state import Progress
 from tustinnet.fitting.listener import EpochReport, Iteration, StageResult
-from tustinnet.store.files import finite, unwritable, write_into
+from tustinnet.store.files import nonfinite_to_none, unwritable_error, write_into
 
 LOG = "log.jsonl"
 DAMAGED = "log.damaged.jsonl"
@@ -17,10 +17,10 @@ DAMAGED = "log.damaged.jsonl"
 
 def read_log(folder: Path) -> list[dict[str, Any]]:
     """The training log of a member's folder, a mapping an epoch, up to where it is damaged."""
-    return _sound(_content(folder))
+    return _valid_epochs(_read_bytes(folder))
 
 
-def _content(folder: Path) -> bytes:
+def _read_bytes(folder: Path) -> bytes:
     """A folder's log, empty where there is none."""
     try:
         return (folder / LOG).read_bytes()
@@ -28,21 +28,22 @@ def _content(folder: Path) -> bytes:
         return b""
 
 
-def is_end(entry: Mapping[str, Any]) -> bool:
+def is_stage_end(entry: Mapping[str, Any]) -> bool:
     """Whether a line of an identification's log is the end of a stage, not an iteration."""
     return "parameters" in entry
 
 
-def read_search(folder: Path) -> list[dict[str, Any]]:
+def read_search_log(folder: Path) -> list[dict[str, Any]]:
     """The log of an identification, up to where it is damaged: iterations, and ends of stages."""
-    found = []
-    for entry in _entries(_content(folder)):
-        if not any(_has(entry, types) for types in (_ITERATION, _STAGE)):
+    entries = []
+    for entry in _entries(_read_bytes(folder)):
+        if not any(_has_types(entry, types) for types in (_ITERATION, _STAGE)):
             break
-        if not all(_is_number(value) for value in entry.get("parameters", {}).values()):
+        values = entry.get("parameters", {}).values()
+        if not all(value is None or isinstance(value, int | float) for value in values):
             break
-        found.append(entry)
-    return found
+        entries.append(entry)
+    return entries
 
 
 _ITERATION: dict[str, Any] = {
@@ -54,12 +55,8 @@ _STAGE: dict[str, Any] = {
 }  # fmt: skip
 
 
-def _is_number(value: object) -> bool:
-    return value is None or isinstance(value, int | float)
-
-
-# a line has what is reported of an epoch; numbers that are not finite are null. Each member has a
-# log of its own, and how long it took is not what a resumed run would find again
+# a line has the report of an epoch; numbers that are not finite are null. Each member has a log of
+# its own, and the time that it took differs when a run is resumed
 _LEFT_OUT = ("member", "seconds", "compiling")
 _TYPES: dict[str, Any] = {
     field.name: float | None if field.type is float else field.type
@@ -68,14 +65,14 @@ _TYPES: dict[str, Any] = {
 }
 
 
-def _sound(content: bytes) -> list[dict[str, Any]]:
+def _valid_epochs(content: bytes) -> list[dict[str, Any]]:
     """The epochs of a log up to the first line that is none."""
-    found = []
+    epochs = []
     for entry in _entries(content):
-        if not _has(entry, _TYPES) or not _follows(entry, found):
+        if not _has_types(entry, _TYPES) or not _follows(entry, epochs):
             break
-        found.append(entry)
-    return found
+        epochs.append(entry)
+    return epochs
 
 
 def _entries(content: bytes) -> Iterator[dict[str, Any]]:
@@ -90,7 +87,7 @@ def _entries(content: bytes) -> Iterator[dict[str, Any]]:
         yield entry
 
 
-def _has(entry: Mapping[str, Any], types: Mapping[str, Any]) -> bool:
+def _has_types(entry: Mapping[str, Any], types: Mapping[str, Any]) -> bool:
     """Whether a line has just these keys, with values of these kinds."""
     return entry.keys() == types.keys() and all(
         isinstance(entry[key], kind) for key, kind in types.items()
@@ -106,10 +103,10 @@ def _follows(entry: Mapping[str, Any], before: Sequence[Mapping[str, Any]]) -> b
     return again or entry["epoch"] == last["epoch"] + 1
 
 
-class Log:
+class TrainingLog:
     """A line of JSON an epoch; a resumed run drops the lines it is about to repeat.
 
-    A log that is damaged, or shorter than the checkpoint says, is set aside and said so.
+    A log that is damaged, or shorter than the checkpoint says, is set aside with a remark.
     """
 
     def __init__(
@@ -119,7 +116,7 @@ class Log:
         kept: list[dict[str, Any]] = []
         if resumed:
             before = self._path.read_bytes() if self._path.is_file() else b""
-            kept = _sound(before)[: resumed.reported]
+            kept = _valid_epochs(before)[: resumed.reported]
             if len(kept) < resumed.reported:
                 write_into(folder, DAMAGED, before)
                 remark(
@@ -143,29 +140,29 @@ class SearchLog:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._begun: _Lines | None = None
+        self._file: _Lines | None = None
 
     @property
     def _lines(self) -> "_Lines":
         """The file, made with the first line: what is refused before leaves none behind."""
-        if self._begun is None:
+        if self._file is None:
             write_into(self._folder, LOG, "")
-            self._begun = _Lines(self._folder / LOG)
-        return self._begun
+            self._file = _Lines(self._folder / LOG)
+        return self._file
 
-    def iteration(self, of: Iteration) -> None:
+    def write_iteration(self, iteration: Iteration) -> None:
         """Adds an iteration."""
-        told = dataclasses.asdict(of)
-        self._lines.write({"stage": told.pop("stage"), "iteration": told.pop("number"), **told})
+        line = dataclasses.asdict(iteration)
+        self._lines.write({"stage": line.pop("stage"), "iteration": line.pop("number"), **line})
 
-    def stage(self, of: StageResult) -> None:
+    def write_stage(self, stage: StageResult) -> None:
         """Adds the end of a stage."""
-        self._lines.write(dataclasses.asdict(of))
+        self._lines.write(dataclasses.asdict(stage))
 
     def close(self) -> None:
         """Ends it."""
-        if self._begun is not None:
-            self._begun.close()
+        if self._file is not None:
+            self._file.close()
 
 
 class _Lines:
@@ -176,18 +173,18 @@ class _Lines:
         try:
             self._file = path.open("ab")
         except OSError as error:
-            raise unwritable(path, error) from error
+            raise unwritable_error(path, error) from error
 
     def write(self, line: dict[str, Any]) -> None:
         """Adds a line."""
         try:
             self._path.stat()  # raises where the folder was removed, which writing would not
-            self._file.write(json.dumps(finite(line)).encode() + b"\n")
+            self._file.write(json.dumps(nonfinite_to_none(line)).encode() + b"\n")
             self._file.flush()
         except OSError as error:
-            raise unwritable(self._path, error) from error
+            raise unwritable_error(self._path, error) from error
 
     def close(self) -> None:
         """Ends it."""
-        with suppress(OSError):  # what could not be written was said already
+        with suppress(OSError):  # errors of writing were raised before
             self._file.close()

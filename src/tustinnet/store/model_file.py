@@ -1,7 +1,7 @@
 """The model file: one safetensors file, arrays plus a JSON header; it knows no family."""
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -11,10 +11,9 @@ from tustinnet.families.family import family_of, systems_in
 from tustinnet.fitting.report import Stretch
 from tustinnet.fitting.task import Origin
 from tustinnet.models.contract import Model
-from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.registry import FAMILIES
-from tustinnet.store.files import finite
-from tustinnet.store.header import read_header, read_header_and_arrays, records_in
+from tustinnet.store.files import nonfinite_to_none
+from tustinnet.store.header import read_header, read_header_and_arrays, records_in_header
 from tustinnet.store.sealed import SEAL, write_sealed
 from tustinnet.systems.files import AnySystem, SystemFile, load_system
 
@@ -28,7 +27,7 @@ def save(model: Model, path: str | Path, **header: Any) -> None:
     Args:
         model: the model, of any registered kind.
         path: the file, usually ending in `.safetensors`.
-        header: what else the file shall say: recipe, data, scores.
+        header: further entries of the file: recipe, data, scores.
 
     Raises:
         InputError: a model of no registered kind, or the file cannot be written.
@@ -42,7 +41,7 @@ def save(model: Model, path: str | Path, **header: Any) -> None:
         **header,
         "versions": package_versions(),
     }
-    write_sealed(Path(path).parent, Path(path).name, finite(content), arrays)
+    write_sealed(Path(path).parent, Path(path).name, nonfinite_to_none(content), arrays)
 
 
 def package_versions() -> dict[str, str]:
@@ -50,20 +49,20 @@ def package_versions() -> dict[str, str]:
     return {name: metadata.version(name) for name in _PACKAGES}
 
 
-def copy_with(path: Path, out: Path, **more: Any) -> None:
+def copy_with_header(path: Path, out: Path, **more: Any) -> None:
     """Writes a copy of a model file whose header says more.
 
     Args:
         path: the model file.
         out: the copy.
-        more: what its header shall say beside what it says already, or instead.
+        more: entries of its header beside those that it has, or instead.
 
     Raises:
         InputError: as `load_model` and `save`.
     """
     header, arrays = read_header_and_arrays(path)
     header.pop(SEAL, None)
-    write_sealed(out.parent, out.name, finite({**header, **more}), arrays)
+    write_sealed(out.parent, out.name, nonfinite_to_none({**header, **more}), arrays)
 
 
 def load_model(path: str | Path, system: AnySystem | None = None) -> Model:
@@ -81,7 +80,7 @@ def load_model(path: str | Path, system: AnySystem | None = None) -> Model:
     header, arrays = read_header_and_arrays(Path(path))
     if system is not None and not _systems_in(header, path):
         raise InputError(
-            f"system for {path}", f"means nothing to a model of kind '{header['kind']}'",
+            f"system for {path}", f"not applicable to a model of kind '{header['kind']}'",
             "a model of a system", "leave --system out",
         )  # fmt: skip
     with convert_errors(path, "header and arrays do not fit", "a file written by tustinnet"):
@@ -91,15 +90,14 @@ def load_model(path: str | Path, system: AnySystem | None = None) -> Model:
 def load_origin(path: Path, system: AnySystem | None = None) -> Origin:
     """A fitted model to begin a fit with.
 
-    What the files of the fit say of it: its file, the SHA-256 of that, and the records that it was
-    made from.
+    The files of the fit name its file, the SHA-256 of that, and the records that it was made from.
 
     Raises:
         InputError: as `load_model`.
     """
     model = load_model(path, system)
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    made_from = records_in(read_header(path))
+    made_from = records_in_header(read_header(path))
     return Origin(model, {"file": str(path), "sha256": digest, "made_from": made_from})
 
 
@@ -108,46 +106,41 @@ def load_models(
     systems: Sequence[SystemFile | str],
     otherwise: Callable[[Path], AnySystem | None],
 ) -> list[Model]:
-    """Reads several models; each finds its own of some systems by name and by what it computes.
+    """Reads several models; each takes its system by name and by what it computes.
 
     Args:
         paths: the model files.
         systems: packaged systems by name, or system files; each file is run once.
-        otherwise: gives the system of a model that none of these is called like.
+        otherwise: returns the system of a model that none of these is called like.
 
     Raises:
         InputError: as `load_model`; a model that none of its namesakes fits, a system that fits
             none of the models.
     """
-    given = [(which, load_system(which)) for which in systems]
-    fitted, models = set(), []
+    loaded = [(which, load_system(which)) for which in systems]
+    used, models = set(), []
     for path in paths:
-        name = system_of(path)
-        namesakes = {i: system for i, (_, system) in enumerate(given) if system.name == name}
-        fits = _fitting(path, namesakes)
-        fitted |= fits.keys()
-        models.append(next(iter(fits.values())) if fits else load_model(path, otherwise(path)))
-    for i, (which, system) in enumerate(given):
-        if i not in fitted:
+        name = read_system_name(path)
+        matches, refusals = {}, []
+        for i, (_, system) in enumerate(loaded):
+            if system.name == name:
+                try:
+                    matches[i] = load_model(path, system)
+                except InputError as error:
+                    refusals.append(error)
+        if refusals and not matches:
+            raise refusals[0]
+        used |= matches.keys()
+        model = next(iter(matches.values())) if matches else load_model(path, otherwise(path))
+        models.append(model)
+    for i, (which, system) in enumerate(loaded):
+        if i not in used:
             where = f"--system {which if isinstance(which, str) else which.path}"
             raise InputError(where, f"'{system.name}', which no model is of", "a model's system")
     return models
 
 
-def _fitting(path: Path, systems: Mapping[int, LagrangianSystem]) -> dict[int, Model]:
-    """The model with each of some systems of its system's name that computes what it should."""
-    fits, refusals = {}, []
-    for i, system in systems.items():
-        try:
-            fits[i] = load_model(path, system)
-        except InputError as error:
-            refusals.append(error)
-    if refusals and not fits:
-        raise refusals[0]
-    return fits
-
-
-def system_of(path: str | Path) -> str:
+def read_system_name(path: str | Path) -> str:
     """The name of the system that a model file belongs to, or a part of its model; or ""."""
     return "".join(_systems_in(read_header(path), path)[:1])
 
@@ -157,15 +150,15 @@ def _systems_in(header: dict[str, Any], path: str | Path) -> tuple[str, ...]:
         return systems_in(header)
 
 
-def downweighted_in(path: str | Path) -> list[Stretch]:
+def read_downweighted(path: str | Path) -> list[Stretch]:
     """The stretches that weighed less than half in the identification of a file's model, if any.
 
     Raises:
         InputError: the file has something else there.
     """
-    told = read_header(path).get("identification")
+    identification = read_header(path).get("identification")
     try:
-        return [Stretch(**s) for s in (told or {}).get("downweighted", ())]
+        return [Stretch(**s) for s in (identification or {}).get("downweighted", ())]
     except (TypeError, AttributeError) as error:
         raise InputError(
             path, "an account of its identification that is damaged", "stretches of records"

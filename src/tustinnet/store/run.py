@@ -2,19 +2,20 @@
 
 folder/model.safetensors              the model, of several members the best one's
 folder/summary.json                   the account: every member and the spread
-folder/question.json                  what was asked: recipe, records, system
+folder/question.json                  the specification: recipe, records, system
 folder/system.py                      a copy of the system's file, where one was given
 folder/report.html                    the page of it, written by the command when all else is there
 folder/log.jsonl                      of identifications: one line an iteration and a stage
 folder/seed-0/model.safetensors       of trainings: the best weights of that seed
 folder/seed-0/log.jsonl               one line an epoch
-folder/seed-0/checkpoint.safetensors  what `resume` goes on from, of all that train together
+folder/seed-0/checkpoint.safetensors  for `resume`, of all members that train together
 
 Members whose rates have a factor have folders like seed-0-rate-0.5.
 """
 
 import statistics
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -22,11 +23,10 @@ from typing import Any, Literal
 
 from tustinnet.errors import InputError
 from tustinnet.evaluate.scores import Score, evaluate, mean_rmse, rmse_by_record, scores_header
-from tustinnet.fitting.fit import fit_task
-from tustinnet.fitting.gradient.loop import ResumePoint
-from tustinnet.fitting.gradient.plan import TrainingPlan, make_plan
+from tustinnet.fitting.fit import MakeListener, MakeStopCheck, fit_task
+from tustinnet.fitting.gradient.loop import ResumePoint, never_stop
+from tustinnet.fitting.gradient.plan import TrainingPlan
 from tustinnet.fitting.gradient.state import Progress, TrainingState
-from tustinnet.fitting.gradient.train import train_plan
 from tustinnet.fitting.listener import EpochReport, Iteration, Listener, StageResult
 from tustinnet.fitting.report import FitResult, data_header
 from tustinnet.fitting.roles import Roles
@@ -36,22 +36,22 @@ from tustinnet.simulate.range import KEY as RANGE
 from tustinnet.simulate.range import TrainingSupport, recorded_range, training_support
 from tustinnet.store.checkpoint import Checkpointer, read_checkpoint
 from tustinnet.store.files import (
-    owned,
+    lock_folder,
     require_outputs,
     require_writable_folder,
     to_json,
     write_into,
 )
 from tustinnet.store.header import ORIGIN
-from tustinnet.store.kept_system import header_of, keep, require_room
-from tustinnet.store.log import DAMAGED, LOG, Log, SearchLog
+from tustinnet.store.kept_system import require_copy_fits, system_header, write_system_copy
+from tustinnet.store.log import DAMAGED, LOG, SearchLog, TrainingLog
 from tustinnet.store.model_file import save
-from tustinnet.store.question import (
-    QUESTION,
-    Question,
-    question_of,
-    require_same,
-    write_question,
+from tustinnet.store.specification import (
+    SPECIFICATION,
+    Specification,
+    make_specification,
+    require_same_specification,
+    write_specification,
 )
 from tustinnet.systems.files import SystemFile
 
@@ -62,7 +62,7 @@ FIGURES = "figures"  # drawn by rooms above this one
 _CHECKPOINT = "checkpoint.safetensors"
 WRITTEN = (MODEL, LOG, DAMAGED, _CHECKPOINT)  # into the folder of a member
 
-Earlier = Literal["refuse", "resume", "discard"]  # what is done with a run that is there
+Earlier = Literal["refuse", "resume", "discard"]  # the treatment of a run that is there
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class Run:
         start: where the free runs start that rank the members.
         folder: where the files are.
         system: the system's file, where one was given.
-        origin: what is known of the model that the fits began with, empty where they began anew.
+        origin: the account of the model that the fits began with, empty where they began anew.
     """
 
     members: tuple[MemberRun, ...]
@@ -113,10 +113,10 @@ class Run:
         return min(self.members, key=lambda run: run.mean)
 
     @cached_property
-    def fitted(self) -> Mapping[str, float]:
+    def training_rmse(self) -> Mapping[str, float]:
         """RMSE of each training record that the best model leaves [rad or m].
 
-        Of a training that of its free run; of an identification from the initial states found.
+        Of a training that of its free run; of an identification from its initial states.
         """
         result = self.best.result
         if result.identification is not None:
@@ -133,7 +133,7 @@ class Run:
         return training_support(self.roles.train[0].channels, self.roles.train)
 
     @property
-    def judged(self) -> str:
+    def judging_split(self) -> str:
         """The split whose free runs rank them."""
         return self.roles.ranking_split
 
@@ -148,33 +148,37 @@ class Run:
             "max": max(means),
         }
 
-    def header(self, of: MemberRun) -> dict[str, Any]:
-        """What the model file of a member says beside the model."""
+    def header(self, member: MemberRun) -> dict[str, Any]:
+        """The header of the model file of a member, beside the model's own."""
         channels = self.roles.train[0].channels
         return {
-            **of.result.as_header(),
+            **member.result.as_header(),
             "data": data_header(self.data, self.roles.all),
-            RANGE: recorded_range(of.result.model, self.roles.train, self._cloud).as_header(),
+            RANGE: recorded_range(member.result.model, self.roles.train, self._cloud).as_header(),
             "scores": scores_header(
-                self.judged, self.start, channels, of.scores[0].horizon, rmse_by_record(of.scores)
+                self.judging_split,
+                self.start,
+                channels,
+                member.scores[0].horizon,
+                rmse_by_record(member.scores),
             ),
-            **header_of(self.system),
+            **system_header(self.system),
             **({ORIGIN: dict(self.origin)} if self.origin else {}),
         }
 
     def summary(self) -> dict[str, Any]:
-        """The account of the run as plain values: what its best model says, and every member."""
+        """The account of the run as plain values: the best model's header, and every member."""
         best = self.best
         return {
             **self.header(best),
             "recipe": best.result.recipe.name,
             "kind": best.result.recipe.model.kind,
-            "split": self.judged,
+            "split": self.judging_split,
             "start": self.start,
             "horizon": best.scores[0].horizon,
             "best_seed": best.result.seed,
             "spread": self.spread(),
-            "training_rmse": dict(self.fitted),
+            "training_rmse": dict(self.training_rmse),
             "seeds": [
                 {
                     "seed": run.result.seed,
@@ -192,104 +196,121 @@ class Run:
         }
 
 
-Tell = Callable[[TrainingPlan | Task], Listener]
-
-
 def run_task(
     task: Task,
     data: str,
     folder: Path,
     earlier: Earlier = "refuse",
-    tell: Tell = lambda prepared: Listener(),
+    make_listener: MakeListener = lambda prepared: Listener(),
     system: SystemFile | None = None,
 ) -> Run:
     """Fits all members of a task and keeps everything in a folder.
 
     Args:
-        task: what to fit; of one fold.
-        data: what the records are called.
+        task: recipe, records and members; of one fold.
+        data: the name of the data set.
         folder: where the files go.
         earlier: what to do with a run that the folder holds: `refuse`, `discard`, or `resume`: go
             on from the checkpoints that are there; members without one start.
-        tell: given the plan of trainings that run together, or the task of an identification,
-            returns who is told while it goes on.
+        make_listener: given the plan of trainings that run together, or the task of an
+            identification, returns the listener of its progress.
         system: the file of the system that the task is of; a copy is kept with the models.
 
     Raises:
         InputError: the folder cannot be written, another run is writing there, it holds an earlier
-            run that is neither resumed nor discarded; what is resumed was asked otherwise, or its
-            checkpoints belong to another run; an identification is to be resumed; see also `fit`.
+            run that is neither resumed nor discarded; a resumed run had another specification, or
+            its checkpoints belong to another run; an identification is to be resumed; see also
+            `fit`.
     """
-    with owned(folder):
+    with lock_folder(folder):
         if earlier != "discard":
-            require_room(system, folder)
-        question = question_of(task, system)
-        _make_room(folder, earlier, question, trains=task.recipe.family.trains)
+            require_copy_fits(system, folder)
+        specification = make_specification(task, system)
+        _prepare_folder(folder, earlier, specification, trains=task.recipe.family.trains)
 
-        def begin(prepared: TrainingPlan | Task) -> Listener:
-            # the records of a training are known to fit the recipe
-            if isinstance(prepared, TrainingPlan):
-                write_question(folder, question)
-            return tell(prepared)
+        def listen(prepared: TrainingPlan | Task) -> Listener:
+            if isinstance(
+                prepared, TrainingPlan
+            ):  # a training whose records are known to fit the recipe
+                write_specification(folder, specification)
+            return make_listener(prepared)
 
-        done = _fitted(task, data, folder, begin, resume=earlier == "resume")
-        done = replace(done, system=system)
-        write_question(folder, question)
-        _keep(done)
-    return done
+        fits = fit_in_folder(folder, task, listen, resume=earlier == "resume")
+        roles, origin = task.folds[0].roles, task.folds[0].origin
+        members = []
+        for member, result in zip(task.members, fits, strict=True):
+            horizon = effective_horizon(result.horizon, roles.ranking)
+            scores = tuple(evaluate(result.model, roles.ranking, result.start, horizon=horizon))
+            place = folder / member.name if task.recipe.family.trains else folder
+            members.append(MemberRun(result, scores, place))
+        account = {} if origin is None else origin.provenance
+        run = Run(tuple(members), data, roles, fits[0].start, folder, system, account)
+        write_specification(folder, specification)
+        if system is not None:
+            write_system_copy(system, folder)
+        for member in run.members:
+            save(member.result.model, member.folder / MODEL, **run.header(member))
+        save(run.best.result.model, folder / MODEL, **run.header(run.best))
+        write_into(folder, SUMMARY, to_json(run.summary()))
+    return run
 
 
-def _fitted(task: Task, data: str, folder: Path, tell: Tell, *, resume: bool) -> Run:
-    trains, roles = task.recipe.family.trains, task.folds[0].roles
-    fitted = fit_in(folder, task, tell, resume=resume)
-    runs = []
-    for member, result in zip(task.members, fitted, strict=True):
-        horizon = effective_horizon(result.horizon, roles.ranking)
-        scores = tuple(evaluate(result.model, roles.ranking, result.start, horizon=horizon))
-        runs.append(MemberRun(result, scores, folder / member.name if trains else folder))
-    origin = task.folds[0].origin
-    known = {} if origin is None else origin.provenance
-    return Run(tuple(runs), data, roles, fitted[0].start, folder, origin=known)
-
-
-def fit_in(folder: Path, task: Task, tell: Tell, *, resume: bool) -> list[FitResult]:
+def fit_in_folder(
+    folder: Path,
+    task: Task,
+    make_listener: MakeListener,
+    *,
+    resume: bool,
+    make_stop_check: MakeStopCheck = lambda plan: never_stop,
+) -> list[FitResult]:
     """Fits all members of a task with logs and checkpoints in a folder, a folder each.
 
     Args:
         folder: where they go.
-        task: what to fit.
-        tell: see `run_task`.
+        task: recipe, records and members.
+        make_listener: see `run_task`.
         resume: whether to go on from the checkpoints that are there; an identification has none.
+        make_stop_check: given the plan of trainings that run together, returns the `should_stop`
+            of `train_plan`; an identification goes on to its end.
     """
-    if task.recipe.family.trains:
-        return _trained(task, folder, tell, resume=resume)
-    return _searched(task, folder, tell)
+    resumed = _find_resume_points(task, folder) if resume else []
+    before = {
+        member: progress
+        for members, (_, all_progress) in resumed
+        for member, progress in zip(members, all_progress, strict=True)
+    }
+    with ExitStack() as stack:
+
+        def listen(prepared: TrainingPlan | Task) -> Listener:
+            listener = make_listener(prepared)
+            if isinstance(prepared, TrainingPlan):
+                return _log_training(prepared, folder, before, listener, stack)
+            return _log_search(folder, listener, stack)
+
+        return fit_task(task, listen, resumed, make_stop_check)
 
 
-def _keep(done: Run) -> None:
-    """Writes models, the account of the run and the system's file."""
-    folder = done.folder
-    if done.system is not None:
-        keep(done.system, folder)
-    for run in done.members:
-        save(run.result.model, run.folder / MODEL, **done.header(run))
-    save(done.best.result.model, folder / MODEL, **done.header(done.best))
-    write_into(folder, SUMMARY, to_json(done.summary()))
-
-
-def _make_room(folder: Path, earlier: Earlier, question: Question, *, trains: bool) -> None:
-    """Refuses, discards or leaves what an earlier run left in a folder."""
+def _prepare_folder(
+    folder: Path, earlier: Earlier, specification: Specification, *, trains: bool
+) -> None:
+    """Refuses, discards or keeps the files of an earlier run in a folder."""
     if earlier == "resume" and not trains:
         raise InputError(
             "--resume", "an identification is not resumed", "a training", "leave the option out"
         )
     if earlier == "resume":
-        require_same(folder, question, MODEL)
+        require_same_specification(folder, specification, MODEL)
         (folder / REPORT).unlink(missing_ok=True)  # of the model as it was
         return
     places = sorted(place for place in folder.glob("seed-*") if (place / LOG).exists())
-    if earlier == "discard":
-        _discard(folder, places)
+    if earlier == "discard":  # the files that a run has written, and no others
+        for place in places:
+            for name in WRITTEN:
+                (place / name).unlink(missing_ok=True)
+            if not any(place.iterdir()):
+                place.rmdir()
+        for name in (MODEL, SUMMARY, LOG, REPORT, SPECIFICATION):
+            (folder / name).unlink(missing_ok=True)
     elif places:
         raise InputError(
             folder,
@@ -301,88 +322,77 @@ def _make_room(folder: Path, earlier: Earlier, question: Question, *, trains: bo
     require_outputs(files, overwrite=earlier == "discard")
 
 
-def _discard(folder: Path, seed_folders: Sequence[Path]) -> None:
-    """Removes the files that a run has written, and no others."""
-    for place in seed_folders:
-        for name in WRITTEN:
-            (place / name).unlink(missing_ok=True)
-        if not any(place.iterdir()):
-            place.rmdir()
-    for name in (MODEL, SUMMARY, LOG, REPORT, QUESTION):
-        (folder / name).unlink(missing_ok=True)
-
-
-def _searched(task: Task, folder: Path, tell: Tell) -> list[FitResult]:
-    """The result of an identification, every iteration in its log."""
+def _log_search(folder: Path, listener: Listener, stack: ExitStack) -> Listener:
+    """A listener of an identification that also writes every iteration and stage to a log."""
     require_writable_folder(folder)
-    told, log = tell(task), SearchLog(folder)
+    log = SearchLog(folder)
+    stack.callback(log.close)
 
-    def iteration(of: Iteration) -> None:
-        log.iteration(of)
-        told.on_iteration(of)
+    def on_iteration(report: Iteration) -> None:
+        log.write_iteration(report)
+        listener.on_iteration(report)
 
-    def stage(of: StageResult) -> None:
-        log.stage(of)
-        told.on_stage(of)
+    def on_stage(result: StageResult) -> None:
+        log.write_stage(result)
+        listener.on_stage(result)
 
-    try:
-        return fit_task(task, lambda _: replace(told, on_iteration=iteration, on_stage=stage))
-    finally:
-        log.close()
+    return replace(listener, on_iteration=on_iteration, on_stage=on_stage)
 
 
-def _trained(task: Task, folder: Path, tell: Tell, *, resume: bool) -> list[FitResult]:
-    """The results of all members, in their order, those in the same stage trained together."""
-    results: dict[Member, FitResult] = {}
-    for group, states in _groups(task, folder, resume=resume):
-        prepared = make_plan(task.with_members(group))
-        trained = _train_together(prepared, folder, states, tell(prepared))
-        results.update(zip(group, trained, strict=True))
-    return [results[member] for member in task.members]
+def _log_training(
+    plan: TrainingPlan,
+    folder: Path,
+    before: Mapping[Member, Progress],
+    listener: Listener,
+    stack: ExitStack,
+) -> Listener:
+    """A listener of trainings that also writes logs and checkpoints, a folder each.
 
-
-def _groups(
-    task: Task, folder: Path, *, resume: bool
-) -> list[tuple[list[Member], ResumePoint | None]]:
-    """Members that train together: those that begin, and those that did when they stopped."""
-    groups: list[tuple[list[Member], ResumePoint | None]] = []
-    fresh = list(task.members)
-    paths = folder.glob(f"*/{_CHECKPOINT}") if resume else ()
-    # the newest first: a member may since have gone on without some of the others
-    for path in sorted(paths, key=lambda path: path.stat().st_mtime_ns, reverse=True):
-        members, resumed = read_checkpoint(path, task.with_members(fresh))
-        if resumed:
-            groups.append((list(members), resumed))
-            fresh = [member for member in fresh if member not in members]
-    return [(fresh, None), *groups] if fresh else groups
-
-
-def _train_together(
-    prepared: TrainingPlan, folder: Path, resumed: ResumePoint | None, told: Listener
-) -> list[FitResult]:
-    folders = [folder / member.name for member in prepared.members]
+    Args:
+        plan: the trainings, which run together.
+        folder: the folder of the run.
+        before: progress of members that go on from a checkpoint.
+        listener: the listener of the user.
+        stack: closes the files, and writes the last state, so that a training that was
+            interrupted or stopped can go on from there.
+    """
+    folders = [folder / member.name for member in plan.members]
     for place in folders:
         require_writable_folder(place)
-    keeps = Checkpointer(folders[0] / _CHECKPOINT, prepared.task)
-    begun = resumed[1] if resumed else (None,) * len(folders)
     logs = [
-        Log(place, progress, told.on_message)
-        for place, progress in zip(folders, begun, strict=True)
+        TrainingLog(place, before.get(member), listener.on_message)
+        for member, place in zip(plan.members, folders, strict=True)
     ]
+    for log in logs:
+        stack.callback(log.close)
+    checkpointer = Checkpointer(folders[0] / _CHECKPOINT, plan.task)
 
-    def epoch(report: EpochReport) -> None:
+    @stack.push
+    def flush(kind: type[BaseException] | None, *_: Any) -> None:
+        # an interruption is also how SIGTERM and SIGHUP arrive
+        if kind is None or issubclass(kind, KeyboardInterrupt):
+            checkpointer.flush()
+
+    def on_epoch(report: EpochReport) -> None:
         logs[report.member].write(report)
-        told.on_epoch(report)
+        listener.on_epoch(report)
 
-    def state(of: TrainingState, progress: tuple[Progress, ...]) -> None:
-        keeps(of, progress)
-        told.on_state(of, progress)
+    def on_state(state: TrainingState, progress: tuple[Progress, ...]) -> None:
+        checkpointer(state, progress)
+        listener.on_state(state, progress)
 
-    try:
-        return train_plan(prepared, Listener(epoch, state), resumed)
-    except KeyboardInterrupt:  # also how SIGTERM and SIGHUP arrive
-        keeps.flush()
-        raise
-    finally:
-        for log in logs:
-            log.close()
+    return Listener(on_epoch, on_state)
+
+
+def _find_resume_points(task: Task, folder: Path) -> list[tuple[Sequence[Member], ResumePoint]]:
+    """Members that trained together when they stopped, and the state from which they go on."""
+    groups: list[tuple[Sequence[Member], ResumePoint]] = []
+    remaining = list(task.members)
+    paths = folder.glob(f"*/{_CHECKPOINT}")
+    # the newest first: a member may since have gone on without some of the others
+    for path in sorted(paths, key=lambda path: path.stat().st_mtime_ns, reverse=True):
+        members, point = read_checkpoint(path, task.with_members(remaining))
+        if point:
+            groups.append((members, point))
+            remaining = [member for member in remaining if member not in members]
+    return groups

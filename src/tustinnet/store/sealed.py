@@ -29,7 +29,7 @@ def write_sealed(folder: Path, name: str, header: Mapping[str, Any], arrays: Arr
     Args:
         folder: the output folder.
         name: the file in it.
-        header: what is said of the arrays, JSON with `kind`.
+        header: JSON with `kind`, on the arrays.
         arrays: by name.
 
     Raises:
@@ -42,7 +42,7 @@ def write_sealed(folder: Path, name: str, header: Mapping[str, Any], arrays: Arr
 
 
 def read_sealed(path: Path, kinds: Sequence[str]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Header and arrays of a file of one of the given kinds, as they were written.
+    """Header and arrays of a file of one of some kinds, as they were written.
 
     Raises:
         InputError: no such file, cut short, not of this package, of another kind, of a newer
@@ -56,27 +56,29 @@ def read_sealed(path: Path, kinds: Sequence[str]) -> tuple[dict[str, Any], dict[
             path, "a folder", "a model file", f"did you mean {path / 'model.safetensors'}?"
         )
     if not path.is_file():
-        found = "a pipe or device" if path.exists() else "no such file"
-        raise InputError(path, found, f"a {kind} file (.safetensors)")
+        obstacle = "a pipe or device" if path.exists() else "no such file"
+        raise InputError(path, obstacle, f"a {kind} file (.safetensors)")
     with (
         convert_errors(path, "not a safetensors file, or cut short", f"a {kind} file", remedy),
         safetensors.safe_open(path, framework="numpy") as file,
     ):
-        described = file.metadata() or {}
+        metadata = file.metadata() or {}
         # copied: a tensor may be a view into a mapping that is gone once the file is replaced
         arrays = {name: np.array(file.get_tensor(name)) for name in file.keys()}  # noqa: SIM118 (not a dict)
     with convert_errors(path, "a safetensors file without a tustinnet header", f"a {kind} file",
                   "give a file that tustinnet has written"):  # fmt: skip
-        header = json.loads(described[KEY])
-        found, version = str(header["kind"]), int(header["format"])
+        header = json.loads(metadata[KEY])
+        file_kind, version = str(header["kind"]), int(header["format"])
     if version > FORMAT:
         raise InputError(
             path, f"format version {version}", f"at most {FORMAT}", "upgrade tustinnet to read it"
         )
-    if found in REMOVED_KINDS and len(kinds) > 1:
-        raise InputError(path, f"a model of the removed kind '{found}'", "", REMOVED_KINDS[found])
-    if found not in kinds:
-        raise InputError(path, f"a file of kind '{found}'", f"kind {' or '.join(kinds)}")
+    if file_kind in REMOVED_KINDS and len(kinds) > 1:
+        raise InputError(
+            path, f"a model of the removed kind '{file_kind}'", "", REMOVED_KINDS[file_kind]
+        )
+    if file_kind not in kinds:
+        raise InputError(path, f"a file of kind '{file_kind}'", f"kind {' or '.join(kinds)}")
     seal = header.pop(SEAL, None)
     if not (seal is None and version <= _UNSEALED) and seal != _digest(header, arrays):
         raise InputError(

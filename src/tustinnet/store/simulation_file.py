@@ -11,7 +11,7 @@ from tustinnet.store.files import write_into
 
 
 def simulation_name(experiment: Experiment) -> str:
-    """What the file of a simulated record is called."""
+    """The name of the file of a simulated record."""
     return f"{experiment.name}.csv"
 
 

@@ -11,8 +11,8 @@ from swinging import DT, SWING, changed, data_set
 
 import tustinnet as tn
 from tustinnet.data.proposals import Proposal
-from tustinnet.evaluate.bands import alternatives_of
-from tustinnet.evaluate.next_record import ranked
+from tustinnet.evaluate.bands import find_alternatives
+from tustinnet.evaluate.next_record import rank_proposals
 from tustinnet.fitting.shooting.information import fisher_information, search_space_for
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 
@@ -177,10 +177,10 @@ def swing(**groups: str) -> Proposal:
 def what_would_tell(*proposals: Proposal) -> dict[str, float]:
     result = found_per_payload()
     header = {"identification": result.as_plain()}
-    assert alternatives_of(result.model, header, "the model")
+    assert find_alternatives(result.model, header, "the model")
     return {
         proposal.name: proposal.value
-        for proposal in ranked(result.model, header, proposals).promises
+        for proposal in rank_proposals(result.model, header, proposals).gains
     }
 
 

@@ -1,7 +1,7 @@
 """The training loop: one for all recipes, blind to the model's family."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import jax
@@ -22,11 +22,22 @@ from tustinnet.fitting.report import FINISHED
 from tustinnet.models.contract import Model
 from tustinnet.simulate.rollout import LONG
 
+OUT_OF_TIME = "out of time"  # the outcome of a training that was stopped
+
 ResumePoint = tuple[TrainingState, tuple[Progress, ...]]
+ShouldStop = Callable[[Sequence[Progress]], bool]
+
+
+def never_stop(progress: Sequence[Progress]) -> bool:
+    """A `should_stop` without a deadline."""
+    return False
 
 
 def train(
-    plan: TrainingPlan, listener: Listener = SILENT, resume: ResumePoint | None = None
+    plan: TrainingPlan,
+    listener: Listener = SILENT,
+    resume: ResumePoint | None = None,
+    should_stop: ShouldStop = never_stop,
 ) -> tuple[Model, tuple[Progress, ...]]:
     """Folds the epochs of all members over the stages.
 
@@ -37,6 +48,8 @@ def train(
         plan: models, stages, records.
         listener: its `on_epoch` and `on_state` are called.
         resume: a state that a listener was given, to go on from there.
+        should_stop: asked after every compiled call, with the members' progress; what the listener
+            was given is not changed by a stop, so that the training can go on from there.
 
     Returns:
         The best models of the last stage that was reached, and where training ended.
@@ -45,7 +58,12 @@ def train(
     state, progress = resume or (plan.begin(0), (Progress(),) * members)
     unfinished = [p.stage for p in progress if not p.outcome]
     for index in range(unfinished[0] if unfinished else len(stages), len(stages)):
-        state, progress = _run_stage(plan, index, state, progress, listener)
+        state, progress, is_stopped = _run_stage(
+            plan, index, state, progress, listener, should_stop
+        )
+        if is_stopped:
+            progress = tuple(replace(p, outcome=p.outcome or OUT_OF_TIME) for p in progress)
+            break
         if all(p.outcome for p in progress):
             break
         if index + 1 == len(stages):
@@ -71,8 +89,9 @@ def _run_stage(
     state: TrainingState,
     progress: tuple[Progress, ...],
     listener: Listener,
-) -> ResumePoint:
-    """The state and progress of all members at the end of a stage."""
+    should_stop: ShouldStop,
+) -> tuple[TrainingState, tuple[Progress, ...], bool]:
+    """The state and progress of all members after a stage, and whether it was stopped before."""
     stage = plan.stages[index]
     run = compile_epochs(plan, stage)
     while any(_is_due(stage, p) for p in progress):
@@ -106,7 +125,11 @@ def _run_stage(
         for report in sorted(reports, key=lambda r: r.epoch):
             listener.on_epoch(report)
         listener.on_state(state, progress)
-    return state, progress
+        is_last = index + 1 == len(plan.stages)
+        is_complete = all(p.outcome or (is_last and not _is_due(stage, p)) for p in progress)
+        if not is_complete and should_stop(progress):
+            return state, progress, True
+    return state, progress, False
 
 
 def _is_due(stage: Stage, progress: Progress) -> bool:

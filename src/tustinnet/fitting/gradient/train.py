@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from tustinnet.fitting.gradient.epoch import compute_validation_rmse
-from tustinnet.fitting.gradient.loop import ResumePoint, train
+from tustinnet.fitting.gradient.loop import ResumePoint, ShouldStop, never_stop, train
 from tustinnet.fitting.gradient.plan import TrainingPlan, restore_untrained
 from tustinnet.fitting.gradient.state import Progress
 from tustinnet.fitting.listener import SILENT, Listener
@@ -15,15 +15,24 @@ _FEW = 5  # epochs at the ends of a stage
 
 
 def train_plan(
-    plan: TrainingPlan, listener: Listener = SILENT, resume: ResumePoint | None = None
+    plan: TrainingPlan,
+    listener: Listener = SILENT,
+    resume: ResumePoint | None = None,
+    should_stop: ShouldStop = never_stop,
 ) -> list[FitResult]:
     """Trains as planned, from the beginning or from a state that a listener was given.
 
+    Args:
+        plan: models, stages, records.
+        listener: functions that are called while training goes on.
+        resume: a state that a listener was given, to go on from there.
+        should_stop: asked after every compiled call whether to stop, as for a deadline.
+
     Returns:
-        The members' models and how they came about. A training that diverged returns the best
-        weights it had and says so in `outcome`.
+        The members' models and how they came about. A training that diverged or was stopped
+        returns the best weights it had and says so in `outcome`.
     """
-    best, progress = train(plan, listener, resume)
+    best, progress = train(plan, listener, resume, should_stop)
     results = []
     for m, p in enumerate(progress):
         # off the devices that trained it: what comes now is one model's business

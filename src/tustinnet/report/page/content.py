@@ -14,7 +14,7 @@ from tustinnet.models.kinematics import Link, parent_indices
 from tustinnet.report.page.model_result import ModelResult
 from tustinnet.report.page.reported_model import History, ReportedModel
 from tustinnet.report.page.signals import bounded, pack, thin
-from tustinnet.store.log import is_end
+from tustinnet.store.log import is_stage_end
 
 # numbers of points of a signal that are tried, the most that a screen shows first
 _POINTS = (2000, 1700, 1400, 1200, 1000, 850, 700, 600, 500, 400, 300, 200, 150, 100)
@@ -128,7 +128,7 @@ def _search_content(reported: ReportedModel) -> dict[str, Any] | None:
         return None
     costs: list[list[float]] = [[]]
     for line in reported.search:
-        if is_end(line):
+        if is_stage_end(line):
             costs.append([])
         else:
             costs[-1].append(math.nan if line["cost"] is None else line["cost"])
@@ -173,7 +173,9 @@ def _record_content(
         columns[f"{k} error"] = simulated - e.q
         if result.bands:
             band = result.bands[i]
-            after = (np.arange(len(e)) >= band.guess.first)[:, None]  # of the start there is none
+            after = (np.arange(len(e)) >= band.prediction.first)[
+                :, None
+            ]  # of the start there is none
             ends = [np.where(after, bounded(x, e.q), np.nan) for x in (band.low, band.high)]
             columns[f"{k} band"] = np.concatenate(ends, axis=1)
         if result.energies:

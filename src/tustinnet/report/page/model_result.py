@@ -10,7 +10,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.evaluate.ahead import rmse_ahead
 from tustinnet.evaluate.bands import KEY as BANDS
-from tustinnet.evaluate.bands import Band, BandAsked, Calibration, alternatives_of, bands_around
+from tustinnet.evaluate.bands import Band, BandOptions, Calibration, find_alternatives, make_bands
 from tustinnet.evaluate.energy import energy_along
 from tustinnet.evaluate.residuals import ResidualReport, residual_reports
 from tustinnet.evaluate.scores import Score, evaluate
@@ -83,16 +83,16 @@ def compute_model_result(
     residuals: list[ResidualReport] = []
     try:
         lags = min(_LAGS, min(map(len, records)) - start_named(start).first - 1)
-        residuals = residual_reports(model, records, start, lags, horizon=horizon, own=runs)
+        residuals = residual_reports(model, records, start, lags, horizon=horizon, runs=runs)
     except InputError as error:
         notes.append(f"no residuals: {error}")
     bands: list[Band] = []
     try:
         if BANDS in header:
             calibration = Calibration.from_header(header, reported.label)
-            options = BandAsked(min(_LEVEL, calibration.most))
-            others = alternatives_of(model, header, reported.label)
-            bands = bands_around(calibration, options, model, others, records, scores)
+            options = BandOptions(min(_LEVEL, calibration.highest_level))
+            others = find_alternatives(model, header, reported.label)
+            bands = make_bands(calibration, options, model, others, records, scores)
     except InputError as error:
         notes.append(f"no bands: {error}")
     steps = min(_STEPS_AHEAD, max(map(len, records)) - model.warm_up - 1)

@@ -11,7 +11,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from tustinnet.store.files import finite
+from tustinnet.store.files import nonfinite_to_none
 
 _PACKAGE = "tustinnet.report.page"
 # in the order in which they build on one another
@@ -58,7 +58,7 @@ def render(context: Mapping[str, Any], content: Any, modules: Mapping[int, str])
         scripts=scripts,
         exported=exported,
         program=program,
-        data=finite({**content, "exported": list(modules)}),
+        data=nonfinite_to_none({**content, "exported": list(modules)}),
     )  # fmt: skip
 
 

@@ -8,10 +8,10 @@ from typing import Any
 from tustinnet.errors import InputError
 from tustinnet.evaluate.scores import Score
 from tustinnet.models.contract import Model
-from tustinnet.selection.ending import WHOLE
-from tustinnet.store.header import shown
+from tustinnet.selection.final_models import WHOLE
+from tustinnet.store.header import read_description
 from tustinnet.store.kept_system import CANDIDATES
-from tustinnet.store.log import LOG, is_end, read_log, read_search
+from tustinnet.store.log import LOG, is_stage_end, read_log, read_search_log
 from tustinnet.store.run import MODEL
 
 History = Sequence[Mapping[str, Any]]
@@ -44,7 +44,7 @@ class ReportedModel:
     @property
     def stages(self) -> list[Mapping[str, Any]]:
         """The ends of the stages of its identification, with the parameters there."""
-        return [line for line in self.search if is_end(line)]
+        return [line for line in self.search if is_stage_end(line)]
 
 
 def model_file(path: Path) -> Path:
@@ -72,7 +72,7 @@ def read_reported_models(files: Sequence[Path], models: Sequence[Model]) -> list
     """
     reported = []
     for label, file, model in zip(short_labels(files), files, models, strict=True):
-        header, structure = shown(file)
+        header, structure = read_description(file)
         folder = file.parent
         # of a selection the logs are in the folder of the chosen candidate
         candidate_name = (header.get("selection") or {}).get("chosen")
@@ -80,7 +80,7 @@ def read_reported_models(files: Sequence[Path], models: Sequence[Model]) -> list
             candidate = folder / CANDIDATES / candidate_name
             folder = candidate if candidate.is_dir() else folder
         # of a candidate that was identified, the search in all records
-        search = read_search(folder) or read_search(folder / WHOLE)
+        search = read_search_log(folder) or read_search_log(folder / WHOLE)
         reported.append(
             ReportedModel(label, model, header, file, structure, _read_histories(folder), search)
         )

@@ -26,7 +26,7 @@ from tustinnet.report.page.reported_model import ReportedModel
 from tustinnet.report.tables import Table, number, numbers
 from tustinnet.selection.jobs import LEFT_OUT
 from tustinnet.simulate.horizon import horizon_words
-from tustinnet.store.header import records_in
+from tustinnet.store.header import records_in_header
 from tustinnet.store.model_file import package_versions
 
 _DIGITS = 12  # of a checksum
@@ -125,7 +125,7 @@ def describe_fold_scores(reported: ReportedModel, records: Sequence[Experiment])
 
 def trained_on(reported: ReportedModel, records: Sequence[Experiment]) -> list[str]:
     """Names of those records that a model was fitted to, by their checksums."""
-    checksums = records_in(reported.header)
+    checksums = records_in_header(reported.header)
     return [e.name for e in records if e.sha256 and e.sha256 in checksums]
 
 
@@ -237,7 +237,7 @@ def models_table(results: Sequence[ModelResult], records: Sequence[Experiment]) 
         header, file = reported.header, reported.file
         recipe, training = header.get("recipe") or {}, header.get("training") or {}
         seed = f", seed {training['seed']}" if "seed" in training else ""
-        count = len(records_in(header))
+        count = len(records_in_header(header))
         rows.append([
             reported.label,
             family_of(reported.model).kind,

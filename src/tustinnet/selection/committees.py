@@ -1,0 +1,153 @@
+"""Committees of candidates: shares chosen on folds, scored on folds that did not choose."""
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tustinnet.errors import error_message
+from tustinnet.evaluate.metrics import mean_and_error
+from tustinnet.families.committee import committee
+from tustinnet.models.contract import Model
+from tustinnet.selection.deadline import NEVER, Deadline
+from tustinnet.selection.jobs import FitScore, RunContext
+from tustinnet.selection.plan import SelectionPlan
+from tustinnet.selection.ranking import CandidateResult
+from tustinnet.selection.scoring import RmseByStart
+
+_PARTS = 4  # shares of two are multiples of one over this
+_COARSE = 2  # of more than two: free runs of many members take long
+
+Shares = tuple[float, ...]  # of each candidate of a committee
+
+
+@dataclass(frozen=True)
+class CommitteeResult:
+    """A committee, scored on folds.
+
+    Attributes:
+        result: its scores; each fold's with the shares that the other folds chose.
+        shares: those that all folds together choose, by candidate.
+    """
+
+    result: CandidateResult
+    shares: Mapping[str, float]
+
+
+def score_committees(
+    plan: SelectionPlan,
+    remaining: Sequence[CandidateResult],
+    context: RunContext,
+    on_message: Callable[[str], None],
+    deadline: Deadline = NEVER,
+) -> dict[str, CommitteeResult]:
+    """Scores the committees of a plan whose candidates remain, and those of several seeds.
+
+    Args:
+        plan: the plan.
+        remaining: the candidates that remain, the best first.
+        context: the models, and how they are scored.
+        on_message: called with sentences on committees that are left out.
+        deadline: after it no committee is begun.
+    """
+    by_name = {r.name: r for r in remaining}
+    committees: dict[str, tuple[str, ...]] = {
+        f"{r.name}, seeds averaged": (r.name,)
+        for r in remaining
+        if any(len(models) > 1 for models in r.folds.values())
+    }
+    of_best = {average.name for average in plan.committees if average.best is not None}
+    for average in plan.committees:
+        members = average.members_among(list(by_name))
+        if members and members not in committees.values():
+            committees[average.name] = members
+    results = {}
+    for name, members in committees.items():
+        try:
+            scored = score_committee(name, [by_name[m] for m in members], context, deadline)
+        except Exception as error:  # of any kind: committees that were scored before are not lost
+            on_message(f"{name}: left out, {error_message(error)}")
+            continue
+        if scored is None:
+            on_message(f"{name}: not judged, no time was left for it")
+        elif name in of_best and 1.0 in scored.shares.values():
+            on_message(f"{name}: left out, one of them alone is as good")
+        else:
+            results[name] = scored
+    return results
+
+
+def score_committee(
+    name: str, members: Sequence[CandidateResult], context: RunContext, deadline: Deadline = NEVER
+) -> CommitteeResult | None:
+    """Scores a committee on the folds that all of its candidates have.
+
+    In every fold its members are the candidates' models of that fold, none of which has seen the
+    records that it is scored on. Seeds of a candidate count the same.
+
+    Args:
+        name: the name of the committee.
+        members: the results of its candidates.
+        context: where the models are, and how they are scored.
+        deadline: after it no fold is begun.
+
+    Returns:
+        None where time was up before the first fold was scored.
+    """
+    options, models = _possible_shares(len(members)), dict[int, list[Model]]()
+    folds = sorted(set.intersection(*(set(r.folds) for r in members)))
+
+    def score(fold: int, shares: Shares, starts: slice) -> RmseByStart:
+        weights = member_weights([r.folds[fold] for r in members], shares)
+        model = combine(models[fold], weights)
+        return context.scoring.score(model, None, context.splits[fold], context.data, starts)
+
+    scored: dict[int, list[RmseByStart]] = {}
+    for fold in folds:
+        if deadline.remaining <= 0:
+            break
+        models[fold] = [context.load_model(s.model) for r in members for s in r.folds[fold]]
+        scored[fold] = [score(fold, shares, slice(1)) for shares in options]
+    if not scored:
+        return None
+
+    def best_option(chosen_on: Sequence[int]) -> int:
+        """The shares with the lowest mean RMSE over some folds; equal ones of none."""
+        if not chosen_on:
+            return 0
+        means = []
+        for i in range(len(options)):
+            rows = [next(iter(scored[f][i].values())) for f in chosen_on]
+            means.append(mean_and_error(x for rmse in rows for x in rmse.values())[0])
+        return int(np.argmin(np.where(np.isfinite(means), means, np.inf)))
+
+    scores = {}
+    for fold in scored:
+        i = best_option([f for f in scored if f != fold])
+        rmse = scored[fold][i] | score(fold, options[i], slice(1, None))
+        scores[fold] = (FitScore(0, "", "", None, rmse),)
+    # one fold alone would choose on what it is scored on
+    best = options[best_option(list(scored) if len(scored) > 1 else [])]
+    shares = {r.name: share for r, share in zip(members, best, strict=True)}
+    return CommitteeResult(CandidateResult(name, scores, sum(r.seconds for r in members)), shares)
+
+
+def member_weights(models: Sequence[Sequence[FitScore]], shares: Sequence[float]) -> list[float]:
+    """The weight of every model, where each candidate has a share and its models count the same."""
+    pairs = zip(models, shares, strict=True)
+    return [share / len(scores) for scores, share in pairs for _ in scores]
+
+
+def _possible_shares(count: int) -> list[Shares]:
+    """The shares that are compared, equal ones first."""
+    most = _PARTS if count <= 2 else _COARSE
+    parts = [p for p in itertools.product(range(most + 1), repeat=count) if sum(p) == most]
+    shares = [tuple(part / most for part in p) for p in parts]
+    equal = tuple(1 / count for _ in range(count))
+    return [equal, *(s for s in shares if s != equal)]
+
+
+def combine(members: Sequence[Model], weights: Sequence[float]) -> Model:
+    """A committee of models, or the only one."""
+    return members[0] if len(members) == 1 else committee(members, weights)

@@ -1,0 +1,106 @@
+"""The deadline of a selection, and the decision to stop a training for it."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from tustinnet.fitting.gradient.plan import TrainingPlan
+from tustinnet.fitting.gradient.state import Progress
+from tustinnet.fitting.listener import Iteration, Listener
+
+_ENDS_EARLY = 0.5  # share of its epochs that a stage with `patience` is expected to take
+
+
+class OutOfTime(Exception):
+    """The deadline passed in the middle of an identification, which has no model before its end."""
+
+
+@dataclass(frozen=True)
+class Deadline:
+    """A moment when computations have to end.
+
+    Attributes:
+        end: `time.monotonic()` of that moment; None for never.
+    """
+
+    end: float | None = None
+
+    @property
+    def remaining(self) -> float:
+        """Seconds until then; infinite without an end."""
+        return float("inf") if self.end is None else self.end - time.monotonic()
+
+    @classmethod
+    def after(cls, seconds: float) -> "Deadline":
+        """A deadline some seconds from now; infinitely many for none."""
+        return cls(None if seconds == float("inf") else time.monotonic() + seconds)
+
+    def limit_search(self, listener: Listener) -> Listener:
+        """A listener of an identification that ends the search with `OutOfTime`.
+
+        A search goes through many loops and has nothing to return before its end; it reports
+        every iteration, so that this is where it can be stopped.
+        """
+        if self.end is None:
+            return listener
+
+        def on_iteration(report: Iteration) -> None:
+            listener.on_iteration(report)
+            if self.remaining < 0:
+                raise OutOfTime
+
+        return replace(listener, on_iteration=on_iteration)
+
+
+NEVER = Deadline()
+
+
+class StopCheck:
+    """Decides after every compiled call whether a training stops, from the pace of its epochs.
+
+    A training that has weights worth a score goes on until the deadline. Another one, and one that
+    holds up others, stops as soon as it cannot end in time. The first call of a stage compiles and
+    says nothing of the time that the next ones take.
+
+    Args:
+        deadline: when the training has to end.
+        plan: the training.
+        yields: whether it stops early for others that wait.
+
+    Attributes:
+        needed: seconds that the rest would have taken, None where the training was not stopped,
+            or the pace is not known.
+    """
+
+    def __init__(self, deadline: Deadline, plan: TrainingPlan, *, yields: bool = False) -> None:
+        self.needed: float | None = None
+        self._deadline, self._stages = deadline, plan.stages
+        self._waits_for_deadline = plan.validation_runs is not None and not yields
+        self._last: tuple[int, int, float] | None = None  # stage, epochs, when the last call ended
+
+    def __call__(self, progress: Sequence[Progress]) -> bool:
+        """Whether to stop, given every member's progress after a call."""
+        slowest = min(progress, key=lambda p: (p.stage, p.epoch))
+        now, before = time.monotonic(), self._last
+        self._last = slowest.stage, slowest.epoch, now
+        remaining = self._deadline.remaining
+        if before is None or before[0] != slowest.stage:
+            # the next call tells how long the rest takes; weights that can be scored need no pace
+            return remaining < 0 and self._waits_for_deadline
+        epochs = slowest.epoch - before[1]
+        rest = (now - before[2]) / epochs * self._remaining_epochs(slowest) if epochs > 0 else 0.0
+        if remaining >= (0.0 if self._waits_for_deadline else rest):
+            return False
+        self.needed = rest or None
+        return True
+
+    def _remaining_epochs(self, progress: Progress) -> float:
+        """Epochs to do, those of later stages in the time of this one's."""
+        here = progress.stage
+        work = [s.windows.rows.shape[1] * s.windows.length for s in self._stages]
+        total = 0.0
+        for i, stage in enumerate(self._stages[here:], here):
+            epochs = stage.recipe.epochs - (progress.epoch if i == here else 0)
+            share = 1.0 if stage.recipe.patience is None else _ENDS_EARLY
+            total += share * epochs * work[i] / work[here]
+        return total

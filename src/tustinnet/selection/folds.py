@@ -1,0 +1,116 @@
+"""Records split into folds: those that are scored, those that train, those that choose."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+from tustinnet.data.dataset import DataSet
+from tustinnet.data.experiment import Experiment
+from tustinnet.errors import InputError
+from tustinnet.fitting.recipe import Recipe
+from tustinnet.fitting.roles import Roles
+
+FOLDS = 5
+_FEWEST = 3  # records that folds need: one is scored, one chooses, the others train
+_PIECES = 6  # that fewer records are cut into, all together
+_SHORTEST = 100  # samples of a piece
+
+
+@dataclass(frozen=True)
+class FoldSplit:
+    """A fold: the records to score, those that choose, those that train.
+
+    Attributes:
+        scored: records that no model of the fold is fitted to; may be none.
+        roles: records that models are fitted to.
+    """
+
+    scored: tuple[Experiment, ...]
+    roles: Roles
+
+    def roles_for(self, recipe: Recipe) -> Roles:
+        """The records to fit to as a recipe uses them.
+
+        Those that would choose train, too, where the recipe leaves them nothing to choose.
+        """
+        return self.roles if recipe.needs_validation else Roles(self.roles.all, ())
+
+
+def records_without_test(data: DataSet) -> list[Experiment]:
+    """The records that folds are made of: all but those of the split `test`."""
+    return [e for e in data if e.split != "test"]
+
+
+def split_into_folds(data: DataSet, folds: int = FOLDS) -> list[FoldSplit]:
+    """Splits records into folds as cards are dealt, those of a kind one after the other.
+
+    Records are of a kind whose names begin with the same letters. Each fold is scored once; the
+    next one chooses the weights of the models that score it, the others train them. Records of
+    the split `test` take part in nothing.
+
+    Args:
+        data: the records.
+        folds: how many.
+
+    Raises:
+        InputError: fewer than 3 folds, or fewer records than folds.
+    """
+    records = records_without_test(data)
+    if not 3 <= folds <= len(records):
+        raise InputError(
+            "--folds", f"{folds} folds of {len(records)} records",
+            f"3 to {len(records)}" if len(records) >= 3 else "at least 3 records",
+            "one fold is scored, one chooses, the others train",
+        )  # fmt: skip
+
+    def order(e: Experiment) -> tuple[str, str, str]:
+        kind = re.match("[a-zA-Z]*", e.name)
+        return kind.group() if kind else "", str(e.split), e.name
+
+    ordered = sorted(records, key=order)
+    piles = [tuple(ordered[f::folds]) for f in range(folds)]
+    splits = []
+    for f, scored in enumerate(piles):
+        chooses = (f + 1) % folds
+        train = tuple(e for i, pile in enumerate(piles) if i not in (f, chooses) for e in pile)
+        splits.append(FoldSplit(scored, Roles(train, piles[chooses])))
+    return splits
+
+
+def prepare_for_folds(data: DataSet) -> tuple[DataSet, str]:
+    """Records that can be split into folds, and a sentence on what was done to them.
+
+    One or two records are cut in time into pieces of the same length, six in all.
+
+    Raises:
+        InputError: the pieces would be too short.
+    """
+    records = records_without_test(data)
+    if len(records) >= _FEWEST:
+        return replace(data, experiments=tuple(records)), ""
+    if not records:
+        raise InputError(data.name, "test records alone", "records to fit to")
+    count = _PIECES // len(records)
+    pieces: list[Experiment] = []
+    for e in records:
+        edges = [round(i * len(e) / count) for i in range(count + 1)]
+        if edges[1] < _SHORTEST:
+            raise InputError(
+                e.name, f"{len(e)} samples: cut into {count} to be judged, {edges[1]} each",
+                f"at least {_SHORTEST} in a piece", "record longer, or name a recipe (--recipe)",
+            )  # fmt: skip
+        pieces += [
+            replace(e[a:b], name=f"{e.name}[{a}:{b}]", split=None) for a, b in pairwise(edges)
+        ]
+    note = (
+        f"{len(records)} record{'s' * (len(records) > 1)}, cut into {len(pieces)} pieces in time: "
+        "each is scored by models that did not see it, but pieces of one record are alike, so that "
+        "the scores are optimistic"
+    )
+    return replace(data, experiments=tuple(pieces)), note
+
+
+def names_of(records: Sequence[Experiment]) -> list[str]:
+    """The names of records."""
+    return [e.name for e in records]

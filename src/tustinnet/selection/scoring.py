@@ -1,0 +1,102 @@
+"""Free runs of the records that a model was not fitted to, and how they are compared."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from tustinnet.data.dataset import DataSet
+from tustinnet.evaluate.scores import evaluate, rmse_by_record
+from tustinnet.models.contract import Model
+from tustinnet.selection.folds import FoldSplit, names_of, records_without_test
+from tustinnet.simulate.horizon import effective_horizon
+from tustinnet.simulate.starts import FIT_SAMPLES, default_start
+
+RmseByStart = dict[str, dict[str, float]]  # of records by start, the one that decides first
+_ALL = slice(None)
+
+
+@dataclass(frozen=True)
+class ScoringOptions:
+    """Free runs from a common start, over a common horizon: candidates of any kind can be compared.
+
+    Attributes:
+        folds: number of folds that the records are split into.
+        start: where the free runs start that decide; models that need a warm-up start with theirs.
+        horizon: how long a free run lasts at most [s], None for whole records.
+    """
+
+    folds: int
+    start: str
+    horizon: float | None = None
+
+    def as_plain(self) -> dict[str, Any]:
+        """The options as files have them."""
+        return asdict(self)
+
+    def starts(self, model: Model, data: DataSet) -> tuple[str, ...]:
+        """Where free runs of a model start: first the start that decides, then the default one."""
+        default = default_start(list(data), model)
+        return (default,) if model.warm_up else tuple(dict.fromkeys((self.start, default)))
+
+    def score(
+        self,
+        model: Model,
+        fit_horizon: float | None,
+        split: FoldSplit,
+        data: DataSet,
+        starts: slice = _ALL,
+    ) -> RmseByStart:
+        """RMSE of the records that a fold leaves out, by start.
+
+        All records run, whichever are scored, so that models that are alike share a program.
+
+        Args:
+            model: a model that was not fitted to them.
+            fit_horizon: over how long its fit compared [s], None for whole records.
+            split: the fold.
+            data: all records.
+            starts: some of the starts.
+        """
+        records = records_without_test(data)
+        result: RmseByStart = {}
+        for start in self.starts(model, data)[starts]:
+            rmse = rmse_by_record(evaluate(model, records, start, horizon=self.horizon))
+            result[start] = {name: rmse[name] for name in names_of(split.scored)}
+        return result
+
+
+@dataclass(frozen=True)
+class RecipeScoring(ScoringOptions):
+    """Free runs over the horizon of the recipe, from any starts: one recipe is scored by itself.
+
+    Attributes:
+        names: where the free runs start; () for the model's default start and `model-20`.
+        warm_up: whether models that need a warm-up start with theirs instead.
+    """
+
+    names: tuple[str, ...] = ()
+    warm_up: bool = False
+
+    def starts(self, model: Model, data: DataSet) -> tuple[str, ...]:
+        """Where free runs of a model start."""
+        if not self.names:
+            return tuple(dict.fromkeys((default_start(list(data), model), f"model-{FIT_SAMPLES}")))
+        if self.warm_up and model.warm_up:
+            return (default_start(list(data), model),)
+        return self.names
+
+    def score(
+        self,
+        model: Model,
+        fit_horizon: float | None,
+        split: FoldSplit,
+        data: DataSet,
+        starts: slice = _ALL,
+    ) -> RmseByStart:
+        """RMSE of the records that a fold leaves out, by start."""
+        horizon = effective_horizon(fit_horizon, split.scored)
+        scored: Sequence[Any] = split.scored
+        return {
+            start: rmse_by_record(evaluate(model, scored, start, horizon=horizon))
+            for start in self.starts(model, data)[starts]
+        }

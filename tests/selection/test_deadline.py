@@ -1,0 +1,120 @@
+"""Deadlines, and which trainings stop for them."""
+
+import time
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from tustinnet.fitting.gradient.state import Progress
+from tustinnet.fitting.listener import Iteration, Listener
+from tustinnet.selection.deadline import NEVER, Deadline, OutOfTime, StopCheck
+
+
+def plan(*stages: tuple[int, int | None], validation: bool = False) -> Any:
+    """Stages of so many epochs, with so much patience; windows alike."""
+    windows = SimpleNamespace(rows=SimpleNamespace(shape=(1, 10)), length=5)
+    return SimpleNamespace(
+        validation=validation or None,
+        stages=[
+            SimpleNamespace(recipe=SimpleNamespace(epochs=n, patience=p), windows=windows)
+            for n, p in stages
+        ],
+    )
+
+
+def ran(epochs: int, stage: int = 0) -> list[Progress]:
+    return [Progress(stage=stage, epochs=(0,) * stage + (epochs,))]
+
+
+class Time:
+    """A clock that a test sets."""
+
+    def __init__(self, monkeypatch):
+        self.now = 0.0
+        monkeypatch.setattr(time, "monotonic", lambda: self.now)
+
+
+TWO = (10, None), (20, None)
+
+
+def test_what_can_end_in_time_goes_on(monkeypatch):
+    clock, stops = Time(monkeypatch), StopCheck(Deadline(100.0), plan(*TWO))
+    clock.now = 40.0  # the first call compiled
+    assert not stops(ran(5))
+    clock.now = 45.0  # a second an epoch: 20 are left
+    assert not stops(ran(10))
+    assert stops.needed is None
+
+
+@pytest.mark.parametrize("end", [60.0, 30.0])  # the second is up in the first call already
+def test_what_has_nothing_to_score_stops_when_it_cannot_end_in_time(monkeypatch, end):
+    clock, stops = Time(monkeypatch), StopCheck(Deadline(end), plan(*TWO))
+    clock.now = 40.0
+    assert not stops(ran(5))
+    clock.now = 45.0
+    assert stops(ran(10))
+    assert stops.needed == pytest.approx(20.0)
+
+
+def test_weights_worth_a_score_are_trained_until_the_deadline(monkeypatch):
+    clock, stops = Time(monkeypatch), StopCheck(Deadline(60.0), plan(*TWO, validation=True))
+    clock.now = 40.0
+    assert not stops(ran(5))
+    clock.now = 45.0
+    assert not stops(ran(10))
+    clock.now = 59.0
+    assert not stops(ran(5, stage=1))
+    clock.now = 60.5
+    assert stops(ran(6, stage=1))
+    assert stops.needed == pytest.approx(21.0)
+
+
+def test_the_first_call_may_have_taken_all_the_time(monkeypatch):
+    clock, stops = Time(monkeypatch), StopCheck(Deadline(30.0), plan(*TWO, validation=True))
+    clock.now = 40.0
+    assert stops(ran(5))
+    assert stops.needed is None
+
+
+def test_a_training_that_holds_up_others_stops_early(monkeypatch):
+    prepared = plan(*TWO, validation=True)
+    clock, stops = Time(monkeypatch), StopCheck(Deadline(60.0), prepared, yields=True)
+    clock.now = 40.0
+    assert not stops(ran(5))
+    clock.now = 45.0
+    assert stops(ran(10))
+
+
+def test_a_stage_with_patience_is_expected_to_end_early(monkeypatch):
+    clock, stops = Time(monkeypatch), StopCheck(Deadline(60.0), plan((10, None), (20, 5)))
+    clock.now = 40.0
+    assert not stops(ran(5))
+    clock.now = 45.0
+    assert not stops(ran(10))  # 10 s more, of 15
+
+
+def test_the_first_call_of_a_stage_says_nothing_but_the_end_is_the_end(monkeypatch):
+    clock, stops = Time(monkeypatch), StopCheck(Deadline(60.0), plan(*TWO))
+    clock.now = 30.0
+    assert not stops(ran(10))
+    clock.now = 59.0
+    assert not stops(ran(5, stage=1))
+    clock.now = 61.0
+    assert stops(ran(5, stage=1))
+
+
+def test_an_identification_ends_at_the_end(monkeypatch):
+    clock, heard = Time(monkeypatch), []
+    listener = Deadline(10.0).limit_search(Listener(on_iteration=heard.append))
+    step = Iteration("whole records", 1, 0.5, 1e-3)
+    listener.on_iteration(step)
+    clock.now = 11.0
+    with pytest.raises(OutOfTime):
+        listener.on_iteration(step)
+    assert heard == [step, step]
+
+
+def test_without_an_end_listeners_stay_as_they_are():
+    listener = Listener()
+    assert NEVER.limit_search(listener) is listener
