@@ -204,7 +204,7 @@ def test_no_member_sees_the_records_that_it_is_scored_on(done, pendulum):
         assert prepared.task.folds[member.fold].roles == split.roles
         rows = prepared.stages[0].windows.rows[m]
         own = {
-            int(pool.rows(np.array([[i, k]]), split.roles.train)[0]): e.name
+            int(pool.window_rows(np.array([[i, k]]), split.roles.train)[0]): e.name
             for i, e in enumerate(split.roles.train)
             for k in range(len(e) - length)
         }
@@ -309,7 +309,7 @@ def identified(monkeypatch) -> list[Task]:
     """Instead of identifying, the true model is the answer; every task that was asked for."""
     asked: list[Task] = []
 
-    def fit_task(task, listener):
+    def fit_task(task, make_listener, *, make_stop_check):
         asked.append(task)
         return [
             FitResult(tn.discretise(swing_model(TRUTH | {"gain": 0.15 + member.fold}), DT, 8),
@@ -317,7 +317,7 @@ def identified(monkeypatch) -> list[Task]:
             for member in task.members
         ]  # fmt: skip
 
-    monkeypatch.setattr(jobs, "fit_task", fit_task)
+    monkeypatch.setattr("tustinnet.selection.jobs.fit_task", fit_task)
     return asked
 
 

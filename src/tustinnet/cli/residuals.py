@@ -91,7 +91,7 @@ def _residual_table(
     rows = [
         [
             r.coordinate, number(r.rms), number(r.mean), number(float(r.autocorrelation[1])),
-            number(r.is_white_bound), f"{100 * r.outside:.0f} %",
+            number(r.white_bound), f"{100 * r.outside:.0f} %",
             *[f"{100 * share:.0f} %" for share in r.cross_outside],
         ]
         for r in reports
