@@ -87,7 +87,7 @@ def evaluate(
         }
         if band_options is not None:
             content["band"] = {"level": band_options.level, "of": band_options.scope,
-                               "compute_coverage": [asdict(share) for share in coverage]}  # fmt: skip
+                               "covered": [asdict(share) for share in coverage]}  # fmt: skip
         if errors is not None:
             content["ahead"] = {"dt": simulator.dt, "rmse": errors.tolist()}
         terminal.print_json(content)

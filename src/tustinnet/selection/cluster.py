@@ -314,7 +314,7 @@ def _require_answer(head: str, address: str) -> None:
     try:
         subprocess.run(command, capture_output=True, timeout=_ANSWERS, check=False)
     except subprocess.TimeoutExpired:
-        raise _no_answer(_where(head, address), f"not effective_horizon {_ANSWERS:g} s") from None
+        raise _no_answer(_where(head, address), f"not within {_ANSWERS:g} s") from None
 
 
 def _where(head: str, address: str) -> str:

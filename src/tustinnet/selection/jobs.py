@@ -259,7 +259,7 @@ def perform_jobs(
             result = _score_fits(job, context, fits, spent, checks)
     except OutOfTime:
         return [JobResult(j.candidate, j.fold, spent(), "out of time", why=SPENT) for j in jobs]
-    except Exception as error:  # of any kind: the others go on, and the error_message is reported
+    except Exception as error:  # of any kind: the others go on, and the reason is reported
         if raises:
             raise
         why = error_message(error)
