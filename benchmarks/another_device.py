@@ -157,8 +157,8 @@ def main() -> None:
     sizes = tuple(map(int, given.sizes.split(",")))
     draws = draw_records(given.devices, sizes)
     if given.what == "network":
-        recipes = (tn.read_recipe(given.network, changes) for changes in ((), GENTLE))
-        found = networks(draws, *recipes, given.start)
+        anew, gentle = (tn.read_recipe(given.network, changes) for changes in ((), GENTLE))
+        found = networks(draws, anew, gentle, given.start)
     else:
         options = make_cross_validation_options(given.hybrid, system=given.system)
         found = with_physics(draws, options, given.start)

@@ -386,7 +386,7 @@ def test_a_training_that_is_stopped_is_scored_and_a_resumed_run_goes_on_with_it(
     assert np.isfinite(list(stopped.result("network").rmse().values())).all()
     assert any("3 of its 3 trainings were stopped by the budget" in s for s in stopped.sentences)
     header = read_header(stopped.context.folder / stopped.result("network").models[0].model)
-    assert header["outcome"] == "out of time"
+    assert header["training"]["outcome"] == "out of time"
     resumed, _ = selected(tmp_path, "resume")
     assert outcomes(resumed) == [("done", "finished")] * 3
     assert resumed.result("network").rmse() == alone[0].result("network").rmse()
