@@ -4,7 +4,7 @@ from typing import get_args
 
 import pytest
 import typer
-from tustinnet.evaluate.learning import Twin
+from tustinnet.selection.learning import Twin
 
 from tustinnet.cli import completion, export
 from tustinnet.cli.learning_curve import Values

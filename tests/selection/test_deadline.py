@@ -15,7 +15,7 @@ def plan(*stages: tuple[int, int | None], validation: bool = False) -> Any:
     """Stages of so many epochs, with so much patience; windows alike."""
     windows = SimpleNamespace(rows=SimpleNamespace(shape=(1, 10)), length=5)
     return SimpleNamespace(
-        validation=validation or None,
+        validation_runs=validation or None,
         stages=[
             SimpleNamespace(recipe=SimpleNamespace(epochs=n, patience=p), windows=windows)
             for n, p in stages

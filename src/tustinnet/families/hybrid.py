@@ -106,12 +106,12 @@ class HybridModel(Model):
         """The standard deviations of the physics, then those of the correction."""
         return jnp.concatenate([self.physics.internal_spread, self.correction.internal_spread])
 
-    def of(self, experiment: Experiment) -> "HybridModel":
+    def for_record(self, experiment: Experiment) -> "HybridModel":
         """The hybrid with the physics of the record."""
         physics = self.physics.for_record(experiment)
         return self if physics is self.physics else replace(self, physics=physics)
 
-    def seen(self, inputs: Excitation) -> StepInputs:
+    def step_inputs(self, inputs: Excitation) -> StepInputs:
         """The inputs of the physics, and behind them the samples that the correction takes."""
         for_physics = self.physics.step_inputs(inputs)
         if not self.correction.taps:
@@ -163,7 +163,7 @@ class HybridModel(Model):
         level = jnp.mean(motion**2)
         return f * level / (level + _REST_LEVEL), update_internal
 
-    def folded(self) -> "HybridModel":
+    def simplify(self) -> "HybridModel":
         """The hybrid with folded parts."""
         correction = cast(AccelerationModel, self.correction.simplify())
         return HybridModel(self.physics.simplify(), correction, self.fades_at_rest)

@@ -122,7 +122,7 @@ def test_a_record_that_the_model_does_not_know_is_refused(groups, message):
 
 
 def test_without_a_record_a_model_of_several_groups_does_not_step():
-    with pytest.raises(tn.InputError, match=r"no one value of 'mass'.*model\.of\(record\)"):
+    with pytest.raises(tn.InputError, match=r"no one value of 'mass'.*model\.for_record\(record\)"):
         tn.linearize(found_per_payload().model, np.zeros(2), np.zeros(1))
     at = tn.linearize(found_per_payload().model.for_record(both()[0]), np.zeros(2), np.zeros(1))
     assert at.b[1, 0] == pytest.approx(GAIN * DT / (0.16 * 0.21), rel=0.05)

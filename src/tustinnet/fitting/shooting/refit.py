@@ -92,7 +92,7 @@ def refit_to_free_runs(
         identification,
         model=make_model(problem, refitted),
         validation_rmse=score_validation(problem, refitted) if problem.validation else None,
-        refined=refit,
+        refit=refit,
         findings=(*identification.findings, finding),
     )
 
