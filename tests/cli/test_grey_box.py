@@ -110,8 +110,8 @@ def test_the_parameters_of_a_search_that_was_stopped_are_in_its_log(
 ):
     from tustinnet.store import run as run_module
 
-    def stopped(task, listener):
-        told = []
+    def stopped(task, make_listener, *more):
+        told, listener = [], make_listener(task)
         after = replace(listener, on_stage=lambda of: (listener.on_stage(of), told.append(of)))
 
         def iteration(of):
@@ -595,10 +595,13 @@ def test_the_demo_does_the_whole_job_and_says_twin_everywhere(
 ):
     runs = {"train": (3, 2), "validation": (1, 1), "test": (1, 1)}
     monkeypatch.setattr(qube_servo2_twin, "_TWIN_RUNS", runs)
-    for name in ("_fall", "_noise"):  # 3 s of each
-        whole = getattr(qube_servo2_twin, name)
-        cut = lambda *drawn, whole=whole: replace(run := whole(*drawn), u=run.u[:300])  # noqa: E731
-        monkeypatch.setattr(qube_servo2_twin, name, cut)
+    log_runs = qube_servo2_twin.log_runs
+
+    def log_beginnings(model, channels, runs, *more):
+        """The first 3 s of each run."""
+        return log_runs(model, channels, [replace(run, u=run.u[:300]) for run in runs], *more)
+
+    monkeypatch.setattr(qube_servo2_twin, "log_runs", log_beginnings)
     monkeypatch.setattr(demo, "_DRAWN", ("twin_fall_test1",))
     quick = ["search.initial=anchored", "search.substeps=2", "search.iterations=5"]
     plan = SelectionPlan.model_validate(

@@ -4,7 +4,6 @@ from typing import get_args
 
 import pytest
 import typer
-from tustinnet.selection.learning import Twin
 
 from tustinnet.cli import completion, export
 from tustinnet.cli.learning_curve import Values
@@ -17,6 +16,7 @@ from tustinnet.fitting.recipe_reading import packaged_recipes
 from tustinnet.fitting.task import default_recipe_name
 from tustinnet.registry import SYSTEMS, TARGETS
 from tustinnet.reproduce.entries import ALL_MODELS, DEFAULT_MODELS, ENTRIES
+from tustinnet.selection.learning import Twin
 from tustinnet.selection.plan import USUAL
 from tustinnet.simulate.start_rules import STARTS, start_named
 
