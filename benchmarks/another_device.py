@@ -115,8 +115,7 @@ def with_physics(draws: list[Draw], options: CrossValidationOptions, start: str)
         hybrid = model_of(fitter.train(first, options.recipe, physics=[ours])[0])
         anew = fitter.identify(draws, recipe, system)
         theirs = [result.model for result in anew]
-        table = recipe.family.beginning(recipe.model, ours, system)
-        from_ours = recipe.model_copy(update={"model": table})
+        from_ours = recipe.from_model(ours, system)
         return {
             "grey box, anew": anew,
             "grey box, from": fitter.identify(draws, from_ours, system),

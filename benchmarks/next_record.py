@@ -32,8 +32,6 @@ import tustinnet as tn
 from tustinnet.data.proposals import Proposal
 from tustinnet.evaluate.next_record import rank_proposals
 from tustinnet.fitting.fit import fit_task
-from tustinnet.fitting.gradient.plan import plan
-from tustinnet.fitting.gradient.train import train_plan
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Fold, Member, Task
 from tustinnet.report.progress import FitProgress
@@ -106,7 +104,7 @@ def grey(arms: Sequence[Arm], made: dict[str, tn.Experiment], left: Sequence[tn.
     for arm in arms:
         roles = Roles(tuple(made[name] for name in arm.names), ())
         task = Task(recipe, (Fold(roles),), system=WITH_MEMORY)
-        result = fit_task(task, tell(task))[0]
+        result = fit_task(task, tell)[0]
         scores = tn.evaluate(result.model, left, "model-20")
         assert result.identification is not None
         off = [abs(np.log(max(e.value, 1e-12) / TWIN_VALUES[e.name]))
@@ -127,8 +125,7 @@ def network(arms: Sequence[Arm], made: dict[str, tn.Experiment], left: Sequence[
     folds = tuple(Fold(Roles(tuple(made[name] for name in arm.names), ())) for arm in arms)
     members = tuple(Member(MEMBERS * arm.seed + k, fold=f)
                     for f, arm in enumerate(arms) for k in range(MEMBERS))  # fmt: skip
-    prepared = plan(Task(recipe, folds, members))
-    results = train_plan(prepared, tell(prepared))
+    results = fit_task(Task(recipe, folds, members), tell)
     found: list[Ranked] = []
     for f in range(len(arms)):
         model = tn.committee([r.model for r in results if r.member.fold == f])
