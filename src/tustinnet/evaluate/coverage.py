@@ -1,4 +1,4 @@
-"""How much of what happened lies inside bands."""
+"""The share of measured motion that lies inside bands."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ _TENTHS = np.arange(1, 10) / 10  # levels whose bands' ends are the quantiles of
 
 @dataclass(frozen=True)
 class Coverage:
-    """How much of some records lies inside bands, of one coordinate.
+    """The share of some records that lies inside bands, of one coordinate.
 
     Attributes:
         coordinate: its name.
@@ -41,7 +41,7 @@ class Coverage:
 
 
 def compute_coverage(experiments: Sequence[Experiment], bands: Sequence[Band]) -> list[Coverage]:
-    """How much of some records lies inside their bands, by coordinate, motion and rest apart.
+    """The share of some records that lies inside their bands, by coordinate, motion and rest apart.
 
     Args:
         experiments: the records.

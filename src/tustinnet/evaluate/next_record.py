@@ -195,7 +195,7 @@ def _covariance_gain(
 def _disagreement_gains(
     model: Model, header: Mapping[str, Any], records: Sequence[Experiment], horizon: float | None
 ) -> list[InformationGain]:
-    """How much the members' free runs differ."""
+    """The differences between the members' free runs."""
     alternatives = find_alternatives(model, header, "next-record")
     gains = []
     predictions = predict(model, alternatives, records, "file", horizon=horizon) if records else ()

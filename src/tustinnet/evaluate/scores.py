@@ -21,7 +21,7 @@ from tustinnet.simulate.starts import Start, start_named, start_states
 
 @dataclass(frozen=True)
 class Score:
-    """How one record was simulated.
+    """The simulation of one record and its errors.
 
     Attributes:
         experiment: the record.

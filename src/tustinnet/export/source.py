@@ -64,7 +64,7 @@ class Source:
 
     @property
     def channels(self) -> Channels:
-        """Its coordinates, inputs and sampling period."""
+        """The coordinates, inputs and sampling period of the model."""
         return self.model.channels
 
     @property

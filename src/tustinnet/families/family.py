@@ -296,8 +296,8 @@ def _differences(header: Header, other: Header) -> str:
             entries |= value if isinstance(value, dict) else {key: value}
         return entries
 
-    known = flat(other)
-    differing = [f"{key} {x}" for key, x in flat(header).items() if known.get(key) != x]
+    other_entries = flat(other)
+    differing = [f"{key} {x}" for key, x in flat(header).items() if other_entries.get(key) != x]
     return ", ".join(differing) or "other sizes"
 
 

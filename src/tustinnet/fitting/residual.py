@@ -21,7 +21,7 @@ _LEAST_SCALE = 1e-12  # where most residuals are 0
 
 @dataclass(frozen=True)
 class Residual:
-    """How a simulated state differs from a recorded one; its square is the loss.
+    """The difference of a simulated state from a recorded one; its square is the loss.
 
     A residual is `e / unit`, or for a periodic channel `2 sin(e / 2) / unit`, whose square is the
     periodic distance `2 (1 - cos e)` of the paper. The first channels of a state are compared:

@@ -178,7 +178,7 @@ class Network(eqx.Module):
     def __call__(
         self, channels: Channels, x: Float[Array, " n_x"], u: Float[Array, "*taps n_u"]
     ) -> Float[Array, " n_out"]:
-        """Its output at a state and an input, in its own units."""
+        """The output of the network at a state and an input, in its own units."""
         output = self._output(self.scaling.features(channels, x, u))
         if not self.odd:
             return output

@@ -97,7 +97,7 @@ class Parameter:
         return replace(self, name=f"{self.name}[{group}]")
 
     def by_group(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Its values by group, sorted by group: that of `mass[1kg]` by `1kg`."""
+        """The values of the parameter by group, sorted by group: that of `mass[1kg]` by `1kg`."""
         prefix = f"{self.name}["
         names = sorted(name for name in values if name.startswith(prefix) and name.endswith("]"))
         return {name[len(prefix) : -1]: values[name] for name in names}
@@ -110,27 +110,27 @@ def current_force(name: str) -> str:
 
 
 def require_group_value(
-    p: Parameter, groups: Mapping[str, str], known: Sequence[str], where: object
+    p: Parameter, groups: Mapping[str, str], valued: Sequence[str], where: object
 ) -> str:
     """The group of a record by which a parameter has its value: of `mass`, `1kg`.
 
     Args:
         p: a parameter with values by group.
         groups: the groups of the record.
-        known: the groups that the parameter has values for.
+        valued: the groups that the parameter has values for.
         where: what the record is called, for messages.
 
     Raises:
         InputError: the group is missing, or has another value.
     """
-    choices, value = f"one of {', '.join(known)}" if known else "", groups.get(str(p.per))
+    choices, value = f"one of {', '.join(valued)}" if valued else "", groups.get(str(p.per))
     if value is None:
         raise InputError(
             where, f"no group '{p.per}', which '{p.name}' is per", choices,
             f'in the card (or the proposal), give the record `groups = {{ {p.per} = "..." }}`; '
             f"of an export add --group {p.per}=...",
         )  # fmt: skip
-    if value not in known:
+    if value not in valued:
         raise InputError(
             where, f"{p.per} '{value}', for which '{p.name}' has no value", choices,
             f"identify with training records of that {p.per}",

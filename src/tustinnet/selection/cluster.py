@@ -167,7 +167,7 @@ class _Workers:
 
     @property
     def _places(self) -> int:
-        """How many jobs the machines can do at once."""
+        """The number of jobs that the machines can do at once."""
         alive = [node for node in self._ray.nodes() if node["Alive"]]
         return sum(int(node["Resources"].get("CPU", 0)) // self._cores for node in alive)
 
@@ -308,7 +308,7 @@ def _find_head(address: str) -> str | None:
 def _require_answer(head: str, address: str) -> None:
     """Raises unless a cluster answers Ray's own client in time, which by itself tries for minutes.
 
-    A cluster that refuses it answers, too; joining it then tells the error_message.
+    A cluster that refuses it answers, too; joining it then says why.
     """
     command = [sys.executable, "-P", "-m", "ray.scripts.scripts", "status", "--address", head]
     try:

@@ -95,7 +95,7 @@ class Halving:
         return rank([self.results[c.name] for c in alive])
 
     def _best_of_kinds(self, ranking: Sequence[CandidateResult]) -> list[CandidateResult]:
-        """Of each kind of model the simplest that is as good as its best, in the order of these."""
+        """The simplest of each kind of model that is as good as its best, in the order of these."""
         kind = {c.name: c.content.family.kind for c in self._candidates}
         by_kind: dict[str, list[CandidateResult]] = {}
         for result in ranking:

@@ -85,7 +85,7 @@ class Job:
 
     @property
     def folder(self) -> str:
-        """Its folder below that of the run."""
+        """The path of its folder below that of the run."""
         return f"{CANDIDATES}/{self.candidate}/{self.name}"
 
 

@@ -1,4 +1,4 @@
-"""How much must be recorded: accuracy on records left out, against the number of those fitted to.
+"""Learning curves: accuracy on records left out, against the number of those fitted to.
 
 In every draw one fold is left out and scored; of the other records, in an order drawn at random,
 the first 2, 4, 8, ... are all that anything is made from: the model, the physics that a network
@@ -213,7 +213,7 @@ class LearningCurve:
         return EnoughRecords(records, tuple(enough), statistics.median(gains))
 
     def sentence(self, approach: str) -> str:
-        """How many records are enough for an approach, as a sentence."""
+        """A sentence on the number of records that are enough for an approach."""
         enough, most = self.find_enough(approach), self.sizes[-1]
         draws = f"{len(enough.by_draw)} draws: {min(enough.by_draw)} to {max(enough.by_draw)}"
         if enough.records is not None:

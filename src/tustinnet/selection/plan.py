@@ -79,7 +79,7 @@ class Average(Declaration):
         return self
 
     def members_among(self, remaining: Sequence[str]) -> tuple[str, ...]:
-        """Its candidates among those that remain, the best first; none where one is missing."""
+        """The members among the remaining candidates, the best first; none where one is missing."""
         if self.best is not None:
             return tuple(remaining[: self.best]) if len(remaining) > 1 else ()
         return self.of if set(self.of) <= set(remaining) else ()

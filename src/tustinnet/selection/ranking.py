@@ -16,7 +16,7 @@ CLEAR = 2.0  # standard errors of a clear difference
 
 @dataclass(frozen=True)
 class PairedDifference:
-    """How much worse a candidate is than another one, record by record.
+    """The excess error of a candidate over another one, record by record.
 
     Attributes:
         mean: mean of the differences of RMSE [rad or m].
@@ -84,7 +84,7 @@ class CandidateResult:
 def paired_difference(
     one: CandidateResult, other: CandidateResult, without: str = ""
 ) -> PairedDifference:
-    """How much worse one is than another on the records that both were scored on, but for one."""
+    """The excess error of one candidate over another on their shared records, but for one."""
     ours, theirs = one.rmse(), other.rmse()
     shared = [record for record in ours if record in theirs and record != without]
     with np.errstate(invalid="ignore"):

@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from tustinnet.data.dataset import DataSet
+from tustinnet.data.experiment import Experiment
 from tustinnet.evaluate.scores import evaluate, rmse_by_record
 from tustinnet.models.contract import Model
 from tustinnet.selection.folds import FoldSplit, names_of, records_without_test
@@ -34,7 +35,7 @@ class ScoringOptions:
         return asdict(self)
 
     def starts(self, model: Model, data: DataSet) -> tuple[str, ...]:
-        """Where free runs of a model start: first the start that decides, then the default one."""
+        """The starts of a model's free runs: first the start that decides, then the default one."""
         default = default_start(list(data), model)
         return (default,) if model.warm_up else tuple(dict.fromkeys((self.start, default)))
 
@@ -48,8 +49,6 @@ class ScoringOptions:
     ) -> RmseByStart:
         """RMSE of the records that a fold leaves out, by start.
 
-        All records run, whichever are scored, so that models that are alike share a program.
-
         Args:
             model: a model that was not fitted to them.
             fit_horizon: over how long its fit compared [s], None for whole records.
@@ -57,12 +56,21 @@ class ScoringOptions:
             data: all records.
             starts: some of the starts.
         """
-        records = records_without_test(data)
+        records, horizon = self._runs(fit_horizon, split, data)
         result: RmseByStart = {}
         for start in self.starts(model, data)[starts]:
-            rmse = rmse_by_record(evaluate(model, records, start, horizon=self.horizon))
+            rmse = rmse_by_record(evaluate(model, records, start, horizon=horizon))
             result[start] = {name: rmse[name] for name in names_of(split.scored)}
         return result
+
+    def _runs(
+        self, fit_horizon: float | None, split: FoldSplit, data: DataSet
+    ) -> tuple[Sequence[Experiment], float | None]:
+        """The records that are simulated, and over how long at most [s].
+
+        All records, whichever are scored, so that models that are alike share a program.
+        """
+        return records_without_test(data), self.horizon
 
 
 @dataclass(frozen=True)
@@ -78,25 +86,15 @@ class RecipeScoring(ScoringOptions):
     warm_up: bool = False
 
     def starts(self, model: Model, data: DataSet) -> tuple[str, ...]:
-        """Where free runs of a model start."""
+        """The starts of a model's free runs."""
         if not self.names:
             return tuple(dict.fromkeys((default_start(list(data), model), f"model-{FIT_SAMPLES}")))
         if self.warm_up and model.warm_up:
             return (default_start(list(data), model),)
         return self.names
 
-    def score(
-        self,
-        model: Model,
-        fit_horizon: float | None,
-        split: FoldSplit,
-        data: DataSet,
-        starts: slice = _ALL,
-    ) -> RmseByStart:
-        """RMSE of the records that a fold leaves out, by start."""
-        horizon = effective_horizon(fit_horizon, split.scored)
-        scored: Sequence[Any] = split.scored
-        return {
-            start: rmse_by_record(evaluate(model, scored, start, horizon=horizon))
-            for start in self.starts(model, data)[starts]
-        }
+    def _runs(
+        self, fit_horizon: float | None, split: FoldSplit, data: DataSet
+    ) -> tuple[Sequence[Experiment], float | None]:
+        """The scored records, and the horizon of the fit where they are long enough [s]."""
+        return split.scored, effective_horizon(fit_horizon, split.scored)

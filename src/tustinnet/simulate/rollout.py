@@ -248,7 +248,7 @@ class _Parts(NamedTuple):
 
 
 def _count_calls(parts: _Parts, start: Array, trajectory: _Trajectory) -> list[int]:
-    """How often each layer acts in a step: once in most models, at every stage of an integrator."""
+    """The number of calls of each layer in a step: one, or one a stage of an integrator."""
     counts = [0] * len(parts.layers)
 
     def counting(i: int, layer: Affine) -> Callable[[Array], Array]:

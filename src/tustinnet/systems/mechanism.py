@@ -321,7 +321,7 @@ def _functions(
         )
 
     def input_map(q: Coordinates, v: Coordinates, u: InputVector, p: Values) -> Coordinates:
-        """Every input acts on every coordinate."""
+        """The generalised forces of the inputs, each of which acts on every coordinate."""
         accelerations = [
             sum((p.get(f"{c}.by_{i.name}", 0.0) * u[m] for m, i in enumerate(inputs)), 0.0 * v[k])
             for k, c in enumerate(names)

@@ -40,7 +40,7 @@ ROLLBACK_FACTOR = 0.5  # each multiplies the rate
 
 @dataclass(frozen=True)
 class WindowLoss:
-    """How a window is compared with the record.
+    """The loss of a window: its simulation compared with the record.
 
     Attributes:
         residual: what is compared.

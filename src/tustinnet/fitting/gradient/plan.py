@@ -36,7 +36,7 @@ from tustinnet.simulate.starts import Start, default_start, start_named
 
 @dataclass(frozen=True)
 class TrainingPlan:
-    """Everything that training needs, prepared from a task.
+    """A prepared training: models, stages, records and free runs, made from a task.
 
     Attributes:
         task: what is to be fitted.

@@ -41,7 +41,7 @@ class MemberWeights(NamedTuple):
 
 
 class StageProgress(NamedTuple):
-    """Where a member is in its stage.
+    """The place of a member in its stage.
 
     Attributes:
         epoch: epochs done.
@@ -61,7 +61,7 @@ class StageProgress(NamedTuple):
 
 
 class TrainingState(NamedTuple):
-    """Everything that a compiled epoch changes.
+    """The state of a training: all that a compiled epoch changes.
 
     Attributes:
         weights: models and optimisers.
@@ -96,7 +96,7 @@ class EpochFigures(NamedTuple):
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a member is in its training, in plain numbers.
+    """The place of a member in its training, in plain numbers.
 
     Attributes:
         stage: index of the stage.

@@ -57,11 +57,11 @@ def write_choice_report(choice: Choice, command: str) -> Path:
         choice: the choice, with its files written.
         command: command that writes a report of all these records.
     """
-    folder, standing = choice.context.folder, choice.result(choice.best)
-    rmse = standing.rmse()
+    folder, result = choice.context.folder, choice.result(choice.best)
+    rmse = result.rmse()
     shown_names = choose_shown_records(rmse)
     options = ReportOptions(
-        standing.starts[0], choice.context.scoring.horizon, command=command, total_records=len(rmse)
+        result.starts[0], choice.context.scoring.horizon, command=command, total_records=len(rmse)
     )
     models = read_reported_models([folder / MODEL], [choice.model])
     records = [e for e in choice.context.data if e.name in shown_names]
