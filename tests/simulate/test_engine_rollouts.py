@@ -10,7 +10,7 @@ import pytest
 from every_family import CHANNELS, NAMES, example, hybrid, network, physics, scaling
 
 import tustinnet as tn
-from tustinnet.engine import xla
+from tustinnet.engine import machine, xla
 from tustinnet.engine.machine import CompiledModule
 from tustinnet.families.tustin_net import random_tustin_net
 from tustinnet.models.blocks import is_layer
@@ -145,12 +145,20 @@ def test_machine_code_that_is_dropped_leaves_the_next_unharmed():
         gc.collect()
 
 
+def test_code_is_registered_once_though_it_left_the_cache_of_compiled_modules():
+    xla.available.cache_clear()
+    assert xla.available()
+    machine._compile.cache_clear()
+    xla.available.cache_clear()
+    assert xla.available()
+
+
 def test_a_jax_that_calls_no_machine_code_trains_by_xla_and_says_so_once(monkeypatch):
     def refuse(*_: object, **__: object) -> None:
         raise ValueError("unknown interface 0.1")
 
     xla.available.cache_clear()
-    monkeypatch.setattr("jax.ffi.register_ffi_target", refuse)
+    monkeypatch.setattr("jax.ffi.ffi_call", refuse)
     with pytest.warns(UserWarning, match=r"does not call machine code \(.*unknown interface 0\.1"):
         assert layered_steps(with_dtype(hybrid(0), np.float64), (1,), np.float64) is None
     xla.available.cache_clear()

@@ -241,6 +241,7 @@ def _target(
     return _Target(module, constants, equations)
 
 
+@cache  # for good: XLA never forgets a registration, so the code must stay where it is
 def _register(text: str) -> tuple[str, CompiledModule]:
     """Registers the function `called` of a module with XLA; its name, and the module's code."""
     name = f"tustinnet.{hashlib.sha256(text.encode()).hexdigest()[:32]}"
