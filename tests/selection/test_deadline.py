@@ -11,11 +11,10 @@ from tustinnet.fitting.listener import Iteration, Listener
 from tustinnet.selection.deadline import NEVER, Deadline, OutOfTime, StopCheck
 
 
-def plan(*stages: tuple[int, int | None], validation: bool = False) -> Any:
+def plan(*stages: tuple[int, int | None]) -> Any:
     """Stages of so many epochs, with so much patience; windows alike."""
     windows = SimpleNamespace(rows=SimpleNamespace(shape=(1, 10)), length=5)
     return SimpleNamespace(
-        validation_runs=validation or None,
         stages=[
             SimpleNamespace(recipe=SimpleNamespace(epochs=n, patience=p), windows=windows)
             for n, p in stages
@@ -47,51 +46,33 @@ def test_what_can_end_in_time_goes_on(monkeypatch):
     assert stops.needed is None
 
 
-@pytest.mark.parametrize("end", [60.0, 30.0])  # the second is up in the first call already
-def test_what_has_nothing_to_score_stops_when_it_cannot_end_in_time(monkeypatch, end):
-    clock, stops = Time(monkeypatch), StopCheck(Deadline(end), plan(*TWO))
-    clock.now = 40.0
-    assert not stops(ran(5))
-    clock.now = 45.0
-    assert stops(ran(10))
-    assert stops.needed == pytest.approx(20.0)
-
-
-def test_weights_worth_a_score_are_trained_until_the_deadline(monkeypatch):
-    clock, stops = Time(monkeypatch), StopCheck(Deadline(60.0), plan(*TWO, validation=True))
+def test_a_training_goes_on_until_the_next_call_would_end_too_late(monkeypatch):
+    clock, stops = Time(monkeypatch), StopCheck(Deadline(60.0), plan(*TWO))
     clock.now = 40.0
     assert not stops(ran(5))
     clock.now = 45.0
     assert not stops(ran(10))
-    clock.now = 59.0
+    clock.now = 52.0
     assert not stops(ran(5, stage=1))
-    clock.now = 60.5
-    assert stops(ran(6, stage=1))
-    assert stops.needed == pytest.approx(21.0)
+    clock.now = 57.0
+    assert stops(ran(10, stage=1))
+    assert stops.needed == pytest.approx(10.0)
 
 
 def test_the_first_call_may_have_taken_all_the_time(monkeypatch):
-    clock, stops = Time(monkeypatch), StopCheck(Deadline(30.0), plan(*TWO, validation=True))
+    clock, stops = Time(monkeypatch), StopCheck(Deadline(30.0), plan(*TWO))
     clock.now = 40.0
     assert stops(ran(5))
     assert stops.needed is None
 
 
-def test_a_training_that_holds_up_others_stops_early(monkeypatch):
-    prepared = plan(*TWO, validation=True)
-    clock, stops = Time(monkeypatch), StopCheck(Deadline(60.0), prepared, yields=True)
+def test_a_stage_with_patience_is_expected_to_end_early(monkeypatch):
+    clock, stops = Time(monkeypatch), StopCheck(Deadline(46.0), plan((10, None), (20, 5)))
     clock.now = 40.0
     assert not stops(ran(5))
     clock.now = 45.0
     assert stops(ran(10))
-
-
-def test_a_stage_with_patience_is_expected_to_end_early(monkeypatch):
-    clock, stops = Time(monkeypatch), StopCheck(Deadline(60.0), plan((10, None), (20, 5)))
-    clock.now = 40.0
-    assert not stops(ran(5))
-    clock.now = 45.0
-    assert not stops(ran(10))  # 10 s more, of 15
+    assert stops.needed == pytest.approx(10.0)  # of 20
 
 
 def test_the_first_call_of_a_stage_says_nothing_but_the_end_is_the_end(monkeypatch):

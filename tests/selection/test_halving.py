@@ -1,5 +1,6 @@
 """Successive halving, with jobs that only pretend."""
 
+import math
 import time
 from collections.abc import Callable
 
@@ -200,21 +201,55 @@ def test_free_runs_that_are_further_off_than_the_records_move_end_it_after_a_rou
     assert {j.fold for j in executor.done} == {0}
 
 
-def test_a_job_yields_its_time_while_others_wait():
-    found, _ = halving()
-    found.run(executor := Pretended())
-    assert [job.yields for job in executor.done[:4]] == [True, True, True, False]
+def test_jobs_that_wait_have_equal_shares_of_the_time_and_what_one_leaves_is_for_the_others(
+    monkeypatch,
+):
+    left = [200.0]
+    monkeypatch.setattr(Deadline, "remaining", property(lambda self: left[0]))
+    seconds = {"linear": 10.0, "grey": 50.0, "network": 30.0, "hybrid": 20.0}
+
+    def of(job: Job) -> None:
+        left[0] -= seconds[job.candidate]
+
+    jobs, _ = halving(deadline=Deadline(0.0))
+    jobs.run(executor := Pretended(of=of))
+    # first tries have 120 s
+    assert [job.limit for job in executor.done[:4]] == pytest.approx([30.0, 110 / 3, 30.0, 30.0])
 
 
-def test_a_training_that_the_deadline_stopped_is_ranked_but_not_tried_on_more_folds():
+def test_without_a_limit_of_time_jobs_have_none():
+    jobs, _ = halving()
+    jobs.run(executor := Pretended())
+    assert all(math.isinf(job.limit) for job in executor.done)
+
+
+def test_one_of_each_kind_is_tried_before_others_of_it():
+    other = {"name": "better grey", "recipe": "best-grey"}
+    candidates = [*PLAN["candidates"][:2], other, *PLAN["candidates"][2:]]
+    jobs, _ = halving({**PLAN, "candidates": candidates})
+    jobs.run(executor := Pretended())
+    assert [job.candidate for job in executor.done if job.fold == 0][:5] == [
+        "linear", "grey", "network", "hybrid", "better grey",
+    ]  # fmt: skip
+
+
+def test_trainings_that_their_share_stopped_go_on_in_the_time_that_is_left(monkeypatch):
+    left = [100.0]
+    monkeypatch.setattr(Deadline, "remaining", property(lambda self: left[0]))
+
     def of(job: Job) -> JobResult | None:
-        if job.candidate != "network":
+        left[0] -= 1.0
+        if job.candidate != "network" or job.continues:
             return None
         models = (FitScore(0, "out of time", "m", None, {"model-20": {f"r{job.fold}0": 0.01}}),)
         return JobResult("network", job.fold, 1.0, "out of time", models, "spent", needs=1e6)
 
-    found, said = halving(deadline=Deadline(time.monotonic() + 100))
-    found.run(executor := Pretended(of=of))
-    assert "network, fold 0: spent" in said
-    assert any(line.startswith("round 1 of 3, one fold: network 0.01, ") for line in said)
-    assert [j.fold for j in executor.done if j.candidate == "network"] == [0]
+    jobs, messages = halving(deadline=Deadline(0.0))
+    executor = Pretended(of=of)
+    results = {r.name: r for r in jobs.run(executor)}
+    assert "network, fold 0: spent" in messages
+    assert any(line.startswith("round 1 of 3, one fold: network 0.01, ") for line in messages)
+    again = [(job.candidate, job.fold, job.seeds) for job in executor.done if job.continues]
+    assert again == [("network", fold, (seed,)) for seed in range(2) for fold in range(3)]
+    assert {m.outcome for m in results["network"].models} == {"finished"}
+    assert len(results["network"].models) == 6

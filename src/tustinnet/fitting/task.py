@@ -1,11 +1,12 @@
 """Tasks: records, a recipe, and members that may be fitted together."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from tustinnet.data.dataset import DataSet
+from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.families.family import family_of
 from tustinnet.fitting.recipe import IdentificationRecipe, Recipe, TrainingRecipe
@@ -169,11 +170,24 @@ def make_task(
     if origin is not None:
         for e in data:
             require_fit(origin.model, e)
-        for_records = (
-            loaded.for_records(list(data)) if isinstance(loaded, SystemTemplate) else loaded
-        )
-        recipe = recipe.from_model(origin.model, for_records)
+        recipe = begin_with(recipe, origin.model, loaded, data)
     return Task(recipe, (Fold(assign_roles(data), physics, origin),), tuple(members), loaded)
+
+
+def begin_with(
+    recipe: Recipe,
+    model: Model,
+    system: LagrangianSystem | SystemTemplate | None,
+    records: Iterable[Experiment],
+) -> Recipe:
+    """The recipe of a fit of records that begins with a fitted model of its kind.
+
+    Raises:
+        InputError: a model of another kind.
+    """
+    if isinstance(system, SystemTemplate):
+        system = system.for_records(list(records))
+    return recipe.from_model(model, system)
 
 
 def _require_members(members: Sequence[Member], recipe: Recipe) -> None:

@@ -30,6 +30,10 @@ class Deadline:
         """Seconds until then; infinite without an end."""
         return float("inf") if self.end is None else self.end - time.monotonic()
 
+    def at_most(self, seconds: float) -> "Deadline":
+        """The earlier of this deadline and one some seconds from now."""
+        return min(self, Deadline.after(seconds), key=lambda deadline: deadline.remaining)
+
     @classmethod
     def after(cls, seconds: float) -> "Deadline":
         """A deadline some seconds from now; infinitely many for none."""
@@ -58,24 +62,21 @@ NEVER = Deadline()
 class StopCheck:
     """Decides after every compiled call whether a training stops, from the pace of its epochs.
 
-    A training that has weights worth a score goes on until the deadline. Another one, and one that
-    holds up others, stops as soon as it cannot end in time. The first call of a stage compiles and
-    says nothing of the time that the next ones take.
+    It stops before a call that would end after the deadline. The first call of a stage compiles
+    and says nothing of the time that the next ones take.
 
     Args:
         deadline: when the training has to end.
         plan: the training.
-        yields: whether it stops early for others that wait.
 
     Attributes:
         needed: seconds that the rest would have taken, None where the training was not stopped,
             or the pace is not known.
     """
 
-    def __init__(self, deadline: Deadline, plan: TrainingPlan, *, yields: bool = False) -> None:
+    def __init__(self, deadline: Deadline, plan: TrainingPlan) -> None:
         self.needed: float | None = None
         self._deadline, self._stages = deadline, plan.stages
-        self._waits_for_deadline = plan.validation_runs is not None and not yields
         self._last: tuple[int, int, float] | None = None  # stage, epochs, when the last call ended
 
     def __call__(self, progress: Sequence[Progress]) -> bool:
@@ -85,13 +86,11 @@ class StopCheck:
         self._last = slowest.stage, slowest.epoch, now
         remaining = self._deadline.remaining
         if before is None or before[0] != slowest.stage:
-            # the next call tells how long the rest takes; weights that can be scored need no pace
-            return remaining < 0 and self._waits_for_deadline
-        epochs = slowest.epoch - before[1]
-        rest = (now - before[2]) / epochs * self._remaining_epochs(slowest) if epochs > 0 else 0.0
-        if remaining >= (0.0 if self._waits_for_deadline else rest):
-            return False
-        self.needed = rest or None
+            return remaining < 0
+        epochs, call = slowest.epoch - before[1], now - before[2]
+        if epochs <= 0 or remaining >= call:
+            return remaining < 0
+        self.needed = call / epochs * self._remaining_epochs(slowest)
         return True
 
     def _remaining_epochs(self, progress: Progress) -> float:

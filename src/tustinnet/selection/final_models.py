@@ -1,27 +1,34 @@
-"""Final models of candidates: committees of folds, and parameters from all records."""
+"""Final models of candidates: committees of folds, and parameters from all records.
 
-from collections.abc import Callable, Mapping, Sequence
+What is delivered has been simulated: a committee or a second identification is another model than
+those that the folds scored.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from tustinnet.errors import InputError, error_message
+from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.families.committee import committee
 from tustinnet.fitting.fit import MakeListener
 from tustinnet.fitting.gradient.plan import TrainingPlan
 from tustinnet.fitting.listener import Listener
 from tustinnet.fitting.roles import Roles
-from tustinnet.fitting.task import Task
+from tustinnet.fitting.task import Origin, Task
 from tustinnet.models.contract import Model
 from tustinnet.selection.committees import CommitteeResult, member_weights
 from tustinnet.selection.deadline import NEVER, Deadline, OutOfTime
 from tustinnet.selection.folds import FoldSplit, records_without_test
 from tustinnet.selection.jobs import FitScore, Job, RunContext, make_job_task
 from tustinnet.selection.plan import SelectionPlan
-from tustinnet.selection.ranking import CandidateResult, find_simplest, rank
+from tustinnet.selection.ranking import CandidateResult
 from tustinnet.store.kept_system import CANDIDATES
 from tustinnet.store.run import fit_in_folder
 
 WHOLE = "all-records"  # the folder of an identification from all records
+_AS_PROMISED = 1.5  # times the error that folds promise: more is another model than was scored
 
 
 @dataclass(frozen=True)
@@ -76,74 +83,117 @@ class FinalModel:
     header: Mapping[str, Any] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class FinalModels:
-    """The models of all that can be chosen.
-
-    Attributes:
-        models: by candidate or committee.
-        best: the name of the best one.
-        simplest: the name of the simplest that is as good.
-    """
-
-    models: Mapping[str, FinalModel]
-    best: str
-    simplest: str
-
-
 def make_final_models(
     candidates: Candidates,
+    best: CandidateResult,
+    simplest: CandidateResult,
     context: RunContext,
     make_listener: Callable[[Job], MakeListener],
     deadline: Deadline = NEVER,
-) -> FinalModels:
-    """Makes the models of what can be chosen: the best of them, the simplest that is as good.
+) -> dict[str, FinalModel]:
+    """Makes the models of what can be chosen, by name.
 
-    The parameters of a system are identified from all records where its model is chosen.
+    The best and the simplest that is as good have simulated all records: where the errors are far
+    above what folds promise, the next way to make the model is taken.
+
+    Args:
+        candidates: the results of candidates and committees.
+        best: the chosen one.
+        simplest: the simplest that is as good.
+        context: where the models are, and how they were scored.
+        make_listener: given the job of an identification from all records, returns its
+            `make_listener`.
+        deadline: after it nothing is identified from all records.
     """
-    choosable = candidates.choosable
-    best = rank(choosable)[0]
-    simplest = find_simplest(choosable, best)
-    models = {r.name: _average_folds(candidates, r.name, context) for r in choosable}
-    for name in {best.name: best, simplest.name: simplest}:
-        if name in candidates.committees:
+    models = {}
+    for result in candidates.choosable:
+        if result.name not in (best.name, simplest.name):
+            ways = _possible_models(candidates, result, context, None, deadline)
+            models[result.name] = next(ways)
             continue
-        recipe = candidates.plan.candidate(name).content
-        if recipe.family.trains:
-            continue
-        job = Job(name, recipe, fold=0)
-        models[name] = _identify_from_all(models[name], job, context, make_listener(job), deadline)
-    return FinalModels(models, best.name, simplest.name)
+        ways = _possible_models(candidates, result, context, make_listener, deadline)
+        promised = mean_and_error(result.rmse().values())[0]
+        models[result.name] = _first_as_promised(ways, promised, context)
+    return models
 
 
-def _average_folds(candidates: Candidates, name: str, context: RunContext) -> FinalModel:
-    """The committee of all models of a candidate, or of the candidates of a committee."""
-    members = candidates.members(name)
+def _possible_models(
+    candidates: Candidates,
+    result: CandidateResult,
+    context: RunContext,
+    make_listener: Callable[[Job], MakeListener] | None,
+    deadline: Deadline,
+) -> Iterator[FinalModel]:
+    """The ways to make the model of a candidate or committee, those to be preferred first.
+
+    Parameters are identified from all records (unless there is no `make_listener`). Weights of all
+    folds are averaged. Models of single folds come last, the one with the lowest error first.
+    """
+    members = candidates.members(result.name)
     scores: list[Sequence[FitScore]] = [r.models for r, _ in members]
-    models = [context.load_model(s.model) for member in scores for s in member]
-    if len(models) == 1:
-        return FinalModel(models[0], "the model of one fold")
-    weights = member_weights(scores, [share for _, share in members])
-    folds = len({fold for r, _ in members for fold in r.folds})
-    count = "one fold" if folds == 1 else f"{folds} folds"
-    origin = f"the average of {len(models)} models of {count}"
-    if len(members) > 1:
-        parts = [f"{len(r.models)} of {r.name} ({100 * share:.0f} %)" for r, share in members]
-        origin += f": {', '.join(parts)}"
-    try:
-        return FinalModel(committee(models, weights), origin)
-    except InputError as error:  # as where delays were searched for: each has another value
-        return FinalModel(models[0], f"the model of one fold; no average: {error}")
+    fits = [fit for member in scores for fit in member]
+    identified = not any(candidates.plan.candidate(r.name).content.family.trains
+                         for r, _ in members)  # fmt: skip
+    why = ""
+    single = sorted(fits, key=lambda fit: mean_and_error(next(iter(fit.rmse.values())).values())[0])
+    if identified and len(members) == 1 and make_listener is not None:
+        recipe = candidates.plan.candidate(result.name).content
+        origin = context.load_model(single[0].model)
+        job = Job(result.name, recipe, fold=0, origin=Origin(origin))
+        made = _identify_from_all(job, context, make_listener(job), deadline)
+        if isinstance(made, FinalModel):
+            yield made
+        else:
+            why = f"; {made}"
+    if len(fits) > 1 and not (identified and len(members) == 1):
+        weights = member_weights(scores, [share for _, share in members])
+        folds = len({fold for r, _ in members for fold in r.folds})
+        count = "one fold" if folds == 1 else f"{folds} folds"
+        origin = f"the average of {len(fits)} models of {count}"
+        if len(members) > 1:
+            parts = [f"{len(r.models)} of {r.name} ({100 * share:.0f} %)" for r, share in members]
+            origin += f": {', '.join(parts)}"
+        try:
+            yield FinalModel(
+                committee([context.load_model(f.model) for f in fits], weights), origin
+            )
+        except InputError as error:  # as where delays were searched for: each has another value
+            why = f"; no average: {error}"
+    for fit in single:
+        yield FinalModel(context.load_model(fit.model), f"the model of one fold{why}")
+
+
+def _first_as_promised(
+    ways: Iterator[FinalModel], promised: float, context: RunContext
+) -> FinalModel:
+    """The first model whose free runs of all records are about as good as folds promise.
+
+    Where none is, the one with the lowest error. Records that a model was fitted to are among them:
+    its error is lower than the promised one unless something is wrong with it.
+    """
+    records = tuple(records_without_test(context.data))
+    split, tried = FoldSplit(records, Roles((), ())), list[tuple[float, FinalModel]]()
+    for final in ways:
+        rmse = next(iter(context.scoring.score(final.model, None, split, context.data).values()))
+        error = mean_and_error(rmse.values())[0]
+        if error <= _AS_PROMISED * promised:
+            break
+        tried.append((error if math.isfinite(error) else math.inf, final))
+    else:
+        error, final = min(tried, key=lambda pair: pair[0])
+    if not tried or final is tried[0][1]:
+        return final
+    origin = (
+        f"{final.origin}; {tried[0][1].origin} was discarded, its free runs of all records are "
+        f"{tried[0][0] / promised:.2g} times as far off as folds promise"
+    )
+    return replace(final, origin=origin)
 
 
 def _identify_from_all(
-    averaged: FinalModel,
-    job: Job,
-    context: RunContext,
-    make_listener: MakeListener,
-    deadline: Deadline,
-) -> FinalModel:
-    """The system identified from all records; or the average of folds where that fails."""
+    job: Job, context: RunContext, make_listener: MakeListener, deadline: Deadline
+) -> FinalModel | str:
+    """The system identified from all records, from the values of a fold on; or why it was not."""
     records = tuple(records_without_test(context.data))
     task = make_job_task([job], replace(context, drawn=(FoldSplit((), Roles(records, ())),)))
 
@@ -154,10 +204,8 @@ def _identify_from_all(
         folder = context.folder / CANDIDATES / job.candidate / WHOLE
         fit = fit_in_folder(folder, task, listen, resume=False)[0]
     except OutOfTime:
-        why = "no time was left to identify it from all records"
+        return "no time was left to identify it from all records"
     except Exception as error:  # of any kind: the models of the folds are there
-        why = f"not identified from all records: {error_message(error)}"
-    else:
-        origin = f"identified from all {len(records)} records"
-        return FinalModel(fit.model, origin, fit.as_header())
-    return replace(averaged, origin=f"{averaged.origin}; {why}")
+        return f"not identified from all records: {error_message(error)}"
+    origin = f"identified from all {len(records)} records"
+    return FinalModel(fit.model, origin, fit.as_header())

@@ -11,8 +11,12 @@ from tustinnet.selection.plan import Candidate, SelectionPlan
 from tustinnet.selection.ranking import CandidateResult, find_simplest, rank, shared_folds
 from tustinnet.selection.runner import Executor, run_jobs
 
-_TRYING = 0.6  # share of the time after which no candidate is tried for the first time
+_TRYING = 0.6  # share of the time in which candidates are tried for the first time
 _TRYING_LAST = 0.4  # that share of candidates that come last
+_SOON = 60.0  # s, but first tries have at least so much: one fold of each is better than two of one
+_LEAST = 8.0  # s, what a first try takes at least: a network is compiled before it learns
+_LEAST_SHARE = 0.25  # of a short time, that least
+_AGAIN = 2.0  # a search that was stopped is begun again where so many times its time is left
 NO_TIME = "no time was left for it"
 _FEWEST = 2  # candidates that go on, where there are as many
 
@@ -26,6 +30,7 @@ class Halving:
         context: the records, how they are scored.
         on_message: called with sentences on what happens.
         deadline: when the rounds have to end.
+        ending: seconds after that, in which the chosen system is identified from all records.
 
     Attributes:
         plan: the plan.
@@ -43,13 +48,16 @@ class Halving:
         context: RunContext,
         on_message: Callable[[str], None],
         deadline: Deadline = NEVER,
+        ending: float = 0.0,
     ) -> None:
         self.plan, self._candidates, self._context = plan, tuple(candidates), context
         self._folds, self._on_message = context.scoring.folds, on_message
-        self._deadline, self._time = deadline, deadline.remaining
+        self._deadline, self._time, self._ending = deadline, deadline.remaining, ending
         self._expected: dict[str, float] = {}  # seconds a seed takes on a fold
+        self._begun: dict[tuple[str, int], Job] = {}  # the last job of a candidate and fold
+        self._stopped: list[Job] = []  # jobs that their share of the time stopped
         self._omitted = 0  # jobs of a round for which no time was left
-        self._pending = 0  # jobs of a round that have not begun
+        self._pending: list[Job] = []  # jobs of a round that have not begun
         self.results = {c.name: CandidateResult(c.name) for c in candidates}
         self.cheapest: JobResult | None = None
         self.hopeless = False
@@ -62,7 +70,10 @@ class Halving:
                 order = [r.name for r in rank([self.results[c.name] for c in alive])]
                 ordered = sorted(alive, key=lambda c: order.index(c.name))
             else:
-                ordered = sorted(alive, key=lambda c: c.last)
+                # one of each kind before others of it
+                kinds = [c.content.family.kind for c in alive]
+                again = {c.name for i, c in enumerate(alive) if kinds[i] in kinds[:i]}
+                ordered = sorted(alive, key=lambda c: (c.last, c.name in again))
             late = set() if number else {c.name for c in alive if c.last}
             jobs = []
             for fold in range(min(stage.folds, self._folds)):
@@ -72,10 +83,7 @@ class Halving:
                     waits_for = tuple(name for name in c.corrects if name not in late)
                     if missing := tuple(seed for seed in seeds if seed not in done):
                         jobs.append(Job(c.name, c.content, fold, missing, waits_for=waits_for))
-            self._omitted, self._pending = 0, len(jobs)
-            run_jobs(
-                jobs, executor, self._deadline, prepare=self._prepare, on_result=self._add_result
-            )
+            self._run_jobs(jobs, executor)
             ranking = rank([self.results[c.name] for c in alive])
             last = number + 1 == len(self.plan.rounds)
             kinds = ranking if last else self._best_of_kinds(ranking)
@@ -92,7 +100,21 @@ class Halving:
                 self.hopeless = not mean <= self._context.motion
             if self._deadline.remaining <= 0 or self.hopeless:
                 break
+        if not self.hopeless:
+            self._continue_stopped(rank([self.results[c.name] for c in alive]), executor)
         return rank([self.results[c.name] for c in alive])
+
+    def _run_jobs(self, jobs: Sequence[Job], executor: Executor) -> None:
+        self._omitted, self._pending = 0, list(jobs)
+        run_jobs(jobs, executor, self._deadline, prepare=self._prepare, on_result=self._add_result)
+
+    def _continue_stopped(self, ranking: Sequence[CandidateResult], executor: Executor) -> None:
+        """Goes on, in the time that is left, with fits that their share of it stopped."""
+        if math.isinf(self._deadline.remaining):
+            return
+        names = [result.name for result in ranking]
+        jobs = [replace(job, continues=True) for job in self._stopped if job.candidate in names]
+        self._run_jobs(sorted(jobs, key=lambda job: names.index(job.candidate)), executor)
 
     def _best_of_kinds(self, ranking: Sequence[CandidateResult]) -> list[CandidateResult]:
         """The simplest of each kind of model that is as good as its best, in the order of these."""
@@ -113,25 +135,57 @@ class Halving:
         return find_simplest(scored, rank(scored)[0]) if scored else None
 
     def _prepare(self, job: Job) -> Job | None:
-        """The job with what it corrects; None where it has nothing to, or no time is left."""
-        self._pending -= 1
-        candidate, physics = self.plan.candidate(job.candidate), None
-        if candidate.corrects:
+        """The job with what it corrects and its share of the time.
+
+        None where it has nothing to correct, or no time is left for it.
+        """
+        candidate, physics = self.plan.candidate(job.candidate), job.physics
+        limit = self._limit(job, candidate)
+        self._pending.remove(job)
+        if candidate.corrects and not job.continues:
             corrected = self._corrected(candidate, job.fold)
             if corrected is None:
                 return self._omit(job, "nothing to correct: " + ", ".join(candidate.corrects))
             physics = corrected.folds[job.fold][0].model
-        remaining = self._deadline.remaining
-        if candidate.name in self._expected:
-            affordable = remaining > len(job.seeds) * self._expected[candidate.name]
-        else:
-            trying = _TRYING_LAST if candidate.last else _TRYING
-            affordable = remaining > (1 - trying) * self._time or math.isinf(remaining)
         scores = self._context.folder / job.folder / SCORES
-        if not affordable and (self._context.resume or not scores.is_file()):
+        is_done = scores.is_file() and not self._context.resume and not job.continues
+        if limit is None and not is_done:
+            if job.continues:
+                return None
             self._omitted += 1
             return self._omit(job, NO_TIME)
-        return replace(job, physics=physics, yields=self._pending > 0)
+        job = replace(job, physics=physics, limit=limit or math.inf)
+        self._begun[job.candidate, job.fold] = job
+        return job
+
+    def _limit(self, job: Job, candidate: Candidate) -> float | None:
+        """Seconds that a job may take, None where no time is left for it.
+
+        Jobs that wait have equal shares of the time that is left; what one does not need is left
+        for the next ones.
+        """
+        remaining, share = self._deadline.remaining, len(self._pending)
+        if math.isinf(remaining):
+            return math.inf
+        expected = self._expected.get(job.candidate)
+        if expected is None:  # tried for the first time
+            trying = _TRYING_LAST if candidate.last else _TRYING
+            remaining -= self._time - min(max(trying * self._time, _SOON), self._time)
+            if not candidate.last:
+                share = sum(not self.plan.candidate(j.candidate).last for j in self._pending)
+            is_first = not any(r.folds for r in self.results.values())
+            least = 0.0 if is_first else min(_LEAST, _LEAST_SHARE * self._time)
+        else:
+            expected *= len(job.seeds)
+            is_search = not candidate.content.family.trains
+            least = (_AGAIN if is_search else 0.0) * expected if job.continues else expected
+            least = max(least, 1.0)
+            best = next(iter(rank(list(self.results.values()))))
+            if not self.plan.candidate(best.name).content.family.trains:
+                remaining -= max(self._expected[best.name] - self._ending, 0.0)
+        if remaining <= least:
+            return None
+        return max(remaining / share, min(least, remaining))
 
     def _omit(self, job: Job, why: str) -> None:
         result = self.results[job.candidate]
@@ -142,11 +196,12 @@ class Halving:
     def _add_result(self, result: JobResult) -> None:
         name = result.candidate
         self.results[name] = self.results[name].with_job(result)
-        if result.scores:
-            seconds = result.seconds if result.needs is None else result.needs
-            self._expected[name] = seconds / len(result.scores)
+        if result.scores and not result.earlier:
+            self._expected[name] = result.seconds / len(result.scores)
         if result.ended == "done":
             return
+        if result.ended == "out of time":
+            self._stopped.append(self._begun[name, result.fold])
         self._on_message(f"{name}, fold {result.fold}: {result.why}")
         if result.needs is not None and not self.results[name].folds:
             best = self.cheapest

@@ -28,7 +28,7 @@ from tustinnet.fitting.gradient.plan import TrainingPlan
 from tustinnet.fitting.listener import Listener
 from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.report import FitResult, data_header
-from tustinnet.fitting.task import Fold, Member, Origin, Task, resolve_system
+from tustinnet.fitting.task import Fold, Member, Origin, Task, begin_with, resolve_system
 from tustinnet.models.contract import Model
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.selection.deadline import NEVER, Deadline, OutOfTime, StopCheck
@@ -66,7 +66,8 @@ class Job:
         physics: the model that a network corrects, as `FitScore.model` names it, or None.
         origin: the model that the fit begins with, or None.
         waits_for: candidates whose jobs of this fold come first, where there are any.
-        yields: whether a training that cannot end in time stops early, for jobs that wait.
+        limit: how long it may take [s]; what is done by then is scored.
+        continues: whether it goes on from where it was stopped before.
     """
 
     candidate: str
@@ -76,7 +77,8 @@ class Job:
     physics: str | None = None
     origin: Origin | None = None
     waits_for: tuple[str, ...] = ()
-    yields: bool = False
+    limit: float = math.inf
+    continues: bool = False
 
     @property
     def name(self) -> str:
@@ -227,9 +229,10 @@ def perform_jobs(
         A result a job.
     """
     started, checks = time.monotonic(), list[StopCheck]()
+    deadline = deadline.at_most(min(job.limit for job in jobs))
 
     def make_stop_check(prepared: TrainingPlan) -> StopCheck:
-        checks.append(StopCheck(deadline, prepared, yields=any(job.yields for job in jobs)))
+        checks.append(StopCheck(deadline, prepared))
         return checks[-1]
 
     def listen(prepared: TrainingPlan | Task) -> Listener:
@@ -253,8 +256,9 @@ def perform_jobs(
             folder = context.folder / job.folder
             require_writable_folder(folder)
             remove_partial_files(folder)
+            resume = context.resume or job.continues
             fits = fit_in_folder(
-                folder, task, listen, resume=context.resume, make_stop_check=make_stop_check
+                folder, task, listen, resume=resume, make_stop_check=make_stop_check
             )
             result = _score_fits(job, context, fits, spent, checks)
     except OutOfTime:
@@ -283,7 +287,11 @@ def make_job_task(jobs: Sequence[Job], context: RunContext) -> Task:
         for f, split in enumerate(context.splits)
     )
     members = tuple(Member(seed, fold=job.fold) for job in jobs for seed in job.seeds)
-    return Task(first.recipe, folds, members, resolve_system(first.recipe, context.loaded_system))
+    system = resolve_system(first.recipe, context.loaded_system)
+    recipe = first.recipe
+    if first.origin is not None:
+        recipe = begin_with(recipe, first.origin.model, system, context.data)
+    return Task(recipe, folds, members, system)
 
 
 def _fit_digest(task: Task, context: RunContext) -> str:
@@ -317,7 +325,7 @@ def _find_earlier_result(job: Job, context: RunContext, digest: str) -> JobResul
         result, scoring = _RESULT.validate_python(content["result"]), content["judging"]
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
-    if result.ended != "done" and context.resume:
+    if result.ended != "done" and (context.resume or job.continues):
         return None
     if not all((context.folder / s.model).is_file() for s in result.scores):
         return None
@@ -373,7 +381,7 @@ def _score_fits(
 
 
 def _has_useful_weights(fit: FitResult) -> bool:
-    """Whether a training that was stopped has done an epoch whose validation error is finite."""
+    """Whether a training that was stopped has done an epoch, and no validation error diverged."""
     training = fit.details["training"]
     started = training["kept_epoch"] > 0 or len(training["epochs"]) > 1
-    return started and fit.validation_rmse is not None and math.isfinite(fit.validation_rmse)
+    return started and (fit.validation_rmse is None or math.isfinite(fit.validation_rmse))

@@ -49,8 +49,9 @@ class CandidateResult:
         """The result with one more job."""
         seconds = self.seconds + result.seconds
         if result.scores:
-            models = (*self.folds.get(result.fold, ()), *result.scores)
-            folds = {**self.folds, result.fold: models}
+            seeds = {score.seed for score in result.scores}  # of a fit that went on, in its place
+            before = [s for s in self.folds.get(result.fold, ()) if s.seed not in seeds]
+            folds = {**self.folds, result.fold: (*before, *result.scores)}
             return CandidateResult(self.name, folds, seconds, self.why)
         why = result.why if result.ended == "failed" or not self.folds else self.why
         return CandidateResult(self.name, self.folds, seconds, why)

@@ -24,7 +24,7 @@ from tustinnet.selection.folds import prepare_for_folds
 from tustinnet.selection.halving import NO_TIME, Halving
 from tustinnet.selection.jobs import SCORES, SPENT, Job, RunContext
 from tustinnet.selection.plan import USUAL, Candidate, SelectionPlan, read_plan
-from tustinnet.selection.ranking import CandidateResult
+from tustinnet.selection.ranking import CandidateResult, find_simplest, rank
 from tustinnet.selection.runner import InProcess, MakeExecutor
 from tustinnet.selection.scoring import ScoringOptions
 from tustinnet.simulate.starts import start_named
@@ -117,10 +117,12 @@ def select_model(
     candidates, omitted = _applicable_candidates(plan, options, records)
     notes = (*([cut] if cut else []), *omitted)
     rounds_end = models_end = NEVER  # when time is up for the rounds, and for all before figures
+    ending = 0.0
     if budget is not None:
         files = max(_FILES * budget, min(_FEWEST_FILES, _SHORT * budget))
+        ending = _ENDING * budget
         models_end = Deadline(started + budget - files)
-        rounds_end = Deadline(started + budget - files - _ENDING * budget)
+        rounds_end = Deadline(started + budget - files - ending)
     context = RunContext(
         records,
         ScoringOptions(min(plan.folds, len(records)), plan.start, plan.horizon),
@@ -134,13 +136,13 @@ def select_model(
     with lock_folder(folder):
         _prepare_folder(context, earlier, _make_specification(plan, context))
         make = executor or (lambda context: InProcess(context, reporter.make_listener))
-        halving = Halving(plan, candidates, context, reporter.on_message, rounds_end)
+        halving = Halving(plan, candidates, context, reporter.on_message, rounds_end, ending)
         remaining = halving.run(make(context))
         if halving.hopeless:
             context, note = _with_horizon(context, halving)
             reporter.on_message(note)
             notes = (*notes, note)
-            halving = Halving(plan, candidates, context, reporter.on_message, rounds_end)
+            halving = Halving(plan, candidates, context, reporter.on_message, rounds_end, ending)
             remaining = halving.run(make(context))
         if not remaining:
             raise _nothing_fitted(halving, budget)
@@ -177,15 +179,19 @@ def _choose(
     committees = score_committees(halving.plan, remaining, context, reporter.on_message, deadline)
     names = tuple(r.name for r in remaining)
     candidates = Candidates(halving.plan, tuple(halving.results.values()), names, committees)
-    final = make_final_models(candidates, context, reporter.make_listener, deadline)
-    best = final.models[final.best]
-    bands = calibrate_on_folds(candidates, final.best, best, context, deadline)
-    origins = {name: model.origin for name, model in final.models.items()}
-    choice = Choice(context, candidates, final.best, final.simplest, origins, best.model, bands)
-    for name, model in final.models.items():
+    best = rank(candidates.choosable)[0]
+    simplest = find_simplest(candidates.choosable, best)
+    models = make_final_models(
+        candidates, best, simplest, context, reporter.make_listener, deadline
+    )
+    final = models[best.name]
+    bands = calibrate_on_folds(candidates, best.name, final, context, deadline)
+    origins = {name: model.origin for name, model in models.items()}
+    choice = Choice(context, candidates, best.name, simplest.name, origins, final.model, bands)
+    for name, model in models.items():
         path = context.folder / CANDIDATES / name / MODEL
         save(model.model, path, **choice.header(name, model))
-    save(choice.model, context.folder / MODEL, **choice.header(final.best, best))
+    save(choice.model, context.folder / MODEL, **choice.header(best.name, final))
     return choice
 
 
