@@ -44,7 +44,7 @@ def describe_error(error: BaseException) -> str:
     return to_printable(f"{type(error).__name__}: {text}", _LONGEST_FOREIGN)
 
 
-def error_message(error: Exception) -> str:
+def error_message(error: BaseException) -> str:
     """The message of an `InputError`; kind and text of any other error."""
     return str(error) if isinstance(error, InputError) else describe_error(error)
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def candidates_table(choice: Choice) -> Table:
-    """Table of all candidates and committees, the best first, those without scores last."""
+    """Table of the candidates and committees that have scores, the best first."""
     results = _sort_scored(choice)
     best, starts = choice.result(choice.best), choice.starts
     means = {s.name: [mean_and_error(s.rmse(start=start).values()) if start in s.starts else None
@@ -43,12 +43,6 @@ def candidates_table(choice: Choice) -> Table:
             str(len({m.seed for m in s.models})),
             f"{s.seconds:.0f}",
         ])  # fmt: skip
-    empty = [""] * (len(starts) + 4)
-    rows += [
-        [f"{s.name}: {s.why or 'not tried'}", *empty, f"{s.seconds:.0f}"]
-        for s in choice.candidates.results
-        if not s.folds
-    ]
     unit = choice.unit
     columns = ["candidate", *[f"RMSE [{unit}], {start}" for start in starts],
                f"worse than {best.name} by", "records", "folds", "seeds", "seconds"]  # fmt: skip

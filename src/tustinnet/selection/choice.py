@@ -19,6 +19,8 @@ from tustinnet.selection.folds import records_without_test
 from tustinnet.selection.jobs import LEFT_OUT, RunContext
 from tustinnet.selection.ranking import (
     CLEAR,
+    FEW,
+    LEVEL,
     CandidateResult,
     find_decisive_record,
     paired_difference,
@@ -95,16 +97,17 @@ class Choice:
         sentences = [f"chosen: {self.best}, {self.origins[self.best]}"]
         if not math.isfinite(mean):
             sentences.append("free runs of some records diverge: set `horizon` in the plan")
-            return (*sentences, *self.notes)
+            return (*sentences, *self._unscored, *self.notes)
         spread = "" if math.isnan(error) else f" ± {error:.2g}"
         worst = max(rmse, key=lambda record: rmse[record])
         plural, total = "s" if len(rmse) > 1 else "", len(self._records)
         count = f"{len(rmse)} of the {total}" if total > len(rmse) > 1 else f"{len(rmse)}"
-        share = mean / self.context.motion
+        few = ", few of them: other records may be much further off" if len(rmse) < FEW else ""
+        share = mean / self.context.motion_within_turns
         sentences.append(
             f"free runs of {count} record{plural} that its models were not fitted to: "
             f"{mean:.3g}{spread} {unit}, {100 * share:.2g} % of the motion; "
-            f"worst {worst}, {rmse[worst]:.3g} {unit}"
+            f"worst {worst}, {rmse[worst]:.3g} {unit}{few}"
         )
         if share > _POOR:
             sentences.append(
@@ -142,7 +145,16 @@ class Choice:
                 f"its free runs have bands (simulate --band) of up to {level} %, calibrated on the "
                 f"{len(self.bands.records)} records that folds left out"
             )
-        return (*sentences, *self.notes)
+        return (*sentences, *self._unscored, *self.notes)
+
+    @property
+    def _unscored(self) -> list[str]:
+        """Sentences on the candidates without scores, those of one reason in one."""
+        reasons: dict[str, list[str]] = {}
+        for result in self.candidates.results:
+            if not result.folds:
+                reasons.setdefault(result.why or "not tried", []).append(result.name)
+        return [f"without a score, {why}: {', '.join(names)}" for why, names in reasons.items()]
 
     def _comparison_with_next(self, best: CandidateResult) -> str:
         results = self.candidates.choosable
@@ -154,13 +166,17 @@ class Choice:
         name = min(differences, key=lambda other: differences[other].mean)
         difference = differences[name]
         mean, error, count = difference.mean, difference.standard_error, difference.records
-        word = "clearly" if mean > CLEAR * error else "not clearly"
         # one record has no standard error
         on = (
             f"± {error:.2g} {self.unit} on {count} records"
             if count > 1
             else f"{self.unit} on one record"
         )
+        if mean < 0:
+            return f"{name} is better by {-mean:.2g} {on}, not clearly, and was scored on no others"
+        level = LEVEL * mean_and_error(best.rmse().values())[0]
+        clearly = mean > max(CLEAR * error, level) and count >= FEW
+        word = "clearly" if clearly else "not clearly"
         return f"{word} better than the next, {name}: by {mean:.2g} {on}"
 
     def header(self, name: str, final: FinalModel) -> dict[str, Any]:

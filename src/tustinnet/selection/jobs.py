@@ -186,6 +186,19 @@ class RunContext:
         q = np.concatenate([e.q - e.q.mean(axis=0) for e in self.data])
         return float(np.sqrt(np.mean(np.sum(q**2, axis=1)))) or 1.0
 
+    @cached_property
+    def motion_within_turns(self) -> float:
+        """Root mean square of the positions about their means, without whole turns [rad or m]."""
+        squares = 0.0
+        for i, coordinate in enumerate(self.data.channels.coordinates):
+            q = np.concatenate([e.q[:, i] - e.q[:, i].mean() for e in self.data])
+            if coordinate.kind == "angular":
+                turns = np.exp(1j * np.concatenate([e.q[:, i] for e in self.data]))
+                within = np.angle(turns * np.exp(-1j * np.angle(turns.mean())))
+                q = min(q, within, key=np.std)
+            squares += float(np.mean(q**2))
+        return math.sqrt(squares) or 1.0
+
     @property
     def system_file(self) -> SystemFile | None:
         """The system's file, where it is in one."""
@@ -263,8 +276,8 @@ def perform_jobs(
             result = _score_fits(job, context, fits, spent, checks)
     except OutOfTime:
         return [JobResult(j.candidate, j.fold, spent(), "out of time", why=SPENT) for j in jobs]
-    except Exception as error:  # of any kind: the others go on, and the reason is reported
-        if raises:
+    except BaseException as error:  # of any kind: the others go on, and the reason is reported
+        if raises or isinstance(error, KeyboardInterrupt | SystemExit):
             raise
         why = error_message(error)
         return [JobResult(j.candidate, j.fold, spent(), "failed", why=why) for j in jobs]

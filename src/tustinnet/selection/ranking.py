@@ -9,8 +9,8 @@ import numpy as np
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.selection.jobs import FitScore, JobResult
 
-_LEVEL = 0.02  # of an error, a difference that nobody minds
-_FEW = 3  # records that say something of a difference
+LEVEL = 0.02  # of an error, a difference that nobody minds
+FEW = 3  # records that say something of a difference
 CLEAR = 2.0  # standard errors of a clear difference
 
 
@@ -121,7 +121,7 @@ def find_decisive_record(
         for record in [r for r in best.rmse() if r in theirs]:
             difference = paired_difference(other, best, without=record)
             clear = difference.mean < -CLEAR * difference.standard_error
-            if difference.records >= _FEW and clear:
+            if difference.records >= FEW and clear:
                 decisive.append(DecisiveRecord(record, other, difference))
     return min(decisive, key=lambda d: d.difference.mean, default=None)
 
@@ -170,7 +170,7 @@ def find_simplest(results: Sequence[CandidateResult], best: CandidateResult) -> 
         results: from the simplest to the most complex.
         best: the best of them.
     """
-    level = _LEVEL * mean_and_error(best.rmse().values())[0]
+    level = LEVEL * mean_and_error(best.rmse().values())[0]
     for result in results:
         difference = paired_difference(result, best)
         as_good = difference.mean <= max(difference.standard_error, level)

@@ -11,7 +11,7 @@ import numpy as np
 
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.inspection import coordinate_timescales
-from tustinnet.errors import InputError
+from tustinnet.errors import InputError, error_message
 from tustinnet.fitting.fit import MakeListener
 from tustinnet.fitting.listener import SILENT
 from tustinnet.fitting.task import resolve_system
@@ -185,7 +185,11 @@ def _choose(
         candidates, best, simplest, context, reporter.make_listener, deadline
     )
     final = models[best.name]
-    bands = calibrate_on_folds(candidates, best.name, final, context, deadline)
+    try:
+        bands = calibrate_on_folds(candidates, best.name, final, context, deadline)
+    except Exception as error:  # of any kind: the model is there
+        bands = None
+        reporter.on_message(f"no bands around free runs: {error_message(error)}")
     origins = {name: model.origin for name, model in models.items()}
     choice = Choice(context, candidates, best.name, simplest.name, origins, final.model, bands)
     for name, model in models.items():
