@@ -1,8 +1,9 @@
 """Committees: several models of the same channels, averaged in the acceleration at every step."""
 
-import math
 from collections.abc import Callable, Iterable, Sequence
+from functools import reduce
 from itertools import pairwise
+from operator import or_
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +25,10 @@ from tustinnet.families.family import (
     systems_in,
 )
 from tustinnet.families.summaries import MEMBERS, WEIGHT, arrays_below
-from tustinnet.models.contract import Internal, Model, State, StepInput, StepInputs
+from tustinnet.models.contract import Internal, Model, State
 from tustinnet.models.lagrangian import LagrangianModel
+from tustinnet.models.step_layout import StepInput, StepLayout
 from tustinnet.registry import FAMILIES
-from tustinnet.signals.excitation import Excitation
 from tustinnet.systems.files import load_system
 
 Weights = Sequence[float | int] | Float[np.ndarray | Array, " members"]
@@ -143,31 +144,10 @@ class Committee(Model):
         """The committee with folded members."""
         return _group_members([member.simplify() for member in self.members], self.weights)
 
-    def step_inputs(self, inputs: Excitation) -> StepInputs:
-        """The inputs of the members; of several groups the rows of each, one after the other."""
-        by_group = [group.member().step_inputs(inputs) for group in self.groups]
-        if len(by_group) == 1:
-            return by_group[0]
-        rows = [s.reshape(len(s), math.prod(s.shape[1:-1]), s.shape[-1]) for s in by_group]
-        return np.concatenate(rows, axis=1)
-
-    def _split_inputs(self, u: StepInput) -> list[Array]:
-        """The inputs of each group of members; a vector acts on all."""
-        if u.ndim == 1 or len(self.groups) == 1:
-            return [u] * len(self.groups)
-        for order in range(1, len(u) + 1):  # of the polynomials that inputs follow
-            shapes = self._input_shapes(order)
-            ends = np.cumsum([0, *(math.prod(shape[:-1]) for shape in shapes)]).tolist()
-            if ends[-1] == len(u):
-                parts = zip(pairwise(ends), shapes, strict=True)
-                return [u[a:b].reshape(shape) for (a, b), shape in parts]
-        raise ValueError(f"{len(u)} rows of inputs in a period fit no input layout of the members")
-
-    def _input_shapes(self, order: int) -> list[tuple[int, ...]]:
-        """The shapes of each group's inputs in a period, for polynomials of `order` terms."""
-        n_u = self.channels.n_u
-        inputs = Excitation(np.zeros((2, n_u)), np.zeros((1, order, n_u)))
-        return [group.member().step_inputs(inputs).shape[1:] for group in self.groups]
+    @property
+    def step_layout(self) -> StepLayout:
+        """The rows of all members."""
+        return reduce(or_, (group.member().step_layout for group in self.groups))
 
     def step(self, x: State, u: StepInput) -> State:
         """The state after one period: mean positions and velocities, internal states of all."""
@@ -184,13 +164,14 @@ class Committee(Model):
         channels = self.channels
         ends = np.cumsum([0, *map(len, self._internal_names)]).tolist()
         internal = [x[channels.internal][a:b] for a, b in pairwise(ends)]
+        layout = self.step_layout
         states = [
             group.step_members(
                 x[channels.measured],
                 jnp.stack([internal[n] for n in group.numbers]),
-                lambda member, own, inputs=inputs: move(member, own, inputs),
+                lambda member, own: move(member, own, layout.select(u, member.step_layout)),
             )
-            for group, inputs in zip(self.groups, self._split_inputs(u), strict=True)
+            for group in self.groups
         ]
         measured = jnp.concatenate([s[:, channels.measured] for s in states])
         weights = jnp.concatenate([group.weights for group in self.groups])

@@ -39,8 +39,8 @@ from tustinnet.models.contract import (
     Internal,
     Model,
     State,
-    StepInput,
 )
+from tustinnet.models.step_layout import StepInput
 from tustinnet.registry import SCALINGS
 from tustinnet.signals.rest import usual_positions
 from tustinnet.simulate.along import states_along
