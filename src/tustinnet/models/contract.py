@@ -16,7 +16,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.blocks import Scaling
 from tustinnet.models.step_layout import StepInput, StepInputs, StepLayout
-from tustinnet.renamed import METHODS, current_name
+from tustinnet.renamed import METHODS, current_name, refuse_outdated
 from tustinnet.signals.excitation import Excitation
 
 State = Float[Array, " n_x"]
@@ -34,6 +34,13 @@ class Stateful(HasChannels, eqx.Module):
         channels: its coordinates and inputs, and its sampling period; a field or a property of
             every model.
     """
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        hooks = {**METHODS, **dict.fromkeys(("seen", "step_inputs"), "step_layout")}
+        outdated = {old: new for old, new in hooks.items() if callable(vars(cls).get(old))}
+        if cls.__module__ != __name__:
+            refuse_outdated(cls, outdated)
 
     if not TYPE_CHECKING:
 

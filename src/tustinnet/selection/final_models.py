@@ -109,7 +109,7 @@ def make_final_models(
         if name in candidates.committees:
             continue
         recipe = candidates.plan.candidate(name).content
-        if recipe.family.trains:
+        if recipe.family.averages_folds:
             continue
         job = Job(name, recipe, fold=0)
         models[name] = _identify_from_all(models[name], job, context, make_listener(job), deadline)

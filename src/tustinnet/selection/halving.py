@@ -67,7 +67,7 @@ class Halving:
             jobs = []
             for fold in range(min(stage.folds, self._folds)):
                 for c in ordered:
-                    seeds = range(stage.seeds if c.content.family.trains else 1)
+                    seeds = c.content.family.select_seeds(range(stage.seeds))
                     done = {s.seed for s in self.results[c.name].folds.get(fold, ())}
                     waits_for = tuple(name for name in c.corrects if name not in late)
                     if missing := tuple(seed for seed in seeds if seed not in done):
