@@ -21,14 +21,15 @@ from tustinnet.families.family import (
     Family,
     Header,
     Hyper,
+    describe_part,
     family_of,
+    restore_part,
     systems_in,
 )
-from tustinnet.families.summaries import MEMBERS, WEIGHT, arrays_below
+from tustinnet.families.summaries import MEMBERS, WEIGHT
 from tustinnet.models.contract import Internal, Model, State
 from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.models.step_layout import StepInput, StepLayout
-from tustinnet.registry import FAMILIES
 from tustinnet.systems.files import load_system
 
 Weights = Sequence[float | int] | Float[np.ndarray | Array, " members"]
@@ -263,11 +264,9 @@ class CommitteeFamily(Family):
         for i, (member, weight) in enumerate(
             zip(model.members, np.asarray(model.weights).tolist(), strict=True), 1
         ):
-            family = family_of(member)
-            member_header, member_arrays = family.describe(member)
-            channels = member.channels.as_header()
-            members.append({"kind": family.kind, WEIGHT: weight, **member_header, **channels})
-            arrays |= {f"{i}.{name}": a for name, a in member_arrays.items()}
+            part, part_arrays = describe_part(member, f"{i}.")
+            members.append({"kind": part["kind"], WEIGHT: weight, **part})
+            arrays |= part_arrays
         systems = dict.fromkeys(name for part in members for name in systems_in(part))
         if len(systems) > 1:
             raise InputError(
@@ -280,9 +279,7 @@ class CommitteeFamily(Family):
         """The committee of a file, with one system for all members that have any."""
         loaded = None if system is None else load_system(system)
         members = [
-            FAMILIES[part["kind"]].restore(
-                part, arrays_below(f"{i}.", arrays), loaded if systems_in(part) else None, where
-            )
+            restore_part(part, arrays, f"{i}.", loaded if systems_in(part) else None, where)
             for i, part in enumerate(header[MEMBERS], 1)
         ]
         weights = np.array([part[WEIGHT] for part in header[MEMBERS]])

@@ -15,7 +15,7 @@ from pydantic import Field, field_validator
 from tustinnet.data.declaration import Declaration
 from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.errors import InputError
-from tustinnet.families.summaries import Arrays, Header
+from tustinnet.families.summaries import Arrays, Header, arrays_below
 from tustinnet.models.blocks import Affine
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import FromContinuous
@@ -352,6 +352,20 @@ def family_of(model: Any) -> Family:
         f"a {type(model).__name__}", "a model of no registered family",
         f"a model of one of the kinds {', '.join(FAMILIES.names())}",
     )  # fmt: skip
+
+
+def describe_part(part: Model, prefix: str) -> tuple[Header, Arrays]:
+    """Kind, channels and description of a part of a model; names of its arrays with a prefix."""
+    family = family_of(part)
+    header, arrays = family.describe(part)
+    header = {"kind": family.kind, **header, **part.channels.as_header()}
+    return header, {prefix + name: a for name, a in arrays.items()}
+
+
+def restore_part(header: Header, arrays: Arrays, prefix: str, system: Any, where: Path) -> Any:
+    """The part of a model that `describe_part` described."""
+    family = FAMILIES[header["kind"]]
+    return family.restore(header, arrays_below(prefix, arrays), system, where)
 
 
 def systems_in(header: Header) -> tuple[str, ...]:

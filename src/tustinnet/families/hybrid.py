@@ -22,9 +22,11 @@ from tustinnet.families.family import (
     Hyper,
     LayeredStage,
     TrainedFamily,
+    describe_part,
     family_of,
+    restore_part,
 )
-from tustinnet.families.summaries import CORRECTION, PHYSICS, arrays_below, upgrade_hybrid
+from tustinnet.families.summaries import CORRECTION, PHYSICS, upgrade_hybrid
 from tustinnet.models.blocks import root_mean_square
 from tustinnet.models.contract import (
     AccelerationModel,
@@ -172,7 +174,7 @@ def _read_correction(content: Any) -> Hyper:
     if not isinstance(content, dict):
         raise InputError("correction", f"{content!r}", "a table of a kind of network")
     family = FAMILIES[content.get("kind", DEFAULT_FAMILY)]
-    if not issubclass(family.model, AccelerationModel):
+    if not (isinstance(family, TrainedFamily) and issubclass(family.model, AccelerationModel)):
         raise InputError(
             "correction", f"kind '{family.kind}'", "a kind that computes accelerations"
         )
@@ -219,7 +221,7 @@ class HybridFamily(TrainedFamily):
 
     def trainable_mask(self, model: HybridModel, stage: LayeredStage) -> PyTree:
         """A tree like the model, True at what trains of the correction; the physics does not."""
-        family = _trained_family(model.correction)
+        family = cast(TrainedFamily, family_of(model.correction))
         mask = jax.tree.map(lambda _: False, model)
         trainable = family.trainable_mask(model.correction, stage)
         return eqx.tree_at(lambda m: m.correction, mask, trainable)
@@ -233,7 +235,7 @@ class HybridFamily(TrainedFamily):
                 "--from", f"a correction with fades_at_rest = {trained.fades_at_rest}",
                 f"{model.fades_at_rest}, as the recipe has it", "leave --recipe and --set out",
             )  # fmt: skip
-        family = _trained_family(model.correction)
+        family = cast(TrainedFamily, family_of(model.correction))
         correction = family.with_weights_from(model.correction, trained.correction)
         return replace(model, correction=cast(AccelerationModel, correction))
 
@@ -261,11 +263,8 @@ class HybridFamily(TrainedFamily):
         header: Header = {"fades_at_rest": model.fades_at_rest}
         arrays: Arrays = {}
         for name in (PHYSICS, CORRECTION):
-            part = getattr(model, name)
-            family = family_of(part)
-            part_header, part_arrays = family.describe(part)
-            header[name] = {"kind": family.kind, **part_header, **part.channels.as_header()}
-            arrays |= {f"{name}.{n}": a for n, a in part_arrays.items()}
+            header[name], part_arrays = describe_part(getattr(model, name), f"{name}.")
+            arrays |= part_arrays
         return header, arrays
 
     def parts(self, header: Header) -> Sequence[Header]:
@@ -276,9 +275,7 @@ class HybridFamily(TrainedFamily):
         """The hybrid of a file; files of format 1 have both parts side by side in the header."""
         header, arrays = upgrade_hybrid(header, arrays)
         physics, correction = (
-            FAMILIES[header[name]["kind"]].restore(
-                header[name], arrays_below(f"{name}.", arrays), system, where
-            )
+            restore_part(header[name], arrays, f"{name}.", system, where)
             for name in (PHYSICS, CORRECTION)
         )
         return HybridModel(physics, correction, bool(header["fades_at_rest"]))
@@ -293,18 +290,6 @@ class HybridFamily(TrainedFamily):
 
 
 FAMILY = HybridFamily()
-
-
-def _trained_family(model: Model) -> TrainedFamily:
-    """The family of a correction.
-
-    Raises:
-        InputError: a model that is not trained.
-    """
-    family = family_of(model)
-    if not isinstance(family, TrainedFamily):
-        raise InputError("correction", f"kind '{family.kind}'", "a kind with weights")
-    return family
 
 
 def _remaining_acceleration(

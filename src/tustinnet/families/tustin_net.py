@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray, PyTree
+from jaxtyping import Array, Float, PRNGKeyArray
 from pydantic import Field, model_validator
 
 from tustinnet.channels import Channels
@@ -18,16 +18,13 @@ from tustinnet.errors import InputError
 from tustinnet.families.family import (
     Arrays,
     Header,
-    LayeredStage,
-    TrainedFamily,
-    make_mask,
     named_arrays,
     restore_arrays,
 )
 from tustinnet.families.networks import (
     InputTaps,
+    NetworkFamily,
     NetworkHyper,
-    check_stage,
     describe_network,
     restore_network,
 )
@@ -215,13 +212,12 @@ class TustinNetHyper(NetworkHyper):
         return self
 
 
-class TustinNetFamily(TrainedFamily):
+class TustinNetFamily(NetworkFamily):
     """The family of Tustin-Nets."""
 
     kind = "tustin-net"
     title = "Tustin-Net"
     hyper = TustinNetHyper
-    stage = LayeredStage
     model = TustinNet
 
     def builder(
@@ -254,13 +250,9 @@ class TustinNetFamily(TrainedFamily):
             lambda m: m.network.bypass, build(key).with_zero_output(), linear
         )
 
-    def check(self, hyper: TustinNetHyper, stage: LayeredStage) -> None:
-        """Checks that frozen layers exist, and that windows of an odd network are not mirrored."""
-        check_stage(hyper, stage)
-
-    def trainable_mask(self, model: TustinNet, stage: LayeredStage) -> PyTree:
-        """A tree like the model, True at the layers that are not frozen."""
-        return make_mask(model, model.network.trainable_layers(stage.frozen_layers))
+    def network(self, model: TustinNet) -> Network:
+        """The network of the model."""
+        return model.network
 
     def describe(self, model: TustinNet) -> tuple[Header, Arrays]:
         """The structure of the network for the header; arrays by their places in it."""
