@@ -39,12 +39,13 @@ _WINDOWS = 10**7
 _STAGES = 100
 Count = Annotated[int, Field(gt=0, le=_MANY)]
 Horizon = Annotated[float, Field(gt=0, le=_MANY)]  # s
+RemovedKeys = Mapping[str, tuple[Any, str]]  # by key: what changes nothing, what to do instead
 
 
 class _Table(Declaration):
     """A table whose keys of earlier versions are left out where they change nothing."""
 
-    removed_keys: ClassVar[Mapping[str, tuple[Any, str]]] = {}  # that value, and what to do instead
+    removed_keys: ClassVar[RemovedKeys] = {}
 
     @model_validator(mode="before")
     @classmethod
@@ -132,7 +133,9 @@ class StageRecipe(_Table):
             keeps; the average is what is validated and saved. None saves the weights themselves.
     """
 
-    removed_keys = {"penalty": (0.0, "train fewer epochs, or a smaller correction")}
+    removed_keys: ClassVar[RemovedKeys] = {
+        "penalty": (0.0, "train fewer epochs, or a smaller correction")
+    }
 
     name: Name
     windows: WindowRecipe
@@ -194,7 +197,7 @@ class SearchRecipe(_Table):
             as `model-20`; `none` for the parameters as the search ends.
     """
 
-    removed_keys = {
+    removed_keys: ClassVar[RemovedKeys] = {
         "times": ("recorded", "to ignore timestamps, give `dt` and no [time] in the data card")
     }
 
@@ -303,7 +306,7 @@ class TrainingRecipe(Recipe):
         stages: at least one.
     """
 
-    removed_keys = {
+    removed_keys: ClassVar[RemovedKeys] = {
         "rates": (
             [1.0],
             "train each by itself with --set stages.*.rate=RATE, or use tn.fit_many(rates=...)",
