@@ -208,6 +208,10 @@ class Family(ABC):
         """The equations of motion that a model has in it, for its energy; networks have none."""
         return None
 
+    def physics_in(self, model: Any) -> Model | None:
+        """The physics that a model corrects, None of most."""
+        return None
+
     def alternatives(self, model: Any, header: Header) -> Sequence[Model]:
         """Other models that the records of a model allow; their differences show how sure it is.
 
@@ -285,10 +289,6 @@ class TrainedFamily(Family):
         leaves, structure = jax.tree.flatten(fresh)
         pairs = zip(jax.tree.leaves(trained), leaves, strict=True)
         return jax.tree.unflatten(structure, [jnp.asarray(a, b.dtype) for a, b in pairs])
-
-    def physics_in(self, model: Any) -> Model | None:
-        """The physics that a model corrects, None of most."""
-        return None
 
     def physics_for_training(
         self, hyper: Any, physics: Model | None, experiments: Sequence[Experiment]

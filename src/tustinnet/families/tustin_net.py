@@ -149,26 +149,17 @@ class TustinNet(AccelerationModel):
         """The internal states after a period with the mean velocity `v`."""
         if not self.relaxation_times:
             return z
-        return jnp.asarray(relax(z, v, self.dt, self.relaxation_times))
+        times = self.relaxation_times
+        time = np.repeat(np.asarray(times), len(v))
+        decay = np.exp(-self.dt / time)
+        speed = v[np.tile(np.arange(len(v)), len(times))]
+        return (decay * z + (time * (1 - decay)) * speed).astype(z.dtype)
 
     def simplify(self) -> "TustinNet":
         """The model with the stem merged into the first hidden layer; it computes the same."""
         if self.network.stem is None:
             return self
         return replace(self, network=self.network.simplify())
-
-
-def relax(
-    z: Float[Array | np.ndarray, " n_z"],
-    v: Float[Array | np.ndarray, " n_q"],
-    dt: float,
-    times: Sequence[float],
-) -> Float[Array | np.ndarray, " n_z"]:
-    """Relaxed states, `exp(-dt/t) z + t (1 - exp(-dt/t)) v`, of one time after the other."""
-    time = np.repeat(np.asarray(times), len(v))
-    decay = np.exp(-dt / time)
-    speed = v[np.tile(np.arange(len(v)), len(times))]
-    return (decay * z + (time * (1 - decay)) * speed).astype(z.dtype)
 
 
 class TustinNetHyper(NetworkHyper):
