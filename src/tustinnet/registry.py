@@ -10,7 +10,7 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any, Generic, TypeVar, cast
 
-from tustinnet.errors import InputError
+from tustinnet.errors import InputError, convert_errors
 
 Item = TypeVar("Item")
 
@@ -48,7 +48,11 @@ class Registry(Generic[Item]):
             module, _, attribute = place.partition(":")
             return cast(Item, getattr(import_module(module), attribute))
         for entry in entry_points(group=self.group, name=name):
-            return cast(Item, entry.load())
+            with convert_errors(
+                f"{self.noun} '{name}'", f"{entry.value} cannot be loaded",
+                "a package for this version of tustinnet", "update or uninstall the package",
+            ):  # fmt: skip
+                return cast(Item, entry.load())
         raise InputError(
             f"{self.noun} '{name}'", f"no such {self.noun}", f"one of {', '.join(self.names())}"
         )

@@ -1,9 +1,11 @@
 """Old names that still work, with a message that says the new one; they go in version 0.4."""
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import wraps
 from typing import Any, TypeVar, cast
+
+from tustinnet.errors import InputError
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -25,6 +27,27 @@ METHODS = {
 }
 # forces of a recipe (`[model] forces`), and functions of `models.forces`
 FORCES = {"rubbing": "coulomb_by_position"}
+
+
+def refuse_outdated(cls: type, outdated: Mapping[str, str]) -> None:
+    """Raises where a class of another package is written for an earlier version of this one.
+
+    Its methods of old names would never be called.
+
+    Args:
+        cls: the class.
+        outdated: what it has of the earlier version, and what is expected instead.
+
+    Raises:
+        InputError: anything is outdated.
+    """
+    if outdated:
+        raise InputError(
+            f"class {cls.__module__}.{cls.__qualname__}",
+            f"written for an earlier version: {', '.join(outdated)}",
+            ", ".join(dict.fromkeys(outdated.values())),
+            "rename them (docs/how-to/add-a-family.md), or uninstall the package of the class",
+        )
 
 
 def current_name(name: str, names: dict[str, str], kind: str) -> str:

@@ -286,7 +286,7 @@ def test_models_that_cannot_be_averaged_are_refused():
     with pytest.raises(tn.InputError, match="0 models"):
         tn.committee([])
     with pytest.raises(tn.InputError, match="what `input_signal` makes of a record"):
-        tn.rollout(tn.committee(every_family()), np.zeros(11), np.zeros((4, 5, 1)))
+        tn.rollout(tn.committee(every_family()), np.zeros(11), np.zeros((4, 4, 1)))
 
 
 @pytest.mark.parametrize("kind", ["committee", "hybrid"])

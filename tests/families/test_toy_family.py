@@ -1,6 +1,7 @@
 """A family that is registered from outside goes through everything the package does."""
 
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from conftest import write_folder
 import tustinnet as tn
 from tustinnet.channels import Channels
 from tustinnet.cli.main import run
+from tustinnet.families import family
 from tustinnet.families.family import Hyper, TrainedFamily, named_arrays, restore_arrays
 from tustinnet.fitting.task import Member, make_task
 from tustinnet.models.blocks import Affine, Scaling, feature_count, learn_scaling, random_affine
@@ -217,11 +219,82 @@ def test_keys_that_it_does_not_know_are_refused_by_name():
 
 
 def test_without_its_registry_line_nobody_knows_it(place):
-    family = FAMILIES.places.pop("toy")
+    toy = FAMILIES.places.pop("toy")
     try:
         with pytest.raises(tn.InputError, match="no kind of model 'toy'"):
             tn.read_recipe(RECIPE)
         with pytest.raises(tn.InputError, match="a file of kind 'toy'"):
             tn.load_model(place / "run" / MODEL)
     finally:
-        FAMILIES.register("toy", family)
+        FAMILIES.register("toy", toy)
+
+
+OUTDATED = """
+import equinox as eqx
+from tustinnet.families.family import {imports}
+from tustinnet.models.contract import Model
+
+class Old({base}):
+    kind = "old"
+    hyper = Hyper
+    model = object
+    def builder(self, hyper, experiments, velocity, physics): ...
+    def describe(self, model): ...
+    def restore(self, header, arrays, system, where): ...
+{more}
+
+FAMILY = Old()
+"""
+HOOKS = """
+    def trainable(self, model, stage): ...
+    def begun(self, built, origin): ...
+    def shown(self, header, arrays): ...
+"""
+OLD_MODEL = """
+class OldModel(Model):
+    def step(self, x, u): ...
+    def of(self, record): ...
+    def seen(self, inputs): ...
+"""
+
+
+@pytest.mark.parametrize(
+    ("imports", "base", "more", "message"),
+    [
+        (
+            "Family, Hyper", "Family", HOOKS,
+            r"class outdated\.Old: written for an earlier version: class Family, trainable, begun, "
+            r"shown; expected TrainedFamily or IdentifiedFamily, trainable_mask, "
+            r"with_weights_from, summarise; rename them \(docs/how-to/add-a-family.md\), or uninst",
+        ),
+        ("Family, Hyper", "Family", "", "expected TrainedFamily or IdentifiedFamily; rename"),
+        ("TrainedFamily, Hyper", "TrainedFamily", HOOKS, "version: trainable, begun, shown; exp"),
+        (
+            "TrainedFamily, Hyper", "TrainedFamily", OLD_MODEL,
+            "class outdated.OldModel: .*: of, seen; expected for_record, step_layout",
+        ),
+        (
+            "TrainedFamily, Hyper, gone", "TrainedFamily", "",
+            "kind of model 'old': outdated:FAMILY cannot be loaded .*ImportError.*update or uninst",
+        ),
+    ],
+)  # fmt: skip
+def test_a_family_of_an_earlier_version_is_refused_by_name(
+    tmp_path, monkeypatch, imports, base, more, message
+):
+    code = OUTDATED.format(imports=imports, base=base, more=more)
+    (tmp_path / "outdated.py").write_text(code)
+    package = tmp_path / "outdated-1.0.dist-info"
+    package.mkdir()
+    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: outdated\nVersion: 1.0\n")
+    (package / "entry_points.txt").write_text("[tustinnet.families]\nold = outdated:FAMILY\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "outdated", raising=False)
+    with pytest.raises(tn.InputError, match=message):
+        tn.read_recipe({"name": "old", "model": {"kind": "old"}, "stages": []})
+
+
+def test_functions_for_families_have_their_old_names_for_a_version():
+    with pytest.warns(FutureWarning, match="'filled' is called 'restore_arrays' now"):
+        assert family.filled is restore_arrays
+    assert not hasattr(family, "unknown")

@@ -149,7 +149,7 @@ def _fit_recipe(
         _print_windows(task, console)
     remedy = (
         "--resume continues from the checkpoint"
-        if recipe.family.trains
+        if recipe.family.resumable
         else "an identification cannot be resumed; start it again, if necessary with --overwrite"
     )
     with (
@@ -172,7 +172,7 @@ def _fit_recipe(
         typer.echo(f"model: {run.folder / MODEL}   figures: {figures}{report or ''}")
     unfinished = [m.result for m in run.members if not m.result.finished]
     for result in unfinished:
-        member = f"{result.member.name}: " if result.recipe.family.trains else ""
+        member = f"{result.member.name}: " if result.recipe.family.has_seeds else ""
         console.print(f"error: {member}{result.failure}")
     if len(unfinished) == len(run.members):
         raise typer.Exit(1)

@@ -122,7 +122,7 @@ def make_members(seeds: str | None, recipe: "Recipe") -> "list[Member]":
     from tustinnet.errors import InputError
     from tustinnet.fitting.task import Member
 
-    if seeds is not None and not recipe.family.trains:
+    if seeds is not None and not recipe.family.has_seeds:
         raise InputError(
             "--seeds", f"an option of a training; '{recipe.name}' identifies",
             "a recipe of a kind with weights", "an identification has no seeds",

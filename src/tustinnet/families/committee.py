@@ -1,8 +1,9 @@
 """Committees: several models of the same channels, averaged in the acceleration at every step."""
 
-import math
 from collections.abc import Callable, Iterable, Sequence
+from functools import reduce
 from itertools import pairwise
+from operator import or_
 from pathlib import Path
 from typing import Any
 
@@ -20,14 +21,15 @@ from tustinnet.families.family import (
     Family,
     Header,
     Hyper,
+    describe_part,
     family_of,
+    restore_part,
     systems_in,
 )
-from tustinnet.families.summaries import MEMBERS, WEIGHT, arrays_below
-from tustinnet.models.contract import Internal, Model, State, StepInput, StepInputs
+from tustinnet.families.summaries import MEMBERS, WEIGHT
+from tustinnet.models.contract import Internal, Model, State
 from tustinnet.models.lagrangian import LagrangianModel
-from tustinnet.registry import FAMILIES
-from tustinnet.signals.excitation import Excitation
+from tustinnet.models.step_layout import StepInput, StepLayout
 from tustinnet.systems.files import load_system
 
 Weights = Sequence[float | int] | Float[np.ndarray | Array, " members"]
@@ -143,31 +145,10 @@ class Committee(Model):
         """The committee with folded members."""
         return _group_members([member.simplify() for member in self.members], self.weights)
 
-    def step_inputs(self, inputs: Excitation) -> StepInputs:
-        """The inputs of the members; of several groups the rows of each, one after the other."""
-        by_group = [group.member().step_inputs(inputs) for group in self.groups]
-        if len(by_group) == 1:
-            return by_group[0]
-        rows = [s.reshape(len(s), math.prod(s.shape[1:-1]), s.shape[-1]) for s in by_group]
-        return np.concatenate(rows, axis=1)
-
-    def _split_inputs(self, u: StepInput) -> list[Array]:
-        """The inputs of each group of members; a vector acts on all."""
-        if u.ndim == 1 or len(self.groups) == 1:
-            return [u] * len(self.groups)
-        for order in range(1, len(u) + 1):  # of the polynomials that inputs follow
-            shapes = self._input_shapes(order)
-            ends = np.cumsum([0, *(math.prod(shape[:-1]) for shape in shapes)]).tolist()
-            if ends[-1] == len(u):
-                parts = zip(pairwise(ends), shapes, strict=True)
-                return [u[a:b].reshape(shape) for (a, b), shape in parts]
-        raise ValueError(f"{len(u)} rows of inputs in a period fit no input layout of the members")
-
-    def _input_shapes(self, order: int) -> list[tuple[int, ...]]:
-        """The shapes of each group's inputs in a period, for polynomials of `order` terms."""
-        n_u = self.channels.n_u
-        inputs = Excitation(np.zeros((2, n_u)), np.zeros((1, order, n_u)))
-        return [group.member().step_inputs(inputs).shape[1:] for group in self.groups]
+    @property
+    def step_layout(self) -> StepLayout:
+        """The rows of all members."""
+        return reduce(or_, (group.member().step_layout for group in self.groups))
 
     def step(self, x: State, u: StepInput) -> State:
         """The state after one period: mean positions and velocities, internal states of all."""
@@ -184,13 +165,14 @@ class Committee(Model):
         channels = self.channels
         ends = np.cumsum([0, *map(len, self._internal_names)]).tolist()
         internal = [x[channels.internal][a:b] for a, b in pairwise(ends)]
+        layout = self.step_layout
         states = [
             group.step_members(
                 x[channels.measured],
                 jnp.stack([internal[n] for n in group.numbers]),
-                lambda member, own, inputs=inputs: move(member, own, inputs),
+                lambda member, own: move(member, own, layout.select(u, member.step_layout)),
             )
-            for group, inputs in zip(self.groups, self._split_inputs(u), strict=True)
+            for group in self.groups
         ]
         measured = jnp.concatenate([s[:, channels.measured] for s in states])
         weights = jnp.concatenate([group.weights for group in self.groups])
@@ -282,11 +264,9 @@ class CommitteeFamily(Family):
         for i, (member, weight) in enumerate(
             zip(model.members, np.asarray(model.weights).tolist(), strict=True), 1
         ):
-            family = family_of(member)
-            member_header, member_arrays = family.describe(member)
-            channels = member.channels.as_header()
-            members.append({"kind": family.kind, WEIGHT: weight, **member_header, **channels})
-            arrays |= {f"{i}.{name}": a for name, a in member_arrays.items()}
+            part, part_arrays = describe_part(member, f"{i}.")
+            members.append({"kind": part["kind"], WEIGHT: weight, **part})
+            arrays |= part_arrays
         systems = dict.fromkeys(name for part in members for name in systems_in(part))
         if len(systems) > 1:
             raise InputError(
@@ -299,9 +279,7 @@ class CommitteeFamily(Family):
         """The committee of a file, with one system for all members that have any."""
         loaded = None if system is None else load_system(system)
         members = [
-            FAMILIES[part["kind"]].restore(
-                part, arrays_below(f"{i}.", arrays), loaded if systems_in(part) else None, where
-            )
+            restore_part(part, arrays, f"{i}.", loaded if systems_in(part) else None, where)
             for i, part in enumerate(header[MEMBERS], 1)
         ]
         weights = np.array([part[WEIGHT] for part in header[MEMBERS]])

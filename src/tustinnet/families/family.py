@@ -1,7 +1,7 @@
 """The interface of every family of models; the rest of the package knows nothing else of one."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -15,17 +15,34 @@ from pydantic import Field, field_validator
 from tustinnet.data.declaration import Declaration
 from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.errors import InputError
-from tustinnet.families.summaries import Arrays, Header
+from tustinnet.families.summaries import Arrays, Header, arrays_below
 from tustinnet.models.blocks import Affine
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import FromContinuous
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
 from tustinnet.registry import FAMILIES, SUMMARIES, SYSTEMS
+from tustinnet.renamed import current_name, refuse_outdated
 
 Requirement = Literal["system", "physics"]
 
 # larger values exhaust memory before any message
 MOST_LAYERS, MOST_UNITS, MOST_STATES = 100, 10_000, 1000
+# names of earlier versions, which families of other packages may have or use
+_RENAMED_HOOKS = {
+    "trainable": "trainable_mask",
+    "begun": "with_weights_from",
+    "beginning": "with_initial_values",
+    "corrected": "physics_in",
+    "stepped": "physics_for_training",
+    "shown": "summarise",
+}
+_RENAMED_FUNCTIONS = {"filled": "restore_arrays", "mask_of": "make_mask"}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _RENAMED_FUNCTIONS:
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    return globals()[current_name(name, _RENAMED_FUNCTIONS, "function")]
 
 
 class Hyper(Declaration):
@@ -105,7 +122,11 @@ class Family(ABC):
         kind: its name in recipes and model files.
         title: its name in headings, where that is not `kind`.
         hyper: the keys of the table `[model]` of a recipe.
-        trains: whether it has weights that are trained.
+        has_seeds: whether its fits begin at random, with a seed each; then each has a name and a
+            folder of its own.
+        resumable: whether an interrupted fit goes on from its checkpoint.
+        averages_folds: whether a selection keeps the average of the models of all folds; else it
+            fits the chosen kind once more, to all records.
         remedy: what to do instead of naming it in a recipe, of kinds whose models are made of
             others; empty where a recipe may name it.
         needs: what has to be given beside a recipe, a `system` or the `physics` to correct.
@@ -116,11 +137,26 @@ class Family(ABC):
     kind: ClassVar[str]
     title: ClassVar[str] = ""
     hyper: ClassVar[type[Hyper]]
-    trains: ClassVar[bool] = False
+    has_seeds: ClassVar[bool] = False
+    resumable: ClassVar[bool] = False
+    averages_folds: ClassVar[bool] = False
     remedy: ClassVar[str] = ""
     needs: ClassVar[frozenset[Requirement]] = frozenset()
     correctable: ClassVar[bool] = False
     model: ClassVar[type]
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        outdated = {old: new for old, new in _RENAMED_HOOKS.items() if old in vars(cls)}
+        if "kind" in vars(cls) and not (
+            cls.remedy or issubclass(cls, TrainedFamily | IdentifiedFamily)
+        ):
+            outdated = {"class Family": "TrainedFamily or IdentifiedFamily", **outdated}
+        refuse_outdated(cls, outdated)
+
+    def select_seeds(self, wanted: Iterable[int]) -> tuple[int, ...]:
+        """The seeds of fits: those wanted, or 0 alone where a fit does not depend on one."""
+        return tuple(wanted) if self.has_seeds else (0,)
 
     def owns(self, model: Any) -> bool:
         """Whether a model is of this family."""
@@ -172,6 +208,10 @@ class Family(ABC):
         """The equations of motion that a model has in it, for its energy; networks have none."""
         return None
 
+    def physics_in(self, model: Any) -> Model | None:
+        """The physics that a model corrects, None of most."""
+        return None
+
     def alternatives(self, model: Any, header: Header) -> Sequence[Model]:
         """Other models that the records of a model allow; their differences show how sure it is.
 
@@ -193,7 +233,9 @@ class TrainedFamily(Family):
     """
 
     stage: ClassVar[type[StageKeys]] = StageKeys
-    trains = True
+    has_seeds = True
+    resumable = True
+    averages_folds = True
 
     @abstractmethod
     def builder(
@@ -247,10 +289,6 @@ class TrainedFamily(Family):
         leaves, structure = jax.tree.flatten(fresh)
         pairs = zip(jax.tree.leaves(trained), leaves, strict=True)
         return jax.tree.unflatten(structure, [jnp.asarray(a, b.dtype) for a, b in pairs])
-
-    def physics_in(self, model: Any) -> Model | None:
-        """The physics that a model corrects, None of most."""
-        return None
 
     def physics_for_training(
         self, hyper: Any, physics: Model | None, experiments: Sequence[Experiment]
@@ -314,6 +352,20 @@ def family_of(model: Any) -> Family:
         f"a {type(model).__name__}", "a model of no registered family",
         f"a model of one of the kinds {', '.join(FAMILIES.names())}",
     )  # fmt: skip
+
+
+def describe_part(part: Model, prefix: str) -> tuple[Header, Arrays]:
+    """Kind, channels and description of a part of a model; names of its arrays with a prefix."""
+    family = family_of(part)
+    header, arrays = family.describe(part)
+    header = {"kind": family.kind, **header, **part.channels.as_header()}
+    return header, {prefix + name: a for name, a in arrays.items()}
+
+
+def restore_part(header: Header, arrays: Arrays, prefix: str, system: Any, where: Path) -> Any:
+    """The part of a model that `describe_part` described."""
+    family = FAMILIES[header["kind"]]
+    return family.restore(header, arrays_below(prefix, arrays), system, where)
 
 
 def systems_in(header: Header) -> tuple[str, ...]:

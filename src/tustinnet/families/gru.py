@@ -29,8 +29,8 @@ from tustinnet.models.contract import (
     Internal,
     Model,
     State,
-    StepInput,
 )
+from tustinnet.models.step_layout import StepInput
 
 
 class GRU(AccelerationModel):

@@ -22,23 +22,23 @@ from tustinnet.families.family import (
     Hyper,
     LayeredStage,
     TrainedFamily,
+    describe_part,
     family_of,
+    restore_part,
 )
-from tustinnet.families.summaries import CORRECTION, PHYSICS, arrays_below, upgrade_hybrid
+from tustinnet.families.summaries import CORRECTION, PHYSICS, upgrade_hybrid
 from tustinnet.models.blocks import root_mean_square
 from tustinnet.models.contract import (
     AccelerationModel,
     Internal,
     Model,
     State,
-    StepInput,
-    StepInputs,
     require_fit,
 )
 from tustinnet.models.integrate import MOST_SUBSTEPS, Discretised
 from tustinnet.models.lagrangian import LagrangianModel
+from tustinnet.models.step_layout import StepInput, StepLayout
 from tustinnet.registry import DEFAULT_FAMILY, FAMILIES
-from tustinnet.signals.excitation import Excitation
 from tustinnet.signals.stacking import stack_padded
 from tustinnet.simulate.along import predictions_along
 from tustinnet.simulate.input_signal import input_signals
@@ -111,29 +111,26 @@ class HybridModel(Model):
         physics = self.physics.for_record(experiment)
         return self if physics is self.physics else replace(self, physics=physics)
 
-    def step_inputs(self, inputs: Excitation) -> StepInputs:
-        """The inputs of the physics, and behind them the samples that the correction takes."""
-        for_physics = self.physics.step_inputs(inputs)
-        if not self.correction.taps:
-            return for_physics
-        rows = for_physics[:, None] if for_physics.ndim == 2 else for_physics
-        return np.concatenate([rows, self.correction.step_inputs(inputs)], axis=1)
-
-    def _split_inputs(self, u: StepInput) -> tuple[Array, Array]:
-        """The inputs of the physics and those of the correction; without taps the sample."""
-        taps = len(self.correction.taps)
-        if u.ndim == 1:
-            return u, u
-        if not taps:
-            return u, u[0]
-        for_physics = u[:-taps]
-        return for_physics[0] if len(for_physics) == 1 else for_physics, u[-taps:]
+    @property
+    def step_layout(self) -> StepLayout:
+        """The rows of the physics, and the samples that the correction takes."""
+        return self.physics.step_layout | StepLayout(taps=self.correction.taps)
 
     def step(self, x: State, u: StepInput) -> State:
         """The state after one period: the physics, then the correction."""
-        channels, n_p = self.channels, self.physics.state_size
-        for_physics, _ = self._split_inputs(u)
-        f, update_internal = self._correct(x, u)
+        channels, n_p, layout = self.channels, self.physics.state_size, self.step_layout
+        for_physics = layout.select(u, self.physics.step_layout)
+        u_begin = for_physics if for_physics.ndim == 1 else for_physics[0]
+        taps = self.correction.taps
+        f, update_internal = self.correction.accelerate(
+            jnp.concatenate([x[channels.measured], x[n_p:]]),
+            layout.select(u, StepLayout(taps=taps)) if taps else u_begin,
+        )
+        if self.fades_at_rest:
+            unit = self.correction.scaling
+            motion = jnp.concatenate([x[channels.velocity] / unit.velocity, u_begin / unit.input])
+            level = jnp.mean(motion**2)
+            f = f * level / (level + _REST_LEVEL)
         change = self.dt * f
         physics_next = self.physics.step(x[:n_p], for_physics)
         v_next = physics_next[channels.velocity] + change
@@ -145,23 +142,6 @@ class HybridModel(Model):
                 update_internal((x[channels.velocity] + v_next) / 2),
             ]
         )
-
-    def acceleration_correction(self, x: State, u: StepInput) -> Float[Array, " n_q"]:
-        """`f`, what the network adds to the accelerations, (n_q,) [rad/s^2 or m/s^2]."""
-        return self._correct(x, u)[0]
-
-    def _correct(self, x: State, u: StepInput) -> tuple[Array, Callable[[Array], Array]]:
-        """`f`, and a function from mean velocities to the next internal states of the network."""
-        for_physics, for_correction = self._split_inputs(u)
-        first_input = for_physics if for_physics.ndim == 1 else for_physics[0]
-        channels, unit = self.channels, self.correction.scaling
-        own_state = jnp.concatenate([x[channels.measured], x[self.physics.state_size :]])
-        f, update_internal = self.correction.accelerate(own_state, for_correction)
-        if not self.fades_at_rest:
-            return f, update_internal
-        motion = jnp.concatenate([x[channels.velocity] / unit.velocity, first_input / unit.input])
-        level = jnp.mean(motion**2)
-        return f * level / (level + _REST_LEVEL), update_internal
 
     def simplify(self) -> "HybridModel":
         """The hybrid with folded parts."""
@@ -194,7 +174,7 @@ def _read_correction(content: Any) -> Hyper:
     if not isinstance(content, dict):
         raise InputError("correction", f"{content!r}", "a table of a kind of network")
     family = FAMILIES[content.get("kind", DEFAULT_FAMILY)]
-    if not issubclass(family.model, AccelerationModel):
+    if not (isinstance(family, TrainedFamily) and issubclass(family.model, AccelerationModel)):
         raise InputError(
             "correction", f"kind '{family.kind}'", "a kind that computes accelerations"
         )
@@ -241,7 +221,7 @@ class HybridFamily(TrainedFamily):
 
     def trainable_mask(self, model: HybridModel, stage: LayeredStage) -> PyTree:
         """A tree like the model, True at what trains of the correction; the physics does not."""
-        family = _trained_family(model.correction)
+        family = cast(TrainedFamily, family_of(model.correction))
         mask = jax.tree.map(lambda _: False, model)
         trainable = family.trainable_mask(model.correction, stage)
         return eqx.tree_at(lambda m: m.correction, mask, trainable)
@@ -255,7 +235,7 @@ class HybridFamily(TrainedFamily):
                 "--from", f"a correction with fades_at_rest = {trained.fades_at_rest}",
                 f"{model.fades_at_rest}, as the recipe has it", "leave --recipe and --set out",
             )  # fmt: skip
-        family = _trained_family(model.correction)
+        family = cast(TrainedFamily, family_of(model.correction))
         correction = family.with_weights_from(model.correction, trained.correction)
         return replace(model, correction=cast(AccelerationModel, correction))
 
@@ -283,11 +263,8 @@ class HybridFamily(TrainedFamily):
         header: Header = {"fades_at_rest": model.fades_at_rest}
         arrays: Arrays = {}
         for name in (PHYSICS, CORRECTION):
-            part = getattr(model, name)
-            family = family_of(part)
-            part_header, part_arrays = family.describe(part)
-            header[name] = {"kind": family.kind, **part_header, **part.channels.as_header()}
-            arrays |= {f"{name}.{n}": a for n, a in part_arrays.items()}
+            header[name], part_arrays = describe_part(getattr(model, name), f"{name}.")
+            arrays |= part_arrays
         return header, arrays
 
     def parts(self, header: Header) -> Sequence[Header]:
@@ -298,9 +275,7 @@ class HybridFamily(TrainedFamily):
         """The hybrid of a file; files of format 1 have both parts side by side in the header."""
         header, arrays = upgrade_hybrid(header, arrays)
         physics, correction = (
-            FAMILIES[header[name]["kind"]].restore(
-                header[name], arrays_below(f"{name}.", arrays), system, where
-            )
+            restore_part(header[name], arrays, f"{name}.", system, where)
             for name in (PHYSICS, CORRECTION)
         )
         return HybridModel(physics, correction, bool(header["fades_at_rest"]))
@@ -315,18 +290,6 @@ class HybridFamily(TrainedFamily):
 
 
 FAMILY = HybridFamily()
-
-
-def _trained_family(model: Model) -> TrainedFamily:
-    """The family of a correction.
-
-    Raises:
-        InputError: a model that is not trained.
-    """
-    family = family_of(model)
-    if not isinstance(family, TrainedFamily):
-        raise InputError("correction", f"kind '{family.kind}'", "a kind with weights")
-    return family
 
 
 def _remaining_acceleration(

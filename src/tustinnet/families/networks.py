@@ -1,9 +1,11 @@
 """Feedforward networks in models: their recipe keys and their place in files, for all families."""
 
+from abc import abstractmethod
 from typing import Annotated, Any, Literal
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import PyTree
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from tustinnet.channels import Channels
@@ -12,6 +14,9 @@ from tustinnet.families.family import (
     MOST_UNITS,
     Arrays,
     Hyper,
+    LayeredStage,
+    TrainedFamily,
+    make_mask,
     restore_arrays,
 )
 from tustinnet.models.blocks import Layers, Network, Scaling, feature_count, random_network
@@ -107,16 +112,24 @@ def blank_scaling(channels: Channels, memory: int = 0) -> Scaling:
     return Scaling(*(jnp.zeros(n, jnp.float32) for n in sizes))
 
 
-def check_stage(hyper: NetworkHyper, stage: Any) -> None:
-    """Raises `ValueError` where a stage does not fit the network.
+class NetworkFamily(TrainedFamily):
+    """A kind of model with a feedforward network, whose hidden layers may be frozen."""
 
-    Args:
-        hyper: the network.
-        stage: a stage of a recipe: `LayeredStage` and the keys that all families know.
-    """
-    if not 0 <= stage.frozen_layers <= len(hyper.hidden):
-        raise ValueError(f"freezes {stage.frozen_layers} of {len(hyper.hidden)} hidden layers")
-    if hyper.odd and stage.mirror:
-        raise ValueError(
-            "`mirror` does to the windows what `odd` does to the network: leave one out"
-        )
+    stage = LayeredStage
+
+    @abstractmethod
+    def network(self, model: Any) -> Network:
+        """The network of a model."""
+
+    def check(self, hyper: NetworkHyper, stage: Any) -> None:
+        """Checks that frozen layers exist, and that windows of an odd network are not mirrored."""
+        if not 0 <= stage.frozen_layers <= len(hyper.hidden):
+            raise ValueError(f"freezes {stage.frozen_layers} of {len(hyper.hidden)} hidden layers")
+        if hyper.odd and stage.mirror:
+            raise ValueError(
+                "`mirror` does to the windows what `odd` does to the network: leave one out"
+            )
+
+    def trainable_mask(self, model: Any, stage: LayeredStage) -> PyTree:
+        """A tree like the model, True at the layers that are not frozen."""
+        return make_mask(model, self.network(model).trainable_layers(stage.frozen_layers))

@@ -6,7 +6,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import PRNGKeyArray, PyTree
+from jaxtyping import PRNGKeyArray
 from pydantic import Field
 
 from tustinnet.channels import Channels
@@ -14,14 +14,11 @@ from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.families.family import (
     Arrays,
     Header,
-    LayeredStage,
-    TrainedFamily,
-    make_mask,
     named_arrays,
 )
 from tustinnet.families.networks import (
+    NetworkFamily,
     NetworkHyper,
-    check_stage,
     describe_network,
     restore_network,
 )
@@ -70,13 +67,12 @@ class NeuralODEHyper(NetworkHyper):
     substeps: int = Field(default=1, gt=0, le=MOST_UNROLLED)
 
 
-class NeuralODEFamily(TrainedFamily):
+class NeuralODEFamily(NetworkFamily):
     """The family of neural ODEs."""
 
     kind = "neural-ode"
     title = "neural ODE"
     hyper = NeuralODEHyper
-    stage = LayeredStage
     correctable = True
     model = NeuralODE
 
@@ -98,17 +94,13 @@ class NeuralODEFamily(TrainedFamily):
 
         return build
 
-    def check(self, hyper: NeuralODEHyper, stage: LayeredStage) -> None:
-        """Checks that frozen layers exist, and that windows of an odd network are not mirrored."""
-        check_stage(hyper, stage)
-
-    def trainable_mask(self, model: Any, stage: LayeredStage) -> PyTree:
-        """A tree like the model, True at the layers that are not frozen."""
-        return make_mask(model, model.continuous.network.trainable_layers(stage.frozen_layers))
+    def network(self, model: Any) -> Network:
+        """The network of the derivative."""
+        return model.continuous.network
 
     def describe(self, model: Any) -> tuple[Header, Arrays]:
         """Structure and substeps for the header; arrays by their places in the network."""
-        network = model.continuous.network
+        network = self.network(model)
         header = {"structure": describe_network(network), "substeps": model.substeps}
         return header, named_arrays(network)
 

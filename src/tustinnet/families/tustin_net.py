@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray, PyTree
+from jaxtyping import Array, Float, PRNGKeyArray
 from pydantic import Field, model_validator
 
 from tustinnet.channels import Channels
@@ -18,16 +18,13 @@ from tustinnet.errors import InputError
 from tustinnet.families.family import (
     Arrays,
     Header,
-    LayeredStage,
-    TrainedFamily,
-    make_mask,
     named_arrays,
     restore_arrays,
 )
 from tustinnet.families.networks import (
     InputTaps,
+    NetworkFamily,
     NetworkHyper,
-    check_stage,
     describe_network,
     restore_network,
 )
@@ -39,8 +36,8 @@ from tustinnet.models.contract import (
     Internal,
     Model,
     State,
-    StepInput,
 )
+from tustinnet.models.step_layout import StepInput
 from tustinnet.registry import SCALINGS
 from tustinnet.signals.rest import usual_positions
 from tustinnet.simulate.along import states_along
@@ -152,26 +149,17 @@ class TustinNet(AccelerationModel):
         """The internal states after a period with the mean velocity `v`."""
         if not self.relaxation_times:
             return z
-        return jnp.asarray(relax(z, v, self.dt, self.relaxation_times))
+        times = self.relaxation_times
+        time = np.repeat(np.asarray(times), len(v))
+        decay = np.exp(-self.dt / time)
+        speed = v[np.tile(np.arange(len(v)), len(times))]
+        return (decay * z + (time * (1 - decay)) * speed).astype(z.dtype)
 
     def simplify(self) -> "TustinNet":
         """The model with the stem merged into the first hidden layer; it computes the same."""
         if self.network.stem is None:
             return self
         return replace(self, network=self.network.simplify())
-
-
-def relax(
-    z: Float[Array | np.ndarray, " n_z"],
-    v: Float[Array | np.ndarray, " n_q"],
-    dt: float,
-    times: Sequence[float],
-) -> Float[Array | np.ndarray, " n_z"]:
-    """Relaxed states, `exp(-dt/t) z + t (1 - exp(-dt/t)) v`, of one time after the other."""
-    time = np.repeat(np.asarray(times), len(v))
-    decay = np.exp(-dt / time)
-    speed = v[np.tile(np.arange(len(v)), len(times))]
-    return (decay * z + (time * (1 - decay)) * speed).astype(z.dtype)
 
 
 class TustinNetHyper(NetworkHyper):
@@ -215,13 +203,12 @@ class TustinNetHyper(NetworkHyper):
         return self
 
 
-class TustinNetFamily(TrainedFamily):
+class TustinNetFamily(NetworkFamily):
     """The family of Tustin-Nets."""
 
     kind = "tustin-net"
     title = "Tustin-Net"
     hyper = TustinNetHyper
-    stage = LayeredStage
     model = TustinNet
 
     def builder(
@@ -254,13 +241,9 @@ class TustinNetFamily(TrainedFamily):
             lambda m: m.network.bypass, build(key).with_zero_output(), linear
         )
 
-    def check(self, hyper: TustinNetHyper, stage: LayeredStage) -> None:
-        """Checks that frozen layers exist, and that windows of an odd network are not mirrored."""
-        check_stage(hyper, stage)
-
-    def trainable_mask(self, model: TustinNet, stage: LayeredStage) -> PyTree:
-        """A tree like the model, True at the layers that are not frozen."""
-        return make_mask(model, model.network.trainable_layers(stage.frozen_layers))
+    def network(self, model: TustinNet) -> Network:
+        """The network of the model."""
+        return model.network
 
     def describe(self, model: TustinNet) -> tuple[Header, Arrays]:
         """The structure of the network for the header; arrays by their places in it."""

@@ -7,7 +7,7 @@ for kinds with weights, `search` for kinds with parameters.
 from abc import abstractmethod
 from collections.abc import Mapping
 from functools import cache
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import Field, SerializeAsAny, create_model, field_validator, model_validator
 
@@ -39,19 +39,23 @@ _WINDOWS = 10**7
 _STAGES = 100
 Count = Annotated[int, Field(gt=0, le=_MANY)]
 Horizon = Annotated[float, Field(gt=0, le=_MANY)]  # s
+RemovedKeys = Mapping[str, tuple[Any, str]]  # by key: what changes nothing, what to do instead
 
 
-def _without_removed_key(content: Any, key: str, unchanged: Any, remedy: str) -> Any:
-    """The content of a table without a key of earlier versions that changes nothing.
+class _Table(Declaration):
+    """A table whose keys of earlier versions are left out where they change nothing."""
 
-    Raises:
-        ValueError: the key has another value than `unchanged`.
-    """
-    if not isinstance(content, Mapping) or key not in content:
-        return content
-    if content[key] != unchanged:
-        raise ValueError(f"`{key}` was removed: {remedy}")
-    return {name: value for name, value in content.items() if name != key}
+    removed_keys: ClassVar[RemovedKeys] = {}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _leave_out_removed_keys(cls, content: Any) -> Any:
+        if not isinstance(content, Mapping):
+            return content
+        for key, (unchanged, remedy) in cls.removed_keys.items():
+            if content.get(key, unchanged) != unchanged:
+                raise ValueError(f"`{key}` was removed: {remedy}")
+        return {key: value for key, value in content.items() if key not in cls.removed_keys}
 
 
 class WindowRecipe(Declaration):
@@ -103,7 +107,7 @@ class PlateauRecipe(Declaration):
     watch: Criterion = "validation"
 
 
-class StageRecipe(Declaration):
+class StageRecipe(_Table):
     """A stage of training; kinds of models may have further keys.
 
     Attributes:
@@ -129,6 +133,10 @@ class StageRecipe(Declaration):
             keeps; the average is what is validated and saved. None saves the weights themselves.
     """
 
+    removed_keys: ClassVar[RemovedKeys] = {
+        "penalty": (0.0, "train fewer epochs, or a smaller correction")
+    }
+
     name: Name
     windows: WindowRecipe
     loss: Compared = "state"
@@ -144,12 +152,6 @@ class StageRecipe(Declaration):
     mirror: bool = False
     clip: float | None = Field(default=None, gt=0, le=1e6)
     averaging: float | None = Field(default=None, gt=0, lt=1)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _drop_penalty(cls, content: Any) -> Any:
-        remedy = "train fewer epochs, or a smaller correction"
-        return _without_removed_key(content, "penalty", 0.0, remedy)
 
     @model_validator(mode="after")
     def _check_rate_and_keep(self) -> "StageRecipe":
@@ -168,7 +170,7 @@ class StageRecipe(Declaration):
         return self.keep.startswith("validation") or watch.startswith("validation")
 
 
-class SearchRecipe(Declaration):
+class SearchRecipe(_Table):
     """The table `[search]`: how parameters are identified.
 
     Attributes:
@@ -195,6 +197,10 @@ class SearchRecipe(Declaration):
             as `model-20`; `none` for the parameters as the search ends.
     """
 
+    removed_keys: ClassVar[RemovedKeys] = {
+        "times": ("recorded", "to ignore timestamps, give `dt` and no [time] in the data card")
+    }
+
     initial: Initial | str = "choose"
     loss: Compared = "position"
     periodic: bool = False
@@ -207,12 +213,6 @@ class SearchRecipe(Declaration):
     horizon: Horizon | None = None
     substeps: int | None = Field(default=None, gt=0, le=MOST_SUBSTEPS)
     refine: str = "none"
-
-    @model_validator(mode="before")
-    @classmethod
-    def _drop_times(cls, content: Any) -> Any:
-        remedy = "to ignore timestamps, give `dt` and no [time] in the data card"
-        return _without_removed_key(content, "times", "recorded", remedy)
 
     @field_validator("initial")
     @classmethod
@@ -243,7 +243,7 @@ class SearchRecipe(Declaration):
         return start.name
 
 
-class Recipe(Declaration):
+class Recipe(_Table):
     """A recipe: how a model is built and fitted.
 
     Attributes:
@@ -298,9 +298,6 @@ class TrainingRecipe(Recipe):
     """The recipe of a model with weights, which are trained.
 
     Attributes:
-        name: what it is called.
-        description: a sentence for people.
-        model: the table `[model]`, the kind of model and its keys.
         velocity: where the training velocities come from (`Experiment.velocities`).
         start: where the validation free runs start; when left out, the model's warm-up if it
             needs one, else `file` where velocities are stored, else `derived-6`.
@@ -308,6 +305,13 @@ class TrainingRecipe(Recipe):
             end into segments with a start each; none for whole records.
         stages: at least one.
     """
+
+    removed_keys: ClassVar[RemovedKeys] = {
+        "rates": (
+            [1.0],
+            "train each by itself with --set stages.*.rate=RATE, or use tn.fit_many(rates=...)",
+        )
+    }
 
     velocity: VelocitySource = "auto"
     start: str | None = None
@@ -318,12 +322,6 @@ class TrainingRecipe(Recipe):
     def family(self) -> TrainedFamily:
         """The family of its models."""
         return FAMILIES[self.model.kind]
-
-    @model_validator(mode="before")
-    @classmethod
-    def _drop_rates(cls, content: Any) -> Any:
-        remedy = "train each by itself with --set stages.*.rate=RATE, or use tn.fit_many(rates=...)"
-        return _without_removed_key(content, "rates", [1.0], remedy)
 
     @field_validator("start")
     @classmethod
@@ -362,9 +360,6 @@ class IdentificationRecipe(Recipe):
     """The recipe of a system whose parameters are identified.
 
     Attributes:
-        name: what it is called.
-        description: a sentence for people.
-        model: the table `[model]`, the kind of model and its keys.
         search: how to search.
     """
 
@@ -387,15 +382,7 @@ class IdentificationRecipe(Recipe):
         return self.search.horizon
 
     def from_model(self, model: Model, system: LagrangianSystem | None) -> "IdentificationRecipe":
-        """The recipe of an identification that begins at the values of an identified model.
-
-        Args:
-            model: the identified model.
-            system: the system whose parameters are identified.
-
-        Raises:
-            InputError: a model of another kind.
-        """
+        """The recipe of an identification that begins at the values of an identified model."""
         table = self.family.with_initial_values(self.model, model, system)
         return self.model_copy(update={"model": table})
 

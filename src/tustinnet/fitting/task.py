@@ -147,8 +147,8 @@ def make_task(
     family = recipe.family
     if origin is not None:
         family.require_own(origin.model)
-        if physics is None and isinstance(recipe, TrainingRecipe):
-            physics = recipe.family.physics_in(origin.model)
+        if physics is None:
+            physics = family.physics_in(origin.model)
     if system is None:
         system = resolve_system(recipe, None)
     for name, part in {"system": system, "physics": physics}.items():
@@ -192,7 +192,7 @@ def begin_with(
 
 def _require_members(members: Sequence[Member], recipe: Recipe) -> None:
     """Raises unless seeds and rates of members are possible for a recipe, and all different."""
-    if isinstance(recipe, IdentificationRecipe) and list(members) != [Member()]:
+    if not recipe.family.has_seeds and list(members) != [Member()]:
         raise InputError(
             "seeds", "an identification has no seeds", "a recipe of a kind with weights"
         )  # fmt: skip

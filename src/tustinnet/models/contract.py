@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, final
 
 import equinox as eqx
 import jax
@@ -15,14 +15,12 @@ from tustinnet.channels import HasChannels
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.blocks import Scaling
-from tustinnet.renamed import METHODS, current_name
+from tustinnet.models.step_layout import StepInput, StepInputs, StepLayout
+from tustinnet.renamed import METHODS, current_name, refuse_outdated
 from tustinnet.signals.excitation import Excitation
 
 State = Float[Array, " n_x"]
 InputVector = Float[Array, " n_u"]
-# the inputs of one step: (n_u,) where they are held, else with samples or coefficients before that
-StepInput = Float[Array, "*between n_u"]
-StepInputs = Float[np.ndarray, "steps *between n_u"]
 Internal = Float[Array, " n_z"]
 Coordinates = Float[Array, " n_q"]
 
@@ -36,6 +34,13 @@ class Stateful(HasChannels, eqx.Module):
         channels: its coordinates and inputs, and its sampling period; a field or a property of
             every model.
     """
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        hooks = {**METHODS, **dict.fromkeys(("seen", "step_inputs"), "step_layout")}
+        outdated = {old: new for old, new in hooks.items() if callable(vars(cls).get(old))}
+        if cls.__module__ != __name__:
+            refuse_outdated(cls, outdated)
 
     if not TYPE_CHECKING:
 
@@ -105,9 +110,15 @@ class Model(Stateful):
             f"steps of its sampling period, {self.dt:g} s", "resample the record",
         )  # fmt: skip
 
+    @property
+    def step_layout(self) -> StepLayout:
+        """What a step takes of the inputs; by default their means over the period."""
+        return StepLayout(mean=True)
+
+    @final
     def step_inputs(self, inputs: Excitation) -> StepInputs:
-        """The inputs of every step along a record; by default their means over the period."""
-        return inputs.mean
+        """The inputs of every step along a record, in the model's `step_layout`."""
+        return self.step_layout.arrange(inputs)
 
     @property
     def warm_up(self) -> int:
@@ -144,13 +155,10 @@ class AccelerationModel(_HasScaling, Model):
         """
         return ()
 
-    def step_inputs(self, inputs: Excitation) -> StepInputs:
-        """Input samples at the taps, (steps, taps, n_u); beyond a record's ends its end samples."""
-        if not self.taps:
-            return super().step_inputs(inputs)
-        last = len(inputs.samples) - 1
-        rows = np.arange(last)[:, None] + np.array(self.taps)
-        return inputs.samples[np.clip(rows, 0, last)]
+    @property
+    def step_layout(self) -> StepLayout:
+        """The input samples at the taps, or the mean over the period."""
+        return StepLayout(taps=self.taps) if self.taps else super().step_layout
 
     def input_at_taps(self, u: StepInput) -> Float[Array, "*taps n_u"]:
         """Inputs at all taps; a vector, (n_u,), is repeated."""

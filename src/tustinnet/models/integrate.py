@@ -18,10 +18,8 @@ from tustinnet.models.contract import (
     Internal,
     Model,
     State,
-    StepInput,
-    StepInputs,
 )
-from tustinnet.signals.excitation import Excitation
+from tustinnet.models.step_layout import StepInput, StepLayout
 
 MOST_SUBSTEPS = 10_000  # more would be a period far too long for the system
 MOST_UNROLLED = 100  # each is compiled
@@ -63,10 +61,10 @@ class FromContinuous(Model):
         chosen = self.continuous.for_record(experiment)
         return self if chosen is self.continuous else replace(self, continuous=chosen)
 
-    def step_inputs(self, inputs: Excitation) -> StepInputs:
-        """Polynomials of every period where an input is not held, else the held inputs."""
-        pieces = inputs.pieces
-        return pieces[:, 0] if pieces.shape[1] == 1 else pieces
+    @property
+    def step_layout(self) -> StepLayout:
+        """The polynomials of every period; held inputs are a single row."""
+        return StepLayout(polynomial=True)
 
     def step(self, x: State, u: StepInput) -> State:
         """The state one sampling period after `x`."""

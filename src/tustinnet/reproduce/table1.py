@@ -152,12 +152,11 @@ def build_rows(
                 changed_name = f"{recipe.name}, keep {options.keep}"
                 changed_recipe = recipe.with_stages(keep=options.keep)
                 recipe = changed_recipe.model_copy(update={"name": changed_name})
-            trains = recipe.family.trains
             physics = None if entry.corrects is None else fit(entry.corrects).best.result.model
-            members = [Member(seed) for seed in range(options.seeds)] if trains else [Member()]
+            members = [Member(seed) for seed in recipe.family.select_seeds(range(options.seeds))]
             task = make_task(data, recipe, members, physics=physics, system=entry.system)
-            # an identification takes seconds, so it is not continued
-            earlier = "discard" if options.overwrite or not trains else "resume"
+            continues = recipe.family.resumable and not options.overwrite
+            earlier = "resume" if continues else "discard"
             listener = make_listener(name)
             runs[name] = run_task(task, data.name, runs_folder / name, earlier, listener)
         return runs[name]
@@ -172,14 +171,13 @@ def build_rows(
             continue
         run = fit(name)
         for result in (member.result for member in run.members):
-            trains = result.recipe.family.trains
             # a model that needs a warm-up does not start from the first row
             start = result.start if result.model.warm_up else START
             rows.append(
                 Row(
                     name=name,
-                    seed=result.seed if trains else None,
-                    recipe=result.recipe.name if trains else ENTRIES[name].system,
+                    seed=result.seed if result.recipe.family.has_seeds else None,
+                    recipe=ENTRIES[name].system or result.recipe.name,
                     scores=tuple(evaluate(result.model, records, start)),
                     model=result.model,
                     file=run.folder / MODEL,

@@ -155,7 +155,7 @@ def make_cross_validation_options(
     if physics is not None and not corrects:
         raise InputError("--physics", f"not applicable to a recipe of kind '{family.kind}'",
                          "a recipe that corrects physics")  # fmt: skip
-    if seeds is not None and not family.trains:
+    if seeds is not None and not family.has_seeds:
         raise InputError("--seeds", "an identification has no seeds", "a recipe with weights")
     if seeds is not None and (not seeds or len(set(seeds)) < len(seeds)):
         raise InputError("--seeds", f"{list(seeds)}", "at least one, all different")
@@ -234,7 +234,7 @@ def cross_validate(
     jobs, physics = [], dict[int, str]()
     if options.physics is not None:
         jobs += [Job(_PHYSICS, options.physics, fold) for fold in range(folds)]
-    seeds = options.seeds if recipe.family.trains else (0,)
+    seeds = recipe.family.select_seeds(options.seeds)
     jobs += [Job(_RECIPE, recipe, f, seeds, waits_for=(_PHYSICS,)) for f in range(folds)]
 
     def on_result(result: JobResult) -> None:

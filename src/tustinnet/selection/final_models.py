@@ -132,12 +132,10 @@ def _possible_models(
     members = candidates.members(result.name)
     scores: list[Sequence[FitScore]] = [r.models for r, _ in members]
     fits = [fit for member in scores for fit in member]
-    identified = not any(candidates.plan.candidate(r.name).content.family.trains
-                         for r, _ in members)  # fmt: skip
-    why = ""
     single = sorted(fits, key=lambda fit: mean_and_error(next(iter(fit.rmse.values())).values())[0])
-    if identified and len(members) == 1 and make_listener is not None:
-        recipe = candidates.plan.candidate(result.name).content
+    recipe = candidates.plan.candidate(members[0][0].name).content
+    averages, why = len(members) > 1 or recipe.family.averages_folds, ""
+    if not averages and make_listener is not None:
         origin = context.load_model(single[0].model)
         job = Job(result.name, recipe, fold=0, origin=Origin(origin))
         made = _identify_from_all(job, context, make_listener(job), deadline)
@@ -145,7 +143,7 @@ def _possible_models(
             yield made
         else:
             why = f"; {made}"
-    if len(fits) > 1 and not (identified and len(members) == 1):
+    if len(fits) > 1 and averages:
         weights = member_weights(scores, [share for _, share in members])
         folds = len({fold for r, _ in members for fold in r.folds})
         count = "one fold" if folds == 1 else f"{folds} folds"

@@ -78,7 +78,7 @@ class Halving:
             jobs = []
             for fold in range(min(stage.folds, self._folds)):
                 for c in ordered:
-                    seeds = range(stage.seeds if c.content.family.trains else 1)
+                    seeds = c.content.family.select_seeds(range(stage.seeds))
                     done = {s.seed for s in self.results[c.name].folds.get(fold, ())}
                     waits_for = tuple(name for name in c.corrects if name not in late)
                     if missing := tuple(seed for seed in seeds if seed not in done):
@@ -177,11 +177,11 @@ class Halving:
             least = 0.0 if is_first else min(_LEAST, _LEAST_SHARE * self._time)
         else:
             expected *= len(job.seeds)
-            is_search = not candidate.content.family.trains
+            is_search = not candidate.content.family.resumable
             least = (_AGAIN if is_search else 0.0) * expected if job.continues else expected
             least = max(least, 1.0)
             best = next(iter(rank(list(self.results.values()))))
-            if not self.plan.candidate(best.name).content.family.trains:
+            if not self.plan.candidate(best.name).content.family.averages_folds:
                 remaining -= max(self._expected[best.name] - self._ending, 0.0)
         if remaining <= least:
             return None

@@ -94,7 +94,7 @@ def make_learning_curve_options(
         InputError: a recipe that is no network's, sizes that do not rise, an unknown start.
     """
     network = read_recipe(network)
-    if not network.family.trains or network.family.needs:
+    if network.family.needs:
         raise InputError(
             f"recipe '{network.name}'", f"kind '{network.family.kind}'",
             "the recipe of a network by itself", "physics are drawn with --system",

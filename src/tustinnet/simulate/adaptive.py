@@ -8,8 +8,9 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from tustinnet.errors import InputError, require_package
-from tustinnet.models.contract import ContinuousModel, State, StepInput
+from tustinnet.models.contract import ContinuousModel, State
 from tustinnet.models.integrate import FromContinuous, input_at
+from tustinnet.models.step_layout import StepInput
 
 
 class Adaptive(FromContinuous):

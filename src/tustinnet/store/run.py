@@ -225,8 +225,8 @@ def run_task(
     with lock_folder(folder):
         if earlier != "discard":
             require_copy_fits(system, folder)
-        specification = make_specification(task, system)
-        _prepare_folder(folder, earlier, specification, trains=task.recipe.family.trains)
+        specification, family = make_specification(task, system), task.recipe.family
+        _prepare_folder(folder, earlier, specification, resumable=family.resumable)
 
         def listen(prepared: TrainingPlan | Task) -> Listener:
             if isinstance(
@@ -241,7 +241,7 @@ def run_task(
         for member, result in zip(task.members, fits, strict=True):
             horizon = effective_horizon(result.horizon, roles.ranking)
             scores = tuple(evaluate(result.model, roles.ranking, result.start, horizon=horizon))
-            place = folder / member.name if task.recipe.family.trains else folder
+            place = folder / member.name if family.has_seeds else folder
             members.append(MemberRun(result, scores, place))
         account = {} if origin is None else origin.provenance
         run = Run(tuple(members), data, roles, fits[0].start, folder, system, account)
@@ -291,10 +291,10 @@ def fit_in_folder(
 
 
 def _prepare_folder(
-    folder: Path, earlier: Earlier, specification: Specification, *, trains: bool
+    folder: Path, earlier: Earlier, specification: Specification, *, resumable: bool
 ) -> None:
     """Refuses, discards or keeps the files of an earlier run in a folder."""
-    if earlier == "resume" and not trains:
+    if earlier == "resume" and not resumable:
         raise InputError(
             "--resume", "an identification is not resumed", "a training", "leave the option out"
         )

@@ -87,10 +87,9 @@ class _EpochInputs(NamedTuple):
     validation_runs: FreeRuns | None
 
 
-EpochsFunction = Callable[[TrainingState], tuple[TrainingState, EpochFigures]]
-
-
-def compile_epochs(plan: TrainingPlan, stage: Stage) -> EpochsFunction:
+def compile_epochs(
+    plan: TrainingPlan, stage: Stage
+) -> Callable[[TrainingState], tuple[TrainingState, EpochFigures]]:
     """Several epochs of all members as one compiled call.
 
     Each member that has epochs left does up to `EPOCHS_A_CALL`: shuffles, scans over batches,

@@ -150,39 +150,35 @@ def _report_epochs(
         seconds: what an epoch of all members took.
         compiling: what came before them.
     """
-    turns, members = figures.epoch.shape
     reports = []
-    for member in range(members):
-        for turn in range(turns):
-            f = EpochFigures(*(field[turn, member] for field in figures))
-            if not f.active:
-                continue
-            event, rate = "", float(f.rate)
-            if not f.finite:
-                event = (
-                    f"loss not finite in epoch {int(f.epoch)} of stage '{stage.recipe.name}' at "
-                    f"rate {rate:.3g}; back to the last good state with rate "
-                    f"{rate * ROLLBACK_FACTOR:.3g}"
-                )
-            elif f.epoch <= 1 and stage.windows.length > LONG:
-                event = (
-                    f"windows of {stage.windows.length} steps: the gradient keeps some states and "
-                    "computes those between them again, which saves memory and takes longer"
-                )
-            reports.append(
-                EpochReport(
-                    stage=stage.recipe.name,
-                    epoch=int(f.epoch),
-                    loss=float(f.loss),
-                    validation=float(f.validation),
-                    rate=rate,
-                    best=float(f.best),
-                    event=event,
-                    member=member,
-                    seconds=seconds,
-                    compiling=compiling,
-                )
+    for member, turn in np.argwhere(figures.active.T).tolist():
+        f = EpochFigures(*(field[turn, member] for field in figures))
+        event, rate = "", float(f.rate)
+        if not f.finite:
+            event = (
+                f"loss not finite in epoch {int(f.epoch)} of stage '{stage.recipe.name}' at "
+                f"rate {rate:.3g}; back to the last good state with rate "
+                f"{rate * ROLLBACK_FACTOR:.3g}"
             )
+        elif f.epoch <= 1 and stage.windows.length > LONG:
+            event = (
+                f"windows of {stage.windows.length} steps: the gradient keeps some states and "
+                "computes those between them again, which saves memory and takes longer"
+            )
+        reports.append(
+            EpochReport(
+                stage=stage.recipe.name,
+                epoch=int(f.epoch),
+                loss=float(f.loss),
+                validation=float(f.validation),
+                rate=rate,
+                best=float(f.best),
+                event=event,
+                member=member,
+                seconds=seconds,
+                compiling=compiling,
+            )
+        )
     return reports
 
 

@@ -19,10 +19,10 @@ from tustinnet.fitting.gradient.windows import (
     RecordPool,
     Records,
     StageWindows,
-    adapt_length,
     draw_stage_windows,
     draw_windows,
     record_identity,
+    window_length,
 )
 from tustinnet.fitting.recipe import TrainingRecipe
 from tustinnet.fitting.residual import make_residual
@@ -40,7 +40,6 @@ class TrainingPlan:
 
     Attributes:
         task: what is to be fitted.
-        recipe: the recipe of the task.
         initial_models: the members' models with their initial weights, as they were built.
         models: these models in single precision, arrays with the member first.
         stages: the stages with their windows drawn.
@@ -55,7 +54,6 @@ class TrainingPlan:
     """
 
     task: Task
-    recipe: TrainingRecipe
     initial_models: tuple[Model, ...]
     models: Model
     stages: tuple[Stage, ...]
@@ -67,6 +65,11 @@ class TrainingPlan:
     start: str
     keys: Key[Array, " members"]
     mesh: Mesh
+
+    @property
+    def recipe(self) -> TrainingRecipe:
+        """The recipe of the task."""
+        return self.task.training_recipe
 
     @property
     def members(self) -> tuple[Member, ...]:
@@ -140,7 +143,6 @@ def make_plan(task: Task, devices: Sequence[Any] | None = None) -> TrainingPlan:
     )
     return TrainingPlan(
         task=task,
-        recipe=recipe,
         initial_models=tuple(initial_models),
         models=jax.tree.map(lambda *arrays: jnp.stack(arrays), *single),
         stages=stages,
@@ -181,16 +183,11 @@ def require_alike(models: Sequence[Model]) -> None:
 
 
 def groups_alike(task: Task) -> list[list[Member]]:
-    """Members that can train together: in folds whose windows and models are alike.
-
-    Members of kinds that are identified are fitted one by one and make one group.
-    """
-    if not isinstance(task.recipe, TrainingRecipe):
-        return [list(task.members)]
+    """Members that can train together: in folds whose windows and models are alike."""
     folds = {member.fold for member in task.members}
     if len(folds) == 1:
         return [list(task.members)]
-    programs = {f: _fold_program(task.recipe, task.folds[f]) for f in folds}
+    programs = {f: _fold_program(task.training_recipe, task.folds[f]) for f in folds}
     groups: dict[Any, list[Member]] = {}
     for member in task.members:
         groups.setdefault(programs[member.fold], []).append(member)
@@ -200,10 +197,9 @@ def groups_alike(task: Task) -> list[list[Member]]:
 def _fold_program(recipe: TrainingRecipe, fold: Fold) -> Any:
     """A key that is the same for folds whose members can train as one program."""
     train = fold.roles.train
-    windows = [s.windows for s in recipe.stages]
     physics = recipe.family.physics_for_training(recipe.model, fold.physics, train)
     return (
-        tuple(adapt_length(train, w.length) if w.adapt else w.length for w in windows),
+        tuple(window_length(train, stage.windows) for stage in recipe.stages),
         tuple(make_residual(stage, train) for stage in recipe.stages),
         jax.tree.structure(physics),
     )

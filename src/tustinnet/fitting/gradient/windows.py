@@ -108,7 +108,7 @@ def draw_stage_windows(
     Raises:
         InputError: a record is not longer than a window, or no window fits.
     """
-    length = adapt_length(experiments, recipe.length) if recipe.adapt else recipe.length
+    length = window_length(experiments, recipe)
     reach, shortest = length + lead, min(experiments, key=len)
     if len(shortest) <= reach:
         before = f", {lead} of them before what is compared" if lead else ""
@@ -147,6 +147,11 @@ def draw_windows(
     return strided_windows(reach, length, step, recipe.part)
 
 
+def window_length(experiments: Sequence[Experiment], recipe: WindowRecipe) -> int:
+    """The steps in a window that are compared, adapted to the records where the recipe says so."""
+    return adapt_length(experiments, recipe.length) if recipe.adapt else recipe.length
+
+
 def adapt_length(experiments: Sequence[Experiment], length: int) -> int:
     """A window length [steps] that fits the records.
 
@@ -172,7 +177,7 @@ def adapt_length(experiments: Sequence[Experiment], length: int) -> int:
 def describe_windows(experiments: Sequence[Experiment], recipe: WindowRecipe) -> str:
     """A sentence on what was measured for the windows of a stage, and which length was chosen."""
     scales = coordinate_timescales(experiments)
-    length = adapt_length(experiments, recipe.length) if recipe.adapt else recipe.length
+    length = window_length(experiments, recipe)
     if not scales:
         return f"windows of {length} steps"
     name, fastest = min(scales.items(), key=lambda item: item[1].period)
