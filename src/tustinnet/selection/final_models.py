@@ -7,13 +7,11 @@ from typing import Any
 from tustinnet.errors import InputError, error_message
 from tustinnet.families.committee import committee
 from tustinnet.fitting.fit import MakeListener
-from tustinnet.fitting.gradient.plan import TrainingPlan
-from tustinnet.fitting.listener import Listener
 from tustinnet.fitting.roles import Roles
-from tustinnet.fitting.task import Task
+from tustinnet.fitting.shooting.identify import UnfinishedSearchError
 from tustinnet.models.contract import Model
 from tustinnet.selection.committees import CommitteeResult, member_weights
-from tustinnet.selection.deadline import NEVER, Deadline, OutOfTime
+from tustinnet.selection.deadline import NEVER, Deadline
 from tustinnet.selection.folds import FoldSplit, records_without_test
 from tustinnet.selection.jobs import FitScore, Job, RunContext, make_job_task
 from tustinnet.selection.plan import SelectionPlan
@@ -147,17 +145,19 @@ def _identify_from_all(
     records = tuple(records_without_test(context.data))
     task = make_job_task([job], replace(context, drawn=(FoldSplit((), Roles(records, ())),)))
 
-    def listen(prepared: TrainingPlan | Task) -> Listener:
-        return deadline.limit_search(make_listener(prepared))
-
+    folder = context.folder / CANDIDATES / job.candidate / WHOLE
+    why = "no time was left to identify it from all records"
     try:
-        folder = context.folder / CANDIDATES / job.candidate / WHOLE
-        fit = fit_in_folder(folder, task, listen, resume=False)[0]
-    except OutOfTime:
-        why = "no time was left to identify it from all records"
+        fit = fit_in_folder(
+            folder, task, make_listener, resume=False, should_stop_search=deadline.has_passed
+        )[0]
+    except UnfinishedSearchError:
+        pass
     except Exception as error:  # of any kind: the models of the folds are there
         why = f"not identified from all records: {error_message(error)}"
     else:
-        origin = f"identified from all {len(records)} records"
-        return FinalModel(fit.model, origin, fit.as_header())
+        # an unfinished search is no match for those of the folds that were finished
+        if not fit.is_out_of_time:
+            origin = f"identified from all {len(records)} records"
+            return FinalModel(fit.model, origin, fit.as_header())
     return replace(averaged, origin=f"{averaged.origin}; {why}")
