@@ -14,7 +14,7 @@ from swinging import SWING, data_set, records
 import tustinnet as tn
 from tustinnet.evaluate.scores import Score
 from tustinnet.fitting.gradient.plan import make_plan
-from tustinnet.fitting.listener import EpochReport, Iteration, Listener
+from tustinnet.fitting.listener import EpochReport, Listener, SearchProgress
 from tustinnet.fitting.task import Member, make_task
 from tustinnet.report.figures import (
     ahead_figure,
@@ -178,23 +178,26 @@ def test_progress_of_trainings_that_run_together_tells_the_slowest_and_the_best(
 
 
 @pytest.mark.parametrize("terminal", [True, False])
-def test_progress_of_an_identification_shows_its_stages(terminal):
-    out = io.StringIO()
+def test_progress_of_an_identification_shows_its_stages(terminal, monkeypatch):
+    out, now = io.StringIO(), [0.0]
+    monkeypatch.setattr("tustinnet.report.progress.time.monotonic", lambda: now[0])
     task = make_task(data_set(records()), "grey", system=SWING)
     with FitProgress(Console(file=out, force_terminal=terminal, width=160)) as progress:
-        told = progress.follow(task, "swing").on_iteration
-        told(Iteration("equation-error estimate", 1, 0.5, 0.0))
-        told(Iteration("whole records", 1, 0.25, 0.1))
-        told(Iteration("whole records", 2, 0.125, 0.1))
+        report = progress.follow(task, "swing").on_progress
+        report(SearchProgress("equation-error estimate", 0, 0, 1, 0.5))
+        for iteration, cost in enumerate((0.25, 0.2, 0.15, 0.125)):
+            now[0] += 2.0
+            report(SearchProgress("whole records", 2, 3, iteration, cost))
     text = out.getvalue()
     assert ("\x1b[" in text) is terminal
     if terminal:
         assert "swing" in text
-        assert "whole records, iteration 2, cost 0.125" in text
-    else:  # a line a stage
+        assert "stage 2 of 3, whole records, iteration 3, cost 0.125" in text
+    else:  # a line a stage, and every few seconds
         assert text.splitlines() == [
-            "swing: equation-error estimate, iteration 1, cost 0.5",
-            "swing: whole records, iteration 1, cost 0.25",
+            "swing: equation-error estimate, iteration 1, cost 0.5, 0 s",
+            "swing: stage 2 of 3, whole records, iteration 0, cost 0.25, 2 s",
+            "swing: stage 2 of 3, whole records, iteration 3, cost 0.125, 8 s",
         ]
 
 
@@ -202,7 +205,7 @@ def test_quiet_progress_of_an_identification_says_nothing():
     out = io.StringIO()
     with FitProgress(Console(file=out), quiet=True) as progress:
         task = make_task(data_set(records()), "grey", system=SWING)
-        progress.follow(task).on_iteration(Iteration("equation-error estimate", 1, 0.5, 0.0))
+        progress.follow(task).on_progress(SearchProgress("equation-error estimate", 0, 0, 1, 0.5))
     assert out.getvalue() == ""
 
 

@@ -309,7 +309,7 @@ def identified(monkeypatch) -> list[Task]:
     """Instead of identifying, the true model is the answer; every task that was asked for."""
     asked: list[Task] = []
 
-    def identify_task(task, member, listener):
+    def identify_task(task, member, listener, should_stop):
         if not any(task is other for other in asked):
             asked.append(task)
         return FitResult(

@@ -1,5 +1,6 @@
 """A selection as a whole: what it chooses, writes, tells; stopped, resumed, refused."""
 
+import itertools
 import json
 import time
 from dataclasses import replace
@@ -401,6 +402,66 @@ def test_a_training_that_reaches_the_deadline_is_chosen_with_its_best_weights(tm
     assert outcomes(choice) == [("out of time", "out of time")]
     assert choice.best == "network"
     assert choice.seconds < 60
+
+
+def stop_searches(monkeypatch, asked: int) -> None:
+    """The deadline of every identification of a fold comes when it has asked for it so often."""
+
+    def fit(folder, *more, **named):
+        questions = itertools.count()
+        stop = {"should_stop_search": lambda: next(questions) >= asked}
+        return fit_in_folder(folder, *more, **named | stop)
+
+    monkeypatch.setattr(jobs, "fit_in_folder", fit)
+
+
+def test_an_identification_that_is_stopped_is_scored_and_a_resumed_run_repeats_it(
+    tmp_path, monkeypatch
+):
+    text = NETWORK_ONLY.replace("network", "grey").replace("small.toml", "grey.toml")
+    options = SelectionOptions(plan_in(tmp_path, text), SWING)
+    said: list[str] = []
+
+    def select(earlier: Earlier) -> tuple[Choice, list[tuple[str, str]]]:
+        choice = select_model(swings(), tmp_path / "run", options, earlier, Reporter(said.append))
+        paths = sorted(choice.context.folder.glob("candidates/grey/*/scores.json"))
+        results = [json.loads(path.read_text())["result"] for path in paths]
+        return choice, [(r["ended"], r["scores"][0]["outcome"]) for r in results]
+
+    with monkeypatch.context() as patch:
+        stop_searches(patch, 0)
+        with pytest.raises(InputError, match=r"before a stage of its search.*more time: --budget"):
+            select("refuse")
+        stop_searches(patch, 4)
+        stopped, ended = select("resume")
+    assert [e for e, _ in ended] == ["out of time"] * 3
+    assert all("stopped at its time limit after stage 1 of " in outcome for _, outcome in ended)
+    assert np.isfinite(list(stopped.result("grey").rmse().values())).all()
+    assert "grey, fold 0: the budget was spent: its last finished stage is scored" in said
+    assert any("3 of its 3 identifications were stopped" in s for s in stopped.sentences)
+    resumed, ended = select("resume")
+    assert [e for e, _ in ended] == ["done"] * 3
+    assert all(outcome.startswith("converged") for _, outcome in ended)
+    assert not any("stopped by the budget" in s for s in resumed.sentences)
+
+
+def test_no_unfinished_search_from_all_records_is_taken_instead_of_finished_ones(
+    tmp_path, monkeypatch
+):
+    text = NETWORK_ONLY.replace("network", "grey").replace("small.toml", "grey.toml")
+    questions = itertools.count()
+
+    def fit(folder, *more, **named):
+        return fit_in_folder(
+            folder, *more, **named | {"should_stop_search": lambda: next(questions) >= 4}
+        )
+
+    monkeypatch.setattr("tustinnet.selection.final_models.fit_in_folder", fit)
+    choice = select_model(
+        swings(), tmp_path / "run", SelectionOptions(plan_in(tmp_path, text), SWING)
+    )
+    assert choice.origins["grey"].startswith("the average of 3 models of 3 folds")
+    assert choice.origins["grey"].endswith("no time was left to identify it from all records")
 
 
 def test_a_budget_that_is_too_short_says_what_the_cheapest_needs(tmp_path):

@@ -10,6 +10,7 @@ from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.fitting.recipe import TrainingRecipe
 from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.shooting.identify import identify_task
+from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
 from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task
 from tustinnet.models.contract import Model
 from tustinnet.simulate.programs import make_room
@@ -89,6 +90,7 @@ def fit_task(
     make_listener: MakeListener = lambda _: SILENT,
     resume: Sequence[tuple[Sequence[Member], ResumePoint]] = (),
     make_stop_check: MakeStopCheck = lambda _: never_stop,
+    should_stop_search: ShouldStopSearch = never_stop_search,
 ) -> list[FitResult]:
     """Fits all members of a task; those that are alike train together.
 
@@ -99,18 +101,21 @@ def fit_task(
             the task of an identification.
         resume: members whose training goes on together, and from where; the others begin anew.
         make_stop_check: given the plan of trainings that run together, returns the `should_stop`
-            of `train_plan`; an identification goes on to its end.
+            of `train_plan`.
+        should_stop_search: the `should_stop` of `identify_task`.
 
     Returns:
         One result for each member, in their order.
 
     Raises:
-        InputError: see `fit`.
+        InputError: see `fit`; also where an identification was stopped before it had a model.
     """
     make_room()
     if not isinstance(task.recipe, TrainingRecipe):
         listener = make_listener(task)
-        return [identify_task(task, member, listener) for member in task.members]
+        return [
+            identify_task(task, member, listener, should_stop_search) for member in task.members
+        ]
     resumed = {member for members, _ in resume for member in members}
     fresh = [member for member in task.members if member not in resumed]
     groups: list[tuple[Sequence[Member], ResumePoint | None]] = [

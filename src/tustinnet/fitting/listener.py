@@ -54,6 +54,25 @@ class Iteration:
 
 
 @dataclass(frozen=True)
+class SearchProgress:
+    """How far an identification has come, after every simulation of its segments.
+
+    Attributes:
+        stage: what it is doing.
+        number: of the stage, from 1; 0 of a step that is not counted, as the choice of terms.
+        stages: how many stages there are, 0 while that is not known.
+        iteration: iterations of the stage so far.
+        cost: the lowest so far in the stage, see `Iteration`.
+    """
+
+    stage: str
+    number: int
+    stages: int
+    iteration: int
+    cost: float
+
+
+@dataclass(frozen=True)
 class StageResult:
     """The result of a stage of an identification.
 
@@ -62,7 +81,7 @@ class StageResult:
         initial: how initial states were treated, empty where nothing was simulated.
         iterations: how many it took.
         cost: at its end; infinite where it diverged.
-        why: `converged`, `stalled`, `limit` or `diverged`.
+        why: `converged`, `stalled`, `limit`, `diverged`, or `stopped` at a time limit.
         parameters: the values at its end by name, those fixed included.
     """
 
@@ -85,6 +104,7 @@ class Listener:
         on_iteration: with every iteration of an identification.
         on_message: with a sentence on what is unusual.
         on_stage: with every stage of an identification, at its end.
+        on_progress: with the progress of an identification, several times an iteration.
     """
 
     on_epoch: Callable[[EpochReport], None] = field(default=lambda report: None)
@@ -92,6 +112,7 @@ class Listener:
     on_iteration: Callable[[Iteration], None] = field(default=lambda iteration: None)
     on_message: Callable[[str], None] = field(default=lambda message: None)
     on_stage: Callable[[StageResult], None] = field(default=lambda result: None)
+    on_progress: Callable[[SearchProgress], None] = field(default=lambda progress: None)
 
 
 SILENT = Listener()  # does nothing

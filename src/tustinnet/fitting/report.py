@@ -16,6 +16,7 @@ from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import LagrangianSystem
 
 FINISHED = "finished"
+OUT_OF_TIME = "out of time"  # how the outcome of a fit that was stopped begins
 
 
 @dataclass(frozen=True)
@@ -255,6 +256,11 @@ class FitResult:
     def finished(self) -> bool:
         """Whether it ended as it should."""
         return self.sound
+
+    @property
+    def is_out_of_time(self) -> bool:
+        """Whether it was stopped at a time limit."""
+        return self.outcome.startswith(OUT_OF_TIME)
 
     @property
     def failure(self) -> str:

@@ -13,12 +13,13 @@ from rich.progress import Task as Bar
 from rich.text import Text
 
 from tustinnet.fitting.gradient.plan import TrainingPlan
-from tustinnet.fitting.listener import EpochReport, Iteration, Listener
+from tustinnet.fitting.listener import EpochReport, Listener, SearchProgress
 from tustinnet.fitting.task import Task
 from tustinnet.report.tables import number
 
 _WIDE = 110  # columns of a terminal that leave room for a longer bar
 _LINE_EVERY = 15.0  # seconds between two lines where there is no terminal
+_SEARCH_LINE_EVERY = 5.0  # seconds between two lines of a stage of an identification
 _COMPILING = "compiling"
 
 
@@ -71,7 +72,7 @@ class FitProgress(AbstractContextManager["FitProgress"]):
                 on_message=self._console.print,
             )
         name = label or prepared.recipe.name
-        return Listener(on_iteration=_Identification(self._console, self._bars, name, self._quiet))
+        return Listener(on_progress=_Identification(self._console, self._bars, name, self._quiet))
 
 
 class _Figures(ProgressColumn):
@@ -84,20 +85,30 @@ class _Figures(ProgressColumn):
 
 
 class _Identification:
-    """Progress of an identification: a changing line on a terminal, a line per stage elsewhere."""
+    """Progress of an identification: a changing line on a terminal.
+
+    Elsewhere a line where a stage begins, and every few seconds while it goes on.
+    """
 
     def __init__(self, console: Console, bars: Progress | None, label: str, quiet: bool) -> None:
         self._console, self._bars, self._label, self._quiet = console, bars, label, quiet
-        self._stage = ""
+        self._stage, self._begin = ("", 0), time.monotonic()
+        self._last = self._begin
         self._task = bars.add_task(label, total=None, figures=_COMPILING) if bars else None
 
-    def __call__(self, iteration: Iteration) -> None:
-        figures = f"{iteration.stage}, iteration {iteration.number}, cost {iteration.cost:.4g}"
+    def __call__(self, progress: SearchProgress) -> None:
+        figures = f"{progress.stage}, iteration {progress.iteration}, cost {progress.cost:.4g}"
+        if progress.number:
+            figures = f"stage {progress.number} of {progress.stages}, {figures}"
         if self._bars and self._task is not None:
             self._bars.update(self._task, figures=figures)
-        elif not self._quiet and iteration.stage != self._stage:
-            self._console.print(f"{self._label}: {figures}", highlight=False, soft_wrap=True)
-        self._stage = iteration.stage
+            return
+        stage, now = (progress.stage, progress.number), time.monotonic()
+        if self._quiet or (stage == self._stage and now - self._last < _SEARCH_LINE_EVERY):
+            return
+        self._stage, self._last = stage, now
+        line = f"{self._label}: {figures}, {duration(now - self._begin)}"
+        self._console.print(line, highlight=False, soft_wrap=True)
 
 
 class _Trainings:

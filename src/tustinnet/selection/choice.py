@@ -11,12 +11,11 @@ from tustinnet.evaluate.bands import KEY as BANDS
 from tustinnet.evaluate.bands import Calibration
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.evaluate.scores import scores_header
-from tustinnet.fitting.gradient.loop import OUT_OF_TIME
 from tustinnet.fitting.report import data_header
 from tustinnet.models.contract import Model
 from tustinnet.selection.final_models import Candidates, FinalModel
 from tustinnet.selection.folds import records_without_test
-from tustinnet.selection.jobs import LEFT_OUT, RunContext
+from tustinnet.selection.jobs import LEFT_OUT, FitScore, RunContext
 from tustinnet.selection.ranking import (
     CLEAR,
     FEW,
@@ -125,12 +124,21 @@ class Choice:
                 f"{difference.records} records; see whether {record} was made with the same "
                 "machine, load and settings"
             )
-        members = [m for r, _ in self.candidates.members(self.best) for m in r.models]
-        stopped = sum(m.outcome == OUT_OF_TIME for m in members)
-        if stopped:
+        trainings, searches = list[FitScore](), list[FitScore]()
+        for result, _ in self.candidates.members(self.best):
+            trains = self.candidates.plan.candidate(result.name).content.family.trains
+            (trainings if trains else searches).extend(result.models)
+        if stopped := sum(m.is_out_of_time for m in trainings):
             sentences.append(
-                f"{stopped} of its {len(members)} trainings were stopped by the budget, with their "
-                "best weights so far: go on with them by --resume, or give more time (--budget)"
+                f"{stopped} of its {len(trainings)} trainings were stopped by the budget, with "
+                "their best weights so far: go on with them by --resume, or give more time "
+                "(--budget)"
+            )
+        if stopped := sum(m.is_out_of_time for m in searches):
+            sentences.append(
+                f"{stopped} of its {len(searches)} identifications were stopped by the budget, "
+                "with the models of their last finished stages: repeat them by --resume, or give "
+                "more time (--budget)"
             )
         if self.simplest != self.best:
             difference = paired_difference(self.result(self.simplest), best)

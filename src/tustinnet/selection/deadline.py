@@ -2,17 +2,12 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from tustinnet.fitting.gradient.plan import TrainingPlan
 from tustinnet.fitting.gradient.state import Progress
-from tustinnet.fitting.listener import Iteration, Listener
 
 _ENDS_EARLY = 0.5  # share of its epochs that a stage with `patience` is expected to take
-
-
-class OutOfTime(Exception):
-    """The deadline passed in the middle of an identification, which has no model before its end."""
 
 
 @dataclass(frozen=True)
@@ -39,21 +34,9 @@ class Deadline:
         """A deadline some seconds from now; infinitely many for none."""
         return cls(None if seconds == float("inf") else time.monotonic() + seconds)
 
-    def limit_search(self, listener: Listener) -> Listener:
-        """A listener of an identification that ends the search with `OutOfTime`.
-
-        A search goes through many loops and has nothing to return before its end; it reports
-        every iteration, so that this is where it can be stopped.
-        """
-        if self.end is None:
-            return listener
-
-        def on_iteration(report: Iteration) -> None:
-            listener.on_iteration(report)
-            if self.remaining < 0:
-                raise OutOfTime
-
-        return replace(listener, on_iteration=on_iteration)
+    def has_passed(self) -> bool:
+        """Whether it is over: the `should_stop` of an identification."""
+        return self.remaining < 0
 
 
 NEVER = Deadline()

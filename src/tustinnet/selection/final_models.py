@@ -13,13 +13,12 @@ from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.families.committee import committee
 from tustinnet.fitting.fit import MakeListener
-from tustinnet.fitting.gradient.plan import TrainingPlan
-from tustinnet.fitting.listener import Listener
 from tustinnet.fitting.roles import Roles
-from tustinnet.fitting.task import Origin, Task
+from tustinnet.fitting.shooting.identify import UnfinishedSearchError
+from tustinnet.fitting.task import Origin
 from tustinnet.models.contract import Model
 from tustinnet.selection.committees import CommitteeResult, member_weights
-from tustinnet.selection.deadline import NEVER, Deadline, OutOfTime
+from tustinnet.selection.deadline import NEVER, Deadline
 from tustinnet.selection.folds import FoldSplit, records_without_test
 from tustinnet.selection.jobs import FitScore, Job, RunContext, make_job_task
 from tustinnet.selection.plan import SelectionPlan
@@ -195,15 +194,17 @@ def _identify_from_all(
     records = tuple(records_without_test(context.data))
     task = make_job_task([job], replace(context, drawn=(FoldSplit((), Roles(records, ())),)))
 
-    def listen(prepared: TrainingPlan | Task) -> Listener:
-        return deadline.limit_search(make_listener(prepared))
-
+    folder = context.folder / CANDIDATES / job.candidate / WHOLE
+    why = "no time was left to identify it from all records"
     try:
-        folder = context.folder / CANDIDATES / job.candidate / WHOLE
-        fit = fit_in_folder(folder, task, listen, resume=False)[0]
-    except OutOfTime:
-        return "no time was left to identify it from all records"
+        fit = fit_in_folder(
+            folder, task, make_listener, resume=False, should_stop_search=deadline.has_passed
+        )[0]
+    except UnfinishedSearchError:
+        return why
     except Exception as error:  # of any kind: the models of the folds are there
         return f"not identified from all records: {error_message(error)}"
-    origin = f"identified from all {len(records)} records"
-    return FinalModel(fit.model, origin, fit.as_header())
+    # an unfinished search is no match for those of the folds that were finished
+    if fit.is_out_of_time:
+        return why
+    return FinalModel(fit.model, f"identified from all {len(records)} records", fit.as_header())

@@ -23,15 +23,14 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.errors import error_message
 from tustinnet.evaluate.scores import scores_header
 from tustinnet.fitting.fit import MakeListener, fit_task
-from tustinnet.fitting.gradient.loop import OUT_OF_TIME
 from tustinnet.fitting.gradient.plan import TrainingPlan
-from tustinnet.fitting.listener import Listener
 from tustinnet.fitting.recipe import Recipe
-from tustinnet.fitting.report import FitResult, data_header
+from tustinnet.fitting.report import OUT_OF_TIME, FitResult, data_header
+from tustinnet.fitting.shooting.identify import UnfinishedSearchError
 from tustinnet.fitting.task import Fold, Member, Origin, Task, begin_with, resolve_system
 from tustinnet.models.contract import Model
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.selection.deadline import NEVER, Deadline, OutOfTime, StopCheck
+from tustinnet.selection.deadline import NEVER, Deadline, StopCheck
 from tustinnet.selection.folds import FoldSplit, split_into_folds
 from tustinnet.selection.scoring import RmseByStart, ScoringOptions
 from tustinnet.store.checkpoint import fingerprint
@@ -48,7 +47,7 @@ from tustinnet.systems.files import AnySystem, SystemFile, SystemTemplate, load_
 
 SCORES = "scores.json"
 SPENT = "the budget was spent"
-SPENT_BUT_SCORED = f"{SPENT}: its best weights so far are scored"
+NO_STAGE = f"{SPENT} before a stage of its search was finished"
 LEFT_OUT = "left out"  # where files name a split: records that a model was not fitted to
 
 Ended = Literal["done", "out of time", "failed"]
@@ -109,6 +108,11 @@ class FitScore:
     horizon: float | None
     rmse: RmseByStart
 
+    @property
+    def is_out_of_time(self) -> bool:
+        """Whether the fit was stopped at its time limit."""
+        return self.outcome.startswith(OUT_OF_TIME)
+
 
 @dataclass(frozen=True)
 class JobResult:
@@ -119,7 +123,7 @@ class JobResult:
         fold: of which fold.
         seconds: time it took.
         ended: whether it was done. A job that is `out of time` may have scores: of the best weights
-            when the deadline came.
+            when the deadline came, or of the last finished stage of an identification.
         scores: of every seed, where there are any.
         why: the reason where it was not done.
         needs: how long it would have taken [s], if known, where time was up.
@@ -228,7 +232,8 @@ def perform_jobs(
     """Fits the models of jobs and scores each on the records that it was not fitted to.
 
     In a folder, models, logs and checkpoints are below the job's folder; `scores.json` is written
-    last. A training that the deadline stops is scored with its best weights so far.
+    last. A training that the deadline stops is scored with its best weights so far, an
+    identification with the model of its last finished stage.
 
     Args:
         jobs: a job; or, of a run in memory, several of one candidate, which train together.
@@ -248,17 +253,18 @@ def perform_jobs(
         checks.append(StopCheck(deadline, prepared))
         return checks[-1]
 
-    def listen(prepared: TrainingPlan | Task) -> Listener:
-        listener = make_listener(prepared)
-        return listener if isinstance(prepared, TrainingPlan) else deadline.limit_search(listener)
-
     def spent() -> float:
         return (time.monotonic() - started) / len(jobs)
 
     try:
         task = make_job_task(jobs, context)
         if context.models is not None:
-            fits = fit_task(task, listen, make_stop_check=make_stop_check)
+            fits = fit_task(
+                task,
+                make_listener,
+                make_stop_check=make_stop_check,
+                should_stop_search=deadline.has_passed,
+            )
             return [_score_fits(job, context, fits, spent, checks) for job in jobs]
         (job,) = jobs
         digest = _fit_digest(task, context)
@@ -271,11 +277,16 @@ def perform_jobs(
             remove_partial_files(folder)
             resume = context.resume or job.continues
             fits = fit_in_folder(
-                folder, task, listen, resume=resume, make_stop_check=make_stop_check
+                folder,
+                task,
+                make_listener,
+                resume=resume,
+                make_stop_check=make_stop_check,
+                should_stop_search=deadline.has_passed,
             )
             result = _score_fits(job, context, fits, spent, checks)
-    except OutOfTime:
-        return [JobResult(j.candidate, j.fold, spent(), "out of time", why=SPENT) for j in jobs]
+    except UnfinishedSearchError:
+        return [JobResult(j.candidate, j.fold, spent(), "out of time", why=NO_STAGE) for j in jobs]
     except BaseException as error:  # of any kind: the others go on, and the reason is reported
         if raises or isinstance(error, KeyboardInterrupt | SystemExit):
             raise
@@ -322,8 +333,9 @@ def _fit_digest(task: Task, context: RunContext) -> str:
 def _find_earlier_result(job: Job, context: RunContext, digest: str) -> JobResult | None:
     """The result in the job's folder, of this very fit; None where there is none.
 
-    Where it was scored otherwise its models are scored again. A training that the deadline stopped
-    counts within the same run; a resumed run goes on with it.
+    Where it was scored otherwise its models are scored again. A fit that the deadline stopped
+    counts within the same run; a resumed run goes on with a training, and repeats an
+    identification.
     """
     path = context.folder / job.folder / SCORES
     try:
@@ -363,7 +375,7 @@ def _score_fits(
     fits = [fit for fit in fits if fit.member.fold == job.fold]
     scores = []
     for fit in sorted(fits, key=lambda fit: job.seeds.index(fit.seed)):
-        if fit.outcome == OUT_OF_TIME and not _has_useful_weights(fit):
+        if fit.is_out_of_time and not _has_useful_model(fit):
             continue
         rmse = context.score(fit.model, fit.horizon, job.fold)
         model = f"{job.folder}/{fit.member.name}/{MODEL}"
@@ -382,19 +394,25 @@ def _score_fits(
             }
             save(fit.model, context.folder / model, **header)
         scores.append(FitScore(fit.seed, fit.outcome, model, fit.horizon, rmse))
-    ended: Ended = "out of time" if any(f.outcome == OUT_OF_TIME for f in fits) else "done"
+    ended: Ended = "out of time" if any(f.is_out_of_time for f in fits) else "done"
     if ended == "done":
         return JobResult(job.candidate, job.fold, spent(), ended, tuple(scores))
+    scored = "best weights so far are" if job.recipe.family.trains else "last finished stage is"
     rest = [check.needed for check in checks if check.needed is not None]
     return JobResult(
         job.candidate, job.fold, spent(), ended, tuple(scores),
-        why=SPENT_BUT_SCORED if scores else SPENT,
+        why=f"{SPENT}: its {scored} scored" if scores else SPENT,
         needs=spent() + max(rest) if rest else None,
     )  # fmt: skip
 
 
-def _has_useful_weights(fit: FitResult) -> bool:
-    """Whether a training that was stopped has done an epoch, and no validation error diverged."""
+def _has_useful_model(fit: FitResult) -> bool:
+    """Whether a training that was stopped has done an epoch, and no validation error diverged.
+
+    A search has a model wherever it was stopped.
+    """
+    if fit.identification is not None:
+        return True
     training = fit.details["training"]
     started = training["kept_epoch"] > 0 or len(training["epochs"]) > 1
     return started and (fit.validation_rmse is None or math.isfinite(fit.validation_rmse))

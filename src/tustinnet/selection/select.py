@@ -22,7 +22,7 @@ from tustinnet.selection.deadline import NEVER, Deadline
 from tustinnet.selection.final_models import Candidates, make_final_models
 from tustinnet.selection.folds import prepare_for_folds
 from tustinnet.selection.halving import NO_TIME, Halving
-from tustinnet.selection.jobs import SCORES, SPENT, Job, RunContext
+from tustinnet.selection.jobs import NO_STAGE, SCORES, SPENT, Job, RunContext
 from tustinnet.selection.plan import USUAL, Candidate, SelectionPlan, read_plan
 from tustinnet.selection.ranking import CandidateResult, find_simplest, rank
 from tustinnet.selection.runner import InProcess, MakeExecutor
@@ -302,7 +302,7 @@ def _nothing_fitted(halving: Halving, budget: float | None) -> InputError:
         if result.why:
             reasons.setdefault(result.why, []).append(result.name)
     why = "; ".join(f"{', '.join(names)}: {reason}" for reason, names in reasons.items())
-    short_of_time = reasons.keys() & {SPENT, NO_TIME}
+    short_of_time = reasons.keys() & {SPENT, NO_STAGE, NO_TIME}
     return InputError(
         "selection", f"no candidate could be fitted ({why})", "one that can",
         "give more time: --budget" if short_of_time else "",

@@ -30,6 +30,7 @@ from tustinnet.fitting.gradient.state import Progress, TrainingState
 from tustinnet.fitting.listener import EpochReport, Iteration, Listener, StageResult
 from tustinnet.fitting.report import FitResult, data_header
 from tustinnet.fitting.roles import Roles
+from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
 from tustinnet.fitting.task import Member, Task
 from tustinnet.simulate.horizon import effective_horizon
 from tustinnet.simulate.range import KEY as RANGE
@@ -262,6 +263,7 @@ def fit_in_folder(
     *,
     resume: bool,
     make_stop_check: MakeStopCheck = lambda plan: never_stop,
+    should_stop_search: ShouldStopSearch = never_stop_search,
 ) -> list[FitResult]:
     """Fits all members of a task with logs and checkpoints in a folder, a folder each.
 
@@ -271,7 +273,8 @@ def fit_in_folder(
         make_listener: see `run_task`.
         resume: whether to go on from the checkpoints that are there; an identification has none.
         make_stop_check: given the plan of trainings that run together, returns the `should_stop`
-            of `train_plan`; an identification goes on to its end.
+            of `train_plan`.
+        should_stop_search: the `should_stop` of `identify_task`.
     """
     resumed = _find_resume_points(task, folder) if resume else []
     before = {
@@ -287,7 +290,7 @@ def fit_in_folder(
                 return _log_training(prepared, folder, before, listener, stack)
             return _log_search(folder, listener, stack)
 
-        return fit_task(task, listen, resumed, make_stop_check)
+        return fit_task(task, listen, resumed, make_stop_check, should_stop_search)
 
 
 def _prepare_folder(

@@ -18,11 +18,9 @@ from tustinnet.fitting.gradient.state import (
     begin_stage,
 )
 from tustinnet.fitting.listener import SILENT, EpochReport, Listener
-from tustinnet.fitting.report import FINISHED
+from tustinnet.fitting.report import FINISHED, OUT_OF_TIME
 from tustinnet.models.contract import Model
 from tustinnet.simulate.rollout import LONG
-
-OUT_OF_TIME = "out of time"  # the outcome of a training that was stopped
 
 ResumePoint = tuple[TrainingState, tuple[Progress, ...]]
 ShouldStop = Callable[[Sequence[Progress]], bool]

@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
-from tustinnet.fitting.report import Disagreement, Estimate, Stretch
+from tustinnet.fitting.report import OUT_OF_TIME, Disagreement, Estimate, Stretch
+from tustinnet.fitting.shooting.problem import SearchState
 from tustinnet.fitting.shooting.uncertainty import Uncertainty
 
 _POOR_CONDITION = 1e3
@@ -59,6 +60,19 @@ def describe_outcome(
             f"(search.horizon={span / 2:.2g}), or leave them out"
         )
     return f"stopped at the limit of {iterations} iterations while still falling; {advice}"
+
+
+def describe_stop(state: SearchState) -> str:
+    """Sentence on where a search was stopped, and on the stage whose result it has."""
+    if not state.stages:
+        return (
+            f"{OUT_OF_TIME}: stopped at its time limit among the optional terms; the values are "
+            f"those of a fit to {state.stage}"
+        )
+    return (
+        f"{OUT_OF_TIME}: stopped at its time limit after stage {state.finished_stages} of "
+        f"{state.stages} ({state.stage})"
+    )
 
 
 def describe_signs(reversed_signs: Sequence[tuple[str, ...]]) -> list[str]:

@@ -19,31 +19,46 @@ _FIRST = "first-order"  # between the others, so that both are near enough to go
 _ALIKE = 1.01  # root mean squares of errors that differ by less are alike
 
 
-def search_over_holds(problem: Problem, state: SearchState) -> tuple[Problem, SearchState, str]:
+def search_over_holds(problem: Problem, state: SearchState) -> tuple[Problem, SearchState]:
     """Searches for the parameters, and for the holds that the data card calls `unknown`.
 
     The whole search is done for straight lines; from its result, the final stage is done again
     for every other hold, and the lowest cost over the training records decides. The holds of
-    several unknown inputs are taken to be alike.
+    several unknown inputs are taken to be alike. A search that is stopped chooses among the holds
+    whose final stage was finished.
 
     Returns:
-        The problem with the chosen holds and without optional terms that are not needed, and what
-        `stages.search` returns. The state's remarks have the simulation error of every hold.
+        The problem with the chosen holds and without optional terms that are not needed, and the
+        state after the final stage. Its remarks have the simulation error of every hold.
     """
     unknown = _unknown_holds(problem)
+    others: list[DeclaredHold] = []
+    if unknown:
+        is_short = min(map(len, (*problem.records, *problem.validation))) <= HALF
+        left_out = (_FIRST, "band-limited") if is_short else (_FIRST,)
+        others = [hold for hold in get_args(DeclaredHold) if hold not in left_out]
     assumed, state = drop_unneeded_terms(with_assumed_hold(problem), state)
-    state, initial = search(assumed, state)
+    if not state.is_stopped:
+        has_refit = problem.refit_start is not None
+        state = search(assumed, state, later_stages=len(others) + has_refit)
     if not unknown:
-        return assumed, state, initial
+        return assumed, state
+    channel_names = " and ".join(f"'{n}'" for n in unknown)
+    if state.is_stopped:
+        remark = f"hold of {channel_names}: not searched for before the time limit; {_FIRST} taken"
+        return assumed, replace(state, remarks=(*state.remarks, remark))
     problem = replace(problem, system=assumed.system)
     trials = {_FIRST: (assumed, state)}
-    holds: tuple[DeclaredHold, ...] = get_args(DeclaredHold)
-    is_short = min(map(len, (*problem.records, *problem.validation))) <= HALF
-    for hold in holds:
-        if hold != _FIRST and not (is_short and hold == "band-limited"):
-            other = _with_hold(problem, hold)
-            other_state = run_final_stage(other, choose_substeps(other, state), initial)
-            trials[hold] = other, other_state
+    finished, is_stopped = state.finished_stages, False
+    for hold in others:
+        other = _with_hold(problem, hold)
+        other_state = replace(choose_substeps(other, state), finished_stages=finished)
+        other_state = run_final_stage(other, other_state, state.initial)
+        if other_state.is_stopped:
+            is_stopped = True
+            break
+        finished = other_state.finished_stages
+        trials[hold] = other, other_state
 
     costs = {
         hold: np.inf if trial.has_diverged else trial.last_result.cost
@@ -51,7 +66,7 @@ def search_over_holds(problem: Problem, state: SearchState) -> tuple[Problem, Se
     }
     best = min(costs, key=lambda hold: costs[hold])
     rmse = {hold: _position_rmse(*trial) for hold, trial in trials.items()}
-    unit, channel_names = problem.system.channels.unit, " and ".join(f"'{n}'" for n in unknown)
+    unit = problem.system.channels.unit
     ranked = sorted(rmse, key=lambda hold: rmse[hold])
     listed = ", ".join(f"{hold} {rmse[hold]:.3g} {unit}" for hold in ranked)
     if max(rmse.values()) < _ALIKE * min(rmse.values()):
@@ -64,8 +79,15 @@ def search_over_holds(problem: Problem, state: SearchState) -> tuple[Problem, Se
             f"hold of {channel_names}: {best}, by the simulation error of the training records "
             f'({listed}); declare hold = "{best}" in the data card'
         )
+    if is_stopped:
+        remark += f"; the time limit left out {', '.join(h for h in others if h not in trials)}"
     problem, state = trials[best]
-    return problem, replace(state, remarks=(*state.remarks, remark)), initial
+    return problem, replace(
+        state,
+        remarks=(*state.remarks, remark),
+        finished_stages=finished,
+        is_stopped=is_stopped,
+    )
 
 
 def with_assumed_hold(problem: Problem) -> Problem:

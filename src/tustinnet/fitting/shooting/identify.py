@@ -25,6 +25,7 @@ from tustinnet.fitting.shooting.equation_error import find_reversed_signs
 from tustinnet.fitting.shooting.forces import with_added
 from tustinnet.fitting.shooting.groups import expand_values
 from tustinnet.fitting.shooting.holds import search_over_holds, with_assumed_hold
+from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
 from tustinnet.fitting.shooting.problem import Problem, SearchState
 from tustinnet.fitting.shooting.refit import refit_to_free_runs
 from tustinnet.fitting.shooting.results import make_identification
@@ -41,6 +42,10 @@ from tustinnet.systems.files import AnySystem, SystemTemplate
 _POORLY_EXPLAINED = 0.1
 _SHORTEST = 10  # samples of a transient worth fitting
 DEFAULT_IDENTIFICATION = "grey"
+
+
+class UnfinishedSearchError(InputError):
+    """A search was stopped before any of its stages was finished: there is no model."""
 
 
 @with_renamed_arguments(told="on_iteration")
@@ -86,9 +91,26 @@ def identify(
     return _identify(task, Member(), Listener(on_iteration=on_iteration))
 
 
-def identify_task(task: Task, member: Member, listener: Listener) -> FitResult:
-    """Identifies the system of a task from the records of a member's fold."""
-    identification = _identify(task, member, listener)
+def identify_task(
+    task: Task,
+    member: Member,
+    listener: Listener,
+    should_stop: ShouldStopSearch = never_stop_search,
+) -> FitResult:
+    """Identifies the system of a task from the records of a member's fold.
+
+    Args:
+        task: what is to be fitted.
+        member: one of its members.
+        listener: functions that are called while the search goes on.
+        should_stop: asked before every step of the search, as for a time limit. A search that it
+            stops returns the model of its last finished stage, and says so in `outcome`.
+
+    Raises:
+        UnfinishedSearchError: it was stopped before a stage was finished.
+        InputError: see `identify`.
+    """
+    identification = _identify(task, member, listener, should_stop)
     return FitResult(
         model=identification.model,
         recipe=task.recipe,
@@ -105,7 +127,12 @@ def identify_task(task: Task, member: Member, listener: Listener) -> FitResult:
     )
 
 
-def _identify(task: Task, member: Member, listener: Listener) -> Identification:
+def _identify(
+    task: Task,
+    member: Member,
+    listener: Listener,
+    should_stop: ShouldStopSearch = never_stop_search,
+) -> Identification:
     require_float64("identify")
     start_time = time.perf_counter()
     recipe, roles = task.identification_recipe, task.folds[member.fold].roles
@@ -138,6 +165,7 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
         validation=tuple(e.with_timing(inputs) for e in roles.validation),
         search=recipe.search,
         listener=listener,
+        should_stop=should_stop,
     )
     require_refit_possible(with_assumed_hold(problem))
 
@@ -159,13 +187,19 @@ def _identify(task: Task, member: Member, listener: Listener) -> Identification:
         require_finite_terms(model, batch)
 
     state = SearchState(space, initial_vector, horizons=problem.recipe_horizons or {})
-    problem, state, initial = search_over_holds(problem, state)
+    problem, state = search_over_holds(problem, state)
+    if state.result is None:
+        raise UnfinishedSearchError(
+            f"identification of '{system.name}'",
+            "stopped at its time limit before a stage was finished",
+            "time for the first stage", "allow more",
+        )  # fmt: skip
     reversed_signs: tuple[tuple[str, ...], ...] = ()
     if state.unexplained > _POORLY_EXPLAINED:
         initial_values = space.to_values_in_range(initial_vector)
         vector = state.space.to_vector(initial_values)
         reversed_signs = find_reversed_signs(problem.system, state.space, vector, problem.motion)
-    identification = make_identification(problem, state, initial, reversed_signs)
+    identification = make_identification(problem, state, reversed_signs)
     if problem.refit_start:
         identification = refit_to_free_runs(problem, state, problem.refit_start, identification)
     return replace(identification, seconds=time.perf_counter() - start_time)

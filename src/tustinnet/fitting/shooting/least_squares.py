@@ -13,7 +13,12 @@ import scipy.optimize
 from jaxtyping import Float
 
 from tustinnet.fitting.residual import Residual
-from tustinnet.fitting.shooting.levenberg_marquardt import DampingRule, iterate
+from tustinnet.fitting.shooting.levenberg_marquardt import (
+    DampingRule,
+    ShouldStopSearch,
+    iterate,
+    never_stop_search,
+)
 from tustinnet.fitting.shooting.normal import NormalProducts, compute_products
 from tustinnet.fitting.shooting.segments import Segments
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
@@ -123,7 +128,8 @@ class LeastSquaresResult:
         products: the products there.
         cost: the sum of squares there, prior included; infinite where it diverged.
         iterations: accepted steps.
-        status: `converged`, `stalled`, `limit`, or `diverged` where the first simulation did.
+        status: `converged`, `stalled`, `limit`, `stopped`, or `diverged` where the first
+            simulation did.
     """
 
     vector: ParameterVector
@@ -136,6 +142,7 @@ class LeastSquaresResult:
 
 
 OnIteration = Callable[[int, float, float], None]  # iterations so far, cost, damping
+OnTrial = Callable[[int, float], None]  # iterations so far, lowest cost
 
 
 def minimise(
@@ -143,6 +150,8 @@ def minimise(
     vector: ParameterVector,
     stopping: StoppingRule,
     on_iteration: OnIteration = lambda iterations, cost, damping: None,
+    on_trial: OnTrial = lambda iterations, cost: None,
+    should_stop: ShouldStopSearch = never_stop_search,
 ) -> LeastSquaresResult:
     """Minimises the simulation error over parameters and initial states.
 
@@ -155,6 +164,8 @@ def minimise(
         vector: the parameters to start from.
         stopping: when to end.
         on_iteration: called after every iteration.
+        on_trial: called after every simulation, of which an iteration takes one or more.
+        should_stop: asked before every step; the result then is that of the iterations so far.
 
     References:
         Marquardt (1963), An algorithm for least-squares estimation of nonlinear parameters.
@@ -180,9 +191,11 @@ def minimise(
     point = evaluate(cost.space.clip(vector), cost.segments.x0)
     iterations, status = 0, "diverged"
     if np.isfinite(point.cost):
+        on_trial(0, point.cost)
         result = iterate(
             point, propose, has_converged, _DAMPING_RULE, stopping.max_iterations,
             lambda number, point, damping: on_iteration(number, point.cost, damping),
+            lambda number, point: on_trial(number, point.cost), should_stop,
         )  # fmt: skip
         point, iterations, status = result.point, result.iterations, result.status
     return LeastSquaresResult(

@@ -24,6 +24,13 @@ class IterationPoint(Protocol):
 
 P = TypeVar("P", bound=IterationPoint)
 
+ShouldStopSearch = Callable[[], bool]
+
+
+def never_stop_search() -> bool:
+    """A `should_stop` without a time limit."""
+    return False
+
 
 @dataclass(frozen=True)
 class DampingRule:
@@ -51,7 +58,8 @@ class IterationResult(Generic[P]):
     Attributes:
         point: the last accepted point.
         iterations: accepted steps.
-        status: `converged`, `stalled` where no step lowers the cost, or `limit` of iterations.
+        status: `converged`, `stalled` where no step lowers the cost, `limit` of iterations, or
+            `stopped`.
     """
 
     point: P
@@ -66,6 +74,8 @@ def iterate(
     damping_rule: DampingRule,
     max_iterations: int,
     on_iteration: Callable[[int, P, float], None],
+    on_trial: Callable[[int, P], None],
+    should_stop: ShouldStopSearch,
 ) -> IterationResult[P]:
     """Takes damped steps until the iteration has converged, has stalled or reaches its limit.
 
@@ -78,17 +88,23 @@ def iterate(
         max_iterations: limit of accepted steps.
         on_iteration: called after every accepted step with their number, the point, and the
             damping of the next step.
+        on_trial: called after every step, accepted or not, with the number of those accepted and
+            the best point.
+        should_stop: asked before every step.
     """
     point, previous_cost, damping, iterations = start, np.inf, damping_rule.initial, 0
     while iterations < max_iterations:
         if has_converged(point, previous_cost):
             return IterationResult(point, iterations, "converged")
         while damping <= damping_rule.largest:
+            if should_stop():
+                return IterationResult(point, iterations, "stopped")
             trial, predicted = propose(point, damping)
             decrease = point.cost - trial.cost
             gain_ratio = decrease / predicted if np.isfinite(trial.cost) else -1.0
             if gain_ratio > damping_rule.least_gain_ratio:
                 break
+            on_trial(iterations, point)
             damping *= damping_rule.increase
         else:
             return IterationResult(point, iterations, "stalled")
@@ -96,4 +112,5 @@ def iterate(
         iterations += 1
         damping = damping_rule.decreased(damping, gain_ratio)
         on_iteration(iterations, point, damping)
+        on_trial(iterations, point)
     return IterationResult(point, iterations, "limit")

@@ -51,7 +51,8 @@ def drop_unneeded_terms(problem: Problem, state: SearchState) -> tuple[Problem, 
         state: the initial values.
 
     Returns:
-        Problem and initial values; unchanged where no term is optional.
+        Problem and initial values; unchanged where no term is optional. Where the search is
+        stopped, the terms that were left and the state after the last fit of them.
 
     Raises:
         InputError: the simulations with the initial values diverge.
@@ -68,17 +69,27 @@ def drop_unneeded_terms(problem: Problem, state: SearchState) -> tuple[Problem, 
     state = run_stage(problem, choose_substeps(problem, update_horizons(problem, state)), stage)
     for longer_stage in longer_stages:
         longer = run_stage(problem, state, longer_stage)
-        if len(longer.last_result.segments.steps) >= _FEWEST:
+        if longer.is_stopped or len(longer.last_result.segments.steps) >= _FEWEST:
             state, stage = longer, longer_stage
-    if state.has_diverged:
+    if state.result is not None and state.has_diverged:
         raise InputError(
             f"system '{problem.system.name}'", "first values with which the simulations diverge",
             "values that stay finite", "give others in the recipe: model.begin",
         )  # fmt: skip
 
     for reach in _REACHES:
-        while (reduced := _drop_some(problem, state, stage, reach)) is not None:
+        while (
+            not state.is_stopped
+            and (reduced := _drop_some(problem, state, stage, reach)) is not None
+        ):
             problem, state = reduced
+    if state.is_stopped:
+        left = len(problem.system.optional)
+        remark = (
+            f"optional terms: {left} of {len(offered)} are left; the time limit ended the search "
+            "for those that are not needed"
+        )
+        return problem, replace(state, remarks=(*remarks, remark))
 
     kept, fixed_values = problem.system.optional, state.space.fixed_values
     listed = [f"{n} at {fixed_values[n]:g}" if n in fixed_values else n for n in kept]
@@ -104,7 +115,8 @@ def _drop_some(
 ) -> tuple[Problem, SearchState] | None:
     """Drops all terms that seem not needed, or half of them, or a quarter, and fits the others.
 
-    None where every term is needed, or where no fit without some of them is as good as predicted.
+    None where every term is needed, or where no fit without some of them is as good as predicted;
+    problem and state as they were where the fit is stopped.
     """
     cost, space = make_quadratic_cost(problem, state, reach, _NEEDED), state.space
     optional = {p.name: p for p in problem.system.parameters if p.optional}
@@ -128,6 +140,8 @@ def _drop_some(
         )
         trial = replace(state, space=fewer_space, vector=fewer_space.to_vector(values))
         trial = run_stage(fewer, trial, stage)
+        if trial.is_stopped:
+            return problem, replace(state, is_stopped=True)
         predicted = max(state.last_result.cost, cost.best_cost(fixed))
         if trial.last_result.cost <= _WORSE * predicted:
             return fewer, trial

@@ -20,6 +20,7 @@ from tustinnet.fitting.residual import Residual, make_residual
 from tustinnet.fitting.shooting.equation_error import MeasuredMotion, measure_motion
 from tustinnet.fitting.shooting.groups import expand_parameters, group_indices
 from tustinnet.fitting.shooting.least_squares import CostFunction, LeastSquaresResult, Prior
+from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
 from tustinnet.fitting.shooting.normal import NormalProducts, compute_products
 from tustinnet.fitting.shooting.segments import CutOptions, Segments, cut_records
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
@@ -43,6 +44,7 @@ class Problem:
         validation: the validation records, whose free runs choose how initial states are treated.
         search: the options of the search, as the recipe has them.
         listener: gets every iteration and every stage.
+        should_stop: asked before every stage and every step of one, as for a time limit.
     """
 
     system: LagrangianSystem
@@ -50,6 +52,7 @@ class Problem:
     validation: tuple[Experiment, ...]
     search: SearchRecipe
     listener: Listener = SILENT
+    should_stop: ShouldStopSearch = never_stop_search
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -171,7 +174,13 @@ class SearchState:
         vector: the free parameters.
         substeps: integration steps in a sampling period.
         variance: mean squared residual of a record so far.
-        result: result of the last stage, None before the first.
+        result: result of the last stage that was finished, None before the first.
+        stage: what that stage was doing.
+        initial: how initial states were treated in it.
+        finished_stages: how many stages were finished.
+        stages: how many the search has, 0 while that is not known.
+        is_stopped: whether the search was stopped before its end; the rest is that of the last
+            finished stage.
         unexplained: share of the worst record's change of momentum that the equation-error
             estimate does not explain.
         horizons: steps over which records are compared that cannot be simulated as a whole, by
@@ -187,6 +196,11 @@ class SearchState:
     substeps: int = 1
     variance: float = _INITIAL_VARIANCE
     result: LeastSquaresResult | None = None
+    stage: str = ""
+    initial: str = ""
+    finished_stages: int = 0
+    stages: int = 0
+    is_stopped: bool = False
     unexplained: float = 0.0
     horizons: Mapping[str, int] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()

@@ -15,9 +15,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from tustinnet.engine.runs import Directions, Runs, Samples, compare
-from tustinnet.fitting.listener import Iteration
+from tustinnet.fitting.listener import Iteration, SearchProgress
 from tustinnet.fitting.report import Identification, Refit
 from tustinnet.fitting.shooting.equations import SystemEquations, system_equations
+from tustinnet.fitting.shooting.findings import describe_stop
 from tustinnet.fitting.shooting.levenberg_marquardt import DampingRule, iterate
 from tustinnet.fitting.shooting.problem import Problem, SearchState, make_model, score_validation
 from tustinnet.fitting.shooting.space import SearchSpace
@@ -58,9 +59,10 @@ def refit_to_free_runs(
 
     Returns:
         The identification with the refitted model; its estimates, their errors and findings
-        stay. Unchanged but for a finding where a refit is not possible.
+        stay. Unchanged but for a finding where a refit is not possible, and for the outcome where
+        it is stopped.
     """
-    if state.has_diverged:
+    if state.is_stopped or state.has_diverged:
         return identification
     # a delay is in the inputs, which free runs take as they are
     free = [p for p in state.space.free_parameters if p.name not in problem.delays]
@@ -71,7 +73,10 @@ def refit_to_free_runs(
         obstacle = "nothing but delays is free"
     else:
         refit = _minimise_mean_rmse(problem, state, start, free)
-        if not np.isfinite(refit.before):
+        if refit is None:
+            obstacle = "stopped at its time limit"
+            identification = replace(identification, converged=False, outcome=describe_stop(state))
+        elif not np.isfinite(refit.before):
             obstacle = "free runs diverge; `horizon` in the table [search] shortens them"
     if refit is None or obstacle:
         finding = f"no refit to free runs: {obstacle}"
@@ -108,7 +113,7 @@ class _RefitPoint:
 
 def _minimise_mean_rmse(
     problem: Problem, state: SearchState, start: Start, free: Sequence[Parameter]
-) -> Refit:
+) -> Refit | None:
     """Minimises the mean over the records of their RMSE, not of its square.
 
     A record that no parameter explains then pulls no more than others. A parameter's change
@@ -119,7 +124,8 @@ def _minimise_mean_rmse(
     Levenberg-Marquardt, each record's squares weighed by one over its RMSE.
 
     Returns:
-        The values before and after; unchanged where some free run diverges.
+        The values before and after; unchanged where some free run diverges. None where the time
+        limit comes before its end.
     """
     names = [p.name for p in free]
     identified = state.space.to_values_in_range(state.vector)
@@ -149,15 +155,26 @@ def _minimise_mean_rmse(
     def has_converged(point: _RefitPoint, previous_cost: float) -> bool:
         return previous_cost - point.cost < _TOLERANCE * point.cost
 
+    stage = f"refit to free runs from {start.name}"
+
     def on_iteration(number: int, point: _RefitPoint, damping: float) -> None:
-        stage, mean_rmse = f"refit to free runs from {start.name}", point.products.mean_rmse
+        mean_rmse = point.products.mean_rmse
         problem.listener.on_iteration(Iteration(stage, number, mean_rmse, damping, start.name))
+
+    def on_trial(iterations: int, point: _RefitPoint) -> None:
+        mean_rmse, number = point.products.mean_rmse, state.finished_stages + 1
+        problem.listener.on_progress(
+            SearchProgress(stage, number, state.stages, iterations, mean_rmse)
+        )
 
     point, iterations = _RefitPoint(np.zeros(len(free)), initial, 1.0), 0
     if 0 < scale < np.inf:
         result = iterate(
-            point, propose, has_converged, _DAMPING_RULE, _MAX_ITERATIONS, on_iteration
-        )
+            point, propose, has_converged, _DAMPING_RULE, _MAX_ITERATIONS, on_iteration, on_trial,
+            problem.should_stop,
+        )  # fmt: skip
+        if result.status == "stopped":
+            return None
         point, iterations = result.point, result.iterations
     values = dict(zip(names, (first + unit * point.change).tolist(), strict=True))
     return Refit(scale, point.products.mean_rmse, iterations, values)

@@ -35,14 +35,13 @@ _LITTLE = 0.5  # of the weight of residuals that count in full
 
 
 def make_identification(
-    problem: Problem, state: SearchState, initial: str, reversed_signs: tuple[tuple[str, ...], ...]
+    problem: Problem, state: SearchState, reversed_signs: tuple[tuple[str, ...], ...]
 ) -> Identification:
     """Makes the account of an identification from the state after its search.
 
     Args:
         problem: the problem.
-        state: the state after the final stage.
-        initial: how initial states were treated.
+        state: the state after the final stage, or after the last one before a search was stopped.
         reversed_signs: coordinates and inputs whose sign is probably reversed: alternatives, each
             the names to reverse together.
     """
@@ -51,7 +50,8 @@ def make_identification(
     uncertainty = estimate_uncertainty(
         result.products, result.segments, prior_curvature, space.inside(result.vector)
     )
-    disagreements = find_disagreements(problem, state)
+    # a search that was stopped has no minimum about which the records could be compared
+    disagreements = () if state.is_stopped else find_disagreements(problem, state)
     estimates = _make_estimates(problem, state, uncertainty)
     with np.errstate(invalid="ignore", divide="ignore"):
         errors = np.sqrt(np.diag(uncertainty.trusted))
@@ -64,13 +64,13 @@ def make_identification(
     start = problem.scoring_start(state.horizon).name
     validation_rmse = score_validation(problem, state) if problem.validation else None
     downweighted = () if state.weights is None else _downweighted(state.weights, records)
-    has_converged = result.status == "converged"
+    has_converged = result.status == "converged" and not state.is_stopped
     sentences = [
         *findings.describe_signs(reversed_signs),
         *state.remarks,
         *findings.describe_horizons(
             horizons,
-            records,
+            () if state.is_stopped else records,
             is_from_recipe=problem.recipe_horizons is not None,
             scoring_start=start if problem.validation else None,
         ),
@@ -93,8 +93,12 @@ def make_identification(
         correlation=correlation,
         condition=uncertainty.condition,
         converged=has_converged,
-        outcome=findings.describe_outcome(
-            result.status, result.iterations, records, rmse, horizons
+        outcome=(
+            findings.describe_stop(state)
+            if state.is_stopped
+            else findings.describe_outcome(
+                result.status, result.iterations, records, rmse, horizons
+            )
         ),
         reversed_signs=reversed_signs,
         findings=tuple(sentences),
@@ -102,7 +106,7 @@ def make_identification(
         rmse=rmse,
         autocorrelation=tuple(lag.tolist()),
         disagreements=disagreements,
-        initial=initial,
+        initial=state.initial,
         initial_states=_initial_states_by_record(problem.system, state, records),
         horizons=horizons,
         start=start,

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tustinnet.errors import InputError
-from tustinnet.fitting.listener import Iteration, StageResult
+from tustinnet.fitting.listener import Iteration, SearchProgress, StageResult
 from tustinnet.fitting.residual import robust_weights
 from tustinnet.fitting.shooting.equation_error import estimate_by_equation_error
 from tustinnet.fitting.shooting.error_growth import find_horizons
@@ -52,15 +52,16 @@ class SearchStage:
     quarter_swings: int | None = None
 
 
-def search(problem: Problem, state: SearchState) -> tuple[SearchState, str]:
+def search(problem: Problem, state: SearchState, later_stages: int = 0) -> SearchState:
     """Runs all stages of a search.
 
     Args:
         problem: the problem.
         state: the initial values.
+        later_stages: how many stages follow it, for the count of all.
 
     Returns:
-        The state after the final stage, and how initial states were treated in it.
+        The state after the final stage, or after the last one before the search was stopped.
     """
     state = _fix_confounded_parameters(problem, state)
     if not state.has_fitted_values:
@@ -70,6 +71,7 @@ def search(problem: Problem, state: SearchState) -> tuple[SearchState, str]:
         unexplained = float(estimate.unexplained.max())
         values = state.space.to_values_in_range(estimate.vector)
         problem.listener.on_iteration(Iteration(ESTIMATE, 1, unexplained, 0.0))
+        problem.listener.on_progress(SearchProgress(ESTIMATE, 0, 0, 1, unexplained))
         problem.listener.on_stage(StageResult(ESTIMATE, "", 1, unexplained, "converged", values))
         state = replace(state, vector=estimate.vector, unexplained=unexplained)
     state = choose_substeps(problem, update_horizons(problem, state))
@@ -80,19 +82,27 @@ def search(problem: Problem, state: SearchState) -> tuple[SearchState, str]:
         for quarters in _QUARTER_SWINGS
         if quarters * problem.motion.window_length < longest
     ]
-    for stage in (*stages, SearchStage(problem.early_initial, StoppingRule(1e-2, 30))):
+    stages.append(SearchStage(problem.early_initial, StoppingRule(1e-2, 30)))
+    initial = problem.search.initial
+    compares = initial == "choose" and bool(problem.validation)
+    state = replace(state, stages=len(stages) + compares + 1 + later_stages)
+    for stage in stages:
         state = run_stage(problem, state, stage)
+        if state.is_stopped:
+            return state
         state = update_horizons(problem, state)  # the better the values, the better the horizons
     state = choose_substeps(problem, state)
 
-    initial = problem.search.initial
     if initial == "choose":
         initial = "anchored"
-        if problem.validation:
-            loose = run_stage(problem, state, SearchStage("unanchored", StoppingRule(1e-2, 15)))
-            if score_validation(problem, loose) < score_validation(problem, state):
-                state, initial = loose, "unanchored"
-    return run_final_stage(problem, state, initial), initial
+    if compares:
+        loose = run_stage(problem, state, SearchStage("unanchored", StoppingRule(1e-2, 15)))
+        if loose.is_stopped:
+            return loose
+        if score_validation(problem, loose) < score_validation(problem, state):
+            state, initial = loose, "unanchored"
+        state = replace(state, finished_stages=loose.finished_stages)
+    return run_final_stage(problem, state, initial)
 
 
 def run_final_stage(problem: Problem, state: SearchState, initial: str) -> SearchState:
@@ -107,17 +117,27 @@ def run_final_stage(problem: Problem, state: SearchState, initial: str) -> Searc
     """
     options = problem.search
     stage = SearchStage(initial, StoppingRule(options.tolerance, options.iterations))
+    finished = state.finished_stages
     state = run_stage(problem, state, stage)
     for _ in range(_MOST_REWEIGHTINGS if options.robust != "none" else 0):
         before = state.vector
-        state = run_stage(problem, state, stage)
-        if state.has_diverged or np.abs(state.vector - before).max() < _LEAST_CHANGE:
+        state = run_stage(problem, replace(state, finished_stages=finished), stage)
+        if (
+            state.is_stopped
+            or state.has_diverged
+            or np.abs(state.vector - before).max() < _LEAST_CHANGE
+        ):
             break
     return state
 
 
 def run_stage(problem: Problem, state: SearchState, stage: SearchStage) -> SearchState:
-    """Runs one stage; the state has its result, also where it diverged."""
+    """Runs one stage; the state has its result, also where it diverged.
+
+    Where the search is to stop, the state is the one before, marked as stopped.
+    """
+    if state.is_stopped or problem.should_stop():
+        return replace(state, is_stopped=True)
     steps = stage.quarter_swings and stage.quarter_swings * problem.motion.window_length
     segments = problem.segments(steps, stage.initial, state.horizons)
     if state.weights is not None:
@@ -130,12 +150,23 @@ def run_stage(problem: Problem, state: SearchState, stage: SearchStage) -> Searc
     def on_iteration(number: int, value: float, damping: float) -> None:
         problem.listener.on_iteration(Iteration(name, number, value, damping, stage.initial))
 
-    result = minimise(cost, state.vector, stage.stopping, on_iteration)
+    def on_trial(iterations: int, value: float) -> None:
+        number = state.finished_stages + 1 if state.stages else 0
+        problem.listener.on_progress(SearchProgress(name, number, state.stages, iterations, value))
+
+    result = minimise(
+        cost, state.vector, stage.stopping, on_iteration, on_trial, problem.should_stop
+    )
     values = state.space.to_values_in_range(result.vector)
     problem.listener.on_stage(
         StageResult(name, stage.initial, result.iterations, result.cost, result.status, values)
     )
-    state = replace(state, vector=result.vector, result=result)
+    if result.status == "stopped":
+        return replace(state, is_stopped=True)
+    state = replace(
+        state, vector=result.vector, result=result, stage=name, initial=stage.initial,
+        finished_stages=state.finished_stages + 1,
+    )  # fmt: skip
     if state.has_diverged:
         return state
     weights = None
