@@ -177,10 +177,17 @@ def load_records_to_fit(
     from tustinnet.data.catalog import locate
     from tustinnet.data.inspection import inspect_experiment
     from tustinnet.data.loading import load_folder
+    from tustinnet.simulate.start_rules import DerivedStart
 
     folder, located_card = locate(data, card)
     require_apart(out, folder)
     records = load_folder(folder, located_card, on_message=None if strict else console.print)
+    fewest = DerivedStart.usual_samples  # free runs start from these
+    remaining = {e.split for e in records if len(e) >= fewest}
+    for e in () if strict else records:
+        if len(e) < fewest and e.split in remaining:
+            console.print(f"left out: {e.name}: {len(e)} samples; expected at least {fewest}")
+            records = records.exclude(e.name)
     reports = [inspect_experiment(e) for e in records]
     if strict:
         require_sound(reports)
