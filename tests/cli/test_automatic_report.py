@@ -168,7 +168,7 @@ def test_the_demo_and_the_table_leave_a_report(
         table1.Row("theirs", None, None, scores, model),
     ]
     monkeypatch.setattr(catalog.PublishedDataSet, "is_in", lambda self, place: True)
-    monkeypatch.setattr("tustinnet.data.loading.load_folder", lambda place, card: data)
+    monkeypatch.setattr("tustinnet.data.loading.load_folder", lambda place, card, **_: data)
     monkeypatch.setattr(table1, "build_rows", lambda *given: rows)
     page = tmp_path / "table" / "report.html"
     given = ("reproduce", "--data", folder, "--out", page.parent, "--models", "gru")

@@ -1,11 +1,15 @@
 """`fit` without a recipe: a plan of candidates, a budget, one model and an account in words."""
 
 import json
+from types import SimpleNamespace
 
 import pytest
 from small_selection import NETWORK_ONLY, plan_in
 from test_grey_box import SYSTEM
 from test_verbs import tustinnet
+
+from tustinnet.cli.select import print_choice
+from tustinnet.report.tables import Table
 
 PLAN = """
 name = "two"
@@ -52,6 +56,16 @@ def test_a_folder_of_logs_and_a_system_become_one_model(folder, tmp_path, out, c
     assert [c["starts"] for c in again["candidates"]] == [
         c["starts"] for c in summary["candidates"]
     ]
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_notes_are_printed_once(monkeypatch, capsys, quiet):
+    choice = SimpleNamespace(sentences=("chosen: a", "left out: b"), notes=("left out: b",))
+    monkeypatch.setattr(
+        "tustinnet.report.selection.candidates_table", lambda choice: Table(["a"], [["1"]])
+    )
+    print_choice(choice, quiet=quiet)  # without `quiet` they were printed while it was made
+    assert ("* left out: b" in capsys.readouterr().out) == quiet
 
 
 @pytest.mark.parametrize(

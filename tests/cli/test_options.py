@@ -170,7 +170,7 @@ def test_the_demo_takes_seed_and_overwrite(tmp_path, monkeypatch, refused):
 def _stand_in_for_the_measured_data(monkeypatch, folder, records) -> None:
     monkeypatch.setenv("TUSTINNET_DATA", str(folder))
     monkeypatch.setattr(catalog.PublishedDataSet, "is_in", lambda self, place: True)
-    monkeypatch.setattr("tustinnet.data.loading.load_folder", lambda place, card: records)
+    monkeypatch.setattr("tustinnet.data.loading.load_folder", lambda place, card, **_: records)
 
 
 def test_reproduce_asks_for_what_its_options_say(folder, pendulum, tmp_path, monkeypatch, refused):

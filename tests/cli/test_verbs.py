@@ -227,6 +227,27 @@ def test_strict_refuses_records_in_which_something_looks_wrong(
     assert tustinnet(capsys, "inspect", folder)[0] == 0
 
 
+def test_fit_leaves_out_records_that_cannot_be_used(folder, tiny_recipe, tmp_path, capsys):
+    text = (folder / "fall1.csv").read_text().splitlines()
+    rows = [",".join([row.split(",")[0], "nan", "nan"]) for row in text[1:]]
+    (folder / "fall9.csv").write_text("\n".join([text[0], *rows]) + "\n")
+    noise = (folder / "noise2.csv").read_text().splitlines()
+    (folder / "noise2.csv").write_text("\n".join(noise[:5]) + "\n")
+    card = folder / "dataset.toml"
+    assert '"fall1.csv"' in card.read_text()
+    card.write_text(card.read_text().replace('"fall1.csv"', '"fall[19].csv"'))
+    fit = ("fit", folder, "--recipe", tiny_recipe, "--set", "stages.*.epochs=1", "--quiet")
+    code, _, err = tustinnet(capsys, *fit, "--no-report", "--out", tmp_path / "run")
+    assert code == 0
+    assert err.count("fall9.csv") == 1
+    assert f"left out: {folder / 'fall9.csv'}, row 2, angle: nan" in err
+    assert "left out: noise2: 4 samples; expected at least 6" in err
+    for verb in (("inspect", folder), (*fit, "--strict", "--out", tmp_path / "strict")):
+        code, _, err = tustinnet(capsys, *verb)
+        assert code == 1
+        assert f"error: {folder / 'fall9.csv'}, row 2, angle: nan" in err
+
+
 def test_fit_and_cross_validate_say_first_what_looks_wrong_and_what_never_moves(
     folder, tiny_recipe, tmp_path, capsys
 ):

@@ -138,6 +138,12 @@ def test_a_folder_without_a_card_is_refused_with_what_to_do(tmp_path: Path) -> N
     told = r"no dataset\.toml.*docs/reference/data\.md.*--card FILE"
     with pytest.raises(tn.InputError, match=told):
         tn.load(tmp_path)
+    (tmp_path / "read me.pdf").touch()
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "runs" / "run 1.csv").touch()
+    told = r"no dataset\.toml.*`tustinnet inspect '.*runs/run 1\.csv'` drafts one.*--card FILE"
+    with pytest.raises(tn.InputError, match=told):
+        tn.load(tmp_path)
 
 
 def test_a_misspelt_name_is_refused_with_the_nearest_one() -> None:

@@ -1,5 +1,6 @@
 """A single file that no card describes."""
 
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,75 @@ def test_columns_are_told_apart(tmp_path: Path) -> None:
     assert by_name["arm"].count == pytest.approx(1)
     assert by_name["rate"].remark == "slope of 'arm'"
     assert (by_name["a"].remark, by_name["b"].remark) == ("held levels", "rough")
+
+
+BELT = {"time": T, "motor_cnt": COUNTS, "carriage_mm": 90 * ANGLE, "voltage": ANGLE}
+# columns; of each coordinate name, column, unit and velocity column; of each input name and unit
+DRAFTS = [
+    (BELT, [("motor", "motor_cnt", "counts", None), ("carriage", "carriage_mm", "mm", None)],
+     [("voltage", "V")]),
+    # a unit says more than words or values
+    ({"motor_deg": LEVELS, "pos_um": NOISE, "encoder_ticks1": ANGLE},
+     [("motor", "motor_deg", "deg", None), ("pos", "pos_um", "um", None),
+      ("encoder", "encoder_ticks1", "counts", None)], []),
+    ({"x": ANGLE, "lift_n": COUNTS, "hub_nm": ANGLE, "coil_a": ANGLE, "b_volt": COUNTS},
+     [("x", "x", "rad", None)],
+     [("lift", "N"), ("hub", "N m"), ("coil", "A"), ("b", "V")]),
+    ({"slide [cm]": ANGLE, "motorCnt 1": COUNTS, "drive (mV)": ANGLE},
+     [("slide", "slide [cm]", "cm", None), ("motorCnt_1", "motorCnt 1", "counts", None)],
+     [("drive", "mV")]),
+    # channels of one name keep their units
+    ({"motor_rad": ANGLE, "motor_v": ANGLE}, [("motor_rad", "motor_rad", "rad", None)],
+     [("motor_v", "V")]),
+    # a command has the unit of what it commands
+    ({"setpoint_mm": ANGLE, "slide_mm": ANGLE}, [("slide", "slide_mm", "mm", None)],
+     [("setpoint", "mm")]),
+    # motors have encoders; what counts in equal steps is measured, unless it is named as a drive
+    ({"motor": COUNTS, "torque": ANGLE}, [("motor", "motor", "counts", None)], [("torque", "V")]),
+    ({"motor": ANGLE, "x": ANGLE}, [("x", "x", "rad", None)], [("motor", "V")]),
+    ({"pwm": COUNTS, "encoder_a": COUNTS}, [("encoder_a", "encoder_a", "counts", None)],
+     [("pwm", "V")]),
+    # a slope, unless the unit says that it is something else; velocities of all coordinates or none
+    ({"arm_rad": ANGLE, "gyro_deg_per_s": RATE},
+     [("arm", "arm_rad", "rad", "gyro_deg_per_s")], []),
+    ({"arm_rad": ANGLE, "gyro_deg_per_s": RATE, "tip_deg": RATE},
+     [("arm", "arm_rad", "rad", None), ("tip", "tip_deg", "deg", None)], []),
+    ({"cart_m": ANGLE, "speed_rad_s": RATE, "w": RATE}, [("cart", "cart_m", "m", "w")], []),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("columns", "coordinates", "inputs"), DRAFTS)
+def test_units_in_names_then_values_then_words_decide(
+    tmp_path: Path, columns: dict, coordinates: list, inputs: list
+) -> None:
+    log = tmp_path / "log.csv"
+    pl.DataFrame({"time": T, **columns}).write_csv(log)
+    draft = inspect_file(log).draft
+    (tmp_path / "dataset.toml").write_text(draft)
+    tn.load(tmp_path)
+    card = tomllib.loads(draft)
+    assert coordinates == [
+        (c["name"], c["column"], c["unit"], c.get("velocity", {}).get("column"))
+        for c in card["coordinates"]
+    ]
+    lengths = [c["unit"] in ("mm", "um", "cm", "m") for c in card["coordinates"]]
+    assert [c["kind"] == "linear" for c in card["coordinates"]] == lengths
+    assert inputs == [(i["name"], i["unit"]) for i in card.get("inputs", [])]
+
+
+def test_the_draft_says_why_and_what_to_check(tmp_path: Path) -> None:
+    pl.DataFrame({**BELT, "gain": np.ones(N), "spin_rad_s": NOISE}).write_csv(tmp_path / "log.csv")
+    draft = inspect_file(tmp_path / "log.csv").draft
+    for line in (
+        '# "motor_cnt" as a measured coordinate: in counts by its name; steps of 1, as encoder '
+        "counts",
+        "counts_per_revolution = 4096  # fill in: counts in a turn",
+        '# "voltage" as an input: by its name',
+        'unit = "V"  # check: say which',
+        '# "gain" is not used: constant',
+        '# "spin_rad_s" is not used: in rad/s by its name, and the slope of no position',
+    ):
+        assert line in draft.splitlines()
 
 
 def test_the_draft_is_a_card_that_reads_the_file(tmp_path: Path) -> None:

@@ -68,6 +68,41 @@ def test_a_record_says_where_it_came_from(folder: Path) -> None:
     assert e.first_row == 0
 
 
+def test_records_that_cannot_be_used_are_left_out_where_others_remain(tmp_path: Path) -> None:
+    nan = np.full(40, np.nan)
+    write(tmp_path / "run1.csv")
+    write(tmp_path / "run2.csv", angle=nan)
+    (tmp_path / "run3.csv").write_text("")
+    write(tmp_path / "run4.csv", angle=np.zeros(40))
+    logs = np.empty(2, object)
+    logs[:] = [{"angle": np.sin(np.arange(40)), "torque": x} for x in (nan, np.ones(40))]
+    scipy.io.savemat(tmp_path / "logs.mat", {"logs": logs})
+    columns = {
+        "coordinates": [{"name": "a", "kind": "angular", "column": "logs.angle"}],
+        "inputs": [{"name": "u", "unit": "V", "column": "logs.torque"}],
+    }
+    for splits, keys, omitted in (
+        ({"train": ["run*.csv"]}, {}, ["run2.csv, row 2, angle: nan (40 such)",
+                                       "run3.csv: the file is empty", "run4.csv: nothing moves"]),
+        ({"train": ["logs.mat"]}, columns, ["logs.mat, cell 1, sample 0"]),
+    ):  # fmt: skip
+        messages: list[str] = []
+        data = load_folder(tmp_path, card(splits=splits, **keys), on_message=messages.append)
+        assert len(data) == 1
+        for message, text in zip(messages, omitted, strict=True):
+            assert message.startswith(f"left out: {tmp_path}")
+            assert text in message
+        with pytest.raises(tn.InputError, match="finite number"):
+            load_folder(tmp_path, card(splits=splits, **keys))
+    # one that is named, and all of a split, are not left out
+    for splits in (
+        {"train": ["run1.csv", "run2.csv"]},
+        {"train": ["run1.csv"], "validation": ["run[23].csv"]},
+    ):
+        with pytest.raises(tn.InputError, match=r"run2\.csv, row 2, angle: nan"):
+            load_folder(tmp_path, card(splits=splits), on_message=lambda text: None)
+
+
 def test_patterns_find_files_in_natural_order(tmp_path: Path) -> None:
     for number in (1, 2, 10, "21²", 3):
         write(tmp_path / "train" / f"run{number}.csv")

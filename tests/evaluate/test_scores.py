@@ -43,6 +43,13 @@ def test_nrmse_of_a_coordinate_that_did_not_move_is_nan():
     assert np.isnan(metrics.nrmse(np.ones((3, 1)), np.zeros((3, 1)))[0])
 
 
+def test_figures_of_nothing_are_nan():
+    nothing = np.zeros((0, 2))
+    assert math.isnan(metrics.rmse(nothing, nothing))
+    assert np.isnan(metrics.fit_percent(nothing, nothing)).all()
+    assert np.isnan(metrics.mean_and_error([])).all()
+
+
 def test_free_runs_of_unequal_records_equal_their_own_rollouts(model, pendulum):
     runs = tn.free_run(model, list(pendulum), "derived-6")
     assert [len(r) for r in runs] == [len(e) for e in pendulum]

@@ -137,7 +137,7 @@ def _select_and_score(
         reporter = make_reporter(progress, quiet=quiet)
         choice = select_model(data, out / _CHOICE, selection, earlier, reporter)
     if not json:
-        print_choice(choice)
+        print_choice(choice, quiet=quiet)
     draw_choice(choice)
     if not json:
         print_files(choice)

@@ -161,26 +161,33 @@ def parse_seeds(text: str | None) -> tuple[int, ...]:
 def load_records_to_fit(
     data: str, card: Path | None, out: Path, console: "Console", *, strict: bool
 ) -> "DataSet":
-    """Loads the records of a fit and prints warnings about suspicious rows.
+    """Loads the records of a fit; prints which are left out, and warnings about suspicious rows.
 
     Args:
         data: the argument DATA.
         card: its data card, if one was named.
         out: the folder for results.
         console: output of the warnings.
-        strict: whether to refuse records with suspicious rows.
+        strict: whether to refuse records that cannot be used or have suspicious rows.
 
     Raises:
-        InputError: suspicious rows with `strict`; a folder for results that is that of the data.
+        InputError: records to be refused; a folder for results that is that of the data.
     """
     from tustinnet.cli.inspect import require_sound, suspicions
     from tustinnet.data.catalog import locate
     from tustinnet.data.inspection import inspect_experiment
     from tustinnet.data.loading import load_folder
+    from tustinnet.simulate.start_rules import DerivedStart
 
     folder, located_card = locate(data, card)
     require_apart(out, folder)
-    records = load_folder(folder, located_card)
+    records = load_folder(folder, located_card, on_message=None if strict else console.print)
+    fewest = DerivedStart.usual_samples  # free runs start from these
+    remaining = {e.split for e in records if len(e) >= fewest}
+    for e in () if strict else records:
+        if len(e) < fewest and e.split in remaining:
+            console.print(f"left out: {e.name}: {len(e)} samples; expected at least {fewest}")
+            records = records.exclude(e.name)
     reports = [inspect_experiment(e) for e in records]
     if strict:
         require_sound(reports)

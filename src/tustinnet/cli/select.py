@@ -83,7 +83,7 @@ def select(
     if fit_options.json:
         terminal.print_json(choice.as_plain())
     else:
-        print_choice(choice)
+        print_choice(choice, quiet=quiet)
     draw_choice(choice)
     folder, start = choice.context.folder, choice.result(choice.best).starts[0]
     page = report.write(
@@ -125,13 +125,19 @@ def draw_choice(choice: "Choice") -> None:
         )
 
 
-def print_choice(choice: "Choice") -> None:
-    """Prints the table of candidates, and sentences on the choice."""
+def print_choice(choice: "Choice", *, quiet: bool) -> None:
+    """Prints the table of candidates, and sentences on the choice.
+
+    Args:
+        choice: the choice.
+        quiet: whether its notes were not printed while it was made.
+    """
     from tustinnet.report.selection import candidates_table
 
     terminal.print_tables(candidates_table(choice))
     for sentence in choice.sentences:
-        typer.echo(f"* {sentence}")
+        if quiet or sentence not in choice.notes:
+            typer.echo(f"* {sentence}")
 
 
 def print_files(choice: "Choice", report: str = "") -> None:

@@ -3,6 +3,7 @@
 import difflib
 import hashlib
 import os
+import shlex
 from dataclasses import dataclass
 from importlib import resources
 from importlib.resources.abc import Traversable
@@ -16,6 +17,7 @@ from tustinnet.data.card_files import list_record_files
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import read_declaration
 from tustinnet.data.loading import load_folder
+from tustinnet.data.readers import is_readable
 from tustinnet.errors import InputError
 
 CARD_NAME = "dataset.toml"
@@ -108,11 +110,16 @@ def locate(data: str | Path, card: str | Path | None = None) -> tuple[Path, Card
     for entry in CATALOG.values():
         if entry.is_in(path):
             return path, entry.card()
+    logs = (file for pattern in ("*", "*/*") for file in sorted(path.glob(pattern)))
+    log = next((file for file in logs if is_readable(file)), None)
+    remedy = "write one (docs/reference/data.md shows how)"
+    if log is not None:
+        remedy = f"`tustinnet inspect {shlex.quote(str(log))}` drafts one"
     raise InputError(
         path,
         f"no {CARD_NAME} and no data set of the catalog in this folder",
         "a data card that says what the columns mean",
-        "write one (docs/reference/data.md shows how) or give --card FILE",
+        f"{remedy}, or give --card FILE",
     )
 
 

@@ -2,16 +2,17 @@
 
 import json
 import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
 
 from tustinnet.data.columns import NUMBERED, Column
 from tustinnet.data.readers import read_columns
-from tustinnet.data.units import TIME
+from tustinnet.data.units import ANGLE, LENGTH, TIME
 from tustinnet.errors import InputError
 from tustinnet.signals.encoder import encoder_count
 
@@ -19,15 +20,31 @@ Role = Literal["time", "position", "velocity", "input", "constant", "no numbers"
 
 _MOST = 60  # columns that are examined
 _CLOCK = re.compile(r"(?i)(^|[^a-z])(t|time|times|timestamp|clock|sec|seconds)([^a-z]|$)")
-_INPUT = re.compile(
-    r"(?i)(^|[^a-z])(u|in|input|volts?|voltage|torque|force|current|control|command|pwm|motor)"
-    r"([^a-z]|$)"
-)
 _TIME_UNIT = re.compile(r"(?i)(^|[^a-z])(ms|us|ns)([^a-z]|$)")
 _REGULAR = 0.5  # relative deviation of the intervals of a clock that has another name
 _SMOOTH = 0.3  # a position moves by less than this share of its spread from sample to sample
 _FEW_CHANGES = 0.2  # of samples: an input that changes less often is held at levels
 _DERIVATIVE = 0.9  # correlation of a velocity with the slope of its position
+
+# endings of names, in lower case; `in` is rather an input than an inch
+_POSITION_UNITS = {
+    **{unit: unit for unit in (*ANGLE, *LENGTH) if unit != "in"},
+    **dict.fromkeys(("radian", "radians"), "rad"),
+    **dict.fromkeys(("degree", "degrees"), "deg"),
+    **dict.fromkeys(("cnt", "cnts", "count", "counts", "tick", "ticks", "pulses"), "counts"),
+    "\N{MICRO SIGN}m": "um",
+}
+_INPUT_UNITS = {
+    **dict.fromkeys(("v", "volt", "volts"), "V"),
+    **dict.fromkeys(("a", "amp", "amps"), "A"),
+    **dict.fromkeys(("pct", "percent"), "%"),
+    "mv": "mV", "ma": "mA", "n": "N", "nm": "N m", "mnm": "mN m",
+}  # fmt: skip
+# words in names, which decide where no unit does
+_COMMANDS = {"cmd", "command", "setpoint", "target", "ref", "reference", "desired"}
+_FORCES = {"u", "in", "input", "voltage", "torque", "force", "current", "control", "pwm", "duty"}
+_DRIVES = {"motor", "drive", "actuator"}  # have encoders, too
+_POSITIONS = {"enc", "encoder", "pos", "position", "angle"}
 
 
 @dataclass(frozen=True)
@@ -41,6 +58,7 @@ class ColumnReport:
         distinct: number of different values.
         count: the step of its values, where it is quantised as an encoder is.
         remark: a few words on the guess.
+        unit: the unit that its name ends in, empty without one.
     """
 
     name: str
@@ -49,6 +67,7 @@ class ColumnReport:
     distinct: int = 0
     count: float | None = None
     remark: str = ""
+    unit: str = ""
 
 
 @dataclass(frozen=True)
@@ -112,13 +131,13 @@ def inspect_file(path: Path) -> FileReport:
             reports[name] = ColumnReport(name, "time", extent, len(column), None, f"in {unit}?")
         else:
             reports[name] = _guess_role(name, column)
-    positions = [name for name, report in reports.items() if report.role == "position"]
-    for position in positions:
-        for name in positions:
-            is_position = reports[position].role == "position"
-            if name != position and is_position and _is_slope(values[position], values[name]):
+    for name, report in reports.items():
+        # of a position whose unit is known, another one may be the slope by chance
+        if report.role == "velocity" or (report.role == "position" and not report.unit):
+            slope_of = _find_position(name, reports, values)
+            if slope_of is not None:
                 reports[name] = replace(
-                    reports[name], role="velocity", count=None, remark=f"slope of '{position}'"
+                    report, role="velocity", count=None, remark=f"slope of '{slope_of}'"
                 )
     others = [ColumnReport(n, "no numbers", remark=text) for n, text in columns.others.items()]
     dt = jitter = None
@@ -162,43 +181,93 @@ def _guess_time_unit(name: str, column: Column) -> str:
     return "ms" if step < 1000 else "us" if step < 1e6 else "ns"
 
 
+def _words(name: str) -> list[str]:
+    """The words of a column's name in lower case, without numbers: `motorCnt 1` has two."""
+    spaced = re.sub(r"(?<=[a-z]{2})(?=[A-Z])", "_", name).lower()
+    words = (word.rstrip("0123456789") or word for word in re.split(r"[\W_]+", spaced))
+    return [word for word in words if word and not word.isdigit()]
+
+
+def _unit_at_end(words: Sequence[str]) -> tuple[Role, str] | None:
+    """The role and the unit that the end of a column's name says, None where it says none."""
+    *before, last = [word for word in words if word != "per"] or [""]
+    if last in ("s", "sec") and before and before[-1] in _POSITION_UNITS:
+        return "velocity", f"{_POSITION_UNITS[before[-1]]}/s"
+    if last == "rpm":
+        return "velocity", "rpm"
+    if len(last) == 1 and (not before or (last in "anv" and _POSITIONS & {*before})):
+        return None  # a name of one letter, or one of several encoders
+    if last in _POSITION_UNITS:
+        return "position", _POSITION_UNITS[last]
+    return ("input", _INPUT_UNITS[last]) if last in _INPUT_UNITS else None
+
+
 def _guess_role(name: str, column: Column) -> ColumnReport:
-    """A guess at a column: position if smooth, input if held or rough or by its name."""
+    """A guess at a column: by the unit in its name, else by its values and its name."""
     finite = column[np.isfinite(column)]
     extent = (float(finite.min()), float(finite.max())) if len(finite) else None
     lost = len(column) - len(finite)
-    remark = f"{lost} not finite" if lost else ""
+    remarks = [f"{lost} not finite"] if lost else []
     distinct = len(np.unique(finite))
     if distinct < 2:
-        return ColumnReport(name, "constant", extent, distinct, None, remark)
+        return ColumnReport(name, "constant", extent, distinct, None, "; ".join(remarks))
     steps = np.diff(finite)
     changes = float(np.mean(steps != 0))
     roughness = float(np.sqrt(np.mean(steps**2)) / np.std(finite))
     jump = float(np.abs(steps[steps != 0]).min() / np.ptp(finite))
     has_levels = changes < _FEW_CHANGES and jump > 1 / 50
+    is_smooth = not has_levels and roughness <= _SMOOTH
     count = encoder_count(finite)
-    if _INPUT.search(name) or has_levels or roughness > _SMOOTH:
-        why = "held levels" if has_levels else "rough" if roughness > _SMOOTH else "by its name"
-        return ColumnReport(name, "input", extent, distinct, None, remark or why)
-    why = f"steps of {count:.6g}, as encoder counts" if count else "smooth"
-    return ColumnReport(name, "position", extent, distinct, count, remark or why)
+    words = _words(name)
+    named, unit = _unit_at_end(words) or (None, "")
+    role: Role
+    if named is not None:
+        is_command = named == "position" and bool(_COMMANDS & {*words})
+        role = "input" if is_command else named
+        remarks.append(f"in {unit} by its name" + (", which is a command's" if is_command else ""))
+    elif _POSITIONS & {*words}:
+        role = "position"
+        remarks.append("by its name" if is_smooth else "by its name, though it is not smooth")
+    elif not is_smooth:
+        role = "input"
+        remarks.append("held levels" if has_levels else "rough")
+    elif (_COMMANDS | _FORCES) & {*words} or (count is None and _DRIVES & {*words}):
+        role = "input"
+        remarks.append("by its name")
+    else:
+        role = "position"
+        remarks += [] if count else ["smooth"]
+    if count and (role == "position" or is_smooth):
+        remarks.append(f"steps of {count:.6g}, as encoder counts")
+    count = count if role == "position" else None
+    return ColumnReport(name, role, extent, distinct, count, "; ".join(remarks), unit)
 
 
-def _is_slope(position: Float[np.ndarray, " n"], other: Float[np.ndarray, " m"]) -> bool:
-    if len(position) != len(other) or len(position) < 5:
-        return False
-    slope = np.gradient(position)
-    usable = np.isfinite(slope) & np.isfinite(other)
-    if usable.sum() < 5 or not np.ptp(slope[usable]) or not np.ptp(other[usable]):
-        return False
-    return bool(np.corrcoef(slope[usable], other[usable])[0, 1] > _DERIVATIVE)
+def _find_position(
+    name: str, reports: Mapping[str, ColumnReport], values: Mapping[str, Column]
+) -> str | None:
+    """The position of which a column is the slope, None where there is none."""
+    column, unit = values[name], reports[name].unit
+    for other, report in reports.items():
+        position = values.get(other, column)
+        is_angle = unit == "rpm" or unit.removesuffix("/s") not in LENGTH
+        fits = not (unit and report.unit) or is_angle == (report.unit not in LENGTH)
+        if other == name or report.role != "position" or not fits or len(position) != len(column):
+            continue
+        slope = np.gradient(position) if len(position) > 1 else position
+        usable = np.isfinite(slope) & np.isfinite(column)
+        if usable.sum() < 5 or not np.ptp(slope[usable]) or not np.ptp(column[usable]):
+            continue
+        if np.corrcoef(slope[usable], column[usable])[0, 1] > _DERIVATIVE:
+            return other
+    return None
 
 
 # --- the draft of a card ---
 
 
 def _draft(report: FileReport) -> str:
-    """A card for the file, with comments on what must be checked."""
+    """A card for the file, with comments on why columns mean what it says and what to check."""
     by_role: dict[str, list[ColumnReport]] = {}
     for column in report.columns:
         by_role.setdefault(column.role, []).append(column)
@@ -208,43 +277,92 @@ def _draft(report: FileReport) -> str:
     else:
         lines += [
             f"dt = {float(f'{report.dt:.6g}')}  # s, the median interval", "", "[time]",
-            f"column = {_key(by_role['time'][0].name)}", f'unit = "{report.time_unit}"',
+            f"column = {_key(by_role['time'][0].name)}", f'unit = "{report.time_unit}"  # check',
         ]  # fmt: skip
     velocities = {c.remark: c for c in by_role.get("velocity", [])}
     positions = by_role.get("position") or by_role.get("input", [])[:1]
+    inputs = [c for c in by_role.get("input", []) if c not in positions]
+    have_velocities = all(f"slope of '{c.name}'" in velocities for c in positions)
+    names = _channel_names([*positions, *inputs])
+    unused = [c for role in ("constant", "no numbers") for c in by_role.get(role, [])]
     for column in positions:
-        lines += [
-            "", "[[coordinates]]", f"name = {_channel_name(column.name)}",
-            'kind = "angular"  # or "linear"', f"column = {_key(column.name)}",
-        ]  # fmt: skip
-        if column.count is not None and abs(column.count - 1) < 1e-6:
-            lines += ['unit = "counts"', "counts_per_revolution = 4096  # say how many"]
-        else:
-            lines += ['unit = "rad"  # or deg, rev, ...; m, mm, ... of a linear one']
-        velocity = velocities.get(f"slope of '{column.name}'")
-        if velocity:
-            table = f"velocity = {{ column = {_key(velocity.name)}, measured = false }}"
-            lines.append(f"{table}  # say its unit; measured: by a sensor of its own?")
+        velocity = velocities.pop(f"slope of '{column.name}'", None)
+        lines += _coordinate_lines(column, names[column.name])
+        if velocity is not None:
+            says_unit = bool(velocity.unit and column.unit)
+            entry = f", unit = {_quote(velocity.unit)}" if says_unit else ""
+            check = "" if says_unit else "its unit; "
+            if not have_velocities:
+                lines.append("# if every coordinate has one, or the others are left out:")
+            lines.append(
+                f"{'' if have_velocities else '# '}velocity = {{ column = {_key(velocity.name)}"
+                f"{entry}, measured = false }}  # check: {check}measured = true if by a sensor of "
+                "its own"
+            )
     if not positions:
         lines += ["", "# [[coordinates]]: no column looks like a position"]
-    for column in by_role.get("input", []):
-        if column not in positions:
-            lines += [
-                "", "[[inputs]]", f"name = {_channel_name(column.name)}",
-                f"column = {_key(column.name)}", 'unit = "V"  # say which',
-            ]  # fmt: skip
-    lines += ["", "[splits]", f"train = [{_quote(report.name)}]"]
-    lines.append('# validation = ["another file"]')
+    for column in inputs:
+        lines += [
+            "", f"# {_quote(column.name)} as an input: {column.remark}",
+            "[[inputs]]", f"name = {_quote(names[column.name])}", f"column = {_key(column.name)}",
+            f"unit = {_quote(column.unit)}" if column.unit else 'unit = "V"  # check: say which',
+        ]  # fmt: skip
+    unused += velocities.values()
+    if unused:
+        lines.append("")
+    for column in unused:
+        why = f"{column.remark or column.role}"
+        if column.role == "velocity":
+            why += ", and the slope of no position"
+        lines.append(f"# {_quote(column.name)} is not used: {why}")
+    lines += [
+        "", "[splits]", f"train = [{_quote(report.name)}]  # or all of a kind, as [\"*.csv\"]",
+        '# validation = ["another file"]',
+    ]  # fmt: skip
     return "\n".join(lines) + "\n"
+
+
+def _coordinate_lines(column: ColumnReport, name: str) -> list[str]:
+    """The lines of a coordinate in a card, but for its velocity."""
+    unit = column.unit if column.role == "position" else ""
+    if not unit and column.count is not None and abs(column.count - 1) < 1e-6:
+        unit = "counts"
+    kind = "linear" if unit in LENGTH else "angular"
+    lines = [
+        "", f"# {_quote(column.name)} as a measured coordinate: {column.remark}",
+        "[[coordinates]]", f"name = {_quote(name)}", f"column = {_key(column.name)}",
+    ]  # fmt: skip
+    if not unit:
+        return [
+            *lines, 'kind = "angular"  # check: or "linear"',
+            'unit = "rad"  # check: or deg, rev, ...; m, mm, ... of a linear one',
+        ]  # fmt: skip
+    lines += [f'kind = "{kind}"', f'unit = "{unit}"']
+    if unit == "counts":
+        lines += [
+            "counts_per_revolution = 4096  # fill in: counts in a turn",
+            '# (counts of a length: kind = "linear", and resolution = metres in a count)',
+        ]
+    return lines
+
+
+def _channel_names(columns: Sequence[ColumnReport]) -> dict[str, str]:
+    """Names of channels by column, without the units of columns where names stay different."""
+    full = {c.name: re.sub(r"[\s/\\]+", "_", c.name).lstrip(".") or "column" for c in columns}
+    short = {
+        c.name: re.sub(r"[\W_]*[^\W\d_]+\d*[\W_]*$", "", full[c.name]) for c in columns if c.unit
+    }
+    counts = Counter({**full, **short}.values())
+    return {
+        name: short[name] if short.get(name) and counts[short[name]] == 1 else full[name]
+        for name in full
+    }
 
 
 def _key(column: str) -> str:
     return column.removeprefix(NUMBERED) if column.startswith(NUMBERED) else _quote(column)
 
 
-def _channel_name(column: str) -> str:
-    return _quote(re.sub(r"[\s/\\]+", "_", column).lstrip(".") or "column")
-
-
 def _quote(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False)
+    """A text as TOML and JSON have it; TOML has no character 127."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

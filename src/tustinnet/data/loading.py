@@ -1,7 +1,7 @@
 """Records from columns, as a data card declares them."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,20 +28,46 @@ _SAME_CLOCK = 1e-3  # relative; median intervals this near come from one clock
 _IRREGULAR_REMEDY = 'set `irregular = "resample"` (onto a grid) or "keep" under [time]'
 
 
-def load_folder(folder: Path, card: Card) -> DataSet:
+def load_folder(
+    folder: Path, card: Card, *, on_message: Callable[[str], None] | None = None
+) -> DataSet:
     """Reads the records that a card names from a folder.
 
     Args:
         folder: where the card's paths begin.
         card: what to read and what it means.
+        on_message: if given, records that cannot be read or used are left out, and it is called
+            with a sentence on each; not those that the card names one by one, and not all of a
+            split.
 
     Raises:
         InputError: a file is missing or damaged or outside of the folder, a column is not there,
             a number is not finite, the time base is not as declared, nothing moves; the message
             names file and row.
     """
-    entries = list_record_files(folder, card)
-    experiments = [e for split, entry in entries for e in _load_file(folder, split, entry, card)]
+    # files of patterns are not among these
+    named = {entry.file for entries in card.splits.values() for entry in entries}
+    experiments: list[Experiment] = []
+    errors: list[tuple[str, InputError]] = []
+    for split, entry in list_record_files(folder, card):
+        try:
+            records = _load_file(folder, split, entry, card)
+        except InputError as error:
+            if on_message is None or entry.file in named:
+                raise
+            records = [error]
+        for record in records:
+            if isinstance(record, Experiment):
+                experiments.append(record)
+            elif on_message is None:
+                raise record
+            else:
+                errors.append((split, record))
+    remaining = {e.split for e in experiments}
+    for split, error in errors:
+        if on_message is None or split not in remaining:
+            raise error
+        on_message(f"left out: {error}")
     if not experiments:
         raise InputError(
             folder,
@@ -86,50 +112,46 @@ def from_frame(
     return _read_record(reader, card, name, split=split, groups=groups or {})
 
 
-def _load_file(folder: Path, split: str, entry: FileCard, card: Card) -> list[Experiment]:
-    """The record of a file, or those of the elements of its cell arrays."""
+def _load_file(
+    folder: Path, split: str, entry: FileCard, card: Card
+) -> list[Experiment | InputError]:
+    """The record of a file, or of each element of its cell arrays the record or its error."""
     path = folder / entry.file
     require_inside(folder, path)
     columns = read_columns(path, header=card.format.header, delimiter=card.format.delimiter)
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
-    records = []
-    for number, record_columns in _records_in(columns, entry.cell, card, path).items():
-        count = len(record_columns.names)
+
+    def read(columns: Columns, where: object, name: str) -> Experiment:
+        count = len(columns.names)
         if card.format.columns is not None and count != card.format.columns:
             raise InputError(path, f"{count} columns", f"{card.format.columns} as in the card")
-        name = entry.name or path.stem
-        if number is not None and entry.cell is None:
-            name = f"{name}[{number}]"
-        where = path if number is None else f"{path}, cell {number}"
-        reader = _ColumnReader(record_columns, where, entry.rows)
-        records.append(
-            _read_record(
-                reader, card, name, split=split, groups=entry.groups, entry=entry, sha256=digest
-            )
+        reader = _ColumnReader(columns, where, entry.rows)
+        return _read_record(
+            reader, card, name, split=split, groups=entry.groups, entry=entry, sha256=digest
         )
-    return records
 
-
-def _records_in(
-    columns: Columns, cell: int | None, card: Card, path: Path
-) -> dict[int | None, Columns]:
-    """The columns of each record of a file, by the number of its cell, None for the file itself."""
+    name = entry.name or path.stem
     names = {key for key in card.columns if isinstance(key, str)}
-    if cell is not None:
-        if cell > columns.elements:
+    if entry.cell is not None:
+        if entry.cell > columns.elements:
             has = f"{columns.elements} elements" if columns.elements else "no cell or struct arrays"
-            raise InputError(path, has, f"a cell {cell} as in the card", "cells count from 1")
-        return {cell: columns.element(cell)}
-    if not columns.elements or names <= set(columns.names):
-        return {None: columns}
-    elements: dict[int | None, Columns] = {
-        number: columns.element(number) for number in range(1, columns.elements + 1)
-    }
-    if not any(names & set(element.names) - set(columns.names) for element in elements.values()):
-        return {None: columns}  # without the columns anywhere, the message names the file
+            expected = f"a cell {entry.cell} as in the card"
+            raise InputError(path, has, expected, "cells count from 1")
+        return [read(columns.element(entry.cell), f"{path}, cell {entry.cell}", name)]
+    elements: list[Columns] = []
+    if not names <= {*columns.names}:
+        elements = [columns.element(number) for number in range(1, columns.elements + 1)]
+    if not any(names & {*element.names} - {*columns.names} for element in elements):
+        return [read(columns, path, name)]  # without the columns anywhere, a message names the file
     columns.fetch_elements(names)
-    return elements
+    records: list[Experiment | InputError] = []
+    for number, element in enumerate(elements, start=1):
+        try:
+            records.append(read(element, f"{path}, cell {number}", f"{name}[{number}]"))
+        except InputError as error:
+            records.append(error)
+    return records
 
 
 class _ColumnReader:

@@ -1,4 +1,4 @@
-"""Scores of a simulated record."""
+"""Scores of a simulated record; figures of no samples are NaN."""
 
 from collections.abc import Iterable
 
@@ -19,11 +19,14 @@ def rmse(simulated: Trajectory, measured: Trajectory) -> float:
     References:
         van Esch, Bonassi, Schön, section 4, definition of the RMSE.
     """
-    return float(np.sqrt(np.mean(np.sum((simulated - measured) ** 2, axis=1))))
+    squares = np.sum((simulated - measured) ** 2, axis=1)
+    return float(np.sqrt(np.mean(squares))) if len(squares) else np.nan
 
 
 def coordinate_rmse(simulated: Trajectory, measured: Trajectory) -> PerCoordinate:
     """Root mean square error of each coordinate, (n_q,) [rad or m]."""
+    if not len(measured):
+        return np.full(measured.shape[1], np.nan)
     return np.sqrt(np.mean((simulated - measured) ** 2, axis=0))
 
 
@@ -32,9 +35,11 @@ def nrmse(simulated: Trajectory, measured: Trajectory) -> PerCoordinate:
 
     NaN for a coordinate that did not move.
     """
-    spread = measured.std(axis=0)
     error = coordinate_rmse(simulated, measured)
-    return np.divide(error, spread, out=np.full_like(error, np.nan), where=is_moving(measured))
+    if not len(measured):
+        return error
+    nothing = np.full_like(error, np.nan)
+    return np.divide(error, measured.std(axis=0), out=nothing, where=is_moving(measured))
 
 
 def fit_percent(simulated: Trajectory, measured: Trajectory) -> PerCoordinate:
@@ -43,8 +48,8 @@ def fit_percent(simulated: Trajectory, measured: Trajectory) -> PerCoordinate:
 
 
 def mean_and_error(values: Iterable[float]) -> tuple[float, float]:
-    """Mean and its standard error, NaN of a single value or where one is not finite."""
-    array, error = np.array(list(values)), float("nan")
+    """Mean, NaN of no value, and its standard error, NaN of one or where one is not finite."""
+    array, error = np.array(list(values)), np.nan
     if len(array) > 1 and np.isfinite(array).all():
         error = float(array.std(ddof=1) / np.sqrt(len(array)))
-    return float(array.mean()), error
+    return float(array.mean()) if len(array) else np.nan, error

@@ -164,7 +164,7 @@ def mean_rmse(scores: Sequence[Score]) -> float:
     Returns:
         The mean of the records' RMSE [rad or m].
     """
-    return float(np.mean([score.rmse for score in scores]))
+    return metrics.mean_and_error(score.rmse for score in scores)[0]
 
 
 def rmse_by_record(scores: Sequence[Score]) -> dict[str, float]:
@@ -182,5 +182,5 @@ def scores_header(
         "horizon": horizon,
         "unit": channels.unit,
         "rmse": dict(rmse),
-        "mean": float(np.mean(list(rmse.values()))),
+        "mean": metrics.mean_and_error(rmse.values())[0],
     }
