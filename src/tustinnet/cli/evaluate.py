@@ -54,6 +54,7 @@ def evaluate(
     from tustinnet.evaluate.coverage import compute_coverage
     from tustinnet.evaluate.scores import Score, mean_rmse
     from tustinnet.evaluate.scores import evaluate as score_records
+    from tustinnet.report.tables import Table, number
 
     band_options = request.make_band_options(band, whole=whole_records)
     simulator = request.load_model(model, system)
@@ -96,7 +97,10 @@ def evaluate(
         if band_options is not None:
             terminal.print_tables(_band_table(coverage, band_options, channels))
         if errors is not None:
-            terminal.print_tables(_ahead_table(errors.tolist(), channels))
+            shown = [*(k for k in _STEPS_SHOWN if k < len(errors)), len(errors)]
+            rows = [[str(k), f"{k * channels.dt:g}", number(errors[k - 1], 4)] for k in shown]
+            columns = ["k", "horizon [s]", f"RMSE [{channels.unit}]"]
+            terminal.print_tables(Table(columns, rows, title="k steps ahead"))
     if figures is not None:
         from tustinnet.report.figures import ahead_figure, free_run_figure, write_figure
 
@@ -107,16 +111,6 @@ def evaluate(
         if errors is not None:
             write_figure(ahead_figure({label: errors}, channels), figures, f"{_AHEAD_FIGURE}.png")
         terminal.messages().print(f"figures: {figures}")
-
-
-def _ahead_table(errors: list[float], channels: "Channels") -> "Table":
-    """Table of the RMSE of predictions k steps ahead, for some k."""
-    from tustinnet.report.tables import Table, number
-
-    rows = [[str(k), f"{k * channels.dt:g}", number(errors[k - 1], 4)]
-            for k in [*(k for k in _STEPS_SHOWN if k < len(errors)), len(errors)]]  # fmt: skip
-    columns = ["k", "horizon [s]", f"RMSE [{channels.unit}]"]
-    return Table(columns, rows, title="k steps ahead")
 
 
 def _band_table(

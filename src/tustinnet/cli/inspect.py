@@ -129,11 +129,7 @@ def suspicions(reports: Iterable["ExperimentReport"]) -> list[str]:
 
 
 def require_sound(reports: Iterable["ExperimentReport"]) -> None:
-    """Raises an error if a record has suspicious rows.
-
-    Raises:
-        InputError: the first such record, with its first remark.
-    """
+    """Raises an error with the first remark on suspicious rows, if there are any."""
     from tustinnet.errors import InputError
 
     for r in reports:

@@ -61,12 +61,7 @@ _CLUSTER = (
 
 
 def recipe(default: str, what: str = _RECIPE) -> Any:
-    """Option that names a recipe.
-
-    Args:
-        default: the recipe that is used without the option.
-        what: purpose of the recipe.
-    """
+    """Option that names a recipe, with its purpose and the recipe that is used by default."""
     return typer.Option(
         metavar="NAME|FILE",
         autocompletion=completion.recipe,
@@ -75,11 +70,7 @@ def recipe(default: str, what: str = _RECIPE) -> Any:
 
 
 def cluster(use: str) -> Any:
-    """Option that names a cluster.
-
-    Args:
-        use: beginning of the help text: what the cluster is used for.
-    """
+    """Option that names a cluster; its help begins with `use`, the use of the cluster."""
     return typer.Option(metavar="auto|ADDRESS", help=f"{use} {_CLUSTER}")
 
 

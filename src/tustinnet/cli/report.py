@@ -76,12 +76,7 @@ def _choose_links(
     systems: "Sequence[SystemFile | str]", models: "Sequence[Model]",
     coordinates: "Sequence[Coordinate]",
 ) -> "tuple[Link, ...]":  # fmt: skip
-    """The links of a system that is named only to draw the mechanism of models without links.
-
-    Raises:
-        InputError: several of them, one without links or of other coordinates, or models that have
-            links of their own.
-    """
+    """The links of a system that is named only to draw the mechanism of models without links."""
     from tustinnet.errors import InputError
     from tustinnet.families.family import family_of
     from tustinnet.systems.files import load_system

@@ -1,6 +1,7 @@
 """The values that verbs make of their arguments: records, recipes, models, bands."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from tustinnet.fitting.recipe import Recipe
     from tustinnet.fitting.task import Member, Origin
     from tustinnet.models.contract import Model
+    from tustinnet.selection.runner import MakeExecutor
     from tustinnet.store.run import Earlier
     from tustinnet.systems.files import AnySystem, SystemFile
 
@@ -49,16 +51,23 @@ class FitOptions:
 
 
 def require_cores(cluster: str | None, device: "Hardware | None") -> None:
-    """Raises an error if jobs of a cluster are to compute on something else than processor cores.
-
-    Raises:
-        InputError: a cluster together with another device.
-    """
+    """Raises an error if jobs of a cluster are to compute on another device than processors."""
     from tustinnet.errors import InputError
 
     if cluster is not None and device is not None and device.value != "cpu":
         raise InputError(f"--device {device.value}", "not applicable to jobs on a cluster",
                          "cpu", "omit the option")  # fmt: skip
+
+
+def open_cluster(
+    address: str | None, on_message: "Callable[[str], None]"
+) -> "AbstractContextManager[MakeExecutor | None]":
+    """Context with an executor of jobs on a cluster; with None without an address."""
+    if address is None:
+        return nullcontext()
+    from tustinnet.selection.cluster import cluster
+
+    return cluster(address, on_message)
 
 
 def choose_recipe(
@@ -77,11 +86,7 @@ def choose_recipe(
 
 
 def read_recipe_in(model: Path) -> "Mapping[str, Any]":
-    """Reads the recipe that is stored in a model file.
-
-    Raises:
-        InputError: the file has none.
-    """
+    """Reads the recipe that is stored in a model file; raises an error if it has none."""
     from tustinnet.errors import InputError
     from tustinnet.store.header import read_header
 
@@ -131,11 +136,7 @@ def make_members(seeds: str | None, recipe: "Recipe") -> "list[Member]":
 
 
 def parse_seeds(text: str | None) -> tuple[int, ...]:
-    """Seeds from the value of `--seeds`: `K` for the seeds 0 to K - 1, or a list.
-
-    Raises:
-        InputError: no numbers, too many, too large, or repeated ones.
-    """
+    """Seeds from the value of `--seeds`: `K` for the seeds 0 to K - 1, or a list."""
     from tustinnet.errors import InputError
 
     try:
@@ -161,18 +162,7 @@ def parse_seeds(text: str | None) -> tuple[int, ...]:
 def load_records_to_fit(
     data: str, card: Path | None, out: Path, console: "Console", *, strict: bool
 ) -> "DataSet":
-    """Loads the records of a fit and prints warnings about suspicious rows.
-
-    Args:
-        data: the argument DATA.
-        card: its data card, if one was named.
-        out: the folder for results.
-        console: output of the warnings.
-        strict: whether to refuse records with suspicious rows.
-
-    Raises:
-        InputError: suspicious rows with `strict`; a folder for results that is that of the data.
-    """
+    """Loads the records of a fit; prints suspicious rows, or with `strict` refuses them."""
     from tustinnet.cli.inspect import require_sound, suspicions
     from tustinnet.data.catalog import locate
     from tustinnet.data.inspection import inspect_experiment
@@ -213,24 +203,20 @@ def list_input_files(
 def require_figures(
     option: str, paths: "Path | Sequence[Path] | None", inputs: Sequence[Path], *, overwrite: bool
 ) -> None:
-    """Raises an error unless figures can be written to files.
+    """Raises an error unless figures can be written, or on `overwrite` without figures.
 
     Args:
         option: the option that names the figures.
         paths: the files, None without the option.
         inputs: files that the verb reads, which are never replaced.
         overwrite: whether existing files may be replaced.
-
-    Raises:
-        InputError: `overwrite` without figures; see also `require_outputs`.
     """
     from tustinnet.errors import InputError
-    from tustinnet.report.figure_file import ENDINGS
-    from tustinnet.store.files import require_outputs, require_writable_folder
+    from tustinnet.store.files import FIGURE_ENDINGS, require_outputs, require_writable_folder
 
     if paths is not None:
         files = [paths] if isinstance(paths, Path) else paths
-        require_outputs(files, overwrite=overwrite, read=inputs, endings=ENDINGS)
+        require_outputs(files, overwrite=overwrite, read=inputs, endings=FIGURE_ENDINGS)
         for folder in {path.parent for path in files}:
             require_writable_folder(folder)
     elif overwrite:
@@ -256,11 +242,7 @@ def load_model(path: Path, system: str | None) -> "Model":
 
 
 def kept_system(model: Path) -> "SystemFile | None":
-    """The system file that is stored with a model, if the user trusts it; asks on a terminal.
-
-    Raises:
-        InputError: the file is not trusted.
-    """
+    """The system file that is stored with a model; raises an error unless the user trusts it."""
     from tustinnet.errors import InputError
     from tustinnet.store.kept_system import find_system_copy, is_trusted, trust
 
@@ -300,18 +282,7 @@ def compute_bands(
     path: Path, model: "Model", records: "Sequence[Experiment]", scores: "Sequence[Score]",
     band_options: "BandOptions",
 ) -> "list[Band]":  # fmt: skip
-    """Computes the bands around free runs.
-
-    Args:
-        path: the model's file.
-        model: the model.
-        records: the records.
-        scores: the scores of their free runs.
-        band_options: level and kind of the bands.
-
-    Raises:
-        InputError: a model that was not calibrated, or from another start or horizon.
-    """
+    """Computes the bands around the free runs of a model in a file, by its calibration."""
     from tustinnet.evaluate.bands import Calibration, find_alternatives, make_bands
     from tustinnet.store.header import read_header
 
@@ -322,11 +293,7 @@ def compute_bands(
 
 
 def make_band_options(level: float | None, *, whole: bool) -> "BandOptions | None":
-    """Makes the options of bands from `--band` and `--whole-records`; None without bands.
-
-    Raises:
-        InputError: a level that is no share; whole records without a band.
-    """
+    """Makes the options of bands from `--band` and `--whole-records`; None without bands."""
     from tustinnet.errors import InputError
     from tustinnet.evaluate.bands import BandOptions, require_share
 
