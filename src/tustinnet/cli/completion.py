@@ -4,7 +4,8 @@ from collections.abc import Callable, Iterable
 
 from tustinnet.registry import SYSTEMS, TARGETS
 
-SPLITS = ("train", "validation", "test")
+ALL = "all"  # records of every split
+SPLITS = ("train", "validation", "test", ALL)
 
 
 def _completer(names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:

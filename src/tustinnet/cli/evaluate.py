@@ -33,9 +33,9 @@ _Figures = Annotated[
 def evaluate(
     model: options.Model,
     data: options.Data,
-    split: options.Split = None,
-    start: options.Start = None,
-    horizon: options.Horizon = None,
+    split: options.JudgedSplit = None,
+    start: options.JudgedStart = None,
+    horizon: options.JudgedHorizon = None,
     card: options.Card = None,
     system: options.System = None,
     ahead: _Ahead = None,
@@ -50,6 +50,7 @@ def evaluate(
     A free run begins at an initial state (--start) and then uses only the logged inputs.
     """
     terminal.prepare_jax()
+    from tustinnet.data.catalog import load
     from tustinnet.evaluate.ahead import rmse_ahead
     from tustinnet.evaluate.coverage import compute_coverage
     from tustinnet.evaluate.scores import Score, mean_rmse
@@ -59,12 +60,15 @@ def evaluate(
     band_options = request.make_band_options(band, whole=whole_records)
     simulator = request.load_model(model, system)
     channels = simulator.channels
-    records, start = request.load_records_and_start(data, card, split, start, [simulator])
+    runs = request.choose_free_runs(
+        load(data, card), {model: simulator}, split, start, horizon, has_bands=band is not None
+    )
+    records = runs.records
     names = [e.name for e in records] + ([] if ahead is None else [_AHEAD_FIGURE])
     paths = None if figures is None else [figures / f"{name}.png" for name in names]
     inputs = request.list_input_files(data, card, model, system)
     request.require_figures("--figures", paths, inputs, overwrite=overwrite)
-    scores = score_records(simulator, records, start, horizon=horizon)
+    scores = score_records(simulator, records, runs.start, horizon=runs.horizon)
     by_split: dict[str, list[Score]] = {}
     for e, score in zip(records, scores, strict=True):
         by_split.setdefault(e.split or "all", []).append(score)
@@ -73,14 +77,14 @@ def evaluate(
         bands = request.compute_bands(model, simulator, records, scores, band_options)
         coverage = compute_coverage(records, bands)
     errors = None if ahead is None else rmse_ahead(simulator, records, ahead)
+    runs.print_notes()
     if json:
         experiments = []
         for e, score in zip(records, scores, strict=True):
             values = {key: getattr(score, key) for key in _SCORE_KEYS}
             experiments.append({**values, "split": e.split})
         content = {
-            "start": scores[0].start,
-            "horizon": horizon,
+            **runs.as_plain(),
             "coordinates": [c.name for c in channels.coordinates],
             "experiments": experiments,
             "mean": mean_rmse(scores),
@@ -93,7 +97,7 @@ def evaluate(
             content["ahead"] = {"dt": simulator.dt, "rmse": errors.tolist()}
         terminal.print_json(content)
     else:
-        terminal.print_tables(_score_table(by_split, channels, start))
+        terminal.print_tables(_score_table(by_split, channels, runs.start))
         if band_options is not None:
             terminal.print_tables(_band_table(coverage, band_options, channels))
         if errors is not None:

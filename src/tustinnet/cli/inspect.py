@@ -56,7 +56,7 @@ def inspect(
     inputs = request.list_input_files(data, card)
     request.require_figures("--figure", figure, inputs, overwrite=overwrite)
     data_set = load(data, card)
-    records = data_set if split is None else data_set.split(split)
+    records = request.records_of_split(data_set, split)
     reports = [inspect_experiment(e) for e in records]
     if strict:
         require_sound(reports)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from tustinnet.cli import terminal
+from tustinnet.cli.completion import ALL
 
 if TYPE_CHECKING:
     from tustinnet.cli.request import FitOptions
@@ -79,7 +80,7 @@ def select(
         [folder],
         folder / REPORT,
         lambda command: write_choice_report(choice, command),
-        {"--start": start, "--horizon": choice.context.scoring.horizon},
+        {"--split": ALL, "--start": start, "--horizon": choice.context.scoring.horizon},
     )
     if not fit_options.json:
         print_files(choice, page or "")
@@ -92,8 +93,7 @@ def make_reporter(progress: "FitProgress", *, quiet: bool) -> "Reporter":
     from tustinnet.selection.select import Reporter
 
     def follow_job(job: "Job") -> Any:
-        label = f"{job.candidate}, fold {job.fold}"
-        return lambda prepared: progress.follow(prepared, label=label)
+        return lambda prepared: progress.follow(prepared, label=job.label)
 
     return Reporter(terminal.make_printer(quiet=quiet), follow_job)
 

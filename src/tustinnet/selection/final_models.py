@@ -111,7 +111,7 @@ def make_final_models(
         recipe = candidates.plan.candidate(name).content
         if recipe.family.trains:
             continue
-        job = Job(name, recipe, fold=0)
+        job = Job(name, recipe, fold=0, is_final=True)
         models[name] = _identify_from_all(models[name], job, context, make_listener(job), deadline)
     return FinalModels(models, best.name, simplest.name)
 

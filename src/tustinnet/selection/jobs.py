@@ -67,6 +67,7 @@ class Job:
         origin: the model that the fit begins with, or None.
         waits_for: candidates whose jobs of this fold come first, where there are any.
         yields: whether a training that cannot end in time stops early, for jobs that wait.
+        is_final: whether it fits all training records instead of a fold's.
     """
 
     candidate: str
@@ -77,6 +78,14 @@ class Job:
     origin: Origin | None = None
     waits_for: tuple[str, ...] = ()
     yields: bool = False
+    is_final: bool = False
+
+    @property
+    def label(self) -> str:
+        """Candidate and records of the fit, for people."""
+        return (
+            f"{self.candidate}, {'all training records' if self.is_final else f'fold {self.fold}'}"
+        )
 
     @property
     def name(self) -> str:
