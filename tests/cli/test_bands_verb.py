@@ -115,4 +115,9 @@ def test_bands_that_cannot_be_are_one_line(place, run_folder, tmp_path, refused,
     code, told, _ = tustinnet(capsys, *asked, "--overwrite", "--json", "--horizon", 1.0)
     assert code == 0
     assert json.loads(told)["highest_level"] == pytest.approx(2 / 3)
-    refused("simulate", banded, folder, *given, *start, *sim, "--band", 0.6, told="horizon 1 s")
+    asked = ("simulate", banded, folder, *given, *start, *sim, "--band", 0.6)
+    refused(*asked, "--horizon", "inf", told="horizon 1 s, as the model was calibrated")
+    code, told, err = tustinnet(capsys, *asked)
+    assert code == 0
+    assert "over segments of 1 s" in told
+    assert "segments of 1 s as in the model's file (--horizon)" in err

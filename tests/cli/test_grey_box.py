@@ -152,8 +152,9 @@ def test_every_verb_takes_the_model_with_its_system(identified, folder, system, 
     assert code == 0
     assert json.loads(out)["means"]["validation"] < 0.02
     code, _, _ = tustinnet(
-        capsys, "simulate", model, folder, "--system", system, "--out", tmp_path / "sim"
-    )
+        capsys, "simulate", model, folder, "--system", system, "--split", "all",
+        "--out", tmp_path / "sim",
+    )  # fmt: skip
     assert code == 0
     assert len(list((tmp_path / "sim").glob("*.csv"))) == 5
     code, out, _ = tustinnet(capsys, "show", model)
@@ -202,7 +203,8 @@ def test_the_kept_copy_runs_only_where_it_is_trusted(
     assert tustinnet(capsys, *evaluate)[0] == 0
     assert marker.exists()
     code, _, err = tustinnet(capsys, "compare", identified / "model.safetensors", folder)
-    assert (code, err) == (0, "")  # asked once
+    assert code == 0
+    assert "[y/N]" not in err  # asked once
 
     monkeypatch.setenv("TUSTINNET_CONFIG", str(tmp_path / "another user"))
     monkeypatch.setattr(sys, "stdin", io.StringIO("y\n"))  # a pipe
@@ -335,6 +337,20 @@ def test_a_reversed_input_ends_with_its_name_and_exit_code_1(folder, system, tmp
     assert "error: the sign of 'angle' or of 'torque' is probably reversed" in err
     assert "the sign of 'angle' or of 'torque' is probably reversed" in out
     assert "'gain' is at its lower bound" in out
+
+
+def test_a_search_that_reaches_its_limit_keeps_its_model_and_warns_once(
+    folder, system, tmp_path, capsys
+):
+    code, out, err = tustinnet(
+        capsys, "fit", folder, "--recipe", "grey", "--system", system, "--out", tmp_path / "out",
+        "--set", "search.iterations=1", "--no-report",
+    )  # fmt: skip
+    assert code == 0
+    assert err.count("warning: stopped at the limit of 1 iterations") == 1
+    assert "stopped at the limit" not in out
+    assert "error: " not in err
+    assert (tmp_path / "out" / "model.safetensors").is_file()
 
 
 # a function that fails from a call on

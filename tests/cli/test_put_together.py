@@ -38,7 +38,7 @@ def test_models_are_put_together_and_used_as_one(models, folder, tmp_path, capsy
     code, out, _ = tustinnet(capsys, "evaluate", file, folder, "--json")
     assert code == 0
     both = tn.committee([tn.load_model(path) for path in models], [3, 1])
-    expected = tn.evaluate(both, list(tn.load(folder)), "derived-6")
+    expected = tn.evaluate(both, list(tn.load(folder).split("validation")), "derived-6")
     assert json.loads(out)["mean"] == pytest.approx(tn.mean_rmse(expected), rel=1e-9)
     code, out, _ = tustinnet(capsys, "compare", file, models[0], folder, "--json")
     assert code == 0

@@ -275,8 +275,9 @@ def test_evaluate_prints_the_scores_with_their_start(model, folder, capsys):
 
 def test_evaluate_as_json_with_steps_ahead_and_figures(model, folder, tmp_path, capsys):
     code, out, _ = tustinnet(
-        capsys, "evaluate", model, folder, "--json", "--ahead", 20, "--figures", tmp_path / "f"
-    )
+        capsys, "evaluate", model, folder, "--split", "all", "--json", "--ahead", 20,
+        "--figures", tmp_path / "f",
+    )  # fmt: skip
     assert code == 0
     told = json.loads(out)
     assert len(told["experiments"]) == 5

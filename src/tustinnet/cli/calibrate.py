@@ -15,8 +15,8 @@ def calibrate(
         Path, typer.Option(metavar="FILE", help="File for the calibrated model (.safetensors).")
     ],
     split: options.Split = None,
-    start: options.Start = None,
-    horizon: options.Horizon = None,
+    start: options.JudgedStart = None,
+    horizon: options.JudgedHorizon = None,
     card: options.Card = None,
     system: options.System = None,
     overwrite: options.Overwrite = False,
@@ -27,11 +27,13 @@ def calibrate(
     The width of the bands follows from the errors on records that were not used to fit the model.
     """
     terminal.prepare_jax()
-    from tustinnet.cli.request import list_input_files, load_model, load_records_and_start
+    from tustinnet.cli.completion import ALL
+    from tustinnet.cli.request import choose_free_runs, list_input_files, load_model
+    from tustinnet.data.catalog import load
     from tustinnet.errors import InputError
     from tustinnet.evaluate.bands import KEY, calibrate_bands, find_alternatives, predict
     from tustinnet.store.files import require_outputs
-    from tustinnet.store.header import read_header, records_in_header
+    from tustinnet.store.header import read_header
     from tustinnet.store.kept_system import find_system_copy, require_copy_fits, write_system_copy
     from tustinnet.store.model_file import ENDINGS, copy_with_header
 
@@ -40,21 +42,22 @@ def calibrate(
     simulator = load_model(model, system)
     header = read_header(model)
     others = find_alternatives(simulator, header, model)
-    records, start = load_records_and_start(data, card, split, start, [simulator])
-    training_checksums = records_in_header(header)
-    if training := [e.name for e in records if e.sha256 in training_checksums]:
+    runs = choose_free_runs(load(data, card), {model: simulator}, split or ALL, start, horizon)
+    if runs.fitted:
         raise InputError(
-            "calibrate", f"{', '.join(training[:3])}, which {model} was fitted to",
+            "calibrate", f"{', '.join(runs.fitted[:3])}, which {model} was fitted to",
             "records that it was not fitted to", "select them by --split",
         )  # fmt: skip
-    predictions = predict(simulator, others, records, start, horizon=horizon)
-    calibration = calibrate_bands(predictions, records, start, horizon)
+    records, start = runs.records, runs.start
+    predictions = predict(simulator, others, records, start, horizon=runs.horizon)
+    calibration = calibrate_bands(predictions, records, start, runs.horizon)
     system_copy = find_system_copy(model)
     if not overwrite:
         require_copy_fits(system_copy, out.parent)
     copy_with_header(model, out, **{KEY: calibration.as_header()})
     if system_copy is not None:
         write_system_copy(system_copy, out.parent)
+    runs.print_notes()
     if json:
         terminal.print_json({"file": str(out), "start": start, "records": calibration.records,
                              "highest_level": calibration.highest_level})  # fmt: skip

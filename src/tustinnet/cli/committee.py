@@ -70,11 +70,7 @@ def committee(
 
 
 def _find_shared_system(models: list[Path]) -> "SystemFile | None":
-    """The system file that is stored with some of the models.
-
-    Raises:
-        InputError: different files are stored with them.
-    """
+    """The system file that is stored with some of the models; different ones are refused."""
     from tustinnet.cli.request import kept_system
     from tustinnet.errors import InputError
 

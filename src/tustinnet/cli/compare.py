@@ -25,9 +25,9 @@ _Systems = Annotated[
 def compare(
     models: options.Models,
     data: options.Data,
-    split: options.Split = None,
-    start: options.Start = None,
-    horizon: options.Horizon = None,
+    split: options.JudgedSplit = None,
+    start: options.JudgedStart = None,
+    horizon: options.JudgedHorizon = None,
     card: options.Card = None,
     system: _Systems = None,
     figures: Annotated[
@@ -43,6 +43,7 @@ def compare(
 ) -> None:
     """Compare the free runs of several models in a table and figures."""
     terminal.prepare_jax()
+    from tustinnet.data.catalog import load
     from tustinnet.errors import InputError
     from tustinnet.evaluate.scores import evaluate, mean_rmse, rmse_by_record
     from tustinnet.report.comparison import comparison_table
@@ -55,7 +56,11 @@ def compare(
         raise InputError("--band", "no figures, which bands are drawn into", "--figures DIR")
     systems = [find_system(name) for name in system or []]
     loaded_models = load_models(models, systems, request.kept_system)
-    records, start = request.load_records_and_start(data, card, split, start, loaded_models)
+    by_file = dict(zip(models, loaded_models, strict=True))
+    runs = request.choose_free_runs(
+        load(data, card), by_file, split, start, horizon, has_bands=band is not None
+    )
+    records = runs.records
     paths = None if figures is None else [figures / f"{e.name}.png" for e in records]
     inputs = request.list_input_files(data, card, *models, *(system or []))
     request.require_figures("--figures", paths, inputs, overwrite=overwrite)
@@ -63,12 +68,13 @@ def compare(
     bands: dict[str, list[Band]] = {}
     for label, path, model in zip(labels(models), models, loaded_models, strict=True):
         try:
-            scores[label] = evaluate(model, records, start, horizon=horizon)
+            scores[label] = evaluate(model, records, runs.start, horizon=runs.horizon)
         except InputError as error:  # names the model
             raise InputError(path, str(error)) from error
     if band_options is not None:
         for label, path, model in zip(scores, models, loaded_models, strict=True):
             bands[label] = request.compute_bands(path, model, records, scores[label], band_options)
+    runs.print_notes()
     if json:
         content = {
             label: {
@@ -78,14 +84,14 @@ def compare(
             }
             for label, path in zip(scores, models, strict=True)
         }
-        terminal.print_json({"start": start, "horizon": horizon, "models": content})
+        terminal.print_json({**runs.as_plain(), "models": content})
     else:
-        terminal.print_tables(comparison_table(records, scores, start))
+        terminal.print_tables(comparison_table(records, scores, runs.start))
     if figures is not None:
         from tustinnet.report.figures import free_run_figure, write_figure
 
         for i, e in enumerate(records):
-            runs = {label: model_scores[i] for label, model_scores in scores.items()}
+            run_scores = {label: model_scores[i] for label, model_scores in scores.items()}
             run_bands = {label: model_bands[i] for label, model_bands in bands.items()}
-            write_figure(free_run_figure(e, runs, bands=run_bands), figures, f"{e.name}.png")
+            write_figure(free_run_figure(e, run_scores, bands=run_bands), figures, f"{e.name}.png")
         terminal.messages().print(f"figures: {figures}")

@@ -2,11 +2,14 @@
 
 from collections.abc import Callable, Iterable
 
-SPLITS = ("train", "validation", "test")
+from tustinnet.registry import SYSTEMS, TARGETS
+
+ALL = "all"  # records of every split
+SPLITS = ("train", "validation", "test", ALL)
 
 
-def _make_completer(names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:
-    """Makes a completer to names that are looked up only when a shell needs them."""
+def _completer(names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:
+    """Decorator: a completer to names that are looked up only when a shell needs them."""
 
     def complete(incomplete: str) -> list[str]:
         return [name for name in names() if name.startswith(incomplete)]
@@ -14,37 +17,30 @@ def _make_completer(names: Callable[[], Iterable[str]]) -> Callable[[str], list[
     return complete
 
 
-def _recipes() -> Iterable[str]:
+@_completer
+def recipe() -> Iterable[str]:
+    """Names of packaged recipes."""
     from tustinnet.data.declaration import list_packaged
     from tustinnet.registry import RECIPE_HOMES
 
     return list_packaged(RECIPE_HOMES)
 
 
-def _plans() -> Iterable[str]:
+@_completer
+def plan() -> Iterable[str]:
+    """Names of packaged plans."""
     from tustinnet.data.declaration import list_packaged
 
     return list_packaged(["tustinnet.selection"], "plan")
 
 
-def _systems() -> Iterable[str]:
-    from tustinnet.registry import SYSTEMS
-
-    return SYSTEMS.names()
-
-
-def _targets() -> Iterable[str]:
-    from tustinnet.registry import TARGETS
-
-    return TARGETS.names()
-
-
-def _starts() -> Iterable[str]:
+@_completer
+def start() -> Iterable[str]:
+    """Names of starts with their usual numbers of samples."""
     from tustinnet.simulate.start_rules import STARTS
 
     return [kind.usual_name() for kind in STARTS]
 
 
-recipe, plan = _make_completer(_recipes), _make_completer(_plans)
-system, target = _make_completer(_systems), _make_completer(_targets)
-split, start = _make_completer(lambda: SPLITS), _make_completer(_starts)
+system, target = _completer(SYSTEMS.names), _completer(TARGETS.names)
+split = _completer(lambda: SPLITS)

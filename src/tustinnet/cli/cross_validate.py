@@ -1,16 +1,11 @@
 """`tustinnet cross-validate`: scores of a recipe on records that its models were not fitted to."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from tustinnet.cli import completion, options, terminal
-
-if TYPE_CHECKING:
-    from tustinnet.selection.runner import MakeExecutor
 
 _FILE, _TABLE = "folds.json", "folds.md"
 
@@ -31,7 +26,7 @@ _Starts = Annotated[
         metavar="NAME",
         autocompletion=completion.start,
         help="Initial states of the free runs, as for evaluate; may be repeated. Default: the "
-        "default of evaluate, and model-20.",
+        "usual start (see evaluate) and model-20.",
     ),
 ]
 
@@ -86,8 +81,10 @@ def cross_validate(
     require_outputs([out / _FILE, out / _TABLE], overwrite=overwrite)
     records = request.load_records_to_fit(data, card, out, console, strict=strict)
     request.print_still_coordinates(records_without_test(records), console)
+    remedy = "the same command, without --overwrite, continues with the folds that are done"
     with (
-        _open_cluster(cluster, quiet=quiet) as executor,
+        terminal.interruptible("" if cluster is None else remedy),
+        request.open_cluster(cluster, terminal.make_printer(quiet=quiet)) as executor,
         lock_folder(out),
         FitProgress(console, quiet=quiet) as progress,
     ):
@@ -105,19 +102,3 @@ def cross_validate(
     else:
         terminal.print_tables(table)
     console.print(f"written: {out / _FILE}, {out / _TABLE}")
-
-
-@contextmanager
-def _open_cluster(address: str | None, *, quiet: bool) -> "Iterator[MakeExecutor | None]":
-    """Executor of jobs on a cluster within the context; None without an address."""
-    if address is None:
-        yield None
-        return
-    from tustinnet.selection.cluster import cluster
-
-    remedy = "the same command, without --overwrite, continues with the folds that are done"
-    with (
-        terminal.interruptible(remedy),
-        cluster(address, terminal.make_printer(quiet=quiet)) as executor,
-    ):
-        yield executor

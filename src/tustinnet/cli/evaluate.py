@@ -33,9 +33,9 @@ _Figures = Annotated[
 def evaluate(
     model: options.Model,
     data: options.Data,
-    split: options.Split = None,
-    start: options.Start = None,
-    horizon: options.Horizon = None,
+    split: options.JudgedSplit = None,
+    start: options.JudgedStart = None,
+    horizon: options.JudgedHorizon = None,
     card: options.Card = None,
     system: options.System = None,
     ahead: _Ahead = None,
@@ -50,20 +50,25 @@ def evaluate(
     A free run begins at an initial state (--start) and then uses only the logged inputs.
     """
     terminal.prepare_jax()
+    from tustinnet.data.catalog import load
     from tustinnet.evaluate.ahead import rmse_ahead
     from tustinnet.evaluate.coverage import compute_coverage
     from tustinnet.evaluate.scores import Score, mean_rmse
     from tustinnet.evaluate.scores import evaluate as score_records
+    from tustinnet.report.tables import Table, number
 
     band_options = request.make_band_options(band, whole=whole_records)
     simulator = request.load_model(model, system)
     channels = simulator.channels
-    records, start = request.load_records_and_start(data, card, split, start, [simulator])
+    runs = request.choose_free_runs(
+        load(data, card), {model: simulator}, split, start, horizon, has_bands=band is not None
+    )
+    records = runs.records
     names = [e.name for e in records] + ([] if ahead is None else [_AHEAD_FIGURE])
     paths = None if figures is None else [figures / f"{name}.png" for name in names]
     inputs = request.list_input_files(data, card, model, system)
     request.require_figures("--figures", paths, inputs, overwrite=overwrite)
-    scores = score_records(simulator, records, start, horizon=horizon)
+    scores = score_records(simulator, records, runs.start, horizon=runs.horizon)
     by_split: dict[str, list[Score]] = {}
     for e, score in zip(records, scores, strict=True):
         by_split.setdefault(e.split or "all", []).append(score)
@@ -72,14 +77,14 @@ def evaluate(
         bands = request.compute_bands(model, simulator, records, scores, band_options)
         coverage = compute_coverage(records, bands)
     errors = None if ahead is None else rmse_ahead(simulator, records, ahead)
+    runs.print_notes()
     if json:
         experiments = []
         for e, score in zip(records, scores, strict=True):
             values = {key: getattr(score, key) for key in _SCORE_KEYS}
             experiments.append({**values, "split": e.split})
         content = {
-            "start": scores[0].start,
-            "horizon": horizon,
+            **runs.as_plain(),
             "coordinates": [c.name for c in channels.coordinates],
             "experiments": experiments,
             "mean": mean_rmse(scores),
@@ -92,11 +97,14 @@ def evaluate(
             content["ahead"] = {"dt": simulator.dt, "rmse": errors.tolist()}
         terminal.print_json(content)
     else:
-        terminal.print_tables(_score_table(by_split, channels, start))
+        terminal.print_tables(_score_table(by_split, channels, runs.start))
         if band_options is not None:
             terminal.print_tables(_band_table(coverage, band_options, channels))
         if errors is not None:
-            terminal.print_tables(_ahead_table(errors.tolist(), channels))
+            shown = [*(k for k in _STEPS_SHOWN if k < len(errors)), len(errors)]
+            rows = [[str(k), f"{k * channels.dt:g}", number(errors[k - 1], 4)] for k in shown]
+            columns = ["k", "horizon [s]", f"RMSE [{channels.unit}]"]
+            terminal.print_tables(Table(columns, rows, title="k steps ahead"))
     if figures is not None:
         from tustinnet.report.figures import ahead_figure, free_run_figure, write_figure
 
@@ -107,16 +115,6 @@ def evaluate(
         if errors is not None:
             write_figure(ahead_figure({label: errors}, channels), figures, f"{_AHEAD_FIGURE}.png")
         terminal.messages().print(f"figures: {figures}")
-
-
-def _ahead_table(errors: list[float], channels: "Channels") -> "Table":
-    """Table of the RMSE of predictions k steps ahead, for some k."""
-    from tustinnet.report.tables import Table, number
-
-    rows = [[str(k), f"{k * channels.dt:g}", number(errors[k - 1], 4)]
-            for k in [*(k for k in _STEPS_SHOWN if k < len(errors)), len(errors)]]  # fmt: skip
-    columns = ["k", "horizon [s]", f"RMSE [{channels.unit}]"]
-    return Table(columns, rows, title="k steps ahead")
 
 
 def _band_table(

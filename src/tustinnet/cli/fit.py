@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from tustinnet.cli.request import FitOptions
     from tustinnet.data.dataset import DataSet
+    from tustinnet.fitting.report import FitResult
     from tustinnet.fitting.task import Task
     from tustinnet.store.run import Earlier, Run
 
@@ -173,10 +174,18 @@ def _fit_recipe(
     unfinished = [m.result for m in run.members if not m.result.finished]
     for result in unfinished:
         member = f"{result.member.name}: " if result.recipe.family.has_seeds else ""
-        console.print(f"error: {member}{result.failure}")
-    if len(unfinished) == len(run.members):
+        kind = "warning" if _is_usable(result) else "error"
+        console.print(f"{kind}: {member}{result.failure}")
+    if not any(_is_usable(m.result) for m in run.members):
         raise typer.Exit(1)
     require_report(report)
+
+
+def _is_usable(result: "FitResult") -> bool:
+    """Whether a fit is finished, or a search that ended early with a model that simulates."""
+    search = result.identification
+    has_model = search is not None and not search.reversed_signs
+    return result.finished or (has_model and not search.outcome.startswith("diverged"))
 
 
 def _print_windows(task: "Task", console: "Console") -> None:
@@ -232,7 +241,10 @@ def _print_run(run: "Run", data: str) -> None:
             f"condition {identification.condition:.3g}; "
             f"{identification.substeps} Runge-Kutta steps a period"
         )
-        typer.echo(f"{identification.outcome}; {identification.seconds:.1f} s")
+        # of a search that ended early, a warning at the end gives the outcome
+        is_warned = _is_usable(run.best.result) and not run.best.result.finished
+        outcome = "" if is_warned else f"{identification.outcome}; "
+        typer.echo(f"{outcome}{identification.seconds:.1f} s")
     for sentence in fit_summary(run, data):
         typer.echo(sentence)
 

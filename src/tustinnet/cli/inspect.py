@@ -56,7 +56,7 @@ def inspect(
     inputs = request.list_input_files(data, card)
     request.require_figures("--figure", figure, inputs, overwrite=overwrite)
     data_set = load(data, card)
-    records = data_set if split is None else data_set.split(split)
+    records = request.records_of_split(data_set, split)
     reports = [inspect_experiment(e) for e in records]
     if strict:
         require_sound(reports)
@@ -129,11 +129,7 @@ def suspicions(reports: Iterable["ExperimentReport"]) -> list[str]:
 
 
 def require_sound(reports: Iterable["ExperimentReport"]) -> None:
-    """Raises an error if a record has suspicious rows.
-
-    Raises:
-        InputError: the first such record, with its first remark.
-    """
+    """Raises an error with the first remark on suspicious rows, if there are any."""
     from tustinnet.errors import InputError
 
     for r in reports:

@@ -115,11 +115,7 @@ def learning_curve(
 def _make_system_options(
     system: str | None, physics: str | None, hybrid: str | None, twin: Values | None
 ) -> "CrossValidationOptions | None":
-    """Options of the approaches that use a system; None without a system.
-
-    Raises:
-        InputError: an option that requires a system, without one; a recipe that is no hybrid.
-    """
+    """Options of the approaches that use a system; None without a system."""
     from tustinnet.errors import InputError
     from tustinnet.fitting.recipe_reading import read_recipe
     from tustinnet.selection.cross_validation import make_cross_validation_options

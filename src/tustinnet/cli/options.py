@@ -61,12 +61,7 @@ _CLUSTER = (
 
 
 def recipe(default: str, what: str = _RECIPE) -> Any:
-    """Option that names a recipe.
-
-    Args:
-        default: the recipe that is used without the option.
-        what: purpose of the recipe.
-    """
+    """Option that names a recipe, with its purpose and the recipe that is used by default."""
     return typer.Option(
         metavar="NAME|FILE",
         autocompletion=completion.recipe,
@@ -75,11 +70,7 @@ def recipe(default: str, what: str = _RECIPE) -> Any:
 
 
 def cluster(use: str) -> Any:
-    """Option that names a cluster.
-
-    Args:
-        use: beginning of the help text: what the cluster is used for.
-    """
+    """Option that names a cluster; its help begins with `use`, the use of the cluster."""
     return typer.Option(metavar="auto|ADDRESS", help=f"{use} {_CLUSTER}")
 
 
@@ -102,22 +93,44 @@ Split = Annotated[
         help=f"Records to use: {join_or(completion.SPLITS)}. Default: all.",
     ),
 ]
+JudgedSplit = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        autocompletion=completion.split,
+        help=f"Records to use: {join_or(completion.SPLITS)}. Default: test if there is one, else "
+        "validation, else all.",
+    ),
+]
+_STARTS = f"Initial states of the free runs: {starts_help()}."
+_USUAL_START = (
+    "warm-up-N where the model needs a warm-up, else file where records have velocity columns, "
+    "else model-20 for oscillations with fewer than 20 samples per period, else derived-6."
+)
 Start = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
         autocompletion=completion.start,
-        help=f"Initial states of the free runs: {starts_help()}. Default: warm-up-N where the "
-        "model needs a warm-up, else file where records have velocity columns, else model-20 for "
-        "oscillations with fewer than 20 samples per period, else derived-6.",
+        help=f"{_STARTS} Default: {_USUAL_START}",
     ),
 ]
-Horizon = Annotated[
+JudgedStart = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        autocompletion=completion.start,
+        help=f"{_STARTS} Default: that by which fit judged the model; where its file says none, "
+        f"{_USUAL_START}",
+    ),
+]
+JudgedHorizon = Annotated[
     float | None,
     typer.Option(
         metavar="SECONDS",
         help="Cut records into segments of this length and estimate an initial state for each; for "
-        "unstable systems under control. Default: whole records.",
+        "unstable systems under control. inf: whole records. Default: as fit judged the model, "
+        "else whole records.",
     ),
 ]
 Strict = Annotated[bool, typer.Option("--strict", help="Refuse records with suspicious rows.")]

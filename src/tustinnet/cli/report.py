@@ -26,9 +26,9 @@ def report(
     ],
     data: options.Data,
     out: Annotated[Path, typer.Option(metavar="FILE.html", help="File for the report.")],
-    split: options.Split = None,
-    start: options.Start = None,
-    horizon: options.Horizon = None,
+    split: options.JudgedSplit = None,
+    start: options.JudgedStart = None,
+    horizon: options.JudgedHorizon = None,
     card: options.Card = None,
     system: Annotated[
         list[str] | None,
@@ -44,7 +44,8 @@ def report(
     """Write an HTML page about a model: animation, scores, errors."""
     terminal.prepare_jax()
     from tustinnet.cli.automatic_report import report_command
-    from tustinnet.cli.request import kept_system, list_input_files, load_records_and_start
+    from tustinnet.cli.request import choose_free_runs, kept_system, list_input_files
+    from tustinnet.data.catalog import load
     from tustinnet.report.page.reported_model import model_file, read_reported_models
     from tustinnet.report.page.write import ENDINGS, ReportOptions, write_page
     from tustinnet.store.files import require_outputs
@@ -63,12 +64,15 @@ def report(
         (restoring if load_system(file).name in model_systems else drawing).append(file)
     loaded_models = load_models(files, restoring, kept_system)
     links = _choose_links(drawing, loaded_models, loaded_models[0].coordinates)
-    records, usual_start = load_records_and_start(data, card, split, start, loaded_models)
+    by_file = dict(zip(files, loaded_models, strict=True))
+    runs = choose_free_runs(load(data, card), by_file, split, start, horizon)
     command = report_command(models, data, out, {
         "--split": split, "--start": start, "--horizon": horizon, "--card": card,
     }, system or [])  # fmt: skip
-    report_options = ReportOptions(usual_start, horizon, links, command)
-    path = write_page(read_reported_models(files, loaded_models), records, out, report_options)
+    report_options = ReportOptions(runs.start, runs.horizon, links, command)
+    reported = read_reported_models(files, loaded_models)
+    path = write_page(reported, runs.records, out, report_options)
+    runs.print_notes()
     terminal.messages().print(f"report: {path} ({path.stat().st_size / 1000:.0f} kB)")
 
 
@@ -76,12 +80,7 @@ def _choose_links(
     systems: "Sequence[SystemFile | str]", models: "Sequence[Model]",
     coordinates: "Sequence[Coordinate]",
 ) -> "tuple[Link, ...]":  # fmt: skip
-    """The links of a system that is named only to draw the mechanism of models without links.
-
-    Raises:
-        InputError: several of them, one without links or of other coordinates, or models that have
-            links of their own.
-    """
+    """The links of a system that is named only to draw the mechanism of models without links."""
     from tustinnet.errors import InputError
     from tustinnet.families.family import family_of
     from tustinnet.systems.files import load_system

@@ -1,11 +1,14 @@
 """The values that verbs make of their arguments: records, recipes, models, bands."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tustinnet.cli import terminal
+from tustinnet.cli.completion import ALL
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -19,10 +22,12 @@ if TYPE_CHECKING:
     from tustinnet.fitting.recipe import Recipe
     from tustinnet.fitting.task import Member, Origin
     from tustinnet.models.contract import Model
+    from tustinnet.selection.runner import MakeExecutor
     from tustinnet.store.run import Earlier
     from tustinnet.systems.files import AnySystem, SystemFile
 
 _MAX_SEEDS, _LARGEST_SEED = 1000, 2**32 - 1
+_MAX_NAMED = 6  # records that a note names
 
 
 @dataclass(frozen=True)
@@ -49,16 +54,23 @@ class FitOptions:
 
 
 def require_cores(cluster: str | None, device: "Hardware | None") -> None:
-    """Raises an error if jobs of a cluster are to compute on something else than processor cores.
-
-    Raises:
-        InputError: a cluster together with another device.
-    """
+    """Raises an error if jobs of a cluster are to compute on another device than processors."""
     from tustinnet.errors import InputError
 
     if cluster is not None and device is not None and device.value != "cpu":
         raise InputError(f"--device {device.value}", "not applicable to jobs on a cluster",
                          "cpu", "omit the option")  # fmt: skip
+
+
+def open_cluster(
+    address: str | None, on_message: "Callable[[str], None]"
+) -> "AbstractContextManager[MakeExecutor | None]":
+    """Context with an executor of jobs on a cluster; with None without an address."""
+    if address is None:
+        return nullcontext()
+    from tustinnet.selection.cluster import cluster
+
+    return cluster(address, on_message)
 
 
 def choose_recipe(
@@ -77,11 +89,7 @@ def choose_recipe(
 
 
 def read_recipe_in(model: Path) -> "Mapping[str, Any]":
-    """Reads the recipe that is stored in a model file.
-
-    Raises:
-        InputError: the file has none.
-    """
+    """Reads the recipe that is stored in a model file; raises an error if it has none."""
     from tustinnet.errors import InputError
     from tustinnet.store.header import read_header
 
@@ -131,11 +139,7 @@ def make_members(seeds: str | None, recipe: "Recipe") -> "list[Member]":
 
 
 def parse_seeds(text: str | None) -> tuple[int, ...]:
-    """Seeds from the value of `--seeds`: `K` for the seeds 0 to K - 1, or a list.
-
-    Raises:
-        InputError: no numbers, too many, too large, or repeated ones.
-    """
+    """Seeds from the value of `--seeds`: `K` for the seeds 0 to K - 1, or a list."""
     from tustinnet.errors import InputError
 
     try:
@@ -161,18 +165,7 @@ def parse_seeds(text: str | None) -> tuple[int, ...]:
 def load_records_to_fit(
     data: str, card: Path | None, out: Path, console: "Console", *, strict: bool
 ) -> "DataSet":
-    """Loads the records of a fit; prints which are left out, and warnings about suspicious rows.
-
-    Args:
-        data: the argument DATA.
-        card: its data card, if one was named.
-        out: the folder for results.
-        console: output of the warnings.
-        strict: whether to refuse records that cannot be used or have suspicious rows.
-
-    Raises:
-        InputError: records to be refused; a folder for results that is that of the data.
-    """
+    """Loads the records of a fit; prints which are left out, or with `strict` refuses them."""
     from tustinnet.cli.inspect import require_sound, suspicions
     from tustinnet.data.catalog import locate
     from tustinnet.data.inspection import inspect_experiment
@@ -220,24 +213,20 @@ def list_input_files(
 def require_figures(
     option: str, paths: "Path | Sequence[Path] | None", inputs: Sequence[Path], *, overwrite: bool
 ) -> None:
-    """Raises an error unless figures can be written to files.
+    """Raises an error unless figures can be written, or on `overwrite` without figures.
 
     Args:
         option: the option that names the figures.
         paths: the files, None without the option.
         inputs: files that the verb reads, which are never replaced.
         overwrite: whether existing files may be replaced.
-
-    Raises:
-        InputError: `overwrite` without figures; see also `require_outputs`.
     """
     from tustinnet.errors import InputError
-    from tustinnet.report.figure_file import ENDINGS
-    from tustinnet.store.files import require_outputs, require_writable_folder
+    from tustinnet.store.files import FIGURE_ENDINGS, require_outputs, require_writable_folder
 
     if paths is not None:
         files = [paths] if isinstance(paths, Path) else paths
-        require_outputs(files, overwrite=overwrite, read=inputs, endings=ENDINGS)
+        require_outputs(files, overwrite=overwrite, read=inputs, endings=FIGURE_ENDINGS)
         for folder in {path.parent for path in files}:
             require_writable_folder(folder)
     elif overwrite:
@@ -263,11 +252,7 @@ def load_model(path: Path, system: str | None) -> "Model":
 
 
 def kept_system(model: Path) -> "SystemFile | None":
-    """The system file that is stored with a model, if the user trusts it; asks on a terminal.
-
-    Raises:
-        InputError: the file is not trusted.
-    """
+    """The system file that is stored with a model; raises an error unless the user trusts it."""
     from tustinnet.errors import InputError
     from tustinnet.store.kept_system import find_system_copy, is_trusted, trust
 
@@ -283,42 +268,134 @@ def kept_system(model: Path) -> "SystemFile | None":
     )  # fmt: skip
 
 
-def load_records_and_start(
-    data: str, card: Path | None, split: str | None, start: str | None, models: "Sequence[Model]"
-) -> "tuple[list[Experiment], str]":
-    """Loads the records of a split, or all, and chooses the start of free runs on them.
+def records_of_split(data: "DataSet", split: str | None) -> "DataSet":
+    """The records of a split; all of them for `all`, or without a split."""
+    return data if split in (None, ALL) else data.split(split)
+
+
+@dataclass(frozen=True)
+class FreeRuns:
+    """The free runs that a verb computes.
+
+    Attributes:
+        records: the records.
+        split: name of their split, or `all`.
+        start: where the free runs start.
+        horizon: how long each lasts at most [s], None for whole records.
+        fitted: names of the records that one of the models was fitted to.
+        notes: sentences on defaults that were used, and on records that were fitted to.
+    """
+
+    records: "list[Experiment]"
+    split: str
+    start: str
+    horizon: float | None
+    fitted: list[str]
+    notes: list[str]
+
+    def as_plain(self) -> dict[str, Any]:
+        """Split, start, horizon and the names of fitted records as plain values."""
+        return {
+            "split": self.split,
+            "start": self.start,
+            "horizon": self.horizon,
+            "fitted_to": self.fitted,
+        }
+
+    def print_notes(self) -> None:
+        """Prints the notes, a line each."""
+        for note in self.notes:
+            terminal.messages().print(f"note: {note}")
+
+
+def choose_free_runs(
+    data: "DataSet",
+    models: "Mapping[Path, Model]",
+    split: str | None,
+    start: str | None,
+    horizon: float | None,
+    *,
+    names: Sequence[str] = (),
+    has_bands: bool = False,
+) -> FreeRuns:
+    """Chooses records, start and horizon of free runs: as given, else as the models were judged.
 
     Args:
-        data: the argument DATA.
-        card: its data card, if one was named.
-        split: the split, None for all records.
-        start: name of the start, None for the usual one of the models.
-        models: the models that simulate the records.
+        data: the records.
+        models: the models that simulate them, by file.
+        split: the split, None for the usual one: test, else validation, else all.
+        start: name of the start, None for that of the files where they agree, else the usual one.
+        horizon: longest duration [s], infinite for whole records, None for that of the files where
+            they agree, else whole records.
+        names: some of the records, () for all.
+        has_bands: whether start and horizon are by default those of the models' calibration.
     """
-    from tustinnet.data.catalog import load
     from tustinnet.simulate.starts import default_start
+    from tustinnet.store.header import read_header, records_in_header
 
-    data_set = load(data, card)
-    records = list(data_set if split is None else data_set.split(split))
-    return records, default_start(records, *models) if start is None else start
+    headers = {path: read_header(path) for path in models}
+    defaults = []
+    if split is None and not names:
+        split = next((s for s in ("test", "validation") if s in data.splits), ALL)
+        defaults.append(f"{split} records (--split)")
+    selected = records_of_split(data, split)
+    records = [selected[name] for name in names] if names else list(selected)
+    file_start, file_horizon = _read_judged(headers, records, has_bands=has_bands)
+    if start is None and file_start is not None:
+        defaults.append(f"start '{file_start}' as in the model's file (--start)")
+    if horizon is None and file_horizon is not None:
+        defaults.append(f"segments of {file_horizon:g} s as in the model's file (--horizon)")
+    horizon = file_horizon if horizon is None else None if horizon == math.inf else horizon
+    notes = [f"default: {', '.join(defaults)}"] if defaults else []
+    checksums = {key for header in headers.values() for key in records_in_header(header)}
+    fitted = [e.name for e in records if e.sha256 in checksums]
+    if fitted:
+        count = "all records" if len(fitted) == len(records) else f"{len(fitted)} of the records"
+        more = ", ..." if len(fitted) > _MAX_NAMED else ""
+        named = ", ".join(fitted[:_MAX_NAMED]) + more
+        notes.append(f"fitted to {count}, whose scores are optimistic: {named}")
+    if start is None:
+        start = file_start or default_start(records, *models.values())
+    return FreeRuns(records, split or ALL, start, horizon, fitted, notes)
+
+
+def _read_judged(
+    headers: "Mapping[Path, Mapping[str, Any]]", records: "Sequence[Experiment]", *, has_bands: bool
+) -> tuple[str | None, float | None]:
+    """Start and horizon by which files say that models were judged, or with bands calibrated.
+
+    None where files say none or others, where a record cannot start so, or none is longer.
+    """
+    from tustinnet.errors import InputError
+    from tustinnet.evaluate.bands import KEY, Calibration
+    from tustinnet.simulate.horizon import effective_horizon
+    from tustinnet.simulate.start_rules import StoredStart, start_named
+    from tustinnet.store.header import judgement_in_header
+
+    judged = [
+        Calibration.from_header(dict(header), path)
+        if has_bands and KEY in header
+        else judgement_in_header(header, path)
+        for path, header in headers.items()
+    ]
+    starts, horizons = ({getattr(j, key, None) for j in judged} for key in ("start", "horizon"))
+    start = starts.pop() if len(starts) == 1 else None
+    horizon = horizons.pop() if len(horizons) == 1 else None
+    try:
+        rule = start_named(start) if start else None
+    except InputError:  # a start of an earlier version
+        rule = None
+    lacks_velocities = isinstance(rule, StoredStart) and any(e.v is None for e in records)
+    if rule is None or lacks_velocities or any(len(e) < rule.samples for e in records):
+        start = None
+    return start, effective_horizon(horizon, records)
 
 
 def compute_bands(
     path: Path, model: "Model", records: "Sequence[Experiment]", scores: "Sequence[Score]",
     band_options: "BandOptions",
 ) -> "list[Band]":  # fmt: skip
-    """Computes the bands around free runs.
-
-    Args:
-        path: the model's file.
-        model: the model.
-        records: the records.
-        scores: the scores of their free runs.
-        band_options: level and kind of the bands.
-
-    Raises:
-        InputError: a model that was not calibrated, or from another start or horizon.
-    """
+    """Computes the bands around the free runs of a model in a file, by its calibration."""
     from tustinnet.evaluate.bands import Calibration, find_alternatives, make_bands
     from tustinnet.store.header import read_header
 
@@ -329,11 +406,7 @@ def compute_bands(
 
 
 def make_band_options(level: float | None, *, whole: bool) -> "BandOptions | None":
-    """Makes the options of bands from `--band` and `--whole-records`; None without bands.
-
-    Raises:
-        InputError: a level that is no share; whole records without a band.
-    """
+    """Makes the options of bands from `--band` and `--whole-records`; None without bands."""
     from tustinnet.errors import InputError
     from tustinnet.evaluate.bands import BandOptions, require_share
 

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 def residuals(
     model: options.Model,
     data: options.Data,
-    split: options.Split = None,
-    start: options.Start = None,
-    horizon: options.Horizon = None,
+    split: options.JudgedSplit = None,
+    start: options.JudgedStart = None,
+    horizon: options.JudgedHorizon = None,
     lags: Annotated[
         int, typer.Option(min=1, metavar="L", help="Largest lag of the correlations, in samples.")
     ] = 50,
@@ -39,6 +39,7 @@ def residuals(
     """
     terminal.prepare_jax()
     from tustinnet.cli import request
+    from tustinnet.data.catalog import load
     from tustinnet.evaluate.residuals import residual_reports
     from tustinnet.report.residuals import downweighted_table, residual_figure
     from tustinnet.simulate.horizon import horizon_words
@@ -48,11 +49,13 @@ def residuals(
     request.require_figures("--figure", figure, inputs, overwrite=overwrite)
     simulator = request.load_model(model, system)
     channels = simulator.channels
-    records, start = request.load_records_and_start(data, card, split, start, [simulator])
-    reports = residual_reports(simulator, records, start, lags, horizon=horizon)
+    runs = request.choose_free_runs(load(data, card), {model: simulator}, split, start, horizon)
+    records, horizon = runs.records, runs.horizon
+    reports = residual_reports(simulator, records, runs.start, lags, horizon=horizon)
     names = {e.name for e in records}
     downweighted = [s for s in read_downweighted(model) if s.record in names]
-    title = f"Residuals of {len(records)} free runs, start '{start}'{horizon_words(horizon)}"
+    title = f"Residuals of {len(records)} free runs, start '{runs.start}'{horizon_words(horizon)}"
+    runs.print_notes()
     if json:
         coordinates = []
         for r in reports:
@@ -62,8 +65,7 @@ def residuals(
             )
         terminal.print_json(
             {
-                "start": start,
-                "horizon": horizon,
+                **runs.as_plain(),
                 "lags": lags,
                 "coordinates": coordinates,
                 "downweighted": [dataclasses.asdict(s) for s in downweighted],

@@ -3,12 +3,12 @@
 import math
 import re
 import time
-from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 from tustinnet.cli import terminal
+from tustinnet.cli.completion import ALL
 
 if TYPE_CHECKING:
     from tustinnet.cli.request import FitOptions
@@ -21,11 +21,7 @@ _SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 
 
 def parse_seconds(budget: str | None) -> float | None:
-    """Seconds of a time such as `90`, `90s`, `10min`, `1.5h`.
-
-    Raises:
-        InputError: another text, or 0.
-    """
+    """Seconds of a time such as `90`, `90s`, `10min`, `1.5h`."""
     from tustinnet.errors import InputError
 
     if budget is None:
@@ -46,18 +42,14 @@ def select(
 ) -> None:
     """Fits the candidates of a plan and keeps the best as one model; prints and draws the results.
 
-    Args:
-        fit_options: records, folder, system and output.
-        plan: name or file of the plan, None for the usual one.
-        budget: time limit as text, None for no limit.
-        cluster_address: address of the cluster that does the jobs, None for this process.
+    Without a plan the usual one is used, without a cluster this process.
     """
     start_time = time.monotonic()  # the imports and records from here on take seconds
     from tustinnet.cli.automatic_report import require_report
+    from tustinnet.cli.request import open_cluster
     from tustinnet.report.page.fit_reports import write_choice_report
     from tustinnet.report.progress import FitProgress
     from tustinnet.report.summary import next_steps
-    from tustinnet.selection.cluster import cluster
     from tustinnet.selection.plan import USUAL, read_plan
     from tustinnet.selection.select import SelectionOptions, select_model
     from tustinnet.store.run import MODEL, REPORT
@@ -71,9 +63,7 @@ def select(
         reporter = make_reporter(progress, quiet=quiet)
         with (
             terminal.interruptible("--resume continues with what is done"),
-            nullcontext()
-            if cluster_address is None
-            else cluster(cluster_address, reporter.on_message) as executor,
+            open_cluster(cluster_address, reporter.on_message) as executor,
         ):
             choice = select_model(
                 records, fit_options.out, selection, fit_options.earlier, reporter, executor
@@ -90,7 +80,7 @@ def select(
         [folder],
         folder / REPORT,
         lambda command: write_choice_report(choice, command),
-        {"--start": start, "--horizon": choice.context.scoring.horizon},
+        {"--split": ALL, "--start": start, "--horizon": choice.context.scoring.horizon},
     )
     if not fit_options.json:
         print_files(choice, page or "")
@@ -103,8 +93,7 @@ def make_reporter(progress: "FitProgress", *, quiet: bool) -> "Reporter":
     from tustinnet.selection.select import Reporter
 
     def follow_job(job: "Job") -> Any:
-        label = f"{job.candidate}, fold {job.fold}"
-        return lambda prepared: progress.follow(prepared, label=label)
+        return lambda prepared: progress.follow(prepared, label=job.label)
 
     return Reporter(terminal.make_printer(quiet=quiet), follow_job)
 
@@ -142,8 +131,11 @@ def print_choice(choice: "Choice", *, quiet: bool) -> None:
 
 def print_files(choice: "Choice", report: str = "") -> None:
     """Prints the line that names the files, and the duration of the choice."""
+    from tustinnet.selection.select import TABLE
+    from tustinnet.store.run import FIGURES, MODEL
+
     out = choice.context.folder
     typer.echo(
-        f"model: {out / 'model.safetensors'}   table: {out / 'candidates.md'}   "
-        f"figures: {out / 'figures'}{report}   {choice.seconds:.0f} s"
+        f"model: {out / MODEL}   table: {out / TABLE}   figures: {out / FIGURES}{report}   "
+        f"{choice.seconds:.0f} s"
     )

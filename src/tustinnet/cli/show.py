@@ -91,6 +91,8 @@ def _score_lines(header: dict[str, Any]) -> Lines:
         return []
     mean = "diverged" if scores["mean"] is None else f"{scores['mean']:.4g} {scores['unit']}"
     split = "records left out" if scores["split"] == "left out" else scores["split"]
-    lines = [("score", f"{split}, mean RMSE {mean}, start '{scores['start']}'")]
+    horizon = scores.get("horizon")
+    length = "whole records" if horizon is None else f"segments of {horizon:g} s"
+    lines = [("score", f"{split}, mean RMSE {mean}, start '{scores['start']}', {length}")]
     return lines + [("", f"{name} {value:.4g}" if value is not None else f"{name} diverged")
                     for name, value in scores["rmse"].items()]  # fmt: skip

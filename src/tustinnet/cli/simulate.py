@@ -20,9 +20,10 @@ def simulate(
     model: options.Model,
     data: options.Data,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the simulations, as CSV.")],
-    split: options.Split = None,
+    split: options.JudgedSplit = None,
     experiment: _Records = None,
-    start: options.Start = None,
+    start: options.JudgedStart = None,
+    horizon: options.JudgedHorizon = None,
     band: options.Band = None,
     whole_records: options.WholeRecords = False,
     card: options.Card = None,
@@ -40,26 +41,28 @@ def simulate(
     from tustinnet.evaluate.scores import evaluate
     from tustinnet.report.extrapolation import describe_extrapolation, extrapolation_content
     from tustinnet.report.tables import Table, number
+    from tustinnet.simulate.horizon import horizon_words
     from tustinnet.simulate.range import Range
-    from tustinnet.simulate.starts import default_start
     from tustinnet.store.files import require_outputs, require_writable_folder
     from tustinnet.store.header import read_header
     from tustinnet.store.simulation_file import simulation_name, write_simulation
 
     band_options = request.make_band_options(band, whole=whole_records)
     simulator = request.load_model(model, system)
-    data_set = load(data, card)
-    data_set = data_set if split is None else data_set.split(split)
-    records = [data_set[name] for name in experiment] if experiment else list(data_set)
+    runs = request.choose_free_runs(
+        load(data, card), {model: simulator}, split, start, horizon,
+        names=experiment or (), has_bands=band is not None,
+    )  # fmt: skip
+    records = runs.records
     paths = [out / simulation_name(e) for e in records]
     inputs = request.list_input_files(data, card, model, system)
     require_outputs(paths, overwrite=overwrite, read=inputs)
-    start = default_start(records, simulator) if start is None else start
-    scores = evaluate(simulator, records, start)
+    scores = evaluate(simulator, records, runs.start, horizon=runs.horizon)
     bands: list[Band | None] = [None] * len(records)
     if band_options is not None:
         bands = [*request.compute_bands(model, simulator, records, scores, band_options)]
     require_writable_folder(out)
+    runs.print_notes()
     training_range = Range.from_header(read_header(model), simulator)
     simulations: list[dict[str, Any]] = []
     for e, score, run_band, path in zip(records, scores, bands, paths, strict=True):
@@ -73,8 +76,8 @@ def simulate(
             terminal.messages().print(f"note: {e.name}: {describe_extrapolation(point, e)}")
         simulations.append(content)
     if json:
-        terminal.print_json({"start": start, "simulations": simulations})
+        terminal.print_json({**runs.as_plain(), "simulations": simulations})
         return
     rows = [[w["experiment"], number(w["rmse"]), w["file"]] for w in simulations]
-    title = f"Free runs, start '{start}'"
+    title = f"Free runs, start '{runs.start}'{horizon_words(runs.horizon)}"
     terminal.print_tables(Table(["record", "RMSE", "file"], rows, title=title))

@@ -110,40 +110,31 @@ def _stop(number: int, frame: FrameType | None) -> None:
 
 
 @contextmanager
-def _redeliver_dropped() -> Iterator[None]:
-    """Within the context, sends a signal again whose exception Python dropped, as in `__del__`."""
-    earlier_hook = sys.unraisablehook
+def stoppable() -> Iterator[None]:
+    """Within the context, Ctrl-C, SIGTERM and SIGHUP end the command with one line.
 
-    def catch(dropped: Any) -> None:
+    Signals that the parent process ignores stay ignored. One whose exception Python drops, as in
+    `__del__`, is sent again.
+    """
+    earlier_handlers, earlier_hook = {}, sys.unraisablehook
+
+    def catch_dropped(dropped: Any) -> None:
         if isinstance(dropped.exc_value, Stopped):
             arguments = (os.getpid(), dropped.exc_value.number)
             threading.Timer(_DELAY, os.kill, arguments).start()
         else:
             earlier_hook(dropped)
 
-    sys.unraisablehook = catch
-    try:
-        yield
-    finally:
-        sys.unraisablehook = earlier_hook
-
-
-@contextmanager
-def stoppable() -> Iterator[None]:
-    """Within the context, Ctrl-C, SIGTERM and SIGHUP end the command with one line.
-
-    Signals that the parent process ignores stay ignored.
-    """
-    earlier_handlers = {}
     if threading.current_thread() is threading.main_thread():  # others cannot set handlers
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
             number = getattr(signal, name, None)
             if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
                 earlier_handlers[number] = signal.signal(number, _stop)
+    sys.unraisablehook = catch_dropped
     try:
-        with _redeliver_dropped():
-            yield
+        yield
     finally:
+        sys.unraisablehook = earlier_hook
         for number, handler in earlier_handlers.items():
             signal.signal(number, handler)
 
@@ -224,13 +215,7 @@ def _cache_programs() -> None:
 
 
 def _first_device(kind: str | None, source: str, remedy: str) -> Any:
-    """The first device of a kind, or of any kind.
-
-    Args:
-        kind: `cpu` or `gpu`, None for any.
-        source: option or variable that chose the kind, for the error.
-        remedy: how to undo it, for the error.
-    """
+    """The first device of a kind, or of any kind; an error names the source of the choice."""
     import jax
 
     from tustinnet.errors import InputError

@@ -3,13 +3,12 @@
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import BytesIO
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, cast
 
 import matplotlib as mpl
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -18,10 +17,9 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.data.inspection import ExperimentReport
 from tustinnet.evaluate.bands import Band
 from tustinnet.evaluate.scores import Score
-from tustinnet.report.figure_file import format_of
-from tustinnet.report.page.signals import bounded
+from tustinnet.report.page.signals import bounded, find_extremes
 from tustinnet.simulate.horizon import horizon_words
-from tustinnet.store.files import write_into
+from tustinnet.store.files import FIGURE_ENDINGS, require_outputs, write_into
 
 MEASURED = "#111111"
 INPUT = "#5b7fa6"
@@ -29,7 +27,7 @@ COLOURS = ("#c0392b", "#e08e0b", "#2e8b57", "#7d3c98", "#5d6d7e")
 _LINEAR_BELOW = 3  # values that differ by a smaller factor are drawn on a linear axis
 _DASHES = ("-.", "--", ":", (0, (6, 1, 1, 1, 1, 1)), "--")
 _LEGEND_WIDTH = 118  # characters of a legend that fit below a figure, 7 of a column for its line
-_BINS = 1200  # along a line of a figure, more than it has pixels
+_BINS = 1200  # fewest along a line of a figure, more than it has pixels
 _LONG = 4 * _BINS  # samples; of a longer line only the extremes are drawn
 _STYLE = {
     "font.size": 9,
@@ -58,9 +56,8 @@ def write_figure(figure: Figure, folder: Path, name: str) -> None:
     Raises:
         InputError: another ending than .png, .svg or .pdf, or the file cannot be written.
     """
-    buffer = BytesIO()
-    path = folder / name
-    ending = format_of(path)
+    require_outputs([folder / name], overwrite=True, endings=FIGURE_ENDINGS)
+    buffer, ending = BytesIO(), Path(name).suffix[1:].lower()
     metadata = {"Date": None} if ending == "svg" else None
     figure.savefig(buffer, format=ending, dpi=150, metadata=metadata)
     write_into(folder, name, buffer.getvalue())
@@ -138,24 +135,11 @@ def _draw_band(
 
 
 def _plot(axes: Axes, t: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"], **style: Any) -> None:
-    """Draws a line; of a long one only the points that can be seen."""
-    samples = extremes(y)
-    axes.plot(t[samples], y[samples], **style)
-
-
-def extremes(y: Float[np.ndarray, " n"]) -> Int[np.ndarray, " shown"]:
-    """Samples that a line needs in a figure: all, or of a long one the extremes of each bin.
-
-    A bin is narrower than a pixel of a PNG. A bin of nothing but NaN stays a gap.
-    """
-    if len(y) <= _LONG:
-        return np.arange(len(y))
-    edges = np.linspace(0, len(y), _BINS + 1).astype(int)
-    low, high = np.where(np.isnan(y), np.inf, y), np.where(np.isnan(y), -np.inf, y)
-    samples = {0, len(y) - 1}
-    for a, b in pairwise(edges):
-        samples |= {int(a + np.argmin(low[a:b])), int(a + np.argmax(high[a:b]))}
-    return np.array(sorted(samples))
+    """Draws a line; of a long one only extremes of intervals narrower than a pixel of a PNG."""
+    if len(y) > _LONG:
+        samples = find_extremes(y[:, None], len(y) // _BINS)
+        t, y = t[samples], y[samples]
+    axes.plot(t, y, **style)
 
 
 def training_figure(histories: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:
@@ -175,14 +159,8 @@ def training_figure(histories: Mapping[str, Sequence[Mapping[str, Any]]]) -> Fig
                 epochs = np.arange(1, len(values) + 1)
                 axes.plot(epochs, values, color=colour, linewidth=0.9, label=name)
                 kept_epoch = _find_kept_epoch(lines)
-                axes.plot(
-                    kept_epoch + 1,
-                    values[kept_epoch],
-                    "o",
-                    color=colour,
-                    markersize=5,
-                    clip_on=False,
-                )
+                kept = kept_epoch + 1, values[kept_epoch]
+                axes.plot(*kept, "o", color=colour, markersize=5, clip_on=False)
             axes.set_ylabel(label)
             y = np.concatenate([np.asarray(line.get_ydata(), float) for line in axes.lines])
             y = y[np.isfinite(y)]
@@ -244,11 +222,9 @@ def inspection_figure(
             for j, coordinate in enumerate(e.coordinates):
                 axes = panels[row, j]
                 _plot(axes, t, e.q[:, j], color=MEASURED, linewidth=0.8)
-                resting, reach = (
-                    report.coordinates[j].resting,
-                    report.coordinates[j].excursion_threshold,
-                )
                 if report.k_bar < len(e):
+                    resting = report.coordinates[j].resting
+                    reach = report.coordinates[j].excursion_threshold
                     axes.axhspan(resting - reach, resting + reach, color="#2e8b57", alpha=0.18)
                     axes.axvline(t[report.k_bar], color=COLOURS[0], linewidth=0.9)
                 for begin, end in report.recording.gaps:

@@ -129,7 +129,7 @@ class _Workers:
 
     def submit(self, job: Job, deadline: Deadline = NEVER) -> None:
         """Sends a job."""
-        self._on_message(f"{job.candidate}, fold {job.fold}: begins")
+        self._on_message(f"{job.label}: begins")
         self._send(_Running(job, deadline, time.monotonic()))
 
     def result(self) -> JobResult:
@@ -140,7 +140,7 @@ class _Workers:
                 pass
             future = next(iter(done))
             running = self._running.pop(future)
-            name = f"{running.job.candidate}, fold {running.job.fold}"
+            name = running.job.label
             try:
                 host, result = future.result()
             except self._ray.exceptions.RayTaskError:  # of the job, not of its worker

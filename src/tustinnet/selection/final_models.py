@@ -136,7 +136,7 @@ def _possible_models(
     averages, why = len(members) > 1 or recipe.family.averages_folds, ""
     if not averages and make_listener is not None:
         origin = context.load_model(single[0].model)
-        job = Job(result.name, recipe, fold=0, origin=Origin(origin))
+        job = Job(result.name, recipe, fold=0, origin=Origin(origin), is_final=True)
         made = _identify_from_all(job, context, make_listener(job), deadline)
         if isinstance(made, FinalModel):
             yield made

@@ -67,6 +67,7 @@ class Job:
         waits_for: candidates whose jobs of this fold come first, where there are any.
         limit: how long it may take [s]; what is done by then is scored.
         continues: whether it goes on from where it was stopped before.
+        is_final: whether it fits all training records instead of a fold's.
     """
 
     candidate: str
@@ -78,6 +79,14 @@ class Job:
     waits_for: tuple[str, ...] = ()
     limit: float = math.inf
     continues: bool = False
+    is_final: bool = False
+
+    @property
+    def label(self) -> str:
+        """Candidate and records of the fit, for people."""
+        return (
+            f"{self.candidate}, {'all training records' if self.is_final else f'fold {self.fold}'}"
+        )
 
     @property
     def name(self) -> str:

@@ -99,14 +99,7 @@ def write_checkpoint(
     progress: Sequence[Progress],
     fingerprints: Mapping[str, str],
 ) -> None:
-    """Writes the checkpoint of members that train together, whole or not at all.
-
-    Args:
-        path: the file.
-        state: of all of them.
-        progress: of each.
-        fingerprints: of each, by name.
-    """
+    """Writes the checkpoint of members that train together, whole or not at all."""
     header = {
         "kind": _KIND,
         "stage": max(p.stage for p in progress),

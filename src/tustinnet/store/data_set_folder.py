@@ -34,11 +34,6 @@ def write_data_set(
         columns = [e.u, e.q, e.t[:, None], *([] if e.v is None else [e.v])]
         lines = [",".join(f"{x:.9g}" for x in row) for row in np.concatenate(columns, axis=1)]
         write_into(folder, files[e.name], "".join(f"{line}\n" for line in lines))
-    write_into(folder, CARD_NAME, _card(data, files, description))
-    return card
-
-
-def _card(data: DataSet, files: dict[str, str], description: str) -> str:
     first, channels = data[0], data.channels
     time = channels.n_u + channels.n_q + 1
     inputs = [
@@ -63,7 +58,7 @@ def _card(data: DataSet, files: dict[str, str], description: str) -> str:
         ]
         for split in data.splits
     }
-    card = {
+    content = {
         "name": data.name,
         "description": description,
         "dt": data.dt,
@@ -73,4 +68,5 @@ def _card(data: DataSet, files: dict[str, str], description: str) -> str:
         "coordinates": coordinates,
         "splits": splits,
     }
-    return tomli_w.dumps(card)
+    write_into(folder, CARD_NAME, tomli_w.dumps(content))
+    return card

@@ -15,6 +15,7 @@ try:
 except ImportError:  # Windows: two runs in one folder are not kept apart there
     fcntl = None
 
+FIGURE_ENDINGS = (".png", ".svg", ".pdf")  # formats of figures
 PART = ".part"  # how the name of a file ends while it is written
 
 

@@ -30,6 +30,33 @@ class _Header(Declaration):
     versions: dict[str, str] = Field(default_factory=dict)
 
 
+class Judgement(Declaration):
+    """The free runs by which a model was judged when it was fitted.
+
+    Attributes:
+        start: where they started.
+        horizon: how long each lasted at most [s], None for whole records.
+        split: split of the records; `left out` of a selection, whose folds left them out.
+    """
+
+    start: str
+    horizon: float | None = Field(default=None, gt=0)
+    split: str = ""
+
+
+def judgement_in_header(header: Mapping[str, Any], path: str | Path) -> Judgement | None:
+    """The free runs by which the model of a file was judged, None where the file says none.
+
+    Raises:
+        InputError: the file says something else there.
+    """
+    scores = header.get("scores")
+    if not isinstance(scores, dict) or "start" not in scores:
+        return None
+    content = {key: scores[key] for key in Judgement.model_fields if key in scores}
+    return declare(content, Judgement, f"{path}, scores")
+
+
 def read_header(path: str | Path) -> dict[str, Any]:
     """The JSON header of a model file.
 

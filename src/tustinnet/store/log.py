@@ -2,8 +2,9 @@
 
 import dataclasses
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -69,7 +70,15 @@ def _valid_epochs(content: bytes) -> list[dict[str, Any]]:
     """The epochs of a log up to the first line that is none."""
     epochs = []
     for entry in _entries(content):
-        if not _has_types(entry, _TYPES) or not _follows(entry, epochs):
+        last = epochs[-1] if epochs else None
+        if not _has_types(entry, _TYPES):
+            break
+        if last is None or entry["stage"] != last["stage"]:
+            follows = entry["epoch"] == 1
+        else:  # the next one, or one that was taken back
+            again = entry["epoch"] == last["epoch"] and bool(last["event"])
+            follows = again or entry["epoch"] == last["epoch"] + 1
+        if not follows:
             break
         epochs.append(entry)
     return epochs
@@ -92,15 +101,6 @@ def _has_types(entry: Mapping[str, Any], types: Mapping[str, Any]) -> bool:
     return entry.keys() == types.keys() and all(
         isinstance(entry[key], kind) for key, kind in types.items()
     )
-
-
-def _follows(entry: Mapping[str, Any], before: Sequence[Mapping[str, Any]]) -> bool:
-    """Whether an epoch comes after others: the next one, one that was taken back, a new stage."""
-    if not before or entry["stage"] != before[-1]["stage"]:
-        return entry["epoch"] == 1
-    last = before[-1]
-    again = entry["epoch"] == last["epoch"] and bool(last["event"])
-    return again or entry["epoch"] == last["epoch"] + 1
 
 
 class TrainingLog:
@@ -140,15 +140,12 @@ class SearchLog:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._file: _Lines | None = None
 
-    @property
+    @cached_property
     def _lines(self) -> "_Lines":
         """The file, made with the first line: what is refused before leaves none behind."""
-        if self._file is None:
-            write_into(self._folder, LOG, "")
-            self._file = _Lines(self._folder / LOG)
-        return self._file
+        write_into(self._folder, LOG, "")
+        return _Lines(self._folder / LOG)
 
     def write_iteration(self, iteration: Iteration) -> None:
         """Adds an iteration."""
@@ -161,8 +158,8 @@ class SearchLog:
 
     def close(self) -> None:
         """Ends it."""
-        if self._file is not None:
-            self._file.close()
+        if "_lines" in self.__dict__:
+            self._lines.close()
 
 
 class _Lines:

@@ -351,13 +351,8 @@ def _log_training(
 ) -> Listener:
     """A listener of trainings that also writes logs and checkpoints, a folder each.
 
-    Args:
-        plan: the trainings, which run together.
-        folder: the folder of the run.
-        before: progress of members that go on from a checkpoint.
-        listener: the listener of the user.
-        stack: closes the files, and writes the last state, so that a training that was
-            interrupted or stopped can go on from there.
+    The stack closes the files and writes the last state, so that a training that was interrupted
+    or stopped can go on from there.
     """
     folders = [folder / member.name for member in plan.members]
     for place in folders:

@@ -29,15 +29,20 @@ def thin(signals: Float[np.ndarray, "n c"], points: int) -> Int[np.ndarray, " m"
     n, length = len(signals), 2
     if n <= points:
         return np.arange(n)
-    samples = _find_extremes(signals, length)
+    samples = find_extremes(signals, length)
     while len(samples) > points and length < n:
         length = max(length + 1, int(_GROWTH * length))
-        samples = _find_extremes(signals, length)
+        samples = find_extremes(signals, length)
     return samples
 
 
-def _find_extremes(signals: Float[np.ndarray, "n c"], length: int) -> Int[np.ndarray, " m"]:
-    """Indices of the samples at which any signal is smallest or largest in its stretch."""
+def find_extremes(signals: Float[np.ndarray, "n c"], length: int) -> Int[np.ndarray, " m"]:
+    """Indices of both ends, and of the samples where a signal is extreme in its stretch.
+
+    Args:
+        signals: a column each, NaN where there is a gap.
+        length: samples of a stretch; one of nothing but NaN stays a gap.
+    """
     n, stretches = len(signals), -(-len(signals) // length)
     padded = np.full((stretches * length, signals.shape[1]), np.nan)
     padded[:n] = signals
