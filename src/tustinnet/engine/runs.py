@@ -176,18 +176,35 @@ def evaluate(
 def make_step(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """A function that steps a discrete model without parameters once: `step(x, u) -> x`.
 
-    It uses memory of its own, so each thread needs one of its own.
+    It uses memory of its own, so each thread needs one of its own. It raises an `InputError` for
+    arrays that are not (n_x,) and (n_u,).
 
     Raises:
         InputError: an engine that there is not.
     """
     from tustinnet.engine import by_jax, by_machine_code
 
-    return _dispatch(
+    next_state = _dispatch(
         lambda: by_machine_code.make_step(equations),
         lambda: by_jax.make_step(equations),
         lambda: equations.program,
     )
+    state_shape, input_shape = (equations.n_x,), (equations.n_u,)
+
+    def step(state: np.ndarray, inputs: np.ndarray) -> np.ndarray:
+        if np.shape(state) != state_shape:
+            raise InputError(
+                equations.where, f"a state of shape {np.shape(state)}", f"{state_shape}",
+                "give all positions, then all velocities, then the internal states",
+            )  # fmt: skip
+        if np.shape(inputs) != input_shape:
+            raise InputError(
+                equations.where, f"inputs of shape {np.shape(inputs)}", f"{input_shape}",
+                "give an array with a number for each input",
+            )  # fmt: skip
+        return next_state(state, inputs)
+
+    return step
 
 
 def current_engine() -> str:
