@@ -54,8 +54,10 @@ ANGLES = np.concatenate([
 def test_elementary_functions_are_those_of_numpy(name, lanes):
     """Within 4 units of the last place; also what is no finite number."""
     module = Module(lanes)
-    f = module.function("all", "ptr %x, ptr %y, i64 %n", is_internal=False)
-    with f.loop(0, "%n") as i:
+    with (
+        module.procedure("all", "ptr %x, ptr %y, i64 %n", is_internal=False) as f,
+        f.loop(0, "%n") as i,
+    ):
         x = f.load("%x", i)
         if name in ("sin", "cos"):
             pair = f"{{ {module.v}, {module.v} }}"
@@ -64,8 +66,6 @@ def test_elementary_functions_are_those_of_numpy(name, lanes):
         else:
             value = _WRITERS[name](f, x)
         f.store(value, "%y", i)
-    f.line("ret void")
-    module.finish(f)
     from ctypes import c_int64, c_void_p
 
     function = compile_module(module.text()).function("all", (c_void_p, c_void_p, c_int64))

@@ -96,6 +96,23 @@ def test_inputs_and_results_are_left_alone():
     assert (u == 1).all()
 
 
+@pytest.mark.parametrize("engine", ["llvm", "jax"])
+@pytest.mark.parametrize(
+    ("x", "u", "message"),
+    [
+        (np.zeros(3), np.zeros(1), r"a state of shape \(3,\); expected \(4,\); give all positions"),
+        (np.zeros(1), np.zeros(1), r"a state of shape \(1,\); expected \(4,\)"),
+        (np.zeros(4), np.zeros(2), r"inputs of shape \(2,\); expected \(1,\)"),
+        (np.zeros(4), np.zeros(0), r"inputs of shape \(0,\); expected \(1,\)"),
+    ],
+)
+def test_arrays_of_other_sizes_are_refused(engine, x, u, message, monkeypatch):
+    monkeypatch.setenv("TUSTINNET_ENGINE", engine)
+    step = tn.compiled_step(network((ARM, ELBOW)))
+    with pytest.raises(tn.InputError, match=rf"the model \(TustinNet\): {message}"):
+        step(x, u)
+
+
 def test_a_model_without_inputs_steps():
     system = tn.LagrangianSystem(
         name="mass", coordinates=(SLIDE,), inputs=(), parameters=(),

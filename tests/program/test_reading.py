@@ -62,6 +62,20 @@ def same(function, *values: np.ndarray, atol: float = 1e-14) -> None:
         ),
         lambda x: x[:0], jax.checkpoint(lambda x: jnp.sin(x) ** 2),
         lambda x: jnp.interp(0.3, jnp.arange(10.0), x),
+        lambda x: jnp.interp(x, jnp.linspace(-1, 2, 7), jnp.arange(7.0) ** 2),
+        lambda x: jnp.interp(x[5], jnp.arange(10.0), x), lambda x: jnp.interp(x, x[:4], x[4:8]),
+        lambda x: jnp.searchsorted(jnp.linspace(-2, 2, 9), x, side="right"),
+        lambda x: jnp.searchsorted(jnp.arange(3.0), x, method="compare_all"),
+        lambda x: jnp.digitize(x, jnp.linspace(-2, 2, 5)),
+        lambda x: x[jnp.argmax(x)], lambda x: jnp.argmin(x.reshape(2, 5), axis=1),
+        lambda x: jnp.argmax(jnp.log(x)), lambda x: x[x[0].astype(int)],
+        lambda x: x.reshape(2, 5)[x[6].astype(int) - 1, (2 * x[5:]).astype(int) % 5],
+        lambda x: jax.lax.dynamic_slice(x, (x[-2].astype(int) * 5,), (3,)),
+        lambda x: jax.lax.dynamic_slice(x.reshape(2, 5), (x[6].astype(int), 1), (1, 2)),
+        lambda x: x.astype(int) // 2 + x.astype(int) % 2, lambda x: jnp.isfinite(1 / x) * 1.0,
+        lambda x: jnp.nan_to_num(jnp.sqrt(x)),
+        lambda x: jnp.select([x < -1, x > 1], [x**2, 2 * x], 0.5),
+        lambda x: jnp.piecewise(x, [x < 0, x >= 1], [lambda y: -y, lambda y: y**2, 0.3]),
     ],
 )  # fmt: skip
 def test_what_jax_computes_a_program_computes(function):
@@ -111,6 +125,23 @@ def test_the_same_thing_is_computed_once():
     assert program.operations == 2
 
 
+def test_a_counter_that_is_an_index_is_no_choice_and_an_index_in_a_long_loop_is_one():
+    def by_counter(x):
+        return jax.lax.fori_loop(0, 10, lambda i, y: jnp.sin(y) * x[i], x)
+
+    def by_state(x):
+        table = jnp.arange(5.0)
+        return jax.lax.scan(lambda y, _: (jnp.sin(y) + table[y[0].astype(int)], None), x,
+                            None, 40)[0]  # fmt: skip
+
+    same(by_counter, EDGES)
+    same(by_state, EDGES)
+    operations = [n.op for n in read(lambda x: {"out": by_counter(x)}, {"x": 10}).nodes]
+    assert "select" not in operations
+    (loop,) = read(lambda x: {"out": by_state(x)}, {"x": 10}).loops
+    assert loop.length == 40
+
+
 def blur(x):
     return jax.lax.conv(x[None, None], jnp.ones((1, 1, 3)), (1,), "SAME")[0, 0]
 
@@ -123,8 +154,10 @@ def test_what_has_no_rule_is_refused_by_name_and_place():
 @pytest.mark.parametrize(
     ("function", "message"),
     [
-        (lambda x: x[jnp.argmax(x)], "argmax"),
-        (lambda x: x[x[0].astype(int)], "by an index that depends on the state"),
+        (lambda x: jnp.sort(x), r"'sort', in <lambda> .*jnp.minimum"),
+        (lambda x: x.at[x[0].astype(int)].set(1.0), "by an index that depends on the .*jnp.where"),
+        (lambda x: jnp.tile(x, 30)[x[0].astype(int)], "in more than 256 places"),
+        (lambda x: jnp.take(x, x[:2].astype(int)), "as batched or filled"),
         (lambda x: jax.lax.while_loop(lambda y: y[0] < 9, lambda y: 2 * y + 1, x), "whose end"),
     ],
 )

@@ -13,8 +13,12 @@ from jaxtyping import Float, Int
 from tustinnet.cores import count_cores
 from tustinnet.engine.equations import Equations, Formula, ResidualFormula
 from tustinnet.engine.kernels import (
+    COMPARE,
     LANE,
+    MAP,
     MOST_ORDER,
+    RUN,
+    STEP,
     Kernel,
     compare_kernel,
     map_kernel,
@@ -26,17 +30,11 @@ from tustinnet.engine.machine import compile_module, width
 from tustinnet.engine.runs import Comparison, Directions, Runs, Samples
 from tustinnet.program.numbers import run
 
+_TYPES = {"ptr": ctypes.c_void_p, "i64": ctypes.c_int64}
 _ALIGNED = 64  # bytes
 _CACHED = 192  # functions
 _FEW_OPERATIONS = 30_000  # of a formula, up to which NumPy does them and nothing is compiled
 _operations: WeakKeyDictionary[Formula, int] = WeakKeyDictionary()  # of each, done by NumPy
-_POINTER, _WHOLE = ctypes.c_void_p, ctypes.c_int64
-_RUN = (_WHOLE, _WHOLE, _POINTER, _POINTER, _WHOLE, _WHOLE, *[_POINTER] * 5, _WHOLE, _POINTER)
-_COMPARE = (
-    _WHOLE, _WHOLE, _POINTER, _POINTER, _WHOLE, _WHOLE, *[_POINTER] * 5, _WHOLE, _WHOLE,
-    *[_POINTER] * 7,
-)  # fmt: skip
-_MAP = (_WHOLE, _POINTER, _POINTER, _POINTER)
 
 
 def simulate(equations: Equations, runs: Runs, substeps: int) -> Float[np.ndarray, "rows n_x"]:
@@ -45,7 +43,7 @@ def simulate(equations: Equations, runs: Runs, substeps: int) -> Float[np.ndarra
     # once for both
     has_layers = any(node.op == "product" for node in equations.program.nodes)
     lanes = 2 * width() if has_layers and len(runs.steps) > width() else width()
-    function, constants = _function(run_kernel, "run", _RUN, equations, lanes)
+    function, constants = _function(run_kernel, "run", RUN, equations, lanes)
     states = np.zeros((runs.samples, equations.n_x))
     measured = np.zeros((1, 0)) if runs.measured is None else _contiguous(runs.measured)
     table = _table(runs, lanes)
@@ -67,7 +65,7 @@ def compare(
 ) -> Comparison:  # fmt: skip
     """Products of residuals and derivatives, see `runs.compare`."""
     lanes = width()
-    function, constants = _function(compare_kernel, "compare", _COMPARE, equations, residual, lanes)
+    function, constants = _function(compare_kernel, "compare", COMPARE, equations, residual, lanes)
     n_r, n_d, n_x = directions.seeds.shape
     result = Comparison(
         np.zeros((n_r, n_d, n_d)), np.zeros((n_r, n_d)), np.zeros(n_r),
@@ -106,7 +104,7 @@ def evaluate(
         rows = [run(program, x=point)["value"] for point in _contiguous(points)]
         return np.stack(rows) if rows else np.zeros((0, output_size(program, "value")))
     function, constants = _function(
-        map_kernel, "map", _MAP, formula, width(), derivatives=derivatives
+        map_kernel, "map", MAP, formula, width(), derivatives=derivatives
     )
     values, points = np.zeros((len(points), output_size(program, "value"))), _contiguous(points)
     if values.size:
@@ -116,7 +114,7 @@ def evaluate(
 
 def make_step(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """A function that steps a discrete model once; see `runs.make_step`."""
-    function, constants = _load(step_kernel(equations), "step", (_POINTER,) * 4)
+    function, constants = _load(step_kernel(equations), "step", STEP)
     n_x, n_u = equations.n_x, equations.n_u
     # memory of its own, whose addresses are known: asking an array for its address takes longer
     # than the step
@@ -154,17 +152,15 @@ def _arrays(runs: Runs) -> list[np.ndarray]:
 
 @lru_cache(_CACHED)
 def _function(
-    make_kernel: Callable[..., Kernel],
-    name: str,
-    types: tuple[Any, ...],
-    *args: Any,
-    **options: Any,
+    make_kernel: Callable[..., Kernel], name: str, signature: str, *args: Any, **options: Any
 ) -> tuple[Any, np.ndarray]:
     """The compiled function of a kernel, and the constants that it reads; made once."""
-    return _load(make_kernel(*args, **options), name, types)
+    return _load(make_kernel(*args, **options), name, signature)
 
 
-def _load(kernel: Kernel, name: str, types: tuple[Any, ...]) -> tuple[Any, np.ndarray]:
+def _load(kernel: Kernel, name: str, signature: str) -> tuple[Any, np.ndarray]:
+    """A function of a kernel that is compiled, and the constants that it reads."""
+    types = [_TYPES[parameter.split()[0]] for parameter in signature.split(", ")]
     function = compile_module(kernel.text).function(name, types)
     return function, np.array([*kernel.constants, 0.0])
 

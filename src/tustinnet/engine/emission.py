@@ -1,6 +1,6 @@
 """Programs written in LLVM's language, operation by operation, with one value for all lanes."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -160,10 +160,7 @@ class Emission:
 
     def _constant(self, value: float | bool) -> Number:
         if isinstance(value, bool):
-            m = self.module
-            word = "true" if value else "false"
-            text = word if m.lanes == 1 else "<" + ", ".join([f"i1 {word}"] * m.lanes) + ">"
-            return Number(text, truth=True)
+            return Number(self.module.constant("i1", "true" if value else "false"), truth=True)
         whole = abs(value) <= _LITERAL and value * 2 == round(value * 2)
         if whole or value != value:
             return Number(self.module.number(value))
@@ -196,25 +193,26 @@ class Emission:
         """The place of a value's numbers in memory; they are stored there if need be."""
         if isinstance(value, Vector) and value.pointer is not None:
             return value.pointer
-        f, numbers = self.function, self.numbers(value)
-        pointer = f.memory(len(numbers))
-        for i, number in enumerate(numbers):
-            f.store(self.as_number(number), pointer, i)
+        pointer = self.function.memory(value.size if isinstance(value, Vector) else 1)
+        self.store(value, pointer)
         return pointer
 
-    def for_each_number(self, value: Value, use: Callable[[str, str | int], None]) -> None:
-        """Writes code for every number of a value, as a loop for a long vector.
+    def each_number(self, value: Value) -> Iterator[tuple[str, str | int]]:
+        """Every number of a value and its index, while their use is written.
 
-        Args:
-            value: the value.
-            use: writes it for a number and its index.
+        A long vector has one number and index, in a loop that is written around their use.
         """
         if isinstance(value, Vector) and value.pointer is not None and value.size >= LONG:
             with self.function.loop(0, value.size) as i:
-                use(self.function.load(value.pointer, i), i)
+                yield self.function.load(value.pointer, i), i
             return
         for i, number in enumerate(self.numbers(value)):
-            use(self.as_number(number), i)
+            yield self.as_number(number), i
+
+    def store(self, value: Value, pointer: str, first: int = 0) -> None:
+        """Writes that the numbers of a value go to memory, from some place on."""
+        for i, number in enumerate(self.numbers(value), first):
+            self.function.store(self.as_number(number), pointer, i)
 
     def as_number(self, number: Number) -> str:
         """The name of a number; a truth is converted to 1 or 0."""
@@ -302,8 +300,7 @@ class Emission:
         carried = f.memory(total)
         offsets = np.cumsum([0, *loop.carried_sizes]).tolist()
         for value, offset in zip(args[first:last], offsets, strict=False):
-            for i, number in enumerate(self.numbers(value)):
-                f.store(self.as_number(number), carried, offset + i)
+            self.store(value, carried, offset)
         pointers = {
             name: self._in_memory(value)
             for place, (name, value) in enumerate(zip(names, args, strict=True))
@@ -327,9 +324,8 @@ class Emission:
         if op == "select":
             condition = self._truth(args[0])
             if truth:
-                return Number(
-                    f.choose(condition, self._truth(args[1]), self._truth(args[2])), truth=True
-                )
+                truths = map(self._truth, args[1:])
+                return Number(f.select(condition, *truths, m.truth), truth=True)
             return Number(f.select(condition, self.as_number(args[1]), self.as_number(args[2])))
         if op in _LOGIC:
             operands = [self._truth(a) for a in args]

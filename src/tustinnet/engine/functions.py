@@ -100,9 +100,7 @@ def _whole_type(module: Module) -> str:
 
 
 def _whole(module: Module, value: int) -> str:
-    if module.lanes == 1:
-        return str(value)
-    return "<" + ", ".join([f"i64 {value}"] * module.lanes) + ">"
+    return module.constant("i64", value)
 
 
 def _nearest(f: Function, x: str, scale: float) -> tuple[str, str]:
@@ -132,16 +130,6 @@ def _series(f: Function, z: str, coefficients: list[float]) -> str:
     return value
 
 
-def _any(f: Function, truth: str) -> str:
-    """Whether a truth holds in some lane."""
-    m = f.module
-    if m.lanes == 1:
-        return truth
-    name = f"llvm.vector.reduce.or.v{m.lanes}i1"
-    m.once(name, lambda: f"declare i1 @{name}({m.truth})")
-    return f.value(f"call i1 @{name}({m.truth} {truth})")
-
-
 def sine_and_cosine(module: Module) -> str:
     """Sine and cosine of an angle as a pair; the name of the function in the module."""
 
@@ -151,9 +139,12 @@ def sine_and_cosine(module: Module) -> str:
         slow, fast = f.label(), f.label()
         size = f.call(intrinsic(m, "fabs"), "%x")
         is_near = f.compare("olt", size, m.number(_REDUCED))
-        ones = "true" if m.lanes == 1 else "<" + ", ".join(["i1 true"] * m.lanes) + ">"
-        beyond = _any(f, f.value(f"xor {m.truth} {is_near}, {ones}"))
-        f.line(f"br i1 {beyond}, label %{slow}, label %{fast}")
+        is_far = f.value(f"xor {m.truth} {is_near}, {m.constant('i1', 'true')}")
+        if m.lanes > 1:  # in some lane
+            name = f"llvm.vector.reduce.or.v{m.lanes}i1"
+            m.once(name, lambda: f"declare i1 @{name}({m.truth})")
+            is_far = f.value(f"call i1 @{name}({m.truth} {is_far})")
+        f.line(f"br i1 {is_far}, label %{slow}, label %{fast}")
 
         def return_pair(sine: str, cosine: str) -> None:
             one = f.value(f"insertvalue {pair} poison, {m.v} {sine}, 0")

@@ -6,6 +6,8 @@ Lanes are runs of any lengths: a run that has ended stands still until the longe
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from tustinnet.engine.emission import Constants, Emission
 from tustinnet.engine.equations import Equations, Formula, ResidualFormula
 from tustinnet.engine.text import Function, Module
@@ -52,24 +54,28 @@ STEP = "ptr %constants, ptr %x, ptr %u, ptr %out"
 MOST_ORDER = 8  # coefficients of the polynomials that inputs follow between samples
 
 
+def _kernel(lanes: int, write: Callable[[Module, Constants], object]) -> Kernel:
+    """The kernel of a module that a function writes."""
+    module, constants = Module(lanes), Constants()
+    write(module, constants)
+    return Kernel(module.text(), tuple(constants.numbers))
+
+
 def run_kernel(equations: Equations, lanes: int) -> Kernel:
     """Machine code of free runs: the states at all samples."""
-    module, constants = Module(lanes), Constants()
-    write_run(module, equations, constants)
-    return Kernel(module.text(), tuple(constants.numbers))
+    return _kernel(lanes, lambda module, constants: write_run(module, equations, constants))
 
 
 def write_run(module: Module, equations: Equations, constants: Constants) -> None:
     """Writes the function `run`: free runs."""
-    f = module.function("dynamics", DYNAMICS)
-    inputs = {"x": "%x", "u": "%u", "p": "%p", "c": f.at("%p", equations.n_p)}
-    emission = Emission(f, equations.program, inputs, constants, "%constants")
-    for i, number in enumerate(emission.outputs()["x"]):
-        f.store(emission.as_number(number), "%out", i)
-    f.line("ret void")
-    module.finish(f)
-    f = module.function("run", RUN, is_internal=False)
-    with f.loop("%begin", "%end") as group:
+    with module.procedure("dynamics", DYNAMICS) as f:
+        inputs = {"x": "%x", "u": "%u", "p": "%p", "c": f.at("%p", equations.n_p)}
+        emission = Emission(f, equations.program, inputs, constants, "%constants")
+        emission.store(emission.values()["x"], "%out")
+    with (
+        module.procedure("run", RUN, is_internal=False) as f,
+        f.loop("%begin", "%end") as group,
+    ):
         s = _Simulation(f, equations, group)
         with f.loop(0, s.ends) as k:
             s.now(k)
@@ -77,8 +83,6 @@ def write_run(module: Module, equations: Equations, constants: Constants) -> Non
             s.put_back(k)
             with f.when(f.value(f"icmp slt i64 {k}, {s.longest}")):
                 s.advance(k)
-    f.line("ret void")
-    module.finish(f)
 
 
 def write_backward(module: Module, equations: Equations, constants: Constants) -> None:
@@ -88,37 +92,28 @@ def write_backward(module: Module, equations: Equations, constants: Constants) -
     weights is one product of both. The model is discrete.
     """
     n_x, n_u, n_p = equations.n_x, equations.n_u, equations.n_p
-    f = module.function(
-        "adjoints",
+    outputs = layer_outputs(equations)
+    sizes = [output_size(equations.adjoints.program, name) for name in outputs]
+    arguments = (
         "ptr noalias %constants, ptr noalias %x, ptr noalias %u, ptr noalias %p, "
-        "ptr noalias %adjoint, ptr noalias %by_p, i64 %span, i64 %place, ptr noalias %layers",
+        "ptr noalias %adjoint, ptr noalias %by_p, i64 %span, i64 %place, ptr noalias %layers"
     )
-    inputs = {"x": "%x", "u": "%u", "p": "%p", "c": f.at("%p", n_p), ADJOINT: "%adjoint"}
-    emission = Emission(f, equations.adjoints.program, inputs, constants, "%constants")
-    values = emission.values()
-
-    def add_to_sum(number: str, i: str | int) -> None:
-        f.store(f.apply("fadd", f.load("%by_p", i), number), "%by_p", i)
-
-    def keep_from(row: int) -> Callable[[str, str | int], None]:
-        def keep(number: str, i: str | int) -> None:
-            begin = f.whole("mul", f.whole("add", i, row), "%span")
-            f.store(number, "%layers", f.whole("add", begin, "%place"), aligned=False)
-
-        return keep
-
-    row = 0
-    for name in layer_outputs(equations):
-        emission.for_each_number(values[name], keep_from(row))
-        row += output_size(equations.adjoints.program, name)
-    emission.for_each_number(values["by_p"], add_to_sum)
-    # all has been read before the adjoint is replaced
-    for i, number in enumerate(emission.numbers(values["by_x"])):
-        f.store(emission.as_number(number), "%adjoint", i)
-    f.line("ret void")
-    module.finish(f)
-    f = module.function("backward", BACKWARD, is_internal=False)
-    with f.loop("%begin", "%end") as group:
+    with module.procedure("adjoints", arguments) as f:
+        inputs = {"x": "%x", "u": "%u", "p": "%p", "c": f.at("%p", n_p), ADJOINT: "%adjoint"}
+        emission = Emission(f, equations.adjoints.program, inputs, constants, "%constants")
+        values = emission.values()
+        for name, row in zip(outputs, np.cumsum([0, *sizes]).tolist(), strict=False):
+            for number, i in emission.each_number(values[name]):
+                begin = f.whole("mul", f.whole("add", i, row), "%span")
+                f.store(number, "%layers", f.whole("add", begin, "%place"), aligned=False)
+        for number, i in emission.each_number(values["by_p"]):
+            f.store(f.apply("fadd", f.load("%by_p", i), number), "%by_p", i)
+        # all has been read before the adjoint is replaced
+        emission.store(values["by_x"], "%adjoint")
+    with (
+        module.procedure("backward", BACKWARD, is_internal=False) as f,
+        f.loop("%begin", "%end") as group,
+    ):
         s = _Lanes(f, group)
         x, u, p = f.memory(n_x), f.memory(n_u), f.memory(n_p + equations.n_c)
         adjoint, by_p = f.memory(n_x), f.memory(n_p)
@@ -143,14 +138,12 @@ def write_backward(module: Module, equations: Equations, constants: Constants) -
                 _gather(f, s.rows("result"), n_x, "%states", x)
                 _gather(f, s.rows("first"), n_u, "%drive", u)
                 place = f.whole("add", begin, before)
-                f.line(
-                    f"call void @adjoints(ptr %constants, ptr {x}, ptr {u}, ptr {p}, "
-                    f"ptr {adjoint}, ptr {by_p}, i64 %span, i64 {place}, ptr %layers)"
-                )
+                f.run(
+                    "adjoints", arguments, constants="%constants", x=x, u=u, p=p, adjoint=adjoint,
+                    by_p=by_p, span="%span", place=place, layers="%layers",
+                )  # fmt: skip
         s.hand_over(by_p, n_p, "%by_p")
         s.hand_over(adjoint, n_x, "%by_start")
-    f.line("ret void")
-    module.finish(f)
 
 
 def layer_outputs(equations: Equations) -> list[str]:
@@ -161,9 +154,9 @@ def layer_outputs(equations: Equations) -> list[str]:
 
 def compare_kernel(equations: Equations, residual: ResidualFormula, lanes: int) -> Kernel:
     """Machine code of free runs with derivatives: products of these and of residuals."""
-    module, constants = Module(lanes), Constants()
-    write_compare(module, equations, residual, constants)
-    return Kernel(module.text(), tuple(constants.numbers))
+    return _kernel(
+        lanes, lambda module, constants: write_compare(module, equations, residual, constants)
+    )
 
 
 def write_compare(
@@ -171,8 +164,10 @@ def write_compare(
 ) -> None:
     """Writes the function `compare`: free runs with derivatives, compared with samples."""
     structure = _write_derivatives(module, equations, constants)
-    f = module.function("compare", COMPARE, is_internal=False)
-    with f.loop("%begin", "%end") as group:
+    with (
+        module.procedure("compare", COMPARE, is_internal=False) as f,
+        f.loop("%begin", "%end") as group,
+    ):
         s = _Sensitivities(f, equations, structure, residual, constants, group)
         with f.loop(0, s.ends) as k:
             s.now(k)
@@ -180,46 +175,42 @@ def write_compare(
             with f.when(f.value(f"icmp slt i64 {k}, {s.longest}")):
                 s.advance(k)
         s.hand_products_over()
-    f.line("ret void")
-    module.finish(f)
 
 
 def map_kernel(formula: Formula, lanes: int, *, derivatives: bool) -> Kernel:
     """Machine code of a formula at many points, or of its derivatives, from rows to rows."""
-    module, constants = Module(lanes), Constants()
     program = formula.derivatives if derivatives else formula.program
-    n_in = formula.size
-    f = module.function("map", MAP, is_internal=False)
-    x = f.memory(n_in)
-    rounds = f.whole("sdiv", f.whole("add", "%count", lanes - 1), lanes)
-    last = f.whole("sub", "%count", 1)
-    with f.loop(0, rounds) as turn:
-        rows = []
-        for lane in range(lanes):
-            row = f.whole("add", f.whole("mul", turn, lanes), lane)
-            beyond = f.value(f"icmp sgt i64 {row}, {last}")
-            rows.append(f.value(f"select i1 {beyond}, i64 {last}, i64 {row}"))
-        _gather(f, rows, n_in, "%in", x)
-        emission = Emission(f, program, {"x": x}, constants, "%constants")
-        values = [emission.as_number(number) for number in emission.outputs()["value"]]
-        for lane, row in enumerate(rows):
-            _store_row(f, lane, values, "%out", row)
-    f.line("ret void")
-    module.finish(f)
-    return Kernel(module.text(), tuple(constants.numbers))
+
+    def write(module: Module, constants: Constants) -> None:
+        with module.procedure("map", MAP, is_internal=False) as f:
+            x = f.memory(formula.size)
+            rounds = f.whole("sdiv", f.whole("add", "%count", lanes - 1), lanes)
+            last = f.whole("sub", "%count", 1)
+            with f.loop(0, rounds) as turn:
+                rows = []
+                for lane in range(lanes):
+                    row = f.whole("add", f.whole("mul", turn, lanes), lane)
+                    beyond = f.value(f"icmp sgt i64 {row}, {last}")
+                    rows.append(f.value(f"select i1 {beyond}, i64 {last}, i64 {row}"))
+                _gather(f, rows, formula.size, "%in", x)
+                emission = Emission(f, program, {"x": x}, constants, "%constants")
+                values = [emission.as_number(number) for number in emission.outputs()["value"]]
+                for lane, row in enumerate(rows):
+                    _store_row(f, lane, values, "%out", row)
+
+    return _kernel(lanes, write)
 
 
 def step_kernel(equations: Equations) -> Kernel:
     """Machine code of one step of a discrete model without parameters, with one lane."""
-    module, constants = Module(1), Constants()
-    f = module.function("step", STEP, is_internal=False)
-    inputs = {"x": "%x", "u": "%u", "p": "%x", "c": "%x"}  # of the last two there are none
-    emission = Emission(f, equations.program, inputs, constants, "%constants")
-    for i, number in enumerate(emission.outputs()["x"]):
-        f.store(emission.as_number(number), "%out", i)
-    f.line("ret void")
-    module.finish(f)
-    return Kernel(module.text(), tuple(constants.numbers))
+
+    def write(module: Module, constants: Constants) -> None:
+        with module.procedure("step", STEP, is_internal=False) as f:
+            inputs = {"x": "%x", "u": "%u", "p": "%x", "c": "%x"}  # of the last two there are none
+            emission = Emission(f, equations.program, inputs, constants, "%constants")
+            emission.store(emission.values()["x"], "%out")
+
+    return _kernel(1, write)
 
 
 def output_size(program: Program, name: str) -> int:
@@ -250,34 +241,27 @@ def _write_derivatives(module: Module, equations: Equations, constants: Constant
     computed before the loop.
     """
     n_x, n_p, program = equations.n_x, equations.n_p, equations.derivatives
-    f = module.function("dynamics", DYNAMICS)
-    adjoint = f.memory(n_x)
-    inputs = {"x": "%x", "u": "%u", "p": "%p", "c": f.at("%p", n_p), ADJOINT: adjoint}
-    emission = Emission(f, program, inputs, constants, "%constants")
-    in_loop = program.nodes_depending_on(ADJOINT)
-    emission.compute(i for i in range(len(program.nodes)) if i not in in_loop)
     # velocities stand in the state: their rows are known
     copies = equations.program.copies("x", "x")
     rows = [i for i, j in enumerate(copies) if j is None]
     zero, one = module.number(0.0), module.number(1.0)
-    with f.loop(min(rows, default=0), max(rows, default=-1) + 1) as row:
-        with f.loop(0, n_x) as i:
-            f.store(zero, adjoint, i)
-        f.store(one, adjoint, row)
-        values = emission.values()
-
-        def keep(into: str, step: int, first: str) -> Callable[..., None]:
-            def store(number: str, i: str | int) -> None:
-                f.store(number, into, f.whole("add", f.whole("mul", i, step), first))
-
-            return store
-
-        emission.for_each_number(values["by_x"], keep("%by_x", 1, f.whole("mul", row, n_x)))
-        emission.for_each_number(values["by_p"], keep("%by_p", n_x, row))
-    for i, number in enumerate(emission.numbers(values["x"])):
-        f.store(emission.as_number(number), "%out", i)
-    f.line("ret void")
-    module.finish(f)
+    with module.procedure("dynamics", DYNAMICS) as f:
+        adjoint = f.memory(n_x)
+        inputs = {"x": "%x", "u": "%u", "p": "%p", "c": f.at("%p", n_p), ADJOINT: adjoint}
+        emission = Emission(f, program, inputs, constants, "%constants")
+        in_loop = program.nodes_depending_on(ADJOINT)
+        emission.compute(i for i in range(len(program.nodes)) if i not in in_loop)
+        with f.loop(min(rows, default=0), max(rows, default=-1) + 1) as row:
+            with f.loop(0, n_x) as i:
+                f.store(zero, adjoint, i)
+            f.store(one, adjoint, row)
+            values = emission.values()
+            begin = f.whole("mul", row, n_x)
+            for number, i in emission.each_number(values["by_x"]):
+                f.store(number, "%by_x", f.whole("add", f.whole("mul", i, 1), begin))
+            for number, i in emission.each_number(values["by_p"]):
+                f.store(number, "%by_p", f.whole("add", f.whole("mul", i, n_x), row))
+        emission.store(values["x"], "%out")
     depends = equations.program.dependencies("x")
     return _Structure(
         tuple(copies),
@@ -397,7 +381,7 @@ class _Simulation(_Lanes):
 
     def put_back(self, k: str) -> None:
         """Writes that measured positions and velocities take the place of the simulated ones."""
-        f, n, n_x = self.f, self.f.module.n, self.equations.n_x
+        f, n_x = self.f, self.equations.n_x
         with f.when(f.value("icmp sgt i64 %n_measured, 0")):
             truths = [
                 f.value(f"icmp slt i64 {k}, {self.column(lane, 'measured')}")
@@ -408,19 +392,14 @@ class _Simulation(_Lanes):
                 with f.when(f.value(f"icmp sgt i64 %n_measured, {i}")):
                     simulated = f.load(self.x, i)
                     measured = _beside(f, bases, i, "%measured")
-                    numbers = [
-                        f.value(f"select i1 {truth}, {n} {f.lane(measured, lane)}, "
-                                f"{n} {f.lane(simulated, lane)}")
-                        for lane, truth in enumerate(truths)
-                    ]  # fmt: skip
-                    f.store(f.together(numbers), self.x, i)
+                    f.store(self.where(truths, measured, simulated), self.x, i)
 
     def dynamics(self, x: str, out: str) -> None:
         """Writes a call of the equations at a state."""
-        self.f.line(
-            f"call void @dynamics(ptr %constants, ptr {x}, ptr {self.u}, ptr {self.p}, "
-            f"ptr {out}, ptr {self.by_x}, ptr {self.by_p})"
-        )
+        self.f.run(
+            "dynamics", DYNAMICS, constants="%constants", x=x, u=self.u, p=self.p, out=out,
+            by_x=self.by_x, by_p=self.by_p,
+        )  # fmt: skip
 
     def advance(self, k: str) -> None:
         """Writes the step from a sample to the next."""

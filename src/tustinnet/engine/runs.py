@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import TypeVar
+from types import ModuleType
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -20,8 +20,6 @@ from tustinnet.program.reading import Unreadable
 
 VARIABLE = "TUSTINNET_ENGINE"  # of the environment
 ENGINES = ("llvm", "jax")
-
-Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -116,13 +114,7 @@ def simulate(equations: Equations, runs: Runs, substeps: int = 1) -> Float[np.nd
     Raises:
         InputError: an engine that there is not.
     """
-    from tustinnet.engine import by_jax, by_machine_code
-
-    return _dispatch(
-        lambda: by_machine_code.simulate(equations, runs, substeps),
-        lambda: by_jax.simulate(equations, runs, substeps),
-        lambda: equations.program,
-    )
+    return _choose_engine(lambda: equations.program).simulate(equations, runs, substeps)
 
 
 def compare(
@@ -146,14 +138,8 @@ def compare(
     Raises:
         InputError: an engine that there is not.
     """
-    from tustinnet.engine import by_jax, by_machine_code
-
-    arguments = equations, residual, runs, substeps, directions, samples
-    return _dispatch(
-        lambda: by_machine_code.compare(*arguments),
-        lambda: by_jax.compare(*arguments),
-        lambda: (equations.program, residual.program),
-    )
+    engine = _choose_engine(lambda: (equations.program, residual.program))
+    return engine.compare(equations, residual, runs, substeps, directions, samples)
 
 
 def evaluate(
@@ -164,30 +150,36 @@ def evaluate(
     Raises:
         InputError: an engine that there is not.
     """
-    from tustinnet.engine import by_jax, by_machine_code
-
-    return _dispatch(
-        lambda: by_machine_code.evaluate(formula, points, derivatives=derivatives),
-        lambda: by_jax.evaluate(formula, points, derivatives=derivatives),
-        lambda: formula.program,
-    )
+    engine = _choose_engine(lambda: formula.program)
+    return engine.evaluate(formula, points, derivatives=derivatives)
 
 
 def make_step(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """A function that steps a discrete model without parameters once: `step(x, u) -> x`.
 
-    It uses memory of its own, so each thread needs one of its own.
+    It uses memory of its own, so each thread needs one of its own. It raises an `InputError` for
+    arrays that are not (n_x,) and (n_u,).
 
     Raises:
         InputError: an engine that there is not.
     """
-    from tustinnet.engine import by_jax, by_machine_code
+    next_state = _choose_engine(lambda: equations.program).make_step(equations)
+    state_shape, input_shape = (equations.n_x,), (equations.n_u,)
 
-    return _dispatch(
-        lambda: by_machine_code.make_step(equations),
-        lambda: by_jax.make_step(equations),
-        lambda: equations.program,
-    )
+    def step(state: np.ndarray, inputs: np.ndarray) -> np.ndarray:
+        if np.shape(state) != state_shape:
+            raise InputError(
+                equations.where, f"a state of shape {np.shape(state)}", f"{state_shape}",
+                "give all positions, then all velocities, then the internal states",
+            )  # fmt: skip
+        if np.shape(inputs) != input_shape:
+            raise InputError(
+                equations.where, f"inputs of shape {np.shape(inputs)}", f"{input_shape}",
+                "give an array with a number for each input",
+            )  # fmt: skip
+        return next_state(state, inputs)
+
+    return step
 
 
 def current_engine() -> str:
@@ -207,22 +199,20 @@ def current_engine() -> str:
     return "llvm"
 
 
-def _dispatch(
-    by_machine_code: Callable[[], Result],
-    by_jax: Callable[[], Result],
-    read: Callable[[], object],
-) -> Result:
-    """The result by machine code, where the equations can be read as a program; else by JAX."""
+def _choose_engine(read: Callable[[], object]) -> ModuleType:
+    """The module of machine code where `read` reads all programs, else that of JAX."""
+    from tustinnet.engine import by_jax, by_machine_code
+
     if current_engine() == "jax":
-        return by_jax()
+        return by_jax
     try:
         read()
     except Unreadable as error:
         # several parts of a system and its model have the same reason
         _, _, reason = str(error).partition(": ")
         warn_once(f"{error}; simulated by JAX instead, which is slower", reason)
-        return by_jax()
-    return by_machine_code()
+        return by_jax
+    return by_machine_code
 
 
 _warned_topics: set[str] = set()

@@ -33,13 +33,12 @@ class Function:
 
     Attributes:
         module: the module that it belongs to.
-        name: its name.
     """
 
     def __init__(
         self, module: "Module", name: str, arguments: str, result: str, is_internal: bool
     ) -> None:
-        self.module, self.name = module, name
+        self.module = module
         # written once and called from several places: inlining would multiply the code
         linkage, mark = ("internal ", " noinline") if is_internal else ("", "")
         self._head = f"define {linkage}{result} @{name}({arguments}){mark}"
@@ -189,15 +188,16 @@ class Function:
         """A truth for every lane."""
         return self.value(f"fcmp {predicate} {self.module.v} {a}, {b}")
 
-    def select(self, condition: str, a: str, b: str) -> str:
-        """One or the other value, chosen for every lane."""
-        m = self.module
-        return self.value(f"select {m.truth} {condition}, {m.v} {a}, {m.v} {b}")
+    def select(self, condition: str, a: str, b: str, kind: str | None = None) -> str:
+        """One or the other value, or truth, chosen for every lane."""
+        kind = kind or self.module.v
+        return self.value(f"select {self.module.truth} {condition}, {kind} {a}, {kind} {b}")
 
-    def choose(self, condition: str, a: str, b: str) -> str:
-        """One or the other truth, chosen for every lane."""
-        t = self.module.truth
-        return self.value(f"select {t} {condition}, {t} {a}, {t} {b}")
+    def run(self, name: str, signature: str, **arguments: object) -> None:
+        """Calls a procedure, its arguments by the names that they have in its signature."""
+        parameters = (parameter.split() for parameter in signature.split(", "))
+        values = [f"{kind} {arguments[name[1:]]}" for kind, *_, name in parameters]
+        self.line(f"call void @{name}({', '.join(values)})")
 
     def call(self, name: str, *values: str) -> str:
         """A function of values that returns one."""
@@ -260,15 +260,19 @@ class Module:
         other._parts = self._parts
         return other
 
-    def function(
-        self, name: str, arguments: str, result: str = "void", *, is_internal: bool = True
-    ) -> Function:
-        """A function that is written next; `finish` adds it."""
-        return Function(self, name, arguments, result, is_internal)
+    def function(self, name: str, arguments: str, result: str = "void") -> Function:
+        """A function for this module alone, whose text is added by `once`."""
+        return Function(self, name, arguments, result, is_internal=True)
 
-    def finish(self, function: Function) -> None:
-        """A function is complete."""
-        self._parts[function.name] = function.text()
+    @contextmanager
+    def procedure(
+        self, name: str, arguments: str, returns: str = "void", *, is_internal: bool = True
+    ) -> Iterator[Function]:
+        """A function with a constant result: code that is written inside is its body."""
+        function = Function(self, name, arguments, returns.split()[0], is_internal)
+        yield function
+        function.line(f"ret {returns}")
+        self._parts[name] = function.text()
 
     def once(self, name: str, write: Callable[[], str]) -> str:
         """A part of the module that is written where it is needed first; its name."""
@@ -281,10 +285,13 @@ class Module:
         """A constant in all lanes."""
         # a number in single precision is written as that in double precision which it is
         exact = value if self.n == "double" else float(np.float32(value))
-        number = f"0x{float_bits(exact) % 2**64:016X}"
+        return self.constant(self.n, f"0x{float_bits(exact) % 2**64:016X}")
+
+    def constant(self, kind: str, value: object) -> str:
+        """A constant of a type such as `i64` in all lanes."""
         if self.lanes == 1:
-            return number
-        return "<" + ", ".join([f"{self.n} {number}"] * self.lanes) + ">"
+            return str(value)
+        return "<" + ", ".join([f"{kind} {value}"] * self.lanes) + ">"
 
     def text(self) -> str:
         """The module as text."""

@@ -23,7 +23,10 @@ from jaxtyping import Array, Float
 from tustinnet.engine.emission import Constants, blocked_layout
 from tustinnet.engine.equations import Equations, ResidualFormula
 from tustinnet.engine.kernels import (
+    BACKWARD,
+    COMPARE,
     LANE,
+    RUN,
     layer_outputs,
     output_size,
     write_backward,
@@ -32,7 +35,7 @@ from tustinnet.engine.kernels import (
 )
 from tustinnet.engine.machine import CompiledModule, compile_module, width
 from tustinnet.engine.runs import warn_once
-from tustinnet.engine.text import Function, Module, Precision
+from tustinnet.engine.text import Function, Module
 from tustinnet.errors import describe_error
 
 _VERSION = (0, 3)  # of the interface
@@ -83,19 +86,11 @@ class Rollouts:
             and sums of squared residuals, (batch,).
         """
         n, n_x = x0.shape
-        function = _target("compare", self._fixed, _lanes(x0), _precision(x0), residual)
+        function = _target("compare", self._fixed, x0, residual)
         shapes = target.shape, (n, n_x, n_x), (n, n_x), (n,)
-        results = [jax.ShapeDtypeStruct(shape, x0.dtype) for shape in shapes]
-        call = jax.ffi.ffi_call(function.name, results, vmap_method="sequential")
         seeds = jnp.broadcast_to(jnp.eye(n_x, dtype=x0.dtype), (n, n_x, n_x))
-        _, lower, gradient, cost = call(
-            function.numbers(weights),
-            _repeat_parameters(p, c, x0),
-            x0,
-            _pad_inputs(u),
-            seeds,
-            target,
-            weight,
+        _, lower, gradient, cost = function.call(
+            shapes, weights, _repeat_parameters(p, c, x0), x0, _pad_inputs(u), seeds, target, weight
         )
         return lower + jnp.swapaxes(jnp.tril(lower, -1), 1, 2), gradient, cost
 
@@ -111,12 +106,10 @@ class Rollouts:
             x0: initial states, (batch, n_x).
             u: inputs of the steps, (batch, steps, n_u).
         """
-        target = _target("run", self._equations, _lanes(x0), _precision(x0))
+        function = _target("run", self._equations, x0)
         shape = (len(x0), u.shape[1] + 1, x0.shape[1])
-        call = jax.ffi.ffi_call(
-            target.name, jax.ShapeDtypeStruct(shape, x0.dtype), vmap_method="sequential"
-        )
-        return call(target.numbers(weights), _repeat_parameters(p, c, x0), x0, _pad_inputs(u))
+        parameters = _repeat_parameters(p, c, x0)
+        return function.call([shape], weights, parameters, x0, _pad_inputs(u))[0]
 
     def _forward(self, *arguments: Any) -> tuple[Array, Any]:
         states = self._states(*arguments)
@@ -125,14 +118,12 @@ class Rollouts:
     def _backward(self, saved: Any, seeds: Array) -> tuple[Any, ...]:
         weights, p, c, x0, u, states = saved
         equations, lanes = self._equations, _lanes(x0)
-        target = _target("backward", equations, lanes, _precision(x0))
+        function = _target("backward", equations, x0)
         sizes = [output_size(equations.adjoints.program, name) for name in layer_outputs(equations)]
         samples = -(-len(x0) // lanes) * u.shape[1] * lanes
         shapes = (sum(sizes), samples), (len(x0), len(p)), x0.shape
-        results = [jax.ShapeDtypeStruct(shape, x0.dtype) for shape in shapes]
-        call = jax.ffi.ffi_call(target.name, results, vmap_method="sequential")
-        layers, by_p, by_x0 = call(
-            target.numbers(weights), _repeat_parameters(p, c, x0), _pad_inputs(u), states, seeds
+        layers, by_p, by_x0 = function.call(
+            shapes, weights, _repeat_parameters(p, c, x0), _pad_inputs(u), states, seeds
         )
         ends = np.cumsum([0, *sizes]).tolist()
         by_weights = dict.fromkeys(equations.matrices)
@@ -157,10 +148,6 @@ def _repeat_parameters(p: Array, c: Array, x0: Array) -> Array:
 def _pad_inputs(u: Array) -> Array:
     """Inputs with a row for every sample, though the last one has no effect."""
     return jnp.pad(u, ((0, 0), (0, 1), (0, 0)))
-
-
-def _precision(x0: Array) -> Precision:
-    return "double" if x0.dtype == np.float64 else "float"
 
 
 def _lanes(x0: Array) -> int:
@@ -213,22 +200,36 @@ class _Target:
             order[place : place + len(layout)] = layout
         self._base, self._order = base, order
 
-    def numbers(self, weights: Sequence[Array]) -> Array:
-        """The constants with the weights among them."""
-        kind = jnp.result_type(*weights)
+    def call(
+        self, shapes: Sequence[tuple[int, ...]], weights: Sequence[Array], *arrays: Array
+    ) -> list[Array]:
+        """Results of some shapes, in the precision of the weights.
+
+        Args:
+            shapes: shapes of the results.
+            weights: the matrices of the layers, in the order of the equations.
+            arrays: all arguments behind the constants, which have the weights among them.
+        """
+        kind = arrays[0].dtype
+        results = [jax.ShapeDtypeStruct(shape, kind) for shape in shapes]
         numbers = [jnp.asarray(self._base, kind), *(jnp.ravel(w) for w in weights)]
-        return jnp.concatenate(numbers)[self._order]
+        call = jax.ffi.ffi_call(self.name, results, vmap_method="sequential")
+        return call(jnp.concatenate(numbers)[self._order], *arrays)
+
+
+def _target(
+    kernel: str, equations: Equations, x0: Array, residual: ResidualFormula | None = None
+) -> _Target:
+    """The function of a kernel for initial states of some number and precision; made once."""
+    return _make_target(kernel, equations, _lanes(x0), x0.dtype == np.float64, residual)
 
 
 @cache
-def _target(
-    kernel: str,
-    equations: Equations,
-    lanes: int,
-    number: Precision,
-    residual: ResidualFormula | None = None,
-) -> _Target:
-    module, constants = Module(lanes, number), Constants()
+def _make_target(
+    kernel: str, equations: Equations, lanes: int, is_double: bool,
+    residual: ResidualFormula | None,
+) -> _Target:  # fmt: skip
+    module, constants = Module(lanes, "double" if is_double else "float"), Constants()
     if kernel == "run":
         write_run(module, equations, constants)
         _write_called(module, _call_run)
@@ -255,19 +256,17 @@ def _register(text: str) -> tuple[str, CompiledModule]:
 
 def _write_called(module: Module, write: Callable[[Function], None]) -> None:
     """Writes the function that XLA calls: it says which interface it has, or does its work."""
-    f = module.function("called", "ptr %call", "ptr", is_internal=False)
-    extension = _field(f, "%call", _EXTENSION, "ptr")
-    with f.when(f.value(f"icmp ne ptr {extension}, null")):
-        kind = _field(f, extension, _KIND, "i32")
-        with f.when(f.value(f"icmp eq i32 {kind}, {_METADATA_REQUEST}")):
-            metadata = _field(f, extension, _METADATA, "ptr")
-            for place, value in zip((_MAJOR, _MINOR), _VERSION, strict=True):
-                f.line(f"store i32 {value}, ptr {f.at(metadata, place, 'i8')}")
-            f.line("ret ptr null")
-            f.place(f.label())
-    write(f)
-    f.line("ret ptr null")
-    module.finish(f)
+    with module.procedure("called", "ptr %call", "ptr null", is_internal=False) as f:
+        extension = _field(f, "%call", _EXTENSION, "ptr")
+        with f.when(f.value(f"icmp ne ptr {extension}, null")):
+            kind = _field(f, extension, _KIND, "i32")
+            with f.when(f.value(f"icmp eq i32 {kind}, {_METADATA_REQUEST}")):
+                metadata = _field(f, extension, _METADATA, "ptr")
+                for place, value in zip((_MAJOR, _MINOR), _VERSION, strict=True):
+                    f.line(f"store i32 {value}, ptr {f.at(metadata, place, 'i8')}")
+                f.line("ret ptr null")
+                f.place(f.label())
+        write(f)
 
 
 def _field(f: Function, structure: str, place: int, kind: str) -> str:
@@ -278,6 +277,14 @@ def _arrays(f: Function, list_of: int, count: int) -> list[str]:
     """The arrays that a call passes in, or those for its results."""
     pointers = _field(f, "%call", list_of, "ptr")
     return [f.value(f"load ptr, ptr {f.at(pointers, i, 'ptr')}") for i in range(count)]
+
+
+def _data(f: Function, names: str, arrays: Sequence[str]) -> dict[str, str]:
+    """The places of the numbers of some arrays, by their names."""
+    return {
+        name: _field(f, array, _DATA, "ptr")
+        for name, array in zip(names.split(), arrays, strict=True)
+    }
 
 
 def _lane_table(f: Function, drive: str) -> tuple[str, str, str]:
@@ -295,58 +302,42 @@ def _lane_table(f: Function, drive: str) -> tuple[str, str, str]:
         run = f.value(f"select i1 {idle}, i64 {last}, i64 {i}")
         first = f.whole("mul", run, samples)
         lane_steps = f.value(f"select i1 {idle}, i64 -1, i64 {steps}")
-        columns = {
-            "run": run,
-            "steps": lane_steps,
-            "first": first,
-            "result": first,
-            "measured": "0",
-        }
         row = f.whole("mul", i, len(LANE))
-        for k, name in enumerate(LANE):
-            f.line(f"store i64 {columns[name]}, ptr {f.at(table, f.whole('add', row, k), 'i64')}")
+        for k, column in enumerate((run, lane_steps, first, first, "0")):  # as `LANE` has them
+            f.line(f"store i64 {column}, ptr {f.at(table, f.whole('add', row, k), 'i64')}")
     return table, groups, steps
 
 
 def _call_run(f: Function) -> None:
-    arguments, (states,) = _arrays(f, _ARGUMENTS, 4), _arrays(f, _RESULTS, 1)
+    arguments, results = _arrays(f, _ARGUMENTS, 4), _arrays(f, _RESULTS, 1)
     table, groups, _ = _lane_table(f, arguments[3])
-    constants, parameters, start, drive = (_field(f, a, _DATA, "ptr") for a in arguments)
-    out = _field(f, states, _DATA, "ptr")
-    f.line(
-        f"call void @run(i64 0, i64 {groups}, ptr {table}, ptr {constants}, i64 1, i64 1, "
-        f"ptr {drive}, ptr null, ptr {start}, ptr {parameters}, ptr null, i64 0, ptr {out})"
-    )
+    data = _data(f, "constants parameters start drive states", [*arguments, *results])
+    f.run(
+        "run", RUN, **data, begin=0, end=groups, lanes=table, substeps=1, order=1, periods="null",
+        measured="null", n_measured=0,
+    )  # fmt: skip
 
 
 def _call_compare(f: Function) -> None:
     arguments, results = _arrays(f, _ARGUMENTS, 7), _arrays(f, _RESULTS, 4)
     table, groups, _ = _lane_table(f, arguments[3])
     n_d = f.value(f"load i64, ptr {f.at(_field(f, arguments[4], _SHAPE, 'ptr'), 1, 'i64')}")
-    data = [_field(f, array, _DATA, "ptr") for array in (*arguments, *results)]
-    constants, parameters, start, drive, seeds, target, weight, errors, products, gradient, cost = (
-        data
-    )
+    names = "constants parameters start drive seeds target weight errors products gradient cost"
+    data = _data(f, names, [*arguments, *results])
     # three derivatives of a state, a row of products and the gradient for each direction
     size = f.whole("mul", n_d, f.whole("add", f.whole("mul", n_d, 4), 1))
     v, align = f.module.v, f.module.align
     work = f.value(f"alloca {v}, i64 {f.whole('add', size, 1)}, align {align}")
-    f.line(
-        f"call void @compare(i64 0, i64 {groups}, ptr {table}, ptr {constants}, i64 1, i64 1, "
-        f"ptr {drive}, ptr null, ptr {start}, ptr {parameters}, ptr {seeds}, i64 {n_d}, i64 0, "
-        f"ptr {target}, ptr {weight}, ptr {work}, ptr {errors}, ptr {products}, ptr {gradient}, "
-        f"ptr {cost})"
-    )
+    f.run(
+        "compare", COMPARE, **data, begin=0, end=groups, lanes=table, substeps=1, order=1,
+        periods="null", n_d=n_d, n_by_p=0, work=work,
+    )  # fmt: skip
 
 
 def _call_backward(f: Function) -> None:
     arguments, results = _arrays(f, _ARGUMENTS, 5), _arrays(f, _RESULTS, 3)
     table, groups, steps = _lane_table(f, arguments[2])
-    constants, parameters, drive, states, seeds = (_field(f, a, _DATA, "ptr") for a in arguments)
-    layers, by_p, by_start = (_field(f, a, _DATA, "ptr") for a in results)
+    names = "constants parameters drive states seeds layers by_p by_start"
+    data = _data(f, names, [*arguments, *results])
     span = f.whole("mul", groups, steps)
-    f.line(
-        f"call void @backward(i64 0, i64 {groups}, ptr {table}, ptr {constants}, ptr {drive}, "
-        f"ptr {parameters}, ptr {states}, ptr {seeds}, i64 {span}, i64 {steps}, ptr {layers}, "
-        f"ptr {by_p}, ptr {by_start})"
-    )
+    f.run("backward", BACKWARD, **data, begin=0, end=groups, lanes=table, span=span, length=steps)

@@ -28,7 +28,7 @@ def compiled_step(model: Model) -> Callable[[Vector, Vector], Vector]:
         between samples.
 
     Raises:
-        InputError: float64 is off.
+        InputError: float64 is off. The step raises it for arrays of other shapes.
     """
     require_float64("compiled_step")
     folded = with_dtype(model, np.float64).simplify()

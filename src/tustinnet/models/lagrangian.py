@@ -189,12 +189,12 @@ class LagrangianSystem:
                     "declare it among the parameters",
                 ) from error
             except Exception as error:
+                remedy = tracing_remedy(error)
+                problem = type(error).__name__ if remedy else describe_error(error)
                 raise InputError(
-                    where,
-                    f"fails with {describe_error(error)}",
-                    "a function of jax arrays",
-                    "write it with jax.numpy",
-                ) from error
+                    where, f"fails with {problem}", "a function of jax arrays",
+                    remedy or "write it with jax.numpy",
+                ) from error  # fmt: skip
             if result.shape != shape:
                 raise InputError(
                     where,
@@ -202,6 +202,32 @@ class LagrangianSystem:
                     f"{shape}" if shape else "a scalar",
                     "energies are scalars, forces have a value per coordinate",
                 )
+
+
+def tracing_remedy(error: BaseException) -> str:
+    """What to write where a function needs the values of arrays that JAX traces; "" if not so.
+
+    Args:
+        error: the error of JAX or NumPy in the function.
+    """
+    errors = jax.errors
+    match error:
+        case errors.TracerBoolConversionError():
+            return (
+                "write jnp.where(condition, a, b) for if and else, & | ~ for and, or, not, "
+                "jnp.maximum for max, jax.lax.fori_loop for while"
+            )
+        case errors.NonConcreteBooleanIndexError():
+            return "write jnp.where(condition, a, b) for an index by a condition"
+        case errors.TracerArrayConversionError():
+            return "write jax.numpy for numpy: jnp.sin, jnp.where, jnp.interp, jnp.stack"
+        case errors.TracerIntegerConversionError():
+            return "write jnp.asarray(values)[i], and loops of a fixed length"
+        case errors.ConcretizationTypeError():
+            return "write jax.numpy for math, float and int: jnp.sin, jnp.floor"
+    if isinstance(error, ValueError) and "setting an array element" in str(error):
+        return "write jnp.stack([a, b]) for assignments to elements"
+    return ""
 
 
 class LagrangianModel(ContinuousModel):

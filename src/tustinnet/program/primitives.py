@@ -8,7 +8,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jax.lax import RoundingMethod
+from jax.lax import GatherScatterMode, RoundingMethod
 
 from tustinnet.program.program import OPERATIONS
 from tustinnet.program.tape import Tape
@@ -17,10 +17,20 @@ Ids = np.ndarray  # numbers of nodes, in the shape of the array that they stand 
 
 _DENSE = 32  # products from which a matrix stays one
 _FULL = 0.25  # share of a matrix that is not 0, from which it stays one
+_MOST_PLACES = 256  # of a table that is read by a computed index
+_LARGEST = float(np.finfo(np.float64).max)
 
 
 class UnsupportedPrimitive(Exception):
-    """A primitive, or its use, that has no rule."""
+    """A primitive, or its use, that has no rule.
+
+    Attributes:
+        name: the primitive's name, once that is known.
+        place: function and line in which it was written, once that is known.
+    """
+
+    name: str = ""
+    place: str = ""
 
 
 def elementwise(tape: Tape, op: Callable[..., int], arrays: list[Ids]) -> Ids:
@@ -122,6 +132,42 @@ def _convert(tape: Tape, params: dict[str, Any], x: int) -> int:
         below, above = tape.apply("floor", x), tape.apply("ceil", x)
         return tape.apply("select", tape.apply("ge", x, tape.number(0.0)), below, above)
     return x
+
+
+def _total_order_rule(*, equal: bool) -> Callable[..., Ids]:
+    """The rule of `lt_to`, or `le_to`: NaN comes after all numbers.
+
+    JAX itself replaces zeros and NaN by those without a sign before it compares so.
+    """
+
+    def is_less(tape: Tape, a: int, b: int) -> int:
+        is_last = tape.apply("and", tape.apply("eq", a, a), tape.apply("ne", b, b))
+        return tape.apply("or", tape.apply("lt", a, b), is_last)
+
+    if equal:
+        return _formula_rule(lambda tape, params, a, b: tape.apply("not", is_less(tape, b, a)))
+    return _formula_rule(lambda tape, params, a, b: is_less(tape, a, b))
+
+
+def _extremum_rule(op: str) -> Callable[..., Ids]:
+    """The rule of `argmax`, or `argmin`: the first index of an extremum, or of a NaN."""
+
+    def is_better(tape: Tape, x: int, best: int) -> int:
+        is_nan = tape.apply("and", tape.apply("ne", x, x), tape.apply("eq", best, best))
+        return tape.apply("or", tape.apply(op, x, best), is_nan)
+
+    def rule(tape: Tape, params: dict[str, Any], array: Ids) -> Ids:
+        numbers = _formula_rule(_convert)(tape, {"new_dtype": np.float64}, array)
+        best, *others = map(np.asarray, np.moveaxis(numbers, params["axes"][0], 0))
+        index = np.full(best.shape, tape.number(0.0))
+        for i, row in enumerate(others, 1):
+            better = elementwise(tape, partial(is_better, tape), [row, best])
+            choose = partial(tape.apply, "select")
+            best = elementwise(tape, choose, [better, row, best])
+            index = elementwise(tape, choose, [better, np.array(tape.number(float(i))), index])
+        return index
+
+    return rule
 
 
 def _reduction_rule(op: str) -> Callable[..., Ids]:
@@ -243,6 +289,13 @@ RULES: dict[str, Callable[..., Ids]] = {
     "exp2": _formula_rule(lambda tape, params, x: tape.apply("pow", tape.number(2.0), x)),
     "logistic": _formula_rule(_logistic),
     "round": _formula_rule(_round),
+    "lt_to": _total_order_rule(equal=False),
+    "le_to": _total_order_rule(equal=True),
+    "is_finite": _formula_rule(
+        lambda tape, params, x: tape.apply("le", tape.apply("abs", x), tape.number(_LARGEST))
+    ),
+    "argmax": _extremum_rule("gt"),
+    "argmin": _extremum_rule("lt"),
     "select_n": _formula_rule(_select),
     "clamp": _formula_rule(_clamp),
     "convert_element_type": _formula_rule(_convert),
@@ -328,6 +381,57 @@ def move_by_index(primitive: Any, params: dict[str, Any], operands: list[Any]) -
     if (ids < 0).any():
         raise UnsupportedPrimitive("beyond the end of an array")
     return ids.astype(int)
+
+
+def read_by_index(
+    tape: Tape, name: str, params: dict[str, Any], array: Ids, indices: list[Ids]
+) -> Ids:
+    """Nodes of `gather` or `dynamic_slice` by computed indices: one of all places is selected.
+
+    Args:
+        tape: the program.
+        name: the primitive.
+        params: its parameters.
+        array: the array that is read.
+        indices: the index of each axis, or of `gather` one array of all.
+
+    Raises:
+        UnsupportedPrimitive: there are too many places, or what is beyond the end is filled.
+    """
+    sizes = params["slice_sizes"]
+    if name == "dynamic_slice":
+        axes, dropped, kept = tuple(range(array.ndim)), (), tuple(range(array.ndim))
+    else:
+        layout = params["dimension_numbers"]
+        axes, dropped, kept = (
+            layout.start_index_map,
+            layout.collapsed_slice_dims,
+            layout.offset_dims,
+        )
+        indices = list(np.moveaxis(indices[0], -1, 0))
+        if layout.operand_batching_dims or params["mode"] == GatherScatterMode.FILL_OR_DROP:
+            raise UnsupportedPrimitive("by a computed index, as batched or filled")
+    last = [array.shape[axis] - sizes[axis] for axis in axes]
+    count = math.prod(n + 1 for n in last)
+    if count > _MOST_PLACES:
+        raise UnsupportedPrimitive(f"by a computed index, in more than {_MOST_PLACES} places")
+    zero, which = tape.number(0.0), np.full(indices[0].shape, tape.number(0.0))
+    for index, end in zip(indices, last, strict=True):
+
+        def add_place(place: int, i: int, end: int = end) -> int:
+            within = tape.apply("min", tape.apply("max", i, zero), tape.number(float(end)))
+            row = tape.apply("mul", place, tape.number(end + 1.0))
+            return tape.apply("add", row, within)
+
+        which = elementwise(tape, add_place, [which, index])
+    rank = which.ndim + len(kept)
+    batch = tuple(axis for axis in range(rank) if axis not in kept)
+    cases = []
+    for place in np.ndindex(*(n + 1 for n in last)):
+        starts = dict(zip(axes, place, strict=True))
+        part = array[tuple(slice(b := starts.get(i, 0), b + n) for i, n in enumerate(sizes))]
+        cases.append(np.expand_dims(part.squeeze(dropped), batch))
+    return RULES["select_n"](tape, {}, np.expand_dims(which, kept), *cases)
 
 
 def scatter_add(tape: Tape, primitive: Any, params: dict[str, Any], operands: list[Any]) -> Ids:

@@ -1,9 +1,10 @@
 """Reading functions of JAX arrays as programs, the one way from models to all targets."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +18,7 @@ from tustinnet.program.primitives import (
     UnsupportedPrimitive,
     move_by_index,
     multiply,
+    read_by_index,
     scatter_add,
 )
 from tustinnet.program.program import OPERATIONS, Factor, Loop, Program
@@ -25,6 +27,19 @@ from tustinnet.program.tape import Tape
 _UNROLLED = 300  # operations up to which a loop is written out
 _MOST = 200_000  # operations of a loop that can only be written out
 _TURNS = 10_000  # of a loop that ends by a condition
+_COMPUTED_INDEX = "by an index that depends on the state or the inputs"
+# what to write in the place of primitives that people use without knowing them by name
+_REMEDIES = {
+    "while": "write a loop of a fixed length with jax.lax.fori_loop",
+    "sort": "compare with jnp.minimum and jnp.maximum",
+    "lu": "solve few equations by formulas, symmetric ones by jax.scipy.linalg.cho_solve",
+    "erf": "write jnp.tanh, which is close to it",
+    "gather": "read tables by jnp.interp, or choose with jnp.where",
+    "dynamic_slice": "read tables by jnp.interp, or choose with jnp.where",
+    "scatter": "choose with jnp.where",
+    "scatter-add": "choose with jnp.where",
+    "dynamic_update_slice": "choose with jnp.where",
+}
 # primitives with a program of their own that is run once, and the parameter that holds it
 _CALLS = {
     "jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr",
@@ -90,19 +105,33 @@ def read(
     tape = Tape(dict(inputs), matrices)
     arguments: list[Value] = [Numbers(np.array(tape.input(name), int)) for name in inputs]
     arguments += [Matrix(Factor(name), size) for name, size in matrices.items()]
-    reader = _Reader(tape, what)
+    reader = _Reader(tape)
     closed, shape = jax.make_jaxpr(function, return_shape=True)(*shapes)
-    with jax.ensure_compile_time_eval():  # a program may be read while another is compiled
-        values = reader.run(closed.jaxpr, closed.consts, arguments)
+    try:
+        with jax.ensure_compile_time_eval():  # a program may be read while another is compiled
+            values = reader.run(closed.jaxpr, closed.consts, arguments)
+    except UnsupportedPrimitive as error:
+        raise Unreadable(
+            what,
+            f"the model uses '{error.name}' {error}".rstrip() + error.place,
+            "arithmetic, functions as sin and exp, matrices, loops of a fixed length",
+            _REMEDIES.get(error.name, "write that function with these"),
+        ) from None
     names = jax.tree.unflatten(jax.tree.structure(shape), range(len(values)))
     return tape.program({name: reader.ids(values[i]).ravel() for name, i in names.items()})
 
 
 class _Reader:
-    """Reads jaxprs onto a tape."""
+    """Reads jaxprs onto a tape.
 
-    def __init__(self, tape: Tape, what: str) -> None:
-        self._tape, self._what = tape, what
+    Args:
+        tape: the tape.
+        counters: the inputs of a loop's body that may be counters. As indices these are refused:
+            they are constants where the loop is written out.
+    """
+
+    def __init__(self, tape: Tape, counters: Collection[str] = ()) -> None:
+        self._tape, self._counters = tape, counters
 
     def ids(self, value: Value) -> np.ndarray:
         """Numbers of the nodes of an array; constants become nodes."""
@@ -131,12 +160,10 @@ class _Reader:
             try:
                 results = self._equation(eqn, [value(v) for v in eqn.invars])
             except UnsupportedPrimitive as error:
-                raise Unreadable(
-                    self._what,
-                    f"the model uses '{eqn.primitive.name}' {error}".rstrip() + _place(eqn),
-                    "arithmetic, functions as sin and exp, matrices, loops of a fixed length",
-                    "write that function with these",
-                ) from None
+                # in a function of JAX the place is that of its call
+                error.name = error.name or eqn.primitive.name
+                error.place = error.place or _place(eqn)
+                raise
             values.update(zip(eqn.outvars, results, strict=True))
         return [value(v) for v in jaxpr.outvars]
 
@@ -186,13 +213,19 @@ class _Reader:
         if name in INDEXED:
             fixed = [o for i, o in enumerate(operands) if i not in INDEXED[name]]
             if any(isinstance(o, Numbers) for o in fixed):
-                raise UnsupportedPrimitive("by an index that depends on the state or the inputs")
+                array, *indices = map(self.ids, operands)
+                counts = self._tape.depends(
+                    np.concatenate([i.ravel() for i in indices]), self._counters
+                )
+                if name not in ("gather", "dynamic_slice") or counts:
+                    raise UnsupportedPrimitive(_COMPUTED_INDEX)
+                return read_by_index(self._tape, name, params, array, indices)
             moved = [self.ids(o) if i in INDEXED[name] else o for i, o in enumerate(operands)]
             return move_by_index(eqn.primitive, params, moved)
         if name == "scatter-add":
             into, where, added = operands
             if isinstance(where, Numbers):
-                raise UnsupportedPrimitive("by an index that depends on the state or the inputs")
+                raise UnsupportedPrimitive(_COMPUTED_INDEX)
             return scatter_add(
                 self._tape, eqn.primitive, params, [self.ids(into), where, self.ids(added)]
             )
@@ -203,9 +236,11 @@ class _Reader:
             return multiply(self._tape, params, *sides)
         if name not in RULES:
             raise UnsupportedPrimitive("")
-        if name in ("div", "rem") and np.dtype(eqn.outvars[0].aval.dtype).kind in "iu":
-            raise UnsupportedPrimitive("of whole numbers")
-        return RULES[name](self._tape, params, *map(self.ids, operands))
+        result = RULES[name](self._tape, params, *map(self.ids, operands))
+        kind = np.dtype(eqn.outvars[0].aval.dtype)
+        if name == "div" and kind.kind in "iu":  # rounded towards 0
+            return RULES["convert_element_type"](self._tape, {"new_dtype": kind}, result)
+        return result
 
     def _scan(self, params: dict[str, Any], operands: list[Value]) -> list[Value]:
         """Results of a loop; it is written out where it is short, or collects results."""
@@ -268,15 +303,17 @@ class _Reader:
 
         names = [*(f"constant{i}" for i in range(len(constants))), *starts, *collected]
         inputs: list[Value] = []
+        counters = [name for name, aval in zip(names, closed.in_avals, strict=True)
+                    if name in sizes and aval.dtype.kind in "iu"]  # fmt: skip
         for i, (name, aval) in enumerate(zip(names, closed.in_avals, strict=True)):
             if name in sizes:
                 inputs.append(Numbers(np.array(tape.input(name), int).reshape(aval.shape)))
             else:
                 inputs.append(np.asarray(constants[i]))
-        inner = _Reader(tape, self._what)
+        inner = _Reader(tape, counters)
         try:
             out = inner.run(closed.jaxpr, closed.consts, inputs)
-        except Unreadable:
+        except UnsupportedPrimitive:
             return None  # such as a counter that is an index: written out it is a constant
         body = tape.program({k: inner.ids(v).ravel() for k, v in zip(starts, out, strict=True)})
         if body.operations * length <= _UNROLLED:
@@ -356,6 +393,10 @@ _BY_NUMPY: dict[str, Callable[..., Any]] = {
 }
 
 
+_PACKAGE = str(Path(__file__).parents[1])
+_LIBRARIES = str(Path(jax.__file__).parent), str(Path(eqx.__file__).parent)
+
+
 def _place(eqn: Any) -> str:
     """Function and line in which a primitive was written, for messages; empty if not known.
 
@@ -363,9 +404,8 @@ def _place(eqn: Any) -> str:
     """
     trace = eqn.source_info.traceback
     frames = [] if trace is None else list(trace.frames)
-    package = Path(__file__).parents[1].as_posix()
-    frames = [f for f in frames if "/jax/" not in f.file_name and "/equinox/" not in f.file_name]
-    outside = [f for f in frames if not f.file_name.startswith(package)]
+    frames = [f for f in frames if not f.file_name.startswith(_LIBRARIES)]
+    outside = [f for f in frames if not f.file_name.startswith(_PACKAGE)]
     for frame in (outside or frames)[:1]:
         name = frame.function_name.rsplit(".", 1)[-1]
         return f", in {name} ({Path(frame.file_name).name}, line {frame.line_num})"

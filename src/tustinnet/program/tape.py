@@ -1,6 +1,6 @@
 """The tape: a program while it is written."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
@@ -59,6 +59,18 @@ class Tape:
         """The value of a node that is a constant number; None of others."""
         node = self._nodes[number]
         return node.data.value if node.op == "number" else None
+
+    def depends(self, ids: Ids, inputs: Collection[str]) -> bool:
+        """Whether some nodes depend on one of some inputs."""
+        open_nodes, seen = {int(i) for i in ids} if inputs else set(), set[int]()
+        while open_nodes:
+            number = open_nodes.pop()
+            node = self._nodes[number]
+            if node.op == "input" and node.data in inputs:
+                return True
+            seen.add(number)
+            open_nodes |= set(node.args) - seen
+        return False
 
     def split(self, number: int) -> list[int]:
         """The single numbers of a vector."""

@@ -18,7 +18,7 @@ from tustinnet.channels import Coordinate, Input
 from tustinnet.data.declaration import read_source
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError, describe_error, require_text
-from tustinnet.models.lagrangian import LagrangianSystem, Parameter
+from tustinnet.models.lagrangian import LagrangianSystem, Parameter, tracing_remedy
 from tustinnet.registry import SYSTEMS
 
 ATTRIBUTE = "SYSTEM"  # the name of the system in a system file
@@ -179,8 +179,12 @@ def _errors_with_place(path: Path, function: str = "") -> Iterator[None]:
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt) and type(error) is not KeyboardInterrupt:
             raise
-        problem = f"{function}fails{_line_of(error, path)} with {describe_error(error)}"
-        raise InputError(path, problem, "a file that runs", _REMEDY) from error
+        remedy = tracing_remedy(error)
+        problem = type(error).__name__ if remedy else describe_error(error)
+        raise InputError(
+            path, f"{function}fails{_line_of(error, path)} with {problem}", "a file that runs",
+            remedy or _REMEDY,
+        ) from error  # fmt: skip
 
 
 def _line_of(error: BaseException | None, path: Path) -> str:
