@@ -4,13 +4,14 @@ from collections.abc import Iterable
 
 import numpy as np
 
-SIGNS = {
-    "add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "gt": ">", "ge": ">=",
-    "eq": "==", "ne": "!=",
+from tustinnet.export.words import INFIX
+
+# operations in C; all others are functions of math.h of the same name
+FORMS = {
+    **INFIX, "abs": "M(fabs)({})", "rem": "M(fmod)({}, {})",
+    "max": "larger({}, {})", "min": "smaller({}, {})", "sign": "sign_of({})",
 }  # fmt: skip
-LOGIC = {"and": "{} && {}", "or": "{} || {}", "not": "!{}"}
-NAMES = {"abs": "fabs", "rem": "fmod"}  # in math.h, where the name differs
-HELPER_OF = {"max": "larger", "min": "smaller", "sign": "sign_of"}
+# functions of the file, each written where it is called
 HELPERS = {
     "product": """
 /* y = matrix x. The matrix lies column by column, so that the inner loop runs along memory;
