@@ -13,7 +13,8 @@ import numpy as np
 
 from tustinnet.export.c_text import Code
 from tustinnet.export.source import Source
-from tustinnet.export.target import Files, NotRunnable, Stepper, Target, Vector, fill_template
+from tustinnet.export.target import Files, NotRunnable, Stepper, Target, Vector
+from tustinnet.export.words import fill_template
 
 _SHARED = ("-std=c99", "-O1", "-fPIC", "-shared")
 

@@ -1,14 +1,20 @@
 """Programs as C99 functions that allocate nothing, over constants that stay in flash."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
-from tustinnet.export.c_words import FORMS, HELPERS, literal, wrapped
-from tustinnet.export.words import apply_form
+from tustinnet.export.words import INFIX, apply_form, called_functions
 from tustinnet.program.memory import is_elementwise, lifetimes
 from tustinnet.program.program import Loop, Node, Program
+
+# operations in C; all others are functions of math.h of the same name
+# `larger` and `smaller`, unlike fmax and fmin, keep NaN as NumPy does
+_FORMS = {
+    **INFIX, "abs": "M(fabs)({})", "rem": "M(fmod)({}, {})",
+    "max": "larger({}, {})", "min": "smaller({}, {})", "sign": "sign_of({})",
+}  # fmt: skip
 
 
 class Code:
@@ -34,17 +40,16 @@ class Code:
         key = values.tobytes()
         if key not in self._names:
             self._names[key] = f"k{len(self._names)}"
-            numbers = [literal(x) for x in values.tolist()]
+            numbers = [_literal(x) for x in values.tolist()]
             self._arrays.append(
                 f"static const model_real {self._names[key]}[{len(numbers)}] = {{\n"
-                f"{wrapped(numbers)}\n}};\n"
+                f"{_wrapped(numbers)}\n}};\n"
             )
         return self._names[key]
 
     def text(self) -> str:
         """The text of the file, constants first."""
-        code = "\n".join(self._functions)
-        helpers = [text for name, text in HELPERS.items() if f" {name}(" in code]
+        helpers = called_functions("helpers.c", "".join(self._functions))
         return "\n".join(part.strip("\n") + "\n" for part in
                          (*self._arrays, *helpers, *self._functions))  # fmt: skip
 
@@ -231,7 +236,7 @@ class _CWriter:
         node = self._nodes[i]
         operands = [self._truth(a) if node.takes_truth(k) else self._real(a)
                     for k, a in enumerate(node.args)]  # fmt: skip
-        text = apply_form(FORMS.get(node.op), f"M({node.op})", operands)
+        text = apply_form(_FORMS.get(node.op), f"M({node.op})", operands)
         return f"(model_real)({text})" if real and node.truth else text
 
     def _real(self, a: int) -> str:
@@ -247,7 +252,7 @@ class _CWriter:
         """The text of a number or truth, and whether its type in C is that of numbers."""
         node = self._nodes[a]
         if node.op == "number":
-            return literal(float(node.data)), True
+            return _literal(float(node.data)), True
         if node.op == "pick":
             place, offset = self._where(node.args[0])
             return f"{place}[{offset + node.data}]", True
@@ -292,3 +297,32 @@ def _may_change(program: Program, carried: Sequence[str]) -> bool:
 
 def _plus(text: str, offset: int) -> str:
     return f"{text} + {offset}" if offset else text
+
+
+def _literal(value: float) -> str:
+    """A constant in the precision of the C file, which defines `R` and `EITHER`."""
+    with np.errstate(over="ignore", under="ignore"):
+        single = float(np.float32(value))
+    if np.isfinite(single) and (single != 0 or value == 0):
+        return f"R({float(value)!r})"
+    # beyond the range of float, where a suffix would be an error
+    return f"EITHER({_plain(value)}, {'0.0f' if single == 0 else _plain(single)})"
+
+
+def _plain(value: float) -> str:
+    if np.isnan(value):
+        return "(model_real)NAN"
+    if np.isinf(value):
+        return "(model_real)INFINITY" if value > 0 else "-(model_real)INFINITY"
+    return repr(float(value))
+
+
+def _wrapped(items: Iterable[str]) -> str:
+    """Items separated by commas on lines of at most about 100 characters."""
+    lines, line = [], "   "
+    for item in items:
+        if len(line) + len(item) > 98:
+            lines.append(line)
+            line = "   "
+        line += f" {item},"
+    return "\n".join([*lines, line.rstrip(",")])

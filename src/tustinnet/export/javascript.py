@@ -14,8 +14,8 @@ import numpy as np
 
 from tustinnet.errors import InputError
 from tustinnet.export.source import Source
-from tustinnet.export.target import Files, NotRunnable, Stepper, Target, Vector, fill_template
-from tustinnet.export.words import INFIX, apply_form
+from tustinnet.export.target import Files, NotRunnable, Stepper, Target, Vector
+from tustinnet.export.words import INFIX, apply_form, called_functions, fill_template
 from tustinnet.program.program import Loop, Node, Program
 
 MODULE = "model.mjs"
@@ -24,40 +24,6 @@ MODULE = "model.mjs"
 _FORMS = {
     **INFIX, "rem": "{} % {}", "pow": "power({}, {})", "eq": "{} === {}", "ne": "{} !== {}"
 }  # fmt: skip
-
-# functions of the module, each written where it is called
-_HELPERS = {
-    "decoded": """\
-// the numbers of a text in base64, 64 bits each, the lowest byte first
-function decoded(text) {
-  const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-  const view = new DataView(bytes.buffer);
-  return Float64Array.from({ length: bytes.length / 8 }, (_, i) => view.getFloat64(8 * i, true));
-}
-""",
-    "product": """\
-// a matrix, row by row, times a vector
-function product(out, matrix, vector) {
-  for (let i = 0, k = 0; i < out.length; i++) {
-    let sum = 0;
-    for (let j = 0; j < vector.length; j++, k++) sum += matrix[k] * vector[j];
-    out[i] = sum;
-  }
-}
-""",
-    "take": """\
-// one of several vectors that stand one after the other
-function take(out, from, which) {
-  for (let i = 0; i < out.length; i++) out[i] = from[which * out.length + i];
-}
-""",
-    "power": """\
-// as IEEE 754 has it: powers of 1 are 1, and those of -1 by infinities
-function power(x, y) {
-  return x === 1 || (x === -1 && Math.abs(y) === Infinity) ? 1 : x ** y;
-}
-""",
-}
 
 
 class JavaScript(Target):
@@ -81,7 +47,7 @@ class JavaScript(Target):
             period=_number(source.channels.dt),
             samples=_text(source.input_layout.offsets),
             range=_text(ranges),
-            helpers="\n".join(text for name, text in _HELPERS.items() if f"{name}(" in code),
+            helpers="\n".join(called_functions("helpers.mjs", code)),
             vectors=writer.declarations,
             n_x=source.n_x,
             n_w=source.n_w,

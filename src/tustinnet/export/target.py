@@ -1,6 +1,5 @@
 """The interface of targets of an export."""
 
-import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -15,12 +14,6 @@ from tustinnet.export.source import Source, StepFunction
 Vector = Float[np.ndarray, " _"]
 Files = dict[str, bytes | str]
 Stepper = Callable[[Vector, Vector], Vector]
-
-
-def fill_template(name: str, **values: object) -> str:
-    """The text of a file of the folder `templates`, with `@name@` replaced by a value."""
-    text = (Path(__file__).parent / "templates" / name).read_text(encoding="utf-8")
-    return re.sub("@([a-z_]+)@", lambda found: str(values.get(found[1], found[0])), text)
 
 
 class NotRunnable(Exception):
