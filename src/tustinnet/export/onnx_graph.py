@@ -113,11 +113,11 @@ class _OnnxWriter:
     ) -> Term:
         match node.op:
             case "input":
-                return self._graph.term(inputs[node.data])
+                return Term(self._graph, inputs[node.data])
             case "number":
                 return self._graph.number(node.data)
             case "table":
-                return self._graph.term(self._constant(tables[node.data][None]))
+                return Term(self._graph, self._constant(tables[node.data][None]))
             case "product":
                 vector = self._as(args[0], truth=False)
                 return self._graph.add("MatMul", vector.name, self._constant(tables[node.data].T))
