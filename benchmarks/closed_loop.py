@@ -44,7 +44,7 @@ def main(seconds: float = 20.0, records: int = 10, seeds: int = 3) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 4:
+    if len(sys.argv) > 4 or "--help" in sys.argv:
         sys.exit(__doc__)
     given = sys.argv[1:]
     main(*(kind(x) for kind, x in zip((float, int, int), given, strict=False)))

@@ -66,6 +66,6 @@ def main(runs: int = 5) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 2:
+    if len(sys.argv) > 2 or "--help" in sys.argv:
         sys.exit(__doc__)
     main(*map(int, sys.argv[1:]))

@@ -81,6 +81,6 @@ def main(data_seed: int = 12, seeds: int = 3) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 3:
+    if len(sys.argv) > 3 or "--help" in sys.argv:
         sys.exit(__doc__)
     main(*map(int, sys.argv[1:]))

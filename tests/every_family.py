@@ -109,8 +109,8 @@ def example(name: str) -> tn.Model:
 
 
 @cache
-def leaving(name: str) -> Source:
-    """One of `NAMES` on its way out: its step is read once for all tests of a process."""
+def example_source(name: str) -> Source:
+    """The source of the export of one of `NAMES`; its step is read once for all tests."""
     return make_source(example(name))
 
 

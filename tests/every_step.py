@@ -1,14 +1,12 @@
 """Steps that use everything a program may hold, for the tests of targets."""
 
 from collections.abc import Callable
-from functools import cache
 from typing import cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from every_family import example
 from jax import lax
 
 import tustinnet as tn
@@ -29,12 +27,6 @@ class Stepping(tn.Model):
 
     def step(self, x, u):
         return self.function(x, u)
-
-
-@cache
-def example_source(name: str) -> Source:
-    """One of `every_family.NAMES` on its way out; it is read once."""
-    return make_source(example(name))
 
 
 def stepping(function: Callable) -> Source:

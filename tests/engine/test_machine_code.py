@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from every_family import NAMES
-from every_step import PROGRAMS, example_source, state_of, stepping
+from every_family import NAMES, example_source
+from every_step import PROGRAMS, state_of, stepping
 
 from tustinnet.engine import functions
 from tustinnet.engine.by_machine_code import evaluate

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from documented import blocks
-from every_family import NAMES, example, leaving, physics
+from every_family import NAMES, example, example_source, physics
 from swinging import SWING
 
 import tustinnet as tn
@@ -41,7 +41,7 @@ def stepped(tmp_path_factory):
     """Steps of every model in a process that knows CasADi and not this package."""
     place = tmp_path_factory.mktemp("casadi")
     for name in NAMES:
-        source, folder = leaving(name), place / name
+        source, folder = example_source(name), place / name
         folder.mkdir()
         for file, content in target.TARGET.files(source).items():
             assert isinstance(content, bytes)
@@ -56,13 +56,15 @@ def stepped(tmp_path_factory):
 @pytest.mark.parametrize("name", NAMES)
 def test_casadi_alone_steps_as_every_model_does(stepped, name):
     states, inputs, found = (np.load(stepped / name / f"{f}.npy") for f in ("x", "u", "x_next"))
-    expected = [run(leaving(name).step, x=x, u=u)["x"] for x, u in zip(states, inputs, strict=True)]
+    expected = [
+        run(example_source(name).step, x=x, u=u)["x"] for x, u in zip(states, inputs, strict=True)
+    ]
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["physics", "gru", "band-limited"])
 def test_value_jacobian_and_hessian_are_jaxs(name):
-    source, step = leaving(name), tn.casadi_step(example(name))
+    source, step = example_source(name), tn.casadi_step(example(name))
     weights = np.random.default_rng(0).normal(size=source.n_x)
     points = np.concatenate(source.samples(100, seed=1), axis=1)
 

@@ -19,6 +19,7 @@ from swinging import CREEPING, records
 
 import tustinnet as tn
 from tustinnet.export.environment import ModelEnv, ModelVectorEnv
+from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 from tustinnet.simulate.range import KEY, recorded_range
 
 ID = "tustinnet.gym:TustinNet-v0"
@@ -215,11 +216,72 @@ def test_starts_lie_within_the_range_or_near_what_is_given():
     np.testing.assert_allclose(near.min(0), [0.5 - 0.3, 1.0 - 0.9, -0.2 - 0.4], atol=0.02)
 
 
+RADIUS, STIFFNESS = 0.02, 1e5  # of the pulley [m], of the belt [N/m]
+BELT = LagrangianSystem(
+    name="belt drive",
+    coordinates=(tn.Coordinate("motor", "angular"), tn.Coordinate("carriage", "linear")),
+    inputs=(tn.Input("torque", "N m"),),
+    parameters=(Parameter("inertia", "kg m^2", 1e-4, 1e-5, 1e-3),),
+    kinetic=lambda q, v, p: p["inertia"] * v[0] ** 2 / 2 + v[1] ** 2 / 2,
+    potential=lambda q, p: STIFFNESS * (q[1] - RADIUS * q[0]) ** 2 / 2,
+    dissipation=lambda q, v, p: (
+        jnp.stack([1e-3 * v[0], 5.0 * v[1]])
+        + 20.0 * (v[1] - RADIUS * v[0]) * jnp.array([-RADIUS, 1.0])
+    ),
+    input_map=lambda q, v, u, p: jnp.stack([u[0], 0.0 * u[0]]),
+)
+
+
+def belt_force(x: np.ndarray) -> np.ndarray:
+    """The force in the belt at states [N]."""
+    return np.abs(STIFFNESS * (x[:, 1] - RADIUS * x[:, 0]))
+
+
+@pytest.fixture(scope="module")
+def belt_file(tmp_path_factory) -> Path:
+    """The file of a motor that moves a carriage by a stiff belt, several turns far."""
+    model = tn.discretise(BELT.model({"inertia": jnp.asarray(1e-4)}), 0.01, 40)
+    runs = []
+    for seed in (0, 1):
+        u = np.repeat(np.random.default_rng(seed).uniform(-0.5, 0.5, 20), 20)
+        q = np.asarray(tn.rollout(model, np.zeros(4), u[:, None]))[:-1, :2]
+        runs.append(tn.from_arrays(q, u, dt=0.01, coordinates=BELT.coordinates, inputs=BELT.inputs))
+    path = tmp_path_factory.mktemp("belt") / "model.safetensors"
+    tn.save(model, path, **{KEY: recorded_range(model, runs).as_header()})
+    return path
+
+
+@pytest.mark.parametrize("start", [None, [5.0, 5.0 * RADIUS, 0.0, 0.0]])
+def test_random_starts_do_not_stretch_a_stiff_belt(belt_file, start):
+    envs = gymnasium.make_vec(ID, 300, model=belt_file, system=BELT, start=start).unwrapped
+    assert isinstance(envs, ModelVectorEnv)
+    rules = envs.rules
+    recorded = rules.range.recorded_states
+    assert recorded is not None
+    assert rules.width[0] > 4 * np.pi
+    largest = belt_force(recorded).max()
+    x, _ = envs.reset(seed=0)
+    assert belt_force(x).max() <= 1.001 * largest
+    assert len(np.unique(x, axis=0)) > 100
+    if start is None:
+        assert np.isin(x, recorded).all()
+    else:
+        assert (np.abs(x - start) <= rules.noise * rules.width).all()
+    ended = [envs.step(np.zeros((300, 1)))[2] for _ in range(3)]
+    assert np.mean(np.any(ended, axis=0)) < 0.05
+    # where no states are known, every coordinate is drawn by itself
+    blind = {"states": rules.range.states, "inputs": rules.range.inputs}
+    wild = gymnasium.make_vec(ID, 300, model=belt_file, system=BELT, start=start, range=blind)
+    assert belt_force(wild.reset(seed=0)[0]).max() > 100 * largest
+
+
 @pytest.mark.parametrize(
     ("options", "told"),
     [
         ({"range": None}, "the range of the model's training records is unknown; .*give range="),
         ({"range": {"states": [[0, 1]], "inputs": []}}, "range: no range of the model"),
+        ({"range": {**STATES, "recorded_states": []}}, "range: no range of the model"),
+        ({"range": {**STATES, "recorded_states": [[0, np.nan]]}}, "range: no range of the model"),
         ({"range": {**STATES, "inputs": [[0, 0]]}}, "no input that the training records move"),
         ({"reward": "dance"}, "reward: 'dance'; expected a function, or one of hold, swing-up"),
         ({"target": [1, 2]}, "target: 2 numbers; expected 1 positions"),

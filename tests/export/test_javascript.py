@@ -10,10 +10,9 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from documented import blocks
-from every_family import CHANNELS, NAMES, network
+from every_family import CHANNELS, NAMES, example_source, network
 from every_step import (
     PROGRAMS,
-    example_source,
     require_same_run,
     state_of,
     stepping,

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from documented import blocks
-from every_family import NAMES, example, leaving, physics
+from every_family import NAMES, example, example_source, physics
 from scipy.io import loadmat
 from scipy.signal import StateSpace, dlsim
 from swinging import CART, SWING
@@ -25,7 +25,7 @@ def names_of(cells: np.ndarray) -> list[str]:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_model_leaves_as_matrices(name, tmp_path):
-    source = leaving(name)
+    source = example_source(name)
     (tmp_path / "linear.mat").write_bytes(bytes(TARGET.files(source)["linear.mat"]))  # pyright: ignore[reportArgumentType]
     step = TARGET.stepper(tmp_path, source)
     x, u = np.zeros(source.n_x), np.zeros(source.n_w)
@@ -87,7 +87,7 @@ def test_inputs_at_other_samples_have_columns_and_names_of_their_own(tmp_path):
 
 
 def test_the_file_depends_on_its_content_only():
-    source = leaving("cart")
+    source = example_source("cart")
     assert TARGET.files(source) == TARGET.files(source)
 
 

@@ -8,10 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from documented import blocks, section
-from every_family import NAMES
+from every_family import NAMES, example_source
 from every_step import (
     PROGRAMS,
-    example_source,
     require_same_run,
     state_of,
     stepping,

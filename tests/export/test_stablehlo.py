@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from documented import blocks
-from every_family import NAMES, example
-from every_step import example_source, require_same_run, without_inputs
+from every_family import NAMES, example, example_source
+from every_step import require_same_run, without_inputs
 
 import tustinnet as tn
 from tustinnet.export.source import Source, make_source

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import jax.scipy.linalg
 import numpy as np
 import pytest
-from every_family import NAMES, example, leaving
+from every_family import NAMES, example, example_source
 
 from tustinnet.errors import InputError
 from tustinnet.export.source import make_source
@@ -84,7 +84,7 @@ def test_what_jax_computes_a_program_computes(function):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_step_and_its_derivatives_are_read(name):
-    source = leaving(name)
+    source = example_source(name)
     states, inputs = source.samples(2)
 
     @jax.jit
@@ -102,7 +102,7 @@ def test_a_step_and_its_derivatives_are_read(name):
 
 def test_single_precision_weights_are_folded_in_double():
     model, x = example("hybrid"), jnp.array([0.1, 0.2, 0.3])
-    result = run(leaving("hybrid").step, x=np.asarray(x), u=np.ones(3))["x"]
+    result = run(example_source("hybrid").step, x=np.asarray(x), u=np.ones(3))["x"]
     np.testing.assert_allclose(result, model.step(x, jnp.ones(1)), rtol=1e-15, atol=1e-15)
 
 

@@ -14,8 +14,8 @@ import numpy as np
 from tustinnet.export.c_text import Code
 from tustinnet.export.source import Source
 from tustinnet.export.target import Files, NotRunnable, Stepper, Target, Vector
+from tustinnet.export.words import fill_template
 
-_TEMPLATES = Path(__file__).parent / "templates"
 _SHARED = ("-std=c99", "-O1", "-fPIC", "-shared")
 
 
@@ -39,14 +39,6 @@ class C(Target):
             library = Path(build) / "model.so"
             compile_c([folder / "model.c"], library, _SHARED)
             return library_step(library, source.n_x)
-
-
-def fill_template(name: str, **values: object) -> str:
-    """A template of this package, with `@name@` replaced."""
-    text = (_TEMPLATES / name).read_text(encoding="utf-8")
-    for key, value in values.items():
-        text = text.replace(f"@{key}@", str(value))
-    return text
 
 
 def make_model_files(source: Source, *, linearised: bool = True) -> dict[str, str]:

@@ -1,13 +1,20 @@
 """Programs as C99 functions that allocate nothing, over constants that stay in flash."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
-from tustinnet.export.c_words import HELPER_OF, HELPERS, LOGIC, NAMES, SIGNS, literal, wrapped
+from tustinnet.export.words import INFIX, apply_form, called_functions
 from tustinnet.program.memory import is_elementwise, lifetimes
 from tustinnet.program.program import Loop, Node, Program
+
+# operations in C; all others are functions of math.h of the same name
+# `larger` and `smaller`, unlike fmax and fmin, keep NaN as NumPy does
+_FORMS = {
+    **INFIX, "abs": "M(fabs)({})", "rem": "M(fmod)({}, {})",
+    "max": "larger({}, {})", "min": "smaller({}, {})", "sign": "sign_of({})",
+}  # fmt: skip
 
 
 class Code:
@@ -17,17 +24,11 @@ class Code:
         self._names: dict[Any, str] = {}
         self._arrays: list[str] = []
         self._functions: list[str] = []
-        self._helpers: set[str] = set()
 
     def add(self, name: str, program: Program, changed: Sequence[str] = ()) -> None:
-        """Adds a program as a static function.
+        """Adds a program as a static function of its inputs, then its outputs as `to_NAME`.
 
-        Its arguments are the inputs, then the outputs as `to_NAME`.
-
-        Args:
-            name: the name of the function.
-            program: the program.
-            changed: the inputs that take the outputs in their order, where they may be changed.
+        Where inputs may be changed, `changed` names those that take the outputs, in their order.
         """
         # the functions of its loops are added before it
         text = _CWriter(self, name, program, changed).text()
@@ -39,21 +40,16 @@ class Code:
         key = values.tobytes()
         if key not in self._names:
             self._names[key] = f"k{len(self._names)}"
-            numbers = [literal(x) for x in values.tolist()]
+            numbers = [_literal(x) for x in values.tolist()]
             self._arrays.append(
                 f"static const model_real {self._names[key]}[{len(numbers)}] = {{\n"
-                f"{wrapped(numbers)}\n}};\n"
+                f"{_wrapped(numbers)}\n}};\n"
             )
         return self._names[key]
 
-    def helper(self, name: str) -> str:
-        """The name of a function of `HELPERS`, which is added to the file."""
-        self._helpers.add(name)
-        return name
-
     def text(self) -> str:
         """The text of the file, constants first."""
-        helpers = [text for name, text in HELPERS.items() if name in self._helpers]
+        helpers = called_functions("helpers.c", "".join(self._functions))
         return "\n".join(part.strip("\n") + "\n" for part in
                          (*self._arrays, *helpers, *self._functions))  # fmt: skip
 
@@ -160,39 +156,37 @@ class _CWriter:
         if size == 1:
             self._lines.append(f"    {place}[{offset}] = {self._real(a)};")
         elif size:
-            copy = self._code.helper("copy")
-            self._lines.append(f"    {copy}({size}, {self._at(a)}, {_plus(place, offset)});")
+            self._lines.append(f"    copy({size}, {self._at(a)}, {_plus(place, offset)});")
 
     def _product(self, place: str, node: Node) -> None:
         matrix = self._program.tables[node.data]
         rows, columns = matrix.shape
         stored = self._code.constant(matrix.ravel(order="F"))
-        product = self._code.helper("product")
         self._lines.append(
-            f"    {product}({rows}, {columns}, {stored}, {self._at(node.args[0])}, {place});"
+            f"    product({rows}, {columns}, {stored}, {self._at(node.args[0])}, {place});"
         )
 
     def _loop(self, place: str, loop: Loop, args: tuple[int, ...]) -> None:
         """Writes a loop; its carried state is one array, which the body changes or is copied to."""
         body = f"{self._name}_turn{self._loops}"
         self._loops += 1
-        first, last = loop.constants, loop.constants + loop.carried
-        changed = tuple(loop.body.inputs)[first:last]
+        constants, starts, tables = loop.split(args)
+        changed = loop.split(tuple(loop.body.inputs))[1]
         changed = changed if _may_change(loop.body, changed) else ()
         self._code.add(body, loop.body, changed)
         offset, carried = 0, []
-        for a, size in zip(args[first:last], loop.carried_sizes, strict=True):
+        for a, size in zip(starts, loop.carried_sizes, strict=True):
             self._store(place, offset, a)
             carried.append(offset)
             offset += size
         rows = [f"{self._at(a)} + turn * {size}"
-                for a, size in zip(args[last:], loop.sizes[last:], strict=True)]  # fmt: skip
-        arguments = [*map(self._at, args[:first]), *(_plus(place, k) for k in carried), *rows]
+                for a, size in zip(tables, loop.split(loop.sizes)[2], strict=True)]  # fmt: skip
+        arguments = [*map(self._at, constants), *(_plus(place, k) for k in carried), *rows]
         copy = []
         if not changed:
             after = self._free_array(offset)
             arguments += [_plus(after, k) for k in carried]
-            copy = [f"        {self._code.helper('copy')}({offset}, {after}, {place});"]
+            copy = [f"        copy({offset}, {after}, {place});"]
             self._free.append(after)
         self._lines += [
             f"    for (int turn = 0; turn < {loop.length}; turn++) {{",
@@ -240,21 +234,9 @@ class _CWriter:
     def _formula(self, i: int, *, real: bool = False) -> str:
         """The formula of a node; of a vector, that of one element."""
         node = self._nodes[i]
-        op, args = node.op, node.args
-        if op in SIGNS:
-            text = f" {SIGNS[op]} ".join(map(self._real, args))
-        elif op in LOGIC:
-            text = LOGIC[op].format(*map(self._truth, args))
-        elif op == "select":
-            value = self._truth if node.truth else self._real
-            text = f"{self._truth(args[0])} ? {value(args[1])} : {value(args[2])}"
-        elif op == "neg":
-            text = f"-{self._real(args[0])}"
-        else:
-            name = (
-                self._code.helper(HELPER_OF[op]) if op in HELPER_OF else f"M({NAMES.get(op, op)})"
-            )
-            text = f"{name}({', '.join(map(self._real, args))})"
+        operands = [self._truth(a) if node.takes_truth(k) else self._real(a)
+                    for k, a in enumerate(node.args)]  # fmt: skip
+        text = apply_form(_FORMS.get(node.op), f"M({node.op})", operands)
         return f"(model_real)({text})" if real and node.truth else text
 
     def _real(self, a: int) -> str:
@@ -270,7 +252,7 @@ class _CWriter:
         """The text of a number or truth, and whether its type in C is that of numbers."""
         node = self._nodes[a]
         if node.op == "number":
-            return literal(float(node.data)), True
+            return _literal(float(node.data)), True
         if node.op == "pick":
             place, offset = self._where(node.args[0])
             return f"{place}[{offset + node.data}]", True
@@ -315,3 +297,32 @@ def _may_change(program: Program, carried: Sequence[str]) -> bool:
 
 def _plus(text: str, offset: int) -> str:
     return f"{text} + {offset}" if offset else text
+
+
+def _literal(value: float) -> str:
+    """A constant in the precision of the C file, which defines `R` and `EITHER`."""
+    with np.errstate(over="ignore", under="ignore"):
+        single = float(np.float32(value))
+    if np.isfinite(single) and (single != 0 or value == 0):
+        return f"R({float(value)!r})"
+    # beyond the range of float, where a suffix would be an error
+    return f"EITHER({_plain(value)}, {'0.0f' if single == 0 else _plain(single)})"
+
+
+def _plain(value: float) -> str:
+    if np.isnan(value):
+        return "(model_real)NAN"
+    if np.isinf(value):
+        return "(model_real)INFINITY" if value > 0 else "-(model_real)INFINITY"
+    return repr(float(value))
+
+
+def _wrapped(items: Iterable[str]) -> str:
+    """Items separated by commas on lines of at most about 100 characters."""
+    lines, line = [], "   "
+    for item in items:
+        if len(line) + len(item) > 98:
+            lines.append(line)
+            line = "   "
+        line += f" {item},"
+    return "\n".join([*lines, line.rstrip(",")])

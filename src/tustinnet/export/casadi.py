@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from tustinnet.errors import require_package
 from tustinnet.export.source import Source, make_source
-from tustinnet.export.target import Files, Stepper, Target, Vector
+from tustinnet.export.target import Files, Stepper, Target
 from tustinnet.models.contract import Model
 from tustinnet.program.program import Loop, Node, Program
 
@@ -143,17 +143,15 @@ def _repeated(loop: Loop, args: list[Any]) -> Any:
     return casadi.vertcat(*(states[:, -1] for states in turns.call([*carried, *repeated, *rows])))
 
 
-def _split(loop: Loop, args: list[Any]) -> tuple[Any, list[Any], list[Any], list[Any]]:
+def _split(loop: Loop, args: list[Any]) -> tuple[Any, Sequence, Sequence, Sequence]:
     """One turn of a loop, and its constant and carried values and its tables.
 
     The turn is a function of the carried values, the constants and a row of each table.
     """
-    first, last = loop.constants, loop.constants + loop.carried
-    names = list(loop.body.inputs)
-    inputs = [*names[first:last], *names[:first], *names[last:]]
+    constants, carried, tables = loop.split(list(loop.body.inputs))
     outputs = [f"next{i}" for i in range(loop.carried)]
-    turn = make_function(loop.body, "turn", inputs, outputs)
-    return turn, args[:first], args[first:last], args[last:]
+    turn = make_function(loop.body, "turn", [*carried, *constants, *tables], outputs)
+    return turn, *loop.split(args)
 
 
 def _write_graph(program: Program, values: Values) -> None:
@@ -224,11 +222,7 @@ class CasADi(Target):
         import casadi
 
         function = casadi.Function.load(str(folder / FILE))
-
-        def step(x: Vector, u: Vector) -> Vector:
-            return function(x, u).full().ravel()
-
-        return step
+        return lambda x, u: function(x, u).full().ravel()
 
 
 TARGET = CasADi()

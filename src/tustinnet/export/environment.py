@@ -44,9 +44,11 @@ class Rules:
             `max(0, 1 - (d / w)^2)` of a linear coordinate, w the width of its range. None of them
             is negative, so that it never pays to end an episode.
         target: positions, (n_q,) [rad or m]; by default 0, for `hold` those of `start` if given.
-        start: positions and velocities, internal states may follow, (2 n_q,) or (n_x,); None for
-            anywhere in the range. Internal states that are not given start as the model expects.
-        noise: the largest noise on `start`, as a share of the widths of the range.
+        start: positions and velocities, internal states may follow, (2 n_q,) or (n_x,); None for a
+            random state of the records, or for anywhere in the range where none is known. Internal
+            states that are not given start as the model expects.
+        noise: the largest noise on `start`, as a share of the widths of the range: of positions and
+            velocities a share of the difference of two random states of the records, if known.
         margin: how far beyond the range an episode goes on, as a share of its widths.
 
     Raises:
@@ -155,16 +157,28 @@ class Rules:
     def draw_starts(
         self, count: int, generator: np.random.Generator, options: Mapping[str, Any] | None = None
     ) -> Rows:
-        """Random initial states, (count, n_x); the state in the options of `reset`, if any."""
+        """Random initial states, (count, n_x); the state in the options of `reset`, if any.
+
+        Coordinates may be coupled by stiff springs, which independent random positions would
+        stretch far. So positions and velocities are those of the records, and noise on a given
+        start is along differences of them.
+        """
         state = (options or {}).get(STATE)
         if state is not None:
             return np.tile(self.complete_state(state, STATE), (count, 1))
         low, high = self.range.states.T
         share = generator.uniform(0.0, 1.0, (count, self.source.n_x))
+        recorded, measured = self.range.recorded_states, self.source.channels.measured
         if self.start is None:
-            x = self.with_expected_internal(low + share * (high - low))
+            x = low + share * (high - low)
+            if recorded is not None:
+                x[:, measured] = generator.choice(recorded, count)
+            x = self.with_expected_internal(x)
         else:
             noise = self.noise * self.width * (2 * share - 1)
+            if recorded is not None:
+                first, second = generator.choice(recorded, (2, count))
+                noise[:, measured] = self.noise * (first - second)
             x = self.complete_state(self.start, "start") + noise
         return np.clip(x, *self.bounds.T)
 

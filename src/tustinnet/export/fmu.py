@@ -11,15 +11,10 @@ from pathlib import Path
 from uuid import UUID
 from xml.etree import ElementTree as Xml
 
-from tustinnet.export.c import (
-    compile_c,
-    fill_template,
-    find_compiler,
-    library_step,
-    make_model_files,
-)
+from tustinnet.export.c import compile_c, find_compiler, library_step, make_model_files
 from tustinnet.export.source import Source
 from tustinnet.export.target import Files, NotRunnable, Stepper, Target
+from tustinnet.export.words import fill_template
 
 IDENTIFIER = "model"  # prefix of the functions, and name of the binary
 FILES = {2: "model-fmi2.fmu", 3: "model-fmi3.fmu"}

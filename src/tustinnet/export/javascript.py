@@ -15,104 +15,15 @@ import numpy as np
 from tustinnet.errors import InputError
 from tustinnet.export.source import Source
 from tustinnet.export.target import Files, NotRunnable, Stepper, Target, Vector
+from tustinnet.export.words import INFIX, apply_form, called_functions, fill_template
 from tustinnet.program.program import Loop, Node, Program
 
 MODULE = "model.mjs"
 
 # operations in JavaScript; all others are functions of `Math` of the same name
 _FORMS = {
-    "add": "{} + {}", "sub": "{} - {}", "mul": "{} * {}", "div": "{} / {}", "rem": "{} % {}",
-    "neg": "-{}", "pow": "power({}, {})",
-    "lt": "{} < {}", "le": "{} <= {}", "gt": "{} > {}", "ge": "{} >= {}", "eq": "{} === {}",
-    "ne": "{} !== {}", "and": "{} && {}", "or": "{} || {}", "not": "!{}", "select": "{} ? {} : {}",
+    **INFIX, "rem": "{} % {}", "pow": "power({}, {})", "eq": "{} === {}", "ne": "{} !== {}"
 }  # fmt: skip
-
-# functions of the module, each written where it is called
-_HELPERS = {
-    "decoded": """\
-// the numbers of a text in base64, 64 bits each, the lowest byte first
-function decoded(text) {
-  const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-  const view = new DataView(bytes.buffer);
-  return Float64Array.from({ length: bytes.length / 8 }, (_, i) => view.getFloat64(8 * i, true));
-}
-""",
-    "product": """\
-// a matrix, row by row, times a vector
-function product(out, matrix, vector) {
-  for (let i = 0, k = 0; i < out.length; i++) {
-    let sum = 0;
-    for (let j = 0; j < vector.length; j++, k++) sum += matrix[k] * vector[j];
-    out[i] = sum;
-  }
-}
-""",
-    "take": """\
-// one of several vectors that stand one after the other
-function take(out, from, which) {
-  for (let i = 0; i < out.length; i++) out[i] = from[which * out.length + i];
-}
-""",
-    "power": """\
-// as IEEE 754 has it: powers of 1 are 1, and those of -1 by infinities
-function power(x, y) {
-  return x === 1 || (x === -1 && Math.abs(y) === Infinity) ? 1 : x ** y;
-}
-""",
-}
-
-_MODULE = """\
-// A model of a mechanical system, stepped from sample to sample.
-//
-//   import {{ init, step }} from "./model.mjs";
-//   const state = init(x0);  // x0: as many numbers as `states` has names
-//   step(state, u);          // u: all inputs of the first sample of `samples`, then of the next
-//   state.x                  // a Float64Array
-
-// what the numbers of a state are called
-export const states = {states};
-// what the inputs are called
-export const inputs = {inputs};
-// from one state to the next [s]
-export const period = {period};
-// the samples whose inputs a step is given, counted from the one at which it begins
-export const samples = {samples};
-// smallest and largest states and inputs of the training records, null where nobody knows
-export const range = {range};
-
-{helpers}
-{vectors}
-
-function sized(values, size, name) {{
-  if (values.length === size) return values;
-  throw new RangeError(`${{name}} has ${{values.length}} numbers, not ${{size}}`);
-}}
-
-// A state, which `step` changes.
-export function init(x0) {{
-  return {{ x: Float64Array.from(sized(x0, {n_x}, "x0")) }};
-}}
-
-// Takes a state to the next sample, in place, and returns it.
-export function step(state, u) {{
-  v0.set(state.x);
-  v1.set(sized(u, {n_w}, "u"));
-{body}
-  state.x.set({following});
-  return state;
-}}
-"""
-
-# a program for the check: a line with state and inputs in, a line with the next state out
-_SERVER = """\
-import { createInterface } from "node:readline";
-import { pathToFileURL } from "node:url";
-const { init, step } = await import(pathToFileURL(process.argv[1]).href);
-for await (const line of createInterface({ input: process.stdin })) {
-  const { x, u } = JSON.parse(line);
-  console.log(JSON.stringify(Array.from(step(init(x), u).x)));
-}
-"""
 
 
 class JavaScript(Target):
@@ -129,13 +40,14 @@ class JavaScript(Target):
         ranges = source.range and {
             "states": source.range.states.tolist(), "inputs": source.range.inputs.tolist()
         }  # fmt: skip
-        text = _MODULE.format(
+        text = fill_template(
+            MODULE,
             states=_text(source.states),
             inputs=_text([i.name for i in source.channels.inputs]),
             period=_number(source.channels.dt),
             samples=_text(source.input_layout.offsets),
             range=_text(ranges),
-            helpers="\n".join(text for name, text in _HELPERS.items() if f"{name}(" in code),
+            helpers="\n".join(called_functions("helpers.mjs", code)),
             vectors=writer.declarations,
             n_x=source.n_x,
             n_w=source.n_w,
@@ -157,7 +69,8 @@ class _Node:
 
     def __init__(self, node: str, module: Path) -> None:
         self._process = subprocess.Popen(
-            [node, "--input-type=module", "--eval", _SERVER, str(module.resolve())],
+            [node, "--input-type=module", "--eval", fill_template("steps.mjs"),
+             str(module.resolve())],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
             encoding="utf-8",
         )  # fmt: skip
@@ -205,31 +118,33 @@ class _JavaScriptWriter:
         return self._declare(f"new Float64Array({size})")
 
     def program(self, program: Program, inputs: dict[str, str]) -> tuple[list[str], dict[str, str]]:
-        """The statements of a program, and the names of its outputs in JavaScript.
-
-        Args:
-            program: the program.
-            inputs: the names of its inputs in JavaScript.
-        """
+        """The statements of a program, and its outputs; both are named as in JavaScript."""
         lines: list[str] = []
         values: list[str] = []
         for node in program.nodes:
             args = [(program.nodes[a], values[a]) for a in node.args]
             if node.op == "input":
                 values.append(inputs[node.data])
-            elif node.op in ("table", "product"):
-                values.append(self._multiplied(node, program.tables[node.data], args, lines))
             else:
-                values.append(self._value(node, args, lines))
+                values.append(self._value(node, args, program.tables, lines))
         return lines, {name: values[i] for name, i in program.outputs.items()}
 
-    def _value(self, node: Node, args: list[tuple[Node, str]], lines: list[str]) -> str:
+    def _value(
+        self, node: Node, args: list[tuple[Node, str]], tables: Sequence[np.ndarray],
+        lines: list[str],
+    ) -> str:  # fmt: skip
         match node.op:
+            case "table":
+                return self._constant(tables[node.data])
+            case "product":
+                matrix, name = self._constant(tables[node.data]), self.vector(node.size)
+                lines.append(f"product({name}, {matrix}, {args[0][1]});")
+                return name
             case "number":
                 return _number(node.data)
             case "pick":
-                ((_, vector),) = args
-                return f"({vector}[{node.data}] !== 0)" if node.truth else f"{vector}[{node.data}]"
+                item = f"{args[0][1]}[{node.data}]"
+                return f"({item} !== 0)" if node.truth else item
             case "part":
                 return self._declare(f"{args[0][1]}.subarray({node.data}, {node.data + node.size})")
             case "join":
@@ -237,28 +152,19 @@ class _JavaScriptWriter:
             case "loop":
                 return self._loop(node.data, [text for _, text in args], lines)
         operands = [_operand(*arg, truth=node.takes_truth(i)) for i, arg in enumerate(args)]
-        form = _FORMS.get(node.op, f"Math.{node.op}({', '.join(['{}'] * len(args))})")
+        text = apply_form(_FORMS.get(node.op), f"Math.{node.op}", operands)
         if node.is_single:
             name = self._name("s")
-            lines.append(f"const {name} = {form.format(*operands)};")
-            return name
-        name = self.vector(node.size)
-        loop = f"for (let i = 0; i < {node.size}; i++)"
-        lines.append(f"{loop} {name}[i] = {form.format(*operands)};")
+            lines.append(f"const {name} = {text};")
+        else:
+            name = self.vector(node.size)
+            lines.append(f"for (let i = 0; i < {node.size}; i++) {name}[i] = {text};")
         return name
 
-    def _multiplied(
-        self, node: Node, table: np.ndarray, args: list[tuple[Node, str]], lines: list[str]
-    ) -> str:
-        """A constant vector, or a constant matrix times a vector."""
+    def _constant(self, table: np.ndarray) -> str:
         first = sum(w.size for w in self._weights)
         self._weights.append(np.ravel(table).astype(np.float64))
-        constant = self._declare(f"weights.subarray({first}, {first + table.size})")
-        if node.op == "table":
-            return constant
-        name = self.vector(node.size)
-        lines.append(f"product({name}, {constant}, {args[0][1]});")
-        return name
+        return self._declare(f"weights.subarray({first}, {first + table.size})")
 
     def _join(self, args: Sequence[tuple[Node, str]], size: int, lines: list[str]) -> str:
         name, first = self.vector(size), 0
@@ -271,18 +177,17 @@ class _JavaScriptWriter:
 
     def _loop(self, loop: Loop, args: list[str], lines: list[str]) -> str:
         """A loop; its carried state is one vector, replaced at the end of a turn as a whole."""
-        names, size = list(loop.body.inputs), sum(loop.carried_sizes)
+        size = sum(loop.carried_sizes)
         carried, following, turn = self.vector(size), self.vector(size), self._name("k")
-        first, last = loop.constants, loop.constants + loop.carried
-        inputs = dict(zip(names[:first], args[:first], strict=True))
+        named = list(zip(loop.body.inputs, args, strict=True))
+        constants, starts, tables = loop.split(named)
+        inputs = dict(constants)
         ends = np.cumsum([0, *loop.carried_sizes]).tolist()
-        for name, start, low, high in zip(
-            names[first:last], args[first:last], ends[:-1], ends[1:], strict=True
-        ):
+        for (name, start), low, high in zip(starts, ends[:-1], ends[1:], strict=True):
             lines.append(f"{carried}.set({start}, {low});")
             inputs[name] = self._declare(f"{carried}.subarray({low}, {high})")
         turns: list[str] = []
-        for name, rows in zip(names[last:], args[last:], strict=True):
+        for name, rows in tables:
             inputs[name] = self.vector(loop.body.inputs[name])
             turns.append(f"take({inputs[name]}, {rows}, {turn});")
         body, outputs = self.program(loop.body, inputs)

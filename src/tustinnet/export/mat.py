@@ -7,12 +7,11 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 from scipy.io import loadmat, savemat
 
 from tustinnet.export.source import Source, StepFunction
 from tustinnet.export.tangent import compute_tangent, operating_point
-from tustinnet.export.target import Files, Stepper, Target, Vector
+from tustinnet.export.target import Files, Stepper, Target
 
 FILE = "linear.mat"
 _TITLE = 116  # bytes of text that a file begins with
@@ -37,11 +36,7 @@ class Matrices(Target):
         """The tangent of the model's step, by JAX."""
         t = compute_tangent(source, *operating_point(source, self.point))
         following = t.x + t.drift
-
-        def step(x: Array, u: Array) -> Array:
-            return jnp.asarray(following + t.a @ (x - t.x) + t.b @ (u - t.u))
-
-        return step
+        return lambda x, u: jnp.asarray(following + t.a @ (x - t.x) + t.b @ (u - t.u))
 
     def files(self, source: Source) -> Files:
         """The matrices, names, period and operating point."""
@@ -67,11 +62,7 @@ class Matrices(Target):
         """An affine step by the matrices of the file, read by scipy."""
         content = loadmat(folder / FILE)
         x0, u0, drift = (content[name].ravel() for name in ("x", "u", "drift"))
-
-        def step(x: Vector, u: Vector) -> Vector:
-            return x0 + drift + content["A"] @ (x - x0) + content["B"] @ (u - u0)
-
-        return step
+        return lambda x, u: x0 + drift + content["A"] @ (x - x0) + content["B"] @ (u - u0)
 
 
 TARGET = Matrices()

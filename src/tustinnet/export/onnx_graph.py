@@ -28,36 +28,24 @@ class _Value:
     """The value of a program's node in a graph.
 
     Attributes:
+        node: the node.
         term: the tensor, (batch, size).
-        truth: whether its elements are true or false.
         batched: False for constants, (1, size).
     """
 
+    node: Node
     term: Term
-    truth: bool
     batched: bool
 
 
 def step_model(program: Program, kind: type[np.floating], about: dict[str, str]) -> ModelProto:
-    """A step: `x` (batch, n_x), `u` (batch, n_w) to `x_next` (batch, n_x).
-
-    Args:
-        program: the step.
-        kind: float64 or float32.
-        about: what the file says of itself.
-    """
+    """A step, with its metadata: `x` (batch, n_x), `u` (batch, n_w) to `x_next` (batch, n_x)."""
     model = ModelBuilder(np.dtype(kind))
     return _make_model(model, _step(model, program), about)
 
 
 def rollout_model(program: Program, kind: type[np.floating], about: dict[str, str]) -> ModelProto:
-    """A free run: `x0` (batch, n_x), `u` (steps, batch, n_w) to `x` (steps + 1, batch, n_x).
-
-    Args:
-        program: the step.
-        kind: float64 or float32.
-        about: what the file says of itself.
-    """
+    """A free run of a step: `x0` (batch, n_x), `u` (steps, batch, n_w) to `x` (steps + 1, ...)."""
     model, (n_x, n_w) = ModelBuilder(np.dtype(kind)), program.inputs.values()
     step = _step(model, program)
     # the state that a step carries on is also its output
@@ -82,7 +70,7 @@ def _step(model: ModelBuilder, program: Program) -> GraphProto:
     batch = graph.add("Slice", graph.add("Shape", "x").name, *map(model.constant, ([0], [1])))
     writer = _OnnxWriter(graph, batch.name)
     values = writer.program(program, {"x": "x", "u": "u"})
-    graph.nodes.append(make_node("Identity", [writer.whole(values["x"], n_x).name], ["x_next"]))
+    graph.nodes.append(make_node("Identity", [writer.whole(values["x"]).name], ["x_next"]))
     inputs = [_tensor(model, "x", _BATCH, n_x), _tensor(model, "u", _BATCH, n_w)]
     return make_graph(graph.nodes, "step", inputs, [_tensor(model, "x_next", _BATCH, n_x)])
 
@@ -104,81 +92,62 @@ class _OnnxWriter:
         self._graph, self._batch = graph, batch
 
     def program(self, program: Program, inputs: dict[str, str]) -> dict[str, _Value]:
-        """Writes a program and returns its outputs.
-
-        Args:
-            program: the program.
-            inputs: the tensors' names by those of the inputs.
-        """
+        """Writes a program, given the names of the tensors of its inputs; returns its outputs."""
         values: list[_Value] = []
         for node in program.nodes:
             args = [values[a] for a in node.args]
-            if node.op == "input":
-                values.append(_Value(self._graph.term(inputs[node.data]), False, True))
-            elif node.op in ("table", "product"):
-                values.append(self._multiplied(node, program.tables[node.data], args))
-            else:
-                sizes = [program.nodes[a].size for a in node.args]
-                values.append(self._value(node, args, sizes))
+            batched = node.op in ("input", "join", "loop") or any(a.batched for a in args)
+            values.append(_Value(node, self._term(node, args, program.tables, inputs), batched))
         return {name: values[i] for name, i in program.outputs.items()}
 
-    def whole(self, value: _Value, size: int, *, truth: bool = False) -> Term:
+    def whole(self, value: _Value, *, truth: bool = False) -> Term:
         """A value for every member of the batch."""
         term = self._as(value, truth=truth)
         if value.batched:
             return term
-        shape = self._graph.add("Concat", self._batch, self._constant([size]), axis=0)
+        shape = self._graph.add("Concat", self._batch, self._constant([value.node.size]), axis=0)
         return self._graph.add("Expand", term.name, shape.name)
 
-    def _value(self, node: Node, args: list[_Value], sizes: Sequence[int]) -> _Value:
-        batched = any(a.batched for a in args)
+    def _term(
+        self, node: Node, args: list[_Value], tables: Sequence[np.ndarray], inputs: dict[str, str]
+    ) -> Term:
         match node.op:
+            case "input":
+                return Term(self._graph, inputs[node.data])
             case "number":
-                return _Value(self._graph.number(node.data), node.truth, False)
+                return self._graph.number(node.data)
+            case "table":
+                return Term(self._graph, self._constant(tables[node.data][None]))
+            case "product":
+                vector = self._as(args[0], truth=False)
+                return self._graph.add("MatMul", vector.name, self._constant(tables[node.data].T))
             case "pick" | "part":
                 places = np.arange(node.data, node.data + node.size)
-                term = self._graph.add("Gather", args[0].term.name, self._constant(places), axis=1)
-                return _Value(term, node.truth, batched)
+                return self._graph.add("Gather", args[0].term.name, self._constant(places), axis=1)
             case "join":
-                parts = [
-                    self.whole(a, size, truth=node.truth).name
-                    for a, size in zip(args, sizes, strict=True)
-                ]
-                return _Value(self._concat(parts), node.truth, True)
+                return self._concat([self.whole(a, truth=node.truth).name for a in args])
             case "loop":
-                starts = [self.whole(a, size).name for a, size in zip(args, sizes, strict=True)]
-                return _Value(self._loop(node.data, starts), False, True)
+                return self._loop(node.data, [self.whole(a).name for a in args])
         terms = [self._as(a, truth=node.takes_truth(i)) for i, a in enumerate(args)]
         if node.op == "select" and node.truth:  # which `Where` does not choose from
             which, yes, no = terms
-            term = which.to("And", yes).to("Or", which.to("Not").to("And", no))
-        else:
-            term = OPERATORS[node.op](*terms)
-        return _Value(term, node.truth, batched)
-
-    def _multiplied(self, node: Node, table: np.ndarray, args: list[_Value]) -> _Value:
-        """A constant vector, or a constant matrix times a vector."""
-        if node.op == "table":
-            return _Value(self._graph.term(self._constant(table[None])), node.truth, False)
-        vector = self._as(args[0], truth=False)
-        term = self._graph.add("MatMul", vector.name, self._constant(table.T))
-        return _Value(term, False, args[0].batched)
+            return which.to("And", yes).to("Or", which.to("Not").to("And", no))
+        return OPERATORS[node.op](*terms)
 
     def _loop(self, loop: Loop, args: list[str]) -> Term:
         """A loop; its body reads constants and tables from outside."""
-        names, model, body = list(loop.body.inputs), self._graph.model, Graph(self._graph.model)
-        first, last = loop.constants, loop.constants + loop.carried
+        model, body, sizes = self._graph.model, Graph(self._graph.model), loop.carried_sizes
+        constants, first_values, tables = loop.split(args)
         turn, going = model.name(), model.name()
         carried = [model.name() for _ in range(loop.carried)]
-        inputs = dict(zip(names[:last], [*args[:first], *carried], strict=True))
-        for name, rows in zip(names[last:], args[last:], strict=True):
+        # without a row for each collected vector yet
+        inputs = dict(zip(loop.body.inputs, [*constants, *carried], strict=False))
+        for name, rows in zip(loop.split(list(loop.body.inputs))[2], tables, strict=True):
             shape = self._constant([0, loop.length, loop.body.inputs[name]])  # 0: as it is
             table = self._graph.add("Reshape", rows, shape)
             inputs[name] = body.add("Gather", table.name, turn, axis=1).name
         inside = _OnnxWriter(body, self._batch)
-        outputs = inside.program(loop.body, inputs).values()
-        sizes = loop.carried_sizes
-        ends = [inside.whole(x, size).name for x, size in zip(outputs, sizes, strict=True)]
+        ends = [inside.whole(x).name for x in inside.program(loop.body, inputs).values()]
         # under new names: two may be one tensor, or stand outside of the body
         go_on, *ends = [body.add("Identity", name).name for name in (going, *ends)]
 
@@ -190,7 +159,7 @@ class _OnnxWriter:
 
         of_turn = [make_tensor_value_info(turn, TensorProto.INT64, []), *infos(going, carried)]
         one_turn = make_graph(body.nodes, "turn", of_turn, infos(go_on, ends))
-        starts = [model.constant(np.int64(loop.length)), model.constant(True), *args[first:last]]
+        starts = [model.constant(np.int64(loop.length)), model.constant(True), *first_values]
         results = [model.name() for _ in carried]
         self._graph.nodes.append(make_node("Loop", starts, results, body=one_turn))
         return self._concat(results)
@@ -200,7 +169,7 @@ class _OnnxWriter:
 
     def _as(self, value: _Value, *, truth: bool) -> Term:
         """A value as numbers, or as truths."""
-        if value.truth == truth:
+        if value.node.truth == truth:
             return value.term
         if truth:
             return value.term.equals(0.0).to("Not")

@@ -65,10 +65,6 @@ class Graph:
         self.nodes.append(make_node(op, list(inputs), [name], **attributes))
         return Term(self, name)
 
-    def term(self, name: str) -> "Term":
-        """A tensor of this graph or of one around it."""
-        return Term(self, name)
-
     def number(self, value: Any) -> "Term":
         """A constant, of shape (1, 1)."""
         return Term(self, self.model.constant(np.reshape(value, (1, 1))))

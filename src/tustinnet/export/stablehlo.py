@@ -12,7 +12,7 @@ from jax import export
 from jaxtyping import Array
 
 from tustinnet.export.source import Source
-from tustinnet.export.target import Files, Stepper, Target, Vector
+from tustinnet.export.target import Files, Stepper, Target
 from tustinnet.simulate.rollout import rollout
 
 STEP, ROLLOUT = "step.bin", "rollout.bin"
@@ -44,11 +44,7 @@ class StableHLO(Target):
     def stepper(self, folder: Path, source: Source) -> Stepper:
         """A step by `step.bin`, compiled by JAX."""
         call = jax.jit(export.deserialize(bytearray((folder / STEP).read_bytes())).call)
-
-        def step(x: Vector, u: Vector) -> Vector:
-            return np.asarray(call(x, u))
-
-        return step
+        return lambda x, u: np.asarray(call(x, u))
 
 
 def _serialized(function: Callable[..., Array], *shapes: tuple[Any, ...]) -> bytes:

@@ -4,12 +4,14 @@ A program is a list of nodes in the order of computation. Most nodes are single 
 networks are products of matrices and vectors, and operations after them act on whole vectors.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+
+Item = TypeVar("Item")
 
 
 class Operation(NamedTuple):
@@ -152,7 +154,12 @@ class Loop:
     @property
     def carried_sizes(self) -> tuple[int, ...]:
         """Sizes of the carried vectors."""
-        return self.sizes[self.constants : self.constants + self.carried]
+        return self.split(self.sizes)[1]
+
+    def split(self, items: Sequence[Item]) -> tuple[Sequence[Item], Sequence[Item], Sequence[Item]]:
+        """Items, one for each of the body's inputs, by kind: constants, carried, collected."""
+        last = self.constants + self.carried
+        return items[: self.constants], items[self.constants : last], items[last:]
 
 
 @dataclass(frozen=True, eq=False)

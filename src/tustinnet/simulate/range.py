@@ -1,4 +1,4 @@
-"""Range of records: the smallest and largest states and inputs, and which came together."""
+"""Range of records: smallest and largest states and inputs, and states that the records had."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,6 +17,7 @@ from tustinnet.simulate.along import states_along
 KEY = "range"  # in headers of model files
 _POINTS = 300  # of a training support
 _CANDIDATES = 4000  # samples that they are taken from, at most
+_STATES = 200  # of the recorded states that are kept, about
 _DIGITS = 3  # of their numbers
 _MARGIN = 0.1  # of the span, beyond which a value counts as outside
 _LEAST = 1e-9  # span of what never moved
@@ -69,11 +70,14 @@ class Range:
         states: of [q, v, z], (n_x, 2).
         inputs: (n_u, 2).
         support: the points that came together, None of one record and in older files.
+        recorded_states: positions and velocities at some samples of the records, (k, 2 n_q), None
+            in older files.
     """
 
     states: Float[np.ndarray, "n_x 2"]
     inputs: Float[np.ndarray, "n_u 2"]
     support: TrainingSupport | None = None
+    recorded_states: Float[np.ndarray, "k n_measured"] | None = None
 
     def as_header(self) -> dict[str, Any]:
         """The range as plain values for the header of a model file."""
@@ -84,6 +88,8 @@ class Range:
                 "spread": self.support.spread.tolist(),
                 "reach": self.support.reach,
             }
+        if self.recorded_states is not None:
+            header["recorded_states"] = self.recorded_states.tolist()
         return header
 
     def extrapolation_point(
@@ -159,7 +165,12 @@ class Range:
                     np.array(points["spread"], float).reshape(size),
                     float(points["reach"]),
                 )
-            result = cls(states.reshape(n_x, 2), inputs.reshape(n_u, 2), support)
+            recorded = plain.get("recorded_states")
+            if recorded is not None:
+                recorded = np.array(recorded, float).reshape(-1, 2 * channels.n_q)
+                if not len(recorded) or not np.isfinite(recorded).all():
+                    raise ValueError("recorded states that are not finite, or none")
+            result = cls(states.reshape(n_x, 2), inputs.reshape(n_u, 2), support, recorded)
         # internal states of a model that diverged are no numbers along its records
         return result if all(np.isfinite(e).all() for e in (states, inputs)) else None
 
@@ -178,13 +189,15 @@ def recorded_range(
     inputs = np.concatenate([e.u for e in experiments])
     if support is None:
         support = training_support(model.channels, experiments)
-    return Range(_ends(states), _ends(inputs), support)
+    measured = states[:, model.channels.measured]
+    return Range(_ends(states), _ends(inputs), support, measured[:: -(-len(measured) // _STATES)])
 
 
 def join_ranges(ranges: Sequence[Range], channels: Channels) -> Range:
     """The range of models that step together, their internal states one after the other.
 
-    It has a training support where all are of the same records.
+    It has a training support where all are of the same records, and the recorded states of all
+    where each has some.
 
     Args:
         ranges: the range of each model.
@@ -196,10 +209,12 @@ def join_ranges(ranges: Sequence[Range], channels: Channels) -> Range:
     is_shared = len(supports) == len(ranges) and all(
         np.array_equal(support.points, supports[0].points) for support in supports
     )
+    recorded = [r.recorded_states for r in ranges if r.recorded_states is not None]
     return Range(
         np.concatenate([_enclosing(measured), *internal]),
         _enclosing([r.inputs for r in ranges]),
         supports[0] if is_shared else None,
+        np.unique(np.concatenate(recorded), axis=0) if len(recorded) == len(ranges) else None,
     )
 
 

@@ -24,7 +24,8 @@ def environment(model: str | Path | Model, **options: Any) -> ModelEnv:
         options: `system`, the system or its file, of a model of a system of your own; `groups`, of
             a model with values by group those to take; `range`, where states and inputs lie, of a
             model that does not say it: `{"states": [[low, high], ...], "inputs": [[low, high],
-            ...]}`; and what `Rules` has: `reward`, `target`, `start`, `noise`, `margin`.
+            ...]}`, optionally with `recorded_states` to start from; and what `Rules` has: `reward`,
+            `target`, `start`, `noise`, `margin`.
 
     Raises:
         InputError: see `load_model`, `make_source` and `Rules`; nobody says where states and inputs
