@@ -1,24 +1,9 @@
 """Deadlines, and which trainings stop for them."""
 
 import time
-from types import SimpleNamespace
-from typing import Any
-
-import pytest
 
 from tustinnet.fitting.gradient.state import Progress
 from tustinnet.selection.deadline import NEVER, Deadline, StopCheck
-
-
-def plan(*stages: tuple[int, int | None]) -> Any:
-    """Stages of so many epochs, with so much patience; windows alike."""
-    windows = SimpleNamespace(rows=SimpleNamespace(shape=(1, 10)), length=5)
-    return SimpleNamespace(
-        stages=[
-            SimpleNamespace(recipe=SimpleNamespace(epochs=n, patience=p), windows=windows)
-            for n, p in stages
-        ],
-    )
 
 
 def ran(epochs: int, stage: int = 0) -> list[Progress]:
@@ -33,20 +18,16 @@ class Time:
         monkeypatch.setattr(time, "monotonic", lambda: self.now)
 
 
-TWO = (10, None), (20, None)
-
-
 def test_what_can_end_in_time_goes_on(monkeypatch):
-    clock, stops = Time(monkeypatch), StopCheck(Deadline(100.0), plan(*TWO))
+    clock, stops = Time(monkeypatch), StopCheck(Deadline(100.0))
     clock.now = 40.0  # the first call compiled
     assert not stops(ran(5))
     clock.now = 45.0  # a second an epoch: 20 are left
     assert not stops(ran(10))
-    assert stops.needed is None
 
 
 def test_a_training_goes_on_until_the_next_call_would_end_too_late(monkeypatch):
-    clock, stops = Time(monkeypatch), StopCheck(Deadline(60.0), plan(*TWO))
+    clock, stops = Time(monkeypatch), StopCheck(Deadline(60.0))
     clock.now = 40.0
     assert not stops(ran(5))
     clock.now = 45.0
@@ -55,27 +36,16 @@ def test_a_training_goes_on_until_the_next_call_would_end_too_late(monkeypatch):
     assert not stops(ran(5, stage=1))
     clock.now = 57.0
     assert stops(ran(10, stage=1))
-    assert stops.needed == pytest.approx(10.0)
 
 
 def test_the_first_call_may_have_taken_all_the_time(monkeypatch):
-    clock, stops = Time(monkeypatch), StopCheck(Deadline(30.0), plan(*TWO))
+    clock, stops = Time(monkeypatch), StopCheck(Deadline(30.0))
     clock.now = 40.0
     assert stops(ran(5))
-    assert stops.needed is None
-
-
-def test_a_stage_with_patience_is_expected_to_end_early(monkeypatch):
-    clock, stops = Time(monkeypatch), StopCheck(Deadline(46.0), plan((10, None), (20, 5)))
-    clock.now = 40.0
-    assert not stops(ran(5))
-    clock.now = 45.0
-    assert stops(ran(10))
-    assert stops.needed == pytest.approx(10.0)  # of 20
 
 
 def test_the_first_call_of_a_stage_says_nothing_but_the_end_is_the_end(monkeypatch):
-    clock, stops = Time(monkeypatch), StopCheck(Deadline(60.0), plan(*TWO))
+    clock, stops = Time(monkeypatch), StopCheck(Deadline(60.0))
     clock.now = 30.0
     assert not stops(ran(10))
     clock.now = 59.0

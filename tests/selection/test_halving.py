@@ -178,17 +178,6 @@ def test_candidates_are_not_tried_for_the_first_time_when_most_of_the_time_is_sp
     assert "network: left out, no time was left for it" in said
 
 
-def test_the_cheapest_of_those_that_time_ended_is_known():
-    def of(job: Job) -> JobResult:
-        needs = {"linear": 20.0, "network": 50.0}.get(job.candidate)
-        return JobResult(job.candidate, job.fold, 1.0, "out of time", why="spent", needs=needs)
-
-    found, _ = halving()
-    assert found.run(Pretended(of=of)) == []
-    assert found.cheapest is not None
-    assert (found.cheapest.candidate, found.cheapest.needs) == ("linear", 20.0)
-
-
 def test_free_runs_that_are_further_off_than_the_records_move_end_it_after_a_round():
     def of(job: Job) -> JobResult:
         rmse = {f"r{job.fold}": float("inf") if job.candidate == "grey" else 50.0}
@@ -242,7 +231,7 @@ def test_trainings_that_their_share_stopped_go_on_in_the_time_that_is_left(monke
         if job.candidate != "network" or job.continues:
             return None
         models = (FitScore(0, "out of time", "m", None, {"model-20": {f"r{job.fold}0": 0.01}}),)
-        return JobResult("network", job.fold, 1.0, "out of time", models, "spent", needs=1e6)
+        return JobResult("network", job.fold, 1.0, "out of time", models, "spent")
 
     jobs, messages = halving(deadline=Deadline(0.0))
     executor = Pretended(of=of)

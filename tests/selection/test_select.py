@@ -464,16 +464,14 @@ def test_no_unfinished_search_from_all_records_is_taken_instead_of_finished_ones
     assert choice.origins["grey"].endswith("no time was left to identify it from all records")
 
 
-def test_a_budget_that_is_too_short_says_what_the_cheapest_needs(tmp_path):
+def test_a_training_that_the_budget_stops_is_scored_with_the_weights_that_it_has(tmp_path):
     changes = '["stages.0.epochs=100000", "stages.0.keep=last"]'
     text = NETWORK_ONLY.replace('recipe = "small.toml"', f'recipe = "small.toml", set = {changes}')
     options = SelectionOptions(plan_in(tmp_path, text), budget=20.0)
     begun = time.monotonic()
-    with pytest.raises(
-        InputError, match=r"no candidate was fitted.*network, needs about \d+ s.*--resume"
-    ):
-        select_model(swings(), tmp_path / "run", options)
-    assert time.monotonic() - begun < 60
+    choice = select_model(swings(), tmp_path / "run", options)
+    assert time.monotonic() - begun < 40
+    assert any("trainings were stopped by the budget" in line for line in choice.sentences)
 
 
 def test_one_record_is_cut_and_told(tmp_path):

@@ -126,8 +126,8 @@ class Choice:
             )
         trainings, searches = list[FitScore](), list[FitScore]()
         for result, _ in self.candidates.members(self.best):
-            trains = self.candidates.plan.candidate(result.name).content.family.trains
-            (trainings if trains else searches).extend(result.models)
+            family = self.candidates.plan.candidate(result.name).content.family
+            (trainings if family.resumable else searches).extend(result.models)
         if stopped := sum(m.is_out_of_time for m in trainings):
             sentences.append(
                 f"{stopped} of its {len(trainings)} trainings were stopped by the budget, with "

@@ -35,8 +35,6 @@ class Halving:
     Attributes:
         plan: the plan.
         results: of each candidate, by name, from the simplest on.
-        cheapest: of the candidates that time ended before they were scored once, the job that
-            would have ended first; None without any.
         hopeless: whether free runs of whole records were further off than the records move, for
             all candidates: then the first round was the last one.
     """
@@ -59,7 +57,6 @@ class Halving:
         self._omitted = 0  # jobs of a round for which no time was left
         self._pending: list[Job] = []  # jobs of a round that have not begun
         self.results = {c.name: CandidateResult(c.name) for c in candidates}
-        self.cheapest: JobResult | None = None
         self.hopeless = False
 
     def run(self, executor: Executor) -> list[CandidateResult]:
@@ -203,10 +200,6 @@ class Halving:
         if result.ended == "out of time":
             self._stopped.append(self._begun[name, result.fold])
         self._on_message(f"{name}, fold {result.fold}: {result.why}")
-        if result.needs is not None and not self.results[name].folds:
-            best = self.cheapest
-            if best is None or result.needs < (best.needs or math.inf):
-                self.cheapest = result
 
     def _report(self, number: int, ranking: Sequence[CandidateResult], kept: int) -> None:
         """Reports how the candidates stand after a round."""

@@ -23,7 +23,6 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.errors import error_message
 from tustinnet.evaluate.scores import scores_header
 from tustinnet.fitting.fit import MakeListener, fit_task
-from tustinnet.fitting.gradient.plan import TrainingPlan
 from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.report import OUT_OF_TIME, FitResult, data_header
 from tustinnet.fitting.shooting.identify import UnfinishedSearchError
@@ -46,7 +45,7 @@ from tustinnet.store.run import MODEL, fit_in_folder
 from tustinnet.systems.files import AnySystem, SystemFile, SystemTemplate, load_system_or_template
 
 SCORES = "scores.json"
-SPENT = "the budget was spent"
+SPENT = "its share of the budget was spent"
 NO_STAGE = f"{SPENT} before a stage of its search was finished"
 LEFT_OUT = "left out"  # where files name a split: records that a model was not fitted to
 
@@ -135,7 +134,6 @@ class JobResult:
             when the deadline came, or of the last finished stage of an identification.
         scores: of every seed, where there are any.
         why: the reason where it was not done.
-        needs: how long it would have taken [s], if known, where time was up.
         earlier: whether it was found done.
     """
 
@@ -147,7 +145,6 @@ class JobResult:
     ended: Ended
     scores: tuple[FitScore, ...] = ()
     why: str = ""
-    needs: float | None = None
     earlier: bool = False
 
 
@@ -255,12 +252,8 @@ def perform_jobs(
     Returns:
         A result a job.
     """
-    started, checks = time.monotonic(), list[StopCheck]()
+    started = time.monotonic()
     deadline = deadline.at_most(min(job.limit for job in jobs))
-
-    def make_stop_check(prepared: TrainingPlan) -> StopCheck:
-        checks.append(StopCheck(deadline, prepared))
-        return checks[-1]
 
     def spent() -> float:
         return (time.monotonic() - started) / len(jobs)
@@ -271,10 +264,10 @@ def perform_jobs(
             fits = fit_task(
                 task,
                 make_listener,
-                make_stop_check=make_stop_check,
+                make_stop_check=lambda plan: StopCheck(deadline),
                 should_stop_search=deadline.has_passed,
             )
-            return [_score_fits(job, context, fits, spent, checks) for job in jobs]
+            return [_score_fits(job, context, fits, spent) for job in jobs]
         (job,) = jobs
         digest = _fit_digest(task, context)
         earlier = _find_earlier_result(job, context, digest)
@@ -290,10 +283,10 @@ def perform_jobs(
                 task,
                 make_listener,
                 resume=resume,
-                make_stop_check=make_stop_check,
+                make_stop_check=lambda plan: StopCheck(deadline),
                 should_stop_search=deadline.has_passed,
             )
-            result = _score_fits(job, context, fits, spent, checks)
+            result = _score_fits(job, context, fits, spent)
     except UnfinishedSearchError:
         return [JobResult(j.candidate, j.fold, spent(), "out of time", why=NO_STAGE) for j in jobs]
     except BaseException as error:  # of any kind: the others go on, and the reason is reported
@@ -378,7 +371,6 @@ def _score_fits(
     context: RunContext,
     fits: Sequence[FitResult],
     spent: Callable[[], float],
-    checks: Sequence[StopCheck],
 ) -> JobResult:
     """Keeps the models of a job and scores each on the records that were left out."""
     fits = [fit for fit in fits if fit.member.fold == job.fold]
@@ -406,13 +398,9 @@ def _score_fits(
     ended: Ended = "out of time" if any(f.is_out_of_time for f in fits) else "done"
     if ended == "done":
         return JobResult(job.candidate, job.fold, spent(), ended, tuple(scores))
-    scored = "best weights so far are" if job.recipe.family.trains else "last finished stage is"
-    rest = [check.needed for check in checks if check.needed is not None]
-    return JobResult(
-        job.candidate, job.fold, spent(), ended, tuple(scores),
-        why=f"{SPENT}: its {scored} scored" if scores else SPENT,
-        needs=spent() + max(rest) if rest else None,
-    )  # fmt: skip
+    scored = "best weights so far are" if job.recipe.family.resumable else "last finished stage is"
+    why = f"{SPENT}: its {scored} scored" if scores else SPENT
+    return JobResult(job.candidate, job.fold, spent(), ended, tuple(scores), why)
 
 
 def _has_useful_model(fit: FitResult) -> bool:

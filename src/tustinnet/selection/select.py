@@ -145,7 +145,7 @@ def select_model(
             halving = Halving(plan, candidates, context, reporter.on_message, rounds_end, ending)
             remaining = halving.run(make(context))
         if not remaining:
-            raise _nothing_fitted(halving, budget)
+            raise _nothing_fitted(halving)
         choice = _choose(halving, remaining, context, reporter, models_end)
         seconds = time.monotonic() - started
         choice = replace(choice, notes=notes, seconds=seconds, budget=budget)
@@ -287,16 +287,8 @@ def _discard(folder: Path) -> None:
     remove_below(folder / FIGURES, {f"{name}.png" for name in (CANDIDATES, *records)})
 
 
-def _nothing_fitted(halving: Halving, budget: float | None) -> InputError:
+def _nothing_fitted(halving: Halving) -> InputError:
     """The error where no candidate was fitted."""
-    short = halving.cheapest
-    if short is not None and short.needs is not None:
-        needed = max(short.needs / (1 - _ENDING - _FILES), 1.2 * (budget or 0.0))
-        return InputError(
-            "--budget", f"{budget:g} s: no candidate was fitted in it",
-            f"the cheapest, {short.candidate}, needs about {needed:.0f} s",
-            "checkpoints are kept: add --resume to go on",
-        )  # fmt: skip
     reasons: dict[str, list[str]] = {}
     for result in halving.results.values():
         if result.why:
