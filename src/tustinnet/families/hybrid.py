@@ -113,18 +113,24 @@ class HybridModel(Model):
 
     @property
     def step_layout(self) -> StepLayout:
-        """The rows of the physics, and the samples that the correction takes."""
-        return self.physics.step_layout | StepLayout(taps=self.correction.taps)
+        """The rows of the physics, and those that the correction takes."""
+        return self.physics.step_layout | self._correction_layout
+
+    @property
+    def _correction_layout(self) -> StepLayout:
+        """Rows of the correction; instead of the mean it takes the first row of the physics."""
+        layout = self.correction.step_layout
+        return StepLayout() if layout == StepLayout(mean=True) else layout
 
     def step(self, x: State, u: StepInput) -> State:
         """The state after one period: the physics, then the correction."""
         channels, n_p, layout = self.channels, self.physics.state_size, self.step_layout
         for_physics = layout.select(u, self.physics.step_layout)
         u_begin = for_physics if for_physics.ndim == 1 else for_physics[0]
-        taps = self.correction.taps
+        rows = self._correction_layout
         f, update_internal = self.correction.accelerate(
             jnp.concatenate([x[channels.measured], x[n_p:]]),
-            layout.select(u, StepLayout(taps=taps)) if taps else u_begin,
+            u_begin if rows == StepLayout() else layout.select(u, rows),
         )
         if self.fades_at_rest:
             unit = self.correction.scaling

@@ -253,8 +253,8 @@ def test_without_validation_records_the_training_loss_decides(pendulum, prepared
 def test_watching_the_validation_loss_needs_its_own_windows(pendulum, prepared):
     recipe = tn.read_recipe(prepared.recipe, ["stages.0.plateau.watch=validation-loss"])
     watching = planned(pendulum, recipe)
-    assert watching.stages[0].validation_windows is not None
-    assert watching.stages[1].validation_windows is None
+    assert watching.stages[0].validation_rows is not None
+    assert watching.stages[1].validation_rows is None
     _, progress, _, states = run(watching)
     assert progress[0].outcome == "finished"
     watched = [float(s.progress.plateau.best[0]) for s, p in states if p[0].stage == 0]

@@ -61,7 +61,6 @@ class _EpochProgram:
 
     recipe: StageRecipe
     loss: WindowLoss
-    has_validation_windows: bool
     trainable: tuple[bool, ...]
     keep: Criterion
     watch: Criterion
@@ -96,7 +95,8 @@ def compile_epochs(
     runs free over its validation records, notes the best weights, adapts the rate. Weights that
     are not finite are dropped for the last good ones at a lower rate. No member sees another.
     """
-    recipe, windows, validation = stage.recipe, stage.windows, stage.validation_windows
+    recipe, windows = stage.recipe, stage.windows
+    validation = stage.validation_rows if plan.validation_runs is not None else None
 
     def available(criterion: Kept) -> Criterion:
         """The criterion, or the next one where there are no records or windows for it."""
@@ -117,13 +117,12 @@ def compile_epochs(
             windows.lead,
             only_layers=all(jax.tree.leaves(in_layers)),
         ),
-        has_validation_windows=validation is not None and plan.validation_runs is not None,
         trainable=tuple(jax.tree.leaves(stage.trainable)),
         keep=available(recipe.keep),
         watch=available(recipe.plateau.watch if recipe.plateau else "training"),
         mesh=plan.mesh,
     )
-    validation_rows = validation.rows if validation else jnp.zeros((len(windows.rows), 0))
+    validation_rows = jnp.zeros((len(windows.rows), 0)) if validation is None else validation
     member = _MemberInputs(
         rows=jnp.asarray(windows.rows, jnp.int32),
         validation_rows=jnp.asarray(validation_rows, jnp.int32),
@@ -323,7 +322,7 @@ def _compute_figures(
         # long and narrow: all members at once, also where training is member after member
         score = jax.vmap(compute_validation_rmse, in_axes=(0, None, 0, 0))
         figures["validation"] = score(models, runs, member.run_indices, member.run_counts)
-        if program.has_validation_windows:
+        if member.validation_rows.shape[-1]:
             figures["validation-loss"] = _map_members(
                 program.mesh,
                 lambda model, own: _validation_loss(model, inputs._replace(member=own), program),

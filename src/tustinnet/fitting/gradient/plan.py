@@ -227,18 +227,17 @@ def _plan_stage(
         lengths.add(length)
     if len(lengths) > 1:
         raise InputError(f"stage '{stage.name}'", "windows of different lengths", "one length")
-    length, validation_windows = lengths.pop(), None
+    length, validation_rows = lengths.pop(), None
     criteria = (stage.keep, stage.plateau.watch if stage.plateau else None)
     if "validation-loss" in criteria:
-        validation_rows = []
+        drawn = []
         for seed, records in draws:
             generator = np.random.default_rng([seed, index, 1])
             if records.validation:
                 windows = draw_windows(records.validation, stage.windows, length + lead, generator)
-                validation_rows.append(pool.window_rows(windows, records.validation))
-        if len(validation_rows) == len(draws) and all(map(len, validation_rows)):
-            stacked = _stack_rows(validation_rows, len(roles))
-            validation_windows = StageWindows(stacked, length, lead)
+                drawn.append(pool.window_rows(windows, records.validation))
+        if len(drawn) == len(draws) and all(map(len, drawn)):
+            validation_rows = _stack_rows(drawn, len(roles))
     residuals = {make_residual(stage, records.train) for records in roles}
     if len(residuals) > 1:
         raise InputError(f"stage '{stage.name}'", "residuals of different units", "one unit")
@@ -247,7 +246,7 @@ def _plan_stage(
         windows=StageWindows(_stack_rows(rows, len(roles)), length, lead),
         trainable=recipe.family.trainable_mask(model, stage),
         residual=residuals.pop(),
-        validation_windows=validation_windows,
+        validation_rows=validation_rows,
     )
 
 

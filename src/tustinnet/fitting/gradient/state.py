@@ -133,15 +133,15 @@ class Stage:
         windows: what each member is trained on, rows of shape (members, count).
         trainable: a tree like the model, True where an array trains.
         residual: what is compared.
-        validation_windows: windows of the validation records, where the stage's criteria need
-            their loss.
+        validation_rows: rows of windows of the validation records, (members, count), where the
+            stage's criteria need their loss.
     """
 
     recipe: StageRecipe
     windows: StageWindows
     trainable: PyTree
     residual: Residual
-    validation_windows: StageWindows | None = None
+    validation_rows: Int[np.ndarray, "members count"] | None = None
 
 
 def adam_without_rate(recipe: StageRecipe) -> optax.GradientTransformation:
