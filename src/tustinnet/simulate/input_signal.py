@@ -15,8 +15,8 @@ class InputSignal(eqx.Module):
     """Inputs that act from sample to sample, and how long each period is.
 
     Attributes:
-        u: what the model is given in every period, as its `seen` makes it of a record's inputs,
-            (steps, ...); for models that are driven by held inputs (steps, n_u).
+        u: what the model is given in every period, as its `step_inputs` makes it of a record's
+            inputs, (steps, ...); for models that are driven by held inputs (steps, n_u).
         periods: time from each sample to the next [s], (steps,), for models that can step by any;
             None for the model's sampling period.
     """

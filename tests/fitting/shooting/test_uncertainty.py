@@ -114,13 +114,15 @@ def test_fewer_than_four_records_leave_only_the_residuals():
     _, certain = fit([noisy(e, SIZE, i) for i, e in enumerate(records()[:3])])
     assert certain.clustered is None
     assert certain.trusted is certain.naive
-    assert certain.trusted_quantile == pytest.approx(1.96, abs=0.01)
+    assert certain.naive_quantile == pytest.approx(1.96, abs=0.01)
 
 
 def test_few_records_have_wide_quantiles():
     _, certain = fit([noisy(e, SIZE, i) for i, e in enumerate(records())])
     assert certain.trusted is certain.clustered
-    assert certain.trusted_quantile == pytest.approx(3.182, abs=1e-3)  # Student's t, 3 degrees
+    assert certain.quantile_for_records(4) == pytest.approx(
+        3.182, abs=1e-3
+    )  # Student's t, 3 degrees
 
 
 def test_a_parameter_at_a_bound_has_no_error_and_takes_no_part():

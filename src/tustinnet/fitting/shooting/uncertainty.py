@@ -28,14 +28,14 @@ class Uncertainty:
         naive: covariance from `J'J`, right only where residuals are independent and no structure
             is missing.
         clustered: covariance from how the records disagree, None where there are too few.
-        quantiles: standard errors that make half a 95 % interval: of `naive`, of `clustered`.
+        naive_quantile: standard errors of `naive` that make half a 95 % interval.
         condition: ratio of the best to the worst determined direction.
         worst_direction: the worst determined direction, (n_p,), its largest entry 1.
     """
 
     naive: Float[np.ndarray, "n_p n_p"]
     clustered: Float[np.ndarray, "n_p n_p"] | None
-    quantiles: tuple[float, float]
+    naive_quantile: float
     condition: float
     worst_direction: Float[np.ndarray, " n_p"]
 
@@ -44,15 +44,10 @@ class Uncertainty:
         """Covariance to trust: that of the records where there are enough of them."""
         return self.naive if self.clustered is None else self.clustered
 
-    @property
-    def trusted_quantile(self) -> float:
-        """Standard errors of `trusted` that make half a 95 % interval."""
-        return self.quantiles[0 if self.clustered is None else 1]
-
     def quantile_for_records(self, records: int) -> float:
         """Standard errors that make half a 95 % interval of a parameter of only so many records."""
         if self.clustered is None:
-            return self.quantiles[0]
+            return self.naive_quantile
         return float(scipy.special.stdtrit(max(records - 1, 1), (1 + CONFIDENCE) / 2))
 
 
@@ -83,7 +78,7 @@ def estimate_uncertainty(
     n_p = len(inside)
     naive = np.full((n_p, n_p), np.nan)
     if not np.isfinite(products.cost).all():
-        return Uncertainty(naive, None, (np.nan, np.nan), np.inf, np.zeros(n_p))
+        return Uncertainty(naive, None, np.nan, np.inf, np.zeros(n_p))
     first = segments.first_of_records
     reduced = eliminate_initial_states(products)
     matrices = np.add.reduceat(reduced.matrices, first)[:, inside][:, :, inside]
@@ -115,14 +110,10 @@ def estimate_uncertainty(
         worst = vectors[:, 0] / unit
         worst_direction[inside] = worst / np.abs(worst).max(initial=1e-300)
         condition = float(np.sqrt(values[-1] / max(values[0], 1e-300)))
-    tail = (1 + CONFIDENCE) / 2
     return Uncertainty(
         naive=naive,
         clustered=clustered,
-        quantiles=(
-            float(scipy.special.stdtrit(freedom, tail)),
-            float(scipy.special.stdtrit(max(n - 1, 1), tail)),
-        ),
+        naive_quantile=float(scipy.special.stdtrit(freedom, (1 + CONFIDENCE) / 2)),
         condition=condition,
         worst_direction=worst_direction,
     )
