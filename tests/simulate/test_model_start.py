@@ -118,7 +118,7 @@ def test_its_derivative_by_a_parameter_is_that_of_the_solution():
 
     def start(value):
         given = np.array([[value]]), guess, np.zeros((1, 1, 2))
-        return fit_states_with_derivatives(model, moving, *given, drive, e.q[None])
+        return fit_states_with_derivatives(model, moving, *given, signal=drive, q=e.q[None])
 
     nominal = TRUTH["gravity"]
     step = 1e-5 * nominal

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from tustinnet.signals.transients import resting_positions
+
 _NEAR = 0.5  # rad, or of a length's whole travel a fifth: about so far motion is near to linear
 _NEAR_SHARE = 0.2
 _AHEAD = 5  # samples, the baseline of a velocity: errors of both ends are then independent
@@ -46,9 +48,8 @@ def find_held_equilibrium(
         angular: whether each coordinate is an angle.
         dt: sampling period [s].
     """
-    resting = np.median(q[-max(10, len(q) // 10) :], axis=0)
     near = np.where(angular, _NEAR, _NEAR_SHARE * np.ptp(q, axis=0))
-    far = np.abs(q - resting) > near
+    far = np.abs(q - resting_positions(q)) > near
     first_samples = {int(np.flatnonzero(c)[-1]) + 1 if c.any() else 0 for c in far.T}
     for k in sorted(first_samples):
         rate = _fastest_growth(np.concatenate([q, v], axis=1)[k:], u[k:], dt)

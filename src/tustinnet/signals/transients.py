@@ -45,13 +45,18 @@ def rest_thresholds(
         dt: sampling period [s].
         fraction: share of the largest speed and excursion.
     """
-    resting = np.median(q[-max(10, len(q) // 10) :], axis=0)
+    resting = resting_positions(q)
     floor = 3.0 * resolution
     return RestThresholds(
         speed=np.maximum(fraction * np.abs(v).max(axis=0), floor / (4 * dt)),
         excursion=np.maximum(fraction * np.abs(q - resting).max(axis=0), floor),
         resting=resting,
     )
+
+
+def resting_positions(q: Float[np.ndarray, "n n_q"]) -> Float[np.ndarray, " n_q"]:
+    """The medians of a record's last tenth, of at least 10 samples, (n_q,)."""
+    return np.median(q[-max(10, len(q) // 10) :], axis=0)
 
 
 def is_at_rest(

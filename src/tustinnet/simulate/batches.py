@@ -12,7 +12,7 @@ Result = TypeVar("Result")
 
 
 def batches(model: AnyModel, experiments: Sequence[Experiment]) -> list[tuple[AnyModel, list[int]]]:
-    """The models that records need, see their `of`, each with the indices of its records.
+    """The models that records need, see `Model.for_record`, each with the indices of its records.
 
     Raises:
         InputError: a record of a group that the model does not know.

@@ -16,7 +16,6 @@ from tustinnet.simulate.linearise import value_and_jacobians
 Deviations = Float[Array | np.ndarray, " _"]
 Rows = Float[Array | np.ndarray, "..."]
 Vector = Float[np.ndarray, " _"]
-Covariance = Float[np.ndarray, "n_x n_x"]
 
 
 @dataclass(frozen=True)
@@ -88,7 +87,13 @@ def kalman_filter(
     u = np.asarray(input_signal(model, experiment).u)
     states, variances = [], []
     for k, q in enumerate(experiment.q):
-        x, p = _correct(x, p, q, measured**2)
+        # one position after the other, in the form of Joseph, which keeps the covariance symmetric
+        for i, variance in enumerate(measured**2):
+            row = p[i]
+            spread = row[i] + variance
+            gain = row / spread
+            x = x + gain * (q[i] - x[i])
+            p = p - np.outer(gain, row) - np.outer(row, gain) + np.outer(gain, gain) * spread
         states.append(x)
         variances.append(np.diag(p))
         if k < len(u):
@@ -102,17 +107,3 @@ def _predict(model: Model, x: Rows, u: Rows) -> tuple[Array, Array]:
     """The next state, and its Jacobian by this one."""
     x_next, (a,) = value_and_jacobians(lambda x: model.step(x, jnp.asarray(u)), jnp.asarray(x))
     return x_next, a
-
-
-def _correct(x: Vector, p: Covariance, q: Vector, variance: Vector) -> tuple[Vector, Covariance]:
-    """State and covariance after one position after the other is known.
-
-    In the form of Joseph, which keeps the covariance symmetric.
-    """
-    for i in range(len(q)):
-        row = p[i]
-        spread = row[i] + variance[i]
-        gain = row / spread
-        x = x + gain * (q[i] - x[i])
-        p = p - np.outer(gain, row) - np.outer(row, gain) + np.outer(gain, gain) * spread
-    return x, p

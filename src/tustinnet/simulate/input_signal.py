@@ -16,7 +16,7 @@ class InputSignal(eqx.Module):
 
     Attributes:
         u: what the model is given in every period, as its `step_layout` arranges a record's
-            inputs, (steps, rows, n_u); a single row is (steps, n_u).
+            inputs, (steps, ...); for models that are driven by held inputs (steps, n_u).
         periods: time from each sample to the next [s], (steps,), for models that can step by any;
             None for the model's sampling period.
     """

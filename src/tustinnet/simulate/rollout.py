@@ -291,17 +291,10 @@ def _product(z: Array, weight: Array, transposed: Array, slot: Array) -> Array:
     return z @ transposed
 
 
-def _product_forward(
-    z: Array, weight: Array, transposed: Array, slot: Array
-) -> tuple[Array, Array]:
-    return z @ transposed, weight
-
-
-def _product_backward(weight: Array, delta: Array) -> tuple[Any, ...]:
-    return delta @ weight, None, None, delta
-
-
-_product.defvjp(_product_forward, _product_backward)
+_product.defvjp(
+    lambda z, weight, transposed, slot: (z @ transposed, weight),
+    lambda weight, delta: (delta @ weight, None, None, delta),
+)
 
 
 def _layer_gradient(

@@ -9,7 +9,7 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from tustinnet.errors import InputError
 
@@ -115,18 +115,26 @@ class Start(ABC):
             )  # fmt: skip
 
 
-class StoredStart(Start):
+class MeasuredStart(Start):
+    """A start whose positions and velocities are read from the record, whatever the model is."""
+
+    def start_data(self, model: Model, experiments: Sequence[Experiment]) -> Numbers:
+        """Positions and velocities where the runs begin, (records, 2 n_q)."""
+        import numpy as np
+
+        return np.stack([self.measured_state(e) for e in experiments])
+
+    @abstractmethod
+    def measured_state(self, e: Experiment) -> Numbers:
+        """Positions and velocities at the first sample of a record [q, v], (2 n_q,)."""
+
+
+class StoredStart(MeasuredStart):
     """`file`: the first row of a record as it is stored, velocities included."""
 
     form = "file"
     usual_samples = 1
     summary = "first row of the record"
-
-    def start_data(self, model: Model, experiments: Sequence[Experiment]) -> Any:
-        """The first rows, (records, 2 n_q)."""
-        import numpy as np
-
-        return np.stack([self.measured_state(e) for e in experiments])
 
     def measured_state(self, e: Experiment) -> Numbers:
         """The first row of a record [q, v], (2 n_q,)."""
@@ -142,23 +150,31 @@ class StoredStart(Start):
         return np.concatenate([e.q[0], e.v[0]])
 
 
-class DerivedStart(Start):
+class DerivedStart(MeasuredStart):
     """`derived-N`: the least-squares parabola through the first N samples, at their times."""
 
     form = "derived-N"
     usual_samples = PARABOLA_SAMPLES
     summary = "parabola through the first N samples"
 
-    def start_data(self, model: Model, experiments: Sequence[Experiment]) -> Any:
-        """Values and slopes of the parabolas at the first sample, (records, 2 n_q)."""
-        import numpy as np
-
-        return np.stack([self.measured_state(e) for e in experiments])
-
     def measured_state(self, e: Experiment) -> Numbers:
         """Value and slope of the parabola at the first sample of a record [q, v], (2 n_q,)."""
         self._require_samples(e, _FEWEST_PARABOLA_SAMPLES, "the parabola")
         return parabola(e, 0, self.samples)
+
+
+class FirstSamples(NamedTuple):
+    """First samples of records, to which states are fitted through a model.
+
+    Attributes:
+        parabola: positions and velocities where the search begins, (records, 2 n_q).
+        signal: what acts between the samples, an `InputSignal`, (records, samples - 1, ...).
+        q: measured positions, (records, samples, n_q).
+    """
+
+    parabola: Any
+    signal: Any
+    q: Any
 
 
 class FittedStart(Start):
@@ -173,8 +189,8 @@ class FittedStart(Start):
         """All N samples."""
         return self.samples
 
-    def start_data(self, model: Model, experiments: Sequence[Experiment]) -> Any:
-        """Parabolas, at which the search begins; inputs and positions of the first samples."""
+    def start_data(self, model: Model, experiments: Sequence[Experiment]) -> FirstSamples:
+        """The first samples of records."""
         import numpy as np
 
         from tustinnet.simulate.input_signal import input_signals
@@ -183,23 +199,25 @@ class FittedStart(Start):
         for e in experiments:
             self._require_samples(e, FEWEST, "the fit")
         samples = min(self.samples, PARABOLA_SAMPLES)
-        guess = np.stack([parabola(e, 0, samples) for e in experiments])
-        signal = input_signals(model, experiments, slice(self.samples))
-        return guess, signal, np.stack([e.q[: self.samples] for e in experiments])
+        return FirstSamples(
+            parabola=np.stack([parabola(e, 0, samples) for e in experiments]),
+            signal=input_signals(model, experiments, slice(self.samples)),
+            q=np.stack([e.q[: self.samples] for e in experiments]),
+        )
 
-    def traced_states(self, model: Model, start_data: Any) -> Array:
+    def traced_states(self, model: Model, start_data: FirstSamples) -> Array:
         """States by least squares through the model, (records, n_x), see `fit_states_traced`."""
         from tustinnet.simulate.state_fits import fit_states_traced
 
-        guess, signal, q = start_data
-        return fit_states_traced(model, super().traced_states(model, guess), signal, q)
+        guess = super().traced_states(model, start_data.parabola)
+        return fit_states_traced(model, guess, signal=start_data.signal, q=start_data.q)
 
-    def numeric_states(self, model: Model, start_data: Any) -> Numbers:
+    def numeric_states(self, model: Model, start_data: FirstSamples) -> Numbers:
         """States by least squares through the model, (records, n_x), see `fit_states`."""
         from tustinnet.simulate.state_fits import fit_states
 
-        guess, signal, q = start_data
-        return fit_states(model, super().numeric_states(model, guess), signal, q)
+        guess = super().numeric_states(model, start_data.parabola)
+        return fit_states(model, guess, signal=start_data.signal, q=start_data.q)
 
 
 class WarmUpStart(Start):

@@ -14,6 +14,7 @@ from tustinnet.simulate.start_rules import (
     FIT_SAMPLES,
     DerivedStart,
     FittedStart,
+    MeasuredStart,
     Start,
     StoredStart,
     WarmUpStart,
@@ -73,7 +74,7 @@ def initial_state(experiment: Experiment, start: str) -> Float[np.ndarray, " n_x
         InputError: an unknown start, no velocities for `file`, too few samples for `derived-N`.
     """
     rule = start_named(start)
-    if not isinstance(rule, StoredStart | DerivedStart):
+    if not isinstance(rule, MeasuredStart):
         raise InputError(
             "start", f"'{start}' without a model", "'file', 'derived-N' such as derived-6",
             "use start_states",

@@ -21,6 +21,7 @@ from tustinnet.engine.runs import evaluate
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.sensors import delay_name
+from tustinnet.simulate.simulation import system_motion
 
 GroupIndices = Int[np.ndarray, "n n_g"]  # see `groups.group_indices`
 
@@ -71,27 +72,7 @@ class SystemEquations:
     @cached_property
     def motion(self) -> Equations:
         """Derivative of the state by time."""
-        system, n_u = self.system, len(self.system.inputs)
-
-        def derivative(x: Array, u: Array, p: Array, c: Array) -> Array:
-            values = self._values_by_name(p, c)
-            if self.has_delays:
-                input_delays = c[len(self.other_names) :]
-                changes = [
-                    values.get(delay_name(i), input_delays[k]) - input_delays[k]
-                    for k, i in enumerate(system.inputs)
-                ]
-                u = u[:n_u] + u[n_u:] * jnp.stack(changes)
-            return system.model(values).derivative(x, u)
-
-        return Equations(
-            derivative,
-            n_x=system.channels.measured.stop + len(system.internal),
-            n_u=2 * n_u if self.has_delays else n_u,
-            n_p=self.n_p,
-            n_c=self.n_columns - self.n_p,
-            where=f"system '{system.name}'",
-        )
+        return system_motion(self.system, self.free_names, self.other_names, delays=self.has_delays)
 
     @cached_property
     def expected_internal_states(self) -> Formula:

@@ -13,7 +13,7 @@ from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
 from tustinnet.models.added import WHERE, added_parameters, parse_forces, with_forces
 from tustinnet.models.forces import LAWS, Motion
-from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
+from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.parameters import Parameter, current_force
 
 
@@ -86,39 +86,31 @@ def _with_coordinates(
 def _motions(
     system: LagrangianSystem, experiments: Sequence[Experiment], values: Mapping[str, float]
 ) -> list[Motion]:
-    """The motion of every coordinate."""
-    v = [e.velocities() for e in experiments]
-    a = np.concatenate([np.gradient(x, e.dt, axis=0) for x, e in zip(v, experiments, strict=True)])
-    q, u = (np.concatenate([getattr(e, name) for e in experiments]) for name in ("q", "u"))
+    """The motion of every coordinate, and the forces along it.
+
+    These are inertia, the forces of the energies, and the actuators at standstill.
+    """
+    velocities = [e.velocities() for e in experiments]
+    a = [np.gradient(v, e.dt, axis=0) for v, e in zip(velocities, experiments, strict=True)]
+    q, u = ([getattr(e, name) for e in experiments] for name in ("q", "u"))
+    q, v, a, u = map(np.concatenate, (q, velocities, a, u))
+    samples, ends = np.concatenate([q, v, a, u], axis=1), np.cumsum([x.shape[1] for x in (q, v, a)])
     model = system.model({name: jnp.asarray(x) for name, x in values.items()})
-    acting = _acting(model, q, np.concatenate(v), u, a)
+
+    def forces(sample: Array) -> Array:
+        q, v, a, u = jnp.split(sample, ends)
+        at_rest, z = jnp.zeros_like(v), jnp.zeros(len(model.internal))
+        applied = model.applied(q, at_rest, z, u)
+        return jnp.concatenate([model.mass_matrix(q) @ a, model.conservative(q, v), applied])
+
+    formula = Formula(forces, samples.shape[1], where=f"system '{system.name}'")
+    acting = np.split(evaluate(formula, samples), 3, axis=1)
     force = np.max([_size(x) for x in acting], axis=0)
     dt, longest = experiments[0].dt, max(e.seconds for e in experiments)
-    sizes = zip(force, _size(q), np.std(q, axis=0), _size(np.concatenate(v)), strict=True)
-    return [Motion(*map(float, of_one), dt=dt, longest=longest) for of_one in sizes]
+    sizes = zip(force, _size(q), np.std(q, axis=0), _size(v), strict=True)
+    return [Motion(*map(float, size), dt=dt, longest=longest) for size in sizes]
 
 
 def _size(signal: Float[np.ndarray, "n c"]) -> Float[np.ndarray, " c"]:
     """The root mean square of each column."""
     return np.sqrt(np.mean(signal**2, axis=0))
-
-
-def _acting(
-    model: LagrangianModel,
-    q: Float[np.ndarray, "n n_q"],
-    v: Float[np.ndarray, "n n_q"],
-    u: Float[np.ndarray, "n n_u"],
-    a: Float[np.ndarray, "n n_q"],
-) -> list[Float[np.ndarray, "n n_q"]]:
-    """Inertia, forces of the energies, and actuators at standstill, at every sample."""
-    samples, ends = np.concatenate([q, v, a, u], axis=1), np.cumsum([x.shape[1] for x in (q, v, a)])
-
-    def forces(sample: Array) -> Array:
-        q, v, a, u = jnp.split(sample, ends)
-        at_rest, z = jnp.zeros_like(v), jnp.zeros(len(model.internal))
-        inertia = model.mass_matrix(q) @ a
-        applied = model.applied(q, at_rest, z, u)
-        return jnp.concatenate([inertia, model.conservative(q, v), applied])
-
-    formula = Formula(forces, samples.shape[1], where=f"system '{model.system.name}'")
-    return np.split(evaluate(formula, samples), 3, axis=1)

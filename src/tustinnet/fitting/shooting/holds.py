@@ -65,7 +65,13 @@ def search_over_holds(problem: Problem, state: SearchState) -> tuple[Problem, Se
         for hold, (_, trial) in trials.items()
     }
     best = min(costs, key=lambda hold: costs[hold])
-    rmse = {hold: _position_rmse(*trial) for hold, trial in trials.items()}
+    position = problem.system.channels.position
+    samples = sum(len(e) for e in problem.records)
+    rmse = {}  # of all training samples [rad or m]
+    for hold, (_, trial) in trials.items():
+        errors = trial.last_result.products.error
+        squares = sum(float(np.sum(error[:, position] ** 2)) for error in errors)
+        rmse[hold] = float(np.sqrt(squares / samples))
     unit = problem.system.channels.unit
     ranked = sorted(rmse, key=lambda hold: rmse[hold])
     listed = ", ".join(f"{hold} {rmse[hold]:.3g} {unit}" for hold in ranked)
@@ -110,11 +116,3 @@ def _with_hold(problem: Problem, hold: DeclaredHold) -> Problem:
         records=tuple(e.with_timing(inputs) for e in problem.records),
         validation=tuple(e.with_timing(inputs) for e in problem.validation),
     )
-
-
-def _position_rmse(problem: Problem, state: SearchState) -> float:
-    """Root mean square of the simulation error over all training samples [rad or m]."""
-    position = problem.system.channels.position
-    errors = state.last_result.products.error
-    squares = sum(float(np.sum(error[:, position] ** 2)) for error in errors)
-    return float(np.sqrt(squares / sum(len(e) for e in problem.records)))

@@ -88,7 +88,9 @@ def identify(
     }
     recipe = recipe.model_copy(update={"model": recipe.model.model_copy(update=tables)})
     task = make_task(data, recipe, system=system)
-    return _identify(task, Member(), Listener(on_iteration=on_iteration))
+    result = identify_task(task, Member(), Listener(on_iteration=on_iteration))
+    assert result.identification is not None
+    return result.identification
 
 
 def identify_task(
@@ -110,29 +112,6 @@ def identify_task(
         UnfinishedSearchError: it was stopped before a stage was finished.
         InputError: see `identify`.
     """
-    identification = _identify(task, member, listener, should_stop)
-    return FitResult(
-        model=identification.model,
-        recipe=task.recipe,
-        member=member,
-        outcome=identification.outcome,
-        sound=identification.sound,
-        start=identification.start,
-        validation_rmse=identification.validation_rmse,
-        seconds=identification.seconds,
-        details={"identification": identification.as_plain()},
-        findings=identification.findings,
-        identification=identification,
-        horizon=identification.horizon,
-    )
-
-
-def _identify(
-    task: Task,
-    member: Member,
-    listener: Listener,
-    should_stop: ShouldStopSearch = never_stop_search,
-) -> Identification:
     require_float64("identify")
     start_time = time.perf_counter()
     recipe, roles = task.identification_recipe, task.folds[member.fold].roles
@@ -202,4 +181,18 @@ def _identify(
     identification = make_identification(problem, state, reversed_signs)
     if problem.refit_start:
         identification = refit_to_free_runs(problem, state, problem.refit_start, identification)
-    return replace(identification, seconds=time.perf_counter() - start_time)
+    identification = replace(identification, seconds=time.perf_counter() - start_time)
+    return FitResult(
+        model=identification.model,
+        recipe=task.recipe,
+        member=member,
+        outcome=identification.outcome,
+        sound=identification.sound,
+        start=identification.start,
+        validation_rmse=identification.validation_rmse,
+        seconds=identification.seconds,
+        details={"identification": identification.as_plain()},
+        findings=identification.findings,
+        identification=identification,
+        horizon=identification.horizon,
+    )

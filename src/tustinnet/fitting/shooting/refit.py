@@ -7,26 +7,25 @@ after the search and its identification, and returns the latter with the refitte
 estimates of the search stay beside it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from tustinnet.engine.runs import Directions, Runs, Samples, compare
 from tustinnet.fitting.listener import Iteration, SearchProgress
 from tustinnet.fitting.report import Identification, Refit
-from tustinnet.fitting.shooting.equations import SystemEquations, system_equations
+from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.fitting.shooting.findings import describe_stop
 from tustinnet.fitting.shooting.levenberg_marquardt import DampingRule, iterate
 from tustinnet.fitting.shooting.problem import Problem, SearchState, make_model, score_validation
+from tustinnet.fitting.shooting.segments import join_steps
 from tustinnet.fitting.shooting.space import SearchSpace
-from tustinnet.models.integrate import Discretised
 from tustinnet.models.parameters import Parameter
 from tustinnet.simulate.horizon import horizon_samples, pieces
 from tustinnet.simulate.input_signal import input_signal
-from tustinnet.simulate.starts import FittedStart, Start
+from tustinnet.simulate.start_rules import FirstSamples, Start
 from tustinnet.simulate.state_fits import fit_states_with_derivatives, position_residual
 
 _MAX_ITERATIONS = 10
@@ -136,8 +135,8 @@ def _minimise_mean_rmse(
     lower = (np.array([p.lower for p in free]) - first) / unit
     upper = (np.array([p.upper for p in free]) - first) / unit
     fixed = {name: x for name, x in identified.items() if name not in names}
-    runs = _make_free_runs(problem, state, start, SearchSpace(tuple(free), fixed), unit)
-    initial = runs.simulate(first)
+    simulate = _make_simulation(problem, state, start, SearchSpace(tuple(free), fixed), unit)
+    initial = simulate(first)
     scale, prior = initial.mean_rmse, _PRIOR / len(problem.records)
 
     def propose(point: _RefitPoint, damping: float) -> tuple[_RefitPoint, float]:
@@ -148,7 +147,7 @@ def _minimise_mean_rmse(
         gradient = np.einsum("r,ri->i", weight, point.products.gradient) + prior * point.change
         step = np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), -gradient)
         change = np.clip(point.change + step, lower, upper)
-        products = runs.simulate(first + unit * change)
+        products = simulate(first + unit * change)
         cost = products.mean_rmse / scale + prior * float(change @ change)
         return _RefitPoint(change, products, cost), 1.0  # see the damping rule
 
@@ -200,103 +199,70 @@ class _FreeRunProducts:
         return float(np.mean(self.rmse))
 
 
-@dataclass(frozen=True)
-class _FreeRuns:
-    """Free runs of records, whole or cut end to end over a horizon.
-
-    Attributes:
-        space: the search space.
-        unit: unit of each free parameter, by which its derivatives are multiplied, (n_p,).
-        model: the model as identified, with the inputs as they act.
-        equations: its equations, with derivatives by the free parameters.
-        start: the start of the free runs, at the first sample of each.
-        start_data: samples that the start estimates initial states from, see `Start.start_data`.
-        record: index of the record of each run, (n_s,).
-        group_indices: the values of parameters per group that apply in each run, (n_s, n_g).
-        lengths: samples of each run, (n_s,).
-        inputs: inputs between the samples, run after run, a row of zeros at the end of each.
-        samples: measured positions and their weights.
-    """
-
-    space: SearchSpace
-    unit: Float[np.ndarray, " n_p"]
-    model: Discretised
-    equations: SystemEquations
-    start: Start
-    start_data: Any
-    record: Int[np.ndarray, " n_s"]
-    group_indices: Int[np.ndarray, "n_s n_g"]
-    lengths: Int[np.ndarray, " n_s"]
-    inputs: Float[np.ndarray, "rows order n_u"]
-    samples: Samples
-
-    def simulate(self, values: Float[np.ndarray, " n_p"]) -> _FreeRunProducts:
-        """Simulates the free runs with values of the free parameters."""
-        equations, model = self.equations, self.model
-        by_name = dict(zip(self.space.names, values.tolist(), strict=True))
-        parameter_rows = equations.parameter_rows(
-            dict(self.space.fixed_values) | by_name, self.group_indices
-        )
-        measured, inputs, q = self.start_data, None, None
-        if isinstance(self.start, FittedStart):
-            measured, inputs, q = self.start_data
-        # measured states, with the internal ones that are expected there
-        x0 = np.concatenate(
-            [np.asarray(measured), np.zeros((len(self.record), len(model.internal)))], axis=1
-        )
-        x0, by_parameter, _ = equations.initial_states(x0, parameter_rows, np.ones(len(x0)))
-        if inputs is not None and q is not None:
-            x0, by_parameter = fit_states_with_derivatives(
-                model, equations.motion, parameter_rows, x0, by_parameter, inputs, q
-            )
-        runs = Runs(
-            start=x0, parameters=parameter_rows, steps=self.lengths - 1,
-            first=np.cumsum(self.lengths) - self.lengths, drive=self.inputs,
-            periods=np.full(len(self.inputs), model.dt),
-        )  # fmt: skip
-        result = compare(
-            equations.motion, position_residual(model.channels.n_q), runs, model.substeps,
-            Directions(by_parameter, parameters=True), self.samples,
-        )  # fmt: skip
-        free = equations.free_columns(self.space)
-        chain = self.unit * equations.applicable(self.space, self.group_indices)
-        with np.errstate(over="ignore", invalid="ignore"):  # of simulations that diverged
-            matrix = result.products[:, free][:, :, free] * chain[:, :, None] * chain[:, None]
-            gradient = result.gradient[:, free] * chain
-            first_runs = np.flatnonzero(np.diff(self.record, prepend=-1))
-            cost, matrix, gradient = (
-                np.add.reduceat(x, first_runs) for x in (result.cost, matrix, gradient)
-            )
-        return _FreeRunProducts(np.sqrt(cost), matrix, gradient)
-
-
-def _make_free_runs(
+def _make_simulation(
     problem: Problem, state: SearchState, start: Start, space: SearchSpace, unit: np.ndarray
-) -> _FreeRuns:
-    """The free runs of the training records, over the horizon of the search."""
-    model = make_model(problem, state)
+) -> Callable[[Float[np.ndarray, " n_p"]], _FreeRunProducts]:
+    """A function that simulates free runs of the training records with some parameters.
+
+    The runs are whole records, or these cut end to end over the horizon of the search.
+
+    Args:
+        problem: the problem.
+        state: the state after the search.
+        start: the start of the free runs.
+        space: the search space of the refit.
+        unit: unit of each free parameter, by which its derivatives are multiplied, (n_p,).
+    """
+    model, equations = make_model(problem, state), system_equations(problem.system, space.names)
     horizon = None if state.horizon is None else state.horizon * problem.motion.dt
     steps = horizon_samples(horizon, problem.records, start)
     parts, record = [], []
     for i, e in enumerate(problem.records):
         parts += (record_parts := pieces(e, steps, start))
         record += [i] * len(record_parts)
-    inputs = [np.asarray(input_signal(model, part).u) for part in parts]
-    input_rows = np.concatenate([np.concatenate([u, np.zeros_like(u[:1])]) for u in inputs])
+    start_data = start.start_data(model, parts)
+    first_samples = start_data if isinstance(start_data, FirstSamples) else None
+    measured = start_data if first_samples is None else first_samples.parabola
+    group_indices = problem.group_indices(problem.records)[record]
+    inputs = join_steps(np.asarray(input_signal(model, part).u) for part in parts)
     lengths = np.array([len(part) for part in parts])
     # every record counts the same, however long
     weight = np.repeat(1 / np.sqrt(np.bincount(record, lengths)[record]), lengths)
     q = np.concatenate([part.q for part in parts])
-    return _FreeRuns(
-        space=space,
-        unit=unit,
-        model=model,
-        equations=system_equations(problem.system, space.names),
-        start=start,
-        start_data=start.start_data(model, parts),
-        record=np.array(record),
-        group_indices=problem.group_indices(problem.records)[record],
-        lengths=lengths,
-        inputs=input_rows[:, None] if input_rows.ndim == 2 else input_rows,
-        samples=Samples(q, np.tile(weight[:, None], q.shape[1])),
-    )
+    samples = Samples(q, np.tile(weight[:, None], q.shape[1]))
+    first_runs = np.flatnonzero(np.diff(record, prepend=-1))
+    free = equations.free_columns(space)
+    chain = unit * equations.applicable(space, group_indices)
+
+    def simulate(values: Float[np.ndarray, " n_p"]) -> _FreeRunProducts:
+        by_name = dict(zip(space.names, values.tolist(), strict=True))
+        parameter_rows = equations.parameter_rows(dict(space.fixed_values) | by_name, group_indices)
+        # measured states, with the internal ones that are expected there
+        x0 = np.concatenate(
+            [np.asarray(measured), np.zeros((len(record), len(model.internal)))], axis=1
+        )
+        x0, by_parameter, _ = equations.initial_states(x0, parameter_rows, np.ones(len(x0)))
+        if first_samples is not None:
+            x0, by_parameter = fit_states_with_derivatives(
+                model, equations.motion, parameter_rows, x0, by_parameter,
+                signal=first_samples.signal, q=first_samples.q,
+            )  # fmt: skip
+        runs = Runs(
+            start=x0, parameters=parameter_rows, steps=lengths - 1,
+            first=np.cumsum(lengths) - lengths,
+            drive=inputs[:, None] if inputs.ndim == 2 else inputs,
+            periods=np.full(len(inputs), model.dt),
+        )  # fmt: skip
+        result = compare(
+            equations.motion, position_residual(model.channels.n_q), runs, model.substeps,
+            Directions(by_parameter, parameters=True), samples,
+        )  # fmt: skip
+        with np.errstate(over="ignore", invalid="ignore"):  # of simulations that diverged
+            matrix = result.products[:, free][:, :, free] * chain[:, :, None] * chain[:, None]
+            gradient = result.gradient[:, free] * chain
+            cost, matrix, gradient = (
+                np.add.reduceat(x, first_runs) for x in (result.cost, matrix, gradient)
+            )
+        return _FreeRunProducts(np.sqrt(cost), matrix, gradient)
+
+    return simulate

@@ -189,7 +189,7 @@ def cut_records(
 
     def delayed_inputs(values: Mapping[str, float]) -> np.ndarray:
         inputs = with_delays(model.channels.inputs, values)
-        return _joined(np.asarray(model.step_inputs(e.excitation(inputs))) for e in experiments)
+        return join_steps(np.asarray(model.step_inputs(e.excitation(inputs))) for e in experiments)
 
     n_y = options.residual.channels
     first_rows = np.cumsum([0, *(len(e) for e in experiments)])
@@ -207,7 +207,7 @@ def cut_records(
         ),
         inputs=delayed_inputs({}),
         delayed_inputs=delayed_inputs if options.has_delays else None,
-        periods=_joined(
+        periods=join_steps(
             np.diff(e.t) if options.timestamps else np.full(len(e) - 1, e.dt) for e in experiments
         ),
         measurements=np.concatenate(
@@ -220,6 +220,6 @@ def cut_records(
     )  # fmt: skip
 
 
-def _joined(arrays: Iterable[np.ndarray]) -> np.ndarray:
+def join_steps(arrays: Iterable[np.ndarray]) -> np.ndarray:
     """Arrays over steps, record after record, each with a row of zeros for its last sample."""
     return np.concatenate([np.concatenate([a, np.zeros_like(a[:1])]) for a in arrays])
