@@ -1,7 +1,7 @@
 """The data card: a TOML file that declares the columns of a folder of logs."""
 
 from pathlib import PureWindowsPath
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field, StrictInt, StrictStr, field_validator, model_validator
@@ -28,6 +28,17 @@ def _column(key: int | str) -> int | str:
     return key
 
 
+def _rising(message: str) -> AfterValidator:
+    """A check that the first of two numbers is the smaller one."""
+
+    def check(pair: tuple[Any, Any]) -> tuple[Any, Any]:
+        if pair[0] >= pair[1]:
+            raise ValueError(message)
+        return pair
+
+    return AfterValidator(check)
+
+
 SplitName = Literal["train", "validation", "test"]
 ColumnKey = Annotated[StrictInt | StrictStr, AfterValidator(_column)]  # a number counts from 1
 Amount = Annotated[float, Field(ge=-1e15, le=1e15)]
@@ -35,6 +46,9 @@ Delay = Annotated[float, Field(ge=-1e4, le=1e4)]
 Resolution = Annotated[float, Field(ge=1e-12, le=1e6)]
 Row = Annotated[StrictInt, Field(ge=0, le=10**12)]
 Second = Annotated[float, Field(ge=0, le=1e12)]
+Limits = Annotated[tuple[Amount, Amount], _rising("the smaller limit comes first")]
+Rows = Annotated[tuple[Row, Row], _rising("the first row, then the row after the last")]
+Seconds = Annotated[tuple[Second, Second], _rising("the time of the beginning, then a later one")]
 
 
 class VelocityCard(Declaration):
@@ -157,15 +171,8 @@ class InputCard(Declaration):
     sign: Literal[1, -1] = 1
     offset: Amount = 0.0
     hold: Hold = "zero-order"
-    limits: tuple[Amount, Amount] | None = None
+    limits: Limits | None = None
     delay: Delay | Literal["unknown"] = 0.0
-
-    @field_validator("limits")
-    @classmethod
-    def _check_order(cls, limits: tuple[float, float] | None) -> tuple[float, float] | None:
-        if limits is not None and limits[0] >= limits[1]:
-            raise ValueError("the smaller limit comes first")
-        return limits
 
     def input(self) -> Input:
         """The input as records have it."""
@@ -212,8 +219,8 @@ class FileCard(Declaration):
     file: str
     name: Name | None = None
     cell: StrictInt | None = Field(default=None, ge=1, le=10**9)
-    rows: tuple[Row, Row] | None = None
-    seconds: tuple[Second, Second] | None = None
+    rows: Rows | None = None
+    seconds: Seconds | None = None
     k_bar: Row | None = None
     groups: dict[Name, Name] = Field(default_factory=dict)
 
@@ -228,20 +235,6 @@ class FileCard(Declaration):
         if any(len(part.encode(errors="replace")) > _LONGEST_PART for part in path.parts):
             raise ValueError(f"a file name of more than {_LONGEST_PART} bytes")
         return file
-
-    @field_validator("rows")
-    @classmethod
-    def _check_rows(cls, rows: tuple[int, int] | None) -> tuple[int, int] | None:
-        if rows is not None and rows[0] >= rows[1]:
-            raise ValueError("the first row, then the row after the last")
-        return rows
-
-    @field_validator("seconds")
-    @classmethod
-    def _check_seconds(cls, seconds: tuple[float, float] | None) -> tuple[float, float] | None:
-        if seconds is not None and seconds[0] >= seconds[1]:
-            raise ValueError("the time of the beginning, then a later one")
-        return seconds
 
     @model_validator(mode="after")
     def _check_ranges(self) -> "FileCard":

@@ -101,17 +101,7 @@ class DataSet(HasChannels):
 
 
 class RecordFields(TypedDict, total=False):
-    """Keyword arguments of `from_arrays` that describe a record beside its channels.
-
-    Attributes:
-        t: timestamps [s]; multiples of the period by default. For a log that is irregular beyond
-            jitter, follow with `resample`.
-        v: velocities, shaped like the positions.
-        v_measured: whether a sensor measured them; by default yes.
-        name: name of the record; by default `experiment`.
-        split: `train`, `validation`, `test` or None.
-        groups: conditions of the record, as `{"payload": "1kg"}`.
-    """
+    """Keyword arguments of `from_arrays` that describe a record, which its docstring explains."""
 
     t: ArrayLike | None
     v: ArrayLike | None
@@ -140,9 +130,10 @@ def from_arrays(
         coordinates: the columns of `q`, as `Coordinate`s or as `{name: "angular" or "linear"}`.
         inputs: the columns of `u`, as `Input`s or, under a zero-order hold, as `{name: unit}`.
         record: further fields of the record by keyword. `t`: timestamps [s], multiples of `dt` by
-            default. `v`: velocities, shaped like `q`. `v_measured`: whether a sensor measured them,
-            by default yes. `name`, by default `experiment`. `split`: `train`, `validation`, `test`
-            or None. `groups`: conditions of the record, as `{"payload": "1kg"}`.
+            default; for a log that is irregular beyond jitter, follow with `resample`. `v`:
+            velocities, shaped like `q`. `v_measured`: whether a sensor measured them, by default
+            yes. `name`, by default `experiment`. `split`: `train`, `validation`, `test` or None.
+            `groups`: conditions of the record, as `{"payload": "1kg"}`.
 
     Raises:
         InputError: shapes that do not fit, numbers that are not finite, timestamps whose median

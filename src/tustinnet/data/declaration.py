@@ -3,7 +3,7 @@
 import difflib
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
@@ -24,14 +24,14 @@ _NESTED = f"nested deeper than {_DEEPEST}"
 _OF_A_KEY = "[key]"  # pydantic's mark of a wrong key, not a wrong value
 
 
-def _check_name(name: str) -> str:
-    require_name(name, "")  # the message begins with the key
-    return name
+def _checked(require: Callable[[str, object], None]) -> AfterValidator:
+    """The check of a text by a function that raises; the message begins with the key."""
 
+    def check(text: str) -> str:
+        require(text, "")
+        return text
 
-def _check_text(text: str) -> str:
-    require_text(text, "")
-    return text
+    return AfterValidator(check)
 
 
 def _check_sentence(text: str) -> str:
@@ -41,8 +41,8 @@ def _check_sentence(text: str) -> str:
     return " ".join(words)
 
 
-Name = Annotated[str, AfterValidator(_check_name)]  # can be a file's name
-Text = Annotated[str, AfterValidator(_check_text)]  # can be printed
+Name = Annotated[str, _checked(require_name)]  # can be a file's name
+Text = Annotated[str, _checked(require_text)]  # can be printed
 Sentence = Annotated[str, AfterValidator(_check_sentence)]  # Text of any length, on any lines
 
 

@@ -279,26 +279,24 @@ def _draft(report: FileReport) -> str:
             f"dt = {float(f'{report.dt:.6g}')}  # s, the median interval", "", "[time]",
             f"column = {_key(by_role['time'][0].name)}", f'unit = "{report.time_unit}"  # check',
         ]  # fmt: skip
-    velocities = {c.remark: c for c in by_role.get("velocity", [])}
     positions = by_role.get("position") or by_role.get("input", [])[:1]
     inputs = [c for c in by_role.get("input", []) if c not in positions]
-    have_velocities = all(f"slope of '{c.name}'" in velocities for c in positions)
+    by_remark = {c.remark: c for c in by_role.get("velocity", [])}
+    velocities = {c.name: by_remark.get(f"slope of '{c.name}'") for c in positions}
     names = _channel_names([*positions, *inputs])
-    unused = [c for role in ("constant", "no numbers") for c in by_role.get(role, [])]
+    roles = ("constant", "no numbers", "velocity")
+    unused = [c for r in roles for c in by_role.get(r, []) if c not in velocities.values()]
     for column in positions:
-        velocity = velocities.pop(f"slope of '{column.name}'", None)
         lines += _coordinate_lines(column, names[column.name])
-        if velocity is not None:
+        if (velocity := velocities[column.name]) is not None:
             says_unit = bool(velocity.unit and column.unit)
             entry = f", unit = {_quote(velocity.unit)}" if says_unit else ""
+            line = f"velocity = {{ column = {_key(velocity.name)}{entry}, measured = false }}"
             check = "" if says_unit else "its unit; "
-            if not have_velocities:
-                lines.append("# if every coordinate has one, or the others are left out:")
-            lines.append(
-                f"{'' if have_velocities else '# '}velocity = {{ column = {_key(velocity.name)}"
-                f"{entry}, measured = false }}  # check: {check}measured = true if by a sensor of "
-                "its own"
-            )
+            line += f"  # check: {check}measured = true if by a sensor of its own"
+            if None in velocities.values():
+                line = f"# if every coordinate has one, or the others are left out:\n# {line}"
+            lines.append(line)
     if not positions:
         lines += ["", "# [[coordinates]]: no column looks like a position"]
     for column in inputs:
@@ -307,12 +305,10 @@ def _draft(report: FileReport) -> str:
             "[[inputs]]", f"name = {_quote(names[column.name])}", f"column = {_key(column.name)}",
             f"unit = {_quote(column.unit)}" if column.unit else 'unit = "V"  # check: say which',
         ]  # fmt: skip
-    unused += velocities.values()
-    if unused:
-        lines.append("")
+    lines += [""] if unused else []
     for column in unused:
-        why = f"{column.remark or column.role}"
-        if column.role == "velocity":
+        why = column.remark or column.role
+        if column.role == "velocity" and not why.startswith("slope of"):
             why += ", and the slope of no position"
         lines.append(f"# {_quote(column.name)} is not used: {why}")
     lines += [
@@ -328,8 +324,9 @@ def _coordinate_lines(column: ColumnReport, name: str) -> list[str]:
     if not unit and column.count is not None and abs(column.count - 1) < 1e-6:
         unit = "counts"
     kind = "linear" if unit in LENGTH else "angular"
+    doubt = "" if column.role == "position" else "; check: no column looks like a position"
     lines = [
-        "", f"# {_quote(column.name)} as a measured coordinate: {column.remark}",
+        "", f"# {_quote(column.name)} as a measured coordinate: {column.remark}{doubt}",
         "[[coordinates]]", f"name = {_quote(name)}", f"column = {_key(column.name)}",
     ]  # fmt: skip
     if not unit:

@@ -265,7 +265,14 @@ def _read_record(
     u = reader.read_matrix([i.column for i in card.inputs], like=q)
     q = (q - [c.offset for c in card.coordinates]) * [c.sign * c.factor() for c in card.coordinates]
     u = (u - [i.offset for i in card.inputs]) * [i.sign * i.scale for i in card.inputs]
-    v, is_measured = _velocities(reader, card)
+    v, velocities = None, [c.velocity for c in card.coordinates if c.velocity is not None]
+    if velocities:
+        if len(velocities) < len(card.coordinates):
+            missing = next(c.name for c in card.coordinates if c.velocity is None)
+            expected = "one for every coordinate or none"
+            raise InputError(card.name, f"no velocity column for '{missing}'", expected)
+        factors = [c.sign * c.velocity_factor() for c in card.coordinates]
+        v = reader.read_matrix([c.column for c in velocities]) * factors
     if len(q) < 2:
         raise InputError(where, f"{len(q)} samples", "at least 2")
     if not np.ptp(q, axis=0).any():
@@ -280,29 +287,13 @@ def _read_record(
     q, notes = unwrap_angles(q, angles)
     t, dt = _times(reader, card, len(q))
     record = Experiment(
-        name=name, t=t, q=q, u=u, v=v, v_measured=is_measured, notes=(*columns.notes, *notes),
-        channels=card.channels(dt), first_row=reader.rows[0] if reader.rows else 0, split=split,
-        k_bar=entry and entry.k_bar, groups=tuple(groups.items()),
-        source=entry.file if entry else "", sha256=sha256,
+        name=name, t=t, q=q, u=u, channels=card.channels(dt), v=v,
+        v_measured=bool(velocities) and all(c.measured for c in velocities),
+        first_row=reader.rows[0] if reader.rows else 0, split=split, k_bar=entry and entry.k_bar,
+        groups=tuple(groups.items()), source=entry.file if entry else "", sha256=sha256,
+        notes=(*columns.notes, *notes),
     )  # fmt: skip
     return record if card.time is None else _check_times(record, card.time, reader)
-
-
-def _velocities(
-    reader: _ColumnReader, card: Card
-) -> tuple[Float[np.ndarray, "n n_q"] | None, bool]:
-    """Velocities of all coordinates in SI units, if the card has them; whether all are measured."""
-    columns = [c.velocity for c in card.coordinates if c.velocity is not None]
-    if not columns:
-        return None, False
-    if len(columns) < len(card.coordinates):
-        missing = next(c.name for c in card.coordinates if c.velocity is None)
-        raise InputError(
-            card.name, f"no velocity column for '{missing}'", "one for every coordinate or none"
-        )
-    factors = [c.sign * c.velocity_factor() for c in card.coordinates]
-    v = reader.read_matrix([c.column for c in columns]) * factors
-    return v, all(c.measured for c in columns)
 
 
 def _rows_within(

@@ -108,7 +108,15 @@ def _mat5(path: Path, names: set[str] | None) -> Iterator[MatVariable]:
         contents = scipy.io.whosmat(path)
     except TypeError:  # it fails on objects, which have no size
         for name, value in _mat5_content(path, None if variables is None else [*variables]).items():
-            yield from _objects(value) if name == _UNNAMED else _mat5_value(name, value)
+            if name != _UNNAMED:
+                yield from _mat5_value(name, value)
+                continue
+            # scipy gives all objects one name, and keeps the last one
+            yield MatVariable("", None, other=OBJECT)
+            has_names = getattr(value, "dtype", np.dtype(int)).names
+            for text in np.atleast_1d(value)["s0"] if has_names else ():
+                if isinstance(text, bytes):
+                    yield MatVariable(text.decode("latin1"), None, other=OBJECT)
         return
     for name, shape, kind in contents:
         if variables is not None and name not in variables:
@@ -129,15 +137,6 @@ def _mat5(path: Path, names: set[str] | None) -> Iterator[MatVariable]:
         else:
             read = lambda name=name: np.asarray(_mat5_variable(path, name))  # noqa: E731
             yield _numbers(name, shape, read)
-
-
-def _objects(value: Any) -> Iterator[MatVariable]:
-    """The objects of a file: scipy gives all of them one name, and keeps the last one."""
-    yield MatVariable("", None, other=OBJECT)
-    names = np.atleast_1d(value)["s0"] if getattr(value, "dtype", np.dtype(int)).names else ()
-    for name in names:
-        if isinstance(name, bytes):
-            yield MatVariable(name.decode("latin1"), None, other=OBJECT)
 
 
 def _mat5_variable(path: Path, name: str) -> Any:

@@ -81,15 +81,12 @@ class Part:
         require_level(level, len(self.records))
         if scope == "record":
             return self.records[math.ceil(level * (len(self.records) + 1) - _ROUNDING) - 1]
-        return self.time_factor(level)
+        # where the level is beyond them, the largest share available
+        return self.factors[min(_factor_index(level), len(self.factors) - 1)]
 
     def has_level(self, level: float) -> bool:
         """Whether its records are enough for a share of the time."""
         return _factor_index(level) < len(self.factors)
-
-    def time_factor(self, level: float) -> float:
-        """Times of the width that hold a share of the time, or the largest share available."""
-        return self.factors[min(_factor_index(level), len(self.factors) - 1)]
 
 
 @dataclass(frozen=True)

@@ -171,25 +171,20 @@ def _covariance_gains(
     added = fisher_information(
         space, continuous.system, values, records, model.substeps, max(deviation, 1e-12)
     )
-    return [
-        _covariance_gain(e.name, space.names, covariance, weight * matrix)
-        for e, matrix in zip(records, added, strict=True)
-    ]
-
-
-def _covariance_gain(
-    name: str, names: Sequence[str], covariance: np.ndarray, added: np.ndarray
-) -> InformationGain:
     root = np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance)))
-    inner = np.eye(len(root)) + root.T @ added @ root
-    if not np.isfinite(inner).all():
-        return InformationGain(name, float("nan"), "")
-    gain = float(np.linalg.slogdet(inner)[1]) / 2
-    after = root @ np.linalg.solve(inner, root.T)
-    remaining = np.sqrt(np.diag(after) / np.diag(covariance))
-    best = int(np.argmin(remaining))
-    words = f"error of {names[best]} to {100 * remaining[best]:.0f} %"
-    return InformationGain(name, gain, words)
+    gains = []
+    for e, matrix in zip(records, added, strict=True):
+        inner = np.eye(len(root)) + root.T @ (weight * matrix) @ root
+        if not np.isfinite(inner).all():
+            gains.append(InformationGain(e.name, float("nan"), ""))
+            continue
+        gain = float(np.linalg.slogdet(inner)[1]) / 2
+        after = root @ np.linalg.solve(inner, root.T)
+        remaining = np.sqrt(np.diag(after) / np.diag(covariance))
+        best = int(np.argmin(remaining))
+        words = f"error of {space.names[best]} to {100 * remaining[best]:.0f} %"
+        gains.append(InformationGain(e.name, gain, words))
+    return gains
 
 
 def _disagreement_gains(

@@ -111,52 +111,36 @@ def residual_reports(
             )
     forced = [i for i, e in enumerate(experiments) if e.forced]
     inputs = [(u := experiments[i].u[begin:]) - u.mean(axis=0) for i in forced]
-    return [
-        _report(model, j, [r[:, j] for r in residuals], forced, inputs, lags)
-        for j in range(model.channels.n_q)
-    ]
-
-
-def _report(
-    model: Model,
-    j: int,
-    series: Sequence[np.ndarray],
-    forced: Sequence[int],
-    inputs: Sequence[np.ndarray],
-    lags: int,
-) -> ResidualReport:
-    """The report of one coordinate; `inputs` are those of the records that have some."""
-    pooled = np.concatenate(series)
-    auto = _correlation(series, series, lags)
-    bound = _QUANTILE / np.sqrt(len(pooled))
-    crossed = [
-        _cross_correlation([series[i] for i in forced], [u[:, k] for u in inputs], lags)
-        for k in range(model.channels.n_u if forced else 0)
-    ]
-    return ResidualReport(
-        coordinate=model.coordinates[j].name,
-        rms=float(np.sqrt(np.mean(pooled**2))),
-        mean=float(pooled.mean()),
-        autocorrelation=auto[lags:],
-        white_bound=float(bound),
-        outside=float(np.mean(np.abs(auto[lags + 1 :]) > bound)),
-        cross=np.array([c[0] for c in crossed]).reshape(len(crossed), 2 * lags + 1),
-        cross_bound=np.array([c[1] for c in crossed]),
-        cross_outside=np.array([c[2] for c in crossed]),
-    )
-
-
-def _cross_correlation(
-    residuals: Sequence[np.ndarray], inputs: Sequence[np.ndarray], lags: int
-) -> tuple[Float[np.ndarray, " both"], float, float]:
-    """Correlation of residuals with an input, its bound, the share of lags 0..L outside."""
-    both = _correlation(residuals, inputs, lags)
-    samples = sum(map(len, residuals))
-    # coloured signals correlate by chance over more lags than white ones do
-    of_residual = _correlation(residuals, residuals, lags)
-    of_input = _correlation(inputs, inputs, lags)
-    bound = _QUANTILE * np.sqrt(max(float(of_residual @ of_input), 1.0) / samples)
-    return both, float(bound), float(np.mean(np.abs(both[lags:]) > bound))
+    reports = []
+    for j in range(model.channels.n_q):
+        series = [r[:, j] for r in residuals]
+        pooled, auto = np.concatenate(series), _correlation(series, series, lags)
+        bound = _QUANTILE / np.sqrt(len(pooled))
+        driven = [series[i] for i in forced]
+        cross, cross_bounds = [], []
+        for k in range(model.channels.n_u if forced else 0):
+            driving = [u[:, k] for u in inputs]
+            cross.append(_correlation(driven, driving, lags))
+            # coloured signals correlate by chance over more lags than white ones do
+            of_residual = _correlation(driven, driven, lags)
+            of_input = _correlation(driving, driving, lags)
+            chance = max(float(of_residual @ of_input), 1.0)
+            cross_bounds.append(_QUANTILE * np.sqrt(chance / sum(map(len, driven))))
+        outside = [np.mean(np.abs(c[lags:]) > b) for c, b in zip(cross, cross_bounds, strict=True)]
+        reports.append(
+            ResidualReport(
+                coordinate=model.coordinates[j].name,
+                rms=float(np.sqrt(np.mean(pooled**2))),
+                mean=float(pooled.mean()),
+                autocorrelation=auto[lags:],
+                white_bound=float(bound),
+                outside=float(np.mean(np.abs(auto[lags + 1 :]) > bound)),
+                cross=np.array(cross).reshape(len(cross), 2 * lags + 1),
+                cross_bound=np.array(cross_bounds),
+                cross_outside=np.array(outside),
+            )
+        )
+    return reports
 
 
 def _correlation(

@@ -81,28 +81,21 @@ def free_run(
     samples = horizon_samples(horizon, experiments, rule)
 
     def run_batch(folded: Model, batch: Sequence[Experiment]) -> list[np.ndarray]:
-        return _free_runs(folded, batch, rule, samples)
+        segments = [pieces(e, samples, rule) for e in batch]
+        flat = [piece for record in segments for piece in record]
+        x0 = start_states(folded, flat, rule)
+        drive = input_signals(folded, flat, slice(rule.first, None))
+        states = iter(simulate_runs(folded, x0, drive))
+        runs = [
+            np.concatenate([next(states)[: len(piece) - rule.first] for piece in record])
+            for record in segments
+        ]
+        if not rule.first:
+            return runs
+        heads = states_along(folded, [e[: rule.first + 1] for e in batch], "stencil")
+        return [np.concatenate([head[:-1], run]) for head, run in zip(heads, runs, strict=True)]
 
     return map_in_batches(simulator, experiments, run_batch)
-
-
-def _free_runs(
-    simulator: Model, experiments: Sequence[Experiment], rule: Start, samples: int | None
-) -> list[Float[np.ndarray, "n n_x"]]:
-    """The free runs of records that share a model."""
-    segments = [pieces(e, samples, rule) for e in experiments]
-    flat = [piece for record in segments for piece in record]
-    x0 = start_states(simulator, flat, rule)
-    drive = input_signals(simulator, flat, slice(rule.first, None))
-    states = iter(simulate_runs(simulator, x0, drive))
-    runs = [
-        np.concatenate([next(states)[: len(piece) - rule.first] for piece in record])
-        for record in segments
-    ]
-    if not rule.first:
-        return runs
-    heads = states_along(simulator, [e[: rule.first + 1] for e in experiments], "stencil")
-    return [np.concatenate([head[:-1], run]) for head, run in zip(heads, runs, strict=True)]
 
 
 def evaluate(

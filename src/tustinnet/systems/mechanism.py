@@ -100,7 +100,15 @@ class Mechanism(SystemTemplate):
                 for i, x in zip(inputs, input_size, strict=True)
             ]
             if c.name not in around:
-                terms += _springs(c, largest[k], size[k])
+                brings = tuple(f"{law.name}:{c.name}" for law in LAWS.values() if law.joins_springs)
+                stiffness = largest[k] / size[k]
+                terms += [
+                    _optional(1, f"{c.name}.pull", f"{c.unit}/s^2", largest[k]),
+                    _optional(0, f"{c.name}.spring", "1/s^2", stiffness, brings=brings),
+                    _optional(
+                        2, f"{c.name}.quadratic", f"1/(s^2 {c.unit})", largest[k] / size[k] ** 2
+                    ),
+                ]
         # of terms that can stand for one another the later ones are left out
         terms.sort(key=lambda term: term[0])
         return self.restore(coordinates, inputs, [parameter for _, parameter in terms])
@@ -181,16 +189,6 @@ def _inertias(coordinates: Sequence[Coordinate]) -> list[Term]:
                 for wave in _coupling_waves(coordinates, i, j)
             ]
     return terms
-
-
-def _springs(c: Coordinate, most: float, size: float) -> list[Term]:
-    """A constant force, a spring with all that it brings, and one that differs by sides."""
-    brings = tuple(f"{law.name}:{c.name}" for law in LAWS.values() if law.joins_springs)
-    return [
-        _optional(1, f"{c.name}.pull", f"{c.unit}/s^2", most),
-        _optional(0, f"{c.name}.spring", "1/s^2", most / size, brings=brings),
-        _optional(2, f"{c.name}.quadratic", f"1/(s^2 {c.unit})", most / size**2),
-    ]
 
 
 def _pair(a: Coordinate, b: Coordinate) -> str:
