@@ -232,3 +232,25 @@ def trained_once(pendulum: tn.DataSet, tmp_path_factory: pytest.TempPathFactory)
 def run_folder(trained_once: Path, tmp_path: Path) -> Path:
     """A copy of that run folder, which a test may change."""
     return Path(shutil.copytree(trained_once, tmp_path / "run"))
+
+
+REMARKING = ("fit", "cross-validate", "demo", "reproduce")  # verbs that first print remarks
+
+
+@pytest.fixture
+def refused(capsys):
+    """Runs the command, which must refuse with one line that has some words."""
+    from tustinnet.cli.main import run
+
+    def check(*arguments: object, told: str | tuple[str, ...]) -> None:
+        with pytest.raises(SystemExit) as ended:
+            run([str(a) for a in arguments])
+        out, err = capsys.readouterr()
+        assert (ended.value.code, out) == (1, ""), err
+        lines = err.splitlines()
+        (line,) = [x for x in lines if x.startswith("error: ") or arguments[0] not in REMARKING]
+        assert "Traceback" not in err
+        for words in [told] if isinstance(told, str) else told:
+            assert words in line
+
+    return check

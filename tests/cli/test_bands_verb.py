@@ -12,16 +12,6 @@ from test_verbs import tustinnet
 import tustinnet as tn
 
 
-@pytest.fixture
-def refused(capsys):
-    def check(*arguments: object, told: str) -> None:
-        code, out, err = tustinnet(capsys, *arguments)
-        assert (code, out, err.count("\n")) == (1, "", 1)
-        assert told in err
-
-    return check
-
-
 class Place(NamedTuple):
     """What the verbs are given."""
 

@@ -16,17 +16,6 @@ from tustinnet.store.header import records_in_header
 from tustinnet.systems.files import find_system
 
 
-@pytest.fixture
-def refused(capsys):
-    def check(*arguments: object, told: str) -> None:
-        code, out, err = tustinnet(capsys, *arguments)
-        assert (code, out) == (1, ""), err
-        (line,) = [line for line in err.splitlines() if line.startswith("error: ")]
-        assert told in line
-
-    return check
-
-
 class Grey(NamedTuple):
     """An identified model and its system's file."""
 

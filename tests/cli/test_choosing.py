@@ -32,6 +32,7 @@ def test_a_folder_of_logs_and_a_system_become_one_model(folder, tmp_path, out, c
     code, printed, err = tustinnet(capsys, *verb, "--budget", "5min")
     assert code == 0, err
     assert "round 1 of 2, one fold: " in err
+    assert "grey, all training records: " in err
     assert "free runs of records that a model was not fitted to" in printed
     assert "* chosen: grey, identified from all 5 records" in printed
     assert " better than the next, network: by " in printed
@@ -47,6 +48,8 @@ def test_a_folder_of_logs_and_a_system_become_one_model(folder, tmp_path, out, c
             capsys, "evaluate", out / model, folder, "--start", "derived-6", "--json"
         )
         assert code == 0, err
+        fitted = json.loads(printed)["fitted_to"]  # of a selection, validation records too
+        assert "fold-" in model or fitted == ["fall3", "noise2"]
     code, _, err = tustinnet(capsys, *verb)
     assert code == 1
     assert "holds an earlier selection" in err

@@ -61,20 +61,6 @@ def model(run_folder) -> Path:
     return run_folder / "model.safetensors"
 
 
-@pytest.fixture
-def refused(capsys):
-    """Runs the command, which must refuse with one line that has some words."""
-
-    def check(*arguments: object, names: tuple[str, ...]) -> None:
-        code, out, err = tustinnet(capsys, *arguments)
-        assert (code, out) == (1, ""), err
-        (line,) = [line for line in err.splitlines() if line.startswith("error: ")]
-        for name in names:
-            assert name in line
-
-    return check
-
-
 def of(verb: str, model: Path, folder: Path, tmp_path: Path) -> list[object]:
     """A verb with what it cannot do without."""
     first = [verb, model, folder] if verb in JUDGING else [verb, folder]
@@ -96,8 +82,8 @@ def test_names_that_are_none_are_refused_by_their_option(
     if (verb, option) not in options():
         pytest.skip("no such option")
     command = of(verb, model, folder, tmp_path)
-    refused(*command, option, "nowhere", names=("nowhere",))
-    refused(*command, option, "", names=("''",))
+    refused(*command, option, "nowhere", told=("nowhere",))
+    refused(*command, option, "", told=("''",))
     assert not list(tmp_path.glob("out*"))
 
 
@@ -105,27 +91,27 @@ def test_names_that_are_none_are_refused_by_their_option(
 def test_a_card_is_read(verb, model, folder, tmp_path, refused):
     """Given to inspect, fit, cross-validate, simulate, evaluate, compare, residuals, report."""
     card = tmp_path / "nowhere.toml"
-    refused(*of(verb, model, folder, tmp_path), "--card", card, names=("nowhere.toml",))
+    refused(*of(verb, model, folder, tmp_path), "--card", card, told=("nowhere.toml",))
 
 
 @pytest.mark.parametrize("verb", ["demo", "fit", "cross-validate", "reproduce"])
 def test_a_device_that_is_not_there_is_refused(verb, folder, tmp_path, refused):
     data = [folder] if verb in ("fit", "cross-validate") else []
-    refused(verb, *data, "--out", tmp_path / "o", "--device", "gpu", names=("--device gpu",))
+    refused(verb, *data, "--out", tmp_path / "o", "--device", "gpu", told=("--device gpu",))
     assert not (tmp_path / "o").exists()
 
 
 @pytest.mark.parametrize("verb", JUDGING)
 def test_a_network_has_no_system(verb, model, folder, tmp_path, refused):
     command = of(verb, model, folder, tmp_path)
-    refused(*command, "--system", "qube-servo2", names=("system",))
+    refused(*command, "--system", "qube-servo2", told=("system",))
     assert not (tmp_path / "out").exists()
 
 
 def test_a_record_of_another_split_is_refused(model, folder, tmp_path, refused):
     refused(
         "simulate", model, folder, "--out", tmp_path / "out", "--split", "train",
-        "--experiment", "fall3", names=("'fall3'", "fall1, fall2"),
+        "--experiment", "fall3", told=("'fall3'", "fall1, fall2"),
     )  # fmt: skip
     assert not (tmp_path / "out").exists()
 
@@ -134,7 +120,7 @@ def test_a_record_of_another_split_is_refused(model, folder, tmp_path, refused):
 def test_physics_without_a_correction_is_refused(system, folder, small_recipe, tmp_path, refused):
     refused(
         "cross-validate", folder, "--recipe", small_recipe, "--physics", "grey", *system,
-        "--out", tmp_path / "out", names=("--physics", "'tustin-net'"),
+        "--out", tmp_path / "out", told=("--physics", "'tustin-net'"),
     )  # fmt: skip
     assert not (tmp_path / "out").exists()
 
@@ -143,7 +129,7 @@ def test_physics_without_a_correction_is_refused(system, folder, small_recipe, t
 def test_an_identification_has_no_seeds(verb, folder, tmp_path, refused):
     refused(
         verb, folder, "--recipe", "grey", "--system", "qube-servo2", "--out", tmp_path / "out",
-        "--seeds", 2, names=("--seeds",),
+        "--seeds", 2, told=("--seeds",),
     )  # fmt: skip
     assert not (tmp_path / "out").exists()
 
@@ -161,10 +147,10 @@ def test_the_demo_takes_seed_and_overwrite(tmp_path, monkeypatch, refused):
 
     monkeypatch.setattr(qube_servo2_twin, "twin", twin)
     demo = ("demo", "--out", tmp_path / "out", "--quiet")
-    refused(*demo, "--seed", 3, names=("seed 3",))
+    refused(*demo, "--seed", 3, told=("seed 3",))
     (tmp_path / "out" / "twin").mkdir(parents=True)
-    refused(*demo, names=("add --overwrite",))
-    refused(*demo, "--overwrite", names=("seed 0",))
+    refused(*demo, told=("add --overwrite",))
+    refused(*demo, "--overwrite", told=("seed 0",))
 
 
 def _stand_in_for_the_measured_data(monkeypatch, folder, records) -> None:
@@ -185,11 +171,11 @@ def test_reproduce_asks_for_what_its_options_say(folder, pendulum, tmp_path, mon
     monkeypatch.setattr(table1, "build_rows", rows)
     monkeypatch.setattr(figures, "choose_experiment", drawn)
     command = ("reproduce", "--out", tmp_path / "out", "--models", "gru", "--split", "validation")
-    refused(*command, names=("validation 1 None False",))
+    refused(*command, told=("validation 1 None False",))
     changed = ("--seeds", 2, "--keep", "training", "--overwrite")
-    refused(*command, *changed, names=("validation 2 training True",))
-    refused(*command, "--experiment", "noise3", names=("drawing noise3",))
-    refused(*command[:-1], "nowhere", names=("nowhere",))
+    refused(*command, *changed, told=("validation 2 training True",))
+    refused(*command, "--experiment", "noise3", told=("drawing noise3",))
+    refused(*command[:-1], "nowhere", told=("nowhere",))
 
 
 @pytest.mark.parametrize("verb", ["fit", "cross-validate", "reproduce"])
@@ -203,7 +189,7 @@ def test_quiet_silences_the_progress(
     _stand_in_for_the_measured_data(monkeypatch, folder, pendulum)
     monkeypatch.setattr("tustinnet.report.progress.FitProgress", progress)
     data = ["--split", "validation"] if verb == "reproduce" else [folder, "--recipe", small_recipe]
-    refused(verb, *data, "--out", tmp_path / "out", *quiet, names=(f"quiet {bool(quiet)}",))
+    refused(verb, *data, "--out", tmp_path / "out", *quiet, told=(f"quiet {bool(quiet)}",))
 
 
 def test_the_demo_is_quiet_and_prints_json(pendulum, tmp_path, monkeypatch, capsys):
@@ -224,4 +210,4 @@ def test_strict_refuses_what_looks_wrong(verb, folder, small_recipe, tmp_path, r
     card = folder / "dataset.toml"
     card.write_text(card.read_text().replace("4096", "3000"))
     more = [] if verb == "inspect" else ["--recipe", small_recipe, "--out", tmp_path / "out"]
-    refused(verb, folder, *more, "--strict", names=("encoder count",))
+    refused(verb, folder, *more, "--strict", told=("encoder count",))

@@ -5,7 +5,6 @@ import re
 from pathlib import Path
 from typing import Any
 
-import pytest
 from test_bands_verb import place  # noqa: F401 (a fixture)
 from test_grey_box import identified, identified_once, system  # noqa: F401 (fixtures)
 from test_verbs import tustinnet
@@ -29,16 +28,6 @@ def numbers_in(page: Path) -> dict[str, Any]:
     text = page.read_text(encoding="utf-8")
     (found,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', text)
     return json.loads(found)
-
-
-@pytest.fixture
-def refused(capsys):
-    def check(*arguments: object, told: str) -> None:
-        code, out, err = tustinnet(capsys, *arguments)
-        assert (code, out, err.count("\n")) == (1, "", 1), err
-        assert told in err
-
-    return check
 
 
 def test_a_run_is_reported_as_its_options_say(run_folder, folder, tmp_path, capsys, refused):

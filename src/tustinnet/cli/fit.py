@@ -184,8 +184,9 @@ def _fit_recipe(
 def _is_usable(result: "FitResult") -> bool:
     """Whether a fit is finished, or a search that ended early with a model that simulates."""
     search = result.identification
-    has_model = search is not None and not search.reversed_signs
-    return result.finished or (has_model and not search.outcome.startswith("diverged"))
+    if search is None or search.reversed_signs:
+        return result.finished
+    return not search.outcome.startswith("diverged")
 
 
 def _print_windows(task: "Task", console: "Console") -> None:

@@ -85,44 +85,33 @@ Set = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Do not show progress.")]
-Split = Annotated[
-    str | None,
-    typer.Option(
+
+
+def _split(default: str) -> Any:
+    """Option that names a split of the records."""
+    return typer.Option(
         metavar="NAME",
         autocompletion=completion.split,
-        help=f"Records to use: {join_or(completion.SPLITS)}. Default: all.",
-    ),
-]
-JudgedSplit = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME",
-        autocompletion=completion.split,
-        help=f"Records to use: {join_or(completion.SPLITS)}. Default: test if there is one, else "
-        "validation, else all.",
-    ),
-]
-_STARTS = f"Initial states of the free runs: {starts_help()}."
-_USUAL_START = (
-    "warm-up-N where the model needs a warm-up, else file where records have velocity columns, "
-    "else model-20 for oscillations with fewer than 20 samples per period, else derived-6."
-)
-Start = Annotated[
-    str | None,
-    typer.Option(
+        help=f"Records to use: {join_or(completion.SPLITS)}. Default: {default}.",
+    )
+
+
+def _start(default: str) -> Any:
+    """Option that names a start, by default the one given or else the usual one."""
+    return typer.Option(
         metavar="NAME",
         autocompletion=completion.start,
-        help=f"{_STARTS} Default: {_USUAL_START}",
-    ),
-]
+        help=f"Initial states of the free runs: {starts_help()}. Default: {default}warm-up-N where "
+        "the model needs a warm-up, else file where records have velocity columns, else model-20 "
+        "for oscillations with fewer than 20 samples per period, else derived-6.",
+    )
+
+
+Split = Annotated[str | None, _split("all")]
+JudgedSplit = Annotated[str | None, _split("test if there is one, else validation, else all")]
+Start = Annotated[str | None, _start("")]
 JudgedStart = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME",
-        autocompletion=completion.start,
-        help=f"{_STARTS} Default: that by which fit judged the model; where its file says none, "
-        f"{_USUAL_START}",
-    ),
+    str | None, _start("that by which fit judged the model; where its file says none, ")
 ]
 JudgedHorizon = Annotated[
     float | None,

@@ -2,20 +2,12 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from tustinnet.cli import options, terminal
 from tustinnet.reproduce.entries import ALL_MODELS, EXTRA_MODELS
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from tustinnet.cli.automatic_report import AutomaticReport
-    from tustinnet.data.experiment import Experiment
-    from tustinnet.reproduce.table1 import Row
-
 
 _TABLES = ("table1.json", "table1.md", "table1.tex")
 
@@ -91,6 +83,7 @@ def reproduce(
     from tustinnet.errors import InputError
     from tustinnet.report.progress import FitProgress
     from tustinnet.reproduce import figures, table1
+    from tustinnet.reproduce.page import choose_reported_rows, write_rows_report
     from tustinnet.store.files import lock_folder, require_outputs, to_json, write_into
     from tustinnet.store.run import REPORT
 
@@ -139,23 +132,16 @@ def reproduce(
         terminal.print_tables(table)
     figure_files = figures.draw(records, rows, scored_split, figure_record, out)
     report = AutomaticReport(data, is_enabled=not no_report)
-    page = _write_report(rows, list(records.split(scored_split)), out / REPORT, report)
+    best, scored = choose_reported_rows(rows), list(records.split(scored_split))
+    model_files = [row.file for row in best if row.file is not None]
+    page = report.write(
+        model_files,
+        out / REPORT,
+        lambda command: write_rows_report(
+            best, scored, out / REPORT, command if model_files else ""
+        ),
+        {"--split": scored_split, "--start": best[0].start},
+    )
     files = f"{', '.join(_TABLES)} and {len(figure_files)} figures{page or ''}"
     console.print(f"written to {out}: {files}")
     require_report(page)
-
-
-def _write_report(
-    rows: "Sequence[Row]", records: "Sequence[Experiment]", path: Path, report: "AutomaticReport"
-) -> str | None:
-    """Writes the report of the best models; see `AutomaticReport.write`."""
-    from tustinnet.reproduce.page import choose_reported_rows, write_rows_report
-
-    best = choose_reported_rows(rows)
-    files = [row.file for row in best if row.file is not None]
-    return report.write(
-        files,
-        path,
-        lambda command: write_rows_report(best, records, path, command if files else ""),
-        {"--split": records[0].split, "--start": best[0].start},
-    )

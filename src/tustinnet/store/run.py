@@ -130,7 +130,7 @@ class Run:
         )
 
     @cached_property
-    def _cloud(self) -> TrainingSupport | None:
+    def _support(self) -> TrainingSupport | None:
         return training_support(self.roles.train[0].channels, self.roles.train)
 
     @property
@@ -155,7 +155,7 @@ class Run:
         return {
             **member.result.as_header(),
             "data": data_header(self.data, self.roles.all),
-            RANGE: recorded_range(member.result.model, self.roles.train, self._cloud).as_header(),
+            RANGE: recorded_range(member.result.model, self.roles.train, self._support).as_header(),
             "scores": scores_header(
                 self.judging_split,
                 self.start,

@@ -12,7 +12,6 @@ from tustinnet.errors import convert_errors
 from tustinnet.evaluate.scores import mean_rmse
 from tustinnet.families.family import family_of
 from tustinnet.fitting.report import Estimate
-from tustinnet.report.comparison import comparison_table
 from tustinnet.report.extrapolation import describe_extrapolation
 from tustinnet.report.fits import (
     ESTIMATE_COLUMNS,
@@ -27,7 +26,6 @@ from tustinnet.report.tables import Table, number, numbers
 from tustinnet.selection.jobs import LEFT_OUT
 from tustinnet.simulate.horizon import horizon_words
 from tustinnet.store.header import records_in_header
-from tustinnet.store.model_file import package_versions
 
 _DIGITS = 12  # of a checksum
 
@@ -155,23 +153,12 @@ def list_notes(results: Sequence[ModelResult], records: Sequence[Experiment]) ->
     return notes
 
 
-def versions() -> str:
-    """The packages that computed this report, with their versions."""
-    return ", ".join(f"{name} {version}" for name, version in package_versions().items())
-
-
 def _join(names: Sequence[str]) -> str:
     """Joins names as `a, b and c`."""
     return f"{', '.join(names[:-1])} and {names[-1]}" if names[1:] else "".join(names)
 
 
 # --- tables ---
-
-
-def scores_table(results: Sequence[ModelResult], records: Sequence[Experiment]) -> Table:
-    """Table of the RMSE of every record, with a column for each model."""
-    scores = {result.reported.label: result.scores for result in results}
-    return comparison_table(records, scores, results[0].scores[0].start)
 
 
 def coordinates_table(results: Sequence[ModelResult], channels: Channels) -> Table:

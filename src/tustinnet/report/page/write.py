@@ -12,6 +12,7 @@ from tustinnet.export.source import make_source
 from tustinnet.families.family import family_of
 from tustinnet.models.contract import Model, require_fit
 from tustinnet.models.kinematics import Link
+from tustinnet.report.comparison import comparison_table
 from tustinnet.report.page import text_and_tables as text
 from tustinnet.report.page.content import Thinning, choose_thinning, make_content
 from tustinnet.report.page.model_result import ModelResult, compute_model_result
@@ -19,7 +20,7 @@ from tustinnet.report.page.render import render
 from tustinnet.report.page.reported_model import ReportedModel, model_file, read_reported_models
 from tustinnet.simulate.starts import default_start
 from tustinnet.store.files import require_outputs, write_into
-from tustinnet.store.model_file import load_model
+from tustinnet.store.model_file import load_model, package_versions
 
 ENDINGS = (".html", ".htm")
 # bytes of a page, and of that for everything except signals and models
@@ -138,6 +139,7 @@ def _make_context(
 ) -> dict[str, Any]:
     """Makes the variables of the template."""
     first, channels = results[0], records[0].channels
+    start, scores = first.scores[0].start, {r.reported.label: r.scores for r in results}
     reported, total = first.reported, options.total_records
     parameters = [text.parameters_of(result.reported) for result in results]
     return {
@@ -149,8 +151,8 @@ def _make_context(
         "models": [result.reported.label for result in results],
         "records": [e.name for e in records],
         "channels": channels,
-        "start": first.scores[0].start,
-        "scores": text.scores_table(results, records),
+        "start": start,
+        "scores": comparison_table(records, scores, start),
         "by_coordinate": text.coordinates_table(results, channels),
         "parameters": [table for table in parameters if table],
         "stages": text.stages_table(results),
@@ -159,7 +161,7 @@ def _make_context(
         "model_sources": text.models_table(results, records),
         "structure": text.structure_table(results),
         "record_sources": text.records_table(results, records),
-        "versions": text.versions(),
+        "versions": ", ".join(f"{name} {v}" for name, v in package_versions().items()),
         "command": options.command,
         "thinning": thinning,
         "is_shortened": total is not None and total > len(records),
