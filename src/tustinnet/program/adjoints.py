@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tustinnet.program.derivatives import PARTIALS
+from tustinnet.program.derivatives import partial_derivatives
 from tustinnet.program.program import OPERATIONS, Factor, Loop, Node, Program
 from tustinnet.program.tape import Tape
 
@@ -165,7 +165,7 @@ class _Backward:
                 self._add(first, tape.apply("select", which, adjoint, zero))
                 self._add(other, tape.apply("select", which, zero, adjoint))
             case op if not OPERATIONS[op].truth:
-                partials = PARTIALS[op](tape, value, *node.args)
+                partials = partial_derivatives(tape, op, value, node.args)
                 for a, partial in zip(node.args, partials, strict=True):
                     self._add(a, tape.apply("mul", partial, adjoint))
 

@@ -272,3 +272,51 @@ class _Exact:
 
     def __hash__(self) -> int:
         return hash(repr(self.value))
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """A node of a tape in a formula: operators and `apply` write further nodes.
+
+    Attributes:
+        tape: the tape.
+        number: the number of the node.
+    """
+
+    tape: Tape
+    number: int
+
+    def apply(self, op: str, *others: "Term | float") -> "Term":
+        """An operation on this node and others, or numbers, in this order."""
+        operands = (other.number if isinstance(other, Term) else self.tape.number(other)
+                    for other in others)  # fmt: skip
+        return Term(self.tape, self.tape.apply(op, self.number, *operands))
+
+    def choose(self, first: "Term | float", other: "Term | float") -> "Term":
+        """The first of two values where this node is true, else the other."""
+        return self.apply("select", first, other)
+
+    def constant(self, value: float) -> "Term":
+        """A constant on the same tape."""
+        return Term(self.tape, self.tape.number(value))
+
+    def __add__(self, other: "Term | float") -> "Term":
+        return self.apply("add", other)
+
+    def __sub__(self, other: "Term | float") -> "Term":
+        return self.apply("sub", other)
+
+    def __rsub__(self, other: float) -> "Term":
+        return self.constant(other) - self
+
+    def __mul__(self, other: "Term | float") -> "Term":
+        return self.apply("mul", other)
+
+    def __truediv__(self, other: "Term | float") -> "Term":
+        return self.apply("div", other)
+
+    def __rtruediv__(self, other: float) -> "Term":
+        return self.constant(other) / self
+
+    def __neg__(self) -> "Term":
+        return self.apply("neg")
