@@ -50,10 +50,10 @@ def with_adjoints(
     """
     size = program.nodes[program.outputs[output]].size
     tape = Tape({**program.inputs, ADJOINT: size}, program.matrices)
-    inputs = {name: tape.input_vector(name) for name in program.inputs}
+    inputs = {name: tape.input(name) for name in program.inputs}
     end = _unroll(tape, program, inputs)[output]
     backward = _Backward(tape, [inputs[name] for name in by], end)
-    backward.run(end, tape.input_vector(ADJOINT))
+    backward.run(end, tape.input(ADJOINT))
     outputs = {f"by_{name}": tape.split(backward.adjoint(inputs[name])) for name in by}
     for i, (_, vector, adjoint) in enumerate(backward.layers):
         outputs |= {f"in_{i}": tape.split(vector), f"out_{i}": tape.split(adjoint)}
@@ -150,7 +150,7 @@ class _Backward:
                     first += size
             case "product":
                 matrix = tape.matrix(node.data)
-                self._add(node.args[0], tape.product_vector(matrix.T.copy(), adjoint))
+                self._add(node.args[0], tape.product(matrix.T.copy(), adjoint))
             case "layer":
                 factor, vector = node.data, node.args[0]
                 # where the transpose of a matrix multiplies, vector and product change places

@@ -38,7 +38,7 @@ def with_derivatives(
     """
     columns = columns or {}
     tape = Tape(dict(program.inputs), program.matrices)
-    values = {name: tape.input_vector(name) for name in program.inputs}
+    values = {name: tape.input(name) for name in program.inputs}
     seeds: dict[str, Tangents] = {name: {} for name in program.inputs}
     directions: dict[str, range] = {}
     count = 0
@@ -157,7 +157,7 @@ class _Forward:
             return tape.table(matrix @ np.array(values, float))
         used = [i for i, v in enumerate(values) if v != 0.0]
         if len(used) > _FEW * len(numbers):
-            return tape.product_vector(matrix, vector)
+            return tape.product(matrix, vector)
         total = tape.table(np.zeros(len(matrix)))
         for i in used:
             term = tape.apply("mul", tape.table(matrix[:, i].copy()), numbers[i])
@@ -193,10 +193,9 @@ class _Forward:
         collected = [x for vectors in inputs[last:] for x in vectors]
         vectors = [*constants, *carried, *collected]
         inner = Tape({name: size for name, size, _ in vectors})
-        values = {name: inner.input_vector(name) for name in names}
+        values = {name: inner.input(name) for name in names}
         seeds = {
-            name: {d: inner.input_vector(t) for d, t in tangent_names[name].items()}
-            for name in names
+            name: {d: inner.input(t) for d, t in tangent_names[name].items()} for name in names
         }
         next_values, next_tangents = write_with_tangents(inner, loop.body, values, seeds)
         outputs = {name: inner.split(number) for name, number in next_values.items()}

@@ -209,7 +209,7 @@ def _product(tape: Tape, matrix: np.ndarray, vector: Ids) -> list[int]:
     """Nodes of a constant matrix times a vector of numbers."""
     nonzero = np.count_nonzero(matrix)
     if matrix.size >= _DENSE and nonzero >= _FULL * matrix.size:
-        return tape.product(np.asarray(matrix, np.float64), vector)
+        return tape.split(tape.product(np.asarray(matrix, np.float64), tape.vector(vector)))
     return [_dot(tape, np.array([tape.number(w) for w in row], int), vector) for row in matrix]
 
 

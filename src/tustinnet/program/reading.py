@@ -105,7 +105,7 @@ def read(
     sizes = [*((size,) for size in inputs.values()), *matrices.values()]
     shapes = [jax.ShapeDtypeStruct(size, kind) for size in sizes]
     tape = Tape(dict(inputs), matrices)
-    arguments: list[Value] = [Numbers(np.array(tape.input(name), int)) for name in inputs]
+    arguments: list[Value] = [Numbers(np.array(tape.split(tape.input(n)), int)) for n in inputs]
     arguments += [Matrix(Factor(name), size) for name, size in matrices.items()]
     reader = _Reader(tape)
     closed, shape = jax.make_jaxpr(function, return_shape=True)(*shapes)
@@ -307,7 +307,8 @@ class _Reader:
                     if name in sizes and aval.dtype.kind in "iu"]  # fmt: skip
         for i, (name, aval) in enumerate(zip(names, closed.in_avals, strict=True)):
             if name in sizes:
-                inputs.append(Numbers(np.array(tape.input(name), int).reshape(aval.shape)))
+                ids = np.array(tape.split(tape.input(name)), int)
+                inputs.append(Numbers(ids.reshape(aval.shape)))
             else:
                 inputs.append(np.asarray(constants[i]))
         inner = _Reader(tape, counters)

@@ -40,11 +40,7 @@ class Tape:
             self._nodes.append(node)
         return self._numbers[node]
 
-    def input(self, name: str) -> list[int]:
-        """The numbers of an input."""
-        return self.split(self.input_vector(name))
-
-    def input_vector(self, name: str) -> int:
+    def input(self, name: str) -> int:
         """The node of an input, a vector."""
         return self.add(Node("input", size=self.inputs[name], data=name))
 
@@ -132,12 +128,8 @@ class Tape:
             Node("table", (), len(values), self._table_index(values), values.dtype == bool)
         )
 
-    def product(self, matrix: np.ndarray, vector: Ids) -> list[int]:
-        """The numbers of a constant matrix, (rows, columns), times a vector, (columns,)."""
-        return self.split(self.product_vector(matrix, self.vector(vector)))
-
-    def product_vector(self, matrix: np.ndarray, vector: int) -> int:
-        """The node of a constant matrix times a vector node."""
+    def product(self, matrix: np.ndarray, vector: int) -> int:
+        """The node of a constant matrix, (rows, columns), times a vector node, (columns,)."""
         return self.add(Node("product", (vector,), len(matrix), self._table_index(matrix)))
 
     def matrix(self, number: int) -> np.ndarray:
@@ -182,7 +174,7 @@ class Tape:
             case "join":
                 return self.vector([x for a in args for x in self.split(a)])
             case "product":
-                return self.product_vector(program.tables[node.data], args[0])
+                return self.product(program.tables[node.data], args[0])
             case "layer":
                 return self.layer(node.data, args[0])
         return self.apply(node.op, *args)
