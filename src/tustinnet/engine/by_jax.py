@@ -53,13 +53,9 @@ def evaluate(
 
 def make_step(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """A function that steps a discrete model once; see `runs.make_step`."""
-    empty = np.zeros(0)
+    none = jnp.zeros(0)
     shapes = np.zeros(equations.n_x), np.zeros(equations.n_u)
-
-    def next_state(x: Array, u: Array) -> Array:
-        return equations.function(x, u, jnp.asarray(empty), jnp.asarray(empty))
-
-    program = jax.jit(next_state).lower(*shapes).compile()
+    program = jax.jit(lambda x, u: equations.function(x, u, none, none)).lower(*shapes).compile()
 
     def step(state: np.ndarray, inputs: np.ndarray) -> np.ndarray:
         return np.asarray(program(np.asarray(state, float), np.asarray(inputs, float)))

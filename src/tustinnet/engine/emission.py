@@ -293,25 +293,21 @@ class Emission:
         return [f"{name}n" for name in names]
 
     def _loop(self, loop: Loop, args: list[Value]) -> Vector:
-        f, names = self.function, list(loop.body.inputs)
-        first, last = loop.constants, loop.constants + loop.carried
-        sizes = loop.sizes
+        f = self.function
         total = sum(loop.carried_sizes)
         carried = f.memory(total)
         offsets = np.cumsum([0, *loop.carried_sizes]).tolist()
-        for value, offset in zip(args[first:last], offsets, strict=False):
+        constants, starts, collected = loop.split(args)
+        names = loop.split(list(loop.body.inputs))
+        for value, offset in zip(starts, offsets, strict=False):
             self.store(value, carried, offset)
-        pointers = {
-            name: self._in_memory(value)
-            for place, (name, value) in enumerate(zip(names, args, strict=True))
-            if not first <= place < last
-        }
+        inputs = dict(zip(names[0], map(self._in_memory, constants), strict=True))
+        rows = [self._in_memory(value) for value in collected]
         with f.loop(0, loop.length) as turn:
-            inputs = dict(pointers)
-            for k, name in enumerate(names[first:last]):
-                inputs[name] = f.at(carried, offsets[k])
-            for k, name in enumerate(names[last:]):
-                inputs[name] = f.at(pointers[name], f.whole("mul", turn, sizes[last + k]))
+            for name, offset in zip(names[1], offsets, strict=False):
+                inputs[name] = f.at(carried, offset)
+            for name, row in zip(names[2], rows, strict=True):
+                inputs[name] = f.at(row, f.whole("mul", turn, loop.body.inputs[name]))
             body = Emission(f, loop.body, inputs, self.constants, self.pointer)
             ends = [body.as_number(x) for numbers in body.outputs().values() for x in numbers]
             # all has been read before anything is replaced

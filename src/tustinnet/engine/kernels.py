@@ -3,7 +3,7 @@
 Lanes are runs of any lengths: a run that has ended stands still until the longest beside it ends.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -580,41 +580,36 @@ class _Sensitivities(_Simulation):
             rows.append(f.module.number(0.0) if total is None else total)
         return rows
 
-    def _for_each_direction(self, change: Callable[[str, bool], None]) -> None:
-        """Writes code for each direction, those of parameters first."""
-        f = self.f
+    def _each_direction(self) -> Iterator[tuple[str, bool]]:
+        """Each direction, and whether it is that of a parameter, in a loop that is written.
+
+        Code that is written for it is the body; there are two loops where there are parameters.
+        """
         if self.equations.n_p:
-            with f.loop(0, "%n_by_p") as d:
-                change(d, True)
-        with f.loop("%n_by_p", "%n_d") as d:
-            change(d, False)
+            with self.f.loop(0, "%n_by_p") as d:
+                yield d, True
+        with self.f.loop("%n_by_p", "%n_d") as d:
+            yield d, False
 
     def stage_tangents(self, stage: int, scale: str) -> None:
         """Writes a stage of the method for all derivatives."""
-        f, n_x = self.f, self.equations.n_x
         source = self._dx if stage == 0 else self._dahead
-
-        def change(d: str, by_parameter: bool) -> None:
+        memory = self._dx, self._dahead, self._dtotal
+        for d, by_parameter in self._each_direction():
             slopes = self._directional_derivative(source, d, by_parameter=by_parameter)
-            base = f.whole("mul", d, n_x)
+            base = self.f.whole("mul", d, self.equations.n_x)
             for j, slope in enumerate(slopes):
-                self._update(stage, scale, slope, (self._dx, self._dahead, self._dtotal),
-                             f.whole("add", base, j))  # fmt: skip
-
-        self._for_each_direction(change)
+                self._update(stage, scale, slope, memory, self.f.whole("add", base, j))
 
     def step_tangents(self, running: list[str]) -> None:
         """Writes a step of a discrete model for all derivatives."""
-        f, n_x = self.f, self.equations.n_x
-
-        def change(d: str, by_parameter: bool) -> None:
+        f = self.f
+        for d, by_parameter in self._each_direction():
             ahead = self._directional_derivative(self._dx, d, by_parameter=by_parameter)
-            base = f.whole("mul", d, n_x)
+            base = f.whole("mul", d, self.equations.n_x)
             for j, value in enumerate(ahead):
                 place = f.whole("add", base, j)
                 f.store(self.where(running, value, f.load(self._dx, place)), self._dx, place)
-
-        self._for_each_direction(change)
 
     def hand_products_over(self) -> None:
         """Stores the products of every lane in the rows of its run."""

@@ -98,7 +98,17 @@ def with_forces(
     if not names:
         return system
     added = parse_forces(system, names)
-    _require_new(system, added)
+    of_system, added_before = system.nominal(), added_parameters(system)
+    owners = dict.fromkeys(of_system, f"the system '{system.name}'")
+    for force in added:
+        for parameter, name in zip(force.law.parameters, force.parameter_names, strict=True):
+            is_shared = parameter.shared and (name in added_before or name not in of_system)
+            if name in owners and not is_shared:
+                raise InputError(
+                    WHERE, f"'{force}' brings '{name}', which {owners[name]} has already",
+                    "forces that differ", "leave it out, or call the other one otherwise",
+                )  # fmt: skip
+            owners[name] = f"'{force}'"
     springs = [(force, law) for force in added if isinstance(law := force.law, Spring)]
     frictions = [(force, law) for force in added if isinstance(law := force.law, Friction)]
     # those that depend on a deflection are added last, in whatever order the names stand
@@ -124,22 +134,6 @@ def with_forces(
         memory=_memory_with(system, relaxing) if relaxing else system.memory,
         added=(*system.added, *map(str, added)),
     )
-
-
-def _require_new(system: LagrangianSystem, added: Sequence[PlacedForce]) -> None:
-    """Raises where a parameter of an added force exists already and cannot be shared."""
-    of_system = system.nominal()
-    owners = dict.fromkeys(of_system, f"the system '{system.name}'")
-    added_before = added_parameters(system)
-    for force in added:
-        for parameter, name in zip(force.law.parameters, force.parameter_names, strict=True):
-            shared = parameter.shared and (name in added_before or name not in of_system)
-            if name in owners and not shared:
-                raise InputError(
-                    WHERE, f"'{force}' brings '{name}', which {owners[name]} has already",
-                    "forces that differ", "leave it out, or call the other one otherwise",
-                )  # fmt: skip
-            owners[name] = f"'{force}'"
 
 
 def _sum_by_coordinate(like: Any, acting: Sequence[tuple[int, Any]]) -> Any:

@@ -45,47 +45,37 @@ class Parameter:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "brings", tuple(map(current_force, self.brings)))
+        where = f"parameter '{self.name}'"
+        limits = f"{self.lower:g}..{self.upper:g}"
         if self.per is not None:
-            require_name(self.per, f"parameter '{self.name}', per")
+            require_name(self.per, f"{where}, per")
             if self.fixed:
                 raise InputError(
-                    f"parameter '{self.name}'", f"fixed, and one per {self.per}", "one of both",
+                    where, f"fixed, and one per {self.per}", "one of both",
                     "a recipe's `fixed` may hold the value of each",
                 )  # fmt: skip
         if self.optional and (self.nominal or self.fixed or self.per is not None):
             raise InputError(
-                f"parameter '{self.name}'",
-                "optional, and fixed, one per group or with another nominal value than 0",
+                where, "optional, and fixed, one per group or with another nominal value than 0",
                 "a nominal value of 0: without its term a system is as if it were 0",
-            )
-        if outside := [x for x in self.usual if not self.lower <= x <= self.upper or not x]:
-            raise InputError(
-                f"parameter '{self.name}'", f"the usual value {outside[0]:g}",
-                f"values within {self.lower:g}..{self.upper:g} beside 0",
             )  # fmt: skip
+        if outside := [x for x in self.usual if not self.lower <= x <= self.upper or not x]:
+            expected = f"values within {limits} beside 0"
+            raise InputError(where, f"the usual value {outside[0]:g}", expected)
         if (self.usual or self.brings) and not self.optional:
             what = "usual values" if self.usual else "forces that it brings"
-            raise InputError(f"parameter '{self.name}'", what, "an optional parameter")
+            raise InputError(where, what, "an optional parameter")
         if not self.lower <= self.upper:
-            raise InputError(
-                f"parameter '{self.name}'", f"range {self.lower:g}..{self.upper:g}", "lower first"
-            )
+            raise InputError(where, f"range {limits}", "lower first")
         if not self.lower <= self.nominal <= self.upper:
-            raise InputError(
-                f"parameter '{self.name}'",
-                f"nominal value {self.nominal:g} {self.unit}",
-                f"a value within {self.lower:g}..{self.upper:g}",
-            )
+            problem = f"nominal value {self.nominal:g} {self.unit}"
+            raise InputError(where, problem, f"a value within {limits}")
         if not (self.fixed or self.lower < self.upper):
-            raise InputError(
-                f"parameter '{self.name}'", "an empty range", "lower < upper, or fixed"
-            )
+            raise InputError(where, "an empty range", "lower < upper, or fixed")
         if not (self.fixed or math.isfinite(self.upper - self.lower)):
-            raise InputError(f"parameter '{self.name}'", "a range without an end", "finite ends")
+            raise InputError(where, "a range without an end", "finite ends")
         if self.prior is not None and not self.prior > 0:
-            raise InputError(
-                f"parameter '{self.name}'", f"prior {self.prior:g}", "a positive standard deviation"
-            )
+            raise InputError(where, f"prior {self.prior:g}", "a positive standard deviation")
 
     @property
     def positive(self) -> bool:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from tustinnet.channels import Input
-from tustinnet.models.lagrangian import LagrangianSystem, Memory, Parameter, Values
+from tustinnet.models.lagrangian import LagrangianSystem, Parameter, Values
 
 _NEUTRAL = {"bias": 0.0, "gain": 1.0}
 
@@ -45,38 +45,43 @@ def with_sensor_errors(
             [jnp.asarray(p[n] if n in names else _NEUTRAL[which]) for n in of_channels]
         )
 
-    def physical(q: Any, v: Any, p: Values) -> tuple[Any, Any, Any]:
-        gain = values(system.coordinates, "gain", p)
-        return (q - values(system.coordinates, "bias", p)) / gain, v / gain, gain
+    def physical(function: Callable[..., Any], *, is_force: bool = False) -> Callable[..., Any]:
+        """A function of the physical motion as one of the measured motion."""
 
-    def kinetic(q: Any, v: Any, p: Values) -> Any:
-        position, speed, _ = physical(q, v, p)
-        return system.kinetic(position, speed, p)
+        @wraps(function)
+        def of_measured(q: Any, v: Any, *others: Any) -> Any:
+            p = others[-1]
+            gain = values(system.coordinates, "gain", p)
+            position = (q - values(system.coordinates, "bias", p)) / gain
+            result = function(position, v / gain, *others)
+            return jnp.asarray(result) / gain if is_force else result
+
+        return of_measured
 
     def potential(q: Any, p: Values) -> Any:
-        assert system.potential
-        return system.potential(physical(q, q, p)[0], p)
-
-    def dissipation(q: Any, v: Any, p: Values) -> Any:
-        assert system.dissipation
-        position, speed, gain = physical(q, v, p)
-        return jnp.asarray(system.dissipation(position, speed, p)) / gain
+        return physical(lambda q, v, p: system.potential and system.potential(q, p))(q, q, p)
 
     def input_map(q: Any, v: Any, u: Any, p: Values) -> Any:
         assert system.input_map
-        position, speed, gain = physical(q, v, p)
         if system.inputs:
             u = values(system.inputs, "gain", p) * u + values(system.inputs, "bias", p)
-        return jnp.asarray(system.input_map(position, speed, u, p)) / gain
+        return system.input_map(q, v, u, p)
 
+    memory = system.memory
     return replace(
         system,
         parameters=(*system.parameters, *sensors),
-        kinetic=wraps(system.kinetic)(kinetic),
+        kinetic=physical(system.kinetic),
         potential=system.potential and wraps(system.potential)(potential),
-        dissipation=system.dissipation and wraps(system.dissipation)(dissipation),
-        input_map=system.input_map and wraps(system.input_map)(input_map),
-        memory=system.memory and _with_physical_motion(system.memory, physical),
+        dissipation=system.dissipation and physical(system.dissipation, is_force=True),
+        input_map=system.input_map and physical(wraps(system.input_map)(input_map), is_force=True),
+        memory=memory
+        and replace(
+            memory,
+            rate=physical(memory.rate),
+            force=physical(memory.force, is_force=True),
+            initial=memory.initial and physical(memory.initial),
+        ),
         sensors=tuple(s.name for s in sensors),
     )
 
@@ -94,22 +99,3 @@ def delay_names(names: Iterable[str]) -> tuple[str, ...]:
 def with_delays(inputs: Sequence[Input], values: Mapping[str, Any]) -> tuple[Input, ...]:
     """Inputs with the delays [s] that are among the values of parameters."""
     return tuple(replace(i, delay=float(values.get(delay_name(i), i.delay or 0.0))) for i in inputs)
-
-
-def _with_physical_motion(memory: Memory, physical: Callable[..., tuple[Any, Any, Any]]) -> Memory:
-    """Forces with memory of the physical motion that belongs to the measured one."""
-
-    def rate(q: Any, v: Any, z: Any, p: Values) -> Any:
-        position, speed, _ = physical(q, v, p)
-        return memory.rate(position, speed, z, p)
-
-    def force(q: Any, v: Any, z: Any, p: Values) -> Any:
-        position, speed, gain = physical(q, v, p)
-        return jnp.asarray(memory.force(position, speed, z, p)) / gain
-
-    def initial(q: Any, v: Any, p: Values) -> Any:
-        position, speed, _ = physical(q, v, p)
-        assert memory.initial
-        return memory.initial(position, speed, p)
-
-    return Memory(memory.names, rate, force, memory.initial and initial)

@@ -8,12 +8,13 @@ References:
     Griewank, Walther (2008), Evaluating Derivatives, section 3.2 (reverse mode).
 """
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from tustinnet.program.derivatives import PARTIALS
+from tustinnet.program.derivatives import partial_derivatives
 from tustinnet.program.program import OPERATIONS, Factor, Loop, Node, Program
 from tustinnet.program.tape import Tape
 
@@ -49,10 +50,10 @@ def with_adjoints(
     """
     size = program.nodes[program.outputs[output]].size
     tape = Tape({**program.inputs, ADJOINT: size}, program.matrices)
-    inputs = {name: tape.input_vector(name) for name in program.inputs}
+    inputs = {name: tape.input(name) for name in program.inputs}
     end = _unroll(tape, program, inputs)[output]
     backward = _Backward(tape, [inputs[name] for name in by], end)
-    backward.run(end, tape.input_vector(ADJOINT))
+    backward.run(end, tape.input(ADJOINT))
     outputs = {f"by_{name}": tape.split(backward.adjoint(inputs[name])) for name in by}
     for i, (_, vector, adjoint) in enumerate(backward.layers):
         outputs |= {f"in_{i}": tape.split(vector), f"out_{i}": tape.split(adjoint)}
@@ -71,8 +72,7 @@ def _unroll(tape: Tape, program: Program, inputs: dict[str, int]) -> dict[str, i
             values.append(tape.copy_node(program, node, args, inputs))
             continue
         loop: Loop = node.data
-        first, last = loop.constants, loop.constants + loop.carried
-        constants, carried, collected = args[:first], args[first:last], args[last:]
+        constants, carried, collected = loop.split(args)
         rows = [np.split(np.array(tape.split(vector)), loop.length) for vector in collected]
         for turn in range(loop.length):
             now = [tape.vector(row[turn]) for row in rows]
@@ -99,7 +99,7 @@ class _Backward:
 
     def __init__(self, tape: Tape, by: Sequence[int], end: int) -> None:
         self._tape = tape
-        self._sums: dict[int, _PartialSum] = {}
+        self._sums: defaultdict[int, _PartialSum] = defaultdict(_PartialSum)
         self.layers: list[tuple[Factor, int, int]] = []
         # only nodes that depend on inputs that are differentiated by have an adjoint, and layers
         self._depends: list[bool] = []
@@ -112,7 +112,7 @@ class _Backward:
     def adjoint(self, number: int) -> int:
         """The adjoint of a node, as far as it has been added up: a node of the same size."""
         tape, size = self._tape, self._tape[number].size
-        partial = self._sums.get(number, _PartialSum())
+        partial = self._sums.get(number, _PartialSum())  # not added where there is none
         total = partial.whole
         if partial.numbers:
             zero = tape.number(0.0)
@@ -135,7 +135,7 @@ class _Backward:
         tape = self._tape
         match node.op:
             case "input":
-                return
+                pass
             case "pick":
                 self._add_numbers(node.args[0], {node.data: adjoint})
             case "part":
@@ -150,7 +150,7 @@ class _Backward:
                     first += size
             case "product":
                 matrix = tape.matrix(node.data)
-                self._add(node.args[0], tape.product_vector(matrix.T.copy(), adjoint))
+                self._add(node.args[0], tape.product(matrix.T.copy(), adjoint))
             case "layer":
                 factor, vector = node.data, node.args[0]
                 # where the transpose of a matrix multiplies, vector and product change places
@@ -159,21 +159,15 @@ class _Backward:
                 transpose = Factor(factor.name, not factor.is_transposed)
                 if self._depends[vector]:
                     self._add(vector, tape.layer(transpose, adjoint))
-            case _:
-                self._pass_operation_on(node, value, adjoint)
-
-    def _pass_operation_on(self, node: Node, value: int, adjoint: int) -> None:
-        tape, args = self._tape, node.args
-        if OPERATIONS[node.op].truth:
-            return
-        if node.op == "select":
-            zero = tape.number(0.0)
-            self._add(args[1], tape.apply("select", args[0], adjoint, zero))
-            self._add(args[2], tape.apply("select", args[0], zero, adjoint))
-            return
-        partials = PARTIALS[node.op](tape, value, *args)
-        for a, partial in zip(args, partials, strict=True):
-            self._add(a, tape.apply("mul", partial, adjoint))
+            case "select":
+                which, first, other = node.args
+                zero = tape.number(0.0)
+                self._add(first, tape.apply("select", which, adjoint, zero))
+                self._add(other, tape.apply("select", which, zero, adjoint))
+            case op if not OPERATIONS[op].truth:
+                partials = partial_derivatives(tape, op, value, node.args)
+                for a, partial in zip(node.args, partials, strict=True):
+                    self._add(a, tape.apply("mul", partial, adjoint))
 
     def _add(self, number: int, term: int) -> None:
         """Adds a term to the adjoint of a node; for a number that acts on a vector, its sum."""
@@ -188,13 +182,13 @@ class _Backward:
             term = total
         elif tape[term].size < size:
             term = tape.vector([term] * size)
-        partial = self._sums.setdefault(number, _PartialSum())
+        partial = self._sums[number]
         partial.whole = term if partial.whole is None else tape.apply("add", partial.whole, term)
 
     def _add_numbers(self, number: int, terms: dict[int, int]) -> None:
         """Adds terms to some numbers of a node's adjoint."""
         if not self._depends[number]:
             return
-        sums = self._sums.setdefault(number, _PartialSum()).numbers
+        sums = self._sums[number].numbers
         for i, term in terms.items():
             sums[i] = self._tape.apply("add", sums[i], term) if i in sums else term

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tustinnet.program.program import OPERATIONS, Loop, Node, Program
-from tustinnet.program.tape import Tape
+from tustinnet.program.tape import Tape, Term
 
 # derivatives of a node: for each direction the number of a node of its size; no entry for zero
 Tangents = dict[int, int]
@@ -38,7 +38,7 @@ def with_derivatives(
     """
     columns = columns or {}
     tape = Tape(dict(program.inputs), program.matrices)
-    values = {name: tape.input_vector(name) for name in program.inputs}
+    values = {name: tape.input(name) for name in program.inputs}
     seeds: dict[str, Tangents] = {name: {} for name in program.inputs}
     directions: dict[str, range] = {}
     count = 0
@@ -139,17 +139,13 @@ class _Forward:
                 for d in _directions(tangents[1:])
             }
             return self._nonzero(selected, node.size)
-        partials = [
-            PARTIALS[node.op](tape, value, *args)[i] if tangent else None
-            for i, tangent in enumerate(tangents)
-        ]
+        partials = partial_derivatives(tape, node.op, value, args)
         totals: Tangents = {}
         for d in _directions(tangents):
             for partial, tangent in zip(partials, tangents, strict=True):
-                if partial is None or d not in tangent:
-                    continue
-                term = tape.apply("mul", partial, tangent[d])
-                totals[d] = tape.apply("add", totals[d], term) if d in totals else term
+                if d in tangent:
+                    term = tape.apply("mul", partial, tangent[d])
+                    totals[d] = tape.apply("add", totals[d], term) if d in totals else term
         return self._nonzero(totals, node.size)
 
     def _product(self, matrix: np.ndarray, vector: int) -> int:
@@ -161,7 +157,7 @@ class _Forward:
             return tape.table(matrix @ np.array(values, float))
         used = [i for i, v in enumerate(values) if v != 0.0]
         if len(used) > _FEW * len(numbers):
-            return tape.product_vector(matrix, vector)
+            return tape.product(matrix, vector)
         total = tape.table(np.zeros(len(matrix)))
         for i in used:
             term = tape.apply("mul", tape.table(matrix[:, i].copy()), numbers[i])
@@ -197,10 +193,9 @@ class _Forward:
         collected = [x for vectors in inputs[last:] for x in vectors]
         vectors = [*constants, *carried, *collected]
         inner = Tape({name: size for name, size, _ in vectors})
-        values = {name: inner.input_vector(name) for name in names}
+        values = {name: inner.input(name) for name in names}
         seeds = {
-            name: {d: inner.input_vector(t) for d, t in tangent_names[name].items()}
-            for name in names
+            name: {d: inner.input(t) for d, t in tangent_names[name].items()} for name in names
         }
         next_values, next_tangents = write_with_tangents(inner, loop.body, values, seeds)
         outputs = {name: inner.split(number) for name, number in next_values.items()}
@@ -242,119 +237,90 @@ def _directions(tangents: Sequence[Tangents]) -> list[int]:
     return sorted({d for tangent in tangents for d in tangent})
 
 
-# --- partial derivatives of operations: from (tape, value, *arguments) to one for each argument ---
-
-Partials = Callable[..., tuple[int, ...]]
+# --- partial derivatives of operations ---
 
 
-def _unary(formula: Callable[[Tape, int, int], int]) -> Partials:
-    """The rule of a function of one number, from a formula of its value and its argument."""
-    return lambda tape, value, x: (formula(tape, value, x),)
+def partial_derivatives(tape: Tape, op: str, value: int, args: Sequence[int]) -> list[int]:
+    """Nodes of the derivatives of an operation by each of its arguments.
+
+    Args:
+        tape: the program.
+        op: the operation; none whose value is a truth, nor `select`.
+        value: the node of its value.
+        args: the nodes of its arguments.
+    """
+    result = PARTIALS[op](*(Term(tape, number) for number in (value, *args)))
+    partials = result if isinstance(result, tuple) else (result,)
+    return [x.number if isinstance(x, Term) else tape.number(x) for x in partials]
 
 
-def _square(tape: Tape, x: int) -> int:
-    return tape.apply("mul", x, x)
+Partials = Term | float | tuple[Term | float, ...]
 
 
-def _over(tape: Tape, x: int) -> int:
-    return tape.apply("div", tape.number(1.0), x)
+def _quotient(y: Term, a: Term, b: Term) -> Partials:
+    inverse = 1.0 / b
+    return inverse, -(y * inverse)
 
 
-def _plus(tape: Tape, x: int, constant: float) -> int:
-    return tape.apply("add", x, tape.number(constant))
-
-
-def _minus(tape: Tape, constant: float, x: int) -> int:
-    return tape.apply("sub", tape.number(constant), x)
-
-
-def _quotient(tape: Tape, value: int, a: int, b: int) -> tuple[int, ...]:
-    inverse = _over(tape, b)
-    return inverse, tape.apply("neg", tape.apply("mul", value, inverse))
-
-
-def _larger(first: str) -> Partials:
+def _larger(first: str) -> Callable[[Term, Term, Term], Partials]:
     """The rule of max and min; the derivative is half of each where both are equal, as in JAX."""
 
-    def rule(tape: Tape, value: int, a: int, b: int) -> tuple[int, ...]:
-        one, half, zero = (tape.number(x) for x in (1.0, 0.5, 0.0))
-        is_equal, is_first = tape.apply("eq", a, b), tape.apply(first, a, b)
-        tie = tape.apply("select", is_equal, half, zero)
-        return (
-            tape.apply("select", is_first, one, tie),
-            tape.apply("select", tape.apply("or", is_first, is_equal), tie, one),
-        )
+    def rule(y: Term, a: Term, b: Term) -> Partials:
+        is_equal, is_first = a.apply("eq", b), a.apply(first, b)
+        tie = is_equal.choose(0.5, 0.0)
+        return is_first.choose(1.0, tie), is_first.apply("or", is_equal).choose(tie, 1.0)
 
     return rule
 
 
-def _side(tape: Tape, value: int, x: int) -> int:
-    """The derivative of abs, 1 at 0, as in JAX."""
-    above = tape.apply("ge", x, tape.number(0.0))
-    return tape.apply("select", above, tape.number(1.0), tape.number(-1.0))
+def _power(y: Term, a: Term, b: Term) -> Partials:
+    base = b * a.apply("pow", b + -1.0)
+    exponent = y * a.apply("log")
+    return b.apply("eq", 0.0).choose(0.0, base), a.apply("eq", 0.0).choose(0.0, exponent)
 
 
-def _power(tape: Tape, value: int, a: int, b: int) -> tuple[int, ...]:
-    zero = tape.number(0.0)
-    base = tape.apply("mul", b, tape.apply("pow", a, _plus(tape, b, -1.0)))
-    exponent = tape.apply("mul", value, tape.apply("log", a))
-    return (
-        tape.apply("select", tape.apply("eq", b, zero), zero, base),
-        tape.apply("select", tape.apply("eq", a, zero), zero, exponent),
-    )
+def _remainder(y: Term, a: Term, b: Term) -> Partials:
+    ratio = a / b
+    low, high = ratio.apply("floor"), ratio.apply("ceil")
+    return 1.0, -ratio.apply("ge", 0.0).choose(low, high)
 
 
-def _remainder(tape: Tape, value: int, a: int, b: int) -> tuple[int, ...]:
-    ratio = tape.apply("div", a, b)
-    low, high = tape.apply("floor", ratio), tape.apply("ceil", ratio)
-    whole = tape.apply("select", tape.apply("ge", ratio, tape.number(0.0)), low, high)
-    return tape.number(1.0), tape.apply("neg", whole)
+def _angle(y: Term, a: Term, b: Term) -> Partials:
+    size = 1.0 / (a * a + b * b)
+    return b * size, -(a * size)
 
 
-def _angle(tape: Tape, value: int, a: int, b: int) -> tuple[int, ...]:
-    size = _over(tape, tape.apply("add", _square(tape, a), _square(tape, b)))
-    return tape.apply("mul", b, size), tape.apply("neg", tape.apply("mul", a, size))
-
-
-def _over_root(inside: Callable[[Tape, int], int], sign: float = 1.0) -> Partials:
-    """The rule of inverse functions whose derivative is one over a root."""
-    return _unary(
-        lambda tape, value, x: tape.apply(
-            "div", tape.number(sign), tape.apply("sqrt", inside(tape, x))
-        )
-    )
-
-
-PARTIALS: dict[str, Partials] = {
-    "add": lambda tape, value, a, b: (tape.number(1.0), tape.number(1.0)),
-    "sub": lambda tape, value, a, b: (tape.number(1.0), tape.number(-1.0)),
-    "mul": lambda tape, value, a, b: (b, a),
+# formulas of the value y and the arguments; one for each argument
+PARTIALS: dict[str, Callable[..., Partials]] = {
+    "add": lambda y, a, b: (1.0, 1.0),
+    "sub": lambda y, a, b: (1.0, -1.0),
+    "mul": lambda y, a, b: (b, a),
     "div": _quotient,
-    "neg": _unary(lambda tape, value, x: tape.number(-1.0)),
+    "neg": lambda y, x: -1.0,
     "max": _larger("gt"),
     "min": _larger("lt"),
     "pow": _power,
     "rem": _remainder,
     "atan2": _angle,
-    "abs": _unary(_side),
-    "sign": _unary(lambda tape, value, x: tape.number(0.0)),
-    "floor": _unary(lambda tape, value, x: tape.number(0.0)),
-    "ceil": _unary(lambda tape, value, x: tape.number(0.0)),
-    "sqrt": _unary(lambda tape, value, x: tape.apply("div", tape.number(0.5), value)),
-    "exp": _unary(lambda tape, value, x: value),
-    "expm1": _unary(lambda tape, value, x: _plus(tape, value, 1.0)),
-    "log": _unary(lambda tape, value, x: _over(tape, x)),
-    "log1p": _unary(lambda tape, value, x: _over(tape, _plus(tape, x, 1.0))),
-    "sin": _unary(lambda tape, value, x: tape.apply("cos", x)),
-    "cos": _unary(lambda tape, value, x: tape.apply("neg", tape.apply("sin", x))),
-    "tan": _unary(lambda tape, value, x: _plus(tape, _square(tape, value), 1.0)),
-    "asin": _over_root(lambda tape, x: _minus(tape, 1.0, _square(tape, x))),
-    "acos": _over_root(lambda tape, x: _minus(tape, 1.0, _square(tape, x)), -1.0),
-    "atan": _unary(lambda tape, value, x: _over(tape, _plus(tape, _square(tape, x), 1.0))),
-    "sinh": _unary(lambda tape, value, x: tape.apply("cosh", x)),
-    "cosh": _unary(lambda tape, value, x: tape.apply("sinh", x)),
-    "tanh": _unary(lambda tape, value, x: _minus(tape, 1.0, _square(tape, value))),
-    "asinh": _over_root(lambda tape, x: _plus(tape, _square(tape, x), 1.0)),
-    "acosh": _over_root(lambda tape, x: _plus(tape, _square(tape, x), -1.0)),
-    "atanh": _unary(lambda tape, value, x: _over(tape, _minus(tape, 1.0, _square(tape, x)))),
+    "abs": lambda y, x: x.apply("ge", 0.0).choose(1.0, -1.0),  # 1 at 0, as in JAX
+    "sign": lambda y, x: 0.0,
+    "floor": lambda y, x: 0.0,
+    "ceil": lambda y, x: 0.0,
+    "sqrt": lambda y, x: 0.5 / y,
+    "exp": lambda y, x: y,
+    "expm1": lambda y, x: y + 1.0,
+    "log": lambda y, x: 1.0 / x,
+    "log1p": lambda y, x: 1.0 / (x + 1.0),
+    "sin": lambda y, x: x.apply("cos"),
+    "cos": lambda y, x: -x.apply("sin"),
+    "tan": lambda y, x: y * y + 1.0,
+    "asin": lambda y, x: 1.0 / (1.0 - x * x).apply("sqrt"),
+    "acos": lambda y, x: -1.0 / (1.0 - x * x).apply("sqrt"),
+    "atan": lambda y, x: 1.0 / (x * x + 1.0),
+    "sinh": lambda y, x: x.apply("cosh"),
+    "cosh": lambda y, x: x.apply("sinh"),
+    "tanh": lambda y, x: 1.0 - y * y,
+    "asinh": lambda y, x: 1.0 / (x * x + 1.0).apply("sqrt"),
+    "acosh": lambda y, x: 1.0 / (x * x + -1.0).apply("sqrt"),
+    "atanh": lambda y, x: 1.0 / (1.0 - x * x),
 }

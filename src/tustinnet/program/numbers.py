@@ -54,11 +54,9 @@ def _numbers(value: Any) -> Vector:
 
 
 def _run_loop(loop: Loop, args: list[Vector]) -> Vector:
-    first, last = loop.constants, loop.constants + loop.carried
-    constants, state, collected = args[:first], args[first:last], args[last:]
-    names = list(loop.body.inputs)
+    constants, state, collected = loop.split(args)
     rows = [vector.reshape(loop.length, -1) for vector in collected]
     for i in range(loop.length):
         now = [*constants, *state, *(row[i] for row in rows)]
-        state = list(run(loop.body, **dict(zip(names, now, strict=True))).values())
+        state = list(run(loop.body, **dict(zip(loop.body.inputs, now, strict=True))).values())
     return np.concatenate(state)

@@ -11,7 +11,7 @@ import numpy as np
 from jax.lax import GatherScatterMode, RoundingMethod
 
 from tustinnet.program.program import OPERATIONS
-from tustinnet.program.tape import Tape
+from tustinnet.program.tape import Tape, Term
 
 Ids = np.ndarray  # numbers of nodes, in the shape of the array that they stand for
 
@@ -64,107 +64,87 @@ def _elementwise_rule(op: str) -> Callable[..., Ids]:
     return rule
 
 
-def _formula_rule(formula: Callable[..., int]) -> Callable[..., Ids]:
-    """A rule made of several operations: `formula(tape, params, *numbers)` for every number."""
+def _formula_rule(formula: Callable[..., Term | float]) -> Callable[..., Ids]:
+    """A rule made of several operations: `formula(params, *terms)` for every number."""
 
     def rule(tape: Tape, params: dict[str, Any], *arrays: Ids) -> Ids:
-        return elementwise(tape, partial(formula, tape, params), list(arrays))
+        def op(*numbers: int) -> int:
+            result = formula(params, *(Term(tape, number) for number in numbers))
+            return result.number if isinstance(result, Term) else tape.number(result)
+
+        return elementwise(tape, op, list(arrays))
 
     return rule
 
 
-def _power(tape: Tape, params: dict[str, Any], x: int) -> int:
+def _power(params: dict[str, Any], x: Term) -> Term | float:
     """An integer power by repeated squares."""
     exponent, result, square = abs(params["y"]), None, x
     while exponent:
         if exponent % 2:
-            result = square if result is None else tape.apply("mul", result, square)
+            result = square if result is None else result * square
         exponent //= 2
-        square = tape.apply("mul", square, square) if exponent else square
+        square = square * square if exponent else square
     if result is None:
-        return tape.number(1.0)
-    return result if params["y"] > 0 else tape.apply("div", tape.number(1.0), result)
+        return 1.0
+    return result if params["y"] > 0 else 1.0 / result
 
 
-def _logistic(tape: Tape, params: dict[str, Any], x: int) -> int:
-    one = tape.number(1.0)
-    return tape.apply("div", one, tape.apply("add", one, tape.apply("exp", tape.apply("neg", x))))
-
-
-def _cube_root(tape: Tape, params: dict[str, Any], x: int) -> int:
-    root = tape.apply("pow", tape.apply("abs", x), tape.number(1 / 3))
-    return tape.apply("mul", tape.apply("sign", x), root)
-
-
-def _round(tape: Tape, params: dict[str, Any], x: int) -> int:
+def _round(params: dict[str, Any], x: Term) -> Term:
     """The nearest whole number; halves are rounded away from zero, or to the even one."""
-    half, one = tape.number(0.5), tape.number(1.0)
     if params["rounding_method"] == RoundingMethod.AWAY_FROM_ZERO:
-        size = tape.apply("floor", tape.apply("add", tape.apply("abs", x), half))
-        return tape.apply("mul", tape.apply("sign", x), size)
-    up = tape.apply("floor", tape.apply("add", x, half))
-    tie = tape.apply("eq", tape.apply("sub", up, x), half)
-    odd = tape.apply("ne", tape.apply("rem", up, tape.number(2.0)), tape.number(0.0))
-    return tape.apply("select", tape.apply("and", tie, odd), tape.apply("sub", up, one), up)
+        return x.apply("sign") * (x.apply("abs") + 0.5).apply("floor")
+    up = (x + 0.5).apply("floor")
+    is_tie, is_odd = (up - x).apply("eq", 0.5), up.apply("rem", 2.0).apply("ne", 0.0)
+    return is_tie.apply("and", is_odd).choose(up - 1.0, up)
 
 
-def _select(tape: Tape, params: dict[str, Any], which: int, *cases: int) -> int:
-    if tape[which].truth:
-        return tape.apply("select", which, cases[1], cases[0])
+def _select(params: dict[str, Any], which: Term, *cases: Term) -> Term:
+    if which.tape[which.number].truth:
+        return which.choose(cases[1], cases[0])
     result = cases[-1]
     for i in range(len(cases) - 2, -1, -1):
-        is_case = tape.apply("eq", which, tape.number(float(i)))
-        result = tape.apply("select", is_case, cases[i], result)
+        result = which.apply("eq", float(i)).choose(cases[i], result)
     return result
 
 
-def _clamp(tape: Tape, params: dict[str, Any], low: int, x: int, high: int) -> int:
-    return tape.apply("min", tape.apply("max", x, low), high)
-
-
-def _convert(tape: Tape, params: dict[str, Any], x: int) -> int:
-    kind = np.dtype(params["new_dtype"]).kind
+def _convert(params: dict[str, Any], x: Term) -> Term:
+    kind, is_truth = np.dtype(params["new_dtype"]).kind, x.tape[x.number].truth
     if kind == "b":
-        return x if tape[x].truth else tape.apply("ne", x, tape.number(0.0))
-    if tape[x].truth:
-        return tape.apply("select", x, tape.number(1.0), tape.number(0.0))
+        return x if is_truth else x.apply("ne", 0.0)
+    if is_truth:
+        return x.choose(1.0, 0.0)
     if kind in "iu":
-        below, above = tape.apply("floor", x), tape.apply("ceil", x)
-        return tape.apply("select", tape.apply("ge", x, tape.number(0.0)), below, above)
+        return x.apply("ge", 0.0).choose(x.apply("floor"), x.apply("ceil"))
     return x
 
 
-def _total_order_rule(*, equal: bool) -> Callable[..., Ids]:
-    """The rule of `lt_to`, or `le_to`: NaN comes after all numbers.
+def _is_less(params: dict[str, Any], a: Term, b: Term) -> Term:
+    """Whether a comes before b, and NaN after all numbers.
 
     JAX itself replaces zeros and NaN by those without a sign before it compares so.
     """
-
-    def is_less(tape: Tape, a: int, b: int) -> int:
-        is_last = tape.apply("and", tape.apply("eq", a, a), tape.apply("ne", b, b))
-        return tape.apply("or", tape.apply("lt", a, b), is_last)
-
-    if equal:
-        return _formula_rule(lambda tape, params, a, b: tape.apply("not", is_less(tape, b, a)))
-    return _formula_rule(lambda tape, params, a, b: is_less(tape, a, b))
+    is_last = a.apply("eq", a).apply("and", b.apply("ne", b))
+    return a.apply("lt", b).apply("or", is_last)
 
 
 def _extremum_rule(op: str) -> Callable[..., Ids]:
     """The rule of `argmax`, or `argmin`: the first index of an extremum, or of a NaN."""
 
-    def is_better(tape: Tape, x: int, best: int) -> int:
-        is_nan = tape.apply("and", tape.apply("ne", x, x), tape.apply("eq", best, best))
-        return tape.apply("or", tape.apply(op, x, best), is_nan)
+    def is_better(params: dict[str, Any], x: Term, best: Term) -> Term:
+        is_nan = x.apply("ne", x).apply("and", best.apply("eq", best))
+        return x.apply(op, best).apply("or", is_nan)
+
+    choose = _elementwise_rule("select")
 
     def rule(tape: Tape, params: dict[str, Any], array: Ids) -> Ids:
         numbers = _formula_rule(_convert)(tape, {"new_dtype": np.float64}, array)
         best, *others = map(np.asarray, np.moveaxis(numbers, params["axes"][0], 0))
         index = np.full(best.shape, tape.number(0.0))
         for i, row in enumerate(others, 1):
-            better = elementwise(tape, partial(is_better, tape), [row, best])
-            choose = partial(tape.apply, "select")
-            best = elementwise(tape, choose, [better, row, best])
-            index = elementwise(tape, choose, [better, np.array(tape.number(float(i))), index])
+            better = _formula_rule(is_better)(tape, params, row, best)
+            best = choose(tape, params, better, row, best)
+            index = choose(tape, params, better, np.array(tape.number(float(i))), index)
         return index
 
     return rule
@@ -229,7 +209,7 @@ def _product(tape: Tape, matrix: np.ndarray, vector: Ids) -> list[int]:
     """Nodes of a constant matrix times a vector of numbers."""
     nonzero = np.count_nonzero(matrix)
     if matrix.size >= _DENSE and nonzero >= _FULL * matrix.size:
-        return tape.product(np.asarray(matrix, np.float64), vector)
+        return tape.split(tape.product(np.asarray(matrix, np.float64), tape.vector(vector)))
     return [_dot(tape, np.array([tape.number(w) for w in row], int), vector) for row in matrix]
 
 
@@ -281,24 +261,20 @@ RULES: dict[str, Callable[..., Ids]] = {
     **{name: _elementwise_rule(name) for name in OPERATIONS if name != "select"},
     "add_any": _elementwise_rule("add"),
     "integer_pow": _formula_rule(_power),
-    "square": _formula_rule(lambda tape, params, x: tape.apply("mul", x, x)),
-    "rsqrt": _formula_rule(
-        lambda tape, params, x: tape.apply("div", tape.number(1.0), tape.apply("sqrt", x))
-    ),
-    "cbrt": _formula_rule(_cube_root),
-    "exp2": _formula_rule(lambda tape, params, x: tape.apply("pow", tape.number(2.0), x)),
-    "logistic": _formula_rule(_logistic),
+    "square": _formula_rule(lambda params, x: x * x),
+    "rsqrt": _formula_rule(lambda params, x: 1.0 / x.apply("sqrt")),
+    "cbrt": _formula_rule(lambda params, x: x.apply("sign") * x.apply("abs").apply("pow", 1 / 3)),
+    "exp2": _formula_rule(lambda params, x: x.constant(2.0).apply("pow", x)),
+    "logistic": _formula_rule(lambda params, x: 1.0 / (x.constant(1.0) + (-x).apply("exp"))),
     "round": _formula_rule(_round),
-    "lt_to": _total_order_rule(equal=False),
-    "le_to": _total_order_rule(equal=True),
-    "is_finite": _formula_rule(
-        lambda tape, params, x: tape.apply("le", tape.apply("abs", x), tape.number(_LARGEST))
-    ),
+    "select_n": _formula_rule(_select),
+    "clamp": _formula_rule(lambda params, low, x, high: x.apply("max", low).apply("min", high)),
+    "convert_element_type": _formula_rule(_convert),
+    "lt_to": _formula_rule(_is_less),
+    "le_to": _formula_rule(lambda params, a, b: _is_less(params, b, a).apply("not")),
+    "is_finite": _formula_rule(lambda params, x: x.apply("abs").apply("le", _LARGEST)),
     "argmax": _extremum_rule("gt"),
     "argmin": _extremum_rule("lt"),
-    "select_n": _formula_rule(_select),
-    "clamp": _formula_rule(_clamp),
-    "convert_element_type": _formula_rule(_convert),
     "reduce_sum": _reduction_rule("add"),
     "reduce_prod": _reduction_rule("mul"),
     "reduce_max": _reduction_rule("max"),

@@ -151,15 +151,15 @@ class Loop:
         """Sizes of the body's inputs, in their order."""
         return tuple(self.body.inputs.values())
 
+    def split(self, values: Sequence[Any]) -> tuple[list[Any], list[Any], list[Any]]:
+        """Something of each input of the body, by constants, carried and collected vectors."""
+        first, last = self.constants, self.constants + self.carried
+        return list(values[:first]), list(values[first:last]), list(values[last:])
+
     @property
     def carried_sizes(self) -> tuple[int, ...]:
         """Sizes of the carried vectors."""
-        return self.split(self.sizes)[1]
-
-    def split(self, items: Sequence[Item]) -> tuple[Sequence[Item], Sequence[Item], Sequence[Item]]:
-        """Items, one for each of the body's inputs, by kind: constants, carried, collected."""
-        last = self.constants + self.carried
-        return items[: self.constants], items[self.constants : last], items[last:]
+        return tuple(self.split(self.sizes)[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,12 +199,30 @@ class Program:
     def dependencies(self, output: str) -> list[frozenset[tuple[str, int]]]:
         """For every number of an output, the numbers of inputs that it depends on, by structure."""
         empty: frozenset[tuple[str, int]] = frozenset()
-        by_node: list[list[frozenset[tuple[str, int]]]] = []
+        return self._trace(output, lambda origin: frozenset([origin]), lambda *s: empty.union(*s))
+
+    def copies(self, output: str, name: str) -> list[int | None]:
+        """For every number of an output, the number of an input that it copies, if any."""
+        return self._trace(
+            output, lambda origin: origin[1] if origin[0] == name else None, lambda *_: None
+        )
+
+    def _trace(
+        self, output: str, start: Callable[[tuple[str, int]], Any], combine: Callable[..., Any]
+    ) -> list[Any]:
+        """For every number of an output, what follows from the numbers that it is computed from.
+
+        Args:
+            output: its name.
+            start: the value of a number of an input, from the input's name and the place there.
+            combine: the value of a number from those that it is computed from.
+        """
+        by_node: list[list[Any]] = []
         for node in self.nodes:
             args = [by_node[a] for a in node.args]
             match node.op:
                 case "input":
-                    numbers = [frozenset([(node.data, i)]) for i in range(node.size)]
+                    numbers = [start((node.data, i)) for i in range(node.size)]
                 case "pick":
                     numbers = [args[0][node.data]]
                 case "part":
@@ -212,33 +230,14 @@ class Program:
                 case "join":
                     numbers = [number for arg in args for number in arg]
                 case "product" | "layer" | "loop":
-                    numbers = [empty.union(*(number for arg in args for number in arg))] * node.size
+                    numbers = [combine(*(number for arg in args for number in arg))] * node.size
                 case _:  # number by number; single ones act on all
                     numbers = [
-                        empty.union(*(arg[i if len(arg) > 1 else 0] for arg in args))
+                        combine(*(arg[i if len(arg) > 1 else 0] for arg in args))
                         for i in range(node.size)
                     ]
             by_node.append(numbers)
         return by_node[self.outputs[output]]
-
-    def copies(self, output: str, name: str) -> list[int | None]:
-        """For every number of an output, the number of an input that it copies, if any."""
-        origins = self._origins(self.outputs[output])
-        return [place if source == name else None for source, place in origins]
-
-    def _origins(self, number: int) -> list[tuple[str | None, int]]:
-        """For every number of a node, the input that it copies, and its place there."""
-        node = self.nodes[number]
-        match node.op:
-            case "input":
-                return [(node.data, i) for i in range(node.size)]
-            case "pick":
-                return [self._origins(node.args[0])[node.data]]
-            case "part":
-                return self._origins(node.args[0])[node.data : node.data + node.size]
-            case "join":
-                return [origin for a in node.args for origin in self._origins(a)]
-        return [(None, 0)] * node.size
 
     @property
     def loops(self) -> Iterator[Loop]:

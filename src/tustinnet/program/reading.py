@@ -1,6 +1,7 @@
 """Reading functions of JAX arrays as programs, the one way from models to all targets."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+from jax.extend.core import ClosedJaxpr, Literal
 
 from tustinnet.errors import InputError
 from tustinnet.program.primitives import (
@@ -48,6 +49,7 @@ _CALLS = {
 }  # fmt: skip
 
 
+@dataclass(frozen=True, eq=False)
 class Numbers:
     """An array of a program that is read: each place holds the number of a node.
 
@@ -55,10 +57,10 @@ class Numbers:
         ids: the numbers.
     """
 
-    def __init__(self, ids: np.ndarray) -> None:
-        self.ids = ids
+    ids: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
 class Matrix:
     """An input matrix of a program: it only multiplies vectors.
 
@@ -67,8 +69,8 @@ class Matrix:
         shape: shape of the matrix, or of its transpose if that is meant.
     """
 
-    def __init__(self, factor: Factor, shape: tuple[int, int]) -> None:
-        self.factor, self.shape = factor, shape
+    factor: Factor
+    shape: tuple[int, int]
 
     def transpose(self) -> "Matrix":
         """The transpose of the matrix."""
@@ -103,13 +105,13 @@ def read(
     sizes = [*((size,) for size in inputs.values()), *matrices.values()]
     shapes = [jax.ShapeDtypeStruct(size, kind) for size in sizes]
     tape = Tape(dict(inputs), matrices)
-    arguments: list[Value] = [Numbers(np.array(tape.input(name), int)) for name in inputs]
+    arguments: list[Value] = [Numbers(np.array(tape.split(tape.input(n)), int)) for n in inputs]
     arguments += [Matrix(Factor(name), size) for name, size in matrices.items()]
     reader = _Reader(tape)
     closed, shape = jax.make_jaxpr(function, return_shape=True)(*shapes)
     try:
         with jax.ensure_compile_time_eval():  # a program may be read while another is compiled
-            values = reader.run(closed.jaxpr, closed.consts, arguments)
+            values = reader.run(closed, arguments)
     except UnsupportedPrimitive as error:
         raise Unreadable(
             what,
@@ -146,9 +148,10 @@ class _Reader:
         numbers = [self._tape.number(x) for x in array.ravel().tolist()]
         return np.array(numbers, int).reshape(array.shape)
 
-    def run(self, jaxpr: Jaxpr, consts: Sequence[Any], arguments: Sequence[Value]) -> list[Value]:
+    def run(self, closed: ClosedJaxpr, arguments: Sequence[Value]) -> list[Value]:
         """Results of a jaxpr for its arguments."""
-        values: dict[Any, Value] = dict(zip(jaxpr.constvars, map(np.asarray, consts), strict=True))
+        jaxpr, constants = closed.jaxpr, map(np.asarray, closed.consts)
+        values: dict[Any, Value] = dict(zip(jaxpr.constvars, constants, strict=True))
         values.update(zip(jaxpr.invars, arguments, strict=True))
 
         def value(variable: Any) -> Value:
@@ -173,7 +176,7 @@ class _Reader:
         if name in _CALLS:
             inner = params[_CALLS[name]]
             closed = inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
-            return self.run(closed.jaxpr, closed.consts, operands)
+            return self.run(closed, operands)
         if any(isinstance(o, Matrix) for o in operands):
             return [self._with_matrix(eqn, operands)]
         is_constant = not any(isinstance(o, Numbers) for o in operands)
@@ -262,7 +265,7 @@ class _Reader:
                     now.append(Numbers(np.asarray(row.ids[i])))
                 else:
                     now.append(np.asarray(row[i]))
-            out = self._turn(params["jaxpr"], [*constants, *carried, *now])
+            out = self.run(params["jaxpr"], [*constants, *carried, *now])
             carried = out[:n_carried]
             collected.append(out[n_carried:])
             if len(collected) * (i + 1) > _MOST:
@@ -276,9 +279,6 @@ class _Reader:
             else:
                 stacked.append(np.stack([np.asarray(v) for v in values]))
         return [*carried, *stacked]
-
-    def _turn(self, closed: Any, arguments: list[Value]) -> list[Value]:
-        return self.run(closed.jaxpr, closed.consts, arguments)
 
     def _loop_node(
         self, params: dict[str, Any], constants: list[Value], carried: list[Value],
@@ -307,12 +307,13 @@ class _Reader:
                     if name in sizes and aval.dtype.kind in "iu"]  # fmt: skip
         for i, (name, aval) in enumerate(zip(names, closed.in_avals, strict=True)):
             if name in sizes:
-                inputs.append(Numbers(np.array(tape.input(name), int).reshape(aval.shape)))
+                ids = np.array(tape.split(tape.input(name)), int)
+                inputs.append(Numbers(ids.reshape(aval.shape)))
             else:
                 inputs.append(np.asarray(constants[i]))
         inner = _Reader(tape, counters)
         try:
-            out = inner.run(closed.jaxpr, closed.consts, inputs)
+            out = inner.run(closed, inputs)
         except UnsupportedPrimitive:
             return None  # such as a counter that is an index: written out it is a constant
         body = tape.program({k: inner.ids(v).ravel() for k, v in zip(starts, out, strict=True)})
@@ -331,8 +332,8 @@ class _Reader:
         branches = params["branches"]
         if not isinstance(which, Numbers):
             branch = branches[int(np.clip(np.asarray(which), 0, len(branches) - 1))]
-            return self._turn(branch, arguments)
-        cases = [self._turn(branch, arguments) for branch in branches]
+            return self.run(branch, arguments)
+        cases = [self.run(branch, arguments) for branch in branches]
         results: list[Value] = []
         for values in zip(*cases, strict=True):
             ids = list(map(self.ids, values))
@@ -346,12 +347,12 @@ class _Reader:
         cond_constants, body_constants = operands[:n_cond], operands[n_cond : n_cond + n_body]
         state = operands[n_cond + n_body :]
         for _ in range(_TURNS):
-            (has_more,) = self._turn(params["cond_jaxpr"], [*cond_constants, *state])
+            (has_more,) = self.run(params["cond_jaxpr"], [*cond_constants, *state])
             if isinstance(has_more, Numbers):
                 raise UnsupportedPrimitive("whose end depends on the state or the inputs")
             if not has_more:
                 return state
-            state = self._turn(params["body_jaxpr"], [*body_constants, *state])
+            state = self.run(params["body_jaxpr"], [*body_constants, *state])
         raise UnsupportedPrimitive(f"of more than {_TURNS} turns")
 
 

@@ -40,11 +40,7 @@ class Tape:
             self._nodes.append(node)
         return self._numbers[node]
 
-    def input(self, name: str) -> list[int]:
-        """The numbers of an input."""
-        return self.split(self.input_vector(name))
-
-    def input_vector(self, name: str) -> int:
+    def input(self, name: str) -> int:
         """The node of an input, a vector."""
         return self.add(Node("input", size=self.inputs[name], data=name))
 
@@ -132,12 +128,8 @@ class Tape:
             Node("table", (), len(values), self._table_index(values), values.dtype == bool)
         )
 
-    def product(self, matrix: np.ndarray, vector: Ids) -> list[int]:
-        """The numbers of a constant matrix, (rows, columns), times a vector, (columns,)."""
-        return self.split(self.product_vector(matrix, self.vector(vector)))
-
-    def product_vector(self, matrix: np.ndarray, vector: int) -> int:
-        """The node of a constant matrix times a vector node."""
+    def product(self, matrix: np.ndarray, vector: int) -> int:
+        """The node of a constant matrix, (rows, columns), times a vector node, (columns,)."""
         return self.add(Node("product", (vector,), len(matrix), self._table_index(matrix)))
 
     def matrix(self, number: int) -> np.ndarray:
@@ -182,7 +174,7 @@ class Tape:
             case "join":
                 return self.vector([x for a in args for x in self.split(a)])
             case "product":
-                return self.product_vector(program.tables[node.data], args[0])
+                return self.product(program.tables[node.data], args[0])
             case "layer":
                 return self.layer(node.data, args[0])
         return self.apply(node.op, *args)
@@ -272,3 +264,51 @@ class _Exact:
 
     def __hash__(self) -> int:
         return hash(repr(self.value))
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """A node of a tape in a formula: operators and `apply` write further nodes.
+
+    Attributes:
+        tape: the tape.
+        number: the number of the node.
+    """
+
+    tape: Tape
+    number: int
+
+    def apply(self, op: str, *others: "Term | float") -> "Term":
+        """An operation on this node and others, or numbers, in this order."""
+        operands = (other.number if isinstance(other, Term) else self.tape.number(other)
+                    for other in others)  # fmt: skip
+        return Term(self.tape, self.tape.apply(op, self.number, *operands))
+
+    def choose(self, first: "Term | float", other: "Term | float") -> "Term":
+        """The first of two values where this node is true, else the other."""
+        return self.apply("select", first, other)
+
+    def constant(self, value: float) -> "Term":
+        """A constant on the same tape."""
+        return Term(self.tape, self.tape.number(value))
+
+    def __add__(self, other: "Term | float") -> "Term":
+        return self.apply("add", other)
+
+    def __sub__(self, other: "Term | float") -> "Term":
+        return self.apply("sub", other)
+
+    def __rsub__(self, other: float) -> "Term":
+        return self.constant(other) - self
+
+    def __mul__(self, other: "Term | float") -> "Term":
+        return self.apply("mul", other)
+
+    def __truediv__(self, other: "Term | float") -> "Term":
+        return self.apply("div", other)
+
+    def __rtruediv__(self, other: float) -> "Term":
+        return self.constant(other) / self
+
+    def __neg__(self) -> "Term":
+        return self.apply("neg")
