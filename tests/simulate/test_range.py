@@ -23,7 +23,7 @@ def test_positions_velocities_internal_states_and_inputs_are_told(name):
     np.testing.assert_array_equal(again.states, result.states)
     np.testing.assert_array_equal(again.inputs, result.inputs)
     assert again.recorded_states is not None
-    assert 100 < len(again.recorded_states) <= 200
+    assert 50 < len(again.recorded_states) <= 200
     assert (again.recorded_states[:, None] == known).all(axis=2).any(axis=1).all()
 
 
@@ -35,7 +35,7 @@ def test_internal_states_of_models_side_by_side_follow_one_another():
     np.testing.assert_array_equal(both.inputs, together.inputs)
     assert both.recorded_states is not None
     assert together.recorded_states is not None
-    np.testing.assert_array_equal(both.recorded_states, np.unique(together.recorded_states, axis=0))
+    np.testing.assert_array_equal(both.recorded_states, together.recorded_states)
     parts = [recorded_range(members[0], [e]) for e in noises()]
     wider = join_ranges(parts, members[0].channels)
     np.testing.assert_array_equal(wider.inputs, recorded_range(members[0], noises()).inputs)

@@ -17,8 +17,8 @@ from tustinnet.simulate.along import states_along
 KEY = "range"  # in headers of model files
 _POINTS = 300  # of a training support
 _CANDIDATES = 4000  # samples that they are taken from, at most
-_STATES = 200  # of the recorded states that are kept, about
 _DIGITS = 3  # of their numbers
+_STATES = 200  # recorded states that are kept, at most
 _MARGIN = 0.1  # of the span, beyond which a value counts as outside
 _LEAST = 1e-9  # span of what never moved
 
@@ -167,7 +167,7 @@ class Range:
                 )
             recorded = plain.get("recorded_states")
             if recorded is not None:
-                recorded = np.array(recorded, float).reshape(-1, 2 * channels.n_q)
+                recorded = np.array(recorded, float).reshape(len(recorded), 2 * channels.n_q)
                 if not len(recorded) or not np.isfinite(recorded).all():
                     raise ValueError("recorded states that are not finite, or none")
             result = cls(states.reshape(n_x, 2), inputs.reshape(n_u, 2), support, recorded)
@@ -189,8 +189,8 @@ def recorded_range(
     inputs = np.concatenate([e.u for e in experiments])
     if support is None:
         support = training_support(model.channels, experiments)
-    measured = states[:, model.channels.measured]
-    return Range(_ends(states), _ends(inputs), support, measured[:: -(-len(measured) // _STATES)])
+    recorded = _distinct_states(states[:, model.channels.measured])
+    return Range(_ends(states), _ends(inputs), support, recorded)
 
 
 def join_ranges(ranges: Sequence[Range], channels: Channels) -> Range:
@@ -214,8 +214,15 @@ def join_ranges(ranges: Sequence[Range], channels: Channels) -> Range:
         np.concatenate([_enclosing(measured), *internal]),
         _enclosing([r.inputs for r in ranges]),
         supports[0] if is_shared else None,
-        np.unique(np.concatenate(recorded), axis=0) if len(recorded) == len(ranges) else None,
+        _distinct_states(np.unique(np.concatenate(recorded), axis=0))
+        if len(recorded) == len(ranges)
+        else None,
     )
+
+
+def _distinct_states(states: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "k c"]:
+    """States at regular distances, at most `_STATES`; in an order that depends on them alone."""
+    return np.unique(states[:: -(-len(states) // _STATES)], axis=0)
 
 
 def _enclosing(ends: Sequence[Float[np.ndarray, "c 2"]]) -> Float[np.ndarray, "c 2"]:
