@@ -63,7 +63,7 @@ def write(folder: Path, names: Sequence[str], seed: int = 0) -> None:
 def rms(
     measured: Sequence[np.ndarray], simulated: Sequence[np.ndarray], kinds: Sequence[str]
 ) -> float:
-    """The root mean square, over records, of their RMSE; errors of angles are within half a turn.
+    """The mean RMSE of records, errors of angles within half a turn; infinite where one diverges.
 
     Args:
         measured: positions of each record, (n, n_q) [rad or m].
@@ -71,16 +71,23 @@ def rms(
         kinds: `angular` or `linear`, of each coordinate.
     """
     angular = np.array([kind == "angular" for kind in kinds])
-    means = []
+    rmse = []
     for q, p in zip(measured, simulated, strict=True):
+        if not np.isfinite(p).all():
+            return np.inf
         error = p - q
         error = np.where(angular, np.arctan2(np.sin(error), np.cos(error)), error)
-        means.append(np.mean(np.sum(error**2, axis=1)))
-    return float(np.sqrt(np.mean(means)))
+        rmse.append(np.sqrt(np.mean(np.sum(error**2, axis=1))))
+    return float(np.mean(rmse))
 
 
 def spread(measured: Sequence[np.ndarray], kinds: Sequence[str]) -> float:
-    """The root mean square distance of positions from their mean [rad or m], angles within turns."""
+    """The distance of positions from their mean, as `rms` measures it; angles within turns.
+
+    Args:
+        measured: positions of each record, (n, n_q) [rad or m].
+        kinds: `angular` or `linear`, of each coordinate.
+    """
     centres = []
     for q in measured:
         circular = np.arctan2(np.sin(q).mean(axis=0), np.cos(q).mean(axis=0))

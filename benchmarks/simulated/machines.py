@@ -12,7 +12,6 @@ import numpy as np
 from simulated.measurement import (
     Actuator,
     Machine,
-    Rate,
     Run,
     Sensor,
     StateFeedback,
@@ -21,7 +20,6 @@ from simulated.measurement import (
 from simulated.signals import chirp, constant, moves, multisine, soft_start, steps, total
 
 G = 9.81  # m/s^2
-Generator = np.random.Generator
 
 
 def dead_zone(u: np.ndarray, width: float) -> np.ndarray:
@@ -68,7 +66,7 @@ def double_pendulum(effects: bool = True) -> Machine:
         torques = -viscous * v - dry * (1 - 0.3 * warmth) * np.tanh(v / 0.05) - drag * v * abs(v)
         return np.concatenate([v, chain_acceleration(q, v, torques, coupling, moments)])
 
-    def runs(rng: Generator):
+    def runs(rng):
         def fall(name, largest):
             first, second = rng.uniform(0.4, 1, 2) * largest * rng.choice([-1, 1], 2)
             return Run(name, 12.0, (first, second / 2))
@@ -107,7 +105,7 @@ def cart_pole(effects: bool = True) -> Machine:
     gain = regulator_gain(rate, 4, 0.01, (40, 20, 1, 1), 0.05)
     target = np.array([[1.0], [0.0]])
 
-    def runs(rng: Generator):
+    def runs(rng):
         def balance(name, reference):
             dither = multisine(rng, 0.5, 8.0, 0.8)
             return Run(name, 15.0, (0.0, rng.uniform(-0.04, 0.04)), (reference, dither))
@@ -137,7 +135,7 @@ def unbalanced_disc(effects: bool = True) -> Machine:
         rub = p["dry"] * (1 - 0.3 * warmth) * np.tanh(v / 0.1) * (1 + 0.2 * effects * np.sin(angle))
         return np.stack([v, drive - p["gravity"] * np.sin(angle) - p["damping"] * v - rub])
 
-    def runs(rng: Generator):
+    def runs(rng):
         def run(name, signal, seconds=12.0):
             return Run(name, seconds, (rng.uniform(-0.5, 0.5),), (signal,))
 
@@ -176,7 +174,7 @@ def gantry_crane(effects: bool = True) -> Machine:
 
     gain = np.array([[28.0, 0.0, 6.0, 0.0]])
 
-    def runs(rng: Generator):
+    def runs(rng):
         def run(name, reference, seconds=16.0):
             return Run(name, seconds, (0.0, rng.uniform(-0.08, 0.08)), (reference,))
 
@@ -212,7 +210,7 @@ def two_mass_drive(effects: bool = True) -> Machine:
 
     gain = np.array([[0.12, 0.0, 0.008, 0.0]])
 
-    def runs(rng: Generator):
+    def runs(rng):
         def run(name, reference, rms=0.03):
             return Run(name, 8.0, (), (reference, multisine(rng, 1.0, 15.0, rms)))
 
@@ -242,7 +240,7 @@ def duffing(effects: bool = True) -> Machine:
         spring = spring + effects * 6e4 * q**2
         return np.stack([v, p["gain"] * u[0] - spring - p["damping"] * (1 + effects * abs(q)) * v])
 
-    def runs(rng: Generator):
+    def runs(rng):
         def run(name, signal, seconds=3.0):
             return Run(name, seconds, (), (signal,))
 
@@ -276,7 +274,7 @@ def ball_on_beam(effects: bool = True) -> Machine:
 
     gain = regulator_gain(rate, 4, 0.02, (60, 5, 5, 0.2), 0.02)
 
-    def runs(rng: Generator):
+    def runs(rng):
         def run(name, reference, rms=0.4):
             dither = multisine(rng, 0.3, 4.0, rms)
             return Run(name, 15.0, (rng.uniform(-0.05, 0.05),), (reference, dither))
@@ -308,7 +306,7 @@ def propeller_pendulum(effects: bool = True) -> Machine:
         command = np.clip(u[0], -1, 1) if effects else u[0]
         return np.stack([v, thrust - p["gravity"] * np.sin(angle) - rub, (command - spin) / lag])
 
-    def runs(rng: Generator):
+    def runs(rng):
         def run(name, signal, seconds=15.0):
             return Run(name, seconds, (rng.uniform(-0.4, 0.4),), (signal,))
 
@@ -328,7 +326,7 @@ def propeller_pendulum(effects: bool = True) -> Machine:
 
 
 def positioning_axis(effects: bool = True) -> Machine:
-    """A carriage on a screw in a position loop; the amplifier saturates, unlike the logged input."""
+    """A carriage on a screw in a position loop; what is logged is not yet saturated."""
     p = {"mass": 28.0, "viscous": 90.0, "level": 32.0, "breakaway": 46.0, "slowing": 0.02,
          "gain": 30.0}  # fmt: skip
 
@@ -343,7 +341,7 @@ def positioning_axis(effects: bool = True) -> Machine:
 
     gain = np.array([[110.0, 12.0]])
 
-    def runs(rng: Generator):
+    def runs(rng):
         def run(name, reference):
             return Run(name, 10.0, (), (reference,))
 
@@ -373,7 +371,7 @@ def reaction_wheel(effects: bool = True) -> Machine:
         swing = (-p["gravity"] * np.sin(angle) - rub - torque) / p["pendulum"]
         return np.stack([v, spin, swing, torque / p["wheel"] - swing])
 
-    def runs(rng: Generator):
+    def runs(rng):
         def run(name, signal, largest=1.0):
             return Run(name, 12.0, (rng.uniform(-largest, largest),), (signal,))
 
@@ -417,7 +415,7 @@ def planar_arm(effects: bool = True) -> Machine:
 
     gain = np.concatenate([np.diag([60.0, 35.0, 14.0, 4.0]), np.diag([6.0, 3.5, 1.2, 0.3])], axis=1)
 
-    def runs(rng: Generator):
+    def runs(rng):
         sizes = (0.7, 0.8, 0.9, 1.0)
 
         def run(name, references):
@@ -452,7 +450,7 @@ def flexible_beam(effects: bool = True) -> Machine:
         drag = effects * 0.05 * w * abs(w)
         return np.stack([v, (u[0] - root - bend) / p["mass"], w, (bend - drag) / p["tip"]])
 
-    def runs(rng: Generator):
+    def runs(rng):
         def run(name, signal, seconds=8.0):
             return Run(name, seconds, (), (signal,))
 

@@ -281,8 +281,8 @@ def regulator_gain(
 ) -> np.ndarray:
     """The gain of a linear-quadratic regulator about 0, (1, n_x), for a machine with one input.
 
-    The linearisation is by secants, of 0.1 in the states and of 1 in the input, so that dry friction
-    counts as moderate damping and a dead zone as a loss of gain.
+    The linearisation is by secants, of 0.1 in the states and of 1 in the input: dry friction counts
+    as moderate damping, and a dead zone as a loss of gain.
     """
     from scipy.linalg import solve_discrete_are
     from scipy.signal import cont2discrete

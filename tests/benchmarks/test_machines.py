@@ -1,20 +1,13 @@
 """The simulated machines of `benchmarks/machines.py`: records, data cards, system files, rows."""
 
-import sys
-from pathlib import Path
-
 import jax.numpy as jnp
+import machines
 import numpy as np
 import pytest
-
-import tustinnet as tn
-
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
-sys.path.insert(0, str(BENCHMARKS))
-
-import machines
 from simulated.machines import MACHINES
 from simulated.measurement import Run, measure, simulate
+
+import tustinnet as tn
 
 SECONDS = 3.0
 NAMES = list(MACHINES)
@@ -64,11 +57,12 @@ def test_the_system_file_describes_the_machine_without_its_further_effects(name)
         assert ranges[parameter][0] < value < ranges[parameter][1], parameter
     begin = physics.nominal()
     assert any(abs(begin[k] / v - 1) > 0.1 for k, v in machine.truth.items())
+    inputs = tuple(tn.Input(a.name, a.unit, hold=a.hold) for a in machine.actuators)
     model = tn.discretise(
         physics.model({k: jnp.asarray(v) for k, v in (begin | machine.truth).items()}),
         machine.dt,
         machine.substeps,
-        inputs=tuple(tn.Input(a.name, a.unit, hold=a.hold) for a in machine.actuators),
+        inputs=inputs,
     )
     run = machine.runs(rng)[0][0]
     (motion,) = simulate(machine, [run], rng, effects=False)
@@ -77,7 +71,7 @@ def test_the_system_file_describes_the_machine_without_its_further_effects(name)
         motion.u,
         dt=machine.dt,
         coordinates={s.name: s.kind for s in machine.sensors},
-        inputs={a.name: tn.Input(a.name, a.unit, hold=a.hold) for a in machine.actuators},
+        inputs=inputs,
         name="truth",
     )
     states = n_q * 2 + len(physics.memory.names if physics.memory else ())

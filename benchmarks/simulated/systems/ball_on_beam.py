@@ -1,4 +1,4 @@
-"""A ball that rolls on a beam with a motor in its pivot; the beam's angle is 0 where it is level."""
+"""A ball that rolls on a beam with a motor in its pivot; at the angle 0 the beam is level."""
 
 import jax.numpy as jnp
 

@@ -1,4 +1,4 @@
-"""A pendulum with a wheel at its end; the wheel's angle is relative to the pendulum, 0 hangs down."""
+"""A pendulum that hangs at 0, with a wheel whose angle is relative to the pendulum."""
 
 import jax.numpy as jnp
 
