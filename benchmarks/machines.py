@@ -268,7 +268,9 @@ def fit_and_score(folder: Path, budget: str, system: bool, command: str, runs: P
         "chosen": summary["best"], "unit": summary["unit"], "horizon": summary["horizon"],
         "claimed": first["mean"], "claimed_error": first["standard_error"],
         "linear": linear.get("mean"), "sentences": tuple(summary["sentences"]),
-        "used": sum(c["seconds"] for c in candidates.values() if c.get("starts")),
+        # the time of a committee is that of its members, which are candidates themselves
+        "used": sum(c["seconds"] for c in candidates.values()
+                    if c.get("starts") and c["shares"] is None),
     }  # fmt: skip
     words = [sys.executable, str(Path(__file__)), "score", str(run), str(folder / "heldout")]
     scored = subprocess.run(words, capture_output=True, text=True, check=False)
