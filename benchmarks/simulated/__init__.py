@@ -1,0 +1,1 @@
+"""Twelve simulated machines, their sensors and their system files, for `machines.py`."""
