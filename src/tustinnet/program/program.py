@@ -7,11 +7,9 @@ networks are products of matrices and vectors, and operations after them act on 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
-
-Item = TypeVar("Item")
 
 
 class Operation(NamedTuple):

@@ -177,12 +177,19 @@ class Halving:
             is_search = not candidate.content.family.resumable
             least = (_AGAIN if is_search else 0.0) * expected if job.continues else expected
             least = max(least, 1.0)
-            best = next(iter(rank(list(self.results.values()))))
-            if not self.plan.candidate(best.name).content.family.averages_folds:
-                remaining -= max(self._expected[best.name] - self._ending, 0.0)
+            best = rank(list(self.results.values()))[0]
+            remaining -= max(self.seconds_for_final(best.name) - self._ending, 0.0)
         if remaining <= least:
             return None
         return max(remaining / share, min(least, remaining))
+
+    def seconds_for_final(self, name: str) -> float:
+        """Expected time of fitting a candidate once more, to all records; 0 where that is not done.
+
+        It begins where a fold ended, and has more records.
+        """
+        is_fitted = not self.plan.candidate(name).content.family.averages_folds
+        return self._expected.get(name, 0.0) if is_fitted else 0.0
 
     def _omit(self, job: Job, why: str) -> None:
         result = self.results[job.candidate]

@@ -176,7 +176,10 @@ def _choose(
     deadline: Deadline,
 ) -> Choice:
     """Scores committees of the candidates that remain, and writes the models."""
-    committees = score_committees(halving.plan, remaining, context, reporter.on_message, deadline)
+    before_final = deadline.earlier_by(halving.seconds_for_final(remaining[0].name))
+    committees = score_committees(
+        halving.plan, remaining, context, reporter.on_message, before_final
+    )
     names = tuple(r.name for r in remaining)
     candidates = Candidates(halving.plan, tuple(halving.results.values()), names, committees)
     best = rank(candidates.choosable)[0]
