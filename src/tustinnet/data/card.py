@@ -177,7 +177,8 @@ class InputCard(Declaration):
     def input(self) -> Input:
         """The input as records have it."""
         delay = None if self.delay == "unknown" else self.delay
-        return Input(self.name, self.unit, self.hold, self.limits, delay)
+        hold = self.hold if "hold" in self.model_fields_set else None
+        return Input(self.name, self.unit, hold, self.limits, delay)
 
 
 class TimeCard(Declaration):

@@ -145,6 +145,8 @@ class Identification:
         iterations: of the last stage.
         seconds: time it took.
         downweighted: stretches that weigh less than half, where the search was robust.
+        hold_errors: root mean square position error over all training samples [rad or m] by hold,
+            where the hold of an input is unknown.
         refit: the values of the model and what they are worth, where the recipe has a second fit
             to free runs; `estimates`, their errors and `rmse` are of the search before it.
     """
@@ -172,6 +174,7 @@ class Identification:
     iterations: int
     seconds: float = 0.0
     downweighted: tuple[Stretch, ...] = ()
+    hold_errors: Mapping[str, float] = field(default_factory=dict)
     refit: Refit | None = None
 
     @property

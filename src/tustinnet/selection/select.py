@@ -27,6 +27,7 @@ from tustinnet.selection.plan import USUAL, Candidate, SelectionPlan, read_plan
 from tustinnet.selection.ranking import CandidateResult, find_simplest, rank
 from tustinnet.selection.runner import InProcess, MakeExecutor
 from tustinnet.selection.scoring import ScoringOptions
+from tustinnet.selection.timing import determine_timing
 from tustinnet.simulate.starts import start_named
 from tustinnet.store.files import lock_folder, remove_below, require_outputs, to_json, write_into
 from tustinnet.store.kept_system import CANDIDATES, require_copy_fits, write_system_copy
@@ -42,6 +43,7 @@ from tustinnet.systems.files import AnySystem
 
 _TENTH = 0.1  # of a record, a horizon where no fit chose one
 _STARTS = 3  # a horizon is at least as many times as long as what a start is fitted to
+_TIMING = 0.1  # share of the budget for holds and delays, at most
 _ENDING = 0.12  # share of the budget for committees, the last fit and bands
 _FILES = 0.08  # and for figures and the report, which come after the selection
 _FEWEST_FILES = 6.0  # s, what these take at least
@@ -113,16 +115,20 @@ def select_model(
     options, reporter = options or SelectionOptions(), reporter or Reporter()
     started = time.monotonic() if options.since is None else options.since
     plan, folder, budget = read_plan(options.plan), Path(folder), options.budget
-    records, cut = prepare_for_folds(data)
-    candidates, omitted = _applicable_candidates(plan, options, records)
-    notes = (*([cut] if cut else []), *omitted)
-    rounds_end = models_end = NEVER  # when time is up for the rounds, and for all before figures
+    timing_end = rounds_end = models_end = (
+        NEVER  # when time is up for the rounds, and for all before figures
+    )
     ending = 0.0
     if budget is not None:
         files = max(_FILES * budget, min(_FEWEST_FILES, _SHORT * budget))
         ending = _ENDING * budget
         models_end = Deadline(started + budget - files)
         rounds_end = Deadline(started + budget - files - ending)
+        timing_end = Deadline(started + _TIMING * budget)
+    timing = determine_timing(data, options.system, timing_end, reporter.on_message)
+    records, cut = prepare_for_folds(timing.data)
+    candidates, omitted = _applicable_candidates(plan, options, records)
+    notes = (*timing.sentences, *([cut] if cut else []), *omitted)
     context = RunContext(
         records,
         ScoringOptions(min(plan.folds, len(records)), plan.start, plan.horizon),

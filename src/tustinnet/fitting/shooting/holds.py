@@ -91,6 +91,7 @@ def search_over_holds(problem: Problem, state: SearchState) -> tuple[Problem, Se
     return problem, replace(
         state,
         remarks=(*state.remarks, remark),
+        hold_errors=rmse,
         finished_stages=finished,
         is_stopped=is_stopped,
     )

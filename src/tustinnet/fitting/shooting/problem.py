@@ -186,6 +186,8 @@ class SearchState:
         horizons: steps over which records are compared that cannot be simulated as a whole, by
             name; validation records too.
         remarks: findings of the search so far, as sentences.
+        hold_errors: root mean square position error over all training samples [rad or m], by hold
+            of the inputs whose hold is unknown.
         weights: weight of every squared residual, (n, n_y); None while all weigh the same.
         has_fitted_values: whether the values were fitted to short segments already, so that no
             equation-error estimate is needed.
@@ -204,6 +206,7 @@ class SearchState:
     unexplained: float = 0.0
     horizons: Mapping[str, int] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
+    hold_errors: Mapping[str, float] = field(default_factory=dict)
     weights: np.ndarray | None = None
     has_fitted_values: bool = False
 

@@ -114,6 +114,7 @@ def make_identification(
         substeps=model.substeps,
         iterations=result.iterations,
         downweighted=downweighted,
+        hold_errors=state.hold_errors,
     )
 
 
