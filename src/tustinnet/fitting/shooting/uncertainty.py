@@ -78,7 +78,7 @@ def estimate_uncertainty(
     n_p = len(inside)
     naive = np.full((n_p, n_p), np.nan)
     if not np.isfinite(products.cost).all():
-        return Uncertainty(naive, None, (np.nan, np.nan), np.inf, np.zeros(n_p))
+        return Uncertainty(naive, None, np.nan, np.inf, np.zeros(n_p))
     first = segments.first_of_records
     reduced = eliminate_initial_states(products)
     matrices = np.add.reduceat(reduced.matrices, first)[:, inside][:, :, inside]
