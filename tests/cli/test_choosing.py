@@ -2,6 +2,7 @@
 
 import json
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from small_selection import NETWORK_ONLY, plan_in
@@ -63,7 +64,7 @@ def test_a_folder_of_logs_and_a_system_become_one_model(folder, tmp_path, out, c
 
 @pytest.mark.parametrize("quiet", [False, True])
 def test_notes_are_printed_once(monkeypatch, capsys, quiet):
-    choice = SimpleNamespace(sentences=("chosen: a", "left out: b"), notes=("left out: b",))
+    choice: Any = SimpleNamespace(sentences=("chosen: a", "left out: b"), notes=("left out: b",))
     monkeypatch.setattr(
         "tustinnet.report.selection.candidates_table", lambda choice: Table(["a"], [["1"]])
     )

@@ -124,7 +124,7 @@ def test_a_reader_that_crashes_or_hangs_is_told(
     program = f"""
 import os, time
 import tustinnet.data.binary_files as files
-files.column_names = lambda path: {does}
+files._columns = lambda path: {does}
 files.serve()
 """
     program = reading_process._PROGRAM.split("from")[0] + program

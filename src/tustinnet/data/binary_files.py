@@ -43,12 +43,6 @@ class Format(NamedTuple):
     arrays: Callable[[Path, set[str]], dict[str, Array]]
 
 
-def column_names(path: Path) -> tuple[list[str], dict[str, str]]:
-    """Names of the columns of a file, in its order, and a description of everything else."""
-    columns, others = _columns(path)
-    return list(columns), others
-
-
 def read(path: Path, names: list[str]) -> list[Column]:
     """Some columns of a file.
 
@@ -86,6 +80,7 @@ class _Place(NamedTuple):
 
 
 def _columns(path: Path) -> tuple[dict[str, _Place], dict[str, str]]:
+    """Places of the columns of a file, in its order, and a description of everything else."""
     shapes, others = FORMATS[path.suffix.lower()].contents(path)
     vectors = [len(shape) == 1 or 1 in shape for _, shape in shapes]
     count = sum(1 if one else shape[1] for (_, shape), one in zip(shapes, vectors, strict=True))
@@ -202,7 +197,8 @@ def _answer(request: dict[str, Any]) -> tuple[dict[str, Any], list[Column]]:
             path, f"cannot be read as {path.suffix.lower()}", "a whole file of that format"
         ):
             if names is None:
-                return dict(zip(("names", "others"), column_names(path), strict=True)), []
+                places, others = _columns(path)
+                return {"names": list(places), "others": others}, []
             columns = read(path, names)
             return {"lengths": [len(column) for column in columns]}, columns
     except InputError as error:
