@@ -138,7 +138,7 @@ def write_backward(module: Module, equations: Equations, constants: Constants) -
                 _gather(f, s.rows("result"), n_x, "%states", x)
                 _gather(f, s.rows("first"), n_u, "%drive", u)
                 place = f.whole("add", begin, before)
-                f.run(
+                f.call_procedure(
                     "adjoints", arguments, constants="%constants", x=x, u=u, p=p, adjoint=adjoint,
                     by_p=by_p, span="%span", place=place, layers="%layers",
                 )  # fmt: skip
@@ -396,7 +396,7 @@ class _Simulation(_Lanes):
 
     def dynamics(self, x: str, out: str) -> None:
         """Writes a call of the equations at a state."""
-        self.f.run(
+        self.f.call_procedure(
             "dynamics", DYNAMICS, constants="%constants", x=x, u=self.u, p=self.p, out=out,
             by_x=self.by_x, by_p=self.by_p,
         )  # fmt: skip

@@ -193,7 +193,7 @@ class Function:
         kind = kind or self.module.v
         return self.value(f"select {self.module.truth} {condition}, {kind} {a}, {kind} {b}")
 
-    def run(self, name: str, signature: str, **arguments: object) -> None:
+    def call_procedure(self, name: str, signature: str, **arguments: object) -> None:
         """Calls a procedure, its arguments by the names that they have in its signature."""
         parameters = (parameter.split() for parameter in signature.split(", "))
         values = [f"{kind} {arguments[name[1:]]}" for kind, *_, name in parameters]

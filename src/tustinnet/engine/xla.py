@@ -312,7 +312,7 @@ def _call_run(f: Function) -> None:
     arguments, results = _arrays(f, _ARGUMENTS, 4), _arrays(f, _RESULTS, 1)
     table, groups, _ = _lane_table(f, arguments[3])
     data = _data(f, "constants parameters start drive states", [*arguments, *results])
-    f.run(
+    f.call_procedure(
         "run", RUN, **data, begin=0, end=groups, lanes=table, substeps=1, order=1, periods="null",
         measured="null", n_measured=0,
     )  # fmt: skip
@@ -328,7 +328,7 @@ def _call_compare(f: Function) -> None:
     size = f.whole("mul", n_d, f.whole("add", f.whole("mul", n_d, 4), 1))
     v, align = f.module.v, f.module.align
     work = f.value(f"alloca {v}, i64 {f.whole('add', size, 1)}, align {align}")
-    f.run(
+    f.call_procedure(
         "compare", COMPARE, **data, begin=0, end=groups, lanes=table, substeps=1, order=1,
         periods="null", n_d=n_d, n_by_p=0, work=work,
     )  # fmt: skip
@@ -340,4 +340,6 @@ def _call_backward(f: Function) -> None:
     names = "constants parameters drive states seeds layers by_p by_start"
     data = _data(f, names, [*arguments, *results])
     span = f.whole("mul", groups, steps)
-    f.run("backward", BACKWARD, **data, begin=0, end=groups, lanes=table, span=span, length=steps)
+    f.call_procedure(
+        "backward", BACKWARD, **data, begin=0, end=groups, lanes=table, span=span, length=steps
+    )
