@@ -116,12 +116,8 @@ def test_models_that_are_none(model, folder, tmp_path, refused):
 
 def test_a_model_applied_to_other_coordinates(model, folder, tmp_path, refused):
     edit(folder / "dataset.toml", 'name = "angle"', 'name = "elbow"')
-    refused(
-        "evaluate",
-        model,
-        folder,
-        told=("fall1", "elbow (angular)", "angle (angular)", "the model"),
-    )
+    told = ("fall3", "elbow (angular)", "angle (angular)", "the model")
+    refused("evaluate", model, folder, told=told)
     refused("simulate", model, folder, "--out", tmp_path / "sim", told=("elbow",))
     assert not (tmp_path / "sim").exists()
 
