@@ -46,7 +46,7 @@ def refuse_outdated(cls: type, outdated: Mapping[str, str]) -> None:
             f"class {cls.__module__}.{cls.__qualname__}",
             f"written for an earlier version: {', '.join(outdated)}",
             ", ".join(dict.fromkeys(outdated.values())),
-            "rename them (docs/how-to/add-a-family.md), or uninstall the package of the class",
+            "adapt it (docs/how-to/add-a-family.md), or uninstall its package",
         )
 
 

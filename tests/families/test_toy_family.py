@@ -265,9 +265,9 @@ class OldModel(Model):
             "Family, Hyper", "Family", HOOKS,
             r"class outdated\.Old: written for an earlier version: class Family, trainable, begun, "
             r"shown; expected TrainedFamily or IdentifiedFamily, trainable_mask, "
-            r"with_weights_from, summarise; rename them \(docs/how-to/add-a-family.md\), or uninst",
+            r"with_weights_from, summarise; adapt it \(docs/how-to/add-a-family.md\), or uninst",
         ),
-        ("Family, Hyper", "Family", "", "expected TrainedFamily or IdentifiedFamily; rename"),
+        ("Family, Hyper", "Family", "", "expected TrainedFamily or IdentifiedFamily; adapt"),
         ("TrainedFamily, Hyper", "TrainedFamily", HOOKS, "version: trainable, begun, shown; exp"),
         (
             "TrainedFamily, Hyper", "TrainedFamily", OLD_MODEL,

@@ -22,7 +22,6 @@ from tustinnet.signals.excitation import DeclaredHold, Excitation, excitation
 from tustinnet.simulate.range import Range
 from tustinnet.simulate.simulation import step_equations
 
-_FARTHEST = 1000  # most samples between a step and an input on which it depends
 _DEFAULT_RANGE = 1.0  # of states and inputs to both sides of 0, where their range is unknown
 StepFunction = Callable[[Array, Array], Array]
 
@@ -245,15 +244,7 @@ def find_input_layout(model: Model) -> InputLayout:
         signal: Excitation = excitation(samples, holds, [0.0] * len(inputs))
         return np.asarray(model.step_inputs(signal))
 
-    def depends_beyond(reach: int) -> bool:
-        """Whether a step depends on samples farther away."""
-        samples = np.ones((2 * _FARTHEST + 2, len(inputs)))
-        samples[_FARTHEST - reach : _FARTHEST + reach + 1] = 0.0
-        return bool(np.any(step_inputs(samples)[_FARTHEST]))
-
-    reach = 1
-    while reach < _FARTHEST and depends_beyond(reach):
-        reach *= 2
+    reach = max((1, *map(abs, model.step_layout.taps)))
     blank = np.zeros((2 * reach + 2, len(inputs)))
     shape = step_inputs(blank)[reach].shape
     columns = {}

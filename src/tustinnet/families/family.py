@@ -16,7 +16,7 @@ from tustinnet.data.declaration import Declaration
 from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.errors import InputError
 from tustinnet.families.summaries import Arrays, Header, arrays_below
-from tustinnet.models.blocks import Affine
+from tustinnet.models.blocks import is_layer
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import FromContinuous
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
@@ -262,7 +262,8 @@ class TrainedFamily(Family):
 
     def trainable_mask(self, model: Any, stage: Any) -> PyTree:
         """A tree like the model, True at the arrays that train in a stage; by default layers."""
-        return make_mask(model, layers_in(model))
+        parts = jax.tree.leaves(model, is_leaf=is_layer)
+        return make_mask(model, [part for part in parts if is_layer(part)])
 
     def with_weights_from(self, model: Any, origin: Model) -> Model:
         """A model as a recipe builds it with the arrays of a trained one, to go on from there.
@@ -375,12 +376,6 @@ def systems_in(header: Header) -> tuple[str, ...]:
     for part in FAMILIES[header["kind"]].parts(header):
         names += systems_in(part)
     return tuple(dict.fromkeys(names))
-
-
-def layers_in(tree: PyTree) -> list[Affine]:
-    """The layers of a model."""
-    leaves = jax.tree.leaves(tree, is_leaf=lambda node: isinstance(node, Affine))
-    return [leaf for leaf in leaves if isinstance(leaf, Affine)]
 
 
 def make_mask(model: Model, training: PyTree) -> PyTree:

@@ -153,7 +153,7 @@ class TustinNet(AccelerationModel):
         time = np.repeat(np.asarray(times), len(v))
         decay = np.exp(-self.dt / time)
         speed = v[np.tile(np.arange(len(v)), len(times))]
-        return (decay * z + (time * (1 - decay)) * speed).astype(z.dtype)
+        return jnp.asarray((decay * z + (time * (1 - decay)) * speed).astype(z.dtype))
 
     def simplify(self) -> "TustinNet":
         """The model with the stem merged into the first hidden layer; it computes the same."""
