@@ -171,7 +171,7 @@ class Point:
 
 
 def test_an_iteration_asks_before_every_step_and_returns_the_best_point():
-    rule = DampingRule(1.0, 1e9, 2.0, lambda damping, gain: damping, 0.0)
+    rule = DampingRule(1.0, 1e9, 2.0, lambda damping, gain: 1.0, 0.0)
     asked, trials = [], []
 
     def should_stop() -> bool:
@@ -179,14 +179,17 @@ def test_an_iteration_asks_before_every_step_and_returns_the_best_point():
         return len(asked) == 4
 
     def propose(point: Point, damping: float) -> tuple[Point, float]:
-        return Point(point.x / 2 if damping < 2 else -9.0), 1.0  # later steps are all rejected
+        return Point(point.x / 2 if damping > 1 else -9.0), 1.0
 
     def stricter(point: Point, cost: float) -> bool:
         return False
 
     result = iterate(
-        Point(8.0), propose, stricter, rule, 100, lambda *_: None,
-        lambda iterations, point: trials.append((iterations, point.x)), should_stop,
+        Point(8.0), propose, stricter, rule, 100,
+        lambda iterations, point, _, is_accepted: trials.append(
+            (iterations, point.x, is_accepted)
+        ),
+        should_stop,
     )  # fmt: skip
-    assert (result.status, result.iterations, result.point) == ("stopped", 3, Point(1.0))
-    assert trials == [(1, 4.0), (2, 2.0), (3, 1.0)]
+    assert (result.status, result.iterations, result.point) == ("stopped", 1, Point(4.0))
+    assert trials == [(0, 8.0, False), (1, 4.0, True), (1, 4.0, False)]
