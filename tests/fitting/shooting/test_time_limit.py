@@ -11,7 +11,7 @@ from test_holds import logged, without_hold
 from test_refit import SYSTEM, creeping, recipe
 
 import tustinnet as tn
-from tustinnet.fitting.listener import Listener, SearchProgress, StageResult
+from tustinnet.fitting.listener import Iteration, Listener, SearchProgress, StageResult
 from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.shooting.identify import UnfinishedSearchError, identify_task
 from tustinnet.fitting.shooting.levenberg_marquardt import DampingRule, iterate
@@ -80,6 +80,16 @@ def test_a_limit_that_is_never_reached_changes_nothing():
     free, limited = Search(swing_task()), Search(swing_task(), lambda search: False)
     assert free.run().details == limited.run().details
     assert free.stages == limited.stages
+
+
+def test_identify_takes_a_condition_to_stop():
+    iterations: list[Iteration] = []
+    result = tn.identify(
+        data_set(records()), SWING, begin=FAR, on_iteration=iterations.append,
+        should_stop=lambda: bool(iterations) and iterations[-1].stage.startswith("whole"),
+    )  # fmt: skip
+    assert result.outcome.startswith("out of time: stopped at its time limit after stage ")
+    assert not result.sound
 
 
 @pytest.mark.parametrize("is_over", [lambda search: True, in_stage(1, 1)])
