@@ -192,7 +192,10 @@ def minimise(
         on_step(0, point.cost, _DAMPING_RULE.initial, False)
         result = iterate(
             point, propose, has_converged, _DAMPING_RULE, stopping.max_iterations,
-            lambda number, point, *more: on_step(number, point.cost, *more), should_stop,
+            lambda number, point, damping, is_accepted: on_step(
+                number, point.cost, damping, is_accepted
+            ),
+            should_stop,
         )  # fmt: skip
         point, iterations, status = result.point, result.iterations, result.status
     return LeastSquaresResult(
