@@ -10,7 +10,7 @@ from tustinnet.fitting.shooting import least_squares
 from tustinnet.fitting.shooting.least_squares import (
     CostFunction,
     LeastSquaresResult,
-    OnIteration,
+    OnStep,
     Prior,
     StoppingRule,
     eliminate_initial_states,
@@ -41,23 +41,24 @@ def search(
     system: LagrangianSystem = SWING,
     tolerance: float = 1e-9,
     iterations: int = 60,
-    on_iteration: OnIteration = lambda iterations, cost, damping: None,
+    on_step: OnStep = lambda iterations, cost, damping, is_accepted: None,
 ) -> LeastSquaresResult:
     space = make_search_space(system, {}, {})
     vector = space.to_vector(system.nominal() | values)
     cost = CostFunction(system, POSITION, space, pieces, prior, substeps=1)
-    return minimise(cost, vector, StoppingRule(tolerance, iterations), on_iteration)
+    return minimise(cost, vector, StoppingRule(tolerance, iterations), on_step)
 
 
 def test_it_reaches_the_truth_from_afar():
-    iterations: list[tuple[int, float, float]] = []
-    fitted = search(FAR, segments(), on_iteration=lambda *args: iterations.append(args))
+    steps: list[tuple[int, float, float, bool]] = []
+    fitted = search(FAR, segments(), on_step=lambda *args: steps.append(args))
     found = SPACE.to_values_in_range(fitted.vector)
     assert {n: found[n] for n in SEARCHED_TRUTH} == pytest.approx(SEARCHED_TRUTH, rel=1e-4)
     assert fitted.status == "converged"
     assert fitted.iterations > 2
-    assert [number for number, _, _ in iterations] == list(range(1, fitted.iterations + 1))
-    costs = [cost for _, cost, _ in iterations]
+    iterations = [step for step in steps if step[-1]]
+    assert [number for number, *_ in iterations] == list(range(1, fitted.iterations + 1))
+    costs = [cost for _, cost, *_ in iterations]
     assert costs == sorted(costs, reverse=True)
     assert costs[-1] == fitted.cost < 1e-6
 

@@ -11,7 +11,7 @@ from test_holds import logged, without_hold
 from test_refit import SYSTEM, creeping, recipe
 
 import tustinnet as tn
-from tustinnet.fitting.listener import Listener, SearchProgress, StageResult
+from tustinnet.fitting.listener import Iteration, Listener, SearchProgress, StageResult
 from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.shooting.identify import UnfinishedSearchError, identify_task
 from tustinnet.fitting.shooting.levenberg_marquardt import DampingRule, iterate
@@ -80,6 +80,16 @@ def test_a_limit_that_is_never_reached_changes_nothing():
     free, limited = Search(swing_task()), Search(swing_task(), lambda search: False)
     assert free.run().details == limited.run().details
     assert free.stages == limited.stages
+
+
+def test_identify_takes_a_condition_to_stop():
+    iterations: list[Iteration] = []
+    result = tn.identify(
+        data_set(records()), SWING, begin=FAR, on_iteration=iterations.append,
+        should_stop=lambda: bool(iterations) and iterations[-1].stage.startswith("whole"),
+    )  # fmt: skip
+    assert result.outcome.startswith("out of time: stopped at its time limit after stage ")
+    assert not result.sound
 
 
 @pytest.mark.parametrize("is_over", [lambda search: True, in_stage(1, 1)])
@@ -171,7 +181,7 @@ class Point:
 
 
 def test_an_iteration_asks_before_every_step_and_returns_the_best_point():
-    rule = DampingRule(1.0, 1e9, 2.0, lambda damping, gain: damping, 0.0)
+    rule = DampingRule(1.0, 1e9, 2.0, lambda damping, gain: 1.0, 0.0)
     asked, trials = [], []
 
     def should_stop() -> bool:
@@ -179,14 +189,17 @@ def test_an_iteration_asks_before_every_step_and_returns_the_best_point():
         return len(asked) == 4
 
     def propose(point: Point, damping: float) -> tuple[Point, float]:
-        return Point(point.x / 2 if damping < 2 else -9.0), 1.0  # later steps are all rejected
+        return Point(point.x / 2 if damping > 1 else -9.0), 1.0
 
     def stricter(point: Point, cost: float) -> bool:
         return False
 
     result = iterate(
-        Point(8.0), propose, stricter, rule, 100, lambda *_: None,
-        lambda iterations, point: trials.append((iterations, point.x)), should_stop,
+        Point(8.0), propose, stricter, rule, 100,
+        lambda iterations, point, _, is_accepted: trials.append(
+            (iterations, point.x, is_accepted)
+        ),
+        should_stop,
     )  # fmt: skip
-    assert (result.status, result.iterations, result.point) == ("stopped", 3, Point(1.0))
-    assert trials == [(1, 4.0), (2, 2.0), (3, 1.0)]
+    assert (result.status, result.iterations, result.point) == ("stopped", 1, Point(4.0))
+    assert trials == [(0, 8.0, False), (1, 4.0, True), (1, 4.0, False)]

@@ -57,6 +57,7 @@ def identify(
     begin: Mapping[str, float] | None = None,
     fixed: Mapping[str, float] | None = None,
     on_iteration: Callable[[Iteration], None] = lambda _: None,
+    should_stop: ShouldStopSearch = never_stop_search,
 ) -> Identification:
     """Identifies a system's parameters by the simulation error over all training records at once.
 
@@ -73,13 +74,16 @@ def identify(
             values for all others.
         fixed: parameters to fix at a value, besides those that the recipe and the system fix.
         on_iteration: called with every iteration.
+        should_stop: asked before every step of the search, as for a time limit. A search that it
+            stops returns the model of its last finished stage, and says so in `outcome`.
 
     Returns:
         The model, its parameters with errors and correlations, and findings as sentences.
 
     Raises:
         InputError: records of another system, a value outside its range, a mass matrix that is
-            not positive definite, float64 is off.
+            not positive definite, float64 is off; it was stopped before a stage was finished
+            (`UnfinishedSearchError`).
     """
     recipe = read_recipe(recipe)
     tables = {
@@ -88,7 +92,7 @@ def identify(
     }
     recipe = recipe.model_copy(update={"model": recipe.model.model_copy(update=tables)})
     task = make_task(data, recipe, system=system)
-    result = identify_task(task, Member(), Listener(on_iteration=on_iteration))
+    result = identify_task(task, Member(), Listener(on_iteration=on_iteration), should_stop)
     assert result.identification is not None
     return result.identification
 
@@ -105,8 +109,7 @@ def identify_task(
         task: what is to be fitted.
         member: one of its members.
         listener: functions that are called while the search goes on.
-        should_stop: asked before every step of the search, as for a time limit. A search that it
-            stops returns the model of its last finished stage, and says so in `outcome`.
+        should_stop: see `identify`.
 
     Raises:
         UnfinishedSearchError: it was stopped before a stage was finished.

@@ -141,16 +141,15 @@ class LeastSquaresResult:
     status: str
 
 
-OnIteration = Callable[[int, float, float], None]  # iterations so far, cost, damping
-OnTrial = Callable[[int, float], None]  # iterations so far, lowest cost
+# iterations so far, lowest cost, damping, whether the last step was accepted
+OnStep = Callable[[int, float, float, bool], None]
 
 
 def minimise(
     cost: CostFunction,
     vector: ParameterVector,
     stopping: StoppingRule,
-    on_iteration: OnIteration = lambda iterations, cost, damping: None,
-    on_trial: OnTrial = lambda iterations, cost: None,
+    on_step: OnStep = lambda iterations, cost, damping, is_accepted: None,
     should_stop: ShouldStopSearch = never_stop_search,
 ) -> LeastSquaresResult:
     """Minimises the simulation error over parameters and initial states.
@@ -163,8 +162,7 @@ def minimise(
         cost: the cost function.
         vector: the parameters to start from.
         stopping: when to end.
-        on_iteration: called after every iteration.
-        on_trial: called after every simulation, of which an iteration takes one or more.
+        on_step: called after every simulation, of which an iteration takes one or more.
         should_stop: asked before every step; the result then is that of the iterations so far.
 
     References:
@@ -191,11 +189,13 @@ def minimise(
     point = evaluate(cost.space.clip(vector), cost.segments.x0)
     iterations, status = 0, "diverged"
     if np.isfinite(point.cost):
-        on_trial(0, point.cost)
+        on_step(0, point.cost, _DAMPING_RULE.initial, False)
         result = iterate(
             point, propose, has_converged, _DAMPING_RULE, stopping.max_iterations,
-            lambda number, point, damping: on_iteration(number, point.cost, damping),
-            lambda number, point: on_trial(number, point.cost), should_stop,
+            lambda number, point, damping, is_accepted: on_step(
+                number, point.cost, damping, is_accepted
+            ),
+            should_stop,
         )  # fmt: skip
         point, iterations, status = result.point, result.iterations, result.status
     return LeastSquaresResult(

@@ -73,8 +73,7 @@ def iterate(
     has_converged: Callable[[P, float], bool],
     damping_rule: DampingRule,
     max_iterations: int,
-    on_iteration: Callable[[int, P, float], None],
-    on_trial: Callable[[int, P], None],
+    on_step: Callable[[int, P, float, bool], None],
     should_stop: ShouldStopSearch,
 ) -> IterationResult[P]:
     """Takes damped steps until the iteration has converged, has stalled or reaches its limit.
@@ -86,10 +85,8 @@ def iterate(
         has_converged: whether to stop at a point, given the cost before it (infinite at first).
         damping_rule: how the damping changes.
         max_iterations: limit of accepted steps.
-        on_iteration: called after every accepted step with their number, the point, and the
-            damping of the next step.
-        on_trial: called after every step, accepted or not, with the number of those accepted and
-            the best point.
+        on_step: called after every step with the number of those that were accepted, the best
+            point, the damping of the next step, and whether this one was accepted.
         should_stop: asked before every step.
     """
     point, previous_cost, damping, iterations = start, np.inf, damping_rule.initial, 0
@@ -104,13 +101,12 @@ def iterate(
             gain_ratio = decrease / predicted if np.isfinite(trial.cost) else -1.0
             if gain_ratio > damping_rule.least_gain_ratio:
                 break
-            on_trial(iterations, point)
             damping *= damping_rule.increase
+            on_step(iterations, point, damping, False)
         else:
             return IterationResult(point, iterations, "stalled")
         previous_cost, point = point.cost, trial
         iterations += 1
         damping = damping_rule.decreased(damping, gain_ratio)
-        on_iteration(iterations, point, damping)
-        on_trial(iterations, point)
+        on_step(iterations, point, damping, True)
     return IterationResult(point, iterations, "limit")

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Int
 
 from tustinnet.data.experiment import Experiment
-from tustinnet.fitting.listener import SILENT, Listener
+from tustinnet.fitting.listener import SILENT, Iteration, Listener, SearchProgress
 from tustinnet.fitting.recipe import SearchRecipe
 from tustinnet.fitting.residual import Residual, make_residual
 from tustinnet.fitting.shooting.equation_error import MeasuredMotion, measure_motion
@@ -225,6 +225,34 @@ class SearchState:
     def horizon(self) -> int | None:
         """Steps over which all validation records can be scored; None for whole records."""
         return min(self.horizons.values(), default=None)
+
+
+def report_step(
+    problem: Problem,
+    state: SearchState,
+    stage: str,
+    initial: str,
+    number: int,
+    cost: float,
+    damping: float,
+    is_accepted: bool,
+) -> None:
+    """Reports a step of a stage to the listener, as an iteration where it was accepted.
+
+    Args:
+        problem: the problem.
+        state: the state before the stage.
+        stage: what the stage is doing.
+        initial: how initial states are treated in it.
+        number: iterations of the stage so far.
+        cost: the lowest so far.
+        damping: Levenberg-Marquardt's.
+        is_accepted: whether the step was accepted.
+    """
+    if is_accepted:
+        problem.listener.on_iteration(Iteration(stage, number, cost, damping, initial))
+    count = state.finished_stages + 1 if state.stages else 0
+    problem.listener.on_progress(SearchProgress(stage, count, state.stages, number, cost))
 
 
 def make_prior(problem: Problem, state: SearchState) -> Prior:

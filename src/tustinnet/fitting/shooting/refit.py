@@ -9,17 +9,23 @@ estimates of the search stay beside it.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
 
 from tustinnet.engine.runs import Directions, Runs, Samples, compare
-from tustinnet.fitting.listener import Iteration, SearchProgress
 from tustinnet.fitting.report import Identification, Refit
 from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.fitting.shooting.findings import describe_stop
 from tustinnet.fitting.shooting.levenberg_marquardt import DampingRule, iterate
-from tustinnet.fitting.shooting.problem import Problem, SearchState, make_model, score_validation
+from tustinnet.fitting.shooting.problem import (
+    Problem,
+    SearchState,
+    make_model,
+    report_step,
+    score_validation,
+)
 from tustinnet.fitting.shooting.segments import join_steps
 from tustinnet.fitting.shooting.space import SearchSpace
 from tustinnet.models.parameters import Parameter
@@ -154,22 +160,17 @@ def _minimise_mean_rmse(
     def has_converged(point: _RefitPoint, previous_cost: float) -> bool:
         return previous_cost - point.cost < _TOLERANCE * point.cost
 
-    stage = f"refit to free runs from {start.name}"
+    report = partial(
+        report_step, problem, state, f"refit to free runs from {start.name}", start.name
+    )
 
-    def on_iteration(number: int, point: _RefitPoint, damping: float) -> None:
-        mean_rmse = point.products.mean_rmse
-        problem.listener.on_iteration(Iteration(stage, number, mean_rmse, damping, start.name))
-
-    def on_trial(iterations: int, point: _RefitPoint) -> None:
-        mean_rmse, number = point.products.mean_rmse, state.finished_stages + 1
-        problem.listener.on_progress(
-            SearchProgress(stage, number, state.stages, iterations, mean_rmse)
-        )
+    def on_step(number: int, point: _RefitPoint, damping: float, is_accepted: bool) -> None:
+        report(number, point.products.mean_rmse, damping, is_accepted)
 
     point, iterations = _RefitPoint(np.zeros(len(free)), initial, 1.0), 0
     if 0 < scale < np.inf:
         result = iterate(
-            point, propose, has_converged, _DAMPING_RULE, _MAX_ITERATIONS, on_iteration, on_trial,
+            point, propose, has_converged, _DAMPING_RULE, _MAX_ITERATIONS, on_step,
             problem.should_stop,
         )  # fmt: skip
         if result.status == "stopped":

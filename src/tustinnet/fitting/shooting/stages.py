@@ -7,6 +7,7 @@ of their horizon, see `error_growth`.
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from tustinnet.fitting.shooting.problem import (
     SearchState,
     make_cost_function,
     position_errors,
+    report_step,
     score_validation,
 )
 from tustinnet.fitting.shooting.space import SearchSpace
@@ -147,16 +149,8 @@ def run_stage(problem: Problem, state: SearchState, stage: SearchStage) -> Searc
     cost = make_cost_function(problem, state, segments, substeps)
     name = f"{_segments_in_words(problem, state, steps)}, {stage.initial} start"
 
-    def on_iteration(number: int, value: float, damping: float) -> None:
-        problem.listener.on_iteration(Iteration(name, number, value, damping, stage.initial))
-
-    def on_trial(iterations: int, value: float) -> None:
-        number = state.finished_stages + 1 if state.stages else 0
-        problem.listener.on_progress(SearchProgress(name, number, state.stages, iterations, value))
-
-    result = minimise(
-        cost, state.vector, stage.stopping, on_iteration, on_trial, problem.should_stop
-    )
+    on_step = partial(report_step, problem, state, name, stage.initial)
+    result = minimise(cost, state.vector, stage.stopping, on_step, problem.should_stop)
     values = state.space.to_values_in_range(result.vector)
     problem.listener.on_stage(
         StageResult(name, stage.initial, result.iterations, result.cost, result.status, values)
