@@ -154,7 +154,7 @@ class Loop:
     @property
     def carried_sizes(self) -> tuple[int, ...]:
         """Sizes of the carried vectors."""
-        return self.split(self.sizes)[1]
+        return tuple(self.split(self.sizes)[1])
 
     def split(self, items: Sequence[Item]) -> tuple[Sequence[Item], Sequence[Item], Sequence[Item]]:
         """Items, one for each of the body's inputs, by kind: constants, carried, collected."""
