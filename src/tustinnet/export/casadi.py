@@ -143,7 +143,7 @@ def _repeated(loop: Loop, args: list[Any]) -> Any:
     return casadi.vertcat(*(states[:, -1] for states in turns.call([*carried, *repeated, *rows])))
 
 
-def _split(loop: Loop, args: list[Any]) -> tuple[Any, Sequence, Sequence, Sequence]:
+def _split(loop: Loop, args: list[Any]) -> tuple[Any, Sequence[Any], Sequence[Any], Sequence[Any]]:
     """One turn of a loop, and its constant and carried values and its tables.
 
     The turn is a function of the carried values, the constants and a row of each table.

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from tustinnet.export.source import Source
-from tustinnet.export.target import Files, Stepper, Target
+from tustinnet.export.target import Files, Stepper, Target, Vector
 
 STEP, ROLLOUT = "step.onnx", "rollout.onnx"
 SINGLE = "step-float32.onnx", "rollout-float32.onnx"
@@ -51,7 +51,12 @@ class Onnx(Target):
             from onnxruntime import InferenceSession
 
             session = InferenceSession(path, providers=["CPUExecutionProvider"])
-        return lambda x, u: np.asarray(session.run(None, {"x": x[None], "u": u[None]})[0])[0]
+
+        def step(x: Vector, u: Vector) -> Vector:
+            (following,) = session.run(None, {"x": x[None], "u": u[None]})
+            return np.asarray(following)[0]
+
+        return step
 
 
 TARGET = Onnx()
