@@ -320,8 +320,8 @@ class Emission:
         if op == "select":
             condition = self._truth(args[0])
             if truth:
-                truths = map(self._truth, args[1:])
-                return Number(f.select(condition, *truths, m.truth), truth=True)
+                a, b = map(self._truth, args[1:])
+                return Number(f.select(condition, a, b, m.truth), truth=True)
             return Number(f.select(condition, self.as_number(args[1]), self.as_number(args[2])))
         if op in _LOGIC:
             operands = [self._truth(a) for a in args]

@@ -214,7 +214,7 @@ class _Target:
         results = [jax.ShapeDtypeStruct(shape, kind) for shape in shapes]
         numbers = [jnp.asarray(self._base, kind), *(jnp.ravel(w) for w in weights)]
         call = jax.ffi.ffi_call(self.name, results, vmap_method="sequential")
-        return call(jnp.concatenate(numbers)[self._order], *arrays)
+        return list(call(jnp.concatenate(numbers)[self._order], *arrays))
 
 
 def _target(

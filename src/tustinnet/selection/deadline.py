@@ -60,5 +60,5 @@ class StopCheck:
         """Whether to stop, given every member's progress after a call."""
         stage, now, before = min(p.stage for p in progress), time.monotonic(), self._last
         self._last = stage, now
-        is_first = before is None or before[0] != stage
-        return self._deadline.remaining < (0.0 if is_first else now - before[1])
+        call = 0.0 if before is None or before[0] != stage else now - before[1]
+        return self._deadline.remaining < call

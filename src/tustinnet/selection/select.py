@@ -115,9 +115,8 @@ def select_model(
     options, reporter = options or SelectionOptions(), reporter or Reporter()
     started = time.monotonic() if options.since is None else options.since
     plan, folder, budget = read_plan(options.plan), Path(folder), options.budget
-    timing_end = rounds_end = models_end = (
-        NEVER  # when time is up for the rounds, and for all before figures
-    )
+    # when time is up for holds and delays, for the rounds, and for all before figures
+    timing_end = rounds_end = models_end = NEVER
     ending = 0.0
     if budget is not None:
         files = max(_FILES * budget, min(_FEWEST_FILES, _SHORT * budget))

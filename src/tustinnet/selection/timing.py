@@ -75,7 +75,7 @@ def determine_timing(
     on_message(f"holds and delays of inputs: searched for by {by}")
     records, sentences, unit = _choose_records(data), list[str](), data.channels.unit
     # short pieces: there a delay of a period shows most, and nothing runs away
-    changes = ("search.refine=none", f"search.horizon={_LENGTH * data.channels.dt}")
+    changes = ("search.refine=none", f"search.horizon={_LENGTH * records[0].dt}")
     recipe = read_recipe("mechanism" if system is None else "best-grey", changes)
     loaded = resolve_system(recipe, system)
 
@@ -98,12 +98,8 @@ def determine_timing(
             timing = [replace(i, hold=hold) if k in open_holds else i for k, i in enumerate(timing)]
             listed = ", ".join(f"{hold} {errors[hold]:.3g}" for hold in ranked)
             names = " and ".join(f"'{inputs[k].name}'" for k in open_holds)
-            alike = (
-                "" if is_clear or ranked[0] == _USUAL else ", the usual one, as no other is clear"
-            )
-            sentences.append(
-                f"hold of {names}: {hold}{alike}; simulation errors [{unit}]: {listed}"
-            )
+            why = "" if hold == ranked[0] else " as usual, as no other is clearly better"
+            sentences.append(f"hold of {names}: {hold}{why}; simulation errors [{unit}]: {listed}")
         if open_delays:
             before = identify(timing).rmse
             delayed = identify(
@@ -112,7 +108,7 @@ def determine_timing(
             ratio = float(np.median([delayed.rmse[name] / before[name] for name in before]))
             estimates = {e.name: e for e in delayed.estimates}
             for k in open_delays:
-                name, dt = inputs[k].name, data.channels.dt
+                name, dt = inputs[k].name, records[0].dt
                 delay = estimates[delay_name(inputs[k])]
                 least = max(_SURE * delay.error, _SHORTEST * dt)
                 if ratio < _BETTER and not delay.bound and abs(delay.value) > least:
