@@ -16,6 +16,7 @@ from tustinnet.selection.plan import SelectionPlan
 from tustinnet.selection.ranking import CandidateResult
 from tustinnet.selection.scoring import RmseByStart
 
+_FEWEST_FOLDS = 2  # to choose shares on one and score them on the other
 _PARTS = 4  # shares of two are multiples of one over this
 _COARSE = 2  # of more than two: free runs of many members take long
 
@@ -70,7 +71,7 @@ def score_committees(
             on_message(f"{name}: left out, {error_message(error)}")
             continue
         if scored is None:
-            on_message(f"{name}: not judged, no time was left for it")
+            on_message(f"{name}: not judged, its members were not scored on enough folds in time")
         elif name in of_best and 1.0 in scored.shares.values():
             on_message(f"{name}: left out, one of them alone is as good")
         else:
@@ -93,10 +94,14 @@ def score_committee(
         deadline: after it no fold is begun.
 
     Returns:
-        None where time was up before the first fold was scored.
+        None where time was up before the first fold was scored, and for several candidates that
+        have one fold in common: their shares would be chosen by nothing.
     """
     options, models = _possible_shares(len(members)), dict[int, list[Model]]()
     folds = sorted(set.intersection(*(set(r.folds) for r in members)))
+    fewest = _FEWEST_FOLDS if len(members) > 1 else 1
+    if len(folds) < fewest:
+        return None
 
     def score(fold: int, shares: Shares, starts: slice) -> RmseByStart:
         weights = member_weights([r.folds[fold] for r in members], shares)
@@ -109,7 +114,7 @@ def score_committee(
             break
         models[fold] = [context.load_model(s.model) for r in members for s in r.folds[fold]]
         scored[fold] = [score(fold, shares, slice(1)) for shares in options]
-    if not scored:
+    if len(scored) < fewest:
         return None
 
     def best_option(chosen_on: Sequence[int]) -> int:

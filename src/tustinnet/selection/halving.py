@@ -36,7 +36,7 @@ class Halving:
         plan: the plan.
         results: of each candidate, by name, from the simplest on.
         hopeless: whether free runs of whole records were further off than the records move, for
-            all candidates: then the first round was the last one.
+            all candidates: then no further round was begun.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class Halving:
                 kept |= {corrected.name} if corrected else set()
             alive = tuple(c for c in alive if c.name in kept)
             self._report(number, ranking, len(alive))
-            if number == 0 and ranking and self._context.scoring.horizon is None:
+            if ranking and self._context.scoring.horizon is None:
                 mean, _ = mean_and_error(ranking[0].rmse().values())
                 self.hopeless = not mean <= self._context.motion
             if self._deadline.remaining <= 0 or self.hopeless:

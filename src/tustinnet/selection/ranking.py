@@ -137,7 +137,7 @@ def rank(results: Sequence[CandidateResult]) -> list[CandidateResult]:
     Those that were scored on the most folds, by the folds that all of them have. The best of these
     is what the others are compared with, each on the records that both have: one that was soon
     left does not take records away from the others. It comes before the best only where it is
-    better by more than a standard error of the difference.
+    better by more than a standard error of the difference, on three records or more.
     """
     scored = [r for r in results if r.folds]
     most = max((len(r.folds) for r in scored), default=0)
@@ -156,6 +156,8 @@ def rank(results: Sequence[CandidateResult]) -> list[CandidateResult]:
             difference = paired_difference(result, best)
             # the standard error of a single record is NaN, which comes last
             value = means[best.name] + difference.mean + difference.standard_error
+            if difference.records < FEW:
+                value = max(value, np.nextafter(means[best.name], np.inf))
         return value if np.isfinite(value) else np.inf
 
     return sorted(scored, key=error)

@@ -88,10 +88,12 @@ def determine_timing(
         return fit.identification
 
     try:
+        undelayed: Identification | None = None
         if open_holds:
-            errors = identify(
+            undelayed = identify(
                 [replace(i, hold="unknown") if k in open_holds else i for k, i in enumerate(timing)]
-            ).hold_errors
+            )
+            errors = undelayed.hold_errors
             ranked = sorted(errors, key=lambda hold: errors[hold])
             is_clear = errors[ranked[0]] < _BETTER * errors[_USUAL]
             hold = ranked[0] if is_clear else _USUAL
@@ -100,8 +102,10 @@ def determine_timing(
             names = " and ".join(f"'{inputs[k].name}'" for k in open_holds)
             why = "" if hold == ranked[0] else " as usual, as no other is clearly better"
             sentences.append(f"hold of {names}: {hold}{why}; simulation errors [{unit}]: {listed}")
+            if hold != ranked[0]:
+                undelayed = None  # it is of another hold
         if open_delays:
-            before = identify(timing).rmse
+            before = (undelayed or identify(timing)).rmse
             delayed = identify(
                 [replace(i, delay=None) if k in open_delays else i for k, i in enumerate(timing)]
             )
