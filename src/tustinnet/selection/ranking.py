@@ -11,6 +11,7 @@ from tustinnet.selection.jobs import FitScore, JobResult
 
 LEVEL = 0.02  # of an error, a difference that nobody minds
 FEW = 3  # records that say something of a difference
+_DOUBT_OF_TWO = 6.3  # standard errors of two records, as one of many: Student's t, 90 %
 CLEAR = 2.0  # standard errors of a clear difference
 
 
@@ -137,7 +138,7 @@ def rank(results: Sequence[CandidateResult]) -> list[CandidateResult]:
     Those that were scored on the most folds, by the folds that all of them have. The best of these
     is what the others are compared with, each on the records that both have: one that was soon
     left does not take records away from the others. It comes before the best only where it is
-    better by more than a standard error of the difference, on three records or more.
+    better by more than a standard error of the difference, on two records by several.
     """
     scored = [r for r in results if r.folds]
     most = max((len(r.folds) for r in scored), default=0)
@@ -155,9 +156,8 @@ def rank(results: Sequence[CandidateResult]) -> list[CandidateResult]:
         else:
             difference = paired_difference(result, best)
             # the standard error of a single record is NaN, which comes last
-            value = means[best.name] + difference.mean + difference.standard_error
-            if difference.records < FEW:
-                value = max(value, np.nextafter(means[best.name], np.inf))
+            doubt = _DOUBT_OF_TWO if difference.records < FEW else 1.0
+            value = means[best.name] + difference.mean + doubt * difference.standard_error
         return value if np.isfinite(value) else np.inf
 
     return sorted(scored, key=error)
