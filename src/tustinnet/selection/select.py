@@ -123,7 +123,7 @@ def select_model(
         ending = _ENDING * budget
         models_end = Deadline(started + budget - files)
         rounds_end = Deadline(started + budget - files - ending)
-        timing_end = Deadline(started + _TIMING * budget)
+        timing_end = Deadline.after(_TIMING * budget)
     timing = determine_timing(data, options.system, timing_end, reporter.on_message)
     records, cut = prepare_for_folds(timing.data)
     candidates, omitted = _applicable_candidates(plan, options, records)
