@@ -1,20 +1,24 @@
 """Set-up of all tests: double precision, a small system, the measured data where it is at hand."""
 
+import gc
 import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 # before JAX is loaded, and for the processes that tests start: what one test has compiled serves
-# the next ones, also in a later run
+# the next ones, those of other processes and later runs too; also the hundred small programs that
+# each fit needs, which take longer to compile than to write and read
 os.environ["JAX_COMPILATION_CACHE_DIR"] = str(Path(__file__).parents[1] / ".pytest_cache/compiled")
-os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
+os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
 os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
 # what tests trust is no business of whoever runs them
 os.environ["TUSTINNET_CONFIG"] = str(Path(__file__).parents[1] / ".pytest_cache/config")
 # compiling is most of the time, running what was compiled is not: with these a quarter of the time
 os.environ.setdefault(
-    "XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+    "XLA_FLAGS",
+    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+    " --xla_cpu_parallel_codegen_split_count=1",
 )
 
 import jax
@@ -26,6 +30,11 @@ import tustinnet as tn
 from tustinnet.fitting.task import Member, make_task
 from tustinnet.simulate.programs import make_room
 from tustinnet.store.run import run_task
+
+# objects of JAX and of loaded modules live until the end: looking through them again and again took
+# a tenth of the time
+gc.freeze()
+gc.set_threshold(50_000, 20, 50)
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_num_cpu_devices", 2)  # as the command has on a machine with two cores
