@@ -177,6 +177,38 @@ def _no_data_variable(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("TUSTINNET_DATA", raising=False)
 
 
+SYSTEM = (Path(__file__).parent / "torture/pendulum.py").read_text()
+
+
+@pytest.fixture
+def system(tmp_path: Path) -> Path:
+    """The physical system of the small pendulum, as a file."""
+    path = tmp_path / "small_pendulum.py"
+    path.write_text(SYSTEM)
+    return path
+
+
+@pytest.fixture(scope="session")
+def identified_once(pendulum: tn.DataSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of an identification of the small pendulum by the command."""
+    from tustinnet.cli.main import run
+
+    place = tmp_path_factory.mktemp("identified")
+    (place / "small_pendulum.py").write_text(SYSTEM)
+    logs = write_folder(pendulum, place / "logs")
+    with pytest.raises(SystemExit) as ended:
+        run(["fit", str(logs), "--recipe", "grey", "--system", str(place / "small_pendulum.py"),
+             "--out", str(place / "grey")])  # fmt: skip
+    assert not ended.value.code
+    return place / "grey"
+
+
+@pytest.fixture
+def identified(identified_once: Path, tmp_path: Path) -> Path:
+    """A copy of that folder, which a test may change."""
+    return Path(shutil.copytree(identified_once, tmp_path / "grey"))
+
+
 SMALL_RECIPE = """
 name = "small"
 [model]

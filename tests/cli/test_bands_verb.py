@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import polars as pl
 import pytest
-from test_grey_box import SYSTEM, identified, identified_once, system  # noqa: F401 (fixtures)
 from test_verbs import tustinnet
 
 import tustinnet as tn
@@ -32,7 +31,7 @@ class Place(NamedTuple):
 
 
 @pytest.fixture
-def place(identified, folder, system, tmp_path, capsys) -> Place:  # noqa: F811
+def place(identified, folder, system, tmp_path, capsys) -> Place:
     """An identified model, and its copy with bands."""
     file = tmp_path / "banded" / "model.safetensors"
     asked = ("calibrate", identified / "model.safetensors", folder, "--split", "validation",

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from test_grey_box import TRUTH, identified, identified_once, system  # noqa: F401 (fixtures)
+from test_grey_box import TRUTH
 from test_verbs import tustinnet
 
 import tustinnet as tn
@@ -35,7 +35,7 @@ class Grey(NamedTuple):
 
 
 @pytest.fixture
-def grey(identified, system) -> Grey:  # noqa: F811
+def grey(identified, system) -> Grey:
     return Grey(identified / "model.safetensors", system)
 
 

@@ -3,8 +3,8 @@
 import json
 
 import pytest
+from conftest import SYSTEM
 from small_selection import NETWORK_ONLY, plan_in
-from test_grey_box import SYSTEM
 from test_verbs import tustinnet
 
 PLAN = """

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from every_family import example
 from scipy.io import loadmat
-from test_grey_box import identified, identified_once, system  # noqa: F401 (fixtures)
 from test_verbs import tustinnet
 
 import tustinnet as tn
@@ -294,8 +293,8 @@ def test_one_folder_of_several_that_is_taken_stops_all(model, out, refused):
 
 
 def test_foreign_code_is_run_where_it_is_named(
-    identified,  # noqa: F811
-    system,  # noqa: F811
+    identified,
+    system,
     out,
     refused,
     capsys,

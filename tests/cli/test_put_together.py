@@ -5,7 +5,7 @@ from hashlib import sha256
 from pathlib import Path
 
 import pytest
-from test_grey_box import SYSTEM, identified, identified_once, system  # noqa: F401 (fixtures)
+from conftest import SYSTEM
 from test_verbs import tustinnet
 
 import tustinnet as tn
@@ -68,9 +68,9 @@ def test_what_cannot_be_put_together_is_one_line(models, tmp_path, capsys):
 
 def test_members_of_a_users_system_share_its_file(
     models,
-    identified,  # noqa: F811
+    identified,
     folder,
-    system,  # noqa: F811
+    system,
     tmp_path,
     capsys,
 ):

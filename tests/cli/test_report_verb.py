@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 from test_bands_verb import place  # noqa: F401 (a fixture)
-from test_grey_box import identified, identified_once, system  # noqa: F401 (fixtures)
 from test_verbs import tustinnet
 
 LINKED = """
@@ -86,7 +85,7 @@ def test_what_cannot_be_reported_is_one_line(run_folder, folder, tmp_path, refus
     assert not page.exists()
 
 
-def test_parameters_have_both_errors_and_calibrated_models_bands(place, tmp_path, capsys):  # noqa: F811
+def test_parameters_have_both_errors_and_calibrated_models_bands(place, tmp_path, capsys):  # noqa: F811 (the fixture)
     page = tmp_path / "report.html"
     command = ("report", place.banded, place.plain, place.logs, "--split", "validation",
                "--start", "derived-6", "--system", place.system, "--out", page)  # fmt: skip
@@ -103,7 +102,7 @@ def test_parameters_have_both_errors_and_calibrated_models_bands(place, tmp_path
     assert "no bands: --band: start" in page.read_text(encoding="utf-8")
 
 
-def test_an_identification_shows_its_stages_and_the_way_of_its_parameters(identified):  # noqa: F811
+def test_an_identification_shows_its_stages_and_the_way_of_its_parameters(identified):
     page = identified / "report.html"  # left by the fit
     (of,) = numbers_in(page)["models"]
     lines = [json.loads(line) for line in (identified / "log.jsonl").read_text().splitlines()]
