@@ -6,10 +6,6 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("jupytext")
-pytest.importorskip("nbclient")
-pytest.importorskip("ipykernel")
-
 DOCS = Path(__file__).parents[2] / "docs"
 SCRIPTS = sorted((DOCS / "tutorials").glob("*.py"))
 

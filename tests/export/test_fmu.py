@@ -10,9 +10,19 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as Xml
 
+import fmpy
 import numpy as np
 import pytest
 from every_family import example
+from fmpy.fmi1 import FMICallException
+from fmpy.fmi2 import (
+    FMU2Slave,
+    fmi2CallbackFunctions,
+    fmi2CallbackLoggerTYPE,
+)
+from fmpy.fmi3 import FMU3Slave
+from fmpy.model_description import read_build_description
+from fmpy.validation import validate_fmu
 from swinging import DT, SWING, swing_model
 
 import tustinnet as tn
@@ -21,18 +31,6 @@ from tustinnet.export.fmu import FILES, TARGET
 from tustinnet.export.source import Source, make_source
 from tustinnet.export.target import NotRunnable
 from tustinnet.program.numbers import run
-
-fmpy = pytest.importorskip("fmpy")
-
-from fmpy.fmi1 import FMICallException  # noqa: E402
-from fmpy.fmi2 import (  # noqa: E402
-    FMU2Slave,
-    fmi2CallbackFunctions,
-    fmi2CallbackLoggerTYPE,
-)
-from fmpy.fmi3 import FMU3Slave  # noqa: E402
-from fmpy.model_description import read_build_description  # noqa: E402
-from fmpy.validation import validate_fmu  # noqa: E402
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
 
