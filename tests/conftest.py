@@ -25,6 +25,7 @@ import jax
 import jaxtyping
 import numpy as np
 import pytest
+import remembered_checks  # noqa: F401 (before tustinnet: replaces the hook's decorator)
 
 import tustinnet as tn
 from tustinnet.fitting.task import Member, make_task
