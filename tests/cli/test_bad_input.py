@@ -38,7 +38,7 @@ def set_cell(path: Path, row: int, column: int, value: str) -> None:
     path.write_text("\n".join(",".join(line) for line in lines) + "\n")
 
 
-def replace_column(path: Path, column: int, change: Callable[[np.ndarray], object]) -> None:
+def replace_column(path: Path, column: int, change: Callable[[np.ndarray], np.ndarray]) -> None:
     """Writes a file again with another column."""
     table = np.loadtxt(path, delimiter=",", skiprows=1)
     table[:, column] = change(table[:, column])
@@ -84,7 +84,7 @@ FOLDERS: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
         ("fall2.csv", "0.04 s", "expected 0.02 s", "resample"),
     ),
     "constant signals": (
-        lambda f: replace_column(f / "fall2.csv", 1, lambda _: 12.5),
+        lambda f: replace_column(f / "fall2.csv", 1, lambda a: 0 * a + 12.5),
         ("fall2.csv", "nothing moves", "angle"),
     ),
     "a card that names a column that is not there": (
