@@ -5,8 +5,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from conftest import SYSTEM
 from small_selection import NETWORK_ONLY, plan_in
-from test_grey_box import SYSTEM
 from test_verbs import tustinnet
 
 from tustinnet.cli.select import print_choice
