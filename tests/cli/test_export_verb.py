@@ -96,10 +96,10 @@ def out(tmp_path) -> Path:
 def refused(capsys):
     """Runs the verb, which must refuse with one line that has some words."""
 
-    def check(*arguments: object, told: str) -> None:
+    def check(*arguments: object, names: str) -> None:
         code, printed, err = tustinnet(capsys, "export", *arguments)
         assert (code, printed, err.count("\n")) == (1, "", 1), err
-        assert told in err
+        assert names in err
 
     return check
 

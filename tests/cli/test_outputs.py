@@ -101,7 +101,7 @@ def refused(place, capsys, monkeypatch, pendulum):
     def computes(*arguments, **named):
         pytest.fail("computed before it refused")
 
-    def check(*arguments: object, told: str) -> None:
+    def check(*arguments: object, names: str) -> None:
         before = everything(place.root)
         with monkeypatch.context() as patched:
             patched.setattr(scores, "evaluate", computes)
@@ -112,7 +112,7 @@ def refused(place, capsys, monkeypatch, pendulum):
             code, out, err = tustinnet(capsys, *arguments)
         assert (code, out) == (1, ""), err
         (line,) = [line for line in err.splitlines() if line.startswith("error: ")]
-        assert told in line
+        assert names in line
         assert everything(place.root) == before
 
     return check
