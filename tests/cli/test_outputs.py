@@ -62,15 +62,15 @@ FOLDERS: dict[str, tuple[Verb, list[str]]] = {
     ),
     "simulate": (
         lambda p, out: ("simulate", p.model, p.logs, "--out", out),
-        ["fall1.csv", "noise2.csv"],
+        ["fall3.csv", "noise2.csv"],
     ),
     "evaluate": (
         lambda p, out: ("evaluate", p.model, p.logs, "--figures", out, "--ahead", 2),
-        ["fall1.png", "ahead.png"],
+        ["fall3.png", "ahead.png"],
     ),
     "compare": (
         lambda p, out: ("compare", p.model, p.other, p.logs, "--figures", out),
-        ["fall1.png", "noise2.png"],
+        ["fall3.png", "noise2.png"],
     ),
     "export": (lambda p, out: ("export", p.model, "--to", "c", "--out", out), ["model.c", "x"]),
     "demo": (
