@@ -74,8 +74,13 @@ def determine_timing(
     by = "a mechanism" if system is None else "the system"
     on_message(f"holds and delays of inputs: searched for by {by}")
     records, sentences, unit = _choose_records(data), list[str](), data.channels.unit
-    # short pieces: there a delay of a period shows most, and nothing runs away
-    changes = ("search.refine=none", f"search.horizon={_LENGTH * records[0].dt}")
+    # short pieces: there a delay of a period shows most, and nothing runs away; positions alone,
+    # as smoothed velocities would say another delay
+    changes = (
+        "search.refine=none",
+        "search.loss=position",
+        f"search.horizon={_LENGTH * records[0].dt}",
+    )
     recipe = read_recipe("mechanism" if system is None else "best-grey", changes)
     loaded = resolve_system(recipe, system)
 
