@@ -56,21 +56,28 @@ class ScoringOptions:
             data: all records.
             starts: some of the starts.
         """
-        records, horizon = self._runs(fit_horizon, split, data)
+        records, horizon = self._records(split, data), self.used_horizon(fit_horizon, split)
         result: RmseByStart = {}
         for start in self.starts(model, data)[starts]:
             rmse = rmse_by_record(evaluate(model, records, start, horizon=horizon))
             result[start] = {name: rmse[name] for name in names_of(split.scored)}
         return result
 
-    def _runs(
-        self, fit_horizon: float | None, split: FoldSplit, data: DataSet
-    ) -> tuple[Sequence[Experiment], float | None]:
-        """The records that are simulated, and over how long at most [s].
+    def used_horizon(self, fit_horizon: float | None, split: FoldSplit) -> float | None:
+        """The horizon over which a model's free runs are scored [s], None for whole records.
 
-        All records, whichever are scored, so that models that are alike share a program.
+        Args:
+            fit_horizon: over how long its fit compared [s], None for whole records.
+            split: the fold.
         """
-        return records_without_test(data), self.horizon
+        return self.horizon
+
+    def _records(self, split: FoldSplit, data: DataSet) -> Sequence[Experiment]:
+        """The records that are simulated.
+
+        Every record, whichever are scored, so that models that are alike share a program.
+        """
+        return records_without_test(data)
 
 
 @dataclass(frozen=True)
@@ -93,8 +100,10 @@ class RecipeScoring(ScoringOptions):
             return (default_start(list(data), model),)
         return self.names
 
-    def _runs(
-        self, fit_horizon: float | None, split: FoldSplit, data: DataSet
-    ) -> tuple[Sequence[Experiment], float | None]:
-        """The scored records, and the horizon of the fit where they are long enough [s]."""
-        return split.scored, effective_horizon(fit_horizon, split.scored)
+    def used_horizon(self, fit_horizon: float | None, split: FoldSplit) -> float | None:
+        """The horizon of the fit [s]; None for whole records, where no scored record is longer."""
+        return effective_horizon(fit_horizon, split.scored)
+
+    def _records(self, split: FoldSplit, data: DataSet) -> Sequence[Experiment]:
+        """The scored records."""
+        return split.scored

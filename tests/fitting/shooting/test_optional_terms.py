@@ -1,5 +1,7 @@
 """Which optional terms a system needs."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -73,6 +75,7 @@ def test_terms_of_a_system_of_ones_own_may_be_optional_too():
     )  # fmt: skip
     data = data_set([read_by_encoder(e) for e in records()])
     result = tn.identify(data, system, "grey")
+    assert result.reversed_signs == ()
     assert {"offset", "twice"}.isdisjoint(e.name for e in result.estimates)
     assert any("0 of 2 kept (none)" in f for f in result.findings)
     assert result.system.optional == ()
@@ -93,6 +96,17 @@ def offering(*parameters: Parameter) -> tn.LagrangianSystem:
         lambda q, p: -p["gravity"] * jnp.cos(q[0] - TILT) + p.get("spring", 0.0) * q[0] ** 2 / 2,
         base.dissipation, base.input_map,
     )  # fmt: skip
+
+
+def test_a_reversed_sign_is_looked_for_where_terms_are_optional():
+    spring = Parameter("spring", "N m/rad", 0.0, -5.0, 5.0, optional=True)
+    system = replace(SWING, parameters=(*SWING.parameters, spring))
+    reversed_records = [replace(read_by_encoder(e), u=-e.u) for e in records()]
+    result = tn.identify(data_set(reversed_records), system, "grey")
+    assert any(f.startswith("optional terms") for f in result.findings)
+    assert result.reversed_signs == (("voltage",),)
+    assert not result.sound
+    assert any("sign of 'voltage' is probably reversed" in f for f in result.findings)
 
 
 def test_what_is_kept_brings_forces_which_a_file_keeps(tmp_path):

@@ -18,6 +18,7 @@ from jaxtyping import Float, Int
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.engine.runs import evaluate
+from tustinnet.fitting.report import SignAlternatives
 from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.models.lagrangian import LagrangianSystem
@@ -201,7 +202,7 @@ def _window_sums(
 
 def find_reversed_signs(
     system: LagrangianSystem, space: SearchSpace, vector: ParameterVector, motion: MeasuredMotion
-) -> tuple[tuple[str, ...], ...]:
+) -> SignAlternatives:
     """Coordinates or inputs whose sign explains the motion clearly better when it is reversed.
 
     Args:

@@ -15,13 +15,16 @@ from tustinnet.data.inspection import transient_end
 from tustinnet.errors import InputError
 from tustinnet.fitting.listener import Iteration, Listener
 from tustinnet.fitting.recipe_reading import read_recipe
-from tustinnet.fitting.report import FitResult, Identification
+from tustinnet.fitting.report import FitResult, Identification, SignAlternatives
 from tustinnet.fitting.shooting.checks import (
     require_finite_terms,
     require_mass_matrix,
     require_refit_possible,
 )
-from tustinnet.fitting.shooting.equation_error import find_reversed_signs
+from tustinnet.fitting.shooting.equation_error import (
+    estimate_by_equation_error,
+    find_reversed_signs,
+)
 from tustinnet.fitting.shooting.forces import with_added
 from tustinnet.fitting.shooting.groups import expand_values
 from tustinnet.fitting.shooting.holds import search_over_holds, with_assumed_hold
@@ -176,11 +179,16 @@ def identify_task(
             "stopped at its time limit before a stage was finished",
             "time for the first stage", "allow more",
         )  # fmt: skip
-    reversed_signs: tuple[tuple[str, ...], ...] = ()
-    if state.unexplained > _POORLY_EXPLAINED:
-        initial_values = space.to_values_in_range(initial_vector)
-        vector = state.space.to_vector(initial_values)
-        reversed_signs = find_reversed_signs(problem.system, state.space, vector, problem.motion)
+    # parameters that forces of kept optional terms brought have no initial values of their own
+    values = state.space.to_values_in_range(state.vector) | space.to_values_in_range(initial_vector)
+    vector, motion = state.space.to_vector(values), problem.motion
+    worst_unexplained = state.worst_unexplained
+    if worst_unexplained is None and not state.is_stopped:
+        estimate = estimate_by_equation_error(problem.system, state.space, vector, motion)
+        worst_unexplained = float(estimate.unexplained.max())
+    reversed_signs: SignAlternatives = ()
+    if worst_unexplained is not None and worst_unexplained > _POORLY_EXPLAINED:
+        reversed_signs = find_reversed_signs(problem.system, state.space, vector, motion)
     identification = make_identification(problem, state, reversed_signs)
     if problem.refit_start:
         identification = refit_to_free_runs(problem, state, problem.refit_start, identification)

@@ -181,8 +181,8 @@ class SearchState:
         stages: how many the search has, 0 while that is not known.
         is_stopped: whether the search was stopped before its end; the rest is that of the last
             finished stage.
-        unexplained: share of the worst record's change of momentum that the equation-error
-            estimate does not explain.
+        worst_unexplained: share of the worst record's change of momentum that the equation-error
+            estimate does not explain; None where no estimate was made.
         horizons: steps over which records are compared that cannot be simulated as a whole, by
             name; validation records too.
         remarks: findings of the search so far, as sentences.
@@ -203,7 +203,7 @@ class SearchState:
     finished_stages: int = 0
     stages: int = 0
     is_stopped: bool = False
-    unexplained: float = 0.0
+    worst_unexplained: float | None = None
     horizons: Mapping[str, int] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     hold_errors: Mapping[str, float] = field(default_factory=dict)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
-from tustinnet.fitting.report import Estimate, Identification, Stretch
+from tustinnet.fitting.report import Estimate, Identification, SignAlternatives, Stretch
 from tustinnet.fitting.shooting import findings
 from tustinnet.fitting.shooting.agreement import find_disagreements
 from tustinnet.fitting.shooting.equations import system_equations
@@ -35,7 +35,7 @@ _LITTLE = 0.5  # of the weight of residuals that count in full
 
 
 def make_identification(
-    problem: Problem, state: SearchState, reversed_signs: tuple[tuple[str, ...], ...]
+    problem: Problem, state: SearchState, reversed_signs: SignAlternatives
 ) -> Identification:
     """Makes the account of an identification from the state after its search.
 

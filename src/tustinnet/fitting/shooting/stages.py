@@ -75,7 +75,7 @@ def search(problem: Problem, state: SearchState, later_stages: int = 0) -> Searc
         problem.listener.on_iteration(Iteration(ESTIMATE, 1, unexplained, 0.0))
         problem.listener.on_progress(SearchProgress(ESTIMATE, 0, 0, 1, unexplained))
         problem.listener.on_stage(StageResult(ESTIMATE, "", 1, unexplained, "converged", values))
-        state = replace(state, vector=estimate.vector, unexplained=unexplained)
+        state = replace(state, vector=estimate.vector, worst_unexplained=unexplained)
     state = choose_substeps(problem, update_horizons(problem, state))
 
     longest = max(state.horizons.get(e.name, len(e) - 1) for e in problem.records)
