@@ -13,10 +13,9 @@ from tustinnet.fitting.shooting.least_squares import (
     OnStep,
     Prior,
     StoppingRule,
-    eliminate_initial_states,
     minimise,
 )
-from tustinnet.fitting.shooting.normal import compute_products
+from tustinnet.fitting.shooting.normal import compute_products, eliminate_initial_states
 from tustinnet.fitting.shooting.segments import CutOptions, Segments, cut_records
 from tustinnet.fitting.shooting.space import make_search_space
 from tustinnet.models.lagrangian import LagrangianSystem

@@ -134,10 +134,7 @@ def _drop_some(
         dropped = {space.names[i] for i, x in fixed.items() if x == 0}
         usual = {space.names[i]: values[space.names[i]] for i, x in fixed.items() if x != 0}
         fewer = replace(problem, system=problem.system.without(dropped))
-        fewer_space = SearchSpace(
-            tuple(p for i, p in enumerate(space.free_parameters) if i not in fixed),
-            dict(space.fixed_values) | usual,
-        )
+        fewer_space = space.without(dropped).fixing(usual)
         trial = replace(state, space=fewer_space, vector=fewer_space.to_vector(values))
         trial = run_stage(fewer, trial, stage)
         if trial.is_stopped:
@@ -192,9 +189,6 @@ def _add_brought_forces(
     values = space.to_values_in_range(state.vector)
     extended = with_added(system, brought, problem.records, values)
     new = [p for p in extended.parameters if p not in system.parameters]
-    fixed = {p.name: p.nominal for p in new if p.fixed}
-    space = SearchSpace(
-        (*space.free_parameters, *(p for p in new if not p.fixed)), dict(space.fixed_values) | fixed
-    )
+    space = space.adding(new)
     vector = space.clip(space.to_vector(values | {p.name: p.nominal for p in new}))
     return replace(problem, system=extended), space, vector

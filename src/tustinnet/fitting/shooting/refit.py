@@ -26,7 +26,7 @@ from tustinnet.fitting.shooting.problem import (
     report_step,
     score_validation,
 )
-from tustinnet.fitting.shooting.segments import join_steps
+from tustinnet.fitting.shooting.segments import first_of_records, join_steps
 from tustinnet.fitting.shooting.space import SearchSpace
 from tustinnet.models.parameters import Parameter
 from tustinnet.simulate.horizon import horizon_samples, pieces
@@ -140,8 +140,8 @@ def _minimise_mean_rmse(
                      for x, p in zip(first, free, strict=True)])  # fmt: skip
     lower = (np.array([p.lower for p in free]) - first) / unit
     upper = (np.array([p.upper for p in free]) - first) / unit
-    fixed = {name: x for name, x in identified.items() if name not in names}
-    simulate = _make_simulation(problem, state, start, SearchSpace(tuple(free), fixed), unit)
+    space = state.space.fixing({n: identified[n] for n in state.space.names if n not in names})
+    simulate = _make_simulation(problem, state, start, space, unit)
     initial = simulate(first)
     scale, prior = initial.mean_rmse, _PRIOR / len(problem.records)
 
@@ -231,7 +231,7 @@ def _make_simulation(
     weight = np.repeat(1 / np.sqrt(np.bincount(record, lengths)[record]), lengths)
     q = np.concatenate([part.q for part in parts])
     samples = Samples(q, np.tile(weight[:, None], q.shape[1]))
-    first_runs = np.flatnonzero(np.diff(record, prepend=-1))
+    first_runs = first_of_records(np.array(record))
     free = equations.free_columns(space)
     chain = unit * equations.applicable(space, group_indices)
 

@@ -175,7 +175,10 @@ def _initial_states_by_record(
 
 
 def _rmse_by_record(result: LeastSquaresResult, records: Sequence[Experiment]) -> dict[str, float]:
-    """Root mean square of every record's residuals, all its segments together."""
+    """Root mean square of every record's residuals, its segments together.
+
+    Where initial states are anchored, the cost of the anchors is in the squares.
+    """
     segments = result.segments
     # every residual weighs 1 / T, and a joint of two segments counts in both
     total = np.bincount(segments.record, result.products.cost)

@@ -91,7 +91,7 @@ class Segments:
     @property
     def first_of_records(self) -> Int[np.ndarray, " n_r"]:
         """Index of the first segment of each record."""
-        return np.flatnonzero(np.diff(self.record, prepend=-1))
+        return first_of_records(self.record)
 
     def for_records(self, records: Collection[int]) -> "Segments":
         """Segments of some of the records, given by index."""
@@ -218,6 +218,11 @@ def cut_records(
             [np.tile(options.residual.weight / np.sqrt(len(e)), (len(e), 1)) for e in experiments]
         ),
     )  # fmt: skip
+
+
+def first_of_records(record: Int[np.ndarray, " n_s"]) -> Int[np.ndarray, " n_r"]:
+    """Index of the first segment of each record, given the record of each segment, (n_r,)."""
+    return np.flatnonzero(np.diff(record, prepend=-1))
 
 
 def join_steps(arrays: Iterable[np.ndarray]) -> np.ndarray:

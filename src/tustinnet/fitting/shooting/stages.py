@@ -26,7 +26,6 @@ from tustinnet.fitting.shooting.problem import (
     report_step,
     score_validation,
 )
-from tustinnet.fitting.shooting.space import SearchSpace
 from tustinnet.simulate.horizon import pieces
 from tustinnet.simulate.substeps import PROBED_SECONDS, enough_substeps
 
@@ -205,14 +204,13 @@ def _fix_confounded_parameters(problem: Problem, state: SearchState) -> SearchSt
         return state
     names = dict.fromkeys(parameters.suggestion for parameters in confounded)
     values = space.to_values_in_range(vector)
-    free = tuple(p for p in space.free_parameters if p.name not in names)
-    if not free:
+    space = space.fixing({name: values[name] for name in names})
+    if not space.free_parameters:
         raise InputError(
             f"system '{problem.system.name}'",
             "; ".join(str(parameters) for parameters in confounded),
             "records from which at least one parameter is identifiable",
         )
-    space = SearchSpace(free, dict(space.fixed_values) | {name: values[name] for name in names})
     remarks = [f"{parameters}; here it was fixed at its first value" for parameters in confounded]
     return replace(
         state, space=space, vector=space.to_vector(values), remarks=(*state.remarks, *remarks)
