@@ -18,7 +18,7 @@ from swinging import (
 
 import tustinnet as tn
 from tustinnet.families.euler_lagrange import EulerLagrangeFamily, EulerLagrangeHyper
-from tustinnet.fitting.shooting.forces import with_added
+from tustinnet.fitting.shooting.added_forces import with_added
 from tustinnet.models.lagrangian import LagrangianModel, Parameter
 
 PULL = TRUTH["gravity"] / TRUTH["inertia"]  # 1/s^2

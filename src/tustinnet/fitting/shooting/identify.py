@@ -26,7 +26,7 @@ from tustinnet.fitting.shooting.equation_error import (
     estimate_by_equation_error,
     find_reversed_signs,
 )
-from tustinnet.fitting.shooting.forces import with_added
+from tustinnet.fitting.shooting.added_forces import with_added
 from tustinnet.fitting.shooting.groups import expand_values
 from tustinnet.fitting.shooting.holds import search_over_holds, with_assumed_hold
 from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
@@ -34,7 +34,7 @@ from tustinnet.fitting.shooting.optional_terms import drop_unneeded_terms
 from tustinnet.fitting.shooting.problem import Problem, SearchState
 from tustinnet.fitting.shooting.refit import refit_to_free_runs
 from tustinnet.fitting.shooting.results import make_identification
-from tustinnet.fitting.shooting.sensors import sensor_parameters
+from tustinnet.fitting.shooting.sensor_errors import sensor_parameters
 from tustinnet.fitting.shooting.space import make_search_space
 from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task
 from tustinnet.models.contract import require_float64

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from tustinnet.errors import InputError
-from tustinnet.fitting.shooting.forces import with_added
+from tustinnet.fitting.shooting.added_forces import with_added
 from tustinnet.fitting.shooting.least_squares import StoppingRule
 from tustinnet.fitting.shooting.leave_out import QuadraticCost, make_quadratic_cost
 from tustinnet.fitting.shooting.problem import Problem, SearchState

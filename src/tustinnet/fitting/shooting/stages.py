@@ -3,7 +3,7 @@
 `search` takes a problem and the state to start from and returns the state after all stages. A
 stage compares the simulation over segments of one length and minimises the error; the last one is
 the final stage, over whole records. Records along which errors grow without end stay in segments
-of their horizon, see `error_growth`.
+of their horizon, see `horizons`.
 """
 
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ from tustinnet.errors import InputError
 from tustinnet.fitting.listener import Iteration, SearchProgress, StageResult
 from tustinnet.fitting.residual import robust_weights
 from tustinnet.fitting.shooting.equation_error import estimate_by_equation_error
-from tustinnet.fitting.shooting.error_growth import find_horizons
+from tustinnet.fitting.shooting.horizons import find_horizons
 from tustinnet.fitting.shooting.identifiability import find_confounded
 from tustinnet.fitting.shooting.least_squares import StoppingRule, minimise
 from tustinnet.fitting.shooting.problem import (
