@@ -14,7 +14,7 @@ from tustinnet.selection.deadline import NEVER, Deadline
 from tustinnet.selection.jobs import FitScore, RunContext
 from tustinnet.selection.plan import SelectionPlan
 from tustinnet.selection.ranking import CandidateResult
-from tustinnet.selection.scoring import RmseByStart
+from tustinnet.selection.scoring import RmseByStart, WhichStarts
 
 _PARTS = 4  # shares of two are multiples of one over this
 _COARSE = 2  # of more than two: free runs of many members take long
@@ -98,17 +98,17 @@ def score_committee(
     options, models = _possible_shares(len(members)), dict[int, list[Model]]()
     folds = sorted(set.intersection(*(set(r.folds) for r in members)))
 
-    def score(fold: int, shares: Shares, starts: slice) -> RmseByStart:
+    def score(fold: int, shares: Shares, which: WhichStarts) -> RmseByStart:
         weights = member_weights([r.folds[fold] for r in members], shares)
         model = combine(models[fold], weights)
-        return context.scoring.score(model, None, context.splits[fold], context.data, starts)
+        return context.scoring.score(model, None, context.splits[fold], context.data, which)
 
     scored: dict[int, list[RmseByStart]] = {}
     for fold in folds:
         if deadline.remaining <= 0:
             break
         models[fold] = [context.load_model(s.model) for r in members for s in r.folds[fold]]
-        scored[fold] = [score(fold, shares, slice(1)) for shares in options]
+        scored[fold] = [score(fold, shares, "deciding") for shares in options]
     if not scored:
         return None
 
@@ -125,7 +125,7 @@ def score_committee(
     scores = {}
     for fold in scored:
         i = best_option([f for f in scored if f != fold])
-        rmse = scored[fold][i] | score(fold, options[i], slice(1, None))
+        rmse = scored[fold][i] | score(fold, options[i], "others")
         scores[fold] = (FitScore(0, "", "", None, rmse),)
     # one fold alone would choose on what it is scored on
     best = options[best_option(list(scored) if len(scored) > 1 else [])]

@@ -51,7 +51,7 @@ def search_over_holds(problem: Problem, state: SearchState) -> tuple[Problem, Se
     for hold in others:
         other = _with_hold(problem, hold)
         other_state = replace(choose_substeps(other, state), finished_stages=finished)
-        other_state = run_final_stage(other, other_state, state.initial)
+        other_state = run_final_stage(other, other_state, state.initial_treatment)
         if other_state.is_stopped:
             is_stopped = True
             break

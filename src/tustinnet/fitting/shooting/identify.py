@@ -17,6 +17,7 @@ from tustinnet.fitting.listener import Iteration, Listener
 from tustinnet.fitting.recipe import IdentificationRecipe
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.report import FitResult, Identification, SignAlternatives
+from tustinnet.fitting.shooting.added_forces import with_added
 from tustinnet.fitting.shooting.checks import (
     require_finite_terms,
     require_mass_matrix,
@@ -26,7 +27,6 @@ from tustinnet.fitting.shooting.equation_error import (
     estimate_by_equation_error,
     find_reversed_signs,
 )
-from tustinnet.fitting.shooting.added_forces import with_added
 from tustinnet.fitting.shooting.groups import expand_values
 from tustinnet.fitting.shooting.holds import search_over_holds, with_assumed_hold
 from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search

@@ -53,14 +53,11 @@ class Prior:
     Attributes:
         centre: expected values, (n_p,).
         precision: 1 / deviation, 0 where nothing is known, (n_p,).
-        variance: mean squared residual, which makes anchors of initial states comparable with the
-            cost.
         weight: what a squared, normalised deviation adds to the cost.
     """
 
     centre: Float[np.ndarray, " n_p"]
     precision: Float[np.ndarray, " n_p"]
-    variance: float
     weight: float
 
     def cost(self, space: SearchSpace, vector: ParameterVector) -> float:
@@ -91,6 +88,8 @@ class CostFunction:
         space: the search space.
         segments: the segments to simulate.
         prior: what is known of parameters beforehand.
+        anchor_variance: mean squared residual, which makes anchors of initial states comparable
+            with the cost.
         substeps: integration steps in a sampling period.
     """
 
@@ -99,6 +98,7 @@ class CostFunction:
     space: SearchSpace
     segments: Segments
     prior: Prior
+    anchor_variance: float
     substeps: int
 
     def products(self, vector: ParameterVector, x0: Float[np.ndarray, "n_s n_x"]) -> NormalProducts:
@@ -106,7 +106,7 @@ class CostFunction:
         products = compute_products(
             self.system, self.residual, self.space, vector, x0, self.segments, self.substeps
         )
-        return add_anchors(products, self.segments, x0, self.prior.variance)
+        return add_anchors(products, self.segments, x0, self.anchor_variance)
 
 
 @dataclass(frozen=True)

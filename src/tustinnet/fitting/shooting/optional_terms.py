@@ -63,7 +63,8 @@ def drop_unneeded_terms(problem: Problem, state: SearchState) -> tuple[Problem, 
 
     # all terms, fitted to short segments, of which there are several
     stages = [
-        SearchStage(problem.early_initial, _STOPPING, quarters) for quarters in _QUARTER_SWINGS
+        SearchStage(problem.early_initial_treatment, _STOPPING, quarters)
+        for quarters in _QUARTER_SWINGS
     ]
     stage, *longer_stages = stages
     state = run_stage(problem, choose_substeps(problem, update_horizons(problem, state)), stage)

@@ -72,7 +72,7 @@ def refit_to_free_runs(
     # a delay is in the inputs, which free runs take as they are
     free = [p for p in state.space.free_parameters if p.name not in problem.delays]
     obstacle, refit = "", None
-    if state.horizon is not None and state.horizon < start.samples:
+    if state.shortest_horizon is not None and state.shortest_horizon < start.samples:
         obstacle = f"{start.name} requires longer segments"
     elif not free:
         obstacle = "nothing but delays is free"
@@ -215,7 +215,7 @@ def _make_simulation(
         unit: unit of each free parameter, by which its derivatives are multiplied, (n_p,).
     """
     model, equations = make_model(problem, state), system_equations(problem.system, space.names)
-    horizon = None if state.horizon is None else state.horizon * problem.motion.dt
+    horizon = None if state.shortest_horizon is None else state.shortest_horizon * problem.motion.dt
     steps = horizon_samples(horizon, problem.records, start)
     parts, record = [], []
     for i, e in enumerate(problem.records):

@@ -61,9 +61,11 @@ def make_identification(
     noise_ratio = _residuals_over_noise(result, records)
     rmse = _rmse_by_record(result, records)
     horizons = {name: steps * records[0].dt for name, steps in state.horizons.items()}
-    start = problem.scoring_start(state.horizon).name
+    start = problem.scoring_start(state.shortest_horizon).name
     validation_rmse = score_validation(problem, state) if problem.validation else None
-    downweighted = () if state.weights is None else _downweighted(state.weights, records)
+    downweighted = (
+        () if state.robust_weights is None else _downweighted(state.robust_weights, records)
+    )
     has_converged = result.status == "converged" and not state.is_stopped
     sentences = [
         *findings.describe_signs(reversed_signs),
@@ -106,7 +108,7 @@ def make_identification(
         rmse=rmse,
         autocorrelation=tuple(lag.tolist()),
         disagreements=disagreements,
-        initial=state.initial,
+        initial=state.initial_treatment,
         initial_states=_initial_states_by_record(problem.system, state, records),
         horizons=horizons,
         start=start,
