@@ -55,7 +55,7 @@ def score_committees(
     committees: dict[str, tuple[str, ...]] = {
         f"{r.name}, seeds averaged": (r.name,)
         for r in remaining
-        if any(len(models) > 1 for models in r.folds.values())
+        if any(len(fits) > 1 for fits in r.fits_by_fold.values())
     }
     of_best = {average.name for average in plan.committees if average.best is not None}
     for average in plan.committees:
@@ -96,10 +96,10 @@ def score_committee(
         None where time was up before the first fold was scored.
     """
     options, models = _possible_shares(len(members)), dict[int, list[Model]]()
-    folds = sorted(set.intersection(*(set(r.folds) for r in members)))
+    folds = sorted(set.intersection(*(set(r.fits_by_fold) for r in members)))
 
     def score(fold: int, shares: Shares, which: WhichStarts) -> RmseByStart:
-        weights = member_weights([r.folds[fold] for r in members], shares)
+        weights = member_weights([r.fits_by_fold[fold] for r in members], shares)
         model = combine(models[fold], weights)
         return context.scoring.score(model, None, context.splits[fold], context.data, which)
 
@@ -107,7 +107,7 @@ def score_committee(
     for fold in folds:
         if deadline.remaining <= 0:
             break
-        models[fold] = [context.load_model(s.model) for r in members for s in r.folds[fold]]
+        models[fold] = [context.load_model(s.model) for r in members for s in r.fits_by_fold[fold]]
         scored[fold] = [score(fold, shares, "deciding") for shares in options]
     if not scored:
         return None
@@ -133,9 +133,9 @@ def score_committee(
     return CommitteeResult(CandidateResult(name, scores, sum(r.seconds for r in members)), shares)
 
 
-def member_weights(models: Sequence[Sequence[FitScore]], shares: Sequence[float]) -> list[float]:
-    """The weight of every model, where each candidate has a share and its models count the same."""
-    pairs = zip(models, shares, strict=True)
+def member_weights(fits: Sequence[Sequence[FitScore]], shares: Sequence[float]) -> list[float]:
+    """The weight of every model, where each candidate has a share and its fits count the same."""
+    pairs = zip(fits, shares, strict=True)
     return [share / len(scores) for scores, share in pairs for _ in scores]
 
 

@@ -98,6 +98,9 @@ class Job:
         return f"{CANDIDATES}/{self.candidate}/{self.name}"
 
 
+MakeJobListener = Callable[[Job], MakeListener]  # from a job to the `make_listener` of its fit
+
+
 @dataclass(frozen=True)
 class FitScore:
     """A model that a job has made, and how it simulates the records left out.
