@@ -41,6 +41,17 @@ def test_a_mechanism_is_found_from_its_records_alone(result):
     assert not {"angle.cubic", "angle.quadratic", "angle.spring", "angle.pull"} & values.keys()
 
 
+def test_a_mechanism_takes_signs_as_they_are(result):
+    reversed_records = [replace(read_by_encoder(e), u=-e.u) for e in records()]
+    other = tn.identify(data_set(reversed_records), "mechanism", "mechanism")
+    assert other.reversed_signs == result.reversed_signs == ()
+    model, reversed_model = result.model.continuous, other.model.continuous
+    assert isinstance(model, LagrangianModel)
+    assert isinstance(reversed_model, LagrangianModel)
+    gain, reversed_gain = (float(m.values["angle.by_voltage"]) for m in (model, reversed_model))
+    assert reversed_gain == pytest.approx(-gain, rel=1e-3)
+
+
 def test_it_says_which_terms_it_kept(result):
     message = next(f for f in result.findings if f.startswith("optional terms"))
     assert "angle.gravity_cos" in message

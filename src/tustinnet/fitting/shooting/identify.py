@@ -132,7 +132,7 @@ def identify_task(
             "stopped at its time limit before a stage was finished",
             "time for the first stage", "allow more",
         )  # fmt: skip
-    reversed_signs = _find_suspect_signs(problem, initial_state, state)
+    reversed_signs = _find_suspect_signs(task, problem, initial_state, state)
     identification = make_identification(problem, state, reversed_signs)
     if problem.refit_start:
         identification = refit_to_free_runs(problem, state, problem.refit_start, identification)
@@ -220,14 +220,15 @@ def _make_initial_state(problem: Problem, recipe: IdentificationRecipe) -> Searc
 
 
 def _find_suspect_signs(
-    problem: Problem, initial_state: SearchState, state: SearchState
+    task: Task, problem: Problem, initial_state: SearchState, state: SearchState
 ) -> SignAlternatives:
     """Signs that are probably reversed, where the equations of motion explain the records poorly.
 
     A search whose first values are not an equation-error estimate gets one for that, unless it was
-    stopped.
+    stopped, or the system was made for the records: its optional terms may have either sign.
 
     Args:
+        task: the task.
         problem: the problem.
         initial_state: the state before the search, from whose values signs are reversed.
         state: the state after it.
@@ -237,7 +238,7 @@ def _find_suspect_signs(
     values |= initial_state.space.to_values_in_range(initial_state.vector)
     vector = state.space.to_vector(values)
     unexplained = state.worst_unexplained
-    if unexplained is None and not state.is_stopped:
+    if unexplained is None and not (state.is_stopped or isinstance(task.system, SystemTemplate)):
         estimate = estimate_by_equation_error(problem.system, state.space, vector, problem.motion)
         unexplained = float(estimate.unexplained.max())
     if unexplained is None or unexplained <= _POORLY_EXPLAINED:
