@@ -13,8 +13,8 @@ From records to the result, module by module:
    `segments`.
 6. In a stage `least_squares`, by `levenberg_marquardt`, minimises the error that `normal`
    simulates with the `equations` of motion.
-7. `results` makes estimates and errors (`uncertainty`, `agreement`) and `findings` sentences.
-8. `refit` fits the parameters once more to free runs, where the recipe asks for it.
+7. `refit` fits the parameters once more to free runs, where the recipe asks for it.
+8. `results` makes estimates and errors (`uncertainty`, `agreement`) and `findings` sentences.
 
 Beside it, `information` computes how well records would determine parameters.
 """

@@ -133,9 +133,8 @@ def identify_task(
             "time for the first stage", "allow more",
         )  # fmt: skip
     reversed_signs = _find_suspect_signs(task, problem, initial_state, state)
-    identification = make_identification(problem, state, reversed_signs)
-    if problem.refit_start:
-        identification = refit_to_free_runs(problem, state, problem.refit_start, identification)
+    refit_result = refit_to_free_runs(problem, state)
+    identification = make_identification(problem, state, reversed_signs, refit_result)
     identification = replace(identification, seconds=time.perf_counter() - start_time)
     return FitResult(
         model=identification.model,
