@@ -78,7 +78,7 @@ def test_a_score_over_a_horizon_is_over_all_segments_each_from_a_state_of_its_ow
     np.testing.assert_allclose(score.simulated[first:], np.concatenate(alone), rtol=1e-9)
     error = np.concatenate(alone)[:, 0] - e.q[first:, 0]
     assert score.rmse == pytest.approx(np.sqrt(np.mean(error**2)))
-    place = np.arange(len(error)) % 50 >= start_named(start).fitted_samples - first
+    place = np.arange(len(error)) % 50 >= start_named(start).seen_samples - first
     assert score.rmse_after == pytest.approx(np.sqrt(np.mean(error[place] ** 2)))
     assert tn.evaluate(model, e, start, horizon=5.9)[0].horizon == 5.9
 

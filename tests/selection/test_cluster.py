@@ -91,7 +91,7 @@ def test_a_selection_with_a_killed_worker_comes_to_what_one_process_comes_to(mac
     assert len([line for line in said if line.endswith("its worker died, done again")]) == 1
     assert (there.best, there.sentences[1:]) == (here.best, here.sentences[1:])
     for name in ("grey", "network", "hybrid"):
-        assert there.result(name).folds == here.result(name).folds
+        assert there.result(name).fits_by_fold == here.result(name).fits_by_fold
     found, wanted = arrays_below(tmp_path / "there"), arrays_below(tmp_path / "here")
     assert found.keys() == wanted.keys()
     for path, arrays in wanted.items():

@@ -17,6 +17,7 @@ from tustinnet.selection.cross_validation import (
 )
 from tustinnet.selection.jobs import Job, RunContext
 from tustinnet.selection.runner import InProcess
+from tustinnet.store.header import read_header
 
 
 def here(context: RunContext) -> InProcess:
@@ -91,3 +92,18 @@ def test_a_horizon_that_no_record_has_is_refused_before_anything_is_fitted(tmp_p
     with pytest.raises(tn.InputError, match="horizon"):
         cross_validate(swings(), replace(options, recipe=far), folder=tmp_path, executor=here)
     assert not list(tmp_path.iterdir())
+
+
+def test_the_header_of_a_fold_s_model_has_the_horizon_of_its_scores(tmp_path):
+    recipe = tn.read_recipe(parse_toml(GREY), ["search.horizon=1.0"])
+    options = make_cross_validation_options(recipe, system=SWING, folds=3)
+    cross_validate(swings(), options, folder=tmp_path, executor=here)
+    paths = sorted(tmp_path.glob("candidates/**/model.safetensors"))
+    assert len(paths) == 3
+    for path in paths:
+        scores = read_header(path)["scores"]
+        assert scores["horizon"] == 1.0
+        records = [e for e in swings() if e.name in scores["rmse"]]
+        model = tn.load_model(path, SWING)
+        again = tn.evaluate(model, records, scores["start"], horizon=scores["horizon"])
+        assert {s.experiment: s.rmse for s in again} == pytest.approx(scores["rmse"], rel=1e-6)

@@ -240,5 +240,5 @@ def test_trainings_that_their_share_stopped_go_on_in_the_time_that_is_left(monke
     assert any(line.startswith("round 1 of 3, one fold: network 0.01, ") for line in messages)
     again = [(job.candidate, job.fold, job.seeds) for job in executor.done if job.continues]
     assert again == [("network", fold, (seed,)) for seed in range(2) for fold in range(3)]
-    assert {m.outcome for m in results["network"].models} == {"finished"}
-    assert len(results["network"].models) == 6
+    assert {m.outcome for m in results["network"].fits} == {"finished"}
+    assert len(results["network"].fits) == 6

@@ -82,7 +82,7 @@ def test_one_record_says_nothing_of_an_error():
 
 def test_a_job_that_failed_leaves_its_reason_and_what_was_there_before():
     after = standing("a", {"r": 1.0}).with_job(JobResult("a", 1, 5.0, "failed", why="no window"))
-    assert (after.why, list(after.folds), after.seconds) == ("no window", [0], 5.0)
+    assert (after.why, list(after.fits_by_fold), after.seconds) == ("no window", [0], 5.0)
     late = standing("a", {"r": 1.0}).with_job(JobResult("a", 1, 5.0, "out of time", why="spent"))
     assert late.why == ""
 

@@ -41,11 +41,11 @@ def selected(folder: Path, earlier: Earlier = "refuse", data=None, **changes):
 
     def tell(job: Job):
         done.append(job)
-        return Reporter().make_listener(job)
+        return Reporter().make_job_listener(job)
 
     options = SelectionOptions(plan_in(folder, NETWORK_ONLY), **changes)
     choice = select_model(
-        data or swings(), folder / "run", options, earlier, Reporter(make_listener=tell)
+        data or swings(), folder / "run", options, earlier, Reporter(make_job_listener=tell)
     )
     return choice, done
 
@@ -93,7 +93,7 @@ def test_the_chosen_model_is_the_best_on_records_that_its_models_did_not_see(mad
     means = {s.name: mean_and_error(s.rmse().values())[0] for s in choice.candidates.choosable}
     assert choice.best == min(means, key=lambda name: means[name])
     for result in choice.candidates.results:
-        for fold, models in result.folds.items():
+        for fold, models in result.fits_by_fold.items():
             split = choice.context.splits[fold]
             for model in models:
                 trained = {
@@ -107,7 +107,7 @@ def test_the_chosen_model_is_the_best_on_records_that_its_models_did_not_see(mad
 
 def test_the_scores_are_those_of_the_models_in_the_folders(made):
     choice = made.choice
-    first = choice.result("network").folds[1][0]
+    first = choice.result("network").fits_by_fold[1][0]
     model = tn.load_model(choice.context.folder / first.model)
     for start, rmse in first.rmse.items():
         records = [choice.context.data[name] for name in rmse]
@@ -120,7 +120,7 @@ def test_a_committee_is_judged_with_the_shares_that_other_folds_chose(made):
     both = choice.candidates.committees["both"]
     assert set(both.shares) == {"network", "hybrid"}
     assert sum(both.shares.values()) == pytest.approx(1)
-    assert set(both.result.folds) == {0, 1, 2}
+    assert set(both.result.fits_by_fold) == {0, 1, 2}
     # the network is much worse: no fold gives it the larger share
     assert both.shares["network"] <= 0.5
     assert (
@@ -146,7 +146,7 @@ def test_parameters_of_a_chosen_system_are_identified_from_all_records(made):
 def test_networks_of_all_folds_become_one_committee(alone):
     choice, _ = alone
     model = tn.load_model(choice.context.folder / "model.safetensors")
-    each = [tn.load_model(choice.context.folder / m.model) for m in choice.result("network").models]
+    each = [tn.load_model(choice.context.folder / m.model) for m in choice.result("network").fits]
     assert len(each) == 3
     x, u = jnp.array([0.3, -0.2]), jnp.array([0.7])
     mean = np.mean([np.asarray(m.step(x, u)) for m in each], axis=0)
@@ -210,7 +210,7 @@ def test_plain_words_say_how_good_it_is_and_why_this_one(made):
 
 def test_words_say_of_how_many_records_and_when_no_candidate_is_close(made, monkeypatch):
     choice, name = made.choice, "grey"
-    fewer = [replace(s, folds={0: s.folds[0]}) if s.name == name else s
+    fewer = [replace(s, fits_by_fold={0: s.fits_by_fold[0]}) if s.name == name else s
              for s in choice.candidates.results]  # fmt: skip
     candidates = replace(choice.candidates, results=tuple(fewer))
     cut = replace(choice, candidates=candidates, best=name)
@@ -305,10 +305,10 @@ def test_jobs_of_one_candidate_share_a_compiled_program(tmp_path):
 
     def tell(job: Job):
         sizes.append(compiled_programs())
-        return Reporter().make_listener(job)
+        return Reporter().make_job_listener(job)
 
     options = SelectionOptions(plan_in(tmp_path, NETWORK_ONLY))
-    select_model(cut, tmp_path / "run", options, "refuse", Reporter(make_listener=tell))
+    select_model(cut, tmp_path / "run", options, "refuse", Reporter(make_job_listener=tell))
     assert sizes[1] == sizes[2] == sizes[0] + 1
 
 
@@ -387,7 +387,7 @@ def test_a_training_that_is_stopped_is_scored_and_a_resumed_run_goes_on_with_it(
     assert outcomes(stopped) == [("out of time", "out of time")] * 3
     assert np.isfinite(list(stopped.result("network").rmse().values())).all()
     assert any("3 of its 3 trainings were stopped by the budget" in s for s in stopped.sentences)
-    header = read_header(stopped.context.folder / stopped.result("network").models[0].model)
+    header = read_header(stopped.context.folder / stopped.result("network").fits[0].model)
     assert header["training"]["outcome"] == "out of time"
     resumed, _ = selected(tmp_path, "resume")
     assert outcomes(resumed) == [("done", "finished")] * 3

@@ -148,7 +148,7 @@ def _score_table(
     from tustinnet.simulate.starts import start_named
 
     # any model simulates the samples well that its start was fitted to
-    start_samples = start_named(start).fitted_samples
+    start_samples = start_named(start).seen_samples
     after = [f"from sample {start_samples}"] if start_samples else []
     columns = ["record", "split", f"RMSE [{channels.unit}]", *after]
     for c in channels.coordinates:

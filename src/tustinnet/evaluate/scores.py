@@ -129,7 +129,7 @@ def evaluate(
         q, measured = x[rule.first :, e.channels.position], e.q[rule.first :]
         lengths = [len(piece) - rule.first for piece in pieces(e, samples, rule)]
         place = np.concatenate([np.arange(n) for n in lengths])  # in the segment
-        after = place >= rule.fitted_samples - rule.first
+        after = place >= rule.seen_samples - rule.first
         with np.errstate(over="ignore", invalid="ignore"):
             q = np.where(np.isfinite(q), q, np.inf)
             scores.append(

@@ -223,7 +223,7 @@ class SearchRecipe(_Table):
         expected = "expected choose, anchored, unanchored, file or derived-6"
         if start.first:
             raise ValueError(f"a start after the first sample; {expected}")
-        if start.fitted_samples:
+        if start.needs_model:
             raise ValueError(
                 f"a start that is fitted through the model; {expected}; `refine` fits the "
                 "parameters to free runs from it"

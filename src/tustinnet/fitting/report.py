@@ -18,6 +18,8 @@ from tustinnet.models.lagrangian import LagrangianSystem
 FINISHED = "finished"
 OUT_OF_TIME = "out of time"  # how the outcome of a fit that was stopped begins
 
+SignAlternatives = tuple[tuple[str, ...], ...]  # each the names to reverse together; () for none
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -159,7 +161,7 @@ class Identification:
     condition: float
     converged: bool
     outcome: str
-    reversed_signs: tuple[tuple[str, ...], ...]
+    reversed_signs: SignAlternatives
     findings: tuple[str, ...]
     trust: str
     rmse: Mapping[str, float]

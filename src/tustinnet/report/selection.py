@@ -39,8 +39,8 @@ def candidates_table(choice: Choice) -> Table:
             *["" if mean is None else cell(*mean) for mean in means[s.name]],
             against,
             str(count),
-            str(len(s.folds)),
-            str(len({m.seed for m in s.models})),
+            str(len(s.fits_by_fold)),
+            str(len({fit.seed for fit in s.fits})),
             f"{s.seconds:.0f}",
         ])  # fmt: skip
     unit = choice.unit
@@ -59,7 +59,7 @@ def _sort_scored(choice: Choice) -> list[CandidateResult]:
         mean = paired_difference(s, best).mean
         return s is not best, s.name not in choosable, math.inf if math.isnan(mean) else mean
 
-    return sorted((s for s in choice.candidates.all_results if s.folds), key=rank)
+    return sorted((s for s in choice.candidates.all_results if s.fits_by_fold), key=rank)
 
 
 def candidates_figure(choice: Choice) -> "Figure":
@@ -107,8 +107,8 @@ def free_runs(choice: Choice) -> dict[str, dict[str, Score]]:
     shown_names = choose_shown_records(choice.result(choice.best).rmse())
     runs: dict[str, dict[str, Score]] = {}
     for label in labels:
-        for models in choice.result(label).folds.values():
-            first = models[0]
+        for fits in choice.result(label).fits_by_fold.values():
+            first = fits[0]
             start, rmse = next(iter(first.rmse.items()))
             records = [choice.context.data[name] for name in rmse if name in shown_names]
             if not records:

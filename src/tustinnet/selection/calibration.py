@@ -17,7 +17,7 @@ def calibrate_on_folds(
     context: RunContext,
     deadline: Deadline = NEVER,
 ) -> Calibration | None:
-    """Bands of a candidate or committee.
+    """Calibrates the bands of a candidate or committee; None where they cannot be.
 
     The models of each fold, put together as the chosen one is, simulate the records that none of
     them has seen. The chosen model has seen all records: its own errors are rather smaller.
@@ -37,11 +37,11 @@ def calibrate_on_folds(
         return None
     members = candidates.members(name)
     shares = [share for _, share in members]
-    folds = sorted(set.intersection(*(set(r.folds) for r, _ in members)))
+    folds = sorted(set.intersection(*(set(r.fits_by_fold) for r, _ in members)))
     start, horizon = candidates.result(name).starts[0], context.scoring.horizon
     predictions: list[Prediction] = []
     for fold in folds:
-        scores = [r.folds[fold] for r, _ in members]
+        scores = [r.fits_by_fold[fold] for r, _ in members]
         files = [s.model for member in scores for s in member]
         models = [context.load_model(file) for file in files]
         model = combine(models, member_weights(scores, shares))

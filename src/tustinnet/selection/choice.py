@@ -1,4 +1,4 @@
-"""The choice of a selection: the model, its accuracy, the reasons."""
+"""The account of a selection: its chosen model, its accuracy and the reasons."""
 
 import math
 from collections.abc import Mapping
@@ -114,7 +114,7 @@ class Choice:
                 "time (--budget) or equations of motion (--system)"
             )
         sentences.append(self._comparison_with_next(best))
-        scored = [r for r in self.candidates.all_results if r.folds and r.name != best.name]
+        scored = [r for r in self.candidates.all_results if r.fits_by_fold and r.name != best.name]
         decisive = find_decisive_record(best, scored)
         if decisive is not None:
             record, other, difference = decisive
@@ -127,14 +127,14 @@ class Choice:
         trainings, searches = list[FitScore](), list[FitScore]()
         for result, _ in self.candidates.members(self.best):
             family = self.candidates.plan.candidate(result.name).content.family
-            (trainings if family.resumable else searches).extend(result.models)
-        if stopped := sum(m.is_out_of_time for m in trainings):
+            (trainings if family.resumable else searches).extend(result.fits)
+        if stopped := sum(fit.is_out_of_time for fit in trainings):
             sentences.append(
                 f"{stopped} of its {len(trainings)} trainings were stopped by the budget, with "
                 "their best weights so far: go on with them by --resume, or give more time "
                 "(--budget)"
             )
-        if stopped := sum(m.is_out_of_time for m in searches):
+        if stopped := sum(fit.is_out_of_time for fit in searches):
             sentences.append(
                 f"{stopped} of its {len(searches)} identifications were stopped by the budget, "
                 "with the models of their last finished stages: repeat them by --resume, or give "
@@ -160,14 +160,14 @@ class Choice:
         """Sentences on the candidates without scores, those of one reason in one."""
         reasons: dict[str, list[str]] = {}
         for result in self.candidates.results:
-            if not result.folds:
+            if not result.fits_by_fold:
                 reasons.setdefault(result.why or "not tried", []).append(result.name)
         return [f"without a score, {why}: {', '.join(names)}" for why, names in reasons.items()]
 
     def _comparison_with_next(self, best: CandidateResult) -> str:
         results = self.candidates.choosable
         if len(results) <= 1:
-            results = [r for r in self.candidates.all_results if r.folds]
+            results = [r for r in self.candidates.all_results if r.fits_by_fold]
         differences = {r.name: paired_difference(r, best) for r in results if r.name != best.name}
         if not differences:
             return "nothing else was scored to compare it with"
@@ -232,7 +232,7 @@ class Choice:
 
     def _result_as_plain(self, result: CandidateResult, best: CandidateResult) -> dict[str, Any]:
         common = {"name": result.name, "seconds": result.seconds, "why": result.why}
-        if not result.folds:
+        if not result.fits_by_fold:
             return common
         difference = paired_difference(result, best)
         by_start = {start: result.rmse(start=start) for start in result.starts}
@@ -242,8 +242,8 @@ class Choice:
             "model": self.file(result.name) if result.name in self.origins else None,
             "made": self.origins.get(result.name),
             "shares": None if committee is None else dict(committee.shares),
-            "folds": sorted(result.folds),
-            "seeds": sorted({m.seed for m in result.models}),
+            "folds": sorted(result.fits_by_fold),
+            "seeds": sorted({fit.seed for fit in result.fits}),
             "starts": {
                 start: dict(
                     zip(("mean", "standard_error"), mean_and_error(rmse.values()), strict=True)
@@ -256,5 +256,5 @@ class Choice:
                 "standard_error": difference.standard_error,
                 "records": difference.records,
             },
-            "models": [m.model for m in result.models if m.model],
+            "models": [fit.model for fit in result.fits if fit.model],
         }

@@ -14,7 +14,7 @@ from tustinnet.selection.deadline import NEVER, Deadline
 from tustinnet.selection.jobs import FitScore, RunContext
 from tustinnet.selection.plan import SelectionPlan
 from tustinnet.selection.ranking import CandidateResult
-from tustinnet.selection.scoring import RmseByStart
+from tustinnet.selection.scoring import RmseByStart, WhichStarts
 
 _FEWEST_FOLDS = 2  # to choose shares on one and score them on the other
 _PARTS = 4  # shares of two are multiples of one over this
@@ -56,7 +56,7 @@ def score_committees(
     committees: dict[str, tuple[str, ...]] = {
         f"{r.name}, seeds averaged": (r.name,)
         for r in remaining
-        if any(len(models) > 1 for models in r.folds.values())
+        if any(len(fits) > 1 for fits in r.fits_by_fold.values())
     }
     of_best = {average.name for average in plan.committees if average.best is not None}
     for average in plan.committees:
@@ -98,22 +98,22 @@ def score_committee(
         have one fold in common: their shares would be chosen by nothing.
     """
     options, models = _possible_shares(len(members)), dict[int, list[Model]]()
-    folds = sorted(set.intersection(*(set(r.folds) for r in members)))
+    folds = sorted(set.intersection(*(set(r.fits_by_fold) for r in members)))
     fewest = _FEWEST_FOLDS if len(members) > 1 else 1
     if len(folds) < fewest:
         return None
 
-    def score(fold: int, shares: Shares, starts: slice) -> RmseByStart:
-        weights = member_weights([r.folds[fold] for r in members], shares)
+    def score(fold: int, shares: Shares, which: WhichStarts) -> RmseByStart:
+        weights = member_weights([r.fits_by_fold[fold] for r in members], shares)
         model = combine(models[fold], weights)
-        return context.scoring.score(model, None, context.splits[fold], context.data, starts)
+        return context.scoring.score(model, None, context.splits[fold], context.data, which)
 
     scored: dict[int, list[RmseByStart]] = {}
     for fold in folds:
         if deadline.remaining <= 0:
             break
-        models[fold] = [context.load_model(s.model) for r in members for s in r.folds[fold]]
-        scored[fold] = [score(fold, shares, slice(1)) for shares in options]
+        models[fold] = [context.load_model(s.model) for r in members for s in r.fits_by_fold[fold]]
+        scored[fold] = [score(fold, shares, "deciding") for shares in options]
     if len(scored) < fewest:
         return None
 
@@ -130,7 +130,7 @@ def score_committee(
     scores = {}
     for fold in scored:
         i = best_option([f for f in scored if f != fold])
-        rmse = scored[fold][i] | score(fold, options[i], slice(1, None))
+        rmse = scored[fold][i] | score(fold, options[i], "others")
         scores[fold] = (FitScore(0, "", "", None, rmse),)
     # one fold alone would choose on what it is scored on
     best = options[best_option(list(scored) if len(scored) > 1 else [])]
@@ -138,9 +138,9 @@ def score_committee(
     return CommitteeResult(CandidateResult(name, scores, sum(r.seconds for r in members)), shares)
 
 
-def member_weights(models: Sequence[Sequence[FitScore]], shares: Sequence[float]) -> list[float]:
-    """The weight of every model, where each candidate has a share and its models count the same."""
-    pairs = zip(models, shares, strict=True)
+def member_weights(fits: Sequence[Sequence[FitScore]], shares: Sequence[float]) -> list[float]:
+    """The weight of every model, where each candidate has a share and its fits count the same."""
+    pairs = zip(fits, shares, strict=True)
     return [share / len(scores) for scores, share in pairs for _ in scores]
 
 

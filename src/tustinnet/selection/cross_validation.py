@@ -21,7 +21,7 @@ from tustinnet.selection.jobs import SCORES, Job, JobResult, RunContext
 from tustinnet.selection.runner import InProcess, MakeExecutor, run_jobs
 from tustinnet.selection.scoring import RecipeScoring
 from tustinnet.simulate.horizon import horizon_samples
-from tustinnet.simulate.starts import FIT_SAMPLES, default_start, start_named
+from tustinnet.simulate.starts import default_and_fitted_starts, start_named
 from tustinnet.store.kept_system import CANDIDATES
 from tustinnet.systems.files import AnySystem, SystemTemplate, load_system_or_template
 
@@ -216,7 +216,7 @@ def cross_validate(
     """
     records, recipe = records_without_test(data), options.recipe
     folds = len(split_into_folds(data, options.folds))
-    starts = options.starts or (default_start(records), f"model-{FIT_SAMPLES}")
+    starts = options.starts or default_and_fitted_starts(records)
     for start in starts:
         horizon_samples(recipe.longest_run, records, start_named(start))
     context = RunContext(

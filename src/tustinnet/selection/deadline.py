@@ -1,4 +1,4 @@
-"""The deadline of a selection, and the decision to stop a training for it."""
+"""Deadlines: when computations have to end, and whether a training stops in time for that."""
 
 import time
 from collections.abc import Sequence

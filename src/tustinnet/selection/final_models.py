@@ -5,22 +5,21 @@ those that the folds scored.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.metrics import mean_and_error
-from tustinnet.families.committee import committee
 from tustinnet.fitting.fit import MakeListener
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.shooting.identify import UnfinishedSearchError
 from tustinnet.fitting.task import Origin
 from tustinnet.models.contract import Model
-from tustinnet.selection.committees import CommitteeResult, member_weights
+from tustinnet.selection.committees import CommitteeResult, combine, member_weights
 from tustinnet.selection.deadline import NEVER, Deadline
 from tustinnet.selection.folds import FoldSplit, records_without_test
-from tustinnet.selection.jobs import FitScore, Job, RunContext, make_job_task
+from tustinnet.selection.jobs import FitScore, Job, MakeJobListener, RunContext, make_job_task
 from tustinnet.selection.plan import SelectionPlan
 from tustinnet.selection.ranking import CandidateResult
 from tustinnet.store.kept_system import CANDIDATES
@@ -87,7 +86,7 @@ def make_final_models(
     best: CandidateResult,
     simplest: CandidateResult,
     context: RunContext,
-    make_listener: Callable[[Job], MakeListener],
+    make_job_listener: MakeJobListener,
     deadline: Deadline = NEVER,
 ) -> dict[str, FinalModel]:
     """Makes the models of what can be chosen, by name.
@@ -100,7 +99,7 @@ def make_final_models(
         best: the chosen one.
         simplest: the simplest that is as good.
         context: where the models are, and how they were scored.
-        make_listener: given the job of an identification from all records, returns its
+        make_job_listener: given the job of an identification from all records, returns its
             `make_listener`.
         deadline: after it nothing is identified from all records.
     """
@@ -110,7 +109,7 @@ def make_final_models(
             ways = _possible_models(candidates, result, context, None, deadline)
             models[result.name] = next(ways)
             continue
-        ways = _possible_models(candidates, result, context, make_listener, deadline)
+        ways = _possible_models(candidates, result, context, make_job_listener, deadline)
         promised = mean_and_error(result.rmse().values())[0]
         models[result.name] = _first_as_promised(ways, promised, context)
     return models
@@ -120,40 +119,39 @@ def _possible_models(
     candidates: Candidates,
     result: CandidateResult,
     context: RunContext,
-    make_listener: Callable[[Job], MakeListener] | None,
+    make_job_listener: MakeJobListener | None,
     deadline: Deadline,
 ) -> Iterator[FinalModel]:
     """The ways to make the model of a candidate or committee, those to be preferred first.
 
-    Parameters are identified from all records (unless there is no `make_listener`). Weights of all
-    folds are averaged. Models of single folds come last, the one with the lowest error first.
+    Parameters are identified from all records (unless there is no `make_job_listener`). Weights of
+    all folds are averaged. Models of single folds come last, the one with the lowest error first.
     """
     members = candidates.members(result.name)
-    scores: list[Sequence[FitScore]] = [r.models for r, _ in members]
+    scores: list[Sequence[FitScore]] = [r.fits for r, _ in members]
     fits = [fit for member in scores for fit in member]
     single = sorted(fits, key=lambda fit: mean_and_error(next(iter(fit.rmse.values())).values())[0])
     recipe = candidates.plan.candidate(members[0][0].name).content
     averages, why = len(members) > 1 or recipe.family.averages_folds, ""
-    if not averages and make_listener is not None:
+    if not averages and make_job_listener is not None:
         origin = context.load_model(single[0].model)
         job = Job(result.name, recipe, fold=0, origin=Origin(origin), is_final=True)
-        made = _identify_from_all(job, context, make_listener(job), deadline)
+        made = _identify_from_all(job, context, make_job_listener(job), deadline)
         if isinstance(made, FinalModel):
             yield made
         else:
             why = f"; {made}"
     if len(fits) > 1 and averages:
         weights = member_weights(scores, [share for _, share in members])
-        folds = len({fold for r, _ in members for fold in r.folds})
+        folds = len({fold for r, _ in members for fold in r.fits_by_fold})
         count = "one fold" if folds == 1 else f"{folds} folds"
         origin = f"the average of {len(fits)} models of {count}"
         if len(members) > 1:
-            parts = [f"{len(r.models)} of {r.name} ({100 * share:.0f} %)" for r, share in members]
+            parts = [f"{len(r.fits)} of {r.name} ({100 * share:.0f} %)" for r, share in members]
             origin += f": {', '.join(parts)}"
         try:
-            yield FinalModel(
-                committee([context.load_model(f.model) for f in fits], weights), origin
-            )
+            models = [context.load_model(f.model) for f in fits]
+            yield FinalModel(combine(models, weights), origin)
         except InputError as error:  # as where delays were searched for: each has another value
             why = f"; no average: {error}"
     for fit in single:

@@ -76,7 +76,7 @@ class Halving:
             for fold in range(min(stage.folds, self._folds)):
                 for c in ordered:
                     seeds = c.content.family.select_seeds(range(stage.seeds))
-                    done = {s.seed for s in self.results[c.name].folds.get(fold, ())}
+                    done = {s.seed for s in self.results[c.name].fits_by_fold.get(fold, ())}
                     waits_for = tuple(name for name in c.corrects if name not in late)
                     if missing := tuple(seed for seed in seeds if seed not in done):
                         jobs.append(Job(c.name, c.content, fold, missing, waits_for=waits_for))
@@ -131,7 +131,9 @@ class Halving:
     def _corrected(self, by: Candidate, fold: int | None = None) -> CandidateResult | None:
         """The candidate to correct, in a fold or anywhere: the simplest as good as the best."""
         results = [self.results[name] for name in by.corrects if name in self.results]
-        scored = [r for r in results if (r.folds if fold is None else fold in r.folds)]
+        scored = [
+            r for r in results if (r.fits_by_fold if fold is None else fold in r.fits_by_fold)
+        ]
         return find_simplest(scored, rank(scored)[0]) if scored else None
 
     def _prepare(self, job: Job) -> Job | None:
@@ -146,7 +148,7 @@ class Halving:
             corrected = self._corrected(candidate, job.fold)
             if corrected is None:
                 return self._omit(job, "nothing to correct: " + ", ".join(candidate.corrects))
-            physics = corrected.folds[job.fold][0].model
+            physics = corrected.fits_by_fold[job.fold][0].model
         scores = self._context.folder / job.folder / SCORES
         is_done = scores.is_file() and not self._context.resume and not job.continues
         if limit is None and not is_done:
@@ -174,7 +176,7 @@ class Halving:
             else:
                 remaining -= self._time - min(max(_TRYING * self._time, _SOON), self._time)
                 share = sum(j.candidate not in self._late for j in self._pending)
-            is_first = not any(r.folds for r in self.results.values())
+            is_first = not any(r.fits_by_fold for r in self.results.values())
             least = 0.0 if is_first else min(_LEAST, _LEAST_SHARE * self._time)
         else:
             expected *= len(job.seeds)
@@ -197,7 +199,7 @@ class Halving:
 
     def _omit(self, job: Job, why: str) -> None:
         result = self.results[job.candidate]
-        if not result.folds and not result.why:
+        if not result.fits_by_fold and not result.why:
             self.results[job.candidate] = replace(result, why=why)
             self._on_message(f"{job.candidate}: left out, {why}")
 

@@ -98,6 +98,9 @@ class Job:
         return f"{CANDIDATES}/{self.candidate}/{self.name}"
 
 
+MakeJobListener = Callable[[Job], MakeListener]  # from a job to the `make_listener` of its fit
+
+
 @dataclass(frozen=True)
 class FitScore:
     """A model that a job has made, and how it simulates the records left out.
@@ -385,12 +388,11 @@ def _score_fits(
         else:
             start, of_start = next(iter(rmse.items()))
             split, channels = context.splits[job.fold], context.data.channels
+            horizon = context.scoring.used_horizon(fit.horizon, split)
             header = {
                 **fit.as_header(),
                 "data": data_header(context.data.name, split.roles.all),
-                "scores": scores_header(
-                    LEFT_OUT, start, channels, context.scoring.horizon, of_start
-                ),
+                "scores": scores_header(LEFT_OUT, start, channels, horizon, of_start),
                 **(system_header(context.system_file) if fit.recipe.family.needs else {}),
             }
             save(fit.model, context.folder / model, **header)

@@ -32,17 +32,17 @@ class PairedDifference:
 
 @dataclass(frozen=True)
 class CandidateResult:
-    """The models of a candidate and their scores.
+    """The fits of a candidate and their scores.
 
     Attributes:
         name: its name.
-        folds: the models of every fold that was done, one a seed.
+        fits_by_fold: the fits of every fold that was done, one for each seed.
         seconds: time of its jobs.
-        why: why it was left out, empty where it was not.
+        why: the reason why a job of it failed, or why it has no fits; empty where neither is so.
     """
 
     name: str
-    folds: Mapping[int, tuple[FitScore, ...]] = field(default_factory=dict)
+    fits_by_fold: Mapping[int, tuple[FitScore, ...]] = field(default_factory=dict)
     seconds: float = 0.0
     why: str = ""
 
@@ -51,21 +51,21 @@ class CandidateResult:
         seconds = self.seconds + result.seconds
         if result.scores:
             seeds = {score.seed for score in result.scores}  # of a fit that went on, in its place
-            before = [s for s in self.folds.get(result.fold, ()) if s.seed not in seeds]
-            folds = {**self.folds, result.fold: (*before, *result.scores)}
-            return CandidateResult(self.name, folds, seconds, self.why)
-        why = result.why if result.ended == "failed" or not self.folds else self.why
-        return CandidateResult(self.name, self.folds, seconds, why)
+            before = [s for s in self.fits_by_fold.get(result.fold, ()) if s.seed not in seeds]
+            fits_by_fold = {**self.fits_by_fold, result.fold: (*before, *result.scores)}
+            return CandidateResult(self.name, fits_by_fold, seconds, self.why)
+        why = result.why if result.ended == "failed" or not self.fits_by_fold else self.why
+        return CandidateResult(self.name, self.fits_by_fold, seconds, why)
 
     @property
-    def models(self) -> tuple[FitScore, ...]:
-        """The models of all folds."""
-        return tuple(model for fold in sorted(self.folds) for model in self.folds[fold])
+    def fits(self) -> tuple[FitScore, ...]:
+        """The fits of all folds."""
+        return tuple(fit for fold in sorted(self.fits_by_fold) for fit in self.fits_by_fold[fold])
 
     @property
     def starts(self) -> tuple[str, ...]:
         """The starts that its models were scored from, first the one that judges."""
-        return tuple(dict.fromkeys(start for model in self.models for start in model.rmse))
+        return tuple(dict.fromkeys(start for fit in self.fits for start in fit.rmse))
 
     def rmse(self, folds: Iterable[int] | None = None, start: int | str = 0) -> dict[str, float]:
         """Mean over the seeds of every record's RMSE [rad or m].
@@ -75,10 +75,10 @@ class CandidateResult:
             start: of the free runs, by name, or by its place: 0 is the one that judges.
         """
         by_record: dict[str, list[float]] = {}
-        for fold in self.folds if folds is None else folds:
-            for model in self.folds[fold]:
-                name = list(model.rmse)[start] if isinstance(start, int) else start
-                for record, value in model.rmse.get(name, {}).items():
+        for fold in self.fits_by_fold if folds is None else folds:
+            for fit in self.fits_by_fold[fold]:
+                name = list(fit.rmse)[start] if isinstance(start, int) else start
+                for record, value in fit.rmse.get(name, {}).items():
                     by_record.setdefault(record, []).append(value)
         return {record: float(np.mean(values)) for record, values in by_record.items()}
 
@@ -129,7 +129,7 @@ def find_decisive_record(
 
 def shared_folds(results: Sequence[CandidateResult]) -> set[int] | None:
     """The folds that all of some candidates were scored on; None where there are none."""
-    return set.intersection(*(set(r.folds) for r in results)) or None if results else None
+    return set.intersection(*(set(r.fits_by_fold) for r in results)) or None if results else None
 
 
 def rank(results: Sequence[CandidateResult]) -> list[CandidateResult]:
@@ -140,9 +140,9 @@ def rank(results: Sequence[CandidateResult]) -> list[CandidateResult]:
     left does not take records away from the others. It comes before the best only where it is
     better by more than a standard error of the difference, on two records by several.
     """
-    scored = [r for r in results if r.folds]
-    most = max((len(r.folds) for r in scored), default=0)
-    longest = [r for r in scored if len(r.folds) == most]
+    scored = [r for r in results if r.fits_by_fold]
+    most = max((len(r.fits_by_fold) for r in scored), default=0)
+    longest = [r for r in scored if len(r.fits_by_fold) == most]
     shared = shared_folds(longest)
     means = {r.name: mean_and_error(r.rmse(shared).values())[0] for r in longest}
     finite = [r for r in longest if np.isfinite(means[r.name])]

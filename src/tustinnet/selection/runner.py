@@ -3,10 +3,9 @@
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from tustinnet.fitting.fit import MakeListener
 from tustinnet.fitting.listener import SILENT
 from tustinnet.selection.deadline import NEVER, Deadline
-from tustinnet.selection.jobs import Job, JobResult, RunContext, perform_jobs
+from tustinnet.selection.jobs import Job, JobResult, MakeJobListener, RunContext, perform_jobs
 
 
 class Executor(Protocol):
@@ -34,7 +33,7 @@ class InProcess:
 
     Args:
         context: records, folder, system, scoring.
-        make_listener: given a job, the `make_listener` of `perform_jobs`.
+        make_job_listener: given a job, the `make_listener` of `perform_jobs`.
         raises: whether an error in a job is raised; otherwise it is the job's result.
         together: whether jobs that could begin at the same time train as one program, each on its
             own fold; for runs in memory.
@@ -43,12 +42,12 @@ class InProcess:
     def __init__(
         self,
         context: RunContext,
-        make_listener: Callable[[Job], MakeListener] = lambda job: lambda prepared: SILENT,
+        make_job_listener: MakeJobListener = lambda job: lambda prepared: SILENT,
         *,
         raises: bool = False,
         together: bool = False,
     ) -> None:
-        self._context, self._make_listener = context, make_listener
+        self._context, self._make_job_listener = context, make_job_listener
         self._raises, self._together = raises, together
         self._waiting: list[Job] = []
         self._deadline = NEVER
@@ -71,7 +70,7 @@ class InProcess:
             jobs = [job for job in self._waiting if job.candidate == candidate]
             self._waiting = [job for job in self._waiting if job.candidate != candidate]
             self._results = perform_jobs(
-                jobs, self._context, self._make_listener(jobs[0]), self._deadline,
+                jobs, self._context, self._make_job_listener(jobs[0]), self._deadline,
                 raises=self._raises,
             )  # fmt: skip
         return self._results.pop(0)

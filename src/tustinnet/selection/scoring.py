@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Literal
 
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
@@ -10,10 +10,10 @@ from tustinnet.evaluate.scores import evaluate, rmse_by_record
 from tustinnet.models.contract import Model
 from tustinnet.selection.folds import FoldSplit, names_of, records_without_test
 from tustinnet.simulate.horizon import effective_horizon
-from tustinnet.simulate.starts import FIT_SAMPLES, default_start
+from tustinnet.simulate.starts import default_and_fitted_starts, default_start
 
 RmseByStart = dict[str, dict[str, float]]  # of records by start, the one that decides first
-_ALL = slice(None)
+WhichStarts = Literal["all", "deciding", "others"]
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class ScoringOptions:
         fit_horizon: float | None,
         split: FoldSplit,
         data: DataSet,
-        starts: slice = _ALL,
+        which: WhichStarts = "all",
     ) -> RmseByStart:
         """RMSE of the records that a fold leaves out, by start.
 
@@ -54,23 +54,32 @@ class ScoringOptions:
             fit_horizon: over how long its fit compared [s], None for whole records.
             split: the fold.
             data: all records.
-            starts: some of the starts.
+            which: the starts of the free runs: all, only the one that decides, or all others.
         """
-        records, horizon = self._runs(fit_horizon, split, data)
+        records, horizon = self._records(split, data), self.used_horizon(fit_horizon, split)
         result: RmseByStart = {}
-        for start in self.starts(model, data)[starts]:
+        starts = self.starts(model, data)
+        chosen = {"all": starts, "deciding": starts[:1], "others": starts[1:]}[which]
+        for start in chosen:
             rmse = rmse_by_record(evaluate(model, records, start, horizon=horizon))
             result[start] = {name: rmse[name] for name in names_of(split.scored)}
         return result
 
-    def _runs(
-        self, fit_horizon: float | None, split: FoldSplit, data: DataSet
-    ) -> tuple[Sequence[Experiment], float | None]:
-        """The records that are simulated, and over how long at most [s].
+    def used_horizon(self, fit_horizon: float | None, split: FoldSplit) -> float | None:
+        """The horizon over which a model's free runs are scored [s], None for whole records.
 
-        All records, whichever are scored, so that models that are alike share a program.
+        Args:
+            fit_horizon: over how long its fit compared [s], None for whole records.
+            split: the fold.
         """
-        return records_without_test(data), self.horizon
+        return self.horizon
+
+    def _records(self, split: FoldSplit, data: DataSet) -> Sequence[Experiment]:
+        """The records that are simulated.
+
+        Every record, whichever are scored, so that models that are alike share a program.
+        """
+        return records_without_test(data)
 
 
 @dataclass(frozen=True)
@@ -88,13 +97,15 @@ class RecipeScoring(ScoringOptions):
     def starts(self, model: Model, data: DataSet) -> tuple[str, ...]:
         """The starts of a model's free runs."""
         if not self.names:
-            return tuple(dict.fromkeys((default_start(list(data), model), f"model-{FIT_SAMPLES}")))
+            return default_and_fitted_starts(list(data), model)
         if self.warm_up and model.warm_up:
             return (default_start(list(data), model),)
         return self.names
 
-    def _runs(
-        self, fit_horizon: float | None, split: FoldSplit, data: DataSet
-    ) -> tuple[Sequence[Experiment], float | None]:
-        """The scored records, and the horizon of the fit where they are long enough [s]."""
-        return split.scored, effective_horizon(fit_horizon, split.scored)
+    def used_horizon(self, fit_horizon: float | None, split: FoldSplit) -> float | None:
+        """The horizon of the fit [s]; None for whole records, where no scored record is longer."""
+        return effective_horizon(fit_horizon, split.scored)
+
+    def _records(self, split: FoldSplit, data: DataSet) -> Sequence[Experiment]:
+        """The scored records."""
+        return split.scored

@@ -1,4 +1,4 @@
-"""The verb: the best model that records allow, from a plan and a budget."""
+"""Selection: tries a plan's candidates within a budget and writes the best model."""
 
 import json
 import math
@@ -12,7 +12,6 @@ import numpy as np
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.inspection import coordinate_timescales
 from tustinnet.errors import InputError, error_message
-from tustinnet.fitting.fit import MakeListener
 from tustinnet.fitting.listener import SILENT
 from tustinnet.fitting.task import resolve_system
 from tustinnet.selection.calibration import calibrate_on_folds
@@ -22,7 +21,7 @@ from tustinnet.selection.deadline import NEVER, Deadline
 from tustinnet.selection.final_models import Candidates, make_final_models
 from tustinnet.selection.folds import prepare_for_folds
 from tustinnet.selection.halving import NO_TIME, Halving
-from tustinnet.selection.jobs import NO_STAGE, SCORES, SPENT, Job, RunContext
+from tustinnet.selection.jobs import NO_STAGE, SCORES, SPENT, MakeJobListener, RunContext
 from tustinnet.selection.plan import USUAL, Candidate, SelectionPlan, read_plan
 from tustinnet.selection.ranking import CandidateResult, find_simplest, rank
 from tustinnet.selection.runner import InProcess, MakeExecutor
@@ -74,11 +73,11 @@ class Reporter:
 
     Attributes:
         on_message: with sentences on what happens.
-        make_listener: given a job, the `make_listener` of its fit.
+        make_job_listener: given a job, the `make_listener` of its fit.
     """
 
     on_message: Callable[[str], None] = lambda sentence: None
-    make_listener: Callable[[Job], MakeListener] = lambda job: lambda prepared: SILENT
+    make_job_listener: MakeJobListener = lambda job: lambda prepared: SILENT
 
 
 def select_model(
@@ -140,7 +139,7 @@ def select_model(
         reporter.on_message(note)
     with lock_folder(folder):
         _prepare_folder(context, earlier, _make_specification(plan, context))
-        make = executor or (lambda context: InProcess(context, reporter.make_listener))
+        make = executor or (lambda context: InProcess(context, reporter.make_job_listener))
         halving = Halving(plan, candidates, context, reporter.on_message, rounds_end, ending)
         remaining = halving.run(make(context))
         if halving.hopeless:
@@ -161,7 +160,7 @@ def select_model(
 def _with_horizon(context: RunContext, halving: Halving) -> tuple[RunContext, str]:
     """Scores over the shortest horizon that a fit chose, or a tenth of a record; and a note."""
     dt = context.data.channels.dt
-    chosen = [m.horizon for r in halving.results.values() for m in r.models if m.horizon]
+    chosen = [m.horizon for r in halving.results.values() for m in r.fits if m.horizon]
     usual = _TENTH * float(np.median([len(e) for e in context.data])) * dt
     shortest = _STARTS * start_named(context.scoring.start).samples * dt
     horizon = max(min(chosen, default=usual), shortest)
@@ -190,7 +189,7 @@ def _choose(
     best = rank(candidates.choosable)[0]
     simplest = find_simplest(candidates.choosable, best)
     models = make_final_models(
-        candidates, best, simplest, context, reporter.make_listener, deadline
+        candidates, best, simplest, context, reporter.make_job_listener, deadline
     )
     final = models[best.name]
     try:

@@ -1,4 +1,4 @@
-"""Starts of free runs: rules that find the state at a sample of a record from samples around it.
+"""Starts of free runs: rules that find the state in which a free run of a record begins.
 
 A start is one class here and one entry of `STARTS`: its name, the command's help and the list of
 starts in messages come from the class. This module is read for that help, and so it loads neither
@@ -31,7 +31,7 @@ _FEWEST_PARABOLA_SAMPLES = 3
 
 @dataclass(frozen=True)
 class Start(ABC):
-    """A rule that finds the state at a sample of a record.
+    """A rule that finds the state in which a free run begins, from a record's first samples.
 
     Attributes:
         form: its name, with `N` in the place of the number of samples.
@@ -70,9 +70,14 @@ class Start(ABC):
         return 0
 
     @property
-    def fitted_samples(self) -> int:
+    def needs_model(self) -> bool:
+        """Whether a model is needed to find the state."""
+        return True
+
+    @property
+    def seen_samples(self) -> int:
         """Samples that any model then simulates well, because the state was chosen for them."""
-        return 0
+        return self.samples if self.needs_model else 0
 
     @abstractmethod
     def start_data(self, model: Model, experiments: Sequence[Experiment]) -> Any:
@@ -117,6 +122,11 @@ class Start(ABC):
 
 class MeasuredStart(Start):
     """A start whose positions and velocities are read from the record, whatever the model is."""
+
+    @property
+    def needs_model(self) -> bool:
+        """No: the record is enough."""
+        return False
 
     def start_data(self, model: Model, experiments: Sequence[Experiment]) -> Numbers:
         """Positions and velocities where the runs begin, (records, 2 n_q)."""
@@ -184,11 +194,6 @@ class FittedStart(Start):
     usual_samples = FIT_SAMPLES
     summary = "state with which the model fits the first N samples best"
 
-    @property
-    def fitted_samples(self) -> int:
-        """All N samples."""
-        return self.samples
-
     def start_data(self, model: Model, experiments: Sequence[Experiment]) -> FirstSamples:
         """The first samples of records."""
         import numpy as np
@@ -235,11 +240,6 @@ class WarmUpStart(Start):
     def first(self) -> int:
         """The last of the N samples."""
         return self.samples - 1
-
-    @property
-    def fitted_samples(self) -> int:
-        """All N samples."""
-        return self.samples
 
     def start_data(self, model: Model, experiments: Sequence[Experiment]) -> Any:
         """Positions and velocities along the first N samples, and the inputs."""

@@ -41,6 +41,11 @@ def default_start(experiments: Sequence[Experiment], *models: Model) -> str:
     return (FittedStart if is_fast else DerivedStart).usual_name()
 
 
+def default_and_fitted_starts(experiments: Sequence[Experiment], *models: Model) -> tuple[str, ...]:
+    """The default start and the usual start that is fitted through the model, each once."""
+    return tuple(dict.fromkeys((default_start(experiments, *models), FittedStart.usual_name())))
+
+
 def start_states(
     model: Model, experiments: Sequence[Experiment], start: str | Start
 ) -> Float[np.ndarray, "records n_x"]:

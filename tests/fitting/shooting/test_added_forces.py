@@ -12,7 +12,7 @@ from swinging import CART, DT, SWING, TRUTH, changed, data_set, driven_again, fa
 import tustinnet as tn
 from tustinnet.families.hybrid import HybridModel
 from tustinnet.families.tustin_net import random_tustin_net
-from tustinnet.fitting.shooting.forces import with_added
+from tustinnet.fitting.shooting.added_forces import with_added
 from tustinnet.models.blocks import Scaling
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 

@@ -19,9 +19,9 @@ from swinging import (
 
 import tustinnet as tn
 from tustinnet.fitting.shooting.equation_error import (
+    collect_motion,
     estimate_by_equation_error,
     find_reversed_signs,
-    measure_motion,
 )
 from tustinnet.fitting.shooting.space import make_search_space
 
@@ -35,7 +35,7 @@ def reversed_record(e: tn.Experiment, *, angle: float = 1.0, volts: float = 1.0)
 
 
 def test_first_values_are_within_two_percent_on_clean_records():
-    vector, unexplained = estimate_by_equation_error(SWING, SPACE, START, measure_motion(records()))
+    vector, unexplained = estimate_by_equation_error(SWING, SPACE, START, collect_motion(records()))
     values = SPACE.to_values_in_range(vector)
     assert values == pytest.approx(TRUTH, rel=0.02)
     assert unexplained.shape == (4,)
@@ -45,7 +45,7 @@ def test_first_values_are_within_two_percent_on_clean_records():
 def test_first_values_are_within_a_few_percent_as_an_encoder_reads():
     read = [read_by_encoder(e) for e in records()]
     values = SPACE.to_values_in_range(
-        estimate_by_equation_error(SWING, SPACE, START, measure_motion(read))[0]
+        estimate_by_equation_error(SWING, SPACE, START, collect_motion(read))[0]
     )
     assert values == pytest.approx(TRUTH, rel=0.05)
 
@@ -54,7 +54,7 @@ def test_first_values_keep_to_the_box():
     narrow = changed("gravity", lower=2.0, upper=4.0, nominal=3.0)
     space = make_search_space(narrow, {}, {})
     vector, _ = estimate_by_equation_error(
-        narrow, space, space.to_vector(narrow.nominal()), measure_motion(records())
+        narrow, space, space.to_vector(narrow.nominal()), collect_motion(records())
     )
     assert space.active_bounds(vector)["gravity"] == "lower"
 
@@ -64,16 +64,16 @@ def test_first_values_follow_inputs_on_straight_lines():
     smooth = np.convolve(voltage(230, 3), np.ones(31) / 8, "valid")
     e = simulated("ramps", [0.1, 0.0], smooth, system=ramped)
     values = SPACE.to_values_in_range(
-        estimate_by_equation_error(ramped, SPACE, START, measure_motion([e]))[0]
+        estimate_by_equation_error(ramped, SPACE, START, collect_motion([e]))[0]
     )
     assert values == pytest.approx(TRUTH, rel=0.05)
 
 
 def test_windows_lie_within_their_records():
-    motion = measure_motion(records())
+    motion = collect_motion(records())
     ends = np.cumsum([len(e) for e in records()])
     of_begin = np.searchsorted(ends, motion.window_begins, side="right")
-    of_end = np.searchsorted(ends, motion.window_begins + motion.window_length - 1, side="right")
+    of_end = np.searchsorted(ends, motion.window_begins + motion.quarter_swing - 1, side="right")
     np.testing.assert_array_equal(of_begin, of_end)
     assert set(of_begin) == {0, 1, 2, 3}
     assert len(motion.q) == len(motion.v) == len(motion.u) == 760
@@ -82,12 +82,12 @@ def test_windows_lie_within_their_records():
 def test_a_window_is_a_quarter_of_a_swing():
     period = 2 * np.pi * np.sqrt(TRUTH["inertia"] / TRUTH["gravity"])  # of small swings
     small = simulated("small", [0.6, 0.0], np.zeros(200))
-    assert measure_motion([small]).window_length == pytest.approx(period / 4 / small.dt, abs=2)
+    assert collect_motion([small]).quarter_swing == pytest.approx(period / 4 / small.dt, abs=2)
 
 
 def test_what_is_left_is_a_share_of_each_records_change_of_momentum():
     """Reversed, the voltage explains what it did not do: only the records that it moved suffer."""
-    motion = measure_motion([reversed_record(e, volts=-1.0) for e in records()])
+    motion = collect_motion([reversed_record(e, volts=-1.0) for e in records()])
     unexplained = estimate_by_equation_error(SWING, SPACE, START, motion)[1]
     assert unexplained[:2].max() < 1e-3
     assert 0.1 < unexplained[2:].min() < unexplained.max() < 1.0
@@ -99,7 +99,7 @@ def test_what_is_left_is_a_share_of_each_records_change_of_momentum():
 )
 def test_a_reversed_sign_is_named(signs, expected):
     for experiments in (records(), list(noises())):
-        motion = measure_motion([reversed_record(e, **signs) for e in experiments])
+        motion = collect_motion([reversed_record(e, **signs) for e in experiments])
         assert find_reversed_signs(SWING, SPACE, START, motion) == expected
 
 
@@ -107,5 +107,5 @@ def test_a_symmetric_system_has_alternatives():
     """Without its tilt the pendulum moves alike when both signs are reversed."""
     level = replace(SWING, potential=lambda q, p: -p["gravity"] * jnp.cos(q[0]))
     experiments = [simulated(f"e{i}", [1.0, 0.0], voltage(200, i), system=level) for i in range(2)]
-    motion = measure_motion([reversed_record(e, volts=-1.0) for e in experiments])
+    motion = collect_motion([reversed_record(e, volts=-1.0) for e in experiments])
     assert find_reversed_signs(level, SPACE, START, motion) == (("angle",), ("voltage",))

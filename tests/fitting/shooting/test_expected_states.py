@@ -9,9 +9,8 @@ from swinging import DT, TURNED, data_set, read_by_encoder, simulated, swing_mod
 import tustinnet as tn
 from tustinnet.fitting.recipe import SearchRecipe
 from tustinnet.fitting.residual import Residual
-from tustinnet.fitting.shooting.least_squares import CostFunction
 from tustinnet.fitting.shooting.normal import NormalProducts, compute_products
-from tustinnet.fitting.shooting.problem import Problem, SearchState, make_prior
+from tustinnet.fitting.shooting.problem import Problem, SearchState, make_cost_function
 from tustinnet.fitting.shooting.segments import CutOptions, cut_records
 from tustinnet.fitting.shooting.space import make_search_space
 
@@ -89,6 +88,6 @@ def test_a_state_that_is_given_is_not_added_to():
     whole = np.array([[2.0, 0.0, 0.4], [-1.5, 1.0, 0.1], [1.0, -0.5, 0.0]])
     fixed = pieces.with_fixed_states(whole)
     added = replace(pieces, x0=whole - [0, 0, 1] * (0.6 * whole[:, :1]), is_free=fixed.is_free)
-    cost = CostFunction(TURNED, problem.residual, SPACE, fixed, make_prior(problem, state), 2)
+    cost = make_cost_function(problem, state, fixed, 2)
     same = products(VECTOR, added.x0, added).cost
     np.testing.assert_allclose(cost.products(VECTOR, whole).cost, same, rtol=1e-9)

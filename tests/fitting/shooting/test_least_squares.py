@@ -13,17 +13,16 @@ from tustinnet.fitting.shooting.least_squares import (
     OnStep,
     Prior,
     StoppingRule,
-    eliminate_initial_states,
     minimise,
 )
-from tustinnet.fitting.shooting.normal import compute_products
+from tustinnet.fitting.shooting.normal import compute_products, eliminate_initial_states
 from tustinnet.fitting.shooting.segments import CutOptions, Segments, cut_records
 from tustinnet.fitting.shooting.space import make_search_space
 from tustinnet.models.lagrangian import LagrangianSystem
 
 SPACE = make_search_space(SWING, {}, {})
 POSITION = Residual((False,), (1.0,))
-NO_PRIOR = Prior(np.zeros(3), np.zeros(3), 1e-10, 0.0)
+NO_PRIOR = Prior(np.zeros(3), np.zeros(3), 0.0)
 SEARCHED_TRUTH = {name: TRUTH[name] for name in SPACE.names}
 
 
@@ -38,6 +37,7 @@ def search(
     pieces: Segments,
     *,
     prior: Prior = NO_PRIOR,
+    anchor_variance: float = 1e-10,
     system: LagrangianSystem = SWING,
     tolerance: float = 1e-9,
     iterations: int = 60,
@@ -45,7 +45,7 @@ def search(
 ) -> LeastSquaresResult:
     space = make_search_space(system, {}, {})
     vector = space.to_vector(system.nominal() | values)
-    cost = CostFunction(system, POSITION, space, pieces, prior, substeps=1)
+    cost = CostFunction(system, POSITION, space, pieces, prior, anchor_variance, substeps=1)
     return minimise(cost, vector, StoppingRule(tolerance, iterations), on_step)
 
 
@@ -118,7 +118,7 @@ def test_eliminating_the_initial_states_gives_the_whole_gauss_newton_step():
 
 
 def test_states_that_are_given_do_not_move():
-    how = CutOptions(POSITION, start="file", timestamps=False)
+    how = CutOptions(POSITION, initial_treatment="file", timestamps=False)
     pieces = cut_records(records(), tn.discretise(swing_model(), DT), how)
     fitted = search({"gravity": 1.4}, pieces)
     np.testing.assert_array_equal(fitted.x0, pieces.x0)
@@ -131,16 +131,13 @@ def test_the_limit_of_iterations_is_told():
 
 def test_what_was_measured_holds_the_initial_positions():
     pieces = segments(None, noise=0.02)
-    loose, tight = (
-        search({}, pieces, prior=Prior(np.zeros(3), np.zeros(3), variance, 0.0))
-        for variance in (1e-10, 1e3)
-    )
+    loose, tight = (search({}, pieces, anchor_variance=variance) for variance in (1e-10, 1e3))
     moved = [np.abs(f.x0 - pieces.x0)[:, 0].max() for f in (loose, tight)]
     assert moved[1] < 1e-4 < 1e-3 < moved[0]
 
 
 def test_a_strong_prior_decides():
     pieces = segments(None)
-    prior = Prior(np.array([0.0, 3.0, 0.0]), np.array([0.0, 1 / 0.01, 0.0]), 1e-6, 1e3)
-    fitted = search({}, pieces, prior=prior)
+    prior = Prior(np.array([0.0, 3.0, 0.0]), np.array([0.0, 1 / 0.01, 0.0]), 1e3)
+    fitted = search({}, pieces, prior=prior, anchor_variance=1e-6)
     assert SPACE.to_values_in_range(fitted.vector)["gravity"] == pytest.approx(3.0, abs=0.05)

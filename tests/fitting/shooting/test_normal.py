@@ -163,7 +163,9 @@ def test_the_truth_leaves_no_error(pieces):
     e = simulated("e", [1.0, 0.0, 0.0], voltage(60, 4), {"stiffness": 0.8}, CREEPING)
     model = tn.discretise(swing_model(system=CREEPING), DT)
     s = cut_records(
-        [e], model, CutOptions(Residual((False,), (1.0,)), start="file", timestamps=False)
+        [e],
+        model,
+        CutOptions(Residual((False,), (1.0,)), initial_treatment="file", timestamps=False),
     )
     truth = SPACE.to_vector(CREEPING.nominal() | TRUTH | {"stiffness": 0.8})
     actual = products(truth, s.x0, s, 8)

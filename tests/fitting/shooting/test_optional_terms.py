@@ -1,5 +1,7 @@
 """Which optional terms a system needs."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ from swinging import (
 
 import tustinnet as tn
 from tustinnet.families.euler_lagrange import EulerLagrangeFamily, EulerLagrangeHyper
-from tustinnet.fitting.shooting.forces import with_added
+from tustinnet.fitting.shooting.added_forces import with_added
 from tustinnet.models.lagrangian import LagrangianModel, Parameter
 
 PULL = TRUTH["gravity"] / TRUTH["inertia"]  # 1/s^2
@@ -37,6 +39,17 @@ def test_a_mechanism_is_found_from_its_records_alone(result):
     assert values["angle.by_voltage"] == pytest.approx(TRUTH["gain"] / TRUTH["inertia"], rel=0.01)
     assert values["angle.viscous"] == pytest.approx(TRUTH["damping"] / TRUTH["inertia"], rel=0.03)
     assert not {"angle.cubic", "angle.quadratic", "angle.spring", "angle.pull"} & values.keys()
+
+
+def test_a_mechanism_takes_signs_as_they_are(result):
+    reversed_records = [replace(read_by_encoder(e), u=-e.u) for e in records()]
+    other = tn.identify(data_set(reversed_records), "mechanism", "mechanism")
+    assert other.reversed_signs == result.reversed_signs == ()
+    model, reversed_model = result.model.continuous, other.model.continuous
+    assert isinstance(model, LagrangianModel)
+    assert isinstance(reversed_model, LagrangianModel)
+    gain, reversed_gain = (float(m.values["angle.by_voltage"]) for m in (model, reversed_model))
+    assert reversed_gain == pytest.approx(-gain, rel=1e-3)
 
 
 def test_it_says_which_terms_it_kept(result):
@@ -73,6 +86,7 @@ def test_terms_of_a_system_of_ones_own_may_be_optional_too():
     )  # fmt: skip
     data = data_set([read_by_encoder(e) for e in records()])
     result = tn.identify(data, system, "grey")
+    assert result.reversed_signs == ()
     assert {"offset", "twice"}.isdisjoint(e.name for e in result.estimates)
     assert any("0 of 2 kept (none)" in f for f in result.findings)
     assert result.system.optional == ()
@@ -93,6 +107,17 @@ def offering(*parameters: Parameter) -> tn.LagrangianSystem:
         lambda q, p: -p["gravity"] * jnp.cos(q[0] - TILT) + p.get("spring", 0.0) * q[0] ** 2 / 2,
         base.dissipation, base.input_map,
     )  # fmt: skip
+
+
+def test_a_reversed_sign_is_looked_for_where_terms_are_optional():
+    spring = Parameter("spring", "N m/rad", 0.0, -5.0, 5.0, optional=True)
+    system = replace(SWING, parameters=(*SWING.parameters, spring))
+    reversed_records = [replace(read_by_encoder(e), u=-e.u) for e in records()]
+    result = tn.identify(data_set(reversed_records), system, "grey")
+    assert any(f.startswith("optional terms") for f in result.findings)
+    assert result.reversed_signs == (("voltage",),)
+    assert not result.sound
+    assert any("sign of 'voltage' is probably reversed" in f for f in result.findings)
 
 
 def test_what_is_kept_brings_forces_which_a_file_keeps(tmp_path):

@@ -16,8 +16,7 @@ def cut_into(
     length: int | None,
     experiments: list[tn.Experiment] | None = None,
     *,
-    start: str = "estimated",
-    anchored: bool = True,
+    initial_treatment: str = "anchored",
     units: tuple[float, ...] = (1.0,),
     timestamps: bool = False,
     model: tn.LagrangianModel | None = None,
@@ -26,7 +25,7 @@ def cut_into(
     return cut_records(
         records() if experiments is None else experiments,
         tn.discretise(model or swing_model(), DT),
-        CutOptions(residual, length, start, anchored, timestamps),
+        CutOptions(residual, length, initial_treatment, timestamps),
     )
 
 
@@ -76,7 +75,7 @@ def test_a_records_first_state_is_the_parabolas_or_the_named_one():
     estimated = cut_into(None, [first, noise])
     np.testing.assert_allclose(estimated.x0[0], initial_state(first, "derived-6"))
     assert estimated.is_free.all()
-    named = cut_into(50, [first, noise], start="file")
+    named = cut_into(50, [first, noise], initial_treatment="file")
     np.testing.assert_array_equal(named.x0[0], [2.5, 0.0])
     begins = np.diff(named.record, prepend=-1) != 0
     assert not named.is_free[begins].any()
@@ -87,8 +86,8 @@ def test_only_measured_positions_hold_the_states_that_are_searched_for():
     s = cut_into(40)
     assert (s.precision[:, 0] > 0).all()
     assert not s.precision[:, 1].any()
-    assert not cut_into(40, anchored=False).precision.any()
-    named = cut_into(None, start="file")
+    assert not cut_into(40, initial_treatment="unanchored").precision.any()
+    named = cut_into(None, initial_treatment="file")
     assert not named.precision.any()
 
 

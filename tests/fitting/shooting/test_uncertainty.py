@@ -32,8 +32,8 @@ def fitted_to(experiments: list[tn.Experiment]) -> tuple[Segments, LeastSquaresR
     """Whole records and the parameters that fit them."""
     model = tn.discretise(swing_model(), DT)
     pieces = cut_records(experiments, model, CutOptions(POSITION, timestamps=False))
-    nothing = Prior(np.zeros(3), np.zeros(3), 0.0, 0.0)
-    cost = CostFunction(SWING, POSITION, SPACE, pieces, nothing, substeps=1)
+    nothing = Prior(np.zeros(3), np.zeros(3), 0.0)
+    cost = CostFunction(SWING, POSITION, SPACE, pieces, nothing, anchor_variance=0.0, substeps=1)
     return pieces, minimise(cost, SPACE.to_vector(TRUTH), StoppingRule(1e-6, 20))
 
 

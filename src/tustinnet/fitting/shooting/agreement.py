@@ -14,11 +14,8 @@ from jaxtyping import Float
 
 from tustinnet.fitting.report import Disagreement, Side
 from tustinnet.fitting.residual import TO_DEVIATION
-from tustinnet.fitting.shooting.least_squares import (
-    StoppingRule,
-    eliminate_initial_states,
-    minimise,
-)
+from tustinnet.fitting.shooting.least_squares import StoppingRule, minimise
+from tustinnet.fitting.shooting.normal import eliminate_initial_states
 from tustinnet.fitting.shooting.problem import Problem, SearchState, make_cost_function
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.fitting.shooting.uncertainty import (

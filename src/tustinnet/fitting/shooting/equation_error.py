@@ -2,7 +2,7 @@
 
 Nothing is simulated: the balance of momentum along the measured motion is integrated over short
 windows, and the parameters are those that leave least of it. The estimate is where a search by
-simulation starts. `measure_motion` takes the records, `estimate_by_equation_error` returns the
+simulation starts. `collect_motion` takes the records, `estimate_by_equation_error` returns the
 parameters, and `find_reversed_signs` the signs that are probably wrong.
 """
 
@@ -18,6 +18,7 @@ from jaxtyping import Float, Int
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.engine.runs import evaluate
+from tustinnet.fitting.report import SignAlternatives
 from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.models.lagrangian import LagrangianSystem
@@ -41,7 +42,8 @@ class MeasuredMotion:
             (n, n_g).
         window_begins: first sample of every window, (n_w,).
         window_records: index of the record each window is of, (n_w,).
-        window_length: samples of a window: a quarter of a swing.
+        quarter_swing: samples of a quarter of a swing, or of the shortest record; every window
+            has so many.
         dt: sampling period [s].
     """
 
@@ -51,7 +53,7 @@ class MeasuredMotion:
     group_indices: Int[np.ndarray, "n n_g"]
     window_begins: Int[np.ndarray, " n_w"]
     window_records: Int[np.ndarray, " n_w"]
-    window_length: int
+    quarter_swing: int
     dt: float
 
 
@@ -68,10 +70,10 @@ class EquationErrorEstimate(NamedTuple):
     unexplained: Float[np.ndarray, " n_r"]
 
 
-def measure_motion(
+def collect_motion(
     experiments: Sequence[Experiment], group_indices: Int[np.ndarray, "n_r n_g"] | None = None
 ) -> MeasuredMotion:
-    """Takes positions, velocities and inputs of records, and windows of a quarter of a swing.
+    """Collects positions, velocities and inputs of records, and windows of a quarter of a swing.
 
     Args:
         experiments: the records.
@@ -98,7 +100,7 @@ def measure_motion(
         group_indices=np.repeat(group_indices, [len(e) for e in experiments], axis=0),
         window_begins=np.array(begins),
         window_records=np.array(record),
-        window_length=length,
+        quarter_swing=length,
         dt=experiments[0].dt,
     )
 
@@ -122,7 +124,7 @@ def estimate_by_equation_error(
         Atkeson, An, Hollerbach (1986), Estimation of inertial parameters of manipulator loads
         and links (linear least squares). Preisig, Rippin (1993), modulating functions.
     """
-    length = motion.window_length
+    length = motion.quarter_swing
     s = np.linspace(-1, 1, length)
     bump = (1 - s**2) ** 3
     bump_rate = -6 * s * (1 - s**2) ** 2 * 2 / ((length - 1) * motion.dt)
@@ -201,7 +203,7 @@ def _window_sums(
 
 def find_reversed_signs(
     system: LagrangianSystem, space: SearchSpace, vector: ParameterVector, motion: MeasuredMotion
-) -> tuple[tuple[str, ...], ...]:
+) -> SignAlternatives:
     """Coordinates or inputs whose sign explains the motion clearly better when it is reversed.
 
     Args:

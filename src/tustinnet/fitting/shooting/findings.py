@@ -10,7 +10,13 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
-from tustinnet.fitting.report import OUT_OF_TIME, Disagreement, Estimate, Stretch
+from tustinnet.fitting.report import (
+    OUT_OF_TIME,
+    Disagreement,
+    Estimate,
+    SignAlternatives,
+    Stretch,
+)
 from tustinnet.fitting.shooting.problem import SearchState
 from tustinnet.fitting.shooting.uncertainty import Uncertainty
 
@@ -75,7 +81,7 @@ def describe_stop(state: SearchState) -> str:
     )
 
 
-def describe_signs(reversed_signs: Sequence[tuple[str, ...]]) -> list[str]:
+def describe_signs(reversed_signs: SignAlternatives) -> list[str]:
     """Sentence on coordinates and inputs whose sign is probably reversed."""
     if not reversed_signs:
         return []

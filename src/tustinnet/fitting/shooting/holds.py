@@ -1,8 +1,7 @@
 """Holds of inputs that the data card calls unknown: the search is done for every hold.
 
-A hold is what an input does between two samples. `search_over_holds` is the whole search of an
-identification: it drops the optional terms that are not needed, runs the stages, and chooses the
-holds by the cost over the training records.
+A hold is what an input does between two samples. `search_over_holds` runs the stages of the
+search, the final one for every hold, and chooses the holds by the cost over the training records.
 """
 
 from dataclasses import replace
@@ -10,7 +9,6 @@ from typing import get_args
 
 import numpy as np
 
-from tustinnet.fitting.shooting.optional_terms import drop_unneeded_terms
 from tustinnet.fitting.shooting.problem import Problem, SearchState
 from tustinnet.fitting.shooting.stages import choose_substeps, run_final_stage, search
 from tustinnet.signals.excitation import HALF, DeclaredHold
@@ -28,8 +26,9 @@ def search_over_holds(problem: Problem, state: SearchState) -> tuple[Problem, Se
     whose final stage was finished.
 
     Returns:
-        The problem with the chosen holds and without optional terms that are not needed, and the
-        state after the final stage. Its remarks have the simulation error of every hold.
+        The problem with the chosen holds, and the state after the final stage. Its remarks have
+        the simulation error of every hold. A state that is stopped already stays as it is but for
+        its remarks.
     """
     unknown = _unknown_holds(problem)
     others: list[DeclaredHold] = []
@@ -37,7 +36,7 @@ def search_over_holds(problem: Problem, state: SearchState) -> tuple[Problem, Se
         is_short = min(map(len, (*problem.records, *problem.validation))) <= HALF
         left_out = (_FIRST, "band-limited") if is_short else (_FIRST,)
         others = [hold for hold in get_args(DeclaredHold) if hold not in left_out]
-    assumed, state = drop_unneeded_terms(with_assumed_hold(problem), state)
+    assumed = with_assumed_hold(problem)
     if not state.is_stopped:
         has_refit = problem.refit_start is not None
         state = search(assumed, state, later_stages=len(others) + has_refit)
@@ -47,13 +46,12 @@ def search_over_holds(problem: Problem, state: SearchState) -> tuple[Problem, Se
     if state.is_stopped:
         remark = f"hold of {channel_names}: not searched for before the time limit; {_FIRST} taken"
         return assumed, replace(state, remarks=(*state.remarks, remark))
-    problem = replace(problem, system=assumed.system)
     trials = {_FIRST: (assumed, state)}
     finished, is_stopped = state.finished_stages, False
     for hold in others:
         other = _with_hold(problem, hold)
         other_state = replace(choose_substeps(other, state), finished_stages=finished)
-        other_state = run_final_stage(other, other_state, state.initial)
+        other_state = run_final_stage(other, other_state, state.initial_treatment)
         if other_state.is_stopped:
             is_stopped = True
             break

@@ -14,22 +14,27 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.data.inspection import transient_end
 from tustinnet.errors import InputError
 from tustinnet.fitting.listener import Iteration, Listener
+from tustinnet.fitting.recipe import IdentificationRecipe
 from tustinnet.fitting.recipe_reading import read_recipe
-from tustinnet.fitting.report import FitResult, Identification
+from tustinnet.fitting.report import FitResult, Identification, SignAlternatives
+from tustinnet.fitting.shooting.added_forces import with_added
 from tustinnet.fitting.shooting.checks import (
     require_finite_terms,
     require_mass_matrix,
     require_refit_possible,
 )
-from tustinnet.fitting.shooting.equation_error import find_reversed_signs
-from tustinnet.fitting.shooting.forces import with_added
+from tustinnet.fitting.shooting.equation_error import (
+    estimate_by_equation_error,
+    find_reversed_signs,
+)
 from tustinnet.fitting.shooting.groups import expand_values
 from tustinnet.fitting.shooting.holds import search_over_holds, with_assumed_hold
 from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
+from tustinnet.fitting.shooting.optional_terms import drop_unneeded_terms
 from tustinnet.fitting.shooting.problem import Problem, SearchState
 from tustinnet.fitting.shooting.refit import refit_to_free_runs
 from tustinnet.fitting.shooting.results import make_identification
-from tustinnet.fitting.shooting.sensors import sensor_parameters
+from tustinnet.fitting.shooting.sensor_errors import sensor_parameters
 from tustinnet.fitting.shooting.space import make_search_space
 from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task
 from tustinnet.models.contract import require_float64
@@ -117,6 +122,44 @@ def identify_task(
     """
     require_float64("identify")
     start_time = time.perf_counter()
+    problem = _make_problem(task, member, listener, should_stop)
+    initial_state = _make_initial_state(problem, task.identification_recipe)
+    kept, state = drop_unneeded_terms(with_assumed_hold(problem), initial_state)
+    problem, state = search_over_holds(replace(problem, system=kept.system), state)
+    if state.result is None:
+        raise UnfinishedSearchError(
+            f"identification of '{problem.system.name}'",
+            "stopped at its time limit before a stage was finished",
+            "time for the first stage", "allow more",
+        )  # fmt: skip
+    reversed_signs = _find_suspect_signs(task, problem, initial_state, state)
+    refit_result = refit_to_free_runs(problem, state)
+    identification = make_identification(problem, state, reversed_signs, refit_result)
+    identification = replace(identification, seconds=time.perf_counter() - start_time)
+    return FitResult(
+        model=identification.model,
+        recipe=task.recipe,
+        member=member,
+        outcome=identification.outcome,
+        sound=identification.sound,
+        start=identification.start,
+        validation_rmse=identification.validation_rmse,
+        seconds=identification.seconds,
+        details={"identification": identification.as_plain()},
+        findings=identification.findings,
+        identification=identification,
+        horizon=identification.horizon,
+    )
+
+
+def _make_problem(
+    task: Task, member: Member, listener: Listener, should_stop: ShouldStopSearch
+) -> Problem:
+    """The problem of a task: its system with what the recipe adds, and the records to use.
+
+    Raises:
+        InputError: records of another system, none that moves, or an addition that is refused.
+    """
     recipe, roles = task.identification_recipe, task.folds[member.fold].roles
     system = task.system
     assert system is not None
@@ -141,7 +184,7 @@ def identify_task(
     system = with_sensor_errors(system, free_sensors)
 
     inputs = with_delays(records[0].inputs, {})  # unknown delays are searched for from 0 on
-    problem = Problem(
+    return Problem(
         system=system,
         records=tuple(e.with_timing(inputs) for e in records),
         validation=tuple(e.with_timing(inputs) for e in roles.validation),
@@ -149,53 +192,54 @@ def identify_task(
         listener=listener,
         should_stop=should_stop,
     )
-    require_refit_possible(with_assumed_hold(problem))
 
-    # the search space and the initial values
-    nominal = {p.name: p.nominal for p in problem.parameters}
-    initial_values = expand_values(system, problem.parameters, begin)
+
+def _make_initial_state(problem: Problem, recipe: IdentificationRecipe) -> SearchState:
+    """The state before the first stage: the search space and the initial values of the recipe.
+
+    Raises:
+        InputError: a value outside its range, or with which the records cannot be simulated.
+    """
+    require_refit_possible(with_assumed_hold(problem))
+    system, parameters = problem.system, problem.parameters
+    nominal = {p.name: p.nominal for p in parameters}
+    initial_values = expand_values(system, parameters, recipe.model.begin)
     fixed_values = {
         name: nominal[name] if isinstance(x, str) else x
-        for name, x in expand_values(system, problem.parameters, fixed).items()
+        for name, x in expand_values(system, parameters, recipe.model.fixed).items()
     }
-    space = make_search_space(system, initial_values, fixed_values, problem.parameters)
-    initial_vector = space.clip(space.to_vector(nominal | initial_values))
-    values = {
-        name: jnp.asarray(x, jnp.float64) for name, x in space.to_values(initial_vector).items()
-    }
-    for model, rows in batches(system.model(values), records):
-        batch = [records[i] for i in rows]
+    space = make_search_space(system, initial_values, fixed_values, parameters)
+    vector = space.clip(space.to_vector(nominal | initial_values))
+    values = {name: jnp.asarray(x, jnp.float64) for name, x in space.to_values(vector).items()}
+    for model, rows in batches(system.model(values), problem.records):
+        batch = [problem.records[i] for i in rows]
         require_mass_matrix(model, batch)
         require_finite_terms(model, batch)
+    return SearchState(space, vector, horizons=problem.recipe_horizons or {})
 
-    state = SearchState(space, initial_vector, horizons=problem.recipe_horizons or {})
-    problem, state = search_over_holds(problem, state)
-    if state.result is None:
-        raise UnfinishedSearchError(
-            f"identification of '{system.name}'",
-            "stopped at its time limit before a stage was finished",
-            "time for the first stage", "allow more",
-        )  # fmt: skip
-    reversed_signs: tuple[tuple[str, ...], ...] = ()
-    if state.unexplained > _POORLY_EXPLAINED:
-        initial_values = space.to_values_in_range(initial_vector)
-        vector = state.space.to_vector(initial_values)
-        reversed_signs = find_reversed_signs(problem.system, state.space, vector, problem.motion)
-    identification = make_identification(problem, state, reversed_signs)
-    if problem.refit_start:
-        identification = refit_to_free_runs(problem, state, problem.refit_start, identification)
-    identification = replace(identification, seconds=time.perf_counter() - start_time)
-    return FitResult(
-        model=identification.model,
-        recipe=task.recipe,
-        member=member,
-        outcome=identification.outcome,
-        sound=identification.sound,
-        start=identification.start,
-        validation_rmse=identification.validation_rmse,
-        seconds=identification.seconds,
-        details={"identification": identification.as_plain()},
-        findings=identification.findings,
-        identification=identification,
-        horizon=identification.horizon,
-    )
+
+def _find_suspect_signs(
+    task: Task, problem: Problem, initial_state: SearchState, state: SearchState
+) -> SignAlternatives:
+    """Signs that are probably reversed, where the equations of motion explain the records poorly.
+
+    A search whose first values are not an equation-error estimate gets one for that, unless it was
+    stopped, or the system was made for the records: its optional terms may have either sign.
+
+    Args:
+        task: the task.
+        problem: the problem.
+        initial_state: the state before the search, from whose values signs are reversed.
+        state: the state after it.
+    """
+    # parameters of forces that optional terms brought are not among the initial ones
+    values = state.space.to_values_in_range(state.vector)
+    values |= initial_state.space.to_values_in_range(initial_state.vector)
+    vector = state.space.to_vector(values)
+    unexplained = state.worst_unexplained
+    if unexplained is None and not (state.is_stopped or isinstance(task.system, SystemTemplate)):
+        estimate = estimate_by_equation_error(problem.system, state.space, vector, problem.motion)
+        unexplained = float(estimate.unexplained.max())
+    if unexplained is None or unexplained <= _POORLY_EXPLAINED:
+        return ()
+    return find_reversed_signs(problem.system, state.space, vector, problem.motion)

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from tustinnet.data.experiment import Experiment
 from tustinnet.fitting.recipe import SearchRecipe
 from tustinnet.fitting.shooting.groups import expand_parameters_by_values, group_indices
-from tustinnet.fitting.shooting.least_squares import add_anchors, eliminate_initial_states
+from tustinnet.fitting.shooting.normal import add_anchors, eliminate_initial_states
 from tustinnet.fitting.shooting.problem import Problem
 from tustinnet.fitting.shooting.space import SearchSpace, make_search_space
 from tustinnet.models.lagrangian import LagrangianSystem

@@ -5,7 +5,7 @@
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +19,12 @@ from tustinnet.fitting.shooting.levenberg_marquardt import (
     iterate,
     never_stop_search,
 )
-from tustinnet.fitting.shooting.normal import NormalProducts, compute_products
+from tustinnet.fitting.shooting.normal import (
+    NormalProducts,
+    add_anchors,
+    compute_products,
+    eliminate_initial_states,
+)
 from tustinnet.fitting.shooting.segments import Segments
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.models.lagrangian import LagrangianSystem
@@ -48,14 +53,11 @@ class Prior:
     Attributes:
         centre: expected values, (n_p,).
         precision: 1 / deviation, 0 where nothing is known, (n_p,).
-        variance: mean squared residual, which makes anchors of initial states comparable with the
-            cost.
         weight: what a squared, normalised deviation adds to the cost.
     """
 
     centre: Float[np.ndarray, " n_p"]
     precision: Float[np.ndarray, " n_p"]
-    variance: float
     weight: float
 
     def cost(self, space: SearchSpace, vector: ParameterVector) -> float:
@@ -86,6 +88,8 @@ class CostFunction:
         space: the search space.
         segments: the segments to simulate.
         prior: what is known of parameters beforehand.
+        anchor_variance: mean squared residual, which makes anchors of initial states comparable
+            with the cost.
         substeps: integration steps in a sampling period.
     """
 
@@ -94,6 +98,7 @@ class CostFunction:
     space: SearchSpace
     segments: Segments
     prior: Prior
+    anchor_variance: float
     substeps: int
 
     def products(self, vector: ParameterVector, x0: Float[np.ndarray, "n_s n_x"]) -> NormalProducts:
@@ -101,7 +106,7 @@ class CostFunction:
         products = compute_products(
             self.system, self.residual, self.space, vector, x0, self.segments, self.substeps
         )
-        return add_anchors(products, self.segments, x0, self.prior.variance)
+        return add_anchors(products, self.segments, x0, self.anchor_variance)
 
 
 @dataclass(frozen=True)
@@ -250,51 +255,4 @@ def _damped_step(cost: CostFunction, point: _SearchPoint, damping: float) -> _St
         step,
         reduced.state_step + reduced.state_step_by_parameters @ step,
         float(decrease + decrease_by_states),
-    )
-
-
-class ReducedProducts(NamedTuple):
-    """Normal equations of the parameters alone, segment by segment, initial states eliminated.
-
-    Attributes:
-        matrices: Schur complements, (n_s, n_p, n_p).
-        gradients: reduced gradients, (n_s, n_p).
-        state_step: step of the initial states where the parameters stay, (n_s, n_x).
-        state_step_by_parameters: what the parameters' step adds to it, (n_s, n_x, n_p).
-    """
-
-    matrices: Float[np.ndarray, "n_s n_p n_p"]
-    gradients: Float[np.ndarray, "n_s n_p"]
-    state_step: Float[np.ndarray, "n_s n_x"]
-    state_step_by_parameters: Float[np.ndarray, "n_s n_x n_p"]
-
-
-def eliminate_initial_states(products: NormalProducts, damping: float = 0.0) -> ReducedProducts:
-    """Eliminates every segment's initial state from the normal equations (Schur complement)."""
-    diagonal = np.einsum("sii->si", products.xx)
-    added = np.where(diagonal > 0, damping * diagonal, 1.0)  # 1: states that are not searched for
-    inner = products.xx + np.einsum("si,ij->sij", added, np.eye(diagonal.shape[1]))
-    # a state that no residual depends on any more must not make the block singular
-    inner += 1e-13 * np.einsum("si,ij->sij", diagonal, np.eye(diagonal.shape[1]))
-    state_step = -np.linalg.solve(inner, products.gx[:, :, None])[:, :, 0]
-    by_parameters = -np.linalg.solve(inner, np.swapaxes(products.px, 1, 2))
-    return ReducedProducts(
-        matrices=products.pp + products.px @ by_parameters,
-        gradients=products.gp + np.einsum("spx,sx->sp", products.px, state_step),
-        state_step=state_step,
-        state_step_by_parameters=by_parameters,
-    )
-
-
-def add_anchors(
-    products: NormalProducts, segments: Segments, x0: Float[np.ndarray, "n_s n_x"], variance: float
-) -> NormalProducts:
-    """Adds to products the cost of initial states that depart from their measurements."""
-    weight = variance * segments.share[:, None] * segments.precision**2
-    departure = x0 - segments.x0
-    return replace(
-        products,
-        xx=products.xx + np.einsum("sx,xy->sxy", weight, np.eye(x0.shape[1])),
-        gx=products.gx + weight * departure,
-        cost=products.cost + np.sum(weight * departure**2, axis=1),
     )

@@ -12,12 +12,12 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.fitting.shooting.least_squares import eliminate_initial_states
+from tustinnet.fitting.shooting.normal import eliminate_initial_states
 from tustinnet.fitting.shooting.problem import Problem, SearchState, make_prior
 from tustinnet.fitting.shooting.space import ParameterVector
+from tustinnet.fitting.shooting.uncertainty import FEWEST_RECORDS
 
 _GROUPS = 8  # into which the segments of fewer than 4 records are divided
-_FEWEST = 4
 _TINY = 1e-300
 
 FixedEntries = Mapping[int, float]  # entries of the vector that are fixed, by index
@@ -109,7 +109,7 @@ def make_quadratic_cost(
     reduced = eliminate_initial_states(result.products)
     prior_curvature = make_prior(problem, state).curvature(state.space, result.vector)
     first_row = result.segments.first_row
-    if len(problem.records) >= _FEWEST:
+    if len(problem.records) >= FEWEST_RECORDS:
         ends = np.cumsum([len(e) for e in problem.records])
         group = np.searchsorted(ends, first_row, side="right")
     else:

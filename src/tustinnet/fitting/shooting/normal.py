@@ -2,9 +2,12 @@
 
 `compute_products` simulates all segments with derivatives by the free parameters and the initial
 states and returns what least squares needs of them, segment by segment: `NormalProducts`.
+`add_anchors` adds what is known of the initial states, `eliminate_initial_states` leaves normal
+equations of the parameters alone.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -29,7 +32,8 @@ class NormalProducts:
         xx: `X'X`, (n_s, n_x, n_x).
         gp: `J'r`, (n_s, n_p).
         gx: `X'r`, (n_s, n_x).
-        cost: `r'r`, (n_s,).
+        cost: `r'r`, (n_s,); with the cost of the anchors where `add_anchors` has added it, which
+            is in `xx` and `gx`, too.
         error: simulated minus measured, not weighted, of each (its samples, n_y).
     """
 
@@ -100,3 +104,50 @@ def compute_products(
             cost=result.cost,
             error=tuple(np.split(result.error, np.cumsum(segments.steps + 1)[:-1])),
         )
+
+
+class ReducedProducts(NamedTuple):
+    """Normal equations of the parameters alone, segment by segment, initial states eliminated.
+
+    Attributes:
+        matrices: Schur complements, (n_s, n_p, n_p).
+        gradients: reduced gradients, (n_s, n_p).
+        state_step: step of the initial states where the parameters stay, (n_s, n_x).
+        state_step_by_parameters: what the parameters' step adds to it, (n_s, n_x, n_p).
+    """
+
+    matrices: Float[np.ndarray, "n_s n_p n_p"]
+    gradients: Float[np.ndarray, "n_s n_p"]
+    state_step: Float[np.ndarray, "n_s n_x"]
+    state_step_by_parameters: Float[np.ndarray, "n_s n_x n_p"]
+
+
+def eliminate_initial_states(products: NormalProducts, damping: float = 0.0) -> ReducedProducts:
+    """Eliminates every segment's initial state from the normal equations (Schur complement)."""
+    diagonal = np.einsum("sii->si", products.xx)
+    added = np.where(diagonal > 0, damping * diagonal, 1.0)  # 1: states that are not searched for
+    inner = products.xx + np.einsum("si,ij->sij", added, np.eye(diagonal.shape[1]))
+    # a state that no residual depends on any more must not make the block singular
+    inner += 1e-13 * np.einsum("si,ij->sij", diagonal, np.eye(diagonal.shape[1]))
+    state_step = -np.linalg.solve(inner, products.gx[:, :, None])[:, :, 0]
+    by_parameters = -np.linalg.solve(inner, np.swapaxes(products.px, 1, 2))
+    return ReducedProducts(
+        matrices=products.pp + products.px @ by_parameters,
+        gradients=products.gp + np.einsum("spx,sx->sp", products.px, state_step),
+        state_step=state_step,
+        state_step_by_parameters=by_parameters,
+    )
+
+
+def add_anchors(
+    products: NormalProducts, segments: Segments, x0: Float[np.ndarray, "n_s n_x"], variance: float
+) -> NormalProducts:
+    """Adds to products the cost of initial states that depart from their measurements."""
+    weight = variance * segments.share[:, None] * segments.precision**2
+    departure = x0 - segments.x0
+    return replace(
+        products,
+        xx=products.xx + np.einsum("sx,xy->sxy", weight, np.eye(x0.shape[1])),
+        gx=products.gx + weight * departure,
+        cost=products.cost + np.sum(weight * departure**2, axis=1),
+    )

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from tustinnet.errors import InputError
-from tustinnet.fitting.shooting.forces import with_added
+from tustinnet.fitting.shooting.added_forces import with_added
 from tustinnet.fitting.shooting.least_squares import StoppingRule
 from tustinnet.fitting.shooting.leave_out import QuadraticCost, make_quadratic_cost
 from tustinnet.fitting.shooting.problem import Problem, SearchState
@@ -63,7 +63,8 @@ def drop_unneeded_terms(problem: Problem, state: SearchState) -> tuple[Problem, 
 
     # all terms, fitted to short segments, of which there are several
     stages = [
-        SearchStage(problem.early_initial, _STOPPING, quarters) for quarters in _QUARTER_SWINGS
+        SearchStage(problem.early_initial_treatment, _STOPPING, quarters)
+        for quarters in _QUARTER_SWINGS
     ]
     stage, *longer_stages = stages
     state = run_stage(problem, choose_substeps(problem, update_horizons(problem, state)), stage)
@@ -134,10 +135,7 @@ def _drop_some(
         dropped = {space.names[i] for i, x in fixed.items() if x == 0}
         usual = {space.names[i]: values[space.names[i]] for i, x in fixed.items() if x != 0}
         fewer = replace(problem, system=problem.system.without(dropped))
-        fewer_space = SearchSpace(
-            tuple(p for i, p in enumerate(space.free_parameters) if i not in fixed),
-            dict(space.fixed_values) | usual,
-        )
+        fewer_space = space.without(dropped).fixing(usual)
         trial = replace(state, space=fewer_space, vector=fewer_space.to_vector(values))
         trial = run_stage(fewer, trial, stage)
         if trial.is_stopped:
@@ -192,9 +190,6 @@ def _add_brought_forces(
     values = space.to_values_in_range(state.vector)
     extended = with_added(system, brought, problem.records, values)
     new = [p for p in extended.parameters if p not in system.parameters]
-    fixed = {p.name: p.nominal for p in new if p.fixed}
-    space = SearchSpace(
-        (*space.free_parameters, *(p for p in new if not p.fixed)), dict(space.fixed_values) | fixed
-    )
+    space = space.adding(new)
     vector = space.clip(space.to_vector(values | {p.name: p.nominal for p in new}))
     return replace(problem, system=extended), space, vector

@@ -17,7 +17,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.fitting.listener import SILENT, Iteration, Listener, SearchProgress
 from tustinnet.fitting.recipe import SearchRecipe
 from tustinnet.fitting.residual import Residual, make_residual
-from tustinnet.fitting.shooting.equation_error import MeasuredMotion, measure_motion
+from tustinnet.fitting.shooting.equation_error import MeasuredMotion, collect_motion
 from tustinnet.fitting.shooting.groups import expand_parameters, group_indices
 from tustinnet.fitting.shooting.least_squares import CostFunction, LeastSquaresResult, Prior
 from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
@@ -28,7 +28,7 @@ from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 from tustinnet.models.sensors import delay_names, with_delays
 from tustinnet.simulate.horizon import horizon_samples, pieces
-from tustinnet.simulate.start_rules import FIT_SAMPLES, PARABOLA_SAMPLES, Start, start_named
+from tustinnet.simulate.start_rules import DerivedStart, FittedStart, Start, start_named
 from tustinnet.simulate.starts import default_start, start_states
 
 _INITIAL_VARIANCE = 1e-4  # of residuals, before any are known
@@ -66,7 +66,7 @@ class Problem:
     @cached_property
     def motion(self) -> MeasuredMotion:
         """The measured motion of the training records."""
-        return measure_motion(self.records, self.group_indices(self.records))
+        return collect_motion(self.records, self.group_indices(self.records))
 
     @cached_property
     def residual(self) -> Residual:
@@ -74,15 +74,15 @@ class Problem:
         return make_residual(self.search, self.records)
 
     @cached_property
-    def usual_start(self) -> Start:
+    def default_start(self) -> Start:
         """The start of free runs of whole records."""
         return start_named(default_start([*self.records, *self.validation]))
 
     @property
-    def model_free_start(self) -> Start:
+    def measured_start(self) -> Start:
         """The start of free runs whose initial states are found without a model."""
-        usual = self.usual_start
-        return start_named(f"derived-{PARABOLA_SAMPLES}") if usual.fitted_samples else usual
+        default = self.default_start
+        return start_named(DerivedStart.usual_name()) if default.needs_model else default
 
     def scoring_start(self, horizon: int | None) -> Start:
         """The start of the free runs that are scored, over a horizon in steps or as a whole.
@@ -90,8 +90,8 @@ class Problem:
         What errs in a velocity that was read from a few samples grows over a horizon to more
         than any model misses; a state fitted through the model has no such error.
         """
-        fitted = start_named(f"model-{FIT_SAMPLES}")
-        return self.usual_start if horizon is None or horizon < fitted.samples else fitted
+        fitted = start_named(FittedStart.usual_name())
+        return self.default_start if horizon is None or horizon < fitted.samples else fitted
 
     @cached_property
     def refit_start(self) -> Start | None:
@@ -104,7 +104,7 @@ class Problem:
         """Horizons in steps by record, where the recipe has a horizon; else None."""
         records = (*self.records, *self.validation)
         samples = horizon_samples(
-            self.search.horizon, records, self.model_free_start, "search.horizon"
+            self.search.horizon, records, self.measured_start, "search.horizon"
         )
         return None if samples is None else {e.name: samples for e in records if len(e) > samples}
 
@@ -114,8 +114,8 @@ class Problem:
         return delay_names(self.system.sensors)
 
     @property
-    def early_initial(self) -> str:
-        """Treatment of initial states in all stages but the final one."""
+    def early_initial_treatment(self) -> str:
+        """The treatment of initial states in all stages but the final one, see `CutOptions`."""
         chosen = self.search.initial
         return "anchored" if chosen in ("choose", "unanchored") else chosen
 
@@ -139,28 +139,28 @@ class Problem:
             self.system, self.residual, space, vector, segments.x0, segments, substeps
         )
 
-    def segments(self, steps: int | None, initial: str, horizons: Mapping[str, int]) -> Segments:
+    def segments(
+        self, steps: int | None, initial_treatment: str, horizons: Mapping[str, int]
+    ) -> Segments:
         """The training records cut into segments.
 
         Args:
             steps: longest segment in steps, None for whole records.
-            initial: how initial states are treated: `anchored`, `unanchored`, or a start.
+            initial_treatment: see `CutOptions`.
             horizons: longest segment of single records in steps, by name.
         """
-        is_estimated = initial in ("anchored", "unanchored")
         options = CutOptions(
-            residual=self.residual, steps=steps, start="estimated" if is_estimated else initial,
-            anchored=initial != "unanchored",
+            residual=self.residual, steps=steps, initial_treatment=initial_treatment,
             horizons=horizons, has_delays=bool(self.delays),
         )  # fmt: skip
         indices = self.group_indices(self.records)
         return cut_records(self.records, self.nominal_model, options, indices)
 
     def free_runs(self, records: Sequence[Experiment]) -> Segments:
-        """Records as a whole from `model_free_start`; no initial state is searched for."""
+        """Records as a whole from `measured_start`; no initial state is searched for."""
         options = CutOptions(
-            residual=self.residual, start=self.model_free_start.name, timestamps=False,
-            has_delays=bool(self.delays),
+            residual=self.residual, initial_treatment=self.measured_start.name,
+            timestamps=False, has_delays=bool(self.delays),
         )  # fmt: skip
         return cut_records(records, self.nominal_model, options, self.group_indices(records))
 
@@ -176,19 +176,20 @@ class SearchState:
         variance: mean squared residual of a record so far.
         result: result of the last stage that was finished, None before the first.
         stage: what that stage was doing.
-        initial: how initial states were treated in it.
+        initial_treatment: how initial states were treated in it.
         finished_stages: how many stages were finished.
         stages: how many the search has, 0 while that is not known.
         is_stopped: whether the search was stopped before its end; the rest is that of the last
             finished stage.
-        unexplained: share of the worst record's change of momentum that the equation-error
-            estimate does not explain.
+        worst_unexplained: share of the worst record's change of momentum that the equation-error
+            estimate does not explain; None where no estimate was made.
         horizons: steps over which records are compared that cannot be simulated as a whole, by
             name; validation records too.
         remarks: findings of the search so far, as sentences.
         hold_errors: root mean square position error over all training samples [rad or m], by hold
             of the inputs whose hold is unknown.
-        weights: weight of every squared residual, (n, n_y); None while all weigh the same.
+        robust_weights: weight of every squared residual in a robust search, (n, n_y); None while
+            each weighs the same.
         has_fitted_values: whether the values were fitted to short segments already, so that no
             equation-error estimate is needed.
     """
@@ -199,15 +200,15 @@ class SearchState:
     variance: float = _INITIAL_VARIANCE
     result: LeastSquaresResult | None = None
     stage: str = ""
-    initial: str = ""
+    initial_treatment: str = ""
     finished_stages: int = 0
     stages: int = 0
     is_stopped: bool = False
-    unexplained: float = 0.0
+    worst_unexplained: float | None = None
     horizons: Mapping[str, int] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     hold_errors: Mapping[str, float] = field(default_factory=dict)
-    weights: np.ndarray | None = None
+    robust_weights: np.ndarray | None = None
     has_fitted_values: bool = False
 
     @property
@@ -222,8 +223,11 @@ class SearchState:
         return self.last_result.status == "diverged"
 
     @property
-    def horizon(self) -> int | None:
-        """Steps over which all validation records can be scored; None for whole records."""
+    def shortest_horizon(self) -> int | None:
+        """The shortest of the horizons, of training and validation records, in steps.
+
+        None where each of them is simulated as a whole.
+        """
         return min(self.horizons.values(), default=None)
 
 
@@ -231,7 +235,7 @@ def report_step(
     problem: Problem,
     state: SearchState,
     stage: str,
-    initial: str,
+    initial_treatment: str,
     number: int,
     cost: float,
     damping: float,
@@ -243,14 +247,14 @@ def report_step(
         problem: the problem.
         state: the state before the stage.
         stage: what the stage is doing.
-        initial: how initial states are treated in it.
+        initial_treatment: how initial states are treated in it.
         number: iterations of the stage so far.
         cost: the lowest so far.
         damping: Levenberg-Marquardt's.
         is_accepted: whether the step was accepted.
     """
     if is_accepted:
-        problem.listener.on_iteration(Iteration(stage, number, cost, damping, initial))
+        problem.listener.on_iteration(Iteration(stage, number, cost, damping, initial_treatment))
     count = state.finished_stages + 1 if state.stages else 0
     problem.listener.on_progress(SearchProgress(stage, count, state.stages, number, cost))
 
@@ -262,7 +266,6 @@ def make_prior(problem: Problem, state: SearchState) -> Prior:
     return Prior(
         centre=np.array([p.nominal for p in parameters]),
         precision=np.array([1 / p.prior if p.prior else 0.0 for p in parameters]),
-        variance=state.variance,
         weight=state.variance * len(problem.records) / samples,
     )
 
@@ -270,13 +273,14 @@ def make_prior(problem: Problem, state: SearchState) -> Prior:
 def make_cost_function(
     problem: Problem, state: SearchState, segments: Segments, substeps: int
 ) -> CostFunction:
-    """The cost of segments, with the prior."""
+    """The cost of segments, with anchors and prior that weigh as residuals of the size so far."""
     return CostFunction(
         system=problem.system,
         residual=problem.residual,
         space=state.space,
         segments=segments,
         prior=make_prior(problem, state),
+        anchor_variance=state.variance,
         substeps=substeps,
     )
 
@@ -296,11 +300,11 @@ def position_errors(
 
 def score_validation(problem: Problem, state: SearchState) -> float:
     """Mean free-run RMSE of the validation records [rad or m]; there must be some."""
-    start = problem.scoring_start(state.horizon)
-    parts = [pieces(e, state.horizon, start) for e in problem.validation]
+    start = problem.scoring_start(state.shortest_horizon)
+    parts = [pieces(e, state.shortest_horizon, start) for e in problem.validation]
     all_parts = [part for record_parts in parts for part in record_parts]
     segments = problem.free_runs(all_parts)
-    if start.fitted_samples:
+    if start.needs_model:
         model = make_model(problem, state)
         segments = segments.with_fixed_states(start_states(model, all_parts, start))
     errors = position_errors(problem, state, segments, state.substeps)

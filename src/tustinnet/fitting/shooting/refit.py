@@ -3,8 +3,7 @@
 A search may find the initial state of a record along the whole of it, and minimises squares; a
 free run has only its first samples for that. Where the model lacks physics, the parameters that
 explain the records are not those that simulate them best. `refit_to_free_runs` takes the state
-after the search and its identification, and returns the latter with the refitted model; the
-estimates of the search stay beside it.
+after the search and returns it with the refitted parameters.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,18 +14,16 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.engine.runs import Directions, Runs, Samples, compare
-from tustinnet.fitting.report import Identification, Refit
+from tustinnet.fitting.report import Refit
 from tustinnet.fitting.shooting.equations import system_equations
-from tustinnet.fitting.shooting.findings import describe_stop
 from tustinnet.fitting.shooting.levenberg_marquardt import DampingRule, iterate
 from tustinnet.fitting.shooting.problem import (
     Problem,
     SearchState,
     make_model,
     report_step,
-    score_validation,
 )
-from tustinnet.fitting.shooting.segments import join_steps
+from tustinnet.fitting.shooting.segments import first_of_records, join_steps
 from tustinnet.fitting.shooting.space import SearchSpace
 from tustinnet.models.parameters import Parameter
 from tustinnet.simulate.horizon import horizon_samples, pieces
@@ -51,45 +48,58 @@ _DAMPING_RULE = DampingRule(
 )
 
 
-def refit_to_free_runs(
-    problem: Problem, state: SearchState, start: Start, identification: Identification
-) -> Identification:
-    """Refits the parameters to free runs of the training records.
+@dataclass(frozen=True)
+class RefitResult:
+    """The result of a refit to free runs: refitted parameters, or the reason why there are none.
+
+    Attributes:
+        state: the state after the search, with the refitted parameters where there are any.
+        refit: these parameters, and the errors of the free runs before and after; None without.
+        finding: a sentence on it; empty where the search left nothing to refit.
+        is_stopped: whether the time limit came before its end.
+    """
+
+    state: SearchState
+    refit: Refit | None = None
+    finding: str = ""
+    is_stopped: bool = False
+
+
+def refit_to_free_runs(problem: Problem, state: SearchState) -> RefitResult:
+    """Refits the parameters to free runs of the training records, where the recipe asks for it.
 
     Args:
         problem: the problem.
         state: the state after the search.
-        start: the start of the free runs.
-        identification: the identification by the search.
 
     Returns:
-        The identification with the refitted model; its estimates, their errors and findings
-        stay. Unchanged but for a finding where a refit is not possible, and for the outcome where
-        it is stopped.
+        The refitted parameters; none where the search was stopped or diverged, and where a refit
+        is not possible or is stopped, which `finding` says.
     """
-    if state.is_stopped or state.has_diverged:
-        return identification
+    start = problem.refit_start
+    if start is None or state.is_stopped or state.has_diverged:
+        return RefitResult(state)
     # a delay is in the inputs, which free runs take as they are
     free = [p for p in state.space.free_parameters if p.name not in problem.delays]
-    obstacle, refit = "", None
-    if state.horizon is not None and state.horizon < start.samples:
+    obstacle, refit, is_stopped = "", None, False
+    if state.shortest_horizon is not None and state.shortest_horizon < start.samples:
         obstacle = f"{start.name} requires longer segments"
     elif not free:
         obstacle = "nothing but delays is free"
     else:
         refit = _minimise_mean_rmse(problem, state, start, free)
         if refit is None:
-            obstacle = "stopped at its time limit"
-            identification = replace(identification, converged=False, outcome=describe_stop(state))
+            obstacle, is_stopped = "stopped at its time limit", True
         elif not np.isfinite(refit.before):
             obstacle = "free runs diverge; `horizon` in the table [search] shortens them"
     if refit is None or obstacle:
-        finding = f"no refit to free runs: {obstacle}"
-        return replace(identification, findings=(*identification.findings, finding))
+        return RefitResult(
+            state, finding=f"no refit to free runs: {obstacle}", is_stopped=is_stopped
+        )
 
-    space, before, after = state.space, identification.values, refit.values
-    values = space.to_values_in_range(state.vector) | after
-    refitted = replace(state, vector=space.clip(space.to_vector(values)))
+    space, after = state.space, refit.values
+    before = space.to_values_in_range(state.vector)
+    refitted = replace(state, vector=space.clip(space.to_vector(before | after)))
     changes = {name: abs(x / before[name] - 1) for name, x in after.items() if before[name]}
     most = sorted(changes, key=lambda name: -changes[name])[:_LISTED]
     listed = ", ".join(f"{name} {before[name]:.3g} -> {after[name]:.3g}" for name in most)
@@ -98,13 +108,7 @@ def refit_to_free_runs(
         f"{start.name}: their mean RMSE went from {refit.before:.3g} to {refit.after:.3g}; "
         f"{listed} changed most"
     )
-    return replace(
-        identification,
-        model=make_model(problem, refitted),
-        validation_rmse=score_validation(problem, refitted) if problem.validation else None,
-        refit=refit,
-        findings=(*identification.findings, finding),
-    )
+    return RefitResult(refitted, refit, finding)
 
 
 @dataclass(frozen=True)
@@ -140,8 +144,8 @@ def _minimise_mean_rmse(
                      for x, p in zip(first, free, strict=True)])  # fmt: skip
     lower = (np.array([p.lower for p in free]) - first) / unit
     upper = (np.array([p.upper for p in free]) - first) / unit
-    fixed = {name: x for name, x in identified.items() if name not in names}
-    simulate = _make_simulation(problem, state, start, SearchSpace(tuple(free), fixed), unit)
+    space = state.space.fixing({n: identified[n] for n in state.space.names if n not in names})
+    simulate = _make_simulation(problem, state, start, space, unit)
     initial = simulate(first)
     scale, prior = initial.mean_rmse, _PRIOR / len(problem.records)
 
@@ -215,7 +219,7 @@ def _make_simulation(
         unit: unit of each free parameter, by which its derivatives are multiplied, (n_p,).
     """
     model, equations = make_model(problem, state), system_equations(problem.system, space.names)
-    horizon = None if state.horizon is None else state.horizon * problem.motion.dt
+    horizon = None if state.shortest_horizon is None else state.shortest_horizon * problem.motion.dt
     steps = horizon_samples(horizon, problem.records, start)
     parts, record = [], []
     for i, e in enumerate(problem.records):
@@ -231,7 +235,7 @@ def _make_simulation(
     weight = np.repeat(1 / np.sqrt(np.bincount(record, lengths)[record]), lengths)
     q = np.concatenate([part.q for part in parts])
     samples = Samples(q, np.tile(weight[:, None], q.shape[1]))
-    first_runs = np.flatnonzero(np.diff(record, prepend=-1))
+    first_runs = first_of_records(np.array(record))
     free = equations.free_columns(space)
     chain = unit * equations.applicable(space, group_indices)
 

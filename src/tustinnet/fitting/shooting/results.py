@@ -1,7 +1,7 @@
 """The result of an identification: estimates with errors, residuals, initial states, findings.
 
-`make_identification` takes a problem and the state after its search and returns the
-`Identification`. Its sentences come from `findings`.
+`make_identification` takes a problem, the state after its search and the result of its refit, and
+returns the `Identification`. Its sentences come from `findings`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
-from tustinnet.fitting.report import Estimate, Identification, Stretch
+from tustinnet.fitting.report import Estimate, Identification, SignAlternatives, Stretch
 from tustinnet.fitting.shooting import findings
 from tustinnet.fitting.shooting.agreement import find_disagreements
 from tustinnet.fitting.shooting.equations import system_equations
@@ -22,6 +22,7 @@ from tustinnet.fitting.shooting.problem import (
     make_prior,
     score_validation,
 )
+from tustinnet.fitting.shooting.refit import RefitResult
 from tustinnet.fitting.shooting.uncertainty import (
     Uncertainty,
     estimate_uncertainty,
@@ -35,15 +36,22 @@ _LITTLE = 0.5  # of the weight of residuals that count in full
 
 
 def make_identification(
-    problem: Problem, state: SearchState, reversed_signs: tuple[tuple[str, ...], ...]
+    problem: Problem,
+    state: SearchState,
+    reversed_signs: SignAlternatives,
+    refit_result: RefitResult,
 ) -> Identification:
-    """Makes the account of an identification from the state after its search.
+    """Makes the account of an identification from the state after its search, and after its refit.
+
+    Estimates, their errors and the residuals are of the search; the model and its score on the
+    validation records are of the refit, where there is one.
 
     Args:
         problem: the problem.
         state: the state after the final stage, or after the last one before a search was stopped.
         reversed_signs: coordinates and inputs whose sign is probably reversed: alternatives, each
             the names to reverse together.
+        refit_result: the result of the refit to free runs.
     """
     result, space, records = state.last_result, state.space, problem.records
     prior_curvature = make_prior(problem, state).curvature(space, result.vector)
@@ -61,9 +69,12 @@ def make_identification(
     noise_ratio = _residuals_over_noise(result, records)
     rmse = _rmse_by_record(result, records)
     horizons = {name: steps * records[0].dt for name, steps in state.horizons.items()}
-    start = problem.scoring_start(state.horizon).name
-    validation_rmse = score_validation(problem, state) if problem.validation else None
-    downweighted = () if state.weights is None else _downweighted(state.weights, records)
+    start = problem.scoring_start(state.shortest_horizon).name
+    final_state = refit_result.state
+    validation_rmse = score_validation(problem, final_state) if problem.validation else None
+    downweighted = (
+        () if state.robust_weights is None else _downweighted(state.robust_weights, records)
+    )
     has_converged = result.status == "converged" and not state.is_stopped
     sentences = [
         *findings.describe_signs(reversed_signs),
@@ -84,7 +95,9 @@ def make_identification(
             else []
         ),
     ]
-    model = make_model(problem, state)
+    if refit_result.finding:
+        sentences.append(refit_result.finding)
+    model = make_model(problem, final_state)
     return Identification(
         system=problem.system,
         model=model,
@@ -92,10 +105,10 @@ def make_identification(
         fixed=dict(space.fixed_values),
         correlation=correlation,
         condition=uncertainty.condition,
-        converged=has_converged,
+        converged=has_converged and not refit_result.is_stopped,
         outcome=(
             findings.describe_stop(state)
-            if state.is_stopped
+            if state.is_stopped or refit_result.is_stopped
             else findings.describe_outcome(
                 result.status, result.iterations, records, rmse, horizons
             )
@@ -106,7 +119,7 @@ def make_identification(
         rmse=rmse,
         autocorrelation=tuple(lag.tolist()),
         disagreements=disagreements,
-        initial=state.initial,
+        initial=state.initial_treatment,
         initial_states=_initial_states_by_record(problem.system, state, records),
         horizons=horizons,
         start=start,
@@ -115,6 +128,7 @@ def make_identification(
         iterations=result.iterations,
         downweighted=downweighted,
         hold_errors=state.hold_errors,
+        refit=refit_result.refit,
     )
 
 
@@ -175,7 +189,10 @@ def _initial_states_by_record(
 
 
 def _rmse_by_record(result: LeastSquaresResult, records: Sequence[Experiment]) -> dict[str, float]:
-    """Root mean square of every record's residuals, all its segments together."""
+    """Root mean square of every record's residuals, its segments together.
+
+    Where initial states are anchored, the cost of the anchors is in the squares.
+    """
     segments = result.segments
     # every residual weighs 1 / T, and a joint of two segments counts in both
     total = np.bincount(segments.record, result.products.cost)

@@ -16,6 +16,7 @@ from tustinnet.fitting.residual import Residual
 from tustinnet.models.contract import Model
 from tustinnet.models.sensors import delay_names, with_delays
 from tustinnet.signals.derivatives import polynomial_fit
+from tustinnet.simulate.start_rules import DerivedStart
 from tustinnet.simulate.starts import initial_state
 
 _LEAST_ERROR = 1e-9  # rad or m
@@ -31,10 +32,11 @@ class Segments:
     segment ends is also the first row of the next.
 
     Attributes:
-        x0: initial states to start from, (n_s, n_x).
+        x0: initial states to start from, (n_s, n_x); of a segment with `adds_expected` the internal
+            ones are offsets from those that the system expects.
         is_free: which of them are searched for, 1 or 0, (n_s, n_x).
         adds_expected: which segments begin with the internal states that the system expects there
-            by its parameters, 1 or 0, (n_s,); `x0` then has what is added to them.
+            by its parameters, with those of `x0` added to them, 1 or 0, (n_s,).
         precision: 1 over the error of each initial state as measured, 0 where none was measured,
             (n_s, n_x).
         steps: steps of each segment, (n_s,).
@@ -46,7 +48,7 @@ class Segments:
         inputs: inputs from each sample to the next, (n, ...).
         periods: time from each sample to the next [s], (n,); 0 at the end of a record.
         measurements: measured positions, and velocities where the loss is of the state, (n, n_y).
-        weights: weight of every residual, (n, n_y).
+        weights: factor of every residual before it is squared, (n, n_y).
         inputs_by_delay: derivative of `inputs` by the inputs' delays [1/s]; None where no delay is
             searched for.
         delayed_inputs: function from the values of the delays to `inputs`; None where no delay is
@@ -91,7 +93,7 @@ class Segments:
     @property
     def first_of_records(self) -> Int[np.ndarray, " n_r"]:
         """Index of the first segment of each record."""
-        return np.flatnonzero(np.diff(self.record, prepend=-1))
+        return first_of_records(self.record)
 
     def for_records(self, records: Collection[int]) -> "Segments":
         """Segments of some of the records, given by index."""
@@ -115,9 +117,10 @@ class CutOptions:
     Attributes:
         residual: what is compared, with its units.
         steps: longest segment in steps; None for whole records.
-        start: "estimated", then the state at a record's beginning is searched for; or a start
-            that `initial_state` knows, then it is not.
-        anchored: whether states that are searched for are kept near their measurements.
+        initial_treatment: how initial states are treated. `anchored`: they are searched for near
+            their measurements; `unanchored`: searched for anywhere; else a start that
+            `initial_state` knows, which finds those at the beginnings of records, while those
+            inside a record are searched for near their measurements.
         timestamps: whether to step from timestamp to timestamp, or by the sampling period.
         horizons: longest segment of single records in steps, by name, where they are shorter.
         has_delays: whether delays of inputs are searched for.
@@ -125,8 +128,7 @@ class CutOptions:
 
     residual: Residual
     steps: int | None = None
-    start: str = "estimated"
-    anchored: bool = True
+    initial_treatment: str = "anchored"
     timestamps: bool = True
     horizons: Mapping[str, int] = field(default_factory=dict)
     has_delays: bool = False
@@ -168,19 +170,19 @@ def cut_records(
 
     x0 = np.zeros((len(record), model.state_size))
     is_free, precision = np.ones_like(x0), np.zeros_like(x0)
-    is_estimated = options.start == "estimated"
+    is_estimated = options.initial_treatment in ("anchored", "unanchored")
     for s, (i, begin) in enumerate(zip(record, begins, strict=True)):
         e = experiments[i]
         near = slice(max(0, begin - _LOCAL), max(0, begin - _LOCAL) + 2 * _LOCAL + 1)
         if begin == 0:
-            start = "derived-6" if is_estimated else options.start
+            start = DerivedStart.usual_name() if is_estimated else options.initial_treatment
             x0[s, channels.measured] = initial_state(e, start)
             is_free[s, channels.measured] = float(is_estimated)
             is_free[s, channels.internal] = 0.0  # a record's internal states start where expected
         else:
             q, v = polynomial_fit(e.t[near], e.q[near], 2, at=e.t[begin : begin + 1])
             x0[s, channels.measured] = np.concatenate([q[0], v[0]])
-        if options.anchored:
+        if options.initial_treatment != "unanchored":
             # a measured position errs by half a count, or by what a parabola misses
             parabola, _ = polynomial_fit(e.t[near], e.q[near], 2, at=e.t[near])
             missed = np.sqrt(np.mean((parabola - e.q[near]) ** 2, axis=0))
@@ -218,6 +220,11 @@ def cut_records(
             [np.tile(options.residual.weight / np.sqrt(len(e)), (len(e), 1)) for e in experiments]
         ),
     )  # fmt: skip
+
+
+def first_of_records(record: Int[np.ndarray, " n_s"]) -> Int[np.ndarray, " n_r"]:
+    """Index of the first segment of each record, given the record of each segment, (n_r,)."""
+    return np.flatnonzero(np.diff(record, prepend=-1))
 
 
 def join_steps(arrays: Iterable[np.ndarray]) -> np.ndarray:

@@ -4,8 +4,8 @@ The least-squares search works on a vector; `SearchSpace` maps it to values by n
 `make_search_space` builds it from a system, initial values and parameters to fix.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,22 @@ class SearchSpace:
 
     free_parameters: tuple[Parameter, ...]
     fixed_values: Mapping[str, Any]
+
+    def fixing(self, values: Mapping[str, float]) -> "SearchSpace":
+        """The space with free parameters fixed at values by name."""
+        return replace(self.without(values), fixed_values={**self.fixed_values, **values})
+
+    def without(self, names: Collection[str]) -> "SearchSpace":
+        """The space without some free parameters, which it then knows nothing of."""
+        free = tuple(p for p in self.free_parameters if p.name not in names)
+        return replace(self, free_parameters=free)
+
+    def adding(self, parameters: Iterable[Parameter]) -> "SearchSpace":
+        """The space with more parameters; those that are declared fixed at their nominal values."""
+        parameters = tuple(parameters)
+        free = (p for p in parameters if not p.fixed)
+        fixed = {p.name: p.nominal for p in parameters if p.fixed}
+        return SearchSpace((*self.free_parameters, *free), {**self.fixed_values, **fixed})
 
     @property
     def names(self) -> tuple[str, ...]:

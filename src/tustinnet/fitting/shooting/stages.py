@@ -3,7 +3,7 @@
 `search` takes a problem and the state to start from and returns the state after all stages. A
 stage compares the simulation over segments of one length and minimises the error; the last one is
 the final stage, over whole records. Records along which errors grow without end stay in segments
-of their horizon, see `error_growth`.
+of their horizon, see `horizons`.
 """
 
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ from tustinnet.errors import InputError
 from tustinnet.fitting.listener import Iteration, SearchProgress, StageResult
 from tustinnet.fitting.residual import robust_weights
 from tustinnet.fitting.shooting.equation_error import estimate_by_equation_error
-from tustinnet.fitting.shooting.error_growth import find_horizons
+from tustinnet.fitting.shooting.horizons import find_horizons
 from tustinnet.fitting.shooting.identifiability import find_confounded
 from tustinnet.fitting.shooting.least_squares import StoppingRule, minimise
 from tustinnet.fitting.shooting.problem import (
@@ -26,7 +26,6 @@ from tustinnet.fitting.shooting.problem import (
     report_step,
     score_validation,
 )
-from tustinnet.fitting.shooting.space import SearchSpace
 from tustinnet.simulate.horizon import pieces
 from tustinnet.simulate.substeps import PROBED_SECONDS, enough_substeps
 
@@ -44,12 +43,12 @@ class SearchStage:
     """One stage of a search.
 
     Attributes:
-        initial: how initial states are treated: `anchored`, `unanchored`, or a start.
+        initial_treatment: how initial states are treated, see `CutOptions`.
         stopping: when it ends.
         quarter_swings: length of the segments in quarters of a swing, None for whole records.
     """
 
-    initial: str
+    initial_treatment: str
     stopping: StoppingRule
     quarter_swings: int | None = None
 
@@ -75,18 +74,18 @@ def search(problem: Problem, state: SearchState, later_stages: int = 0) -> Searc
         problem.listener.on_iteration(Iteration(ESTIMATE, 1, unexplained, 0.0))
         problem.listener.on_progress(SearchProgress(ESTIMATE, 0, 0, 1, unexplained))
         problem.listener.on_stage(StageResult(ESTIMATE, "", 1, unexplained, "converged", values))
-        state = replace(state, vector=estimate.vector, unexplained=unexplained)
+        state = replace(state, vector=estimate.vector, worst_unexplained=unexplained)
     state = choose_substeps(problem, update_horizons(problem, state))
 
     longest = max(state.horizons.get(e.name, len(e) - 1) for e in problem.records)
     stages = [
-        SearchStage(problem.early_initial, StoppingRule(0.1, 20), quarters)
+        SearchStage(problem.early_initial_treatment, StoppingRule(0.1, 20), quarters)
         for quarters in _QUARTER_SWINGS
-        if quarters * problem.motion.window_length < longest
+        if quarters * problem.motion.quarter_swing < longest
     ]
-    stages.append(SearchStage(problem.early_initial, StoppingRule(1e-2, 30)))
-    initial = problem.search.initial
-    compares = initial == "choose" and bool(problem.validation)
+    stages.append(SearchStage(problem.early_initial_treatment, StoppingRule(1e-2, 30)))
+    treatment = problem.search.initial
+    compares = treatment == "choose" and bool(problem.validation)
     state = replace(state, stages=len(stages) + compares + 1 + later_stages)
     for stage in stages:
         state = run_stage(problem, state, stage)
@@ -95,19 +94,19 @@ def search(problem: Problem, state: SearchState, later_stages: int = 0) -> Searc
         state = update_horizons(problem, state)  # the better the values, the better the horizons
     state = choose_substeps(problem, state)
 
-    if initial == "choose":
-        initial = "anchored"
+    if treatment == "choose":
+        treatment = "anchored"
     if compares:
         loose = run_stage(problem, state, SearchStage("unanchored", StoppingRule(1e-2, 15)))
         if loose.is_stopped:
             return loose
         if score_validation(problem, loose) < score_validation(problem, state):
-            state, initial = loose, "unanchored"
+            state, treatment = loose, "unanchored"
         state = replace(state, finished_stages=loose.finished_stages)
-    return run_final_stage(problem, state, initial)
+    return run_final_stage(problem, state, treatment)
 
 
-def run_final_stage(problem: Problem, state: SearchState, initial: str) -> SearchState:
+def run_final_stage(problem: Problem, state: SearchState, initial_treatment: str) -> SearchState:
     """Runs the final stage: whole records, to the tolerance of the recipe.
 
     A robust search repeats it with weights from the residuals before, until these change nothing.
@@ -115,10 +114,10 @@ def run_final_stage(problem: Problem, state: SearchState, initial: str) -> Searc
     Args:
         problem: the problem.
         state: the state to start from.
-        initial: how initial states are treated: `anchored`, `unanchored`, or a start.
+        initial_treatment: how initial states are treated, see `CutOptions`.
     """
     options = problem.search
-    stage = SearchStage(initial, StoppingRule(options.tolerance, options.iterations))
+    stage = SearchStage(initial_treatment, StoppingRule(options.tolerance, options.iterations))
     finished = state.finished_stages
     state = run_stage(problem, state, stage)
     for _ in range(_MOST_REWEIGHTINGS if options.robust != "none" else 0):
@@ -140,25 +139,26 @@ def run_stage(problem: Problem, state: SearchState, stage: SearchStage) -> Searc
     """
     if state.is_stopped or problem.should_stop():
         return replace(state, is_stopped=True)
-    steps = stage.quarter_swings and stage.quarter_swings * problem.motion.window_length
-    segments = problem.segments(steps, stage.initial, state.horizons)
-    if state.weights is not None:
-        segments = replace(segments, weights=segments.weights * np.sqrt(state.weights))
+    steps = stage.quarter_swings and stage.quarter_swings * problem.motion.quarter_swing
+    segments = problem.segments(steps, stage.initial_treatment, state.horizons)
+    if state.robust_weights is not None:
+        segments = replace(segments, weights=segments.weights * np.sqrt(state.robust_weights))
     # over a few swings the integration error stays far below what the early stages leave
     substeps = state.substeps if steps is None else max(1, state.substeps // 2)
     cost = make_cost_function(problem, state, segments, substeps)
-    name = f"{_segments_in_words(problem, state, steps)}, {stage.initial} start"
+    treatment = stage.initial_treatment
+    name = f"{_segments_in_words(problem, state, steps)}, {treatment} start"
 
-    on_step = partial(report_step, problem, state, name, stage.initial)
+    on_step = partial(report_step, problem, state, name, treatment)
     result = minimise(cost, state.vector, stage.stopping, on_step, problem.should_stop)
     values = state.space.to_values_in_range(result.vector)
     problem.listener.on_stage(
-        StageResult(name, stage.initial, result.iterations, result.cost, result.status, values)
+        StageResult(name, treatment, result.iterations, result.cost, result.status, values)
     )
     if result.status == "stopped":
         return replace(state, is_stopped=True)
     state = replace(
-        state, vector=result.vector, result=result, stage=name, initial=stage.initial,
+        state, vector=result.vector, result=result, stage=name, initial_treatment=treatment,
         finished_stages=state.finished_stages + 1,
     )  # fmt: skip
     if state.has_diverged:
@@ -170,7 +170,7 @@ def run_stage(problem: Problem, state: SearchState, stage: SearchStage) -> Searc
             errors[segments.rows(k)] = error
         counts = problem.records[0].channels.resolution
         weights = robust_weights(problem.search.robust, errors, counts)
-    return replace(state, variance=result.cost / len(problem.records), weights=weights)
+    return replace(state, variance=result.cost / len(problem.records), robust_weights=weights)
 
 
 def _segments_in_words(problem: Problem, state: SearchState, steps: int | None) -> str:
@@ -194,8 +194,8 @@ def _fix_confounded_parameters(problem: Problem, state: SearchState) -> SearchSt
         InputError: no parameter is left.
     """
     space, vector = state.space, state.vector
-    steps = _QUARTER_SWINGS[0] * problem.motion.window_length
-    segments = problem.segments(steps, problem.early_initial, state.horizons)
+    steps = _QUARTER_SWINGS[0] * problem.motion.quarter_swing
+    segments = problem.segments(steps, problem.early_initial_treatment, state.horizons)
     products = problem.products(space, vector, segments, 1).pp.sum(axis=0)
     if not np.isfinite(products).all():
         remark = "simulations with the first values diverge; identifiability was not checked"
@@ -205,14 +205,13 @@ def _fix_confounded_parameters(problem: Problem, state: SearchState) -> SearchSt
         return state
     names = dict.fromkeys(parameters.suggestion for parameters in confounded)
     values = space.to_values_in_range(vector)
-    free = tuple(p for p in space.free_parameters if p.name not in names)
-    if not free:
+    space = space.fixing({name: values[name] for name in names})
+    if not space.free_parameters:
         raise InputError(
             f"system '{problem.system.name}'",
             "; ".join(str(parameters) for parameters in confounded),
             "records from which at least one parameter is identifiable",
         )
-    space = SearchSpace(free, dict(space.fixed_values) | {name: values[name] for name in names})
     remarks = [f"{parameters}; here it was fixed at its first value" for parameters in confounded]
     return replace(
         state, space=space, vector=space.to_vector(values), remarks=(*state.remarks, *remarks)
@@ -230,7 +229,7 @@ def update_horizons(problem: Problem, state: SearchState) -> SearchState:
             state.vector,
             records,
             problem.group_indices(records),
-            problem.motion.window_length,
+            problem.motion.quarter_swing,
         )
     return replace(state, horizons=horizons)
 
@@ -243,7 +242,7 @@ def choose_substeps(problem: Problem, state: SearchState) -> SearchState:
     travel = max(float(np.abs(e.q - e.q[-1]).max()) for e in problem.records)
     target = _TARGET * min(counts) if counts else _TARGET_SPAN * travel
     samples = max(2, round(PROBED_SECONDS / problem.records[0].dt))
-    start = problem.model_free_start
+    start = problem.measured_start
     segments = problem.free_runs(
         [pieces(e, state.horizons.get(e.name), start)[0][:samples] for e in problem.records]
     )

@@ -11,8 +11,7 @@ import numpy as np
 import scipy.special
 from jaxtyping import Bool, Float
 
-from tustinnet.fitting.shooting.least_squares import eliminate_initial_states
-from tustinnet.fitting.shooting.normal import NormalProducts
+from tustinnet.fitting.shooting.normal import NormalProducts, eliminate_initial_states
 from tustinnet.fitting.shooting.segments import Segments
 
 FEWEST_RECORDS = 4  # for an estimate of how records differ

@@ -8,7 +8,7 @@ import pytest
 from swinging import SWING, TRUTH, noises, simulated
 
 import tustinnet as tn
-from tustinnet.fitting.shooting.error_growth import find_horizons, steps_before_growth
+from tustinnet.fitting.shooting.horizons import find_horizons, steps_before_growth
 from tustinnet.fitting.shooting.space import make_search_space
 
 

@@ -8,7 +8,7 @@ import pytest
 from swinging import CART, SWING, TRUTH, changed, data_set, falls, records
 
 import tustinnet as tn
-from tustinnet.fitting.shooting.sensors import sensor_parameters
+from tustinnet.fitting.shooting.sensor_errors import sensor_parameters
 from tustinnet.models.lagrangian import Parameter
 from tustinnet.models.sensors import with_sensor_errors
 
