@@ -16,6 +16,7 @@ from tustinnet.errors import InputError
 from tustinnet.fitting.listener import Iteration, Listener
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.report import FitResult, Identification
+from tustinnet.fitting.roles import describe_left_out
 from tustinnet.fitting.shooting.checks import (
     require_finite_terms,
     require_mass_matrix,
@@ -36,6 +37,7 @@ from tustinnet.models.contract import require_float64
 from tustinnet.models.sensors import with_delays, with_sensor_errors
 from tustinnet.renamed import with_renamed_arguments
 from tustinnet.simulate.batches import batches
+from tustinnet.simulate.start_rules import FIT_SAMPLES
 from tustinnet.systems.files import AnySystem, SystemTemplate
 
 # what right signs leave of the momentum is a few hundredths, what wrong ones leave over a half
@@ -118,6 +120,11 @@ def identify_task(
     require_float64("identify")
     start_time = time.perf_counter()
     recipe, roles = task.identification_recipe, task.folds[member.fold].roles
+    # free runs over horizons, and of a refit, start in states fitted to so many samples
+    validation = roles.with_long_validation(FIT_SAMPLES).validation
+    left_out = [e for e in roles.validation if e not in validation]
+    for message in describe_left_out(left_out, FIT_SAMPLES):
+        listener.on_message(message)
     system = task.system
     assert system is not None
     records = list(roles.train)
@@ -144,7 +151,7 @@ def identify_task(
     problem = Problem(
         system=system,
         records=tuple(e.with_timing(inputs) for e in records),
-        validation=tuple(e.with_timing(inputs) for e in roles.validation),
+        validation=tuple(e.with_timing(inputs) for e in validation),
         search=recipe.search,
         listener=listener,
         should_stop=should_stop,
@@ -198,4 +205,5 @@ def identify_task(
         findings=identification.findings,
         identification=identification,
         horizon=identification.horizon,
+        fewest_samples=FIT_SAMPLES,
     )
