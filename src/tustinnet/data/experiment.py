@@ -316,13 +316,17 @@ class Experiment(HasChannels):
                 raise InputError(
                     f"{self.name}, input '{i.name}'", f"hold 'unknown', and {purpose} needs one",
                     "zero-order, first-order or band-limited",
-                    "declare it in the data card; `fit` of a grey box tries all of them",
+                    "declare it in the data card" + (
+                        "; `fit` without a recipe, or of a grey box, tries all of them"
+                        if delays else ""
+                    ),
                 )  # fmt: skip
             if i.delay is None and delays:
                 raise InputError(
                     f"{self.name}, input '{i.name}'", f"delay 'unknown', and {purpose} needs one",
                     "a delay in seconds",
-                    "declare it in the data card; `fit` of a grey box searches for it",
+                    "declare it in the data card; `fit` without a recipe, or of a grey box, "
+                    "searches for it",
                 )  # fmt: skip
 
     def measured_states(
