@@ -1,6 +1,7 @@
 """Which records train, which choose, which take part in nothing."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -92,11 +93,12 @@ def test_a_training_leaves_short_validation_records_out(pendulum, tiny_recipe, t
         tn.fit(only, recipe)
 
 
-def test_an_identification_leaves_short_validation_records_out(pendulum, pendulum_system):
+def test_an_identification_leaves_short_validation_records_out(pendulum):
     messages: list[str] = []
+    system = Path(__file__).parents[1] / "torture" / "pendulum.py"
     found = tn.fit(
-        with_short_validation(pendulum), "grey", system=pendulum_system,
+        with_short_validation(pendulum), "grey", system=system,
         listener=Listener(on_message=messages.append),
     )  # fmt: skip
     assert messages == ["left out of validation: short: 12 samples; expected at least 20"]
-    assert found.validation_rmse == tn.fit(pendulum, "grey", system=pendulum_system).validation_rmse
+    assert found.validation_rmse == tn.fit(pendulum, "grey", system=system).validation_rmse
