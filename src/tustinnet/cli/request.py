@@ -351,12 +351,12 @@ def choose_free_runs(
     selected = records_of_split(data, split)
     records = [selected[name] for name in names] if names else list(selected)
     file_start, file_horizon = _read_judged(headers, records, has_bands=has_bands)
-    if start is None and file_start is None:
+    if start is None and file_start is not None:
+        defaults.append(f"start '{file_start}' as in the model's file (--start)")
+    start = file_start if start is None else start
+    if start is None:
         usual = [e for e in records if len(e) >= DerivedStart.usual_samples] or records
         start = default_start(usual, *models.values())
-    elif start is None:
-        start = file_start
-        defaults.append(f"start '{file_start}' as in the model's file (--start)")
     if horizon is None and file_horizon is not None:
         defaults.append(f"segments of {file_horizon:g} s as in the model's file (--horizon)")
     horizon = file_horizon if horizon is None else None if horizon == math.inf else horizon

@@ -129,8 +129,8 @@ def make_plan(task: Task, devices: Sequence[Any] | None = None) -> TrainingPlan:
         member_programs = {programs[f] for f in fold_numbers}
         peer_numbers = [f for f in range(len(folds)) if programs[f] in member_programs]
     # validation records in which no free run can start are left out
-    everything = [e for f in peer_numbers for e in folds[f].roles.all]
-    start_name = recipe.start or default_start(everything, single[0])
+    every_record = {id(e): e for f in peer_numbers for e in folds[f].roles.all}
+    start_name = recipe.start or default_start([*every_record.values()], single[0])
     start = start_named(start_name)
     task = replace(task, folds=tuple(
         replace(fold, roles=fold.roles.with_long_validation(start.samples)) for fold in folds
