@@ -237,8 +237,6 @@ def write_records(
     if machine.jitter > ACCEPTED * machine.dt:
         parts[-1] += 'irregular = "resample"\n'
     parts += [part.card() for part in (*machine.sensors, *machine.actuators)]
-    # a folder needs one split to have records; which records judge is left to the fit
-    parts.append('[splits]\ntrain = ["*.csv"]\n')
     (folder / "dataset.toml").write_text("\n".join(parts), encoding="utf-8")
 
 

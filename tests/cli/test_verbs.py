@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 import pytest
 
@@ -246,6 +247,57 @@ def test_fit_leaves_out_records_that_cannot_be_used(folder, tiny_recipe, tmp_pat
         code, _, err = tustinnet(capsys, *verb)
         assert code == 1
         assert f"error: {folder / 'fall9.csv'}, row 2, angle: nan" in err
+
+
+def test_verbs_leave_out_what_a_fit_leaves_out(folder, model, tmp_path, capsys):
+    (folder / "fall9.csv").write_text("time,angle,torque\n0,nan,0\n0.02,nan,1\n")
+    noise = (folder / "noise2.csv").read_text().splitlines()
+    (folder / "noise9.csv").write_text("\n".join(noise[:5]) + "\n")
+    card = folder / "dataset.toml"
+    card.write_text(
+        card.read_text().replace('"fall3.csv"', '"fall[39].csv"').replace(
+            '"noise2.csv"', '"noise[29].csv"')
+    )  # fmt: skip
+    for verb in (
+        ("evaluate", model, folder, "--start", "derived-6"),
+        ("residuals", model, folder, "--start", "derived-6"),
+        ("simulate", model, folder, "--out", tmp_path / "runs"),
+        ("report", model, folder, "--out", tmp_path / "report.html"),
+    ):
+        code, _, err = tustinnet(capsys, *verb)
+        assert code == 0, err
+        assert err.count("left out: ") == 2
+        assert f"left out: {folder / 'fall9.csv'}, row 2, angle: nan" in err
+        assert "left out: noise9: 4 samples; expected at least 6" in err
+    runs = ("simulate", model, folder, "--out", tmp_path / "named", "--experiment")
+    assert "fall9.csv, row 2, angle: nan" in tustinnet(capsys, *runs, "fall9")[2]
+    code, _, err = tustinnet(capsys, *runs, "noise9", "--start", "derived-6")
+    assert code == 1
+    assert "error: noise9: 4 samples" in err
+
+
+@pytest.mark.parametrize(
+    ("hold", "advice"),
+    [
+        (None, "no hold declared: `fit` without a recipe determines it"),
+        ("unknown", 'hold = "unknown": `fit` without a recipe determines it'),
+        ("first-order", 'hold = "first-order" as declared; without this key `fit`'),
+    ],
+)
+def test_inspect_says_how_the_hold_of_an_input_is_found(folder, hold, advice, capsys):
+    text = "".join(
+        line
+        for line in (folder / "dataset.toml").read_text().splitlines(keepends=True)
+        if not line.startswith("hold")
+    )
+    key = "" if hold is None else f'hold = "{hold}"\n'
+    (folder / "dataset.toml").write_text(text.replace("[[inputs]]\n", f"[[inputs]]\n{key}"))
+    rows = np.loadtxt(folder / "noise1.csv", delimiter=",", skiprows=1)
+    rows[:, 2] *= (-1) ** np.arange(len(rows))
+    np.savetxt(folder / "noise1.csv", rows, delimiter=",", header="time,angle,torque", comments="")
+    code, out, err = tustinnet(capsys, "inspect", folder)
+    assert code == 0, err
+    assert f"its course between samples decides the simulation ({advice}" in out
 
 
 def test_fit_and_cross_validate_say_first_what_looks_wrong_and_what_never_moves(

@@ -178,6 +178,13 @@ def test_wrapped_angles_are_unwrapped_and_lengths_are_not() -> None:
     assert e.notes == ("angle: unwrapped (1 jump)",)
 
 
+def test_a_wrapped_angle_of_arrays_begins_near_zero() -> None:
+    q = np.array([6.2, 6.27, 0.05, 6.25])
+    e = tn.from_arrays(q, dt=0.1, coordinates={"angle": "angular"})
+    np.testing.assert_allclose(e.q[:, 0], [*(q[:2] - 2 * np.pi), q[2], q[3] - 2 * np.pi])
+    assert e.notes == ("angle: unwrapped (2 jumps)", "angle: moved by -1 turn")
+
+
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
     "channels", [{"coordinates": ["a"]}, {"coordinates": {"a": "angular"}, "inputs": ["u"]}]

@@ -503,6 +503,33 @@ def test_irregular_times_are_resampled_where_the_card_says_so(gap: Path) -> None
     assert "1 gap interpolated" in e.notes[0]
 
 
+# --- cards without splits ---
+
+
+def test_a_card_without_splits_means_all_logs_beside_it(tmp_path: Path) -> None:
+    for name in ("run10", "run2", "run1"):
+        write(tmp_path / f"{name}.csv")
+    pl.read_csv(tmp_path / "run1.csv").write_parquet(tmp_path / "last.parquet")
+    (tmp_path / ".run3.csv").write_text("hidden")
+    (tmp_path / "notes.md").write_text("no log")
+    write(tmp_path / "older" / "run4.csv")
+    data = load_folder(tmp_path, card())
+    assert [e.name for e in data] == ["last", "run1", "run2", "run10"]
+    assert data.splits == ()
+    write(tmp_path / "run5.csv", angle=np.full(40, np.nan))
+    messages: list[str] = []
+    assert len(load_folder(tmp_path, card(), on_message=messages.append)) == 4
+    assert len(messages) == 1
+    with pytest.raises(tn.InputError, match=r"run5\.csv, row 2, angle: nan"):
+        load_folder(tmp_path, card(), on_message=messages.append, required=["run5"])
+
+
+def test_a_card_without_splits_needs_logs_beside_it(tmp_path: Path) -> None:
+    write(tmp_path / "older" / "run4.csv")
+    with pytest.raises(tn.InputError, match=r"no logs beside the card 'toy'.*under"):
+        load_folder(tmp_path, card())
+
+
 # --- wrapped angles ---
 
 
@@ -520,6 +547,71 @@ def test_jumps_are_left_where_they_are_no_wraps(tmp_path: Path, changes: dict[st
     angle = np.where(np.arange(40) < 20, 0.0, 6.0)
     e = one(write(tmp_path / "log.csv", angle=angle), coordinates=[{**ANGLE, **changes}])
     np.testing.assert_array_equal(e.q[:, 0], angle)
+
+
+COUNT = 2 * np.pi / 4096
+
+
+def wrapping_folder(tmp_path: Path, **first_by_name: float) -> Path:
+    """A folder of records of an encoder of 0 to 4095 counts, which begin at so many radians."""
+    t = np.arange(200) * DT
+    for name, first in first_by_name.items():
+        counts = np.round((first + 0.2 * np.sin(8 * t)) / COUNT) % 4096
+        write(tmp_path / f"{name}.csv", 200, angle=counts)
+    return tmp_path
+
+
+def wrapping_card(files: str = "*.csv", **changes: Any) -> Card:
+    angle = {**ANGLE, "unit": "counts", "counts_per_revolution": 4096, **changes}
+    return card(coordinates=[angle], splits={"train": [files]})
+
+
+def test_records_of_a_wrapped_encoder_begin_in_one_turn(tmp_path: Path) -> None:
+    folder = wrapping_folder(tmp_path, a=0.1, b=6.2, c=6.0, d=-0.05)
+    data = load_folder(folder, wrapping_card())
+    begins = {e.name: e.q[0, 0] for e in data}
+    # c stays on one side of 0, but its encoder wraps in the others
+    expected = {"a": 0.1, "b": 6.2 - 2 * np.pi, "c": 6.0 - 2 * np.pi, "d": -0.05}
+    assert begins == pytest.approx(expected, abs=COUNT)
+    assert data["b"].notes[-1] == "angle: moved by -1 turn"
+    assert "moved" not in " ".join(data["a"].notes)
+    for e in data:  # also where it is logged by itself
+        if e.name != "c":
+            other = load_folder(folder, wrapping_card(f"{e.name}.csv"))
+            np.testing.assert_array_equal(other[0].q, e.q)
+
+
+def test_a_card_says_whether_an_encoder_wraps(tmp_path: Path) -> None:
+    alone = wrapping_folder(tmp_path / "alone", c=6.0)
+    assert load_folder(alone, wrapping_card())[0].q[0, 0] > 5.9
+    wraps = load_folder(alone, wrapping_card(wraps=True))
+    assert wraps[0].q[0, 0] == pytest.approx(6.0 - 2 * np.pi, abs=COUNT)
+    jumps = wrapping_folder(tmp_path / "jumps", b=6.2)
+    never = load_folder(jumps, wrapping_card(wraps=False))
+    assert never[0].q[0, 0] == pytest.approx(6.2, abs=COUNT)
+    assert np.ptp(never[0].q) < 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"unwrap": False, "unit": "rad"}, "`wraps` of `unwrap = false`"),
+        ({"kind": "linear", "unit": "m"}, "`wraps` of a linear coordinate"),
+    ],
+)
+def test_wraps_of_an_angle_that_is_not_unwrapped_is_refused(
+    changes: dict[str, Any], problem: str
+) -> None:
+    with pytest.raises(tn.InputError, match=problem):
+        card(coordinates=[{**ANGLE, "wraps": True, **changes}])
+
+
+def test_an_encoder_of_several_turns_is_left_where_it_begins(tmp_path: Path) -> None:
+    t = np.arange(200) * DT
+    write(tmp_path / "a.csv", 200, angle=40 + 8 * t)
+    write(tmp_path / "b.csv", 200, angle=5.9 + 0.1 * t)
+    data = load_folder(tmp_path, card(splits={"train": ["*.csv"]}))
+    assert [e.q[0, 0] for e in data] == [40.0, 5.9]
 
 
 # --- data frames ---

@@ -1,11 +1,16 @@
 """Which records train, which choose, which take part in nothing."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 import tustinnet as tn
+from tustinnet.fitting.listener import Listener
+from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.roles import Roles, assign_roles
+from tustinnet.fitting.task import make_task
+from tustinnet.store.run import run_task
 
 
 def split_as(pendulum: tn.DataSet, *splits: str | None) -> tn.DataSet:
@@ -55,3 +60,45 @@ def test_splits_without_one_for_training_are_refused(pendulum):
 def test_something_else_than_a_data_set_is_refused_with_the_remedy(pendulum):
     with pytest.raises(tn.InputError, match=r"a list; expected a DataSet; use tn\.load"):
         assign_roles(list(pendulum))  # type: ignore[arg-type] # what people try
+
+
+def test_validation_records_too_short_to_start_in_are_left_out_unless_all_are(pendulum):
+    roles = assign_roles(pendulum)
+    short = replace(roles, validation=(roles.validation[0], pendulum["noise2"][:12]))
+    assert names(short.with_long_validation(20).validation) == ["fall3"]
+    assert names(short.with_long_validation(20).train) == names(roles.train)
+    assert short.with_long_validation(12) == short
+    only = replace(roles, validation=(pendulum["noise2"][:12],))
+    assert only.with_long_validation(20) is only
+
+
+def with_short_validation(pendulum: tn.DataSet) -> tn.DataSet:
+    short = replace(pendulum["noise2"][:12], name="short")
+    return tn.DataSet("toy", (*pendulum, short))
+
+
+def test_a_training_leaves_short_validation_records_out(pendulum, tiny_recipe, tmp_path):
+    data, messages = with_short_validation(pendulum), []
+    recipe = read_recipe(tiny_recipe, ["start=model-20", "stages.*.epochs=1"])
+    run = run_task(
+        make_task(data, recipe), "toy", tmp_path / "run",
+        make_listener=lambda plan: Listener(on_message=messages.append),
+    )  # fmt: skip
+    assert messages == ["left out of validation: short: 12 samples; expected at least 20"]
+    assert [score.experiment for score in run.best.scores] == ["fall3", "noise2"]
+    without = tn.fit(pendulum, recipe)
+    assert run.best.result.validation_rmse == without.validation_rmse
+    only = tn.DataSet("toy", (*pendulum.split("train"), data["short"]))
+    with pytest.raises(tn.InputError, match="short: 12 samples; expected at least 20"):
+        tn.fit(only, recipe)
+
+
+def test_an_identification_leaves_short_validation_records_out(pendulum):
+    messages: list[str] = []
+    system = Path(__file__).parents[1] / "torture" / "pendulum.py"
+    found = tn.fit(
+        with_short_validation(pendulum), "grey", system=system,
+        listener=Listener(on_message=messages.append),
+    )  # fmt: skip
+    assert messages == ["left out of validation: short: 12 samples; expected at least 20"]
+    assert found.validation_rmse == tn.fit(pendulum, "grey", system=system).validation_rmse

@@ -36,7 +36,9 @@ def test_a_delay_that_nobody_declared_is_found_with_its_error(system):
     (found,) = timing.data.channels.inputs
     assert found.hold == "zero-order"
     assert found.delay == pytest.approx(DT, abs=0.1 * DT)
-    assert "hold of 'voltage': zero-order; simulation errors [rad]: zero-order" in timing.sentences[0]
+    assert (
+        "hold of 'voltage': zero-order; simulation errors [rad]: zero-order" in timing.sentences[0]
+    )
     assert timing.sentences[1].startswith("delay of 'voltage': 0.0")
     assert "periods); the simulation error is 0." in timing.sentences[1]
 

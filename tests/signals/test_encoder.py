@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tustinnet.signals.encoder import encoder_count
+from tustinnet.signals.resampling import unwrap_angle
 
 DT = 0.01
 COUNT = 2 * np.pi / 4096
@@ -53,3 +54,26 @@ def test_a_continuous_signal_has_no_count(seed: int, digits: int) -> None:
 @pytest.mark.parametrize("q", [np.zeros(50), np.arange(50) % 2 * 0.1])
 def test_fewer_than_three_levels_tell_no_count(q: np.ndarray) -> None:
     assert encoder_count(q) is None
+
+
+@pytest.mark.parametrize("per_turn", [2400, 4096])
+@pytest.mark.parametrize("digits", [6, 15])
+@pytest.mark.parametrize("amplitude", [40.0, 300.0, 9000.0])
+@pytest.mark.parametrize("first", [0.02, 6.26])
+def test_an_encoder_that_wraps_near_zero_has_its_count(
+    per_turn: int, digits: int, amplitude: float, first: float
+) -> None:
+    count, t = 2 * np.pi / per_turn, np.arange(1500) * DT
+    levels = np.round(first / count + amplitude * np.sin(9 * t) * np.exp(-0.1 * t))
+    q, jumps = unwrap_angle(np.round(count * (levels % per_turn), digits))
+    assert len(jumps) > 2
+    assert encoder_count(q) == pytest.approx(count, rel=1e-3)
+
+
+@pytest.mark.parametrize("offset", [0.0, 2 * np.pi, 2e3])
+def test_rounding_of_the_arithmetic_makes_no_levels(offset: float) -> None:
+    generator, levels = np.random.default_rng(0), np.arange(400) // 10
+    turns = 2 * np.pi * generator.integers(-40, 40, 400)
+    q = offset + (COUNT * levels + turns) - turns  # equal but for the last digits
+    assert len(np.unique(q)) > 2 * 40
+    assert encoder_count(q) == pytest.approx(COUNT, rel=1e-3)

@@ -13,7 +13,9 @@ from tustinnet.signals.resampling import (
     resample_held,
     resample_linear,
     resample_positions,
+    turns_to_beginning,
     unwrap_angle,
+    wraps_within_turn,
 )
 
 DT = 0.01
@@ -151,3 +153,41 @@ def test_an_angle_that_never_jumps_is_left_alone() -> None:
     found, jumps = unwrap_angle(angle)
     np.testing.assert_array_equal(found, angle)
     assert len(jumps) == 0
+
+
+def test_equal_readings_in_a_turn_are_equal_angles() -> None:
+    counts = np.array([4095, 0, 4095, 1, 4094, 0, 4095, 0] * 20)
+    found, jumps = unwrap_angle(counts * 2 * np.pi / 4096)
+    assert len(jumps) > 100
+    assert len(np.unique(found)) == len(np.unique(counts))
+
+
+@pytest.mark.parametrize(
+    ("angle", "wraps"),
+    [
+        ([6.1, 6.2, 0.02, 6.25], True),
+        ([3.0, -3.1, 3.1], True),
+        ([0.0, 3.0, 6.2], False),  # no jump
+        ([100.0, 104.0, 100.1], False),  # two bad rows, or too fast to tell
+        ([12.0, 6.0, 0.1, 12.5, 12.4], False),  # a counter of two turns
+        ([4.5, 4.4, 0.0, 4.4], False),  # a bad row
+    ],
+)
+def test_an_encoder_wraps_that_jumps_by_a_turn_within_a_turn(
+    angle: list[float], *, wraps: bool
+) -> None:
+    assert wraps_within_turn(np.array(angle)) is wraps
+
+
+@given(angle=st.floats(-40, 40))
+def test_a_wrapped_record_begins_between_minus_135_and_225_degrees(angle: float) -> None:
+    begins = angle + 2 * np.pi * turns_to_beginning(angle)
+    assert -3 / 8 - 1e-9 < begins / (2 * np.pi) < 5 / 8 + 1e-9
+
+
+@pytest.mark.parametrize("rest", np.deg2rad([-90, 0, 90, 180]))
+@pytest.mark.parametrize("turn", [-2 * np.pi, 0.0, 2 * np.pi])
+def test_both_sides_of_a_position_of_rest_begin_together(rest: float, turn: float) -> None:
+    for side in (-0.3, 0.3):
+        begins = rest + side + turn
+        assert begins + 2 * np.pi * turns_to_beginning(begins) == pytest.approx(rest + side)

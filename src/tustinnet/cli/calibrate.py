@@ -28,8 +28,7 @@ def calibrate(
     """
     terminal.prepare_jax()
     from tustinnet.cli.completion import ALL
-    from tustinnet.cli.request import choose_free_runs, list_input_files, load_model
-    from tustinnet.data.catalog import load
+    from tustinnet.cli.request import choose_free_runs, list_input_files, load_model, load_records
     from tustinnet.errors import InputError
     from tustinnet.evaluate.bands import KEY, calibrate_bands, find_alternatives, predict
     from tustinnet.store.files import require_outputs
@@ -42,7 +41,9 @@ def calibrate(
     simulator = load_model(model, system)
     header = read_header(model)
     others = find_alternatives(simulator, header, model)
-    runs = choose_free_runs(load(data, card), {model: simulator}, split or ALL, start, horizon)
+    runs = choose_free_runs(
+        load_records(data, card), {model: simulator}, split or ALL, start, horizon
+    )
     if runs.fitted:
         raise InputError(
             "calibrate", f"{', '.join(runs.fitted[:3])}, which {model} was fitted to",

@@ -43,7 +43,6 @@ def compare(
 ) -> None:
     """Compare the free runs of several models in a table and figures."""
     terminal.prepare_jax()
-    from tustinnet.data.catalog import load
     from tustinnet.errors import InputError
     from tustinnet.evaluate.scores import evaluate, mean_rmse, rmse_by_record
     from tustinnet.report.comparison import comparison_table
@@ -58,7 +57,7 @@ def compare(
     loaded_models = load_models(models, systems, request.kept_system)
     by_file = dict(zip(models, loaded_models, strict=True))
     runs = request.choose_free_runs(
-        load(data, card), by_file, split, start, horizon, has_bands=band is not None
+        request.load_records(data, card), by_file, split, start, horizon, has_bands=band is not None
     )
     records = runs.records
     paths = None if figures is None else [figures / f"{e.name}.png" for e in records]

@@ -50,7 +50,6 @@ def evaluate(
     A free run begins at an initial state (--start) and then uses only the logged inputs.
     """
     terminal.prepare_jax()
-    from tustinnet.data.catalog import load
     from tustinnet.evaluate.ahead import rmse_ahead
     from tustinnet.evaluate.coverage import compute_coverage
     from tustinnet.evaluate.scores import Score, mean_rmse
@@ -60,8 +59,9 @@ def evaluate(
     band_options = request.make_band_options(band, whole=whole_records)
     simulator = request.load_model(model, system)
     channels = simulator.channels
+    data_set = request.load_records(data, card)
     runs = request.choose_free_runs(
-        load(data, card), {model: simulator}, split, start, horizon, has_bands=band is not None
+        data_set, {model: simulator}, split, start, horizon, has_bands=band is not None
     )
     records = runs.records
     names = [e.name for e in records] + ([] if ahead is None else [_AHEAD_FIGURE])

@@ -9,6 +9,7 @@ import typer
 from tustinnet.cli import options, request, terminal
 
 if TYPE_CHECKING:
+    from tustinnet.channels import Hold
     from tustinnet.data.inspection import ExperimentReport
     from tustinnet.report.tables import Table
 
@@ -83,8 +84,7 @@ def _print_reports(reports: "list[ExperimentReport]", unit: str) -> None:
     )  # fmt: skip
     holds = (
         (r.name, f"{i.name} has power above a tenth of the sampling rate: its course between "
-         f'samples decides the simulation (hold = "{i.hold or "zero-order"}"; others: '
-         'first-order, band-limited; or "unknown", and fit of a grey box tries them)')
+         f"samples decides the simulation ({_hold_advice(i.hold)})")
         for r in reports for i in r.inputs if i.hold_matters
     )  # fmt: skip
     # the table has the jitter
@@ -96,6 +96,16 @@ def _print_reports(reports: "list[ExperimentReport]", unit: str) -> None:
         *_merge_remarks("note", notes),
     ):
         typer.echo(line)
+
+
+def _hold_advice(hold: "Hold | None") -> str:
+    """How models get the hold of an input whose card declares it, declares `unknown`, or none."""
+    if hold is None:
+        return ("no hold declared: `fit` without a recipe determines it, a recipe takes zero-order "
+                "unless the system declares another")  # fmt: skip
+    if hold == "unknown":
+        return 'hold = "unknown": `fit` without a recipe determines it, and that of a grey box'
+    return f'hold = "{hold}" as declared; without this key `fit` without a recipe determines it'
 
 
 def _inspect_file(path: Path, *, json: bool) -> None:

@@ -44,8 +44,7 @@ def report(
     """Write an HTML page about a model: animation, scores, errors."""
     terminal.prepare_jax()
     from tustinnet.cli.automatic_report import report_command
-    from tustinnet.cli.request import choose_free_runs, kept_system, list_input_files
-    from tustinnet.data.catalog import load
+    from tustinnet.cli.request import choose_free_runs, kept_system, list_input_files, load_records
     from tustinnet.report.page.reported_model import model_file, read_reported_models
     from tustinnet.report.page.write import ENDINGS, ReportOptions, write_page
     from tustinnet.store.files import require_outputs
@@ -65,7 +64,7 @@ def report(
     loaded_models = load_models(files, restoring, kept_system)
     links = _choose_links(drawing, loaded_models, loaded_models[0].coordinates)
     by_file = dict(zip(files, loaded_models, strict=True))
-    runs = choose_free_runs(load(data, card), by_file, split, start, horizon)
+    runs = choose_free_runs(load_records(data, card), by_file, split, start, horizon)
     command = report_command(models, data, out, {
         "--split": split, "--start": start, "--horizon": horizon, "--card": card,
     }, system or [])  # fmt: skip

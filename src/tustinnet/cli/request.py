@@ -1,9 +1,9 @@
 """The values that verbs make of their arguments: records, recipes, models, bands."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -175,18 +175,26 @@ def load_records_to_fit(
     folder, located_card = locate(data, card)
     require_apart(out, folder)
     records = load_folder(folder, located_card, on_message=None if strict else console.print)
-    fewest = DerivedStart.usual_samples  # free runs start from these
-    remaining = {e.split for e in records if len(e) >= fewest}
-    for e in () if strict else records:
-        if len(e) < fewest and e.split in remaining:
-            console.print(f"left out: {e.name}: {len(e)} samples; expected at least {fewest}")
-            records = records.exclude(e.name)
+    if not strict:
+        kept = _leave_out_short([*records], DerivedStart.usual_name(), ())
+        records = replace(records, experiments=tuple(kept))
     reports = [inspect_experiment(e) for e in records]
     if strict:
         require_sound(reports)
     for line in suspicions(reports):
         console.print(line)
     return records
+
+
+def load_records(data: str, card: Path | None, names: "Collection[str]" = ()) -> "DataSet":
+    """Loads the records of a verb that simulates them; prints which are left out.
+
+    As a fit, it leaves out records that cannot be read or used, but not those of some names.
+    """
+    from tustinnet.data.catalog import locate
+    from tustinnet.data.loading import load_folder
+
+    return load_folder(*locate(data, card), on_message=terminal.messages().print, required=names)
 
 
 def require_apart(out: Path, folder: Path) -> None:
@@ -327,9 +335,11 @@ def choose_free_runs(
         start: name of the start, None for that of the files where they agree, else the usual one.
         horizon: longest duration [s], infinite for whole records, None for that of the files where
             they agree, else whole records.
-        names: some of the records, () for all.
+        names: some of the records, () for all; others that are too short for the start are left
+            out with a message.
         has_bands: whether start and horizon are by default those of the models' calibration.
     """
+    from tustinnet.simulate.start_rules import DerivedStart
     from tustinnet.simulate.starts import default_start
     from tustinnet.store.header import read_header, records_in_header
 
@@ -343,9 +353,14 @@ def choose_free_runs(
     file_start, file_horizon = _read_judged(headers, records, has_bands=has_bands)
     if start is None and file_start is not None:
         defaults.append(f"start '{file_start}' as in the model's file (--start)")
+    start = file_start if start is None else start
+    if start is None:
+        usual = [e for e in records if len(e) >= DerivedStart.usual_samples] or records
+        start = default_start(usual, *models.values())
     if horizon is None and file_horizon is not None:
         defaults.append(f"segments of {file_horizon:g} s as in the model's file (--horizon)")
     horizon = file_horizon if horizon is None else None if horizon == math.inf else horizon
+    records = _leave_out_short(records, start, names)
     notes = [f"default: {', '.join(defaults)}"] if defaults else []
     checksums = {key for header in headers.values() for key in records_in_header(header)}
     fitted = [e.name for e in records if e.sha256 in checksums]
@@ -354,9 +369,29 @@ def choose_free_runs(
         more = ", ..." if len(fitted) > _MAX_NAMED else ""
         named = ", ".join(fitted[:_MAX_NAMED]) + more
         notes.append(f"fitted to {count}, whose scores are optimistic: {named}")
-    if start is None:
-        start = file_start or default_start(records, *models.values())
     return FreeRuns(records, split or ALL, start, horizon, fitted, notes)
+
+
+def _leave_out_short(
+    records: "list[Experiment]", start: str, names: Sequence[str]
+) -> "list[Experiment]":
+    """The records that are long enough for a start; prints which are left out.
+
+    Those that were named stay, and all of a split where none is long enough.
+    """
+    from tustinnet.simulate.start_rules import start_named
+
+    fewest = start_named(start).samples
+    remaining = {e.split for e in records if len(e) >= fewest}
+    kept = []
+    for e in records:
+        if len(e) >= fewest or e.name in names or e.split not in remaining:
+            kept.append(e)
+        else:
+            terminal.messages().print(
+                f"left out: {e.name}: {len(e)} samples; expected at least {fewest}"
+            )
+    return kept
 
 
 def _read_judged(
@@ -364,7 +399,8 @@ def _read_judged(
 ) -> tuple[str | None, float | None]:
     """Start and horizon by which files say that models were judged, or with bands calibrated.
 
-    None where files say none or others, where a record cannot start so, or none is longer.
+    None where files say none or others, where no record or none without velocities can start so,
+    or none is longer.
     """
     from tustinnet.errors import InputError
     from tustinnet.evaluate.bands import KEY, Calibration
@@ -386,7 +422,7 @@ def _read_judged(
     except InputError:  # a start of an earlier version
         rule = None
     lacks_velocities = isinstance(rule, StoredStart) and any(e.v is None for e in records)
-    if rule is None or lacks_velocities or any(len(e) < rule.samples for e in records):
+    if rule is None or lacks_velocities or all(len(e) < rule.samples for e in records):
         start = None
     return start, effective_horizon(horizon, records)
 

@@ -39,7 +39,6 @@ def residuals(
     """
     terminal.prepare_jax()
     from tustinnet.cli import request
-    from tustinnet.data.catalog import load
     from tustinnet.evaluate.residuals import residual_reports
     from tustinnet.report.residuals import downweighted_table, residual_figure
     from tustinnet.simulate.horizon import horizon_words
@@ -49,7 +48,9 @@ def residuals(
     request.require_figures("--figure", figure, inputs, overwrite=overwrite)
     simulator = request.load_model(model, system)
     channels = simulator.channels
-    runs = request.choose_free_runs(load(data, card), {model: simulator}, split, start, horizon)
+    runs = request.choose_free_runs(
+        request.load_records(data, card), {model: simulator}, split, start, horizon
+    )
     records, horizon = runs.records, runs.horizon
     reports = residual_reports(simulator, records, runs.start, lags, horizon=horizon)
     names = {e.name for e in records}

@@ -35,7 +35,9 @@ def _channel_lines(header: dict[str, Any]) -> Lines:
     for coordinate in header["coordinates"]:
         unit = f" [{coordinate['unit']}]" if coordinate.get("unit") else ""  # not rad or m
         coordinates.append(f"{coordinate['name']}{unit} ({coordinate['kind']})")
-    inputs = ", ".join(f"{i['name']} [{i['unit']}, {i['hold']}]" for i in header["inputs"])
+    inputs = ", ".join(
+        f"{i['name']} [{i['unit']}, {i['hold'] or 'zero-order'}]" for i in header["inputs"]
+    )
     return [
         ("kind", f"{header['kind']}, format {header['format']}"),
         ("coordinates", ", ".join(coordinates)),

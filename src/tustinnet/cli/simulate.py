@@ -37,7 +37,6 @@ def simulate(
     """
     terminal.prepare_jax()
     from tustinnet.cli import request
-    from tustinnet.data.catalog import load
     from tustinnet.evaluate.scores import evaluate
     from tustinnet.report.extrapolation import describe_extrapolation, extrapolation_content
     from tustinnet.report.tables import Table, number
@@ -49,8 +48,9 @@ def simulate(
 
     band_options = request.make_band_options(band, whole=whole_records)
     simulator = request.load_model(model, system)
+    data_set = request.load_records(data, card, experiment or ())
     runs = request.choose_free_runs(
-        load(data, card), {model: simulator}, split, start, horizon,
+        data_set, {model: simulator}, split, start, horizon,
         names=experiment or (), has_bands=band is not None,
     )  # fmt: skip
     records = runs.records

@@ -82,6 +82,9 @@ class CoordinateCard(Declaration):
         resolution: encoder count in rad or m, or in the SI unit of `unit`.
         counts_per_revolution: encoder counts in a turn of an angle, instead of `resolution`.
         unwrap: whether jumps of more than half a turn are taken for wraps and removed.
+        wraps: whether the encoder starts again after each turn, so that every record is moved by
+            whole turns to begin above -135 and at most at 225 degrees; by default where a record
+            jumps by a turn.
         velocity: the velocity column, if there is one.
     """
 
@@ -94,6 +97,7 @@ class CoordinateCard(Declaration):
     resolution: Resolution | None = None
     counts_per_revolution: float | None = Field(default=None, ge=1, le=1e12)
     unwrap: bool = True
+    wraps: bool | None = None
     velocity: VelocityCard | None = None
 
     @model_validator(mode="after")
@@ -108,6 +112,9 @@ class CoordinateCard(Declaration):
             raise ValueError("unit 'counts' needs `resolution` or `counts_per_revolution`")
         if self.counts_per_revolution and self.kind == "linear":
             raise ValueError("`counts_per_revolution` of a linear coordinate; give `resolution`")
+        if self.wraps is not None and (self.kind == "linear" or not self.unwrap):
+            of = "a linear coordinate" if self.kind == "linear" else "`unwrap = false`"
+            raise ValueError(f"`wraps` of {of}; an angle that is unwrapped, or leave it out")
         if self.velocity is not None:
             self.velocity_factor()
         return self
@@ -158,10 +165,11 @@ class InputCard(Declaration):
         sign: 1 or -1.
         offset: reading of the column where the input is 0.
         hold: course between samples: `zero-order`, `first-order`, `band-limited`, or
-            `unknown`: `fit` of a grey box tries all of them.
+            `unknown`: `fit` of a grey box tries all of them. `fit` without a recipe does so also
+            where there is no such key; otherwise it is then that of the system, or `zero-order`.
         limits: smallest and largest `value` of the actuator.
-        delay: time from a logged sample to its effect [s], or `unknown`: `fit` of a grey box
-            searches for it.
+        delay: time from a logged sample to its effect [s], or `unknown`: `fit` of a grey box, or
+            without a recipe, searches for it.
     """
 
     name: Name
@@ -281,7 +289,8 @@ class Card(Declaration):
         name: name of the data set.
         description: a sentence for people.
         dt: nominal sampling period [s]; the median interval where it is left out.
-        splits: files of `train`, `validation` and `test`.
+        splits: files of `train`, `validation` and `test`; without any, all files beside the card
+            that can be read are records of no split.
         optional_splits: splits whose files may all be absent.
         format: layout of text files.
         time: the time column; without it samples are taken to be `dt` apart.

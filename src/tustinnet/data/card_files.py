@@ -2,29 +2,36 @@
 
 import re
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 
 from tustinnet.data.card import Card, FileCard
+from tustinnet.data.readers import is_readable
 from tustinnet.errors import InputError, convert_errors, require_name
 
 
-def list_record_files(folder: Path, card: Card) -> list[tuple[str, FileCard]]:
+def list_record_files(folder: Path, card: Card) -> list[tuple[str | None, FileCard]]:
     """The files of a card with their splits, patterns resolved, every record with a name.
 
-    Records have the names of their files, with folders and rows where names would be doubled.
+    Without splits these are all files of the folder that can be read, by their endings, in natural
+    order. Records have the names of their files, with folders and rows where names would be
+    doubled.
 
     Raises:
         InputError: a file is missing or listed in two splits, or its name can be no record's.
     """
-    entries = [
+    entries: list[tuple[str | None, FileCard]] = [
         (split, entry)
         for split, split_entries in card.splits.items()
         for entry in _resolve_patterns(folder, split, split_entries, card)
     ]
-    split_by_part: dict[tuple[str, str], str] = {}
+    if not card.splits:
+        # these files exist: their names need no check
+        entries = [(None, FileCard.model_construct(file=file)) for file in _list_logs(folder)]
+    split_by_part: dict[tuple[str, str], str | None] = {}
     for split, entry in entries:
         other = split_by_part.setdefault((entry.file, entry.part), split)
-        if other is not split:
+        if other != split:
             raise InputError(
                 entry.file, f"listed in the splits {other} and {split}", "one split a file"
             )
@@ -59,11 +66,7 @@ def _resolve_patterns(
         if any(c in entry.file for c in "*?["):
             with convert_errors(folder / entry.file, "no usable pattern", "e.g. train/*.csv"):
                 paths = [p for p in folder.glob(entry.file) if not p.is_dir()]
-            files = [p.relative_to(folder).as_posix() for p in paths]
-            files.sort(key=lambda file: [
-                (int(part), "") if part.isdecimal() else (-1, part)
-                for part in re.split(r"(\d+)", file)
-            ])  # fmt: skip
+            files = _in_natural_order(p.relative_to(folder).as_posix() for p in paths)
             result += [entry.model_copy(update={"file": file}) for file in files]
             exists = bool(paths)
         else:
@@ -80,6 +83,21 @@ def _resolve_patterns(
             "check the folder and the names under [splits]",
         )
     return result
+
+
+def _list_logs(folder: Path) -> list[str]:
+    """Names of the files of a folder that can be read, hidden ones left out."""
+    with convert_errors(folder, "cannot be listed", "a folder of logs"):
+        paths = [p for p in folder.iterdir() if is_readable(p) and not p.is_dir()]
+    return _in_natural_order(p.name for p in paths if not p.name.startswith("."))
+
+
+def _in_natural_order(files: Iterable[str]) -> list[str]:
+    """Paths sorted, their numbers by value: run2 before run10."""
+    return sorted(files, key=lambda file: [
+        (int(part), "") if part.isdecimal() else (-1, part)
+        for part in re.split(r"(\d+)", file)
+    ])  # fmt: skip
 
 
 def require_inside(folder: Path, path: Path) -> None:

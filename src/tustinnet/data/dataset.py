@@ -9,8 +9,9 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from tustinnet.channels import Channels, Coordinate, HasChannels, Input, Kind
-from tustinnet.data.experiment import Experiment, unwrap_angles
+from tustinnet.data.experiment import Experiment, begin_near_zero, unwrap_angles
 from tustinnet.errors import InputError, require_text
+from tustinnet.signals.resampling import wraps_within_turn
 
 _OTHER_PERIOD = 0.2  # relative; a median interval this far from `dt` is another period
 
@@ -124,7 +125,8 @@ def from_arrays(
 
     Args:
         q: positions in radians or metres, (n, n_q), or (n,) for one coordinate. Jumps of more
-            than half a turn in an angle are taken for wraps and removed.
+            than half a turn in an angle are taken for wraps and removed; an angle that wraps each
+            turn is then moved by whole turns, to begin above -135 and at most at 225 degrees.
         u: inputs, (n, n_u), or (n,) for one input.
         dt: sampling period [s].
         coordinates: the columns of `q`, as `Coordinate`s or as `{name: "angular" or "linear"}`.
@@ -160,6 +162,7 @@ def from_arrays(
         for j, c in enumerate(channels.coordinates[: positions.shape[1]])
         if c.kind == "angular"
     }
+    wrapped = [j for j in angles if wraps_within_turn(positions[:, j])]
     positions, notes = unwrap_angles(positions, angles)
     times = np.arange(n) * dt if t is None else np.asarray(t, dtype=float)
     median = float(np.median(np.diff(times))) if n > 1 else dt
@@ -167,7 +170,7 @@ def from_arrays(
         raise InputError(
             name, f"median interval {median:g} s", f"dt = {dt:g} s", "times in seconds"
         )
-    return Experiment(
+    experiment = Experiment(
         name=name,
         t=times,
         q=positions,
@@ -179,6 +182,7 @@ def from_arrays(
         groups=tuple(record.get("groups", {}).items()),
         notes=notes,
     )
+    return begin_near_zero(experiment, wrapped)
 
 
 def _matrix(values: ArrayLike, name: str) -> Float[np.ndarray, "n c"]:

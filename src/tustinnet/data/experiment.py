@@ -1,6 +1,6 @@
 """One recorded run of a mechanical system."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -37,6 +37,28 @@ def unwrap_angles(
     return q, tuple(notes)
 
 
+def begin_near_zero(experiment: "Experiment", wrapped: Iterable[int]) -> "Experiment":
+    """The record with wrapped angles moved by whole turns to where a record begins.
+
+    An encoder that wraps each turn begins at 0 or at a full turn, whichever side its first count
+    is on; see `turns_to_beginning`.
+
+    Args:
+        experiment: the record, its angles unwrapped.
+        wrapped: indices of the coordinates whose encoders wrap each turn.
+    """
+    q, notes = experiment.q.copy(), list(experiment.notes)
+    for j in wrapped:
+        turns = resampling.turns_to_beginning(q[0, j])
+        if turns:
+            q[:, j] += 2 * np.pi * turns
+            plural = "s" * (abs(turns) > 1)
+            notes.append(f"{experiment.coordinates[j].name}: moved by {turns:+d} turn{plural}")
+    if len(notes) == len(experiment.notes):
+        return experiment
+    return replace(experiment, q=q, notes=tuple(notes))
+
+
 @dataclass(frozen=True, eq=False)
 class Experiment(HasChannels):
     """One frozen record of one run. SI units, angles in radians and not wrapped.
@@ -57,7 +79,7 @@ class Experiment(HasChannels):
         sha256: checksum of that file.
         first_row: row of sample 0 in the source.
         recording: time base of the whole record before it was resampled, None where it was not.
-        notes: remarks on how it was read (jitter accepted, angles unwrapped, ...).
+        notes: remarks on how it was read (jitter accepted, angles unwrapped or moved, ...).
     """
 
     name: str
@@ -294,13 +316,17 @@ class Experiment(HasChannels):
                 raise InputError(
                     f"{self.name}, input '{i.name}'", f"hold 'unknown', and {purpose} needs one",
                     "zero-order, first-order or band-limited",
-                    "declare it in the data card; `fit` of a grey box tries all of them",
+                    "declare it in the data card" + (
+                        "; `fit` without a recipe, or of a grey box, tries all of them"
+                        if delays else ""
+                    ),
                 )  # fmt: skip
             if i.delay is None and delays:
                 raise InputError(
                     f"{self.name}, input '{i.name}'", f"delay 'unknown', and {purpose} needs one",
                     "a delay in seconds",
-                    "declare it in the data card; `fit` of a grey box searches for it",
+                    "declare it in the data card; `fit` without a recipe, or of a grey box, "
+                    "searches for it",
                 )  # fmt: skip
 
     def measured_states(

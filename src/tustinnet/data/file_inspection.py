@@ -312,8 +312,8 @@ def _draft(report: FileReport) -> str:
             why += ", and the slope of no position"
         lines.append(f"# {_quote(column.name)} is not used: {why}")
     lines += [
-        "", "[splits]", f"train = [{_quote(report.name)}]  # or all of a kind, as [\"*.csv\"]",
-        '# validation = ["another file"]',
+        "", "# all logs beside this card are records; to choose some and what they are for:",
+        "# [splits]", f"# train = [{_quote(report.name)}]", '# validation = ["another file"]',
     ]  # fmt: skip
     return "\n".join(lines) + "\n"
 

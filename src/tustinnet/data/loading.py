@@ -1,8 +1,8 @@
 """Records from columns, as a data card declares them."""
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from tustinnet.data.card_files import list_record_files, require_inside
 from tustinnet.data.columns import NUMBERED, Column, Columns, frame_columns
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import declare, read_declaration
-from tustinnet.data.experiment import LARGEST, Experiment, unwrap_angles
+from tustinnet.data.experiment import LARGEST, Experiment, begin_near_zero, unwrap_angles
 from tustinnet.data.mat_file import OBJECT, OBJECT_REMEDY
 from tustinnet.data.readers import read_columns
 from tustinnet.errors import InputError
@@ -29,9 +29,13 @@ _IRREGULAR_REMEDY = 'set `irregular = "resample"` (onto a grid) or "keep" under 
 
 
 def load_folder(
-    folder: Path, card: Card, *, on_message: Callable[[str], None] | None = None
+    folder: Path,
+    card: Card,
+    *,
+    on_message: Callable[[str], None] | None = None,
+    required: Collection[str] = (),
 ) -> DataSet:
-    """Reads the records that a card names from a folder.
+    """Reads the records that a card names from a folder; without splits, those of all its logs.
 
     Args:
         folder: where the card's paths begin.
@@ -39,6 +43,7 @@ def load_folder(
         on_message: if given, records that cannot be read or used are left out, and it is called
             with a sentence on each; not those that the card names one by one, and not all of a
             split.
+        required: names of records that are never left out.
 
     Raises:
         InputError: a file is missing or damaged or outside of the folder, a column is not there,
@@ -47,32 +52,39 @@ def load_folder(
     """
     # files of patterns are not among these
     named = {entry.file for entries in card.splits.values() for entry in entries}
-    experiments: list[Experiment] = []
-    errors: list[tuple[str, InputError]] = []
+    loaded: list[_LoadedRecord] = []
+    errors: list[tuple[str | None, InputError]] = []
     for split, entry in list_record_files(folder, card):
         try:
             records = _load_file(folder, split, entry, card)
         except InputError as error:
-            if on_message is None or entry.file in named:
+            if on_message is None or entry.file in named or entry.name in required:
                 raise
             records = [error]
         for record in records:
-            if isinstance(record, Experiment):
-                experiments.append(record)
+            if isinstance(record, _LoadedRecord):
+                loaded.append(record)
             elif on_message is None:
                 raise record
             else:
                 errors.append((split, record))
-    remaining = {e.split for e in experiments}
+    remaining = {record.experiment.split for record in loaded}
     for split, error in errors:
         if on_message is None or split not in remaining:
             raise error
         on_message(f"left out: {error}")
+    experiments = _begin_near_zero(loaded, card)
+    if not experiments and not card.splits:
+        raise InputError(
+            folder, f"no logs beside the card '{card.name}'",
+            "files of columns, such as .csv, .parquet or .mat",
+            "check the folder, or name files of its subfolders under [splits]",
+        )  # fmt: skip
     if not experiments:
         raise InputError(
             folder,
             f"none of the files of the card '{card.name}' are there",
-            ", ".join(e.file for files in card.splits.values() for e in files[:2]) or "[splits]",
+            ", ".join(e.file for files in card.splits.values() for e in files[:2]),
             "check the folder and the names under [splits]",
         )
     if card.dt is None:
@@ -109,12 +121,33 @@ def from_frame(
     elif not isinstance(card, Card):
         card = declare({"name": name, **card}, Card, name)
     reader = _ColumnReader(frame_columns(frame, name), name)
-    return _read_record(reader, card, name, split=split, groups=groups or {})
+    record = _read_record(reader, card, name, split=split, groups=groups or {})
+    return _begin_near_zero([record], card)[0]
+
+
+@dataclass(frozen=True)
+class _LoadedRecord:
+    """A record as it was read, and the coordinates whose encoders wrap each turn in it."""
+
+    experiment: Experiment
+    wrapped: frozenset[int]
+
+
+def _begin_near_zero(records: Sequence[_LoadedRecord], card: Card) -> list[Experiment]:
+    """Records of one machine with wrapped angles moved by whole turns, see `begin_near_zero`.
+
+    An encoder that wraps in a record also wraps in records that stay on one side of its zero.
+    """
+    found = {j for record in records for j in record.wrapped}
+    wrapped = [
+        j for j, c in enumerate(card.coordinates) if (j in found if c.wraps is None else c.wraps)
+    ]
+    return [begin_near_zero(record.experiment, wrapped) for record in records]
 
 
 def _load_file(
-    folder: Path, split: str, entry: FileCard, card: Card
-) -> list[Experiment | InputError]:
+    folder: Path, split: str | None, entry: FileCard, card: Card
+) -> list[_LoadedRecord | InputError]:
     """The record of a file, or of each element of its cell arrays the record or its error."""
     path = folder / entry.file
     require_inside(folder, path)
@@ -122,7 +155,7 @@ def _load_file(
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
 
-    def read(columns: Columns, where: object, name: str) -> Experiment:
+    def read(columns: Columns, where: object, name: str) -> _LoadedRecord:
         count = len(columns.names)
         if card.format.columns is not None and count != card.format.columns:
             raise InputError(path, f"{count} columns", f"{card.format.columns} as in the card")
@@ -145,7 +178,7 @@ def _load_file(
     if not any(names & {*element.names} - {*columns.names} for element in elements):
         return [read(columns, path, name)]  # without the columns anywhere, a message names the file
     columns.fetch_elements(names)
-    records: list[Experiment | InputError] = []
+    records: list[_LoadedRecord | InputError] = []
     for number, element in enumerate(elements, start=1):
         try:
             records.append(read(element, f"{path}, cell {number}", f"{name}[{number}]"))
@@ -255,7 +288,7 @@ def _read_record(
     groups: Mapping[str, str],
     entry: FileCard | None = None,
     sha256: str = "",
-) -> Experiment:
+) -> _LoadedRecord:
     """The record in some columns, in SI units; `entry` is its file in the card, if it has one."""
     where, columns = reader.where, reader.columns
     columns.fetch([reader.name(key) for key in card.columns])
@@ -284,6 +317,7 @@ def _read_record(
             "check the columns in the card or leave the record out",
         )
     angles = {j: c.name for j, c in enumerate(card.coordinates) if c.kind == "angular" and c.unwrap}
+    wrapped = frozenset(j for j in angles if resampling.wraps_within_turn(q[:, j]))
     q, notes = unwrap_angles(q, angles)
     t, dt = _times(reader, card, len(q))
     record = Experiment(
@@ -293,7 +327,9 @@ def _read_record(
         groups=tuple(groups.items()), source=entry.file if entry else "", sha256=sha256,
         notes=(*columns.notes, *notes),
     )  # fmt: skip
-    return record if card.time is None else _check_times(record, card.time, reader)
+    if card.time is not None:
+        record = _check_times(record, card.time, reader)
+    return _LoadedRecord(record, wrapped)
 
 
 def _rows_within(

@@ -237,6 +237,8 @@ class FitResult:
             last one whose weights the model has; `identification` has the estimates.
         findings: what one should know before using the model, in plain language.
         identification: the result of an identification, None of a training.
+        fewest_samples: validation records of fewer samples were left out, if there were longer
+            ones.
     """
 
     model: Model
@@ -251,6 +253,7 @@ class FitResult:
     findings: tuple[str, ...] = ()
     identification: Identification | None = None
     horizon: float | None = None
+    fewest_samples: int = 0
 
     @property
     def seed(self) -> int:

@@ -1,6 +1,7 @@
 """Roles of records: which train, which choose and rank; one rule for everything that fits."""
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
@@ -35,6 +36,22 @@ class Roles:
     def all(self) -> tuple[Experiment, ...]:
         """All records, training records first."""
         return (*self.train, *self.validation)
+
+    def with_long_validation(self, fewest: int) -> "Roles":
+        """The roles without validation records of fewer samples, unless all are that short.
+
+        A free run cannot start in them; the rest still chooses.
+        """
+        kept = tuple(e for e in self.validation if len(e) >= fewest)
+        return replace(self, validation=kept) if kept else self
+
+
+def describe_left_out(records: Iterable[Experiment], fewest: int) -> list[str]:
+    """Sentences on validation records that are left out for having fewer samples."""
+    return [
+        f"left out of validation: {e.name}: {len(e)} samples; expected at least {fewest}"
+        for e in records
+    ]
 
 
 def assign_roles(data: DataSet) -> Roles:

@@ -72,7 +72,10 @@ class FitProgress(AbstractContextManager["FitProgress"]):
                 on_message=self._console.print,
             )
         name = label or prepared.recipe.name
-        return Listener(on_progress=_Identification(self._console, self._bars, name, self._quiet))
+        return Listener(
+            on_progress=_Identification(self._console, self._bars, name, self._quiet),
+            on_message=self._console.print,
+        )
 
 
 class _Figures(ProgressColumn):

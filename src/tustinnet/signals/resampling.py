@@ -11,6 +11,7 @@ from tustinnet.errors import InputError
 Times = Float[np.ndarray, " n"]
 
 _GAP = 2.5  # an interval longer than this many periods is a gap: two or more samples are missing
+_TURN = 2 * np.pi * (1 + 1e-3)  # rad, with the rounding of a file
 _LONGEST_GRID = 10  # times the samples of a record; a wild timestamp would need any number
 
 
@@ -119,7 +120,33 @@ def unwrap_angle(
 ) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " w"]]:
     """Angle [rad] without the jumps of a wrapped encoder, and the indices where it had jumped.
 
-    A step of more than half a turn between samples is taken for a wrap.
+    A step of more than half a turn between samples is taken for a wrap. Whole turns are counted
+    and added at once, so that a reading in a turn is always the same angle to the last digit.
     """
     jumps = np.flatnonzero(np.abs(np.diff(angle)) > np.pi) + 1
-    return (np.unwrap(angle) if len(jumps) else angle), jumps
+    if not len(jumps):
+        return angle, jumps
+    turns = -np.cumsum(np.round(np.diff(angle, prepend=angle[:1]) / (2 * np.pi)))
+    return angle + 2 * np.pi * turns, jumps
+
+
+def wraps_within_turn(angle: Float[np.ndarray, " n"]) -> bool:
+    """Whether an angle [rad], before it is unwrapped, is that of an encoder that wraps each turn.
+
+    It then jumps, all its values lie within a turn, and apart from the turn it moves by less than
+    a quarter turn where it jumps, else a bad row is more likely.
+    """
+    step = np.diff(angle)
+    turns = np.round(step / (2 * np.pi))
+    moves = np.abs(step - 2 * np.pi * turns)[turns != 0]
+    return bool(len(moves) and np.ptp(angle) < _TURN and moves.max() < np.pi / 2)
+
+
+def turns_to_beginning(angle: float) -> int:
+    """Whole turns to add to a wrapped angle [rad] at which a record begins.
+
+    It then lies above -3/8 and at most at 5/8 of a turn. The seam is where records rarely begin:
+    at rest an arm hangs, stands or lies at a multiple of a quarter turn, and must not begin now
+    on one side, now on the other.
+    """
+    return int(np.floor(5 / 8 - angle / (2 * np.pi)))

@@ -238,6 +238,7 @@ def run_task(
 
         fits = fit_in_folder(folder, task, listen, resume=earlier == "resume")
         roles, origin = task.folds[0].roles, task.folds[0].origin
+        roles = roles.with_long_validation(fits[0].fewest_samples)
         members = []
         for member, result in zip(task.members, fits, strict=True):
             horizon = effective_horizon(result.horizon, roles.ranking)
@@ -379,7 +380,7 @@ def _log_training(
         checkpointer(state, progress)
         listener.on_state(state, progress)
 
-    return Listener(on_epoch, on_state)
+    return replace(listener, on_epoch=on_epoch, on_state=on_state)
 
 
 def _find_resume_points(task: Task, folder: Path) -> list[tuple[Sequence[Member], ResumePoint]]:

@@ -1,7 +1,7 @@
 """Training plans: everything that training needs, prepared from a task."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import equinox as eqx
@@ -26,7 +26,7 @@ from tustinnet.fitting.gradient.windows import (
 )
 from tustinnet.fitting.recipe import TrainingRecipe
 from tustinnet.fitting.residual import make_residual
-from tustinnet.fitting.roles import Roles
+from tustinnet.fitting.roles import Roles, describe_left_out
 from tustinnet.fitting.task import Fold, Member, Task
 from tustinnet.models.contract import Model, with_dtype
 from tustinnet.simulate.batches import batches
@@ -49,6 +49,7 @@ class TrainingPlan:
         run_indices: which of these each member has, (members, runs).
         run_counts: 1 for each that counts, 0 for what fills up, (members, runs).
         start: where these start.
+        messages: sentences on validation records that are too short for it and left out.
         keys: the sources of the shuffling, one a member.
         mesh: which device trains what.
     """
@@ -63,6 +64,7 @@ class TrainingPlan:
     run_indices: Int[Array, "members runs"]
     run_counts: Float[Array, "members runs"]
     start: str
+    messages: tuple[str, ...]
     keys: Key[Array, " members"]
     mesh: Mesh
 
@@ -102,7 +104,7 @@ def make_plan(task: Task, devices: Sequence[Any] | None = None) -> TrainingPlan:
         InputError: records too short for a window, a recipe that does not fit, members that cannot
             train together.
     """
-    recipe, folds, members = task.training_recipe, task.folds, task.members
+    original, recipe, folds, members = task, task.training_recipe, task.folds, task.members
     family = recipe.family
     keys = [jax.random.split(jax.random.key(member.seed)) for member in members]
     fold_numbers = sorted({m.fold for m in members})
@@ -121,18 +123,30 @@ def make_plan(task: Task, devices: Sequence[Any] | None = None) -> TrainingPlan:
     single = [with_dtype(model, np.float32) for model in initial_models]
     require_alike(single)
     # the records of every fold that could train together with the members' folds
-    peers = [folds[f].roles for f in fold_numbers]
+    peer_numbers = fold_numbers
     if len(folds) > len(fold_numbers):
         programs = {f: _fold_program(recipe, fold) for f, fold in enumerate(folds)}
         member_programs = {programs[f] for f in fold_numbers}
-        peers = [fold.roles for f, fold in enumerate(folds) if programs[f] in member_programs]
+        peer_numbers = [f for f in range(len(folds)) if programs[f] in member_programs]
+    # validation records in which no free run can start are left out
+    every_record = {id(e): e for f in peer_numbers for e in folds[f].roles.all}
+    start_name = recipe.start or default_start([*every_record.values()], single[0])
+    start = start_named(start_name)
+    task = replace(task, folds=tuple(
+        replace(fold, roles=fold.roles.with_long_validation(start.samples)) for fold in folds
+    ))  # fmt: skip
+    left_out = {
+        e.name: e
+        for f in fold_numbers
+        for e in folds[f].roles.validation
+        if all(e is not other for other in task.folds[f].roles.validation)
+    }
+    peers = [task.folds[f].roles for f in peer_numbers]
     pool = RecordPool([e for roles in peers for e in roles.all])
     stages = tuple(
         _plan_stage(index, task, recipe, single[0], pool, peers)
         for index in range(len(recipe.stages))
     )
-    start_name = recipe.start or default_start(pool.experiments, single[0])
-    start = start_named(start_name)
     horizon_samples(recipe.horizon, pool.experiments, start, f"recipe '{recipe.name}', horizon")
     internal_states = {
         m.fold: pool.internal_states(initial_models[i], recipe.velocity)
@@ -142,7 +156,7 @@ def make_plan(task: Task, devices: Sequence[Any] | None = None) -> TrainingPlan:
         task, recipe, single[0], start, peers
     )
     return TrainingPlan(
-        task=task,
+        task=original,
         initial_models=tuple(initial_models),
         models=jax.tree.map(lambda *arrays: jnp.stack(arrays), *single),
         stages=stages,
@@ -152,6 +166,7 @@ def make_plan(task: Task, devices: Sequence[Any] | None = None) -> TrainingPlan:
         run_indices=run_indices,
         run_counts=run_counts,
         start=start_name,
+        messages=tuple(describe_left_out(left_out.values(), start.samples)),
         keys=jnp.stack([shuffling for _, shuffling in keys]),
         mesh=lay_out_devices(len(members), min(s.batch for s in recipe.stages), devices),
     )

@@ -10,6 +10,7 @@ from tustinnet.fitting.gradient.plan import TrainingPlan, restore_untrained
 from tustinnet.fitting.gradient.state import Progress
 from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.fitting.report import FINISHED, FitResult
+from tustinnet.simulate.start_rules import start_named
 
 _FEW = 5  # epochs at the ends of a stage
 
@@ -32,6 +33,8 @@ def train_plan(
         The members' models and how they came about. A training that diverged or was stopped
         returns the best weights it had and says so in `outcome`.
     """
+    for message in plan.messages:
+        listener.on_message(message)
     best, progress = train(plan, listener, resume, should_stop)
     results = []
     for m, p in enumerate(progress):
@@ -62,6 +65,7 @@ def train_plan(
                 seconds=p.seconds,
                 details={"training": details},
                 horizon=plan.recipe.horizon,
+                fewest_samples=start_named(plan.start).samples,
                 findings=describe_kept_epoch(plan, p),
             )
         )

@@ -17,6 +17,7 @@ from tustinnet.fitting.listener import Iteration, Listener
 from tustinnet.fitting.recipe import IdentificationRecipe
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.report import FitResult, Identification, SignAlternatives
+from tustinnet.fitting.roles import describe_left_out
 from tustinnet.fitting.shooting.added_forces import with_added
 from tustinnet.fitting.shooting.checks import (
     require_finite_terms,
@@ -41,6 +42,7 @@ from tustinnet.models.contract import require_float64
 from tustinnet.models.sensors import with_delays, with_sensor_errors
 from tustinnet.renamed import with_renamed_arguments
 from tustinnet.simulate.batches import batches
+from tustinnet.simulate.start_rules import FIT_SAMPLES
 from tustinnet.systems.files import AnySystem, SystemTemplate
 
 # what right signs leave of the momentum is a few hundredths, what wrong ones leave over a half
@@ -161,6 +163,11 @@ def _make_problem(
         InputError: records of another system, none that moves, or an addition that is refused.
     """
     recipe, roles = task.identification_recipe, task.folds[member.fold].roles
+    # free runs over horizons, and of a refit, start in states fitted to so many samples
+    validation = roles.with_long_validation(FIT_SAMPLES).validation
+    left_out = [e for e in roles.validation if e not in validation]
+    for message in describe_left_out(left_out, FIT_SAMPLES):
+        listener.on_message(message)
     system = task.system
     assert system is not None
     records = list(roles.train)
@@ -187,7 +194,7 @@ def _make_problem(
     return Problem(
         system=system,
         records=tuple(e.with_timing(inputs) for e in records),
-        validation=tuple(e.with_timing(inputs) for e in roles.validation),
+        validation=tuple(e.with_timing(inputs) for e in validation),
         search=recipe.search,
         listener=listener,
         should_stop=should_stop,
