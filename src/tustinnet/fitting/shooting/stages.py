@@ -88,11 +88,24 @@ def search(problem: Problem, state: SearchState, later_stages: int = 0) -> Searc
     initial = problem.search.initial
     compares = initial == "choose" and bool(problem.validation)
     state = replace(state, stages=len(stages) + compares + 1 + later_stages)
+    stable = 0  # steps of the longest segments so far whose simulations stayed finite
     for stage in stages:
-        state = run_stage(problem, state, stage)
-        if state.is_stopped:
-            return state
-        state = update_horizons(problem, state)  # the better the values, the better the horizons
+        later = run_stage(problem, state, stage)
+        if later.has_diverged and not stable and not later.is_stopped:
+            shorter = run_stage(problem, state, replace(stage, quarter_swings=1))
+            if shorter.result is not None and not shorter.has_diverged:
+                state, stable = shorter, problem.motion.window_length
+                later = run_stage(problem, state, stage)
+        if later.is_stopped:
+            return later
+        if later.has_diverged and stable:
+            state = _lengthen_segments(problem, state, stable)
+            break
+        if not later.has_diverged:
+            stable = int(later.last_result.segments.steps.max())
+        state = update_horizons(problem, later)  # the better the values, the better the horizons
+    if state.is_stopped:
+        return state
     state = choose_substeps(problem, state)
 
     if initial == "choose":
@@ -104,7 +117,36 @@ def search(problem: Problem, state: SearchState, later_stages: int = 0) -> Searc
         if score_validation(problem, loose) < score_validation(problem, state):
             state, initial = loose, "unanchored"
         state = replace(state, finished_stages=loose.finished_stages)
-    return run_final_stage(problem, state, initial)
+    final = run_final_stage(problem, state, initial)
+    if final.has_diverged and not final.is_stopped and not state.has_diverged:
+        state = _lengthen_segments(problem, state, stable)
+        if not state.is_stopped:
+            final = run_final_stage(problem, state, initial)
+    return final
+
+
+def _lengthen_segments(problem: Problem, state: SearchState, steps: int) -> SearchState:
+    """The state after stages of ever longer segments, up to those whose simulations diverge.
+
+    Its horizons keep the stages that follow to segments of the last length that stayed finite.
+
+    Args:
+        problem: the problem.
+        state: the state after a stage whose simulations stayed finite.
+        steps: the longest segments of that stage.
+    """
+    longest = max(len(e) - 1 for e in problem.records)
+    while 2 * steps < longest:
+        quarters = max(1, 2 * steps // problem.motion.window_length)
+        stage = SearchStage(problem.early_initial, StoppingRule(1e-2, 30), quarters)
+        state = replace(state, stages=state.stages + 1)
+        longer = run_stage(problem, state, stage)
+        if longer.is_stopped:
+            return longer
+        if longer.has_diverged:
+            break
+        state, steps = longer, 2 * steps
+    return update_horizons(problem, replace(state, longest_stable=steps))
 
 
 def run_final_stage(problem: Problem, state: SearchState, initial: str) -> SearchState:
@@ -232,6 +274,10 @@ def update_horizons(problem: Problem, state: SearchState) -> SearchState:
             problem.group_indices(records),
             problem.motion.window_length,
         )
+    if (limit := state.longest_stable) is not None:
+        every = (*problem.records, *problem.validation)
+        longer = {e.name for e in every if len(e) - 1 > limit}
+        horizons = {**horizons, **{n: min(limit, horizons.get(n, limit)) for n in longer}}
     return replace(state, horizons=horizons)
 
 
