@@ -27,6 +27,7 @@ _MOST = 3  # coordinates; with more, terms are many and identification slow
 _SHARE = 0.5  # expected size of a term of the inertia, as a share of the inertia
 _SHARES, _RATIOS = 5.0, (1e-6, 1e6)  # ranges of such a term, and of inertias to the first one
 _LARGEST = 10.0  # times the root mean square of the accelerations: no single term does more
+_SHAFT = 0.3  # of the travel: two coordinates that turn or slide together differ by less
 _STEADY = 0.01  # share of the largest damping, where it begins
 _POWERS = ("pull", "spring", "quadratic")  # forces by the power of the coordinate, from 0
 
@@ -91,6 +92,7 @@ class Mechanism(SystemTemplate):
             ),
         ]
         around = rotating_coordinates(records)
+        terms += _pair_terms(coordinates, records, largest)
         for k, c in enumerate(coordinates):
             damping = largest[k] / speed[k]
             viscous = Parameter(f"{c.name}.viscous", "1/s", _STEADY * damping, 0.0, damping)
@@ -99,6 +101,18 @@ class Mechanism(SystemTemplate):
                 _optional(0, f"{c.name}.by_{i.name}", f"{c.unit}/s^2/{i.unit}", largest[k] / x)
                 for i, x in zip(inputs, input_size, strict=True)
             ]
+            terms += [
+                _optional(
+                    3,
+                    f"{c.name}.by_{i.name}_squared",
+                    f"{c.unit}/s^2/{i.unit}^2",
+                    largest[k] / x**2,
+                )
+                for i, x in zip(inputs, input_size, strict=True)
+            ]
+            terms.append(
+                _resistance(3, f"{c.name}.drag", f"1/{c.unit}", largest[k] / speed[k] ** 2)
+            )
             if c.name not in around:
                 brings = tuple(f"{law.name}:{c.name}" for law in LAWS.values() if law.joins_springs)
                 stiffness = largest[k] / size[k]
@@ -157,6 +171,11 @@ def _optional(
     )
 
 
+def _resistance(rank: int, name: str, unit: str, most: float) -> Term:
+    """A friction that may be missing; it never drives the motion."""
+    return rank, Parameter(name, unit, 0.0, 0.0, most, optional=True)
+
+
 def _rigid(rank: int, name: str) -> Term:
     """A term that is 1 between rigid links if it exists, -1 where an axis is reversed."""
     return _optional(rank, name, "1", _SHARES, prior=1.0, usual=(1.0, -1.0))
@@ -188,6 +207,44 @@ def _inertias(coordinates: Sequence[Coordinate]) -> list[Term]:
                 _optional(wave.rank, f"{pair}_{wave.name}", "1", _SHARES, prior=_SHARE)
                 for wave in _coupling_waves(coordinates, i, j)
             ]
+    return terms
+
+
+def _pair_terms(
+    coordinates: Sequence[Coordinate], records: Sequence[Experiment], largest: Sequence[float]
+) -> list[Term]:
+    """Shafts between two coordinates of a kind, and slides on axes that turn.
+
+    Args:
+        coordinates: coordinates of the records.
+        records: the records.
+        largest: largest acceleration of a single term, for each coordinate.
+    """
+    q = np.concatenate([e.q for e in records])
+    v = np.concatenate([e.velocities() for e in records])
+    terms: list[Term] = []
+    for i, a in enumerate(coordinates):
+        for k, b in enumerate(coordinates):
+            if i < k and a.kind == b.kind:
+                twist, slip = (float(root_mean_square(x[:, i] - x[:, k])) for x in (q, v))
+                most = max(largest[i], largest[k])
+                if np.ptp(q[:, i] - q[:, k]) < _SHAFT * np.ptp(q[:, [i, k]], axis=0).max():
+                    terms += [
+                        _optional(1, f"{a.name}.shaft_{b.name}", "1/s^2", most / twist),
+                        _resistance(2, f"{a.name}.shaft_viscous_{b.name}", "1/s", most / slip),
+                    ]
+            if a.kind == "linear" and b.kind == "angular":
+                sizes = {"sin": np.sin(q[:, k]), "cos": np.cos(q[:, k])}
+                terms += [
+                    _optional(
+                        1 + (name == "cos"),
+                        f"{a.name}.gravity_{name}_{b.name}",
+                        f"{a.unit}/s^2",
+                        largest[i] / float(root_mean_square(x)),
+                    )
+                    for name, x in sizes.items()
+                ]
+                terms.append(_rigid(2, f"{b.name}.inertia_at_{a.name}"))
     return terms
 
 
@@ -268,6 +325,8 @@ def _kinetic(coordinates: tuple[Coordinate, ...]) -> Callable[..., Any]:
         inertia = p[f"{names[i]}.inertia"]
         total = inertia * (1.0 + share(f"{names[i]}.inertia", _inertia_waves(coordinates, i), q, p))
         for k in range(n):
+            if (at := f"{names[i]}.inertia_at_{names[k]}") in p:
+                total = total + p[f"{names[k]}.inertia"] * p[at] * q[k] ** 2
             if (across := f"{names[i]}.inertia_across_{names[k]}") in p:
                 total = total + p[f"{names[k]}.inertia"] * p[across] * jnp.sin(q[k]) ** 2
         return total
@@ -310,18 +369,42 @@ def _functions(
             powers = enumerate(_POWERS, 1)
             elastic = sum(p.get(f"{c}.{name}", 0.0) * q[k] ** m / m for m, name in powers)
             total = total + p[f"{c}.inertia"] * elastic
+        for i, a in enumerate(names):
+            for k, b in enumerate(names):
+                if (name := f"{a}.shaft_{b}") in p:
+                    total = total + p[f"{a}.inertia"] * p[name] * (q[i] - q[k]) ** 2 / 2
+                for function, wave in (("sin", jnp.sin), ("cos", jnp.cos)):
+                    if (name := f"{a}.gravity_{function}_{b}") in p:
+                        total = total + p[f"{a}.inertia"] * p[name] * q[i] * wave(q[k])
         return total
 
     def dissipation(q: Coordinates, v: Coordinates, p: Values) -> Coordinates:
-        """Viscous friction; the voltage that a motor induces acts alike."""
-        return jnp.stack(
-            [p[f"{c}.inertia"] * p[f"{c}.viscous"] * v[k] for k, c in enumerate(names)]
-        )
+        """Viscous friction, drag and friction in shafts; the voltage of a motor acts alike."""
+        total = [p[f"{c}.inertia"] * p[f"{c}.viscous"] * v[k] for k, c in enumerate(names)]
+        for k, c in enumerate(names):
+            if (name := f"{c}.drag") in p:
+                total[k] = total[k] + p[f"{c}.inertia"] * p[name] * v[k] * jnp.abs(v[k])
+            for m, other in enumerate(names):
+                if (name := f"{c}.shaft_viscous_{other}") in p:
+                    friction = p[f"{c}.inertia"] * p[name] * (v[k] - v[m])
+                    total[k], total[m] = total[k] + friction, total[m] - friction
+        return jnp.stack(total)
 
     def input_map(q: Coordinates, v: Coordinates, u: InputVector, p: Values) -> Coordinates:
         """The generalised forces of the inputs, each of which acts on every coordinate."""
         accelerations = [
-            sum((p.get(f"{c}.by_{i.name}", 0.0) * u[m] for m, i in enumerate(inputs)), 0.0 * v[k])
+            sum(
+                (
+                    p[name] * value
+                    for m, i in enumerate(inputs)
+                    for name, value in (
+                        (f"{c}.by_{i.name}", u[m]),
+                        (f"{c}.by_{i.name}_squared", u[m] * jnp.abs(u[m])),
+                    )
+                    if name in p
+                ),
+                0.0 * v[k],
+            )
             for k, c in enumerate(names)
         ]
         return jnp.stack([p[f"{c}.inertia"] * a for c, a in zip(names, accelerations, strict=True)])

@@ -117,7 +117,8 @@ def _fit_from_best_start(problem: Problem, state: SearchState, stage: SearchStag
     """The state after a stage from the initial values, or from the equation-error estimate.
 
     From values without forces, stiff machines are not found: their periods need more integration
-    steps than those of free motion. The estimate is taken only where it is clearly better.
+    steps than those of free motion. The estimate is tried where the stage has not converged, and
+    taken where it is clearly better.
 
     Args:
         problem: records and system.
@@ -125,7 +126,7 @@ def _fit_from_best_start(problem: Problem, state: SearchState, stage: SearchStag
         stage: the stage.
     """
     first = run_stage(problem, choose_substeps(problem, update_horizons(problem, state)), stage)
-    if first.is_stopped:
+    if first.is_stopped or first.last_result.status == "converged":
         return first
     vector = estimate_by_equation_error(
         problem.system, state.space, state.vector, problem.motion
