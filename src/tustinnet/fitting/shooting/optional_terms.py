@@ -230,7 +230,11 @@ def _find_unneeded(cost: QuadraticCost, choices: Mapping[int, Sequence[float]]) 
 def _add_brought_forces(
     problem: Problem, state: SearchState
 ) -> tuple[Problem, SearchSpace, ParameterVector]:
-    """Adds the forces that the kept terms bring; new parameters are at their nominal values."""
+    """Adds the forces that the kept terms bring; new parameters are at their nominal values.
+
+    What they bring only pulls back: a spring that pulls outwards beyond the motion of the records
+    makes other motion run away.
+    """
     system, space = problem.system, state.space
     forces = dict.fromkeys(force for p in system.parameters for force in p.brings)
     brought = [force for force in forces if force not in system.added]
@@ -238,7 +242,12 @@ def _add_brought_forces(
         return problem, space, state.vector
     values = space.to_values_in_range(state.vector)
     extended = with_added(system, brought, problem.records, values)
-    new = [p for p in extended.parameters if p not in system.parameters]
+    new = [
+        replace(p, lower=0.0) if p.nominal == 0.0 else p
+        for p in extended.parameters
+        if p not in system.parameters
+    ]
+    extended = replace(extended, parameters=(*system.parameters, *new))
     fixed = {p.name: p.nominal for p in new if p.fixed}
     space = SearchSpace(
         (*space.free_parameters, *(p for p in new if not p.fixed)), dict(space.fixed_values) | fixed

@@ -3,9 +3,11 @@
 `search` takes a problem and the state to start from and returns the state after all stages. A
 stage compares the simulation over segments of one length and minimises the error; the last one is
 the final stage, over whole records. Records along which errors grow without end stay in segments
-of their horizon, see `error_growth`.
+of their horizon, see `error_growth`; where simulations of long segments diverge, all records stay
+in the longest segments whose simulations stayed finite.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -88,22 +90,7 @@ def search(problem: Problem, state: SearchState, later_stages: int = 0) -> Searc
     initial = problem.search.initial
     compares = initial == "choose" and bool(problem.validation)
     state = replace(state, stages=len(stages) + compares + 1 + later_stages)
-    stable = 0  # steps of the longest segments so far whose simulations stayed finite
-    for stage in stages:
-        later = run_stage(problem, state, stage)
-        if later.has_diverged and not stable and not later.is_stopped:
-            shorter = run_stage(problem, state, replace(stage, quarter_swings=1))
-            if shorter.result is not None and not shorter.has_diverged:
-                state, stable = shorter, problem.motion.window_length
-                later = run_stage(problem, state, stage)
-        if later.is_stopped:
-            return later
-        if later.has_diverged and stable:
-            state = _lengthen_segments(problem, state, stable)
-            break
-        if not later.has_diverged:
-            stable = int(later.last_result.segments.steps.max())
-        state = update_horizons(problem, later)  # the better the values, the better the horizons
+    state, stable = _run_early_stages(problem, state, stages)
     if state.is_stopped:
         return state
     state = choose_substeps(problem, state)
@@ -118,22 +105,59 @@ def search(problem: Problem, state: SearchState, later_stages: int = 0) -> Searc
             state, initial = loose, "unanchored"
         state = replace(state, finished_stages=loose.finished_stages)
     final = run_final_stage(problem, state, initial)
-    if final.has_diverged and not final.is_stopped and not state.has_diverged:
-        state = _lengthen_segments(problem, state, stable)
-        if not state.is_stopped:
-            final = run_final_stage(problem, state, initial)
-    return final
+    if final.is_stopped or not final.has_diverged or state.has_diverged:
+        return final
+    state, stable, _ = _lengthen_segments(problem, state, stable)
+    if state.is_stopped:
+        return state
+    state = update_horizons(problem, replace(state, longest_stable=stable))
+    return run_final_stage(problem, state, initial)
 
 
-def _lengthen_segments(problem: Problem, state: SearchState, steps: int) -> SearchState:
-    """The state after stages of ever longer segments, up to those whose simulations diverge.
+def _run_early_stages(
+    problem: Problem, state: SearchState, stages: Sequence[SearchStage]
+) -> tuple[SearchState, int]:
+    """Runs the stages before the final one, over longer and longer segments.
 
-    Its horizons keep the stages that follow to segments of the last length that stayed finite.
+    Returns:
+        The state after the last stage whose simulations stayed finite, and the steps of its longest
+        segments. Where simulations diverge even along the shortest segments, the state after the
+        last stage, and 0.
+    """
+    stable = 0
+    for stage in stages:
+        later = run_stage(problem, state, stage)
+        if not stable and not later.is_stopped and later.has_diverged:
+            shorter = run_stage(problem, state, replace(stage, quarter_swings=1))
+            if not shorter.is_stopped and not shorter.has_diverged:
+                state, stable = shorter, problem.motion.window_length
+                later = run_stage(problem, state, stage)
+        if later.is_stopped:
+            return later, stable
+        if stable and later.has_diverged:
+            state, stable, has_diverged = _lengthen_segments(problem, state, stable)
+            if has_diverged and not state.is_stopped:
+                state = update_horizons(problem, replace(state, longest_stable=stable))
+            return state, stable
+        if not later.has_diverged:
+            stable = int(later.last_result.segments.steps.max())
+        state = update_horizons(problem, later)  # the better the values, the better the horizons
+    return state, stable
+
+
+def _lengthen_segments(
+    problem: Problem, state: SearchState, steps: int
+) -> tuple[SearchState, int, bool]:
+    """Runs stages over segments twice as long each, up to whole records or until one diverges.
 
     Args:
         problem: the problem.
         state: the state after a stage whose simulations stayed finite.
         steps: the longest segments of that stage.
+
+    Returns:
+        The state after the last stage whose simulations stayed finite, the steps of its longest
+        segments, and whether those of a longer one diverged.
     """
     longest = max(len(e) - 1 for e in problem.records)
     while 2 * steps < longest:
@@ -142,11 +166,11 @@ def _lengthen_segments(problem: Problem, state: SearchState, steps: int) -> Sear
         state = replace(state, stages=state.stages + 1)
         longer = run_stage(problem, state, stage)
         if longer.is_stopped:
-            return longer
+            return longer, steps, False
         if longer.has_diverged:
-            break
+            return state, steps, True
         state, steps = longer, 2 * steps
-    return update_horizons(problem, replace(state, longest_stable=steps))
+    return state, steps, False
 
 
 def run_final_stage(problem: Problem, state: SearchState, initial: str) -> SearchState:
