@@ -270,7 +270,7 @@ def _pair_terms(
     for i, a in enumerate(coordinates):
         for k, b in enumerate(coordinates):
             if i < k and a.kind == b.kind:
-                twist, slip = (float(root_mean_square(x[:, i] - x[:, k])) for x in (q, v))
+                twist, slip = (_sizes([x[:, [i]] - x[:, [k]]])[0] for x in (q, v))
                 most = max(largest[i], largest[k])
                 if np.ptp(q[:, i] - q[:, k]) < _SHAFT * np.ptp(q[:, [i, k]], axis=0).max():
                     terms += [
@@ -284,7 +284,7 @@ def _pair_terms(
                         1 + (name == "cos"),
                         f"{a.name}.gravity_{name}_{b.name}",
                         f"{a.unit}/s^2",
-                        largest[i] / float(root_mean_square(x)),
+                        largest[i] / _sizes([x[:, None]])[0],
                     )
                     for name, x in sizes.items()
                 ]
