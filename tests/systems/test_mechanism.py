@@ -29,7 +29,7 @@ def test_it_has_the_terms_that_the_coordinates_can_have():
     system = MECHANISM.for_records(cart_records())
     names = set(system.nominal())
     assert {"x.spring", "x.pull", "angle.gravity_cos", "x.coupling_angle_cos_angle"} <= names
-    assert not any(name.startswith("x.gravity") for name in names), "a slide does not turn"
+    assert not {"x.gravity_cos", "x.gravity_sin"} & names, "a slide does not turn"
     assert "angle.inertia_cos_angle" not in names, "no inertia depends on its own angle"
     assert "angle.spring" in names, "it moves by 4 rad only"
     assert system.parameter("x.inertia").fixed
@@ -109,13 +109,74 @@ def test_what_nobody_could_identify_is_refused_by_name():
     still = replace(e, q=np.zeros_like(e.q), v=None, v_measured=False)
     with pytest.raises(tn.InputError, match="'angle': never moves in the records"):
         MECHANISM.for_records([still])
-    axes = [tn.Coordinate(f"q{k}", "angular") for k in range(4)]
-    four = tn.from_arrays(
-        np.random.default_rng(0).normal(size=(50, 4)), np.zeros((50, 1)), dt=0.01,
+    axes = [tn.Coordinate(f"q{k}", "angular") for k in range(7)]
+    seven = tn.from_arrays(
+        np.random.default_rng(0).normal(size=(50, 7)), np.zeros((50, 1)), dt=0.01,
         coordinates=axes, inputs=e.inputs,
     )  # fmt: skip
-    with pytest.raises(tn.InputError, match="4 coordinates; expected 3 at most"):
-        MECHANISM.for_records([four])
+    with pytest.raises(tn.InputError, match="7 coordinates; expected 6 at most"):
+        MECHANISM.for_records([seven])
+
+
+def test_four_angles_are_a_chain_of_links_in_a_plane():
+    """Links of lengths 1, 0.8, 0.5 and 0.4 with a mass at the end of each; masses 1, 2, 3, 4."""
+    axes = [tn.Coordinate(f"q{k}", "angular") for k in range(4)]
+    lengths, masses = np.array([1.0, 0.8, 0.5, 0.4]), np.array([1.0, 2.0, 3.0, 4.0])
+    behind = np.cumsum(masses[::-1])[::-1]
+    inertias = behind * lengths**2
+    values = {f"q{k}.inertia": x / inertias[0] for k, x in enumerate(inertias)}
+    for i in range(4):
+        for j in range(i + 1, 4):
+            link = behind[j] * lengths[i] * lengths[j] / np.sqrt(inertias[i] * inertias[j])
+            values[f"q{i}.link_q{j}"] = float(link)
+    for k in range(4):
+        name = "gravity_cos" if k == 0 else "gravity_cos_chain"
+        values[f"q{k}.{name}"] = -9.81 * behind[k] * lengths[k] / inertias[k]
+    parameters = [Parameter(name, "", 0.0, -99.0, 99.0) for name in values]
+    damping = [Parameter(f"{c.name}.viscous", "1/s", 0.0, 0.0, 1.0) for c in axes]
+    system = MECHANISM.restore(axes, [], [*parameters, *damping])
+    q, v = jnp.array([0.4, 0.7, -1.2, 0.3]), jnp.array([1.1, -0.6, 0.2, 2.0])
+    angle, speed = np.cumsum(q), np.cumsum(v)
+    right = np.cumsum(lengths * np.cos(angle) * speed)
+    up = np.cumsum(lengths * np.sin(angle) * speed)
+    arrays = {name: jnp.asarray(x) for name, x in values.items()}
+    energy = np.sum(masses * (right**2 + up**2)) / 2 / inertias[0]
+    np.testing.assert_allclose(system.kinetic(q, v, arrays), energy, rtol=1e-6)
+    height = -9.81 * np.sum(masses * np.cumsum(lengths * np.cos(angle))) / inertias[0]
+    np.testing.assert_allclose(system.potential(q, arrays), height, rtol=1e-6)
+    moving = tn.from_arrays(
+        np.random.default_rng(0).normal(size=(50, 4)), np.zeros((50, 0)), dt=0.01,
+        coordinates=axes, inputs=(),
+    )  # fmt: skip
+    assert set(values) <= set(MECHANISM.for_records([moving]).nominal())
+
+
+def test_two_wheels_on_a_shaft_may_be_elastic_and_a_ball_rolls_down_a_beam():
+    t = np.arange(0.0, 4.0, 0.01)
+    wheels = tn.from_arrays(
+        np.stack([9 * np.sin(t), 9 * np.sin(t) + 0.1 * np.sin(7 * t)], axis=1),
+        np.zeros((len(t), 0)), dt=0.01, coordinates=ARM, inputs=(),
+    )  # fmt: skip
+    system = MECHANISM.for_records([wheels])
+    assert {"first.shaft_second", "first.shaft_viscous_second"} <= set(system.optional)
+    assert "first.spring" not in system.nominal(), "they turn around"
+    values = {name: jnp.asarray(0.0) for name in system.nominal()}
+    values |= {"first.inertia": jnp.asarray(2.0), "first.shaft_second": jnp.asarray(3.0)}
+    values |= {"first.shaft_viscous_second": jnp.asarray(0.5)}
+    twist, slip = Q[0] - Q[1], V[0] - V[1]
+    np.testing.assert_allclose(system.potential(Q, values), 2.0 * 3.0 * twist**2 / 2, rtol=1e-6)
+    friction = system.dissipation(Q, V, values)
+    np.testing.assert_allclose(friction, [2.0 * 0.5 * slip, -2.0 * 0.5 * slip], rtol=1e-6)
+
+    slide = MECHANISM.for_records(cart_records())
+    assert {"x.gravity_sin_angle", "angle.inertia_at_x"} <= set(slide.optional)
+    values = {name: jnp.asarray(0.0) for name in slide.nominal()} | {
+        "x.inertia": jnp.asarray(1.0), "angle.inertia": jnp.asarray(0.5),
+        "x.gravity_sin_angle": jnp.asarray(9.81), "angle.inertia_at_x": jnp.asarray(1.0),
+    }  # fmt: skip
+    np.testing.assert_allclose(slide.potential(Q, values), 9.81 * Q[0] * jnp.sin(Q[1]), rtol=1e-6)
+    energy = (V[0] ** 2 + (0.5 + Q[0] ** 2) * V[1] ** 2) / 2
+    np.testing.assert_allclose(slide.kinetic(Q, V, values), energy, rtol=1e-6)
 
 
 def test_it_is_no_system_to_give_beside_a_model():

@@ -6,7 +6,7 @@ identification selects the terms of a machine: terms that the records do not nee
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from itertools import pairwise
+from itertools import pairwise, permutations
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -23,10 +23,13 @@ from tustinnet.models.lagrangian import LagrangianSystem, Parameter, Scalar, Val
 from tustinnet.systems.files import SystemTemplate
 
 NAME = "mechanism"
-_MOST = 3  # coordinates; with more, terms are many and identification slow
+_MOST = 6  # coordinates; with more, terms are many and identification slow
+_FEW = 3  # coordinates up to which any two may be coupled; more angles are those of a chain
 _SHARE = 0.5  # expected size of a term of the inertia, as a share of the inertia
 _SHARES, _RATIOS = 5.0, (1e-6, 1e6)  # ranges of such a term, and of inertias to the first one
 _LARGEST = 10.0  # times the root mean square of the accelerations: no single term does more
+_SHAFT = 0.3  # of the travel: two coordinates that turn or slide together differ by less
+_HELD = 5.0  # times that acceleration: gravity on links of a chain, whose motors balance it
 _STEADY = 0.01  # share of the largest damping, where it begins
 _POWERS = ("pull", "spring", "quadratic")  # forces by the power of the coordinate, from 0
 
@@ -57,13 +60,15 @@ class Mechanism(SystemTemplate):
         """The system with every term that some records have information about.
 
         Ranges follow from the motion: no term accelerates more than 10 times what the records
-        do. Angles may feel gravity; springs act where a coordinate does not turn around.
+        do. Angles may feel gravity; springs act where a coordinate does not turn around. With
+        more than 3 coordinates, angles that follow one another are those of a chain of links in a
+        plane, and special terms are missing.
 
         Args:
             records: at least one.
 
         Raises:
-            InputError: more coordinates than 3, or one that never moves.
+            InputError: more coordinates than 6, or one that never moves.
         """
         coordinates, inputs = records[0].coordinates, records[0].inputs
         if len(coordinates) > _MOST:
@@ -80,35 +85,37 @@ class Mechanism(SystemTemplate):
         a = [np.gradient(x, e.dt, axis=0) for x, e in zip(v, records, strict=True)]
         size, input_size = (_sizes([getattr(e, name) for e in records]) for name in ("q", "u"))
         speed, largest = _sizes(v), [_LARGEST * x for x in _sizes(a)]
-        # gravity acts on angles, and on the sums of neighbours: links on links
+        around, is_special = rotating_coordinates(records), len(coordinates) <= _FEW
+        # gravity acts on angles, and on the sums of neighbours: links on links, which motors hold
+        held = 1.0 if is_special else _HELD
         terms = [
             *_inertias(coordinates),
             *(
                 _optional(
-                    wave.rank, f"{coordinates[k].name}.gravity_{wave.name}", "1/s^2", largest[k]
+                    wave.rank,
+                    f"{coordinates[k].name}.gravity_{wave.name}",
+                    "1/s^2",
+                    held * largest[k],
                 )
                 for k, wave in _gravity_waves(coordinates)
             ),
         ]
-        around = rotating_coordinates(records)
+        terms += _pair_terms(coordinates, records, largest)
         for k, c in enumerate(coordinates):
             damping = largest[k] / speed[k]
             viscous = Parameter(f"{c.name}.viscous", "1/s", _STEADY * damping, 0.0, damping)
             terms.append((0, viscous))
-            terms += [
-                _optional(0, f"{c.name}.by_{i.name}", f"{c.unit}/s^2/{i.unit}", largest[k] / x)
-                for i, x in zip(inputs, input_size, strict=True)
-            ]
+            for i, x in zip(inputs, input_size, strict=True):
+                by, unit = f"{c.name}.by_{i.name}", f"{c.unit}/s^2/{i.unit}"
+                terms.append(_optional(0, by, unit, largest[k] / x))
+                if is_special:
+                    squared = _optional(3, f"{by}_squared", f"{unit}^2", largest[k] / x**2)
+                    terms.append(squared)
+            if is_special:
+                drag = largest[k] / speed[k] ** 2
+                terms.append(_resistance(3, f"{c.name}.drag", f"1/{c.unit}", drag))
             if c.name not in around:
-                brings = tuple(f"{law.name}:{c.name}" for law in LAWS.values() if law.joins_springs)
-                stiffness = largest[k] / size[k]
-                terms += [
-                    _optional(1, f"{c.name}.pull", f"{c.unit}/s^2", largest[k]),
-                    _optional(0, f"{c.name}.spring", "1/s^2", stiffness, brings=brings),
-                    _optional(
-                        2, f"{c.name}.quadratic", f"1/(s^2 {c.unit})", largest[k] / size[k] ** 2
-                    ),
-                ]
+                terms += _spring_terms(c, largest[k], size[k], is_special)
         # of terms that can stand for one another the later ones are left out
         terms.sort(key=lambda term: term[0])
         return self.restore(coordinates, inputs, [parameter for _, parameter in terms])
@@ -157,6 +164,11 @@ def _optional(
     )
 
 
+def _resistance(rank: int, name: str, unit: str, most: float) -> Term:
+    """A friction that may be missing; it never drives the motion."""
+    return rank, Parameter(name, unit, 0.0, 0.0, most, optional=True)
+
+
 def _rigid(rank: int, name: str) -> Term:
     """A term that is 1 between rigid links if it exists, -1 where an axis is reversed."""
     return _optional(rank, name, "1", _SHARES, prior=1.0, usual=(1.0, -1.0))
@@ -168,6 +180,9 @@ def _inertias(coordinates: Sequence[Coordinate]) -> list[Term]:
     for i, c in enumerate(coordinates):
         unit = {"rad": "kg m^2", "m": "kg"}.get(c.unit, f"J s^2/{c.unit}^2")
         terms.append((0, Parameter(f"{c.name}.inertia", unit, 1.0, *_RATIOS, fixed=i == 0)))
+        if len(coordinates) > _FEW:
+            terms += _chain_inertias(coordinates, i)
+            continue
         terms += [
             _optional(wave.rank, f"{c.name}.inertia_{wave.name}", "1", _SHARES, prior=_SHARE)
             for wave in _inertia_waves(coordinates, i)
@@ -188,6 +203,92 @@ def _inertias(coordinates: Sequence[Coordinate]) -> list[Term]:
                 _optional(wave.rank, f"{pair}_{wave.name}", "1", _SHARES, prior=_SHARE)
                 for wave in _coupling_waves(coordinates, i, j)
             ]
+    return terms
+
+
+def _chain_inertias(coordinates: Sequence[Coordinate], i: int) -> list[Term]:
+    """Terms of the inertia of one of many coordinates: of a rotor, of links, of what slides.
+
+    Args:
+        coordinates: coordinates of the records.
+        i: the index of the coordinate.
+    """
+    name, begin = coordinates[i].name, _chain_begin(coordinates, i)
+    terms = []
+    if begin < i:
+        terms.append(_resistance(2, f"{name}.rotor", "1", _SHARES))
+    for j in range(i + 1, len(coordinates)):
+        other = coordinates[j].name
+        if _chain_begin(coordinates, j) == begin:
+            terms.append(_optional(j - i - 1, f"{name}.link_{other}", "1", 1.0, prior=_SHARE))
+        else:
+            terms.append(_optional(3, f"{name}.coupling_{other}", "1", 1.0, prior=_SHARE))
+    return terms
+
+
+def _chain_begin(coordinates: Sequence[Coordinate], i: int) -> int:
+    """The index of the first angle of the chain that a coordinate is in; its own if it slides."""
+    begin = i
+    while coordinates[i].kind == "angular" and begin and coordinates[begin - 1].kind == "angular":
+        begin -= 1
+    return begin
+
+
+def _spring_terms(c: Coordinate, largest: float, size: float, is_special: bool) -> list[Term]:
+    """A steady pull, a spring and, where special terms are offered, a quadratic one.
+
+    Args:
+        c: the coordinate.
+        largest: largest acceleration of a single term.
+        size: root mean square of its positions.
+        is_special: whether special terms are offered.
+    """
+    brings = tuple(f"{law.name}:{c.name}" for law in LAWS.values() if law.joins_springs)
+    terms = [
+        _optional(1, f"{c.name}.pull", f"{c.unit}/s^2", largest),
+        _optional(0, f"{c.name}.spring", "1/s^2", largest / size, brings=brings),
+    ]
+    if is_special:
+        most = largest / size**2
+        terms.append(_optional(2, f"{c.name}.quadratic", f"1/(s^2 {c.unit})", most))
+    return terms
+
+
+def _pair_terms(
+    coordinates: Sequence[Coordinate], records: Sequence[Experiment], largest: Sequence[float]
+) -> list[Term]:
+    """Shafts between two coordinates of a kind, and slides on axes that turn.
+
+    Args:
+        coordinates: coordinates of the records.
+        records: the records.
+        largest: largest acceleration of a single term, for each coordinate.
+    """
+    q = np.concatenate([e.q for e in records])
+    v = np.concatenate([e.velocities() for e in records])
+    terms: list[Term] = []
+    for i, a in enumerate(coordinates):
+        for k, b in enumerate(coordinates):
+            if i < k and a.kind == b.kind:
+                twist, slip = (_sizes([x[:, [i]] - x[:, [k]]])[0] for x in (q, v))
+                most = max(largest[i], largest[k])
+                if np.ptp(q[:, i] - q[:, k]) < _SHAFT * np.ptp(q[:, [i, k]], axis=0).max():
+                    terms += [
+                        _optional(1, f"{a.name}.shaft_{b.name}", "1/s^2", most / twist),
+                        _resistance(2, f"{a.name}.shaft_viscous_{b.name}", "1/s", most / slip),
+                    ]
+            if a.kind == "linear" and b.kind == "angular" and len(coordinates) <= _FEW:
+                sizes = {"sin": np.sin(q[:, k]), "cos": np.cos(q[:, k])}
+                terms += [
+                    _optional(
+                        1 + (name == "cos"),
+                        f"{a.name}.gravity_{name}_{b.name}",
+                        f"{a.unit}/s^2",
+                        largest[i] / _sizes([x[:, None]])[0],
+                    )
+                    for name, x in sizes.items()
+                ]
+                terms.append(_rigid(2, f"{b.name}.inertia_at_{a.name}"))
     return terms
 
 
@@ -245,8 +346,22 @@ def _coupling_waves(coordinates: Sequence[Coordinate], i: int, j: int) -> list[W
 
 
 def _gravity_waves(coordinates: Sequence[Coordinate]) -> list[tuple[int, Wave]]:
-    """Heights of links by their angle, or by the sum with the angle before; with the index."""
+    """Heights of links by their angle, or by the sum with the angle before; with the index.
+
+    In a chain of many links it is the sum of all angles up to the link.
+    """
     angular = [k for k, c in enumerate(coordinates) if c.kind == "angular"]
+    if len(coordinates) > _FEW:
+        begins = {k: _chain_begin(coordinates, k) for k in angular}
+        return [
+            (k, wave)
+            for k, begin in begins.items()
+            for wave in _cosine_and_sine(
+                "{}" if begin == k else "{}_chain",
+                lambda q, a=begin, b=k: jnp.sum(q[a : b + 1]),
+                0,
+            )
+        ]
     alone = [(k, wave) for k in angular for wave in _cosine_and_sine("{}", lambda q, k=k: q[k], 0)]
     return alone + [
         (k, wave)
@@ -255,10 +370,36 @@ def _gravity_waves(coordinates: Sequence[Coordinate]) -> list[tuple[int, Wave]]:
     ]
 
 
+def _chain_kinetic(coordinates: tuple[Coordinate, ...]) -> Callable[..., Any]:
+    """The kinetic energy of chains of links in a plane: it depends on angles between links."""
+    names = [c.name for c in coordinates]
+    n, begins = len(names), [_chain_begin(coordinates, i) for i in range(len(names))]
+
+    def kinetic(q: Coordinates, v: Coordinates, p: Values) -> Scalar:
+        inertias = [p[f"{name}.inertia"] for name in names]
+        speeds = [jnp.sum(v[begin : i + 1]) for i, begin in enumerate(begins)]
+        total = jnp.zeros((), v.dtype)
+        for i, name in enumerate(names):
+            own = speeds[i] ** 2 + p.get(f"{name}.rotor", 0.0) * v[i] ** 2
+            total = total + 0.5 * inertias[i] * own
+            for j in range(i + 1, n):
+                mean = jnp.sqrt(inertias[i] * inertias[j])
+                if (link := f"{name}.link_{names[j]}") in p:
+                    between = jnp.cos(jnp.sum(q[i + 1 : j + 1]))
+                    total = total + mean * p[link] * between * speeds[i] * speeds[j]
+                if (coupling := f"{name}.coupling_{names[j]}") in p:
+                    total = total + mean * p[coupling] * v[i] * v[j]
+        return total
+
+    return kinetic
+
+
 def _kinetic(coordinates: tuple[Coordinate, ...]) -> Callable[..., Any]:
     """The kinetic energy: inertias that depend on the angles."""
     names = [c.name for c in coordinates]
     n = len(names)
+    if n > _FEW:
+        return _chain_kinetic(coordinates)
 
     def share(prefix: str, waves: Sequence[Wave], q: Coordinates, p: Values) -> Any:
         named = ((f"{prefix}_{wave.name}", wave) for wave in waves)
@@ -268,6 +409,8 @@ def _kinetic(coordinates: tuple[Coordinate, ...]) -> Callable[..., Any]:
         inertia = p[f"{names[i]}.inertia"]
         total = inertia * (1.0 + share(f"{names[i]}.inertia", _inertia_waves(coordinates, i), q, p))
         for k in range(n):
+            if (at := f"{names[i]}.inertia_at_{names[k]}") in p:
+                total = total + p[f"{names[k]}.inertia"] * p[at] * q[k] ** 2
             if (across := f"{names[i]}.inertia_across_{names[k]}") in p:
                 total = total + p[f"{names[k]}.inertia"] * p[across] * jnp.sin(q[k]) ** 2
         return total
@@ -293,40 +436,80 @@ def _kinetic(coordinates: tuple[Coordinate, ...]) -> Callable[..., Any]:
     return kinetic
 
 
-@lru_cache(maxsize=64)  # so that equal systems serve the same compiled programs
-def _functions(
-    coordinates: tuple[Coordinate, ...], inputs: tuple[Input, ...]
-) -> dict[str, Callable[..., Any]]:
-    """Energies and forces with the terms whose parameters they are given."""
-    names = [c.name for c in coordinates]
+def _potential(coordinates: tuple[Coordinate, ...]) -> Callable[..., Any]:
+    """The potential energy: gravity, springs and shafts."""
+    names, waves = [c.name for c in coordinates], _gravity_waves(coordinates)
+
+    def of_pair(i: int, k: int, q: Coordinates, p: Values) -> Any:
+        """The shaft between two coordinates; the height of a slide on a turning axis."""
+        name, other, total = names[i], names[k], 0.0
+        if (shaft := f"{name}.shaft_{other}") in p:
+            total = total + p[shaft] * (q[i] - q[k]) ** 2 / 2
+        for function, value in (("sin", jnp.sin), ("cos", jnp.cos)):
+            if (slide := f"{name}.gravity_{function}_{other}") in p:
+                total = total + p[slide] * q[i] * value(q[k])
+        return total
 
     def potential(q: Coordinates, p: Values) -> Scalar:
-        """Gravity and springs."""
         total = jnp.zeros((), q.dtype)
-        for k, wave in _gravity_waves(coordinates):
+        for k, wave in waves:
             if (name := f"{names[k]}.gravity_{wave.name}") in p:
                 total = total + p[f"{names[k]}.inertia"] * p[name] * wave.value(q)
         for k, c in enumerate(names):
             powers = enumerate(_POWERS, 1)
             elastic = sum(p.get(f"{c}.{name}", 0.0) * q[k] ** m / m for m, name in powers)
             total = total + p[f"{c}.inertia"] * elastic
+        for i, k in permutations(range(len(names)), 2):
+            total = total + p[f"{names[i]}.inertia"] * of_pair(i, k, q, p)
         return total
 
+    return potential
+
+
+def _dissipation(coordinates: tuple[Coordinate, ...]) -> Callable[..., Any]:
+    """Friction, viscous and in shafts, and drag; the voltage that a motor induces acts alike."""
+    names = [c.name for c in coordinates]
+
     def dissipation(q: Coordinates, v: Coordinates, p: Values) -> Coordinates:
-        """Viscous friction; the voltage that a motor induces acts alike."""
-        return jnp.stack(
-            [p[f"{c}.inertia"] * p[f"{c}.viscous"] * v[k] for k, c in enumerate(names)]
-        )
+        total = [p[f"{c}.inertia"] * p[f"{c}.viscous"] * v[k] for k, c in enumerate(names)]
+        for k, c in enumerate(names):
+            if (name := f"{c}.drag") in p:
+                total[k] = total[k] + p[f"{c}.inertia"] * p[name] * v[k] * jnp.abs(v[k])
+        for k, m in permutations(range(len(names)), 2):
+            if (name := f"{names[k]}.shaft_viscous_{names[m]}") in p:
+                friction = p[f"{names[k]}.inertia"] * p[name] * (v[k] - v[m])
+                total[k], total[m] = total[k] + friction, total[m] - friction
+        return jnp.stack(total)
+
+    return dissipation
+
+
+def _input_map(
+    coordinates: tuple[Coordinate, ...], inputs: tuple[Input, ...]
+) -> Callable[..., Any]:
+    """The generalised forces of the inputs, each of which acts on every coordinate."""
+    names = [c.name for c in coordinates]
 
     def input_map(q: Coordinates, v: Coordinates, u: InputVector, p: Values) -> Coordinates:
-        """The generalised forces of the inputs, each of which acts on every coordinate."""
-        accelerations = [
-            sum((p.get(f"{c}.by_{i.name}", 0.0) * u[m] for m, i in enumerate(inputs)), 0.0 * v[k])
-            for k, c in enumerate(names)
-        ]
-        return jnp.stack([p[f"{c}.inertia"] * a for c, a in zip(names, accelerations, strict=True)])
+        forces = []
+        for k, c in enumerate(names):
+            acceleration = 0.0 * v[k]
+            for m, i in enumerate(inputs):
+                acceleration = acceleration + p.get(f"{c}.by_{i.name}", 0.0) * u[m]
+                if (name := f"{c}.by_{i.name}_squared") in p:
+                    acceleration = acceleration + p[name] * u[m] * jnp.abs(u[m])
+            forces.append(p[f"{c}.inertia"] * acceleration)
+        return jnp.stack(forces)
 
+    return input_map
+
+
+@lru_cache(maxsize=64)  # so that equal systems serve the same compiled programs
+def _functions(
+    coordinates: tuple[Coordinate, ...], inputs: tuple[Input, ...]
+) -> dict[str, Callable[..., Any]]:
+    """Energies and forces with the terms whose parameters they are given."""
     return {
-        "kinetic": _kinetic(coordinates), "potential": potential, "dissipation": dissipation,
-        "input_map": input_map,
+        "kinetic": _kinetic(coordinates), "potential": _potential(coordinates),
+        "dissipation": _dissipation(coordinates), "input_map": _input_map(coordinates, inputs),
     }  # fmt: skip

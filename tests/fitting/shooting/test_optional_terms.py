@@ -98,6 +98,34 @@ def test_terms_of_a_system_of_ones_own_may_be_optional_too():
     assert SWING.optional == ()
 
 
+def test_a_stiff_machine_is_found_though_its_period_is_a_few_samples():
+    """A mass on a spring, 50 times as fast as the swing, whose nominal values have no forces."""
+    dt, rng = 0.002, np.random.default_rng(0)
+    axis, push = tn.Coordinate("x", "linear"), tn.Input("force", "N")
+    spring = tn.LagrangianSystem(
+        "spring", (axis,), (push,),
+        (Parameter("k", "N/m", 1.6e5, 1e4, 1e6), Parameter("b", "N s/m", 40.0, 1.0, 400.0)),
+        lambda q, v, p: v[0] ** 2 / 2, lambda q, p: p["k"] * q[0] ** 2 / 2,
+        lambda q, v, p: p["b"] * v, lambda q, v, u, p: 1e5 * u,
+    )  # fmt: skip
+    model = tn.discretise(spring.model({"k": jnp.asarray(1.6e5), "b": jnp.asarray(40.0)}), dt, 16)
+    made = []
+    for k in range(4):
+        t = np.arange(800) * dt
+        phases = rng.uniform(0, 2 * np.pi, 30)
+        waves = np.sin(2 * np.pi * np.linspace(3, 120, 30) * t[:, None] + phases)
+        u = 0.02 * (k + 1) * waves.sum(axis=1)
+        x = np.asarray(tn.rollout(model, np.zeros(2), u[:-1, None]))
+        q = x[:, :1] + 1e-4 * rng.normal(size=(len(t), 1))
+        made.append(
+            tn.from_arrays(q, u[:, None], dt=dt, name=f"r{k}", coordinates=(axis,), inputs=(push,))
+        )
+    result = tn.identify(data_set(made), "mechanism", "mechanism")
+    values = {e.name: e.value for e in result.estimates}
+    assert values["x.spring"] == pytest.approx(1.6e5, rel=0.02)
+    assert values["x.by_force"] == pytest.approx(1e5, rel=0.02)
+
+
 def offering(*parameters: Parameter) -> tn.LagrangianSystem:
     """The swing, with a spring that may be there and an inertia that may have grown."""
     base = changed("gain", nominal=TRUTH["gain"], fixed=True)

@@ -98,6 +98,7 @@ def describe_horizons(
     records: Sequence[Experiment],
     *,
     is_from_recipe: bool,
+    longest_stable: float = 0.0,
     scoring_start: str | None,
 ) -> list[str]:
     """Sentences on the horizons over which records were compared, and their cause.
@@ -106,6 +107,7 @@ def describe_horizons(
         horizons: horizons [s] by record, validation records too.
         records: the training records.
         is_from_recipe: whether the horizon is the recipe's.
+        longest_stable: horizon [s] beyond which simulations diverge; 0 where none do.
         scoring_start: the start of the validation free runs, None without validation records.
     """
     if not horizons:
@@ -117,7 +119,12 @@ def describe_horizons(
             names_by_horizon.setdefault(seconds, []).append(name)
     sentences = []
     for seconds, names in sorted(names_by_horizon.items()):
-        cause = "" if is_from_recipe else f"errors grow a thousandfold in about {seconds:.2g} s, "
+        if seconds == longest_stable:
+            cause = "simulations of longer segments diverge, "
+        elif is_from_recipe:
+            cause = ""
+        else:
+            cause = f"errors grow a thousandfold in about {seconds:.2g} s, "
         sentences.append(f"{_listed(names)}: {cause}fitted over segments of {seconds:.2g} s")
     if whole := [e.name for e in records if e.name not in horizons]:
         sentences.append(f"{_listed(whole)}: fitted as a whole")

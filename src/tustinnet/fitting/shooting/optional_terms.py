@@ -10,6 +10,7 @@ from dataclasses import replace
 
 from tustinnet.errors import InputError
 from tustinnet.fitting.shooting.added_forces import with_added
+from tustinnet.fitting.shooting.equation_error import estimate_by_equation_error
 from tustinnet.fitting.shooting.least_squares import StoppingRule
 from tustinnet.fitting.shooting.leave_out import QuadraticCost, make_quadratic_cost
 from tustinnet.fitting.shooting.problem import Problem, SearchState
@@ -27,6 +28,7 @@ _STOPPING = StoppingRule(1e-2, 15)
 _NEEDED = 0.1  # share of the cost of records left out by which it rises without a needed term
 _MOST = 3.0  # times the cost of all terms: with few segments, those left out decide too little
 _STEPS = (1e-2, 1e-1, 1.0)  # of it: terms that nobody would miss go first
+_CLEARLY = 0.5  # times the cost from the initial values: another start is clearly better
 _WORSE = 1.2  # times the predicted cost: the second-order model did not hold so far
 _HALVES = 2  # times that fewer terms are dropped then
 # of the largest parameter: where one that moves so far to make up for others costs as much as a
@@ -67,23 +69,24 @@ def drop_unneeded_terms(problem: Problem, state: SearchState) -> tuple[Problem, 
         for quarters in _QUARTER_SWINGS
     ]
     stage, *longer_stages = stages
-    state = run_stage(problem, choose_substeps(problem, update_horizons(problem, state)), stage)
-    for longer_stage in longer_stages:
-        longer = run_stage(problem, state, longer_stage)
-        if longer.is_stopped or len(longer.last_result.segments.steps) >= _FEWEST:
-            state, stage = longer, longer_stage
+    state = _fit_from_best_start(problem, state, stage)
     if state.result is not None and state.has_diverged:
         raise InputError(
             f"system '{problem.system.name}'", "first values with which the simulations diverge",
             "values that stay finite", "give others in the recipe: model.begin",
         )  # fmt: skip
-
-    for reach in _REACHES:
-        while (
-            not state.is_stopped
-            and (reduced := _drop_some(problem, state, stage, reach)) is not None
+    for longer_stage in longer_stages:
+        longer = run_stage(problem, state, longer_stage)
+        if longer.has_diverged and not longer.is_stopped:
+            # terms that short segments do not determine can drive longer ones apart
+            problem, state = _drop_all_unneeded(problem, state, stage)
+            state = choose_substeps(problem, state)
+            longer = run_stage(problem, state, longer_stage)
+        if longer.is_stopped or (
+            len(longer.last_result.segments.steps) >= _FEWEST and not longer.has_diverged
         ):
-            problem, state = reduced
+            state, stage = longer, longer_stage
+    problem, state = _drop_all_unneeded(problem, state, stage)
     if state.is_stopped:
         left = len(problem.system.optional)
         remark = (
@@ -109,6 +112,50 @@ def drop_unneeded_terms(problem: Problem, state: SearchState) -> tuple[Problem, 
         remarks=(*remarks, remark),
         has_fitted_values=True,
     )
+
+
+def _fit_from_best_start(problem: Problem, state: SearchState, stage: SearchStage) -> SearchState:
+    """The state after a stage from the initial values, or from the equation-error estimate.
+
+    From values without forces, stiff machines are not found: their periods need more integration
+    steps than those of free motion. The estimate is tried where the stage has not converged, and
+    taken where it is clearly better.
+
+    Args:
+        problem: records and system.
+        state: the initial values.
+        stage: the stage.
+    """
+    first = run_stage(problem, choose_substeps(problem, update_horizons(problem, state)), stage)
+    if first.is_stopped or first.last_result.status == "converged":
+        return first
+    vector = estimate_by_equation_error(
+        problem.system, state.space, state.vector, problem.motion
+    ).vector
+    estimate = update_horizons(problem, replace(state, vector=vector))
+    other = run_stage(problem, choose_substeps(problem, estimate), stage)
+    if other.is_stopped or other.last_result.cost < _CLEARLY * first.last_result.cost:
+        return other
+    return first
+
+
+def _drop_all_unneeded(
+    problem: Problem, state: SearchState, stage: SearchStage
+) -> tuple[Problem, SearchState]:
+    """Drops terms, and fits the others to the segments of a stage, until every term is needed.
+
+    Args:
+        problem: records and system.
+        state: the state after the stage.
+        stage: the stage.
+    """
+    for reach in _REACHES:
+        while (
+            not state.is_stopped
+            and (reduced := _drop_some(problem, state, stage, reach)) is not None
+        ):
+            problem, state = reduced
+    return problem, state
 
 
 def _drop_some(
@@ -181,7 +228,11 @@ def _find_unneeded(cost: QuadraticCost, choices: Mapping[int, Sequence[float]]) 
 def _add_brought_forces(
     problem: Problem, state: SearchState
 ) -> tuple[Problem, SearchSpace, ParameterVector]:
-    """Adds the forces that the kept terms bring; new parameters are at their nominal values."""
+    """Adds the forces that the kept terms bring; new parameters are at their nominal values.
+
+    What they bring only pulls back: a spring that pulls outwards beyond the motion of the records
+    makes other motion run away.
+    """
     system, space = problem.system, state.space
     forces = dict.fromkeys(force for p in system.parameters for force in p.brings)
     brought = [force for force in forces if force not in system.added]
@@ -189,7 +240,12 @@ def _add_brought_forces(
         return problem, space, state.vector
     values = space.to_values_in_range(state.vector)
     extended = with_added(system, brought, problem.records, values)
-    new = [p for p in extended.parameters if p not in system.parameters]
+    new = [
+        replace(p, lower=0.0) if p.nominal == 0.0 else p
+        for p in extended.parameters
+        if p not in system.parameters
+    ]
+    extended = replace(extended, parameters=(*system.parameters, *new))
     space = space.adding(new)
     vector = space.clip(space.to_vector(values | {p.name: p.nominal for p in new}))
     return replace(problem, system=extended), space, vector

@@ -185,6 +185,8 @@ class SearchState:
             estimate does not explain; None where no estimate was made.
         horizons: steps over which records are compared that cannot be simulated as a whole, by
             name; validation records too.
+        longest_stable: steps of the longest segments whose simulations stay finite, where those of
+            longer ones diverge; None where whole records can be simulated.
         remarks: findings of the search so far, as sentences.
         hold_errors: root mean square position error over all training samples [rad or m], by hold
             of the inputs whose hold is unknown.
@@ -206,6 +208,7 @@ class SearchState:
     is_stopped: bool = False
     worst_unexplained: float | None = None
     horizons: Mapping[str, int] = field(default_factory=dict)
+    longest_stable: int | None = None
     remarks: tuple[str, ...] = ()
     hold_errors: Mapping[str, float] = field(default_factory=dict)
     robust_weights: np.ndarray | None = None

@@ -83,6 +83,7 @@ def make_identification(
             horizons,
             () if state.is_stopped else records,
             is_from_recipe=problem.recipe_horizons is not None,
+            longest_stable=(state.longest_stable or 0) * records[0].dt,
             scoring_start=start if problem.validation else None,
         ),
         *findings.describe_disagreements(disagreements),

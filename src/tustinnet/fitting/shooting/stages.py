@@ -3,9 +3,11 @@
 `search` takes a problem and the state to start from and returns the state after all stages. A
 stage compares the simulation over segments of one length and minimises the error; the last one is
 the final stage, over whole records. Records along which errors grow without end stay in segments
-of their horizon, see `horizons`.
+of their horizon, see `horizons`; where simulations of long segments diverge, all records stay
+in the longest segments whose simulations stayed finite.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -87,11 +89,9 @@ def search(problem: Problem, state: SearchState, later_stages: int = 0) -> Searc
     treatment = problem.search.initial
     compares = treatment == "choose" and bool(problem.validation)
     state = replace(state, stages=len(stages) + compares + 1 + later_stages)
-    for stage in stages:
-        state = run_stage(problem, state, stage)
-        if state.is_stopped:
-            return state
-        state = update_horizons(problem, state)  # the better the values, the better the horizons
+    state, stable = _run_early_stages(problem, state, stages)
+    if state.is_stopped:
+        return state
     state = choose_substeps(problem, state)
 
     if treatment == "choose":
@@ -103,7 +103,73 @@ def search(problem: Problem, state: SearchState, later_stages: int = 0) -> Searc
         if score_validation(problem, loose) < score_validation(problem, state):
             state, treatment = loose, "unanchored"
         state = replace(state, finished_stages=loose.finished_stages)
+    final = run_final_stage(problem, state, treatment)
+    if final.is_stopped or not final.has_diverged or state.has_diverged:
+        return final
+    state, stable, _ = _lengthen_segments(problem, state, stable)
+    if state.is_stopped:
+        return state
+    state = update_horizons(problem, replace(state, longest_stable=stable))
     return run_final_stage(problem, state, treatment)
+
+
+def _run_early_stages(
+    problem: Problem, state: SearchState, stages: Sequence[SearchStage]
+) -> tuple[SearchState, int]:
+    """Runs the stages before the final one, over longer and longer segments.
+
+    Returns:
+        The state after the last stage whose simulations stayed finite, and the steps of its longest
+        segments. Where simulations diverge even along the shortest segments, the state after the
+        last stage, and 0.
+    """
+    stable = 0
+    for stage in stages:
+        later = run_stage(problem, state, stage)
+        if not stable and not later.is_stopped and later.has_diverged:
+            shorter = run_stage(problem, state, replace(stage, quarter_swings=1))
+            if not shorter.is_stopped and not shorter.has_diverged:
+                state, stable = shorter, problem.motion.quarter_swing
+                later = run_stage(problem, state, stage)
+        if later.is_stopped:
+            return later, stable
+        if stable and later.has_diverged:
+            state, stable, has_diverged = _lengthen_segments(problem, state, stable)
+            if has_diverged and not state.is_stopped:
+                state = update_horizons(problem, replace(state, longest_stable=stable))
+            return state, stable
+        if not later.has_diverged:
+            stable = int(later.last_result.segments.steps.max())
+        state = update_horizons(problem, later)  # the better the values, the better the horizons
+    return state, stable
+
+
+def _lengthen_segments(
+    problem: Problem, state: SearchState, steps: int
+) -> tuple[SearchState, int, bool]:
+    """Runs stages over segments twice as long each, up to whole records or until one diverges.
+
+    Args:
+        problem: the problem.
+        state: the state after a stage whose simulations stayed finite.
+        steps: the longest segments of that stage.
+
+    Returns:
+        The state after the last stage whose simulations stayed finite, the steps of its longest
+        segments, and whether those of a longer one diverged.
+    """
+    longest = max(len(e) - 1 for e in problem.records)
+    while 2 * steps < longest:
+        quarters = max(1, 2 * steps // problem.motion.quarter_swing)
+        stage = SearchStage(problem.early_initial_treatment, StoppingRule(1e-2, 30), quarters)
+        state = replace(state, stages=state.stages + 1)
+        longer = run_stage(problem, state, stage)
+        if longer.is_stopped:
+            return longer, steps, False
+        if longer.has_diverged:
+            return state, steps, True
+        state, steps = longer, 2 * steps
+    return state, steps, False
 
 
 def run_final_stage(problem: Problem, state: SearchState, initial_treatment: str) -> SearchState:
@@ -231,6 +297,10 @@ def update_horizons(problem: Problem, state: SearchState) -> SearchState:
             problem.group_indices(records),
             problem.motion.quarter_swing,
         )
+    if (limit := state.longest_stable) is not None:
+        every = (*problem.records, *problem.validation)
+        longer = {e.name for e in every if len(e) - 1 > limit}
+        horizons = {**horizons, **{n: min(limit, horizons.get(n, limit)) for n in longer}}
     return replace(state, horizons=horizons)
 
 
