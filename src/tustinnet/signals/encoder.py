@@ -3,6 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
+_ROUNDING = 1e-12  # of the largest position
+
 
 def encoder_count(q: Float[np.ndarray, " n"]) -> float | None:
     """The step of which all changes of a position are multiples, None where there is none.
@@ -11,6 +13,8 @@ def encoder_count(q: Float[np.ndarray, " n"]) -> float | None:
     the value so far, refine it, so that the rounding of the file (1e-6 is usual) averages out.
     """
     levels = np.unique(q)
+    # turns that were added to angles leave equal levels apart by the rounding of floating point
+    levels = levels[np.diff(levels, prepend=-np.inf) > _ROUNDING * np.abs(levels).max()]
     if len(levels) < 3:
         return None
     steps, distance = np.diff(levels), levels - levels[0]
