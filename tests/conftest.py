@@ -1,31 +1,41 @@
 """Set-up of all tests: double precision, a small system, the measured data where it is at hand."""
 
+import gc
 import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 # before JAX is loaded, and for the processes that tests start: what one test has compiled serves
-# the next ones, also in a later run
+# the next ones, those of other processes and later runs too; also the hundred small programs that
+# each fit needs, which take longer to compile than to write and read
 os.environ["JAX_COMPILATION_CACHE_DIR"] = str(Path(__file__).parents[1] / ".pytest_cache/compiled")
-os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
+os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
 os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
 # what tests trust is no business of whoever runs them
 os.environ["TUSTINNET_CONFIG"] = str(Path(__file__).parents[1] / ".pytest_cache/config")
 # compiling is most of the time, running what was compiled is not: with these a quarter of the time
 os.environ.setdefault(
-    "XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+    "XLA_FLAGS",
+    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+    " --xla_cpu_parallel_codegen_split_count=1",
 )
 
 import jax
 import jaxtyping
 import numpy as np
 import pytest
+import remembered_checks  # noqa: F401 (before tustinnet: replaces the hook's decorator)
 
 import tustinnet as tn
 from tustinnet.fitting.task import Member, make_task
 from tustinnet.simulate.programs import make_room
 from tustinnet.store.run import run_task
+
+# objects of JAX and of loaded modules live until the end: looking through them again and again took
+# a tenth of the time
+gc.freeze()
+gc.set_threshold(50_000, 20, 50)
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_num_cpu_devices", 2)  # as the command has on a machine with two cores
@@ -168,6 +178,38 @@ def _no_data_variable(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("TUSTINNET_DATA", raising=False)
 
 
+SYSTEM = (Path(__file__).parent / "torture/pendulum.py").read_text()
+
+
+@pytest.fixture
+def system(tmp_path: Path) -> Path:
+    """The physical system of the small pendulum, as a file."""
+    path = tmp_path / "small_pendulum.py"
+    path.write_text(SYSTEM)
+    return path
+
+
+@pytest.fixture(scope="session")
+def identified_once(pendulum: tn.DataSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of an identification of the small pendulum by the command."""
+    from tustinnet.cli.main import run
+
+    place = tmp_path_factory.mktemp("identified")
+    (place / "small_pendulum.py").write_text(SYSTEM)
+    logs = write_folder(pendulum, place / "logs")
+    with pytest.raises(SystemExit) as ended:
+        run(["fit", str(logs), "--recipe", "grey", "--system", str(place / "small_pendulum.py"),
+             "--out", str(place / "grey")])  # fmt: skip
+    assert not ended.value.code
+    return place / "grey"
+
+
+@pytest.fixture
+def identified(identified_once: Path, tmp_path: Path) -> Path:
+    """A copy of that folder, which a test may change."""
+    return Path(shutil.copytree(identified_once, tmp_path / "grey"))
+
+
 SMALL_RECIPE = """
 name = "small"
 [model]
@@ -242,7 +284,7 @@ def refused(capsys):
     """Runs the command, which must refuse with one line that has some words."""
     from tustinnet.cli.main import run
 
-    def check(*arguments: object, told: str | tuple[str, ...]) -> None:
+    def check(*arguments: object, names: str | tuple[str, ...]) -> None:
         with pytest.raises(SystemExit) as ended:
             run([str(a) for a in arguments])
         out, err = capsys.readouterr()
@@ -250,7 +292,7 @@ def refused(capsys):
         lines = err.splitlines()
         (line,) = [x for x in lines if x.startswith("error: ") or arguments[0] not in REMARKING]
         assert "Traceback" not in err
-        for words in [told] if isinstance(told, str) else told:
+        for words in [names] if isinstance(names, str) else names:
             assert words in line
 
     return check

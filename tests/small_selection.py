@@ -14,7 +14,7 @@ hidden = [6]
 name = "only"
 windows = { draw = "strided", length = 20, count = 100 }
 rate = 1e-2
-epochs = 60
+epochs = 15
 batch = 16
 """
 HYBRID = NETWORK.replace("hidden = [6]", 'kind = "hybrid"\ncorrection = { hidden = [4] }')

@@ -5,14 +5,27 @@ A new one is a line here. Other packages add theirs by entry points of the group
 `tustinnet.targets`; a program adds one by `register`.
 """
 
+import sys
 from dataclasses import dataclass
+from functools import cache
 from importlib import import_module
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoints, entry_points
 from typing import Any, Generic, TypeVar, cast
 
 from tustinnet.errors import InputError, convert_errors
 
 Item = TypeVar("Item")
+
+
+@cache
+def _entry_points(group: str, path: tuple[str, ...]) -> EntryPoints:
+    """The entry points of a group by installed packages; reading them all takes 30 ms.
+
+    Args:
+        group: the group.
+        path: where packages are, `sys.path`.
+    """
+    return entry_points(group=group)
 
 
 @dataclass(frozen=True)
@@ -31,7 +44,7 @@ class Registry(Generic[Item]):
 
     def names(self) -> tuple[str, ...]:
         """All names, those of other packages included."""
-        return (*self.places, *(e.name for e in entry_points(group=self.group)))
+        return (*self.places, *(e.name for e in _entry_points(self.group, tuple(sys.path))))
 
     def register(self, name: str, item: Item) -> None:
         """Adds an item, or replaces the one of the same name."""
@@ -47,7 +60,9 @@ class Registry(Generic[Item]):
                 return place
             module, _, attribute = place.partition(":")
             return cast(Item, getattr(import_module(module), attribute))
-        for entry in entry_points(group=self.group, name=name):
+        for entry in _entry_points(self.group, tuple(sys.path)):
+            if entry.name != name:
+                continue
             with convert_errors(
                 f"{self.noun} '{name}'", f"{entry.value} cannot be loaded",
                 "a package for this version of tustinnet", "update or uninstall the package",

@@ -6,8 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from conftest import SYSTEM
 from small_selection import plan_in
-from test_grey_box import SYSTEM
 from test_report_verb import numbers_in
 from test_verbs import tustinnet
 

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import polars as pl
 import pytest
-from test_grey_box import SYSTEM, identified, identified_once, system  # noqa: F401 (fixtures)
 from test_verbs import tustinnet
 
 import tustinnet as tn
@@ -22,7 +21,7 @@ class Place(NamedTuple):
 
 
 @pytest.fixture
-def place(identified, folder, system, tmp_path, capsys) -> Place:  # noqa: F811
+def place(identified, folder, system, tmp_path, capsys) -> Place:
     """An identified model, and its copy with bands."""
     file = tmp_path / "banded" / "model.safetensors"
     asked = ("calibrate", identified / "model.safetensors", folder, "--split", "validation",
@@ -76,37 +75,39 @@ def test_bands_that_cannot_be_are_one_line(place, run_folder, tmp_path, refused,
     out = tmp_path / "x.safetensors"
     net = run_folder / "model.safetensors"
     given = ("--system", file)
-    refused("calibrate", plain, folder, *given, "--out", out, "--split", "train", told="fall1")
-    refused("calibrate", plain, folder, *given, "--out", plain, told="what the command reads")
+    refused("calibrate", plain, folder, *given, "--out", out, "--split", "train", names="fall1")
+    refused("calibrate", plain, folder, *given, "--out", plain, names="what the command reads")
     refused("calibrate", plain, folder, *given, "--out", banded, "--split", "validation",
-            told="there already")  # fmt: skip
+            names="there already")  # fmt: skip
     refused("calibrate", net, folder, "--out", out, "--split", "validation",
-            told="nothing says how sure it is")  # fmt: skip
+            names="nothing says how sure it is")  # fmt: skip
     for option in ("--card", "--split"):
-        refused("calibrate", plain, folder, *given, "--out", out, option, "nowhere", told="nowhere")
+        refused(
+            "calibrate", plain, folder, *given, "--out", out, option, "nowhere", names="nowhere"
+        )
     refused("calibrate", plain, folder, *given, "--out", out, "--split", "validation",
-            "--start", "nowhere", told="nowhere")  # fmt: skip
+            "--start", "nowhere", names="nowhere")  # fmt: skip
     assert not out.exists()
     sim = ("--out", tmp_path / "sim")
     start = ("--start", "derived-6")
     refused("simulate", banded, folder, *given, *start, *sim, "--band", 0.9,
-            told="which cannot promise more than 66.7 %; expected 9 records")  # fmt: skip
-    refused("simulate", banded, folder, *given, *start, *sim, "--band", 90, told="between 0 and 1")
+            names="which cannot promise more than 66.7 %; expected 9 records")  # fmt: skip
+    refused("simulate", banded, folder, *given, *start, *sim, "--band", 90, names="between 0 and 1")
     refused("simulate", banded, folder, *given, *sim, "--band", 0.6, "--start", "model-20",
-            told="'derived-6', whole records, as the model was calibrated")  # fmt: skip
-    refused("simulate", plain, folder, *given, *sim, "--band", 0.6, told="without bands")
-    refused("simulate", net, folder, *sim, "--band", 0.6, told="nothing says how sure it is")
-    refused("simulate", banded, folder, *given, *sim, "--whole-records", told="add --band")
-    refused("evaluate", banded, folder, *given, "--whole-records", told="add --band")
-    refused("compare", banded, folder, *given, "--band", 0.6, told="--figures DIR")
-    refused("compare", banded, folder, *given, "--whole-records", told="add --band")
+            names="'derived-6', whole records, as the model was calibrated")  # fmt: skip
+    refused("simulate", plain, folder, *given, *sim, "--band", 0.6, names="without bands")
+    refused("simulate", net, folder, *sim, "--band", 0.6, names="nothing says how sure it is")
+    refused("simulate", banded, folder, *given, *sim, "--whole-records", names="add --band")
+    refused("evaluate", banded, folder, *given, "--whole-records", names="add --band")
+    refused("compare", banded, folder, *given, "--band", 0.6, names="--figures DIR")
+    refused("compare", banded, folder, *given, "--whole-records", names="add --band")
     assert not (tmp_path / "sim").exists()
     asked = ("calibrate", plain, folder, *given, "--out", banded, "--split", "validation")
     code, told, _ = tustinnet(capsys, *asked, "--overwrite", "--json", "--horizon", 1.0)
     assert code == 0
     assert json.loads(told)["highest_level"] == pytest.approx(2 / 3)
     asked = ("simulate", banded, folder, *given, *start, *sim, "--band", 0.6)
-    refused(*asked, "--horizon", "inf", told="horizon 1 s, as the model was calibrated")
+    refused(*asked, "--horizon", "inf", names="horizon 1 s, as the model was calibrated")
     code, told, err = tustinnet(capsys, *asked)
     assert code == 0
     assert "over segments of 1 s" in told

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from test_grey_box import TRUTH, identified, identified_once, system  # noqa: F401 (fixtures)
+from test_grey_box import TRUTH
 from test_verbs import tustinnet
 
 import tustinnet as tn
@@ -24,7 +24,7 @@ class Grey(NamedTuple):
 
 
 @pytest.fixture
-def grey(identified, system) -> Grey:  # noqa: F811
+def grey(identified, system) -> Grey:
     return Grey(identified / "model.safetensors", system)
 
 
@@ -69,7 +69,7 @@ def test_a_network_goes_on_with_its_own_recipe_and_says_where_it_is_from(
     for path in out.rglob("log.jsonl"):
         assert path.read_text().count("\n") == 2
     refused("fit", folder, "--recipe", small_recipe, "--out", out, *STILL, "--resume",
-            told="with another from")  # fmt: skip
+            names="with another from")  # fmt: skip
 
 
 def test_a_correction_goes_on_with_its_physics_or_with_another(grey, folder, tmp_path, capsys):
@@ -127,27 +127,27 @@ def test_an_identification_begins_at_the_values_of_another(grey, folder, tmp_pat
         assert begun[name] == pytest.approx(known[name])
         assert found[name] == pytest.approx(value, rel=0.02)
     refused(*fit, "--out", tmp_path / "no", "--set", "model.begin.gain=3",
-            told="--from sets the same initial values")  # fmt: skip
+            names="--from sets the same initial values")  # fmt: skip
 
 
 def test_what_cannot_go_on_is_one_line(run_folder, grey, folder, tmp_path, capsys, refused):
     model = run_folder / "model.safetensors"
     fit, out = ("fit", folder, "--from", model), ("--out", tmp_path / "out")
-    refused(*fit, *out, "--set", "model.hidden=[8]", told="hidden [8, 6]; expected hidden [8]")
-    refused(*fit, *out, "--recipe", "gru", told="kind 'tustin-net'; expected one of kind 'gru'")
+    refused(*fit, *out, "--set", "model.hidden=[8]", names="hidden [8, 6]; expected hidden [8]")
+    refused(*fit, *out, "--recipe", "gru", names="kind 'tustin-net'; expected one of kind 'gru'")
     refused(*fit, *out, "--recipe", "grey", "--system", grey.system,
-            told="not applicable to a model of kind 'tustin-net'")  # fmt: skip
+            names="not applicable to a model of kind 'tustin-net'")  # fmt: skip
     refused("fit", folder, "--from", grey.model, "--system", grey.system, *out,
             "--recipe", "standard",
-            told="kind 'euler-lagrange'; expected one of kind 'tustin-net'")  # fmt: skip
-    refused(*fit, *out, "--physics", grey.model, told="--physics")
-    refused(*fit, *out, "--budget", "1min", told="--budget: not applicable")
-    refused("fit", folder, "--from", folder / "fall1.csv", *out, told="not a safetensors file")
-    refused(*fit, "--out", run_folder, "--overwrite", told="which --from names")
+            names="kind 'euler-lagrange'; expected one of kind 'tustin-net'")  # fmt: skip
+    refused(*fit, *out, "--physics", grey.model, names="--physics")
+    refused(*fit, *out, "--budget", "1min", names="--budget: not applicable")
+    refused("fit", folder, "--from", folder / "fall1.csv", *out, names="not a safetensors file")
+    refused(*fit, "--out", run_folder, "--overwrite", names="which --from names")
     both = tmp_path / "both.safetensors"
     assert tustinnet(capsys, "committee", model, model, "--out", both)[0] == 0
-    refused("fit", folder, "--from", both, *out, told="'committee' that names no recipe")
+    refused("fit", folder, "--from", both, *out, names="'committee' that names no recipe")
     card = folder / "dataset.toml"
     card.write_text(card.read_text().replace('name = "angle"', 'name = "elbow"'))
-    refused(*fit, *out, told="elbow (angular)")
+    refused(*fit, *out, names="elbow (angular)")
     assert not [*(tmp_path / "out").rglob("*.*")]

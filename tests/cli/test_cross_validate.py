@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from test_grey_box import SYSTEM
+from conftest import SYSTEM
 from test_verbs import tustinnet
 
 RECORDS = {"fall1", "fall2", "fall3", "noise1", "noise2"}

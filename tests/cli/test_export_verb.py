@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from every_family import example
 from scipy.io import loadmat
-from test_grey_box import identified, identified_once, system  # noqa: F401 (fixtures)
 from test_verbs import tustinnet
 
 import tustinnet as tn
@@ -97,10 +96,10 @@ def out(tmp_path) -> Path:
 def refused(capsys):
     """Runs the verb, which must refuse with one line that has some words."""
 
-    def check(*arguments: object, told: str) -> None:
+    def check(*arguments: object, names: str) -> None:
         code, printed, err = tustinnet(capsys, "export", *arguments)
         assert (code, printed, err.count("\n")) == (1, "", 1), err
-        assert told in err
+        assert names in err
 
     return check
 
@@ -129,7 +128,7 @@ def test_matrices_are_about_the_operating_point_that_is_named(
         ("angle=1,angle=2", "mat", "each name once"),
         ("speed=1", "mat", "no state or input 'speed'; expected some of angle, der_angle, torque"),
     ]:
-        refused(model, "--to", to, "--at", at, "--out", out / "new", told=told)
+        refused(model, "--to", to, "--at", at, "--out", out / "new", names=told)
 
 
 def test_a_model_is_exported_with_a_card(model, out, capsys):
@@ -193,7 +192,7 @@ def test_an_export_is_replaced_where_that_is_asked_for(model, out, refused, caps
     asked = (model, "--out", out, "--to")
     assert tustinnet(capsys, "export", *asked, "plain")[0] == 0
     before = contents(out)
-    refused(*asked, "plain", told="card.json: there already; expected a new file; choose another")
+    refused(*asked, "plain", names="card.json: there already; expected a new file; choose another")
     assert contents(out) == before
     (out / "mine.c").write_text("mine")
     assert tustinnet(capsys, "export", *asked, "other", "--overwrite")[0] == 0
@@ -251,7 +250,7 @@ def test_a_card_cannot_have_files_removed_elsewhere(model, out, tmp_path, capsys
     ],
 )
 def test_a_target_that_cannot_be_had_is_one_line(to, told, model, out, refused):
-    refused(model, "--to", to, "--out", out, told=told)
+    refused(model, "--to", to, "--out", out, names=told)
     assert not out.exists()
 
 
@@ -277,25 +276,25 @@ def test_a_folder_that_holds_something_else_is_left_alone(model, out, refused, t
         for more in ([], ["--overwrite"]):
             refused(
                 model, "--to", "plain", "--out", out, *more,
-                told="a folder that holds something else; expected an empty folder",
+                names="a folder that holds something else; expected an empty folder",
             )  # fmt: skip
         assert contents(out) == before
     file = tmp_path / "file"
     file.write_text("a file")
-    refused(model, "--to", "plain", "--out", file, told="a file stands where a folder is needed")
-    refused(model, "--to", "plain", "--out", file / "in", told="where a folder is needed")
+    refused(model, "--to", "plain", "--out", file, names="a file stands where a folder is needed")
+    refused(model, "--to", "plain", "--out", file / "in", names="where a folder is needed")
 
 
 def test_one_folder_of_several_that_is_taken_stops_all(model, out, refused):
     (out / "other").mkdir(parents=True)
     (out / "other" / "work.txt").write_text("work")
-    refused(model, "--to", "plain,other", "--out", out, told="holds something else")
+    refused(model, "--to", "plain,other", "--out", out, names="holds something else")
     assert set(contents(out)) == {"other/work.txt"}
 
 
 def test_foreign_code_is_run_where_it_is_named(
-    identified,  # noqa: F811
-    system,  # noqa: F811
+    identified,
+    system,
     out,
     refused,
     capsys,
@@ -305,10 +304,10 @@ def test_foreign_code_is_run_where_it_is_named(
     model = identified / "model.safetensors"
     asked = (model, "--to", "plain", "--out", out)
     monkeypatch.setenv("TUSTINNET_CONFIG", str(tmp_path / "nothing is trusted here"))
-    refused(*asked, told="expected your consent; if you would run it yourself, add --system")
+    refused(*asked, names="expected your consent; if you would run it yourself, add --system")
     (identified / "system.py").unlink()
-    refused(*asked, told="add --system small_pendulum.py")
-    refused(*asked, "--system", "qube-servo2", told="the system 'qube-servo2'")
+    refused(*asked, names="add --system small_pendulum.py")
+    refused(*asked, "--system", "qube-servo2", names="the system 'qube-servo2'")
     assert not out.exists()
     code, _, err = tustinnet(capsys, "export", *asked, "--system", system)
     assert code == 0, err
@@ -317,9 +316,9 @@ def test_foreign_code_is_run_where_it_is_named(
 
 def test_a_network_has_no_system(model, out, refused):
     refused(
-        model, "--to", "plain", "--out", out, "--system", "qube-servo2", told="leave --system out"
+        model, "--to", "plain", "--out", out, "--system", "qube-servo2", names="leave --system out"
     )
-    refused(model.parent / "no.safetensors", "--to", "plain", "--out", out, told="no such file")
+    refused(model.parent / "no.safetensors", "--to", "plain", "--out", out, names="no such file")
     assert not out.exists()
 
 
@@ -352,15 +351,15 @@ def loaded(tmp_path) -> tuple[object, ...]:
 
 def test_a_model_with_values_by_group_needs_the_group(loaded, model, out, refused, capsys):
     asked = (*loaded, "plain", "--out", out)
-    refused(*asked, told="no group 'load', which 'mass' is per; expected one of 1kg, 2kg")
-    refused(*asked, told="of an export add --group load=")
-    refused(*asked, "--group", "load=3kg", told="load '3kg', for which 'mass' has no value")
-    refused(*asked, "--group", "load=1kg", "--group", "colour=red", told="group 'colour', which")
-    refused(*asked, "--group", "load", told="--group: 'load'; expected NAME=VALUE")
-    refused(*asked, "--group", "load=1kg", "--group", "load=2kg", told="each name once")
+    refused(*asked, names="no group 'load', which 'mass' is per; expected one of 1kg, 2kg")
+    refused(*asked, names="of an export add --group load=")
+    refused(*asked, "--group", "load=3kg", names="load '3kg', for which 'mass' has no value")
+    refused(*asked, "--group", "load=1kg", "--group", "colour=red", names="group 'colour', which")
+    refused(*asked, "--group", "load", names="--group: 'load'; expected NAME=VALUE")
+    refused(*asked, "--group", "load=1kg", "--group", "load=2kg", names="each name once")
     refused(
         model, "--to", "plain", "--out", out, "--group", "load=1kg",
-        told="group 'load', which nothing in the model is per",
+        names="group 'load', which nothing in the model is per",
     )  # fmt: skip
     assert not out.exists()
     steps = {}
@@ -373,7 +372,7 @@ def test_a_model_with_values_by_group_needs_the_group(loaded, model, out, refuse
 
 def test_a_model_that_leaves_the_numbers_is_not_exported(loaded, out, refused):
     asked = (*loaded, "plain", "--out", out, "--group")
-    refused(*asked, "load=none", told="to numbers that are not finite; expected finite states")
+    refused(*asked, "load=none", names="to numbers that are not finite; expected finite states")
     single = (*loaded, "single", "--out", out, "--group")
-    refused(*single, "load=feather", told="--to single: a step differs from the model's by inf")
+    refused(*single, "load=feather", names="--to single: a step differs from the model's by inf")
     assert not out.exists()

@@ -2,21 +2,18 @@
 
 import io
 import json
-import shutil
 import sys
 from dataclasses import replace
 from hashlib import sha256
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import write_folder
+from conftest import SYSTEM
 from test_verbs import tustinnet
 
 import tustinnet as tn
 from tustinnet.cli import demo
-from tustinnet.cli.main import run
 from tustinnet.fitting.fit import fit_task
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.task import make_task
@@ -25,35 +22,7 @@ from tustinnet.store.header import read_header
 from tustinnet.store.run import run_task
 from tustinnet.systems import qube_servo2_twin
 
-SYSTEM = (Path(__file__).parents[1] / "torture/pendulum.py").read_text()
 TRUTH = {"gravity": 20.0, "damping": 0.8, "gain": 4.0}
-
-
-@pytest.fixture
-def system(tmp_path):
-    """The small pendulum as a system file."""
-    path = tmp_path / "small_pendulum.py"
-    path.write_text(SYSTEM)
-    return path
-
-
-@pytest.fixture(scope="session")
-def identified_once(pendulum, tmp_path_factory):
-    """The folder of an identification by the command."""
-    place = tmp_path_factory.mktemp("identified")
-    (place / "small_pendulum.py").write_text(SYSTEM)
-    logs = write_folder(pendulum, place / "logs")
-    with pytest.raises(SystemExit) as ended:
-        run(["fit", str(logs), "--recipe", "grey", "--system", str(place / "small_pendulum.py"),
-             "--out", str(place / "grey")])  # fmt: skip
-    assert not ended.value.code
-    return place / "grey"
-
-
-@pytest.fixture
-def identified(identified_once, tmp_path):
-    """A copy of that folder, which a test may change."""
-    return shutil.copytree(identified_once, tmp_path / "grey")
 
 
 def test_fit_finds_the_parameters_and_keeps_model_summary_and_figures(identified):

@@ -7,8 +7,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import record
-from test_grey_box import SYSTEM
+from conftest import SYSTEM, record
 from test_verbs import tustinnet
 from torture.pendulum import SYSTEM as SMALL
 

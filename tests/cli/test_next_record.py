@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from test_grey_box import identified, identified_once, system  # noqa: F401 (fixtures)
 from test_verbs import tustinnet
 
 PROPOSALS = """
@@ -40,7 +39,7 @@ def proposals(tmp_path) -> Path:
 
 
 @pytest.fixture
-def place(identified, system, proposals) -> Place:  # noqa: F811
+def place(identified, system, proposals) -> Place:
     return Place(identified / "model.safetensors", system, proposals)
 
 

@@ -101,7 +101,7 @@ def refused(place, capsys, monkeypatch, pendulum):
     def computes(*arguments, **named):
         pytest.fail("computed before it refused")
 
-    def check(*arguments: object, told: str) -> None:
+    def check(*arguments: object, names: str) -> None:
         before = everything(place.root)
         with monkeypatch.context() as patched:
             patched.setattr(scores, "evaluate", computes)
@@ -112,7 +112,7 @@ def refused(place, capsys, monkeypatch, pendulum):
             code, out, err = tustinnet(capsys, *arguments)
         assert (code, out) == (1, ""), err
         (line,) = [line for line in err.splitlines() if line.startswith("error: ")]
-        assert told in line
+        assert names in line
         assert everything(place.root) == before
 
     return check
@@ -141,13 +141,13 @@ def test_a_file_is_never_written_over_what_is_read(
     reads = reads and (file != place.model or verb != "inspect")
     told = "what the command reads" if reads else "ending"
     for path in (file, tmp_path / "logs" / ".." / file.relative_to(tmp_path)):
-        refused(*asked(place, path), "--overwrite", told=told)
-        refused(*asked(place, path), told=told)
+        refused(*asked(place, path), "--overwrite", names=told)
+        refused(*asked(place, path), names=told)
     if reads:  # under another name, with the ending of what is written
         for make in (os.link, os.symlink):
             other = tmp_path / f"{make.__name__}{ending}"
             make(file, other)
-            refused(*asked(place, other), "--overwrite", told="what the command reads")
+            refused(*asked(place, other), "--overwrite", names="what the command reads")
 
 
 @pytest.mark.parametrize("verb", FILES)
@@ -157,13 +157,13 @@ def test_a_file_has_the_ending_of_its_kind_and_replaces_nothing_unasked(
     ending, asked = FILES[verb]
     first = ".png" if verb in ("inspect", "residuals") else ending
     for name in ("notes.txt", "notes", "notes.csv", f"notes{ending}.toml"):
-        refused(*asked(place, tmp_path / name), told=f"expected a file that ends in {first}")
+        refused(*asked(place, tmp_path / name), names=f"expected a file that ends in {first}")
         (tmp_path / name).write_text("mine")
-        refused(*asked(place, tmp_path / name), "--overwrite", told="ending")
+        refused(*asked(place, tmp_path / name), "--overwrite", names="ending")
     (tmp_path / f"there{ending}").write_text("mine")
-    refused(*asked(place, tmp_path / f"there{ending}"), told="add --overwrite")
+    refused(*asked(place, tmp_path / f"there{ending}"), names="add --overwrite")
     (tmp_path / f"folder{ending}").mkdir()
-    refused(*asked(place, tmp_path / f"folder{ending}"), "--overwrite", told="a folder")
+    refused(*asked(place, tmp_path / f"folder{ending}"), "--overwrite", names="a folder")
 
 
 @pytest.mark.parametrize(
@@ -174,7 +174,7 @@ def test_nothing_in_a_folder_is_replaced_unasked(verb, name, place, refused):
     there = place.out / name
     there.parent.mkdir(parents=True)
     there.write_text("mine")
-    refused(*asked(place, place.out), told="choose another" if verb == "export" else "--overwrite")
+    refused(*asked(place, place.out), names="choose another" if verb == "export" else "--overwrite")
 
 
 @pytest.mark.parametrize(
@@ -184,19 +184,19 @@ def test_nothing_is_written_among_the_records(verb, place, refused):
     asked, _ = FOLDERS[verb]
     told = "what the command reads" if verb == "simulate" else "the folder of the data"
     for more in ((), ("--overwrite",)):
-        refused(*asked(place, place.logs), *more, told=told)
+        refused(*asked(place, place.logs), *more, names=told)
 
 
 @pytest.mark.parametrize("option", ["--physics", "--from"])
 def test_a_run_is_not_written_over_the_model_that_it_is_made_from(option, place, refused):
     for out in (place.model.parent, place.model.parent.parent):
         refused("fit", place.logs, option, place.model, "--out", out, "--overwrite",
-                told=f"which {option} names")  # fmt: skip
+                names=f"which {option} names")  # fmt: skip
 
 
 def test_an_export_is_not_written_beside_the_model(place, refused):
     asked, _ = FOLDERS["export"]
-    refused(*asked(place, place.model.parent), "--overwrite", told="holds something else")
+    refused(*asked(place, place.model.parent), "--overwrite", names="holds something else")
 
 
 def test_figures_are_replaced_where_that_is_asked_for(place, capsys, refused, tmp_path):
@@ -208,9 +208,9 @@ def test_figures_are_replaced_where_that_is_asked_for(place, capsys, refused, tm
         ("compare", ("compare", place.model, place.other, place.logs, "--figures", drawn / "d")),
     ):
         assert tustinnet(capsys, *asked)[0] == 0
-        refused(*asked, told="add --overwrite")
+        refused(*asked, names="add --overwrite")
         for path in drawn.rglob("*.png"):
             path.write_bytes(b"")
         assert tustinnet(capsys, *asked, "--overwrite")[0] == 0
         assert any(path.stat().st_size for path in drawn.rglob("*.png")), verb
-        refused(*asked[:-2], "--overwrite", told="--overwrite: no figures")
+        refused(*asked[:-2], "--overwrite", names="--overwrite: no figures")

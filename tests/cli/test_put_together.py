@@ -5,7 +5,7 @@ from hashlib import sha256
 from pathlib import Path
 
 import pytest
-from test_grey_box import SYSTEM, identified, identified_once, system  # noqa: F401 (fixtures)
+from conftest import SYSTEM
 from test_verbs import tustinnet
 
 import tustinnet as tn
@@ -57,20 +57,20 @@ def test_what_cannot_be_put_together_is_one_line(models, tmp_path, capsys):
         assert told in err
 
     file = tmp_path / "both.safetensors"
-    refused(*models, "--out", file, "--weights", "3", told="2 models, weights [3.0]")
-    refused(*models, "--out", file, "--weights", "3,-1", told="weights [3.0, -1.0]")
-    refused(*models, "--out", file, "--weights", "3;1", told="--weights: '3;1'")
-    refused(*models, "--out", file, "--system", "qube-servo2", told="which no model is of")
-    refused(*models, "--out", models[0], "--overwrite", told="what the command reads")
-    refused(models[0], tmp_path / "no.safetensors", "--out", file, told="no such file")
+    refused(*models, "--out", file, "--weights", "3", names="2 models, weights [3.0]")
+    refused(*models, "--out", file, "--weights", "3,-1", names="weights [3.0, -1.0]")
+    refused(*models, "--out", file, "--weights", "3;1", names="--weights: '3;1'")
+    refused(*models, "--out", file, "--system", "qube-servo2", names="which no model is of")
+    refused(*models, "--out", models[0], "--overwrite", names="what the command reads")
+    refused(models[0], tmp_path / "no.safetensors", "--out", file, names="no such file")
     assert not file.exists()
 
 
 def test_members_of_a_users_system_share_its_file(
     models,
-    identified,  # noqa: F811
+    identified,
     folder,
-    system,  # noqa: F811
+    system,
     tmp_path,
     capsys,
 ):

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from test_bands_verb import place  # noqa: F401 (a fixture)
-from test_grey_box import identified, identified_once, system  # noqa: F401 (fixtures)
 from test_verbs import tustinnet
 
 LINKED = """
@@ -42,7 +41,7 @@ def test_a_run_is_reported_as_its_options_say(run_folder, folder, tmp_path, caps
     text = page.read_text(encoding="utf-8")
     assert "2 validation records that it was not fitted to" in text
     assert f"tustinnet report {run_folder} {folder} --out {page} --split validation" in text
-    refused(*command, told="add --overwrite")
+    refused(*command, names="add --overwrite")
     again = (*command, "--horizon", 1, "--start", "derived-8", "--overwrite")
     assert tustinnet(capsys, *again)[0] == 0
     assert "over segments of 1 s" in page.read_text(encoding="utf-8")
@@ -54,9 +53,9 @@ def test_a_system_with_links_draws_a_network(run_folder, folder, tmp_path, capsy
     command = ("report", run_folder / "model.safetensors", folder, "--out", page,
                "--system", drawn)  # fmt: skip
     drawn.write_text(LINKED.format(name="elbow"))
-    refused(*command, told="error: --system: 'drawn', which is the system of no model")
+    refused(*command, names="error: --system: 'drawn', which is the system of no model")
     drawn.write_text(LINKED.format(name="angle"))
-    refused(*command, "--system", "qube-servo2", told="error: --system: 'drawn'")
+    refused(*command, "--system", "qube-servo2", names="error: --system: 'drawn'")
     assert not page.exists()
     assert tustinnet(capsys, *command)[0] == 0
     assert numbers_in(page)["links"] == [
@@ -66,16 +65,16 @@ def test_a_system_with_links_draws_a_network(run_folder, folder, tmp_path, capsy
 
 def test_what_cannot_be_reported_is_one_line(run_folder, folder, tmp_path, refused):
     page, model = tmp_path / "report.html", run_folder / "model.safetensors"
-    refused("report", tmp_path / "gone", folder, "--out", page, told="no such file")
-    refused("report", folder, folder, "--out", page, told="a folder without model.safetensors")
-    refused("report", *[model] * 6, folder, "--out", page, told="6 models; expected 1 to 5")
+    refused("report", tmp_path / "gone", folder, "--out", page, names="no such file")
+    refused("report", folder, folder, "--out", page, names="a folder without model.safetensors")
+    refused("report", *[model] * 6, folder, "--out", page, names="6 models; expected 1 to 5")
     card = folder / "dataset.toml"
     card.write_text(card.read_text().replace('name = "angle"', 'name = "elbow"'))
-    refused("report", model, folder, "--out", page, told="elbow")
+    refused("report", model, folder, "--out", page, names="elbow")
     assert not page.exists()
 
 
-def test_parameters_have_both_errors_and_calibrated_models_bands(place, tmp_path, capsys):  # noqa: F811
+def test_parameters_have_both_errors_and_calibrated_models_bands(place, tmp_path, capsys):  # noqa: F811 (the fixture)
     page = tmp_path / "report.html"
     command = ("report", place.banded, place.plain, place.logs, "--split", "validation",
                "--start", "derived-6", "--system", place.system, "--out", page)  # fmt: skip
@@ -92,7 +91,7 @@ def test_parameters_have_both_errors_and_calibrated_models_bands(place, tmp_path
     assert "no bands: --band: start" in page.read_text(encoding="utf-8")
 
 
-def test_an_identification_shows_its_stages_and_the_way_of_its_parameters(identified):  # noqa: F811
+def test_an_identification_shows_its_stages_and_the_way_of_its_parameters(identified):
     page = identified / "report.html"  # left by the fit
     (of,) = numbers_in(page)["models"]
     lines = [json.loads(line) for line in (identified / "log.jsonl").read_text().splitlines()]

@@ -164,7 +164,7 @@ def test_what_is_asked_otherwise_is_refused_by_name(case, whole, place, refused)
             (place.root / what / name).unlink()
     change(place)
     verb = place.training if what == "training" else place.selection
-    refused(*verb("--resume"), told=told)
+    refused(*verb("--resume"), names=told)
 
 
 @pytest.mark.parametrize("told", [True, False], ids=["kept", "not kept"])
@@ -174,18 +174,18 @@ def test_a_run_of_another_kind_is_refused(told, place, refused):
             path.unlink()
     recipe, plan = (place.root / name for name in ("small.toml", "plan.toml"))
     refused(*place.fit("selection", "--recipe", recipe, "--resume"),
-            told="holds a selection by a plan, not a run of a recipe")  # fmt: skip
+            names="holds a selection by a plan, not a run of a recipe")  # fmt: skip
     refused(*place.fit("training", "--plan", plan, "--resume"),
-            told="holds a run of a recipe, not a selection by a plan")  # fmt: skip
-    refused(*place.fit("grey", "--plan", plan, "--resume"), told="holds a run of a recipe, not")
-    refused(*place.fit("grey", "--recipe", recipe, "--resume"), told="another recipe (")
+            names="holds a run of a recipe, not a selection by a plan")  # fmt: skip
+    refused(*place.fit("grey", "--plan", plan, "--resume"), names="holds a run of a recipe, not")
+    refused(*place.fit("grey", "--recipe", recipe, "--resume"), names="another recipe (")
 
 
 @pytest.mark.parametrize("damage", ["", "[]", "{}", '"recipe"', "{", '{"recipe": 3}'])
 def test_where_the_question_is_lost_the_model_tells_the_recipe(damage, place, refused):
     (place.root / "training" / "question.json").write_text(damage)
     another_recipe(place)
-    refused(*place.training("--resume"), told="another recipe")
+    refused(*place.training("--resume"), names="another recipe")
 
 
 def test_the_same_goes_on_and_is_kept(place, capsys):

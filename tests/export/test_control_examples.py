@@ -10,7 +10,6 @@ from every_family import nominal
 import tustinnet as tn
 from tustinnet.systems.qube_servo2 import SYSTEM
 
-pytest.importorskip("casadi")
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
@@ -29,7 +28,6 @@ def test_the_pendulum_swings_up(capsys):
 @pytest.mark.filterwarnings("ignore::UserWarning:do_mpc")
 @pytest.mark.filterwarnings("ignore::FutureWarning:casadi")
 def test_the_pendulum_is_held_by_predictive_control(capsys):
-    pytest.importorskip("do_mpc")
     found = runpy.run_path(str(EXAMPLES / "do_mpc_pendulum.py"), run_name="__main__")
     assert found["angles"][0] == 0.25
     assert np.abs(found["angles"][-10:]).max() < 0.02

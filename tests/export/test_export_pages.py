@@ -49,7 +49,6 @@ def test_the_page_on_c(place):
 
 
 def test_the_page_on_fmus(place, capsys):
-    pytest.importorskip("fmpy")
     export, build = blocks("FMU", "sh")
     # the command of fmpy is where Python's are, which need not be in the path
     typed(export.splitlines()[0], place)

@@ -6,6 +6,7 @@ import subprocess
 import zipfile
 from dataclasses import replace
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as Xml
@@ -13,6 +14,15 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 import pytest
 from every_family import example
+from fmpy.fmi1 import FMICallException
+from fmpy.fmi2 import (
+    FMU2Slave,
+    fmi2CallbackFunctions,
+    fmi2CallbackLoggerTYPE,
+)
+from fmpy.fmi3 import FMU3Slave
+from fmpy.model_description import read_build_description
+from fmpy.validation import validate_fmu
 from swinging import DT, SWING, swing_model
 
 import tustinnet as tn
@@ -22,20 +32,9 @@ from tustinnet.export.source import Source, make_source
 from tustinnet.export.target import NotRunnable
 from tustinnet.program.numbers import run
 
-fmpy = pytest.importorskip("fmpy")
-
-from fmpy.fmi1 import FMICallException  # noqa: E402
-from fmpy.fmi2 import (  # noqa: E402
-    FMU2Slave,
-    fmi2CallbackFunctions,
-    fmi2CallbackLoggerTYPE,
-)
-from fmpy.fmi3 import FMU3Slave  # noqa: E402
-from fmpy.model_description import read_build_description  # noqa: E402
-from fmpy.validation import validate_fmu  # noqa: E402
-
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
 
+fmpy = import_module("fmpy")  # its types allow None where a model description has none
 HOSTILE = 'a<b&"c'
 VERSIONS = (2, 3)
 

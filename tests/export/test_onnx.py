@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from importlib import import_module
 
 import jax.numpy as jnp
 import numpy as np
@@ -24,7 +25,7 @@ from tustinnet.export.onnx import ROLLOUT, SINGLE, STEP, TARGET
 from tustinnet.export.source import Source, make_source
 from tustinnet.program.numbers import run
 
-onnx = pytest.importorskip("onnx")
+onnx = import_module("onnx")  # no types are known
 
 
 def made(source: Source, name: str) -> bytes:
@@ -34,7 +35,7 @@ def made(source: Source, name: str) -> bytes:
 
 
 def session(content: bytes | str):
-    runtime = pytest.importorskip("onnxruntime")
+    runtime = import_module("onnxruntime")
     options = runtime.SessionOptions()
     options.intra_op_num_threads = 1
     return runtime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
@@ -65,9 +66,7 @@ def test_a_batch_of_every_family_steps_and_runs(name):
 @pytest.mark.parametrize("runtime", ["onnxruntime", "reference"])
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_it_does_everything_a_program_may_hold(name, runtime, tmp_path, monkeypatch):
-    if runtime == "onnxruntime":
-        pytest.importorskip("onnxruntime")
-    else:
+    if runtime != "onnxruntime":
         monkeypatch.setattr(target_module, "find_spec", lambda name: None)
     source = stepping(PROGRAMS[name])
     (tmp_path / STEP).write_bytes(made(source, STEP))
@@ -143,7 +142,6 @@ def test_without_the_package_the_extra_is_told(monkeypatch):
 
 
 def test_the_documented_lines_run(tmp_path):
-    pytest.importorskip("onnxruntime")
     (tmp_path / ROLLOUT).write_bytes(made(example_source("qube"), ROLLOUT))
     (block,) = blocks("ONNX", "python")
     done = subprocess.run(

@@ -107,11 +107,11 @@ def test_a_grus_equations_are_those_of_its_docstring():
     np.testing.assert_allclose(model.step(x, jnp.zeros(0)), expected, rtol=1e-5)
 
 
+@pytest.mark.parametrize("trained", ["gru"], indirect=True)
 def test_its_hidden_state_follows_the_record_before_a_free_run(trained, pendulum):
     run, _ = trained
     model = run.best.result.model
-    if not isinstance(model, GRU):
-        pytest.skip("of the GRU")
+    assert isinstance(model, GRU)
     held = list(pendulum.split("validation"))
     assert run.start == "warm-up-8"
     [first, *_] = tn.free_run(model, held, "warm-up-8")
@@ -120,11 +120,11 @@ def test_its_hidden_state_follows_the_record_before_a_free_run(trained, pendulum
     np.testing.assert_allclose(first[7, 2:], along[7, 2:], rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.parametrize("trained", ["neural-ode"], indirect=True)
 def test_a_neural_odes_positions_are_bound_by_no_rule(trained):
     run, _ = trained
     model = run.best.result.model
-    if not isinstance(getattr(model, "continuous", None), NeuralODE):
-        pytest.skip("of the neural ODE")
+    assert isinstance(model.continuous, NeuralODE)
     slope = model.continuous.derivative(jnp.array([0.1, 2.0]), jnp.array([0.0]))
     assert slope.shape == (2,)
     assert float(slope[0]) != 2.0

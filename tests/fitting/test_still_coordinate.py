@@ -66,11 +66,11 @@ def test_its_published_unit_is_one(pendulum: tn.DataSet) -> None:
 
 @pytest.mark.parametrize("kind", ["angular", "linear"])
 def test_a_network_and_a_linear_model_are_still_fitted(
-    pendulum: tn.DataSet, small_recipe: Path, kind: Kind
+    pendulum: tn.DataSet, tiny_recipe: Path, kind: Kind
 ) -> None:
     data = with_still(pendulum, kind, 0.3)
     quick = ["stages.*.epochs=2"]
-    for recipe in (tn.read_recipe(small_recipe, quick), tn.read_recipe("linear", quick)):
+    for recipe in (tn.read_recipe(tiny_recipe, quick), tn.read_recipe("linear", quick)):
         result = tn.fit(data, recipe)
         assert result.finished
         for score in tn.evaluate(result.model, list(data), start="derived-6"):

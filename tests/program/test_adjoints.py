@@ -31,7 +31,10 @@ def compare_adjoints(program: Program, function, x, u) -> None:
 @pytest.mark.parametrize("size", [3, SIZE])
 def test_every_operation_is_differentiated_as_jax_does_it(size):
     x, u = np.linspace(0.1, 0.9, size), np.array([0.9])
-    function = lambda x, u: jnp.concatenate(smooth(x * u[0]))  # noqa: E731
+
+    def function(x, u):
+        return jnp.concatenate(smooth(x * u[0]))
+
     program = read(lambda x, u: {"x": function(x, u)}, {"x": size, "u": 1})
     compare_adjoints(program, function, x, u)
 

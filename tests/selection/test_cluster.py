@@ -9,7 +9,6 @@ import sys
 import threading
 import time
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -29,7 +28,6 @@ from tustinnet.selection.scoring import ScoringOptions
 from tustinnet.selection.select import Reporter, SelectionOptions, select_model
 from tustinnet.systems.files import SystemFile
 
-with_ray = pytest.mark.skipif(find_spec("ray") is None, reason="ray is not installed")
 SCORING = ScoringOptions(3, "model-10")
 PARTED = "import os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n"
 
@@ -69,7 +67,6 @@ def worker_of(driver: int) -> int | None:
 # --- what comes out ---
 
 
-@with_ray
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="finds processes in /proc")
 def test_a_selection_with_a_killed_worker_comes_to_what_one_process_comes_to(machine, tmp_path):
     workers, said = machine
@@ -103,7 +100,6 @@ def test_a_selection_with_a_killed_worker_comes_to_what_one_process_comes_to(mac
     assert len(list((tmp_path / "there").rglob(".*"))) == 1  # the mark, until the workers end
 
 
-@with_ray
 def test_a_cross_validation_comes_to_what_one_process_comes_to(machine, tmp_path):
     workers, said = machine
     recipe = read_recipe(parse_toml(NETWORK), ["stages.*.epochs=5"])
@@ -116,7 +112,6 @@ def test_a_cross_validation_comes_to_what_one_process_comes_to(machine, tmp_path
     assert sum(line.startswith("recipe, fold") and "done on" in line for line in said) == 3
 
 
-@with_ray
 def test_a_job_whose_workers_always_die_is_told_as_a_failure(machine, tmp_path):
     workers, said = machine
     system = SystemFile(Path("deadly.py"), PARTED)
@@ -128,7 +123,6 @@ def test_a_job_whose_workers_always_die_is_told_as_a_failure(machine, tmp_path):
     assert said[-3:] == ["grey, fold 1: begins", *2 * ["grey, fold 1: its worker died, done again"]]
 
 
-@with_ray
 def test_what_goes_wrong_in_a_job_is_told_as_in_one_process(machine, tmp_path):
     workers, _ = machine
     system = SystemFile(Path("arm.py"), "SYSTEM = 1 / 0\n")
@@ -171,7 +165,6 @@ def test_auto_is_the_cluster_that_the_environment_names(monkeypatch):
             pass
 
 
-@with_ray
 @pytest.mark.parametrize("answer", [b"", b"HTTP/1.1 400 Bad Request\r\n"], ids=["none", "other"])
 def test_a_port_where_something_else_listens_is_told_in_time(answer, monkeypatch):
     monkeypatch.setattr(room, "_ANSWERS", 3.0)
@@ -210,7 +203,6 @@ def test_a_machine_with_other_packages_or_another_folder_does_nothing(tmp_path):
     )
 
 
-@with_ray
 def test_a_folder_that_a_worker_does_not_see_ends_the_selection(machine, tmp_path):
     executor = machine[0](RunContext(swings(), SCORING, tmp_path))
     executor._mark.unlink()  # as on a machine that has a folder of its own there
@@ -219,7 +211,6 @@ def test_a_folder_that_a_worker_does_not_see_ends_the_selection(machine, tmp_pat
         executor.result()
 
 
-@with_ray
 def test_a_worker_without_the_package_says_so():
     cloudpickle = import_module("ray.cloudpickle")
     code = f"""

@@ -5,6 +5,7 @@ import json
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -19,7 +20,7 @@ from tustinnet.evaluate.bands import Calibration
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.fitting.gradient.epoch import _run
 from tustinnet.selection import choice as chosen
-from tustinnet.selection import final_models, jobs, scoring
+from tustinnet.selection import deadline, final_models, jobs, scoring
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.jobs import Job
 from tustinnet.selection.plan import read_plan
@@ -393,7 +394,18 @@ def test_a_training_that_is_stopped_is_scored_and_a_resumed_run_goes_on_with_it(
     assert resumed.result("network").rmse() == alone[0].result("network").rmse()
 
 
-def test_a_training_that_reaches_the_deadline_is_chosen_with_its_best_weights(tmp_path):
+def test_a_training_that_reaches_the_deadline_is_chosen_with_its_best_weights(
+    tmp_path, monkeypatch
+):
+    check, skipped = jobs.StopCheck.__call__, [0.0]
+
+    def later(self, progress):
+        skipped[0] = 15.0  # once the training has begun, it takes most of the budget at a stroke
+        return check(self, progress)
+
+    clock = SimpleNamespace(monotonic=lambda: time.monotonic() + skipped[0])
+    monkeypatch.setattr(deadline, "time", clock)
+    monkeypatch.setattr(jobs.StopCheck, "__call__", later)
     text = NETWORK_ONLY.replace(
         'recipe = "small.toml"', 'recipe = "small.toml", set = ["stages.0.epochs=100000"]'
     ).replace("folds = 3 }", "folds = 1 }")

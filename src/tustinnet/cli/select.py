@@ -99,14 +99,15 @@ def make_reporter(progress: "FitProgress", *, quiet: bool) -> "Reporter":
 
 
 def draw_choice(choice: "Choice") -> None:
-    """Writes the table of candidates, their figure, and figures of free runs of some records."""
+    """Writes the table of candidates with sentences, their figure, and free runs of some records."""
     from tustinnet.report.figures import free_run_figure, write_figure
     from tustinnet.report.selection import candidates_figure, candidates_table, free_runs
     from tustinnet.selection.select import TABLE
     from tustinnet.store.files import write_into
 
     folder = choice.context.folder
-    write_into(folder, TABLE, candidates_table(choice).markdown())
+    sentences = "".join(f"* {sentence}\n" for sentence in choice.sentences)
+    write_into(folder, TABLE, f"{candidates_table(choice).markdown()}\n{sentences}")
     write_figure(candidates_figure(choice), folder, "figures/candidates.png")
     for name, runs in free_runs(choice).items():
         write_figure(

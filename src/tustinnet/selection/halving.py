@@ -12,7 +12,7 @@ from tustinnet.selection.ranking import CandidateResult, find_simplest, rank, sh
 from tustinnet.selection.runner import Executor, run_jobs
 
 _TRYING = 0.6  # share of the time in which candidates are tried for the first time
-_TRYING_LAST = 0.4  # that share of candidates that come last
+_TRYING_LAST = 0.4  # that share of candidates that come last or are another one of their kind
 _SOON = 60.0  # s, but first tries have at least so much: one fold of each is better than two of one
 _LEAST = 8.0  # s, what a first try takes at least: a network is compiled before it learns
 _LEAST_SHARE = 0.25  # of a short time, that least
@@ -52,6 +52,9 @@ class Halving:
         self._folds, self._on_message = context.scoring.folds, on_message
         self._deadline, self._time, self._ending = deadline, deadline.remaining, ending
         self._expected: dict[str, float] = {}  # seconds a seed takes on a fold
+        # one of each kind is tried before others of it
+        kinds = [c.content.family.kind for c in candidates]
+        self._late = {c.name for i, c in enumerate(candidates) if c.last or kinds[i] in kinds[:i]}
         self._begun: dict[tuple[str, int], Job] = {}  # the last job of a candidate and fold
         self._stopped: list[Job] = []  # jobs that their share of the time stopped
         self._omitted = 0  # jobs of a round for which no time was left, and nobody was told
@@ -68,10 +71,7 @@ class Halving:
                 order = [r.name for r in rank([self.results[c.name] for c in alive])]
                 ordered = sorted(alive, key=lambda c: order.index(c.name))
             else:
-                # one of each kind before others of it
-                kinds = [c.content.family.kind for c in alive]
-                again = {c.name for i, c in enumerate(alive) if kinds[i] in kinds[:i]}
-                ordered = sorted(alive, key=lambda c: (c.last, c.name in again))
+                ordered = sorted(alive, key=lambda c: (c.last, c.name in self._late))
             late = set() if number else {c.name for c in alive if c.last}
             jobs = []
             for fold in range(min(stage.folds, self._folds)):
@@ -81,6 +81,9 @@ class Halving:
                     waits_for = tuple(name for name in c.corrects if name not in late)
                     if missing := tuple(seed for seed in seeds if seed not in done):
                         jobs.append(Job(c.name, c.content, fold, missing, waits_for=waits_for))
+            # in the time that is left, candidates that take less than their share come first, on all folds
+            share = self._deadline.remaining / max(len(jobs), 1)
+            jobs.sort(key=lambda job: self._expected.get(job.candidate, 0.0) > share)
             self._run_jobs(jobs, executor)
             if number and jobs and not self._results:
                 self._on_message(
@@ -172,10 +175,11 @@ class Halving:
             return math.inf
         expected = self._expected.get(job.candidate)
         if expected is None:  # tried for the first time
-            trying = _TRYING_LAST if candidate.last else _TRYING
-            remaining -= self._time - min(max(trying * self._time, _SOON), self._time)
-            if not candidate.last:
-                share = sum(not self.plan.candidate(j.candidate).last for j in self._pending)
+            if candidate.name in self._late:
+                remaining -= (1 - _TRYING_LAST) * self._time
+            else:
+                remaining -= self._time - min(max(_TRYING * self._time, _SOON), self._time)
+                share = sum(j.candidate not in self._late for j in self._pending)
             is_first = not any(r.folds for r in self.results.values())
             least = 0.0 if is_first else min(_LEAST, _LEAST_SHARE * self._time)
         else:

@@ -123,7 +123,7 @@ def select_model(
         ending = _ENDING * budget
         models_end = Deadline(started + budget - files)
         rounds_end = Deadline(started + budget - files - ending)
-        timing_end = Deadline(started + _TIMING * budget)
+        timing_end = Deadline.after(_TIMING * budget)
     # what cannot be done is said before time is spent
     records, cut = prepare_for_folds(data)
     candidates, omitted = _applicable_candidates(plan, options, records)

@@ -394,19 +394,27 @@ def test_a_fit_of_a_system_is_its_identification(clean):
 # --- what is refused ---
 
 
-def test_a_singular_mass_matrix_is_refused_with_where_it_is():
-    flat = replace(SWING, kinetic=lambda q, v, p: p["inertia"] * jnp.cos(q[0]) * v[0] ** 2 / 2)
-    with pytest.raises(tn.InputError, match=r"swing', kinetic: a mass matrix .* at angle"):
-        tn.identify(data_set(records()), flat)
+SINGULAR = replace(SWING, kinetic=lambda q, v, p: p["inertia"] * jnp.cos(q[0]) * v[0] ** 2 / 2)
+HEIGHT = replace(SWING, coordinates=(tn.Coordinate("height", "linear"),))
 
 
-def test_records_of_another_system_are_refused():
-    other = replace(SWING, coordinates=(tn.Coordinate("height", "linear"),))
-    with pytest.raises(tn.InputError, match=r"fall1: coordinates angle.*the system 'swing'"):
-        tn.identify(data_set(records()), other)
-    unforced = replace(SWING, inputs=(), input_map=None)
-    with pytest.raises(tn.InputError, match=r"inputs voltage.*the system 'swing'"):
-        tn.identify(data_set(records()), unforced)
+@pytest.mark.parametrize(
+    ("system", "arguments", "message"),
+    [
+        (SINGULAR, {}, r"swing', kinetic: a mass matrix .* at angle"),
+        (HEIGHT, {}, r"fall1: coordinates angle.*the system 'swing'"),
+        (
+            replace(SWING, inputs=(), input_map=None), {}, r"inputs voltage.*the system 'swing'",
+        ),
+        (SWING, {"begin": {"gain": 3.0}}, "'gain': 3 N m/V"),
+        (SWING, {"recipe": "standard"}, "not applicable to a recipe of kind 'tustin-net'"),
+    ],
+    ids=["singular mass matrix", "other coordinates", "other inputs", "outside its range",
+         "a training"],
+)  # fmt: skip
+def test_what_cannot_be_identified_is_refused(system, arguments, message):
+    with pytest.raises(tn.InputError, match=message):
+        tn.identify(data_set(records()), system, **arguments)
 
 
 def test_single_precision_is_refused():
@@ -417,13 +425,3 @@ def test_single_precision_is_refused():
 def test_records_that_say_nothing_of_any_parameter_are_refused():
     with pytest.raises(tn.InputError, match="gain"):
         tn.identify(data_set(list(falls())), SWING, fixed={"damping": 0.02, "gravity": 1.5})
-
-
-def test_a_start_outside_its_range_is_refused():
-    with pytest.raises(tn.InputError, match="'gain': 3 N m/V"):
-        tn.identify(data_set(records()), SWING, begin={"gain": 3.0})
-
-
-def test_a_recipe_that_trains_is_refused():
-    with pytest.raises(tn.InputError, match="not applicable to a recipe of kind 'tustin-net'"):
-        tn.identify(data_set(records()), SWING, "standard")

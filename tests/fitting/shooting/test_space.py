@@ -56,24 +56,24 @@ def test_fixed_parameters_keep_the_value_given_or_the_nominal_one():
     assert make_search_space(SWING, {}, {}).fixed_values == {"inertia": 0.05}
 
 
-@pytest.mark.parametrize(("values", "fixed"), [({"mass": 1.0}, {}), ({}, {"mass": 1.0})])
-def test_an_unknown_parameter_is_refused_with_the_known_ones(values, fixed):
-    with pytest.raises(tn.InputError, match=r"no parameter 'mass'; expected one of inertia, damp"):
-        make_search_space(SWING, values, fixed)
+UNKNOWN = r"no parameter 'mass'; expected one of inertia, damp"
+OUTSIDE = r"'gain': 2 N m/V; expected .* 0\.01\.\.1 N m/V"
 
 
 @pytest.mark.parametrize(
-    ("values", "fixed"),
-    [({"gain": 2.0}, {}), ({}, {"gain": 2.0}), ({"gain": 0.1}, {"gain": 2.0})],
+    ("values", "fixed", "message"),
+    [
+        ({"mass": 1.0}, {}, UNKNOWN),
+        ({}, {"mass": 1.0}, UNKNOWN),
+        ({"gain": 2.0}, {}, OUTSIDE),
+        ({}, {"gain": 2.0}, OUTSIDE),
+        ({"gain": 0.1}, {"gain": 2.0}, OUTSIDE),
+        ({"gain": np.nan}, {}, "'gain': nan"),
+    ],
 )
-def test_a_value_outside_its_range_is_refused_with_the_range(values, fixed):
-    with pytest.raises(tn.InputError, match=r"'gain': 2 N m/V; expected .* 0\.01\.\.1 N m/V"):
+def test_values_that_cannot_be_are_refused(values, fixed, message):
+    with pytest.raises(tn.InputError, match=message):
         make_search_space(SWING, values, fixed)
-
-
-def test_a_value_that_is_not_a_number_is_refused():
-    with pytest.raises(tn.InputError, match="'gain': nan"):
-        make_search_space(SWING, {"gain": np.nan}, {})
 
 
 def test_nothing_to_search_for_is_refused():
