@@ -109,10 +109,10 @@ class Choice:
             f"worst {worst}, {rmse[worst]:.3g} {unit}{few}"
         )
         if share > _POOR:
-            sentences.append(
-                "no candidate follows these records closely: look at them (inspect), give more "
-                "time (--budget) or equations of motion (--system)"
-            )
+            remedies = ["look at them (inspect)"]
+            remedies += [] if self.budget is None else ["give more time (--budget)"]
+            remedies += [] if self.context.system else ["give equations of motion (--system)"]
+            sentences.append(f"no candidate follows these records closely: {' or '.join(remedies)}")
         sentences.append(self._comparison_with_next(best))
         scored = [r for r in self.candidates.all_results if r.fits_by_fold and r.name != best.name]
         decisive = find_decisive_record(best, scored)
@@ -130,15 +130,15 @@ class Choice:
             (trainings if family.resumable else searches).extend(result.fits)
         if stopped := sum(fit.is_out_of_time for fit in trainings):
             sentences.append(
-                f"{stopped} of its {len(trainings)} trainings were stopped by the budget, with "
-                "their best weights so far: go on with them by --resume, or give more time "
-                "(--budget)"
+                f"{_count_stopped(stopped, len(trainings), 'training')} stopped by the budget: "
+                f"{'its' if stopped == 1 else 'their'} best weights so far were taken; --resume "
+                "goes on, more time (--budget) avoids it"
             )
         if stopped := sum(fit.is_out_of_time for fit in searches):
             sentences.append(
-                f"{stopped} of its {len(searches)} identifications were stopped by the budget, "
-                "with the models of their last finished stages: repeat them by --resume, or give "
-                "more time (--budget)"
+                f"{_count_stopped(stopped, len(searches), 'identification')} stopped by the "
+                f"budget: {'its' if stopped == 1 else 'their'} last finished stage was taken; "
+                "--resume repeats it, more time (--budget) avoids it"
             )
         if self.simplest != self.best:
             difference = paired_difference(self.result(self.simplest), best)
@@ -258,3 +258,10 @@ class Choice:
             },
             "models": [fit.model for fit in result.fits if fit.model],
         }
+
+
+def _count_stopped(stopped: int, total: int, noun: str) -> str:
+    """How many fits were stopped, with the verb: "2 of its 5 trainings were"."""
+    if total == 1:
+        return f"its {noun} was"
+    return f"{stopped} of its {total} {noun}s {'was' if stopped == 1 else 'were'}"

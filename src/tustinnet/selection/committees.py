@@ -1,6 +1,7 @@
 """Committees of candidates: shares chosen on folds, scored on folds that did not choose."""
 
 import itertools
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -97,6 +98,7 @@ def score_committee(
         None where time was up before the first fold was scored, and for several candidates that
         have one fold in common: their shares would be chosen by nothing.
     """
+    started = time.monotonic()
     options, models = _possible_shares(len(members)), dict[int, list[Model]]()
     folds = sorted(set.intersection(*(set(r.fits_by_fold) for r in members)))
     fewest = _FEWEST_FOLDS if len(members) > 1 else 1
@@ -135,7 +137,8 @@ def score_committee(
     # one fold alone would choose on what it is scored on
     best = options[best_option(list(scored) if len(scored) > 1 else [])]
     shares = {r.name: share for r, share in zip(members, best, strict=True)}
-    return CommitteeResult(CandidateResult(name, scores, sum(r.seconds for r in members)), shares)
+    # the time of its members is that of other candidates
+    return CommitteeResult(CandidateResult(name, scores, time.monotonic() - started), shares)
 
 
 def member_weights(fits: Sequence[Sequence[FitScore]], shares: Sequence[float]) -> list[float]:

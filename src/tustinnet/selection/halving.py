@@ -57,7 +57,8 @@ class Halving:
         self._late = {c.name for i, c in enumerate(candidates) if c.last or kinds[i] in kinds[:i]}
         self._begun: dict[tuple[str, int], Job] = {}  # the last job of a candidate and fold
         self._stopped: list[Job] = []  # jobs that their share of the time stopped
-        self._omitted = 0  # jobs of a round for which no time was left
+        self._omitted = 0  # jobs of a round for which no time was left, and nobody was told
+        self._results = 0  # of a round
         self._pending: list[Job] = []  # jobs of a round that have not begun
         self.results = {c.name: CandidateResult(c.name) for c in candidates}
         self.hopeless = False
@@ -84,6 +85,11 @@ class Halving:
             share = self._deadline.remaining / max(len(jobs), 1)
             jobs.sort(key=lambda job: self._expected.get(job.candidate, 0.0) > share)
             self._run_jobs(jobs, executor)
+            if number and jobs and not self._results:
+                self._on_message(
+                    f"the budget ended before round {number + 1} of {len(self.plan.rounds)}"
+                )
+                break
             ranking = rank([self.results[c.name] for c in alive])
             last = number + 1 == len(self.plan.rounds)
             kinds = ranking if last else self._best_of_kinds(ranking)
@@ -105,7 +111,7 @@ class Halving:
         return rank([self.results[c.name] for c in alive])
 
     def _run_jobs(self, jobs: Sequence[Job], executor: Executor) -> None:
-        self._omitted, self._pending = 0, list(jobs)
+        self._omitted, self._results, self._pending = 0, 0, list(jobs)
         run_jobs(jobs, executor, self._deadline, prepare=self._prepare, on_result=self._add_result)
 
     def _continue_stopped(self, ranking: Sequence[CandidateResult], executor: Executor) -> None:
@@ -147,14 +153,14 @@ class Halving:
         if candidate.corrects and not job.continues:
             corrected = self._corrected(candidate, job.fold)
             if corrected is None:
-                return self._omit(job, "nothing to correct: " + ", ".join(candidate.corrects))
+                names = [name for name in candidate.corrects if name in self.results]
+                return self._omit(job, "nothing to correct: " + ", ".join(names))
             physics = corrected.fits_by_fold[job.fold][0].model
         scores = self._context.folder / job.folder / SCORES
         is_done = scores.is_file() and not self._context.resume and not job.continues
         if limit is None and not is_done:
             if job.continues:
                 return None
-            self._omitted += 1
             return self._omit(job, NO_TIME)
         job = replace(job, physics=physics, limit=limit or math.inf)
         self._begun[job.candidate, job.fold] = job
@@ -202,9 +208,12 @@ class Halving:
         if not result.fits_by_fold and not result.why:
             self.results[job.candidate] = replace(result, why=why)
             self._on_message(f"{job.candidate}: left out, {why}")
+        elif why == NO_TIME:
+            self._omitted += 1
 
     def _add_result(self, result: JobResult) -> None:
         name = result.candidate
+        self._results += 1
         self.results[name] = self.results[name].with_job(result)
         if result.scores and not result.earlier:
             self._expected[name] = result.seconds / len(result.scores)
@@ -212,17 +221,18 @@ class Halving:
             return
         if result.ended == "out of time":
             self._stopped.append(self._begun[name, result.fold])
-        self._on_message(f"{name}, fold {result.fold}: {result.why}")
+        if not result.earlier:  # what was said when it was done
+            self._on_message(f"{name}, fold {result.fold}: {result.why}")
 
     def _report(self, number: int, ranking: Sequence[CandidateResult], kept: int) -> None:
-        """Reports how the candidates stand after a round."""
-        if not ranking:
+        """Reports how the candidates stand after a round in which something was done."""
+        if not ranking or not self._results:
             return
         shared = shared_folds(ranking)
         means = [(r.name, mean_and_error(r.rmse(shared).values())[0]) for r in ranking]
         rounds, count = len(self.plan.rounds), len(shared or ())
         folds = f"{count} of {self._folds} folds" if count > 1 else "one fold"
-        on = f"; {kept} go on" if number + 1 < rounds else ""
+        on = f"; {kept} go{'es' if kept == 1 else ''} on" if number + 1 < rounds else ""
         figures = ", ".join(f"{name} {mean:.3g}" for name, mean in means)
         self._on_message(f"round {number + 1} of {rounds}, {folds}: {figures}{on}")
         if self._omitted:

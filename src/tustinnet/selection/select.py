@@ -123,10 +123,17 @@ def select_model(
         models_end = Deadline(started + budget - files)
         rounds_end = Deadline(started + budget - files - ending)
         timing_end = Deadline.after(_TIMING * budget)
-    timing = determine_timing(data, options.system, timing_end, reporter.on_message)
-    records, cut = prepare_for_folds(timing.data)
+    # what cannot be done is said before time is spent
+    records, cut = prepare_for_folds(data)
     candidates, omitted = _applicable_candidates(plan, options, records)
-    notes = (*timing.sentences, *([cut] if cut else []), *omitted)
+    if earlier == "refuse":
+        _require_no_earlier(folder)
+    before = [*([cut] if cut else []), *omitted]
+    for note in before:
+        reporter.on_message(note)
+    timing = determine_timing(data, options.system, timing_end, reporter.on_message)
+    records, _ = prepare_for_folds(timing.data)
+    notes = (*timing.sentences, *before)
     context = RunContext(
         records,
         ScoringOptions(min(plan.folds, len(records)), plan.start, plan.horizon),
@@ -135,18 +142,19 @@ def select_model(
         resume=earlier == "resume",
     )
     _ = context.loaded_system  # its errors are raised at once
-    for note in notes:
+    for note in timing.sentences:
         reporter.on_message(note)
     with lock_folder(folder):
         _prepare_folder(context, earlier, _make_specification(plan, context))
         make = executor or (lambda context: InProcess(context, reporter.make_job_listener))
-        halving = Halving(plan, candidates, context, reporter.on_message, rounds_end, ending)
+        say_once = _make_say_once(reporter)
+        halving = Halving(plan, candidates, context, say_once, rounds_end, ending)
         remaining = halving.run(make(context))
         if halving.hopeless:
             context, note = _with_horizon(context, halving)
             reporter.on_message(note)
             notes = (*notes, note)
-            halving = Halving(plan, candidates, context, reporter.on_message, rounds_end, ending)
+            halving = Halving(plan, candidates, context, say_once, rounds_end, ending)
             remaining = halving.run(make(context))
         if not remaining:
             raise _nothing_fitted(halving)
@@ -155,6 +163,18 @@ def select_model(
         choice = replace(choice, notes=notes, seconds=seconds, budget=budget)
         write_into(folder, SUMMARY, to_json(choice.as_plain()))
     return choice
+
+
+def _make_say_once(reporter: Reporter) -> Callable[[str], None]:
+    """A function that reports a sentence unless it did before, as rounds that are repeated do."""
+    reported = set[str]()
+
+    def say_once(sentence: str) -> None:
+        if sentence not in reported:
+            reported.add(sentence)
+            reporter.on_message(sentence)
+
+    return say_once
 
 
 def _with_horizon(context: RunContext, halving: Halving) -> tuple[RunContext, str]:
@@ -259,17 +279,12 @@ def _make_specification(plan: SelectionPlan, context: RunContext) -> Specificati
 
 def _prepare_folder(context: RunContext, earlier: Earlier, specification: Specification) -> None:
     """Refuses, discards or keeps an earlier selection; writes specification and system's file."""
-    scores = sorted((context.folder / CANDIDATES).glob(f"*/*/{SCORES}"))
     if earlier == "resume":
         require_same_specification(context.folder, specification, MODEL)
     if earlier == "discard":
         _discard(context.folder)
-    if earlier == "refuse" and scores:
-        raise InputError(
-            context.folder, f"holds an earlier selection ({scores[0].parent.parent.name}, ...)",
-            "a new folder",
-            "add --resume to go on with it, --overwrite to discard it, or choose another --out",
-        )  # fmt: skip
+    if earlier == "refuse":
+        _require_no_earlier(context.folder)
     if earlier != "discard":
         require_copy_fits(context.system_file, context.folder)
     files = [context.folder / name for name in (MODEL, SUMMARY, REPORT)]
@@ -280,6 +295,17 @@ def _prepare_folder(context: RunContext, earlier: Earlier, specification: Specif
     write_specification(context.folder, specification)
     if context.system_file is not None:
         write_system_copy(context.system_file, context.folder)
+
+
+def _require_no_earlier(folder: Path) -> None:
+    """Raises if a folder holds an earlier selection."""
+    scores = sorted((folder / CANDIDATES).glob(f"*/*/{SCORES}"))
+    if scores:
+        raise InputError(
+            folder, f"holds an earlier selection ({scores[0].parent.parent.name}, ...)",
+            "a new folder",
+            "add --resume to go on with it, --overwrite to discard it, or choose another --out",
+        )  # fmt: skip
 
 
 def _discard(folder: Path) -> None:

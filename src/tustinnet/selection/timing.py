@@ -5,7 +5,7 @@ the time from a logged sample to its effect. A system that is given, or a mechan
 from some of the records, with every hold, and with the delay as a parameter.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,16 +13,17 @@ import numpy as np
 from tustinnet.channels import Hold, Input
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
-from tustinnet.errors import InputError, error_message
+from tustinnet.errors import error_message
 from tustinnet.fitting.listener import SILENT
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.report import Identification
 from tustinnet.fitting.roles import Roles
-from tustinnet.fitting.shooting.identify import identify_task
+from tustinnet.fitting.shooting.identify import UnfinishedSearchError, identify_task
 from tustinnet.fitting.task import Fold, Member, Task, resolve_system
+from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.sensors import delay_name
 from tustinnet.selection.deadline import NEVER, Deadline
-from tustinnet.systems.files import AnySystem, load_system_or_template
+from tustinnet.systems.files import AnySystem, SystemTemplate, load_system_or_template
 
 _RECORDS, _SAMPLES = 6, 10_000  # that are enough to tell a delay
 _LENGTH = 50  # samples of a piece
@@ -62,7 +63,9 @@ def determine_timing(
         deadline: when it has to end; what is not known by then is as usual.
         on_message: called with what is being done.
     """
-    inputs = _with_holds_of(system, data.channels.inputs)
+    declared = _holds_of(system)
+    sentences = _list_conflicts(declared, data.channels.inputs)
+    inputs = [i if i.hold else replace(i, hold=declared.get(i.name)) for i in data.channels.inputs]
     open_holds = [k for k, i in enumerate(inputs) if i.hold in (None, "unknown")]
     open_delays = [k for k, i in enumerate(inputs) if not i.delay]
     timing = [
@@ -70,10 +73,9 @@ def determine_timing(
         for k, i in enumerate(inputs)
     ]
     if not open_holds and not open_delays:
-        return Timing(data)
+        return Timing(data, tuple(sentences))
     by = "a mechanism" if system is None else "the system"
-    on_message(f"holds and delays of inputs: searched for by {by}")
-    records, sentences, unit = _choose_records(data), list[str](), data.channels.unit
+    records, unit = _choose_records(data), data.channels.unit
     # short pieces: there a delay of a period shows most, and nothing runs away; positions alone,
     # as smoothed velocities would say another delay
     changes = (
@@ -89,10 +91,12 @@ def determine_timing(
         task = Task(recipe, (Fold(roles),), (Member(),), loaded)
         fit = identify_task(task, Member(), SILENT, deadline.has_passed)
         if fit.identification is None or fit.is_out_of_time:
-            raise InputError("holds and delays", "no time was left", "more time")
+            raise UnfinishedSearchError("holds and delays", "no time was left", "more time")
         return fit.identification
 
     try:
+        _require_applicable(loaded, records)
+        on_message(f"holds and delays of inputs: searched for by {by}")
         undelayed: Identification | None = None
         if open_holds:
             undelayed = identify(
@@ -131,19 +135,38 @@ def determine_timing(
                     sentences.append(f"delay of '{name}': none that makes a clear difference")
     except Exception as error:  # of any kind: candidates are tried with what is known
         if any(i.hold == "unknown" or i.delay is None for i in inputs):
+            out_of_time = isinstance(error, UnfinishedSearchError)
+            why = "no time was left to search for them" if out_of_time else error_message(error)
             sentences.append(
-                f"holds and delays of inputs: {error_message(error)}; {_USUAL} and no delay taken "
-                "where they are not known"
+                f"holds and delays of inputs: {why}; {_USUAL} and no delay taken where they are "
+                "not known"
             )
     experiments = tuple(_with_inputs(e, timing) for e in data)
     return Timing(replace(data, experiments=experiments), tuple(sentences))
 
 
-def _with_holds_of(system: AnySystem | None, inputs: Sequence[Input]) -> list[Input]:
-    """The inputs, with the holds that a system declares where the records declare none."""
+def _holds_of(system: AnySystem | None) -> dict[str, Hold | None]:
+    """The holds that a system declares, by input."""
     loaded = None if system is None else load_system_or_template(system)
-    declared = {i.name: i.hold for i in getattr(loaded, "inputs", ())}
-    return [i if i.hold else replace(i, hold=declared.get(i.name)) for i in inputs]
+    return {i.name: i.hold for i in getattr(loaded, "inputs", ())}
+
+
+def _require_applicable(
+    system: LagrangianSystem | SystemTemplate | None, records: Sequence[Experiment]
+) -> None:
+    """Raises where a template makes no system of records, before time is spent."""
+    if isinstance(system, SystemTemplate):
+        system.for_records(records)
+
+
+def _list_conflicts(declared: Mapping[str, Hold | None], inputs: Sequence[Input]) -> list[str]:
+    """Sentences on holds that a system declares otherwise than the records."""
+    unknown = (None, "unknown")
+    return [
+        f"hold of '{i.name}': {i.hold} as in the data card, not {declared[i.name]} as in the system"
+        for i in inputs
+        if i.hold not in unknown and declared.get(i.name) not in (*unknown, i.hold)
+    ]
 
 
 def _choose_records(data: DataSet) -> list[Experiment]:

@@ -5,11 +5,12 @@ the identified model, its parameters with errors and correlations, and findings 
 """
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import jax.numpy as jnp
 
+from tustinnet.channels import Input
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.inspection import transient_end
 from tustinnet.errors import InputError
@@ -39,6 +40,7 @@ from tustinnet.fitting.shooting.sensor_errors import sensor_parameters
 from tustinnet.fitting.shooting.space import make_search_space
 from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task
 from tustinnet.models.contract import require_float64
+from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.sensors import with_delays, with_sensor_errors
 from tustinnet.renamed import with_renamed_arguments
 from tustinnet.simulate.batches import batches
@@ -172,6 +174,7 @@ def _make_problem(
     assert system is not None
     records = list(roles.train)
     system = system.for_records(records) if isinstance(system, SystemTemplate) else system
+    system = _with_open_holds(system, records[0].inputs)
     system.channels.require_same(
         records[0].channels, records[0].name, f"the system '{system.name}'"
     )
@@ -250,3 +253,13 @@ def _find_suspect_signs(
     if unexplained is None or unexplained <= _POORLY_EXPLAINED:
         return ()
     return find_reversed_signs(problem.system, state.space, vector, problem.motion)
+
+
+def _with_open_holds(system: LagrangianSystem, inputs: Sequence[Input]) -> LagrangianSystem:
+    """The system without the holds that records declare otherwise: those of the records count."""
+    declared = {i.name: i.hold for i in inputs if i.hold not in (None, "unknown")}
+    opened = tuple(
+        replace(i, hold=None) if i.hold != declared.get(i.name, i.hold) else i
+        for i in system.inputs
+    )
+    return system if opened == system.inputs else replace(system, inputs=opened)
