@@ -166,7 +166,7 @@ def driven_again(system: LagrangianSystem, values: dict[str, float]) -> list[tn.
     made = []
     for e in records():
         begun = jnp.concatenate([jnp.asarray(e.q[0]), jnp.asarray(e.velocities()[0])])
-        x0 = np.concatenate([begun, model.initial_internal(begun)])
+        x0 = np.asarray(model.initial_state(begun, jnp.asarray(e.u[0])))
         x = np.asarray(tn.rollout(model, x0, e.u[:-1]))
         made.append(read_by_encoder(replace(e, q=x[:, :1], v=x[:, 1:2])))
     return made

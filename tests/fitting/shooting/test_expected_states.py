@@ -156,6 +156,10 @@ def test_a_refit_begins_with_the_states_that_inputs_say(start):
 
 
 def test_a_reversed_input_is_found_behind_a_lag():
-    reversed_records = [replace(e, u=-e.u) for e in driven()]
+    steps = np.repeat(voltage(10, 5), 20)
+    made = [
+        simulated(f"steps{i}", [q, 0.0, 0.0], steps, LAGS, LAGGING) for i, q in enumerate((0.5, 0))
+    ]
+    reversed_records = [replace(e, u=-e.u) for e in made]
     result = tn.identify(data_set(reversed_records), LAGGING, tn.read_recipe("grey", []))
     assert any("'voltage'" in f and "reversed" in f for f in result.findings)
