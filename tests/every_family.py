@@ -5,7 +5,7 @@ from functools import cache
 
 import jax
 import jax.numpy as jnp
-from swinging import CART, CREEPING, DT, SWING, records, swing_model
+from swinging import CART, CREEPING, DT, LAGGING, SWING, records, swing_model
 
 import tustinnet as tn
 from tustinnet.export.source import Source, make_source
@@ -90,6 +90,8 @@ _OTHERS = {
     "cart": lambda: nominal(CART, 3),
     "qube network": lambda: pendulum_network((100, 100)),
     "qube hybrid": lambda: tn.HybridModel(nominal(WITH_MEMORY, 2), pendulum_network((40, 40))),
+    "actuator lag": lambda: physics(system=LAGGING),
+    "hybrid lag": lambda: tn.HybridModel(physics(_with_hold("first-order"), LAGGING), network(1)),
     "first-order": lambda: physics(_with_hold("first-order")),
     "band-limited": lambda: hybrid(1, _with_hold("band-limited"), taps=(-1, 0, 1)),
 }

@@ -55,6 +55,23 @@ TURNED = replace(
     parameters=(*CREEPING.parameters, Parameter("turned", "1", 0.3, 0.0, 1.5)),
     memory=replace(_CREEP, initial=lambda q, v, p: p["turned"] * q),
 )
+# its motor lags behind the voltage; a record begins with a part of the lag over
+LAGGING = replace(
+    SWING,
+    name="lagging swing",
+    parameters=(
+        *SWING.parameters,
+        Parameter("lag", "s", 0.05, 5e-3, 1.0),
+        Parameter("share", "1", 0.8, 0.0, 1.5),
+    ),
+    input_map=None,
+    memory=Memory(
+        ("drive",),
+        lambda q, v, z, u, p: (u - z) / p["lag"],
+        lambda q, v, z, p: p["gain"] * z,
+        lambda q, v, u, p: p["share"] * u,
+    ),
+)
 # a cart with a pendulum: both kinds of coordinates, an inertia between them
 CART = LagrangianSystem(
     name="cart",
@@ -149,7 +166,7 @@ def driven_again(system: LagrangianSystem, values: dict[str, float]) -> list[tn.
     made = []
     for e in records():
         begun = jnp.concatenate([jnp.asarray(e.q[0]), jnp.asarray(e.velocities()[0])])
-        x0 = np.concatenate([begun, model.initial_internal(begun)])
+        x0 = np.asarray(model.initial_state(begun, jnp.asarray(e.u[0])))
         x = np.asarray(tn.rollout(model, x0, e.u[:-1]))
         made.append(read_by_encoder(replace(e, q=x[:, :1], v=x[:, 1:2])))
     return made

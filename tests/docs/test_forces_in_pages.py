@@ -2,17 +2,18 @@
 
 from documented import section
 
-from tustinnet.channels import Coordinate
+from tustinnet.channels import Coordinate, Input
 from tustinnet.models.forces import LAWS, Law, Motion
 
 MOTION = Motion(1.0, 1.0, 1.0, 1.0, dt=0.01, longest=8.0)
-THETA = Coordinate("theta", "angular")
+THETA, VOLTAGE = Coordinate("theta", "angular"), Input("voltage", "V")
 
 
 def row(law: Law) -> str:
     parameters = []
     for p in law.parameters:
-        made = p.for_coordinate(THETA, MOTION)
+        at_input = law.is_at_input
+        made = p.for_input(VOLTAGE, MOTION) if at_input else p.for_coordinate(THETA, MOTION)
         fixed = ", fixed" if p.fixed else ""
         parameters.append(f"`{made.name}` ({p.symbol}) [{made.unit}]{fixed}")
     return f"| `{law.name}` | {law.help} | {'; '.join(parameters)} |"

@@ -91,7 +91,7 @@ def simulated(file: Path, of: Source, u: np.ndarray, every: int = 1) -> np.ndarr
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-@pytest.mark.parametrize("name", ["qube network", "qube hybrid", "free"])
+@pytest.mark.parametrize("name", ["qube network", "qube hybrid", "actuator lag", "free"])
 def test_a_simulation_is_the_rollout(name, version, written):
     of = source(name)
     u = inputs(of, 501)

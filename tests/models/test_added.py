@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from swinging import CART, CREEPING, SWING
+from swinging import CART, CREEPING, LAGGING, SWING
 
 import tustinnet as tn
 from tustinnet.models import forces
@@ -22,6 +22,7 @@ X, V, U = jnp.array([0.4, 0.9]), jnp.array([0.7, -1.1]), jnp.array([2.0])
 VALUES = {
     "coulomb": 0.3, "breakaway": 0.5, "stribeck_speed": 0.8, "smooth_speed": 0.1, "viscous": 0.2,
     "rubbing": 0.7, "spring": 1.5, "cubic": 2.5, "maxwell": 3.0, "relaxation": 4.0, "turned": 0.2,
+    "lag": 0.5, "initial_share": 0.7,
 }  # fmt: skip
 Z = 0.25  # deflection of a spring that relaxes
 AGAINST = {  # what each law does against the motion of the angle
@@ -52,7 +53,7 @@ def nominal(system: LagrangianSystem) -> tn.LagrangianModel:
 
 
 @pytest.mark.parametrize("base", [CART, BARE], ids=lambda s: s.name)
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", AGAINST)
 def test_a_force_acts_on_its_coordinate_alone(base, law):
     system = added(base, f"{law}:angle")
     u = U[: len(base.inputs)]
@@ -63,6 +64,45 @@ def test_a_force_acts_on_its_coordinate_alone(base, law):
     np.testing.assert_allclose(moved, [0.0, -AGAINST[law]], rtol=1e-5, atol=1e-6)
     assert system.internal == (("maxwell:angle",) if law == "maxwell" else ())
     assert added_parameters(system) == tuple(f"angle.{p.name}" for p in LAWS[law].parameters)
+
+
+def test_every_law_at_a_coordinate_is_tried():
+    assert set(AGAINST) == {name for name, law in LAWS.items() if not law.is_at_input}
+
+
+def test_behind_a_lag_a_system_moves_by_what_the_actuator_has_reached():
+    lagging, plain = nominal(added(CART, "lag")), nominal(CART)
+    assert lagging.internal == ("lag:force",)
+    assert added_parameters(lagging.system) == ("force.lag", "force.initial_share")
+    x, reached = jnp.concatenate([X, V]), jnp.array([0.6])
+    found = lagging.derivative(jnp.concatenate([x, reached]), U)
+    np.testing.assert_allclose(found[:4], plain.derivative(x, reached), rtol=1e-6)
+    np.testing.assert_allclose(found[4:], (U - reached) / 0.5, rtol=1e-6)
+    np.testing.assert_allclose(lagging.initial_state(x, U)[4:], 0.7 * U, rtol=1e-6)
+    np.testing.assert_allclose(lagging.balanced_internal(X, V, U), U, rtol=1e-6)
+
+
+def test_a_lag_stands_beside_other_memory():
+    both, base = added(CREEPING, "lag", "maxwell"), nominal(CREEPING)
+    assert both.internal == ("creep", "lag:voltage", "maxwell:angle")
+    x, z, reached = jnp.array([0.3, -0.8]), jnp.array([0.2, 2.0, 0.1]), jnp.array([2.0])
+    found = nominal(both).derivative(jnp.concatenate([x, z]), jnp.array([1.0]))
+    alone = base.derivative(jnp.concatenate([x, z[:1]]), reached)
+    alone = alone + jnp.array([0.0, -3.0 * 0.1 / 0.05, 0.0])
+    np.testing.assert_allclose(found[:3], alone, rtol=1e-5)
+    np.testing.assert_allclose(found[3:], [(1.0 - 2.0) / 0.5, -0.8 - 4.0 * 0.1], rtol=1e-6)
+    # what no input drives is left at 0
+    balanced = nominal(both).balanced_internal(x[:1], x[1:], reached)
+    np.testing.assert_allclose(balanced, [0.0, 2.0, 0.0], atol=1e-6)
+
+
+def test_a_lag_may_stand_before_an_actuator_of_the_system():
+    twice = nominal(added(LAGGING, "lag"))
+    x, z, u = jnp.array([0.3, -0.8]), jnp.array([0.5, 1.5]), jnp.array([2.0])
+    rate = twice.derivative(jnp.concatenate([x, z]), u)[2:]
+    np.testing.assert_allclose(rate, [(1.5 - 0.5) / 0.05, (2.0 - 1.5) / 0.5], rtol=1e-5)
+    np.testing.assert_allclose(twice.initial_state(x, u)[2:], [0.8 * 1.4, 1.4], rtol=1e-6)
+    np.testing.assert_allclose(twice.balanced_internal(x[:1], x[1:], u), [2.0, 2.0], rtol=1e-5)
 
 
 def test_the_spring_that_relaxes_follows_its_coordinate():
@@ -117,12 +157,19 @@ def test_without_forces_a_system_is_the_same_and_with_the_same_forces_one():
         (["cubic", "cubic:x"], "'cubic:x' twice"),
         (["coulomb:x", "stribeck:x"],
          "'stribeck:x' brings 'x.coulomb', which 'coulomb:x' has already"),
+        (["lag:x"], "'lag:x': no input 'x'; expected one of force"),
+        (["lag", "lag:force"], "'lag:force' twice"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_added_is_refused_by_name(names, told):
     with pytest.raises(tn.InputError) as refused:
         added(CART, *names)
     assert told in " ".join(str(refused.value).split())
+
+
+def test_a_lag_requires_an_input():
+    with pytest.raises(tn.InputError, match="'lag': the system has no inputs"):
+        added(BARE, "lag")
 
 
 def test_a_force_that_a_system_has_already_is_refused():

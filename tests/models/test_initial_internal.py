@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from every_family import network
-from swinging import CREEPING, DT, TURNED, read_by_encoder, simulated, swing_model, voltage
+from swinging import CREEPING, DT, LAGGING, TURNED, read_by_encoder, simulated, swing_model, voltage
 
 import tustinnet as tn
 from tustinnet.errors import InputError
@@ -136,3 +136,30 @@ def test_a_file_tells_when_it_has_changed(tmp_path):
     without = remembering(None)
     with pytest.raises(InputError, match="or begin otherwise"):
         tn.load_model(file, replace(TURNED, memory=without))
+
+
+def test_what_is_expected_may_depend_on_the_first_input():
+    model = tn.discretise(swing_model(system=LAGGING), DT)
+    u = voltage(60, 1)
+    e = simulated("lagging", [0.4, 0.1, 0.8 * u[0]], u, system=LAGGING)
+    begin = 0.8 * e.u[0]
+    for start in ("file", "derived-6"):
+        np.testing.assert_allclose(start_states(model, [e, e], start)[:, 2], [*begin, *begin])
+    np.testing.assert_allclose(states_along(model, [e])[0][0, 2:], begin)
+    near = start_states(model, [read_by_encoder(e)], "model-20")
+    np.testing.assert_allclose(near[0], [0.4, 0.1, begin[0]], atol=0.3)
+    hybrid = tn.HybridModel(model, network(0, times=(0.2,)))
+    both = tn.committee([network(1), hybrid, model])
+    assert both.initial_needs_inputs
+    expected = both.initial_state(BEGIN, jnp.array([2.0]))
+    np.testing.assert_allclose(expected, [*BEGIN, 1.6, 0.0, 1.6], rtol=1e-6)
+    np.testing.assert_allclose(start_states(both, [e], "file")[0, 2:], [*begin, 0.0, *begin])
+
+
+def test_sensors_of_inputs_change_what_drives_internal_states():
+    gain = Parameter("voltage.gain", "1", 2.0, 0.5, 3.0)
+    off = with_sensor_errors(LAGGING, (gain,))
+    model = off.model({k: jnp.asarray(x) for k, x in off.nominal().items()})
+    np.testing.assert_allclose(model.initial_state(BEGIN, jnp.array([3.0]))[2], 0.8 * 6.0)
+    rate = model.derivative(jnp.array([0.0, 0.0, 1.0]), jnp.array([3.0]))[2]
+    np.testing.assert_allclose(rate, (6.0 - 1.0) / 0.05, rtol=1e-6)

@@ -278,6 +278,54 @@ def test_memory_adds_states_with_rates_and_a_force():
     assert discretise(model(), 0.01).state_size == 4
 
 
+def pushed(names: tuple[str, ...], rate, force=lambda q, v, z, p: z[:1], initial=None):
+    """A cart that is driven by internal states alone."""
+    memory = Memory(names, rate, force, initial)
+    return replace(CART, inputs=(tn.Input("force", "N"),), memory=memory)
+
+
+def test_a_rate_and_a_force_may_take_the_inputs():
+    system = pushed(
+        ("fan",), lambda q, v, z, u, p: (u - z) / 0.25, lambda q, v, z, u, p: z * u,
+        lambda q, v, u, p: 0.5 * u + q,
+    )  # fmt: skip
+    fan = LagrangianModel(system, {"mass": jnp.asarray(2.0)})
+    found = fan.derivative(jnp.array([0.3, 1.5, 3.0]), jnp.array([4.0]))
+    np.testing.assert_allclose(found, [1.5, 3.0 * 4.0 / 2.0, (4.0 - 3.0) / 0.25])
+    begin = jnp.array([0.3, 1.5])
+    assert fan.initial_needs_inputs
+    np.testing.assert_allclose(fan.initial_state(begin, jnp.array([4.0])), [0.3, 1.5, 2.3])
+    np.testing.assert_allclose(fan.initial_state(begin), [0.3, 1.5, 0.3])
+    assert not LagrangianModel(STICKY_CART, {"mass": jnp.asarray(2.0)}).initial_needs_inputs
+
+
+@pytest.mark.parametrize(
+    ("names", "rate", "expected"),
+    [
+        (("a", "b"), lambda q, v, z, u, p: jnp.stack([3.0 * (u[0] - z[0]), z[0] - z[1]]), [2, 2]),
+        (("x", "w"), lambda q, v, z, u, p: jnp.stack([z[1], 9.0 * (u[0] - z[0]) - z[1]]), [2, 0]),
+        (("creep", "a"), lambda q, v, z, u, p: jnp.stack([v[0] - z[0], u[0] - z[1]]), [0, 2]),
+        (("sum",), lambda q, v, z, u, p: u, [0]),
+        (("creep",), lambda q, v, z, p: v - z, [0]),
+    ],
+    ids=["chain", "second order", "beside a spring", "integrator", "without inputs"],
+)
+def test_states_that_follow_inputs_are_balanced_at_once(names, rate, expected):
+    model = LagrangianModel(pushed(names, rate), {"mass": jnp.asarray(2.0)})
+    found = model.balanced_internal(jnp.array([0.1]), jnp.array([0.7]), jnp.array([2.0]))
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
+def test_a_memory_of_another_form_is_refused_with_the_forms():
+    with pytest.raises(tn.InputError) as refused:
+        pushed(("fan",), lambda q, z, p: z)
+    told = (
+        "system 'cart', memory rate: the arguments (q, z, p); expected (q, v, z, p) or "
+        "(q, v, z, u, p); u are the inputs, p the parameters by name"
+    )
+    assert " ".join(str(refused.value).split()) == told
+
+
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 6])
 def test_positive_definite_systems_of_any_size_are_solved(n):
     generator = np.random.default_rng(n)

@@ -1,7 +1,6 @@
 """A pendulum with a propeller at its end; 0 hangs down.
 
-The propeller's speed is taken to follow the command at once: internal states of a system file do
-not depend on inputs.
+The propeller's speed is taken to follow the command at once; `model.forces = ["lag"]` adds its lag.
 """
 
 import jax.numpy as jnp

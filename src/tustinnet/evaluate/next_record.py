@@ -20,7 +20,7 @@ from tustinnet.models.contract import Model, require_float64, with_dtype
 from tustinnet.models.groups import model_for_groups
 from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import LagrangianModel
-from tustinnet.simulate.input_signal import input_signals
+from tustinnet.simulate.input_signal import initial_inputs, input_signals
 from tustinnet.simulate.simulation import simulate_runs
 
 _SHRUNK = 0.1  # of the correlations: those of few records leave directions without any error
@@ -125,8 +125,11 @@ def _predict_records(model: Model, proposals: Sequence[Proposal]) -> dict[str, E
             name=p.name, t=np.arange(n) * channels.dt, q=zero, u=p.u, channels=channels,
             v=zero.copy(), v_measured=True, groups=tuple(p.groups.items()),
         )  # fmt: skip
-        x0 = np.asarray(simulator.initial_state(jnp.concatenate([p.q, p.v])))[None]
-        x = np.asarray(simulate_runs(simulator, x0, input_signals(simulator, [blank])))[0]
+        signal = input_signals(simulator, [blank])
+        inputs = initial_inputs(simulator, signal)
+        u = None if inputs is None else jnp.asarray(inputs[0])
+        x0 = np.asarray(simulator.initial_state(jnp.concatenate([p.q, p.v]), u))[None]
+        x = np.asarray(simulate_runs(simulator, x0, signal))[0]
         finite = (np.abs(x) <= LARGEST).all()  # False of what is no number
         q, v = x[:, channels.position], x[:, channels.velocity]
         records[p.name] = replace(blank, q=q, v=v) if finite else None

@@ -27,7 +27,7 @@ from tustinnet.families.family import (
     systems_in,
 )
 from tustinnet.families.summaries import MEMBERS, WEIGHT
-from tustinnet.models.contract import Internal, Model, State
+from tustinnet.models.contract import InputVector, Internal, Model, State
 from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.models.step_layout import StepInput, StepLayout
 from tustinnet.systems.files import load_system
@@ -108,9 +108,17 @@ class Committee(Model):
         """The internal states of all members, with the member's number from 1: `cable 1`."""
         return tuple(f"{z} {n}" for n, names in enumerate(self._internal_names, 1) for z in names)
 
-    def initial_internal(self, measured: Float[Array, " n_measured"]) -> Internal:
+    @property
+    def initial_needs_inputs(self) -> bool:
+        """Whether the expected internal states of any member depend on inputs."""
+        return any(group.member().initial_needs_inputs for group in self.groups)
+
+    def initial_internal(
+        self, measured: Float[Array, " n_measured"], u: InputVector | None = None
+    ) -> Internal:
         """The expected internal states of all members, one member after the other."""
-        return jnp.concatenate([member.initial_internal(measured) for member in self.members])
+        states = [member.initial_state(measured, u) for member in self.members]
+        return jnp.concatenate([state[self.channels.internal] for state in states])
 
     @property
     def internal_spread(self) -> Internal:

@@ -231,7 +231,7 @@ def _compute_probes(model: LagrangianModel) -> Float[np.ndarray, "probes n_x"]:
     def probe(point: Array) -> Array:
         parts = [model.derivative(point[:n_x], point[n_x:])]
         if has_initial:
-            parts.append(model.initial_internal(point[channels.measured]))
+            parts.append(model.initial_internal(point[channels.measured], point[n_x:]))
         return jnp.concatenate(parts)
 
     where = f"system '{model.system.name}'"

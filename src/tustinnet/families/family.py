@@ -65,8 +65,8 @@ class IdentifiedHyper(Hyper):
         begin: where the search for a parameter starts.
         free: what sensors and actuators may be off by, as parameters that are searched for:
             `CHANNEL.bias` and `CHANNEL.gain`.
-        forces: forces of the library that are added, `LAW` at every coordinate or
-            `LAW:COORDINATE`, see `models.added`.
+        forces: forces of the library that are added, `LAW` at every coordinate (or input) or
+            `LAW:COORDINATE` (or `LAW:INPUT`), see `models.added`.
     """
 
     system: str | None = None

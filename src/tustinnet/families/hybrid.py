@@ -30,6 +30,7 @@ from tustinnet.families.summaries import CORRECTION, PHYSICS, upgrade_hybrid
 from tustinnet.models.blocks import root_mean_square
 from tustinnet.models.contract import (
     AccelerationModel,
+    InputVector,
     Internal,
     Model,
     State,
@@ -96,10 +97,17 @@ class HybridModel(Model):
         """The longer warm-up of both parts."""
         return max(self.physics.warm_up, self.correction.warm_up)
 
-    def initial_internal(self, measured: Float[Array, " n_measured"]) -> Internal:
+    @property
+    def initial_needs_inputs(self) -> bool:
+        """Whether the expected internal states of either part depend on inputs."""
+        return self.physics.initial_needs_inputs or self.correction.initial_needs_inputs
+
+    def initial_internal(
+        self, measured: Float[Array, " n_measured"], u: InputVector | None = None
+    ) -> Internal:
         """The expected internal states of the physics, then those of the correction."""
-        parts = (self.physics, self.correction)
-        return jnp.concatenate([part.initial_internal(measured) for part in parts])
+        states = [part.initial_state(measured, u) for part in (self.physics, self.correction)]
+        return jnp.concatenate([state[self.channels.internal] for state in states])
 
     @property
     def internal_spread(self) -> Internal:

@@ -33,6 +33,7 @@ from tustinnet.models.blocks import Affine, Layers, Network, Scaling, feature_co
 from tustinnet.models.contract import (
     AccelerationModel,
     Coordinates,
+    InputVector,
     Internal,
     Model,
     State,
@@ -110,7 +111,9 @@ class TustinNet(AccelerationModel):
             for c in self.coordinates
         )
 
-    def initial_internal(self, measured: Float[Array, " n_measured"]) -> Internal:
+    def initial_internal(
+        self, measured: Float[Array, " n_measured"], u: InputVector | None = None
+    ) -> Internal:
         """The expected internal states: a share of the way from rest, of angles the shorter."""
         if self.rest is None:
             return super().initial_internal(measured)

@@ -60,11 +60,20 @@ class Stateful(HasChannels, eqx.Module):
         """`n_x`: positions, velocities, internal states."""
         return 2 * self.channels.n_q + len(self.internal)
 
-    def initial_internal(self, measured: Float[Array, " n_measured"]) -> Internal:
+    @property
+    def initial_needs_inputs(self) -> bool:
+        """Whether `initial_internal` depends on inputs; of most models it does not."""
+        return False
+
+    def initial_internal(
+        self, measured: Float[Array, " n_measured"], u: InputVector | None = None
+    ) -> Internal:
         """Expected internal states at the beginning of a record, (n_z,); mostly 0.
 
         Args:
             measured: the record's first positions and velocities [q, v], (2 n_q,).
+            u: the inputs at its beginning, (n_u,), which only models with `initial_needs_inputs`
+                use; None for 0.
         """
         return jnp.zeros(len(self.internal), measured.dtype)
 
@@ -76,9 +85,13 @@ class Stateful(HasChannels, eqx.Module):
         """
         return jnp.asarray(np.ones(len(self.internal)))
 
-    def initial_state(self, measured: Float[Array, " n_measured"]) -> State:
+    def initial_state(
+        self, measured: Float[Array, " n_measured"], u: InputVector | None = None
+    ) -> State:
         """The state at the beginning of a record from its first [q, v]; see `initial_internal`."""
-        return jnp.concatenate([measured, self.initial_internal(measured)])
+        # families of other packages may know of no inputs here
+        inputs = (u,) if self.initial_needs_inputs else ()
+        return jnp.concatenate([measured, self.initial_internal(measured, *inputs)])
 
     def for_record(self: SameModel, experiment: Experiment) -> SameModel:
         """The model that simulates a record, with the values of the record's groups.

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from tustinnet.channels import Coordinate
+from tustinnet.channels import Coordinate, Input
 from tustinnet.models.parameters import Parameter
 from tustinnet.renamed import FORCES, current_name
 
@@ -142,6 +142,17 @@ def maxwell_force(z: Value, stiffness: Value) -> Any:
     return -stiffness * z
 
 
+def lag_rate(u: Value, w: Value, time_constant: Value) -> Any:
+    """Rate of an actuator that lags behind its command: `dw/dt = (u - w) / T`.
+
+    Args:
+        u: the command, in its unit.
+        w: its internal state, what the actuator has reached, in the unit of the command.
+        time_constant: T, the time in which it covers 63 % of a step [s].
+    """
+    return (u - w) / time_constant
+
+
 def dc_motor(
     voltage: Value,
     speed: Value,
@@ -201,12 +212,12 @@ SearchRange = tuple[float, float, float]  # initial value, lower and upper end
 
 @dataclass(frozen=True)
 class ForceParameter:
-    """A parameter of a law; that of the coordinate `theta` is called `theta.NAME`.
+    """A parameter of a law; that of the channel `theta` is called `theta.NAME`.
 
     Attributes:
         name: its name, as files keep it.
         symbol: its letter in the formula of the law.
-        unit: its unit, with `{force}` and `{position}` for those of the coordinate.
+        unit: its unit, with `{force}` and `{position}` for those of a coordinate.
         range: initial value, lower and upper end of the search, from the motion in the records.
         fixed: whether the search leaves it at its initial value.
         shared: whether the laws of a coordinate share one parameter of this name.
@@ -227,6 +238,12 @@ class ForceParameter:
             f"{coordinate.name}.{self.name}", unit, *self.range(motion), fixed=self.fixed
         )
 
+    def for_input(self, channel: Input, motion: Motion) -> Parameter:
+        """The parameter of the law at an input; `motion` is that of any coordinate."""
+        return Parameter(
+            f"{channel.name}.{self.name}", self.unit, *self.range(motion), fixed=self.fixed
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class Law:
@@ -239,6 +256,7 @@ class Law:
         needs_limited_travel: whether it depends on a deflection. Where no coordinate is named, it
             is not added at those that turn around, which have none.
         joins_springs: whether a spring of the system `mechanism` brings it along.
+        is_at_input: whether its place is an input instead of a coordinate.
     """
 
     name: str
@@ -246,6 +264,7 @@ class Law:
     parameters: tuple[ForceParameter, ...]
     needs_limited_travel: bool = False
     joins_springs: bool = False
+    is_at_input: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -287,6 +306,20 @@ class RelaxingSpring(Law):
     needs_limited_travel: bool = True
 
 
+@dataclass(frozen=True, kw_only=True)
+class ActuatorLag(Law):
+    """An internal state w that follows an input and acts on the system in its place.
+
+    Attributes:
+        rate: the derivative of w, `rate(u, w, *values)`.
+        initial: w as it is expected at the beginning of a record, `initial(u, *values)`.
+    """
+
+    rate: Callable[..., Any]
+    initial: Callable[..., Any]
+    is_at_input: bool = True
+
+
 def _from_zero(most: Callable[[Motion], float]) -> Callable[[Motion], SearchRange]:
     """A range from 0 on, where the search begins."""
     return lambda motion: (0.0, 0.0, most(motion))
@@ -306,6 +339,11 @@ def _relaxation_rates(motion: Motion) -> SearchRange:
     """From one over the longest record to a quarter of the sampling rate."""
     slowest, fastest = 1 / motion.longest, 1 / (4 * motion.dt)
     return min(max(motion.speed / motion.travel, slowest), fastest), slowest, fastest
+
+
+def _time_constants(motion: Motion) -> SearchRange:
+    """From a quarter of a period, which hardly shows, to a quarter of the longest record."""
+    return 2 * motion.dt, motion.dt / 4, max(motion.longest / 4, 4 * motion.dt)
 
 
 _COULOMB = ForceParameter("coulomb", "c", "{force}", _from_zero(lambda m: m.largest_force))
@@ -405,6 +443,19 @@ _LAWS: tuple[Law, ...] = (
         rate=lambda v, z, stiffness, relaxation, share: maxwell_rate(v, z, relaxation),
         initial=lambda q, stiffness, relaxation, share: share * q,
         force=lambda z, stiffness, relaxation, share: maxwell_force(z, stiffness),
+    ),
+    ActuatorLag(
+        name="lag",
+        help="lag of an actuator: the system is driven by w in the place of the input u, an "
+        "internal state: `dw/dt = (u - w) / T`. At the beginning of a record w is `s u`: s is 1 "
+        "where the input was there for long, 0 where the actuator begins at rest",
+        parameters=(
+            ForceParameter("lag", "T", "s", _time_constants),
+            # few records show it, and where the first input is 0 it does not matter
+            ForceParameter("initial_share", "s", "1", lambda m: (1.0, 0.0, 1.0), fixed=True),
+        ),
+        rate=lambda u, w, time_constant, share: lag_rate(u, w, time_constant),
+        initial=lambda u, time_constant, share: share * u,
     ),
 )  # fmt: skip
 LAWS = {law.name: law for law in _LAWS}

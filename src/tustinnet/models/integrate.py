@@ -47,9 +47,16 @@ class FromContinuous(Model):
         """Names of the internal states of the continuous model."""
         return self.continuous.internal
 
-    def initial_internal(self, measured: Float[Array, " n_measured"]) -> Internal:
+    @property
+    def initial_needs_inputs(self) -> bool:
+        """Whether expected internal states of the continuous model depend on inputs."""
+        return self.continuous.initial_needs_inputs
+
+    def initial_internal(
+        self, measured: Float[Array, " n_measured"], u: InputVector | None = None
+    ) -> Internal:
         """Expected internal states of the continuous model at the beginning of a record."""
-        return self.continuous.initial_internal(measured)
+        return self.continuous.initial_state(measured, u)[self.channels.internal]
 
     @property
     def internal_spread(self) -> Internal:

@@ -1,5 +1,6 @@
 """Euler-Lagrange models: equations of motion from energies, by automatic differentiation."""
 
+import inspect
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -30,22 +31,81 @@ Values = Mapping[str, Any]
 _UNROLLED = 4  # coordinates up to which the factorisation is written out instead of called
 
 
+_SMALLEST_PIVOT = 1e-12  # of balanced internal states, relative to the size of the equations
+
+
 @dataclass(frozen=True)
 class Memory:
     """Forces with memory: internal states `z` beside positions and velocities.
 
+    Each function may also take the inputs, before the parameters. So a motor or a fan that lags
+    behind its command is written: `rate(q, v, z, u, p)` returns `(u - z) / p["lag"]`.
+
     Attributes:
         names: names of the internal states.
-        rate: `dz/dt = rate(q, v, z, p)`, (n_z,).
-        force: generalised force on the system, `force(q, v, z, p)`, (n_q,) [N m or N].
-        initial: the expected internal states at the beginning of a record, `initial(q, v, p)`,
-            (n_z,): the effect of the time before. None for 0.
+        rate: `dz/dt = rate(q, v, z, p)` or `rate(q, v, z, u, p)`, (n_z,).
+        force: generalised force on the system, `force(q, v, z, p)` or `force(q, v, z, u, p)`,
+            (n_q,) [N m or N].
+        initial: the expected internal states at the beginning of a record, `initial(q, v, p)` or
+            `initial(q, v, u, p)`, (n_z,): the effect of the time before. None for 0.
     """
 
     names: tuple[str, ...]
-    rate: Callable[[Coordinates, Coordinates, Internal, Values], Any]
-    force: Callable[[Coordinates, Coordinates, Internal, Values], Any]
-    initial: Callable[[Coordinates, Coordinates, Values], Any] | None = None
+    rate: Callable[..., Any]
+    force: Callable[..., Any]
+    initial: Callable[..., Any] | None = None
+
+    @property
+    def has_inputs(self) -> bool:
+        """Whether inputs drive the internal states: whether `rate` takes them."""
+        return takes_inputs(self.rate, "qvzp")
+
+    @property
+    def force_needs_inputs(self) -> bool:
+        """Whether the forces depend on inputs, beside those that the internal states follow."""
+        return takes_inputs(self.force, "qvzp")
+
+    @property
+    def initial_needs_inputs(self) -> bool:
+        """Whether the expected internal states at the beginning of a record depend on inputs."""
+        return self.initial is not None and takes_inputs(self.initial, "qvp")
+
+    def compute_rate(
+        self, q: Coordinates, v: Coordinates, z: Internal, u: InputVector | None, p: Values
+    ) -> Any:
+        """The rate `dz/dt`, (n_z,); `u` may be None where the function does not take it."""
+        return self.rate(q, v, z, u, p) if self.has_inputs else self.rate(q, v, z, p)
+
+    def compute_force(
+        self, q: Coordinates, v: Coordinates, z: Internal, u: InputVector | None, p: Values
+    ) -> Any:
+        """The generalised force, (n_q,); `u` may be None where the function does not take it."""
+        return self.force(q, v, z, u, p) if self.force_needs_inputs else self.force(q, v, z, p)
+
+
+def takes_inputs(function: Callable[..., Any], arguments: str) -> bool:
+    """Whether a function of a system takes the inputs u beside other arguments.
+
+    Args:
+        function: the function.
+        arguments: its arguments without the inputs, a letter each, the parameters last: `qvzp`.
+
+    Raises:
+        TypeError: it takes neither as many arguments nor one more; the message has both forms.
+    """
+    try:
+        signature = inspect.signature(function)
+    except ValueError:  # of some functions in C nothing is known
+        return False
+    with_inputs = f"{arguments[:-1]}u{arguments[-1]}"
+    for form in (arguments, with_inputs):
+        try:
+            signature.bind(*form)
+        except TypeError:
+            continue
+        return form is with_inputs
+    forms = " or ".join(f"({', '.join(form)})" for form in (arguments, with_inputs))
+    raise TypeError(f"the arguments {signature}; expected {forms}")
 
 
 @dataclass(frozen=True)
@@ -166,11 +226,7 @@ class LagrangianSystem:
             functions.append(("dissipation", self.dissipation, (q, v, p), q.shape))
         if self.input_map:
             functions.append(("input_map", self.input_map, (q, v, u, p), q.shape))
-        if self.memory:
-            functions.append(("memory rate", self.memory.rate, (q, v, z, p), z.shape))
-            functions.append(("memory force", self.memory.force, (q, v, z, p), q.shape))
-            if self.memory.initial:
-                functions.append(("memory initial", self.memory.initial, (q, v, p), z.shape))
+        functions += self._memory_functions(q, v, z, u, p)
         for name, function, arguments, shape in functions:
             where = f"system '{self.name}', {name}"
             try:
@@ -203,6 +259,32 @@ class LagrangianSystem:
                     "energies are scalars, forces have a value per coordinate",
                 )
 
+    def _memory_functions(
+        self, q: Any, v: Any, z: Any, u: Any, p: Any
+    ) -> list[tuple[str, Callable[..., Any], tuple[Any, ...], tuple[int, ...]]]:
+        """Names of the functions of the memory, the functions, their arguments, and shapes."""
+        if self.memory is None:
+            return []
+        functions: list[tuple[str, Callable[..., Any], tuple[Any, ...], tuple[int, ...]]] = []
+        for name, function, letters, shape in (
+            ("memory rate", self.memory.rate, "qvzp", z.shape),
+            ("memory force", self.memory.force, "qvzp", q.shape),
+            ("memory initial", self.memory.initial, "qvp", z.shape),
+        ):
+            if function is None:
+                continue
+            try:
+                inputs = (u,) if takes_inputs(function, letters) else ()
+            except TypeError as error:
+                found, _, expected = str(error).partition("; expected ")
+                raise InputError(
+                    f"system '{self.name}', {name}", found, expected,
+                    "u are the inputs, p the parameters by name",
+                ) from error  # fmt: skip
+            others = (q, v, z) if "z" in letters else (q, v)
+            functions.append((name, function, (*others, *inputs, p), shape))
+        return functions
+
 
 def tracing_remedy(error: BaseException) -> str:
     """What to write where a function needs the values of arrays that JAX traces; "" if not so.
@@ -233,11 +315,11 @@ def tracing_remedy(error: BaseException) -> str:
 class LagrangianModel(ContinuousModel):
     """The equations of motion of a system.
 
-        d/dt dT/dv - dT/dq + dV/dq = Q(q, v, u) - D(q, v) + F(q, v, z)
+        d/dt dT/dv - dT/dq + dV/dq = Q(q, v, u) - D(q, v) + F(q, v, z, u)
 
     Solved for the acceleration: `M(q) a = Q - D + F - c(q, v) - dV/dq` with the mass matrix
     `M = d2T/dv2` and `c = (d2T/dv dq) v - dT/dq`, by Cholesky factorisation of M. `F` are the
-    forces with memory, `dz/dt = rate(q, v, z)`.
+    forces with memory, `dz/dt = rate(q, v, z, u)`.
 
     Attributes:
         system: the energies and forces.
@@ -318,7 +400,7 @@ class LagrangianModel(ContinuousModel):
         if s.dissipation:
             force = force - jnp.asarray(s.dissipation(q, v, p))
         if s.memory:
-            force = force + jnp.asarray(s.memory.force(q, v, z, p))
+            force = force + jnp.asarray(s.memory.compute_force(q, v, z, u, p))
         return force
 
     def acceleration(self, x: State, u: InputVector) -> Coordinates:
@@ -340,18 +422,65 @@ class LagrangianModel(ContinuousModel):
                 )
         return _derivative(self, x, u)
 
-    def internal_rate(self, x: State) -> Internal:
-        """`dz/dt` at a state, (n_z,)."""
+    def internal_rate(self, x: State, u: InputVector | None = None) -> Internal:
+        """`dz/dt` at a state, (n_z,).
+
+        Args:
+            x: the state, (n_x,).
+            u: the inputs, (n_u,); None for 0.
+        """
         if self.system.memory is None:
             return jnp.zeros(0, x.dtype)
-        return jnp.asarray(self.system.memory.rate(*self._parts(x), self.values))
+        if u is None:
+            u = jnp.zeros(self.channels.n_u, x.dtype)
+        return jnp.asarray(self.system.memory.compute_rate(*self._parts(x), u, self.values))
 
-    def initial_internal(self, measured: Float[Array, " n_measured"]) -> Internal:
-        """Expected internal states at the beginning of a record, see `Memory.initial`."""
+    def balanced_internal(self, q: Coordinates, v: Coordinates, u: InputVector) -> Internal:
+        """Internal states that follow inputs, as if these had been there for long, (n_z,).
+
+        For estimates without a simulation: at them the rates of states that inputs drive, also by
+        way of other states, are 0, where rates are linear in the states. All others are 0.
+        """
+        memory, n = self.system.memory, len(self.internal)
+        zero = jnp.zeros(n, q.dtype)
+        if memory is None or not memory.has_inputs or not n or not self.channels.n_u:
+            return zero
+
+        def rate(z: Internal, u: InputVector) -> Internal:
+            return jnp.asarray(memory.compute_rate(q, v, z, u, self.values))
+
+        matrix, by_input = jax.jacfwd(rate, argnums=(0, 1))(zero, u)
+        driven = jnp.where(jnp.sum(jnp.abs(by_input), axis=1) > 0, 1.0, 0.0)
+        for _ in range(n - 1):
+            driven = jnp.where(driven + jnp.abs(matrix) @ driven > 0, 1.0, 0.0)
+        # least squares of the rates, as the matrix is singular where a state only integrates
+        matrix = matrix * driven * driven[:, None]
+        square = matrix.T @ matrix
+        ridge = _SMALLEST_PIVOT * jnp.sum(jnp.abs(square)) + jnp.finfo(q.dtype).tiny
+        regular = square + jnp.diag(jnp.where(driven > 0, ridge, 1.0))
+        return solve_positive(regular, -matrix.T @ (driven * rate(zero, u)))
+
+    @property
+    def initial_needs_inputs(self) -> bool:
+        """Whether the internal states at the beginning of a record depend on inputs."""
+        return self.system.memory is not None and self.system.memory.initial_needs_inputs
+
+    def initial_internal(
+        self, measured: Float[Array, " n_measured"], u: InputVector | None = None
+    ) -> Internal:
+        """Expected internal states at the beginning of a record, see `Memory.initial`.
+
+        Args:
+            measured: the record's first positions and velocities [q, v], (2 n_q,).
+            u: the inputs at its beginning, (n_u,); None for 0.
+        """
         memory, channels = self.system.memory, self.channels
         if memory is None or memory.initial is None:
             return super().initial_internal(measured)
         q, v = measured[channels.position], measured[channels.velocity]
+        if memory.initial_needs_inputs:
+            u = jnp.zeros(channels.n_u, measured.dtype) if u is None else u
+            return jnp.asarray(memory.initial(q, v, u, self.values), measured.dtype)
         return jnp.asarray(memory.initial(q, v, self.values), measured.dtype)
 
     def _parts(self, x: State) -> tuple[Coordinates, Coordinates, Internal]:
@@ -363,7 +492,7 @@ class LagrangianModel(ContinuousModel):
 @jax.jit
 def _derivative(model: LagrangianModel, x: State, u: InputVector) -> State:
     _, v, _ = model._parts(x)
-    return jnp.concatenate([v, model.acceleration(x, u), model.internal_rate(x)])
+    return jnp.concatenate([v, model.acceleration(x, u), model.internal_rate(x, u)])
 
 
 def solve_positive(matrix: Float[Array, "n n"], right: Float[Array, " n"]) -> Float[Array, " n"]:

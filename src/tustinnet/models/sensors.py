@@ -45,7 +45,14 @@ def with_sensor_errors(
             [jnp.asarray(p[n] if n in names else _NEUTRAL[which]) for n in of_channels]
         )
 
-    def physical(function: Callable[..., Any], *, is_force: bool = False) -> Callable[..., Any]:
+    def physical_inputs(u: Any, p: Values) -> Any:
+        if not system.inputs:
+            return u
+        return values(system.inputs, "gain", p) * u + values(system.inputs, "bias", p)
+
+    def physical(
+        function: Callable[..., Any], *, is_force: bool = False, has_inputs: bool = False
+    ) -> Callable[..., Any]:
         """A function of the physical motion as one of the measured motion."""
 
         @wraps(function)
@@ -53,6 +60,9 @@ def with_sensor_errors(
             p = others[-1]
             gain = values(system.coordinates, "gain", p)
             position = (q - values(system.coordinates, "bias", p)) / gain
+            if has_inputs:
+                *before, u, _ = others
+                others = *before, physical_inputs(u, p), p
             result = function(position, v / gain, *others)
             return jnp.asarray(result) / gain if is_force else result
 
@@ -61,12 +71,6 @@ def with_sensor_errors(
     def potential(q: Any, p: Values) -> Any:
         return physical(lambda q, v, p: system.potential and system.potential(q, p))(q, q, p)
 
-    def input_map(q: Any, v: Any, u: Any, p: Values) -> Any:
-        assert system.input_map
-        if system.inputs:
-            u = values(system.inputs, "gain", p) * u + values(system.inputs, "bias", p)
-        return system.input_map(q, v, u, p)
-
     memory = system.memory
     return replace(
         system,
@@ -74,13 +78,14 @@ def with_sensor_errors(
         kinetic=physical(system.kinetic),
         potential=system.potential and wraps(system.potential)(potential),
         dissipation=system.dissipation and physical(system.dissipation, is_force=True),
-        input_map=system.input_map and physical(wraps(system.input_map)(input_map), is_force=True),
+        input_map=system.input_map and physical(system.input_map, is_force=True, has_inputs=True),
         memory=memory
         and replace(
             memory,
-            rate=physical(memory.rate),
-            force=physical(memory.force, is_force=True),
-            initial=memory.initial and physical(memory.initial),
+            rate=physical(memory.rate, has_inputs=memory.has_inputs),
+            force=physical(memory.force, is_force=True, has_inputs=memory.force_needs_inputs),
+            initial=memory.initial
+            and physical(memory.initial, has_inputs=memory.initial_needs_inputs),
         ),
         sensors=tuple(s.name for s in sensors),
     )

@@ -11,7 +11,7 @@ from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.models.contract import Model
 from tustinnet.signals.stacking import stack_padded
 from tustinnet.simulate.batches import map_in_batches
-from tustinnet.simulate.input_signal import InputSignal, input_signals
+from tustinnet.simulate.input_signal import InputSignal, initial_inputs, input_signals
 from tustinnet.simulate.rollout import rollout
 from tustinnet.simulate.simulation import initial_states, simulate_runs
 
@@ -39,8 +39,10 @@ def states_along(
         # all of one length, so that one program serves them; nobody reads what follows a record's
         # end
         rows = stack_padded([e.measured_states(velocity) for e in batch])
-        start = initial_states(model, rows[:, 0])
-        runs = simulate_runs(model, start, input_signals(model, batch), rows)
+        signal = input_signals(model, batch)
+        inputs = initial_inputs(model, signal)
+        start = initial_states(model, rows[:, 0], None if inputs is None else np.asarray(inputs))
+        runs = simulate_runs(model, start, signal, rows)
         return runs[..., model.channels.internal]
 
     internal = map_in_batches(model, experiments, internal_states)
@@ -63,7 +65,7 @@ def predictions_along(
         signal: what acts between the samples.
     """
 
-    def predict(rows: Array, signal: InputSignal) -> Array:
-        return rollout(model, model.initial_state(rows[0]), signal, rows)
+    def predict(rows: Array, signal: InputSignal, u: Array | None) -> Array:
+        return rollout(model, model.initial_state(rows[0], u), signal, rows)
 
-    return jax.vmap(predict)(measured, signal)
+    return jax.vmap(predict)(measured, signal, initial_inputs(model, signal))

@@ -63,3 +63,21 @@ def input_signals(
         first, last, _ = samples.indices(len(e))
         parts.append(np.asarray(input_signal(model, e).u)[first : max(last - 1, first)])
     return InputSignal(stack_padded(parts))
+
+
+def initial_inputs(
+    model: Model, signal: InputSignal
+) -> Float[Array | np.ndarray, "runs n_u"] | None:
+    """Inputs at the beginning of runs side by side, for a model that needs them, else None.
+
+    See `Stateful.initial_needs_inputs`. Such a model has equations of motion, and so its steps take
+    the coefficients of the polynomials over the period first, the first of which is the value.
+
+    Args:
+        model: the model.
+        signal: what acts between the samples, (runs, steps, ...).
+    """
+    if not model.initial_needs_inputs:
+        return None
+    first = signal.u[:, 0]
+    return first if first.ndim == 2 else first[:, 0]

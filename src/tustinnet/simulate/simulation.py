@@ -1,6 +1,6 @@
 """Free runs of models by the engine, several records side by side."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -51,15 +51,12 @@ def system_motion(
             parameters by the delays that the inputs were made with.
     """
     n_u, n_others = len(system.inputs), len(others)
-    delay_names = [delay_name(i) for i in system.inputs]
 
     def derivative(x: Array, u: Array, p: Array, c: Array) -> Array:
         values = {name: p[i] for i, name in enumerate(searched)}
         values |= {name: c[i] for i, name in enumerate(others)}
         if delays:
-            made = c[n_others:]
-            moved = [values.get(name, made[i]) - made[i] for i, name in enumerate(delay_names)]
-            u = u[:n_u] + u[n_u:] * jnp.stack(moved)
+            u = u[:n_u] + u[n_u:] * delay_changes(system, values, c[n_others:])
         return system.model(values).derivative(x, u)
 
     return Equations(
@@ -70,6 +67,21 @@ def system_motion(
         n_c=n_others + (n_u if delays else 0),
         where=f"system '{system.name}'",
     )
+
+
+def delay_changes(
+    system: LagrangianSystem, values: Mapping[str, Any], delays: Float[Array, " n_u"]
+) -> Float[Array, " n_u"]:
+    """Differences of the inputs' delays [s] among parameters from those the inputs were made with.
+
+    Args:
+        system: the system, which has at least one input.
+        values: the parameters by name.
+        delays: the delays that the inputs were made with [s].
+    """
+    names = [delay_name(i) for i in system.inputs]
+    changes = [values.get(name, delays[i]) - delays[i] for i, name in enumerate(names)]
+    return jnp.stack(changes)
 
 
 class ModelEquations:
@@ -184,13 +196,27 @@ def simulate_runs(
 
 
 def initial_states(
-    model: Model, measured: Float[np.ndarray, "runs n_measured"]
+    model: Model,
+    measured: Float[np.ndarray, "runs n_measured"],
+    inputs: Float[np.ndarray, "runs n_u"] | None = None,
 ) -> Float[np.ndarray, "runs n_x"]:
-    """The states in which records begin, by their first [q, v], see `Model.initial_internal`."""
+    """The states in which records begin, by their first [q, v], see `Model.initial_internal`.
+
+    Args:
+        model: the model.
+        measured: positions and velocities at the beginning, (runs, 2 n_q).
+        inputs: inputs there, (runs, n_u), which models with `initial_needs_inputs` require.
+    """
     measured = np.asarray(measured, np.float64)
     if not model.internal:
         return measured
+    where = f"the model ({type(model).__name__})"
+    if not model.initial_needs_inputs:
+        formula = Formula(model.initial_internal, measured.shape[1], where=where)
+        return np.concatenate([measured, evaluate(formula, measured)], axis=1)
+    assert inputs is not None
+    n_m, points = measured.shape[1], np.concatenate([measured, inputs], axis=1)
     formula = Formula(
-        model.initial_internal, measured.shape[1], where=f"the model ({type(model).__name__})"
+        lambda point: model.initial_internal(point[:n_m], point[n_m:]), points.shape[1], where=where
     )
-    return np.concatenate([measured, evaluate(formula, measured)], axis=1)
+    return np.concatenate([measured, evaluate(formula, points)], axis=1)

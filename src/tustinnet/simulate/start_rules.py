@@ -90,13 +90,16 @@ class Start(ABC):
     def traced_states(self, model: Model, start_data: Any) -> Array:
         """States at the start as a part of a program that JAX compiles, (records, n_x).
 
-        They can be differentiated by the model. Here of positions and velocities,
-        (records, 2 n_q), with the internal states that the model expects there.
+        They can be differentiated by the model. Here of positions and velocities, and inputs for a
+        model that needs them, with the internal states that the model expects there.
         """
         import jax
         import jax.numpy as jnp
 
-        return jax.vmap(model.initial_state)(jnp.asarray(start_data))
+        rows, n_m = jnp.asarray(start_data), model.channels.measured.stop
+        if not model.initial_needs_inputs:
+            return jax.vmap(model.initial_state)(rows)
+        return jax.vmap(model.initial_state)(rows[:, :n_m], rows[:, n_m:])
 
     def numeric_states(self, model: Model, start_data: Any) -> Numbers:
         """States at the start as numbers, computed by the engine, (records, n_x).
@@ -107,7 +110,8 @@ class Start(ABC):
 
         from tustinnet.simulate.simulation import initial_states
 
-        return initial_states(model, np.asarray(start_data))
+        rows, n_m = np.asarray(start_data), model.channels.measured.stop
+        return initial_states(model, rows[:, :n_m], rows[:, n_m:])
 
     def _require_samples(self, e: Experiment, fewest: int, purpose: str) -> None:
         if self.samples < fewest:
@@ -129,10 +133,14 @@ class MeasuredStart(Start):
         return False
 
     def start_data(self, model: Model, experiments: Sequence[Experiment]) -> Numbers:
-        """Positions and velocities where the runs begin, (records, 2 n_q)."""
+        """Positions and velocities where the runs begin, (records, 2 n_q).
+
+        They are followed by the inputs there, (records, 2 n_q + n_u), for a model that needs them.
+        """
         import numpy as np
 
-        return np.stack([self.measured_state(e) for e in experiments])
+        measured = np.stack([self.measured_state(e) for e in experiments])
+        return _with_inputs(measured, model, experiments)
 
     @abstractmethod
     def measured_state(self, e: Experiment) -> Numbers:
@@ -177,7 +185,8 @@ class FirstSamples(NamedTuple):
     """First samples of records, to which states are fitted through a model.
 
     Attributes:
-        parabola: positions and velocities where the search begins, (records, 2 n_q).
+        parabola: positions and velocities where the search begins, (records, 2 n_q), followed by
+            the inputs there for a model that needs them.
         signal: what acts between the samples, an `InputSignal`, (records, samples - 1, ...).
         q: measured positions, (records, samples, n_q).
     """
@@ -205,7 +214,9 @@ class FittedStart(Start):
             self._require_samples(e, FEWEST, "the fit")
         samples = min(self.samples, PARABOLA_SAMPLES)
         return FirstSamples(
-            parabola=np.stack([parabola(e, 0, samples) for e in experiments]),
+            parabola=_with_inputs(
+                np.stack([parabola(e, 0, samples) for e in experiments]), model, experiments
+            ),
             signal=input_signals(model, experiments, slice(self.samples)),
             q=np.stack([e.q[: self.samples] for e in experiments]),
         )
@@ -270,11 +281,27 @@ class WarmUpStart(Start):
         """Measured states with the internal states that the samples led to, (records, n_x)."""
         import numpy as np
 
+        from tustinnet.simulate.input_signal import initial_inputs
         from tustinnet.simulate.simulation import initial_states, simulate_runs
 
         measured, signal = start_data
-        run = simulate_runs(model, initial_states(model, measured[:, 0]), signal, measured)
+        inputs = initial_inputs(model, signal)
+        start = initial_states(model, measured[:, 0], inputs)
+        run = simulate_runs(model, start, signal, measured)
         return np.concatenate([measured[:, -1], run[:, -1, model.channels.internal]], axis=1)
+
+
+def _with_inputs(measured: Numbers, model: Model, experiments: Sequence[Experiment]) -> Numbers:
+    """Rows of first [q, v], followed by the records' first inputs for a model that needs them."""
+    import numpy as np
+
+    from tustinnet.simulate.input_signal import initial_inputs, input_signals
+
+    if not model.initial_needs_inputs:
+        return measured
+    inputs = initial_inputs(model, input_signals(model, experiments, slice(2)))
+    assert inputs is not None
+    return np.concatenate([measured, inputs], axis=1)
 
 
 STARTS: tuple[type[Start], ...] = (StoredStart, DerivedStart, FittedStart, WarmUpStart)

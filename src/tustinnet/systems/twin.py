@@ -94,7 +94,7 @@ def imitate_records(
         spread_v = _SPREAD * v.std(axis=0) * generator.normal(size=channels.n_q)
         measured = np.concatenate([start.q[row] + spread_q, start.velocities()[row] + spread_v])
         u = np.roll(drive.u, int(generator.integers(len(drive))), axis=0)
-        x0 = np.asarray(model.initial_state(jnp.asarray(measured)))
+        x0 = np.asarray(model.initial_state(jnp.asarray(measured), jnp.asarray(u[0])))
         runs.append(TwinRun(f"simulated{i + 1}", "train", x0, u))
     logger = Logger(model.dt, 0.0, counts=bool(channels.resolution.all()), substeps=model.substeps)
     simulated = log_runs(model.continuous, channels, runs, logger, generator)

@@ -57,6 +57,26 @@ def test_other_laws_are_found_too(force, truth):
     assert {name: values[name] for name in truth} == pytest.approx(truth, rel=0.1)
 
 
+def test_the_lag_of_an_actuator_is_found_and_kept_in_a_file(tmp_path):
+    truth = {"voltage.lag": 0.08, "voltage.initial_share": 1.0}
+    made = driven_again(with_added(SWING, ["lag"], records(), {}), truth)
+    result = tn.identify(data_set(made), KNOWN_GAIN, recipe("lag"))
+    values = {e.name: (e.value, e.unit) for e in result.estimates}
+    assert values["voltage.lag"] == (pytest.approx(0.08, rel=0.02), "s")
+    assert values["gravity"][0] == pytest.approx(TRUTH["gravity"], rel=0.01)
+    assert result.fixed["voltage.initial_share"] == 1.0
+    tn.save(result.model, tmp_path / "m.safetensors")
+    again: Any = tn.load_model(tmp_path / "m.safetensors", KNOWN_GAIN)
+    x, u = jnp.array([0.3, -1.0, 0.7]), jnp.array([2.0])
+    np.testing.assert_allclose(again.step(x, u), result.model.step(x, u), rtol=1e-12)
+    np.testing.assert_allclose(again.initial_state(x[:2], u), [0.3, -1.0, 2.0])
+
+
+def test_the_lag_of_an_input_that_never_changes_is_refused():
+    with pytest.raises(tn.InputError, match="'lag:voltage': 'voltage' never changes"):
+        with_added(SWING, ["lag"], falls(), {})
+
+
 def test_a_friction_that_is_not_there_is_told():
     findings = tn.identify(data_set(records()), KNOWN_GAIN, recipe("coulomb")).findings
     assert any("'angle.coulomb' is 0, its lower bound" in f for f in findings)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from swinging import DT, TURNED, data_set, read_by_encoder, simulated, swing_model, voltage
+from swinging import DT, LAGGING, TURNED, data_set, read_by_encoder, simulated, swing_model, voltage
 
 import tustinnet as tn
 from tustinnet.fitting.recipe import SearchRecipe
@@ -13,6 +13,8 @@ from tustinnet.fitting.shooting.normal import NormalProducts, compute_products
 from tustinnet.fitting.shooting.problem import Problem, SearchState, make_cost_function
 from tustinnet.fitting.shooting.segments import CutOptions, cut_records
 from tustinnet.fitting.shooting.space import make_search_space
+from tustinnet.models.parameters import Parameter
+from tustinnet.models.sensors import with_sensor_errors
 
 SPACE = make_search_space(TURNED, {}, {})
 VECTOR = SPACE.to_vector(TURNED.nominal() | {"damping": 0.03, "gravity": 1.3, "turned": 0.6})
@@ -91,3 +93,72 @@ def test_a_state_that_is_given_is_not_added_to():
     cost = make_cost_function(problem, state, fixed, 2)
     same = products(VECTOR, added.x0, added).cost
     np.testing.assert_allclose(cost.products(VECTOR, whole).cost, same, rtol=1e-9)
+
+
+# --- internal states that follow inputs ---
+
+LATE = with_sensor_errors(
+    replace(LAGGING, inputs=(replace(LAGGING.inputs[0], hold="first-order"),)),
+    (Parameter("voltage.delay", "s", 0.01, 0.0, 0.04),),
+)
+LAGS = {"lag": 0.12, "share": 0.4}
+
+
+def driven(system=LAGGING) -> list[tn.Experiment]:
+    """Records under noise that begin with a part of the motor's lag over."""
+    return [
+        simulated(f"lagging{i}", [*x0, 0.4 * u[0]], u, LAGS, system)
+        for i, (x0, u) in enumerate([([0.5, 0.0], voltage(200, 3)), ([-0.2, 1.0], voltage(160, 4))])
+    ]
+
+
+@pytest.mark.parametrize("length", [None, 50])
+def test_derivatives_by_parameters_and_delays_hold_where_states_follow_inputs(length):
+    space = make_search_space(LATE, {}, {})
+    vector = space.to_vector(LATE.nominal() | {"damping": 0.03, "gravity": 1.3, "share": 0.6})
+    model = tn.discretise(swing_model(system=LATE), DT)
+    options = CutOptions(POSITION, length, has_delays=True)
+    pieces, h = cut_records(driven(), model, options), 1e-6
+
+    def products_at(vector: np.ndarray, x0: np.ndarray) -> NormalProducts:
+        return compute_products(LATE, POSITION, space, vector, x0, pieces, 2)
+
+    result = products_at(vector, pieces.x0)
+    by_parameter = [
+        (products_at(vector + d, pieces.x0).cost - products_at(vector - d, pieces.x0).cost).sum()
+        / (2 * h)
+        for d in h * np.eye(len(vector))
+    ]
+    np.testing.assert_allclose(2 * result.gp.sum(axis=0), by_parameter, rtol=1e-4, atol=1e-6)
+    share = by_parameter[space.names.index("share")]
+    assert abs(share) > 1e-3
+    # inside a record the search begins where the inputs say
+    assert pieces.adds_expected.all()
+    assert not pieces.x0[:, 2].any()
+
+
+def test_a_lag_is_identified_with_the_state_that_records_begin_with():
+    result = tn.identify(data_set(driven()), LAGGING, tn.read_recipe("grey", []))
+    values = {e.name: e.value for e in result.estimates}
+    assert values["lag"] == pytest.approx(LAGS["lag"], rel=0.01)
+    assert values["share"] == pytest.approx(LAGS["share"], abs=0.02)
+    for e in driven():
+        assert result.initial_states[e.name][2] == pytest.approx(0.4 * e.u[0, 0], abs=0.1)
+
+
+@pytest.mark.parametrize("start", ["derived-6", "model-20"])
+def test_a_refit_begins_with_the_states_that_inputs_say(start):
+    changes = [f"search.refine={start}", "search.initial=anchored"]
+    result = tn.identify(data_set(driven()), LAGGING, tn.read_recipe("grey", changes))
+    found = result.model.continuous.values
+    assert float(found["lag"]) == pytest.approx(LAGS["lag"], rel=0.05)
+
+
+def test_a_reversed_input_is_found_behind_a_lag():
+    steps = np.repeat(voltage(10, 5), 20)
+    made = [
+        simulated(f"steps{i}", [q, 0.0, 0.0], steps, LAGS, LAGGING) for i, q in enumerate((0.5, 0))
+    ]
+    reversed_records = [replace(e, u=-e.u) for e in made]
+    result = tn.identify(data_set(reversed_records), LAGGING, tn.read_recipe("grey", []))
+    assert any("'voltage'" in f and "reversed" in f for f in result.findings)

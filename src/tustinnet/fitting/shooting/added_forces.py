@@ -33,13 +33,15 @@ def with_added(
 
     Args:
         system: the system.
-        names: `LAW` or `LAW:COORDINATE`, see `models.added.parse_forces`. A law that depends on a
-            deflection and names no coordinate is added at those that do not turn around.
+        names: `LAW`, `LAW:COORDINATE` or `LAW:INPUT`, see `models.added.parse_forces`. A law that
+            depends on a deflection and names no coordinate is added at those that do not turn
+            around.
         experiments: the training records.
         known: values of parameters that are better known than the nominal ones.
 
     Raises:
-        InputError: a force that `models.added` refuses, or a coordinate that never moves.
+        InputError: a force that `models.added` refuses, a coordinate that never moves, or an input
+            that never changes.
     """
     added = parse_forces(system, _with_coordinates(system, names, experiments))
     if not added:
@@ -49,10 +51,20 @@ def with_added(
     motions = _motions(system, experiments, values)
     parameters: dict[str, Parameter] = {}
     for force in added:
+        if force.law.is_at_input:
+            channel = system.inputs[force.index]
+            if all(np.ptp(e.u[:, force.index]) == 0 for e in experiments):
+                raise InputError(
+                    WHERE, f"'{force}': '{channel.name}' never changes in a training record",
+                    "an input that changes", "name those that do, as LAW:INPUT",
+                )  # fmt: skip
+            made = [need.for_input(channel, motions[0]) for need in force.law.parameters]
+            parameters |= {p.name: p for p in made}
+            continue
         motion = motions[force.index]
         if not (motion.travel > 0 and motion.speed > 0 and motion.force > 0):
             raise InputError(
-                WHERE, f"'{force}': '{force.coordinate}' never moves in the training records",
+                WHERE, f"'{force}': '{force.channel}' never moves in the training records",
                 "a coordinate that moves", "name those that do, as LAW:COORDINATE",
             )  # fmt: skip
         coordinate = system.coordinates[force.index]
@@ -99,7 +111,8 @@ def _motions(
 
     def forces(sample: Array) -> Array:
         q, v, a, u = jnp.split(sample, ends)
-        at_rest, z = jnp.zeros_like(v), jnp.zeros(len(model.internal))
+        at_rest = jnp.zeros_like(v)
+        z = model.balanced_internal(q, at_rest, u)
         applied = model.applied(q, at_rest, z, u)
         return jnp.concatenate([model.mass_matrix(q) @ a, model.conservative(q, v), applied])
 

@@ -21,7 +21,7 @@ from tustinnet.engine.runs import evaluate
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.sensors import delay_name
-from tustinnet.simulate.simulation import system_motion
+from tustinnet.simulate.simulation import delay_changes, system_motion
 
 GroupIndices = Int[np.ndarray, "n n_g"]  # see `groups.group_indices`
 
@@ -76,23 +76,56 @@ class SystemEquations:
 
     @cached_property
     def expected_internal_states(self) -> Formula:
-        """Internal states that are expected at a beginning, by [q, v] and the parameters."""
-        system, measured = self.system, self.system.channels.measured
+        """Internal states that are expected at a beginning, by [q, v], parameters and inputs.
+
+        Inputs stand last, and only where the internal states depend on them; they are followed by
+        their derivatives by their delays where these are free. Differentiated by all but the
+        inputs and the parameters that are not free.
+        """
+        system, measured, n_u = self.system, self.system.channels.measured, len(self.system.inputs)
+        last = measured.stop + self.n_columns
 
         def expected(point: Array) -> Array:
-            model = system.model(self._values_in_row(point[measured.stop :]))
-            return model.initial_internal(point[measured])
+            row = point[measured.stop : last]
+            values = self._values_in_row(row)
+            if not self.expects_by_inputs:
+                return system.model(values).initial_internal(point[measured])
+            u = point[last : last + n_u]
+            if self.has_delays:
+                u = u + point[last + n_u :] * delay_changes(system, values, row[-n_u:])
+            return system.model(values).initial_internal(point[measured], u)
 
         differentiated = range(measured.stop + self.n_p)
-        return Formula(
-            expected, measured.stop + self.n_columns, differentiated, f"system '{system.name}'"
-        )
+        size = last + (n_u * (1 + self.has_delays) if self.expects_by_inputs else 0)
+        return Formula(expected, size, differentiated, f"system '{system.name}'")
+
+    @property
+    def expects_by_inputs(self) -> bool:
+        """Whether the internal states that are expected at a beginning depend on inputs."""
+        return self.system.memory is not None and self.system.memory.initial_needs_inputs
+
+    @cached_property
+    def balanced_internal_states(self) -> Formula:
+        """Internal states that follow inputs, by the state, the inputs and the parameters.
+
+        See `LagrangianModel.balanced_internal`.
+        """
+        channels, n_x, n_u = self.system.channels, self.motion.n_x, len(self.system.inputs)
+
+        def balanced(point: Array) -> Array:
+            model = self.system.model(self._values_in_row(point[n_x + n_u :]))
+            q, v = point[channels.position], point[channels.velocity]
+            return model.balanced_internal(q, v, point[n_x : n_x + n_u])
+
+        where = f"system '{self.system.name}'"
+        return Formula(balanced, n_x + n_u + self.n_columns, range(0), where)
 
     @cached_property
     def momentum_and_force(self) -> Formula:
         """Momentum and generalised force, (2 n_q,), by [q, v], the inputs and the parameters.
 
-        Differentiated by the free parameters. Forces with memory are left out.
+        Differentiated by the free parameters. Forces with memory are left out, except those whose
+        internal states follow inputs: an actuator without its lag.
         """
         system, channels = self.system, self.system.channels
         first = channels.measured.stop + channels.n_u
@@ -105,8 +138,9 @@ class SystemEquations:
             force = jax.grad(system.kinetic)(q, v, values)
             if system.potential:
                 force = force - jax.grad(system.potential)(q, values)
-            zero = jnp.zeros(len(system.internal), q.dtype)
-            return jnp.concatenate([momentum, force + system.model(values).applied(q, v, zero, u)])
+            model = system.model(values)
+            z = model.balanced_internal(q, v, u)
+            return jnp.concatenate([momentum, force + model.applied(q, v, z, u)])
 
         return Formula(
             momentum_and_force,
@@ -192,6 +226,7 @@ class SystemEquations:
         x0: Float[np.ndarray, "n n_x"],
         parameter_rows: Float[np.ndarray, "n n_columns"],
         adds_expected: Float[np.ndarray, " n"],
+        polynomials: Float[np.ndarray, "n order n_u"],
     ) -> InitialStates:
         """States in which segments begin, with their derivatives by parameters and by `x0`.
 
@@ -199,6 +234,7 @@ class SystemEquations:
             x0: states as `Segments` has them.
             parameter_rows: the parameters of the segments, see `parameter_rows`.
             adds_expected: whether the internal states that the system expects are added, 1 or 0.
+            polynomials: inputs over the first period of each, as the equations take them.
         """
         n, n_x = x0.shape
         n_m, n_p, states = self.system.channels.measured.stop, self.n_p, x0.copy()
@@ -207,6 +243,8 @@ class SystemEquations:
             return InitialStates(states, by_parameter, by_state)
         formula = self.expected_internal_states
         points = np.concatenate([x0[:, :n_m], parameter_rows], axis=1)
+        if self.expects_by_inputs:
+            points = np.concatenate([points, polynomials[:, 0]], axis=1)
         states[:, n_m:] += adds_expected[:, None] * evaluate(formula, points)
         derivatives = evaluate(formula, points, derivatives=True).reshape(n, n_x - n_m, n_m + n_p)
         derivatives = adds_expected[:, None, None] * np.swapaxes(derivatives, 1, 2)

@@ -70,10 +70,13 @@ def find_horizons(
         for k in range(0, len(a), _AT_ONCE):
             part = slice(k, min(k + _AT_ONCE, len(a)))
             points = np.zeros((part.stop - k, n_x + e.u.shape[1] + parameters.shape[1]))
-            points[:, :n_m] = states[part]  # internal states stay at zero
+            points[:, :n_m] = states[part]
             points[:, n_x:] = np.concatenate(
                 [e.u[part], np.broadcast_to(parameters, (len(points), parameters.shape[1]))], axis=1
             )
+            # internal states stay at zero, except where they follow inputs
+            if system.memory is not None and system.memory.has_inputs:
+                points[:, n_m:n_x] = evaluate(equations.balanced_internal_states, points)
             jacobian = evaluate(equations.state_derivative, points, derivatives=True)
             measured = jacobian.reshape(-1, n_x, n_x)[:, channels.measured, channels.measured]
             a[part] = measured / unit[:, None] * unit

@@ -76,13 +76,16 @@ def compute_products(
     has_delays = segments.inputs_by_delay is not None
     equations = system_equations(system, space.names, has_delays=has_delays)
     parameter_rows = equations.parameter_rows(space.to_values(vector), segments.group_indices)
-    initial = equations.initial_states(x0, parameter_rows, segments.adds_expected)
     # polynomials over every period, held inputs with one coefficient; derivatives by delays follow
-    polynomials = [segments.inputs, *([segments.inputs_by_delay] if has_delays else [])]
+    inputs = [segments.inputs, *([segments.inputs_by_delay] if has_delays else [])]
+    polynomials = np.concatenate([x[:, None] if x.ndim == 2 else x for x in inputs], axis=-1)
+    initial = equations.initial_states(
+        x0, parameter_rows, segments.adds_expected, polynomials[segments.first_row]
+    )
     runs = Runs(
         start=initial.states, parameters=parameter_rows, steps=segments.steps,
         first=segments.first_row, periods=segments.periods,
-        drive=np.concatenate([x[:, None] if x.ndim == 2 else x for x in polynomials], axis=-1),
+        drive=polynomials,
     )  # fmt: skip
     by_state = segments.is_free[:, :, None] * initial.by_state
     directions = np.concatenate([initial.by_parameter, by_state], axis=1)

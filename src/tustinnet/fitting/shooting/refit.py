@@ -227,10 +227,13 @@ def _make_simulation(
         record += [i] * len(record_parts)
     start_data = start.start_data(model, parts)
     first_samples = start_data if isinstance(start_data, FirstSamples) else None
-    measured = start_data if first_samples is None else first_samples.parabola
+    measured = np.asarray(start_data if first_samples is None else first_samples.parabola)
+    measured = measured[:, model.channels.measured]
     group_indices = problem.group_indices(problem.records)[record]
     inputs = join_steps(np.asarray(input_signal(model, part).u) for part in parts)
+    polynomials = inputs[:, None] if inputs.ndim == 2 else inputs
     lengths = np.array([len(part) for part in parts])
+    first = np.cumsum(lengths) - lengths
     # every record counts the same, however long
     weight = np.repeat(1 / np.sqrt(np.bincount(record, lengths)[record]), lengths)
     q = np.concatenate([part.q for part in parts])
@@ -243,10 +246,10 @@ def _make_simulation(
         by_name = dict(zip(space.names, values.tolist(), strict=True))
         parameter_rows = equations.parameter_rows(dict(space.fixed_values) | by_name, group_indices)
         # measured states, with the internal ones that are expected there
-        x0 = np.concatenate(
-            [np.asarray(measured), np.zeros((len(record), len(model.internal)))], axis=1
+        x0 = np.concatenate([measured, np.zeros((len(record), len(model.internal)))], axis=1)
+        x0, by_parameter, _ = equations.initial_states(
+            x0, parameter_rows, np.ones(len(x0)), polynomials[first]
         )
-        x0, by_parameter, _ = equations.initial_states(x0, parameter_rows, np.ones(len(x0)))
         if first_samples is not None:
             x0, by_parameter = fit_states_with_derivatives(
                 model, equations.motion, parameter_rows, x0, by_parameter,
@@ -254,8 +257,8 @@ def _make_simulation(
             )  # fmt: skip
         runs = Runs(
             start=x0, parameters=parameter_rows, steps=lengths - 1,
-            first=np.cumsum(lengths) - lengths,
-            drive=inputs[:, None] if inputs.ndim == 2 else inputs,
+            first=first,
+            drive=polynomials,
             periods=np.full(len(inputs), model.dt),
         )  # fmt: skip
         result = compare(

@@ -198,7 +198,10 @@ def cut_records(
     return Segments(
         x0=x0,
         is_free=is_free,
-        adds_expected=np.array([float(begin == 0) for begin in begins]),
+        # inside a record the inputs say where states that follow them are, roughly
+        adds_expected=np.array(
+            [float(begin == 0 or model.initial_needs_inputs) for begin in begins]
+        ),
         precision=precision,
         steps=np.array(ends) - np.array(begins),
         first_row=first_rows[record] + np.array(begins),
