@@ -142,6 +142,7 @@ def test_four_angles_are_a_chain_of_links_in_a_plane():
     arrays = {name: jnp.asarray(x) for name, x in values.items()}
     energy = np.sum(masses * (right**2 + up**2)) / 2 / inertias[0]
     np.testing.assert_allclose(system.kinetic(q, v, arrays), energy, rtol=1e-6)
+    assert system.potential is not None
     height = -9.81 * np.sum(masses * np.cumsum(lengths * np.cos(angle))) / inertias[0]
     np.testing.assert_allclose(system.potential(q, arrays), height, rtol=1e-6)
     moving = tn.from_arrays(
@@ -163,6 +164,8 @@ def test_two_wheels_on_a_shaft_may_be_elastic_and_a_ball_rolls_down_a_beam():
     values = {name: jnp.asarray(0.0) for name in system.nominal()}
     values |= {"first.inertia": jnp.asarray(2.0), "first.shaft_second": jnp.asarray(3.0)}
     values |= {"first.shaft_viscous_second": jnp.asarray(0.5)}
+    assert system.potential is not None
+    assert system.dissipation is not None
     twist, slip = Q[0] - Q[1], V[0] - V[1]
     np.testing.assert_allclose(system.potential(Q, values), 2.0 * 3.0 * twist**2 / 2, rtol=1e-6)
     friction = system.dissipation(Q, V, values)
@@ -174,6 +177,7 @@ def test_two_wheels_on_a_shaft_may_be_elastic_and_a_ball_rolls_down_a_beam():
         "x.inertia": jnp.asarray(1.0), "angle.inertia": jnp.asarray(0.5),
         "x.gravity_sin_angle": jnp.asarray(9.81), "angle.inertia_at_x": jnp.asarray(1.0),
     }  # fmt: skip
+    assert slide.potential is not None
     np.testing.assert_allclose(slide.potential(Q, values), 9.81 * Q[0] * jnp.sin(Q[1]), rtol=1e-6)
     energy = (V[0] ** 2 + (0.5 + Q[0] ** 2) * V[1] ** 2) / 2
     np.testing.assert_allclose(slide.kinetic(Q, V, values), energy, rtol=1e-6)

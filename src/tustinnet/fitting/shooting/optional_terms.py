@@ -77,7 +77,7 @@ def drop_unneeded_terms(problem: Problem, state: SearchState) -> tuple[Problem, 
         )  # fmt: skip
     for longer_stage in longer_stages:
         longer = run_stage(problem, state, longer_stage)
-        if longer.has_diverged and not longer.is_stopped:
+        if not longer.is_stopped and longer.has_diverged:
             # terms that short segments do not determine can drive longer ones apart
             problem, state = _drop_all_unneeded(problem, state, stage)
             state = choose_substeps(problem, state)
@@ -134,9 +134,9 @@ def _fit_from_best_start(problem: Problem, state: SearchState, stage: SearchStag
     ).vector
     estimate = update_horizons(problem, replace(state, vector=vector))
     other = run_stage(problem, choose_substeps(problem, estimate), stage)
-    if other.is_stopped or other.last_result.cost < _CLEARLY * first.last_result.cost:
-        return other
-    return first
+    if other.is_stopped:
+        return replace(first, is_stopped=True)
+    return other if other.last_result.cost < _CLEARLY * first.last_result.cost else first
 
 
 def _drop_all_unneeded(
