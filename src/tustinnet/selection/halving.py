@@ -81,7 +81,8 @@ class Halving:
                     waits_for = tuple(name for name in c.corrects if name not in late)
                     if missing := tuple(seed for seed in seeds if seed not in done):
                         jobs.append(Job(c.name, c.content, fold, missing, waits_for=waits_for))
-            # in the time that is left, candidates that take less than their share come first, on all folds
+            # in the time that is left, candidates that take less than their share come first,
+            # on all folds
             share = self._deadline.remaining / max(len(jobs), 1)
             jobs.sort(key=lambda job: self._expected.get(job.candidate, 0.0) > share)
             self._run_jobs(jobs, executor)
