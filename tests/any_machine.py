@@ -191,7 +191,8 @@ def cover_pairs(levels: dict[str, Sequence[object]], rng: np.random.Generator, m
     machines = []
     while missing and len(machines) < most:
         rows = [
-            {key: levels[key][rng.integers(len(levels[key]))] for key in keys} for _ in range(300)
+            {key: levels[key][int(rng.integers(len(levels[key])))] for key in keys}
+            for _ in range(300)
         ]
         row = max(rows, key=lambda row: len(pairs(row) & missing))
         missing -= pairs(row)

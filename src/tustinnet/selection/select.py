@@ -27,6 +27,7 @@ from tustinnet.selection.ranking import CandidateResult, find_simplest, rank
 from tustinnet.selection.runner import InProcess, MakeExecutor
 from tustinnet.selection.scoring import ScoringOptions
 from tustinnet.selection.timing import determine_timing
+from tustinnet.simulate.horizon import effective_horizon
 from tustinnet.simulate.starts import start_named
 from tustinnet.store.files import lock_folder, remove_below, require_outputs, to_json, write_into
 from tustinnet.store.kept_system import CANDIDATES, require_copy_fits, write_system_copy
@@ -128,7 +129,14 @@ def select_model(
     candidates, omitted = _applicable_candidates(plan, options, records)
     if earlier == "refuse":
         _require_no_earlier(folder)
-    before = [*([cut] if cut else []), *omitted]
+    horizon = effective_horizon(plan.horizon, list(records))
+    long = (
+        f"no record is longer than the plan's horizon of {plan.horizon:g} s: judged over whole "
+        "records"
+        if plan.horizon is not None and horizon is None
+        else ""
+    )
+    before = [note for note in (cut, long, *omitted) if note]
     for note in before:
         reporter.on_message(note)
     timing = determine_timing(data, options.system, timing_end, reporter.on_message)
@@ -136,7 +144,7 @@ def select_model(
     notes = (*timing.sentences, *before)
     context = RunContext(
         records,
-        ScoringOptions(min(plan.folds, len(records)), plan.start, plan.horizon),
+        ScoringOptions(min(plan.folds, len(records)), plan.start, horizon),
         folder,
         system=options.system,
         resume=earlier == "resume",

@@ -123,7 +123,8 @@ def determine_timing(
             for k in open_delays:
                 name, dt = inputs[k].name, records[0].dt
                 delay = estimates[delay_name(inputs[k])]
-                least = max(_SURE * delay.error, _SHORTEST * dt)
+                # a delay that nothing says anything about has no error
+                least = max(_SURE * (delay.error or np.inf), _SHORTEST * dt)
                 if ratio < _BETTER and not delay.bound and abs(delay.value) > least:
                     timing[k] = replace(timing[k], delay=delay.value)
                     sentences.append(
