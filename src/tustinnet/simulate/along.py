@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -68,4 +69,5 @@ def predictions_along(
     def predict(rows: Array, signal: InputSignal, u: Array | None) -> Array:
         return rollout(model, model.initial_state(rows[0], u), signal, rows)
 
-    return jax.vmap(predict)(measured, signal, initial_inputs(model, signal))
+    inputs = initial_inputs(model, signal)
+    return jax.vmap(predict)(measured, signal, None if inputs is None else jnp.asarray(inputs))
