@@ -51,10 +51,10 @@ def test_models_are_put_together_and_used_as_one(models, folder, tmp_path, capsy
 
 
 def test_what_cannot_be_put_together_is_one_line(models, tmp_path, capsys):
-    def refused(*arguments: object, told: str) -> None:
+    def refused(*arguments: object, names: str) -> None:
         code, out, err = tustinnet(capsys, "committee", *arguments)
         assert (code, out, err.count("\n")) == (1, "", 1)
-        assert told in err
+        assert names in err
 
     file = tmp_path / "both.safetensors"
     refused(*models, "--out", file, "--weights", "3", names="2 models, weights [3.0]")

@@ -115,6 +115,13 @@ def test_the_draft_says_why_and_what_to_check(tmp_path: Path) -> None:
         assert line in draft.splitlines()
 
 
+def test_a_speed_without_any_position_has_a_guide(tmp_path: Path) -> None:
+    pl.DataFrame({"time": T, "spin_rad_s": NOISE, "voltage": NOISE}).write_csv(tmp_path / "log.csv")
+    draft = inspect_file(tmp_path / "log.csv").draft
+    guide = "a speed can be the coordinate itself: docs/how-to/speed-only.md"
+    assert f"the slope of no position; {guide}\n" in draft
+
+
 def test_the_draft_is_a_card_that_reads_the_file(tmp_path: Path) -> None:
     found = inspect_file(log(tmp_path / "run 1.csv"))
     (tmp_path / "dataset.toml").write_text(found.draft)

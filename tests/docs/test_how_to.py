@@ -157,6 +157,32 @@ def test_a_reader_is_added_to_the_package(place):
     assert told[1] == "5"
 
 
+def test_a_wheel_is_identified_from_its_speed(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    intro = re.findall(
+        r"^```python\n(.*?)^```", (DOCS / "how-to/speed-only.md").read_text(), re.M | re.S
+    )
+    typed(intro[0], capsys)
+    (tmp_path / "WHEEL/dataset.toml").write_text(written("speed-only", "The card", "toml"))
+    (tmp_path / "wheel.py").write_text(written("speed-only", "The system file", "python"))
+    data, system = tn.load("WHEEL"), tn.load_system("wheel.py")
+    command = written("speed-only", "The system file", "sh")
+    lag, begin = re.findall(r"--set '(.*?)'", command)
+    held_out = [e for e in data if e.split == "validation"]
+    noise, errors = 2.0 * 2 * np.pi / 60, []
+    for changes in ([lag, begin], []):
+        result = tn.identify(data, system, tn.read_recipe("grey", changes))
+        runs = tn.free_run(result.model, held_out, "derived-6")
+        wrong = [x[:, 0] - e.q[:, 0] for x, e in zip(runs, held_out, strict=True)]
+        errors.append(float(np.mean([np.sqrt(np.mean(x**2)) for x in wrong])))
+        values = {e.name: e.value for e in result.estimates}
+        if changes:
+            truth = {"damping": 0.03, "dry": 0.12, "gain": 0.15, "motor.lag": 0.08}
+            assert values == pytest.approx(truth, rel=0.06)
+    assert errors[0] < 1.05 * noise
+    assert errors[1] > 4 * errors[0]
+
+
 def test_gaps_are_cut(place, capsys):
     spoiling, cutting = re.findall(
         r"^```python\n(.*?)^```", (DOCS / "how-to/jitter-and-gaps.md").read_text(), re.M | re.S

@@ -310,6 +310,8 @@ def _draft(report: FileReport) -> str:
         why = column.remark or column.role
         if column.role == "velocity" and not why.startswith("slope of"):
             why += ", and the slope of no position"
+            if not by_role.get("position"):
+                why += "; a speed can be the coordinate itself: docs/how-to/speed-only.md"
         lines.append(f"# {_quote(column.name)} is not used: {why}")
     lines += [
         "", "# all logs beside this card are records; to choose some and what they are for:",

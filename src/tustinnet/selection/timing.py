@@ -121,7 +121,7 @@ def determine_timing(
             ratio = float(np.median([delayed.rmse[name] / before[name] for name in before]))
             estimates = {e.name: e for e in delayed.estimates}
             for k in open_delays:
-                name, dt = inputs[k].name, records[0].dt
+                name, dt = inputs[k].name, float(records[0].dt)
                 delay = estimates[delay_name(inputs[k])]
                 # a delay that nothing says anything about has no error
                 least = max(_SURE * (delay.error or np.inf), _SHORTEST * dt)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -65,7 +66,8 @@ def predictions_along(
         signal: what acts between the samples.
     """
 
-    def predict(rows: Array, signal: InputSignal, u: Array | None) -> Array:
+    def predict(rows: Array, signal: InputSignal, u: Array | np.ndarray | None) -> Array:
         return rollout(model, model.initial_state(rows[0], u), signal, rows)
 
-    return jax.vmap(predict)(measured, signal, initial_inputs(model, signal))
+    inputs = initial_inputs(model, signal)
+    return jax.vmap(predict)(measured, signal, None if inputs is None else jnp.asarray(inputs))

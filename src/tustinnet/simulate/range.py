@@ -167,7 +167,7 @@ class Range:
                 )
             recorded = plain.get("recorded_states")
             if recorded is not None:
-                recorded = np.array(recorded, float).reshape(len(recorded), 2 * channels.n_q)
+                recorded = np.array(recorded, float).reshape(len(recorded), channels.measured.stop)
                 if not len(recorded) or not np.isfinite(recorded).all():
                     raise ValueError("recorded states that are not finite, or none")
             result = cls(states.reshape(n_x, 2), inputs.reshape(n_u, 2), support, recorded)

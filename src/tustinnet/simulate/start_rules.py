@@ -286,7 +286,8 @@ class WarmUpStart(Start):
 
         measured, signal = start_data
         inputs = initial_inputs(model, signal)
-        start = initial_states(model, measured[:, 0], inputs)
+        first = None if inputs is None else np.asarray(inputs)
+        start = initial_states(model, measured[:, 0], first)
         run = simulate_runs(model, start, signal, measured)
         return np.concatenate([measured[:, -1], run[:, -1, model.channels.internal]], axis=1)
 

@@ -1,6 +1,7 @@
 """Internal states that a system expects where a record begins, while it is identified."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -150,8 +151,8 @@ def test_a_lag_is_identified_with_the_state_that_records_begin_with():
 def test_a_refit_begins_with_the_states_that_inputs_say(start):
     changes = [f"search.refine={start}", "search.initial=anchored"]
     result = tn.identify(data_set(driven()), LAGGING, tn.read_recipe("grey", changes))
-    found = result.model.continuous.values
-    assert float(found["lag"]) == pytest.approx(LAGS["lag"], rel=0.05)
+    continuous: Any = result.model.continuous
+    assert float(continuous.values["lag"]) == pytest.approx(LAGS["lag"], rel=0.05)
 
 
 def test_a_reversed_input_is_found_behind_a_lag():
