@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from simulated.signals import Signal
+from tustinnet.channels import Hold, Kind
 
 # rate(t, x, u, warmth): dx/dt of the states (n_x, R), from inputs (n_u, R) and warmth (R,)
 Rate = Callable[[float, Any, Any, Any], np.ndarray]
@@ -37,7 +38,7 @@ class Sensor:
     """
 
     name: str
-    kind: str
+    kind: Kind
     column: str
     unit: str
     step: float = 1.0
@@ -82,7 +83,7 @@ class Actuator:
     name: str
     unit: str
     noise: float = 0.0
-    hold: str = "zero-order"
+    hold: Hold = "zero-order"
 
     def card(self) -> str:
         """The lines of its input in a data card."""

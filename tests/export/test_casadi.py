@@ -101,9 +101,9 @@ def same(program, **inputs):
 @pytest.mark.parametrize("op", OPERATIONS)
 def test_every_operation_is_casadis(op, single):
     tape = Tape({"x": 10, "y": 10})
-    sides = [tape.vector(tape.input(name)) for name in ("x", "y")]
+    sides = [tape.input(name) for name in ("x", "y")]
     if single:
-        sides = [tape.input("x")[1], tape.input("y")[1]]
+        sides = [tape.split(side)[1] for side in sides]
     holds = tape.apply("lt", *sides), tape.apply("lt", sides[0], tape.number(0.4))
     count = {"select": 3}.get(op) or getattr(OPERATIONS[op].apply, "nin", 3)
     args = {"select": (holds[1], *sides), "and": holds, "or": holds, "not": holds[:1]}
@@ -157,7 +157,10 @@ def test_loops_are_written_out_or_called_again_and_again(function, most, monkeyp
 def test_constants_may_be_anything():
     tape = Tape({"x": 2})
     whole = [tape.number(v) for v in (np.inf, -np.inf, np.nan, True, -0.0)]
-    same(tape.program({"a": whole, "b": [*whole[:2], *tape.input("x")], "c": []}), x=np.ones(2))
+    same(
+        tape.program({"a": whole, "b": [*whole[:2], *tape.split(tape.input("x"))], "c": []}),
+        x=np.ones(2),
+    )
 
 
 def test_the_pages_program_steps(tmp_path, monkeypatch):

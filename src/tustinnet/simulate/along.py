@@ -66,7 +66,7 @@ def predictions_along(
         signal: what acts between the samples.
     """
 
-    def predict(rows: Array, signal: InputSignal, u: Array | np.ndarray | None) -> Array:
+    def predict(rows: Array, signal: InputSignal, u: Array | None) -> Array:
         return rollout(model, model.initial_state(rows[0], u), signal, rows)
 
     inputs = initial_inputs(model, signal)
