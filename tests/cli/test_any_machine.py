@@ -165,14 +165,14 @@ def test_a_plan_in_which_nobody_can_take_part_is_refused(tmp_path, out, capsys):
 
 
 def test_where_every_candidate_fails_each_is_told_and_nothing_is_saved(tmp_path, out, capsys):
-    write_logs(Machine(coordinates=4), tmp_path / "logs")
+    write_logs(Machine(coordinates=7), tmp_path / "logs")
     two = ONE.replace('"NAME" }', '"mechanism.toml" }, { name = "other", recipe = "mechanism" }')
     plan = write_plan(tmp_path, two)
     code, printed, err = tustinnet(capsys, "fit", tmp_path / "logs", "--plan", plan, "--out", out)
     assert (code, printed) == (1, "")
     require_words(err)
     lines = err.splitlines()
-    assert sum("fold 0: system 'mechanism': 4 coordinates" in line for line in lines) == 2
+    assert sum("fold 0: system 'mechanism': 7 coordinates" in line for line in lines) == 2
     assert lines[-1].startswith("error: selection: no candidate could be fitted (only, other: ")
     assert "--budget" not in err  # more time would not help
     assert not list(out.rglob(MODEL))

@@ -142,14 +142,14 @@ def refused(place, capsys, monkeypatch):
     def fits(*arguments, **named):
         pytest.fail("fitted before it refused")
 
-    def check(*verb: object, told: str) -> None:
+    def check(*verb: object, names: str) -> None:
         monkeypatch.setattr(store, "fit_in_folder", fits)
         monkeypatch.setattr(jobs, "fit_in_folder", fits)
         before = everything(place.root)
         code, out, err = tustinnet(capsys, *verb)
         assert (code, out) == (1, ""), err
         (line,) = [line for line in err.splitlines() if line.startswith("error: ")]
-        assert told in line
+        assert names in line
         assert everything(place.root) == before
 
     return check
