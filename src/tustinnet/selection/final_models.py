@@ -111,7 +111,7 @@ def make_final_models(
             continue
         ways = _possible_models(candidates, result, context, make_job_listener, deadline)
         promised = mean_and_error(result.rmse().values())[0]
-        models[result.name] = _first_as_promised(ways, promised, context)
+        models[result.name] = _first_as_promised(ways, promised, context, deadline)
     return models
 
 
@@ -159,12 +159,13 @@ def _possible_models(
 
 
 def _first_as_promised(
-    ways: Iterator[FinalModel], promised: float, context: RunContext
+    ways: Iterator[FinalModel], promised: float, context: RunContext, deadline: Deadline
 ) -> FinalModel:
     """The first model whose free runs of all records are about as good as folds promise.
 
-    Where none is, the one with the lowest error. Records that a model was fitted to are among them:
-    its error is lower than the promised one unless something is wrong with it.
+    Where none is, or time is up, the one with the lowest error of those that were tried. Records
+    that a model was fitted to are among them: its error is lower than the promised one unless
+    something is wrong with it.
     """
     records = tuple(records_without_test(context.data))
     split, tried = FoldSplit(records, Roles((), ())), list[tuple[float, FinalModel]]()
@@ -174,8 +175,11 @@ def _first_as_promised(
         if error <= _AS_PROMISED * promised:
             break
         tried.append((error if math.isfinite(error) else math.inf, final))
+        if deadline.has_passed() and math.isfinite(tried[-1][0]):
+            final = min(tried, key=lambda pair: pair[0])[1]
+            break
     else:
-        error, final = min(tried, key=lambda pair: pair[0])
+        final = min(tried, key=lambda pair: pair[0])[1]
     if not tried or final is tried[0][1]:
         return final
     origin = (

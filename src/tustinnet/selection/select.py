@@ -39,7 +39,7 @@ from tustinnet.store.specification import (
     require_same_specification,
     write_specification,
 )
-from tustinnet.systems.files import AnySystem
+from tustinnet.systems.files import AnySystem, SystemFile, load_system_or_template
 
 _TENTH = 0.1  # of a record, a horizon where no fit chose one
 _STARTS = 3  # a horizon is at least as many times as long as what a start is fitted to
@@ -140,6 +140,7 @@ def select_model(
     for note in before:
         reporter.on_message(note)
     timing = determine_timing(data, options.system, timing_end, reporter.on_message)
+    specification = _make_specification(plan, records, options)
     records, _ = prepare_for_folds(timing.data)
     notes = (*timing.sentences, *before)
     context = RunContext(
@@ -153,7 +154,7 @@ def select_model(
     for note in timing.sentences:
         reporter.on_message(note)
     with lock_folder(folder):
-        _prepare_folder(context, earlier, _make_specification(plan, context))
+        _prepare_folder(context, earlier, specification)
         make = executor or (lambda context: InProcess(context, reporter.make_job_listener))
         say_once = _make_say_once(reporter)
         halving = Halving(plan, candidates, context, say_once, rounds_end, ending)
@@ -270,17 +271,23 @@ def _identifies(candidate: Candidate) -> bool:
     return "system" in candidate.content.family.needs
 
 
-def _make_specification(plan: SelectionPlan, context: RunContext) -> Specification:
-    """The plan, records and system of a selection; how long it may take is not part of it."""
+def _make_specification(
+    plan: SelectionPlan, records: DataSet, options: SelectionOptions
+) -> Specification:
+    """The plan, records and system of a selection; how long it may take is not part of it.
+
+    Nor are holds and delays that were found: another search may find more in more time.
+    """
     candidates = [
         {**c.model_dump(mode="json", exclude={"set"}), "recipe": c.content.model_dump(mode="json")}
         for c in plan.candidates
     ]
-    file, system = context.system_file, context.loaded_system
+    system = None if options.system is None else load_system_or_template(options.system)
     name = None if system is None else system.name
+    file = options.system if isinstance(options.system, SystemFile) else None
     return {
         "plan": {**plan.model_dump(mode="json"), "candidates": candidates},
-        "data": record_digests(list(context.data)),
+        "data": record_digests(list(records)),
         "system": name if file is None else file.sha256,
     }
 
