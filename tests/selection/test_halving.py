@@ -190,6 +190,19 @@ def test_free_runs_that_are_further_off_than_the_records_move_end_it_after_a_rou
     assert {j.fold for j in executor.done} == {0}
 
 
+def test_where_errors_are_known_to_grow_a_model_that_stands_still_is_not_good_enough():
+    def of(job: Job) -> JobResult:
+        horizon = 1.0 if job.candidate == "grey" else None
+        rmse = {f"r{job.fold}": 3.0 * motion if horizon else 0.5 * motion}
+        fits = (FitScore(0, "finished", "m", horizon, {"model-20": rmse}),)
+        return JobResult(job.candidate, job.fold, 1.0, "done", fits)
+
+    jobs, _ = halving()
+    motion = jobs._context.motion
+    jobs.run(Pretended(of=of))
+    assert jobs.hopeless
+
+
 def test_jobs_that_wait_have_equal_shares_of_the_time_and_what_one_leaves_is_for_the_others(
     monkeypatch,
 ):

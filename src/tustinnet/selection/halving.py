@@ -17,6 +17,7 @@ _SOON = 60.0  # s, but first tries have at least so much: one fold of each is be
 _LEAST = 8.0  # s, what a first try takes at least: a network is compiled before it learns
 _LEAST_SHARE = 0.25  # of a short time, that least
 _AGAIN = 2.0  # a search that was stopped is begun again where so many times its time is left
+_FAR = 0.3  # of the motion, an error of whole records where errors are known to grow
 NO_TIME = "no time was left for it"
 _FEWEST = 2  # candidates that go on, where there are as many
 
@@ -36,7 +37,8 @@ class Halving:
         plan: the plan.
         results: of each candidate, by name, from the simplest on.
         hopeless: whether free runs of whole records were further off than the records move, for
-            all candidates: then no further round was begun.
+            all candidates, or far off where errors are known to grow: then no further round was
+            begun.
     """
 
     def __init__(
@@ -103,7 +105,9 @@ class Halving:
             self._report(number, ranking, len(alive))
             if ranking and self._context.scoring.horizon is None:
                 mean, _ = mean_and_error(ranking[0].rmse().values())
-                self.hopeless = not mean <= self._context.motion
+                # a search that compares pieces has seen that errors grow, as of an unstable plant
+                grows = any(fit.horizon for result in ranking for fit in result.fits)
+                self.hopeless = not mean <= (_FAR if grows else 1.0) * self._context.motion
             if self._deadline.remaining <= 0 or self.hopeless:
                 break
         if not self.hopeless:

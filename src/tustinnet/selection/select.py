@@ -194,7 +194,7 @@ def _with_horizon(context: RunContext, halving: Halving) -> tuple[RunContext, st
     shortest = _STARTS * start_named(context.scoring.start).samples * dt
     horizon = max(min(chosen, default=usual), shortest)
     note = (
-        "free runs of whole records were further off than the records move: judged over pieces "
+        "free runs of whole records run away: judged over pieces "
         f"of {horizon:.3g} s instead, each from a start of its own (`horizon` in a plan)"
     )
     scoring = replace(context.scoring, horizon=horizon)
