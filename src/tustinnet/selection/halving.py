@@ -16,7 +16,8 @@ _TRYING_LAST = 0.4  # that share of candidates that come last or are another one
 _SOON = 60.0  # s, but first tries have at least so much: one fold of each is better than two of one
 _LEAST = 8.0  # s, what a first try takes at least: a network is compiled before it learns
 _LEAST_SHARE = 0.25  # of a short time, that least
-_AGAIN = 2.0  # a search that was stopped is begun again where so many times its time is left
+_AGAIN = 1.5  # a fit that was stopped goes on where so many times its time is left: a training is
+# compiled anew, a search begins anew
 _FAR = 0.3  # of the motion, an error of whole records where errors are known to grow
 NO_TIME = "no time was left for it"
 _FEWEST = 2  # candidates that go on, where there are as many
@@ -190,9 +191,7 @@ class Halving:
             least = 0.0 if is_first else min(_LEAST, _LEAST_SHARE * self._time)
         else:
             expected *= len(job.seeds)
-            is_search = not candidate.content.family.resumable
-            least = (_AGAIN if is_search else 0.0) * expected if job.continues else expected
-            least = max(least, 1.0)
+            least = max(_AGAIN * expected if job.continues else expected, 1.0)
             best = rank(list(self.results.values()))[0]
             remaining -= max(self.seconds_for_final(best.name) - self._ending, 0.0)
         if remaining <= least:
