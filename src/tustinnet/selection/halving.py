@@ -16,8 +16,8 @@ _TRYING_LAST = 0.4  # that share of candidates that come last or are another one
 _SOON = 60.0  # s, but first tries have at least so much: one fold of each is better than two of one
 _LEAST = 8.0  # s, what a first try takes at least: a network is compiled before it learns
 _LEAST_SHARE = 0.25  # of a short time, that least
-_AGAIN = 1.5  # a fit that was stopped goes on where so many times its time is left: a training is
-# compiled anew, a search begins anew
+# a fit that was stopped goes on where so many times its time is left: it compiles, or begins, anew
+_AGAIN = 1.5
 _FAR = 0.3  # of the motion, an error of whole records where errors are known to grow
 NO_TIME = "no time was left for it"
 _FEWEST = 2  # candidates that go on, where there are as many
