@@ -282,7 +282,7 @@ def records_of_split(data: "DataSet", split: str | None) -> "DataSet":
 
 
 @dataclass(frozen=True)
-class FreeRuns:
+class FreeRunRequest:
     """The free runs that a verb computes.
 
     Attributes:
@@ -325,7 +325,7 @@ def choose_free_runs(
     *,
     names: Sequence[str] = (),
     has_bands: bool = False,
-) -> FreeRuns:
+) -> FreeRunRequest:
     """Chooses records, start and horizon of free runs: as given, else as the models were judged.
 
     Args:
@@ -369,7 +369,7 @@ def choose_free_runs(
         more = ", ..." if len(fitted) > _MAX_NAMED else ""
         named = ", ".join(fitted[:_MAX_NAMED]) + more
         notes.append(f"fitted to {count}, whose scores are optimistic: {named}")
-    return FreeRuns(records, split or ALL, start, horizon, fitted, notes)
+    return FreeRunRequest(records, split or ALL, start, horizon, fitted, notes)
 
 
 def _leave_out_short(

@@ -113,8 +113,8 @@ class CoordinateCard(Declaration):
         if self.counts_per_revolution and self.kind == "linear":
             raise ValueError("`counts_per_revolution` of a linear coordinate; give `resolution`")
         if self.wraps is not None and (self.kind == "linear" or not self.unwrap):
-            of = "a linear coordinate" if self.kind == "linear" else "`unwrap = false`"
-            raise ValueError(f"`wraps` of {of}; an angle that is unwrapped, or leave it out")
+            owner = "a linear coordinate" if self.kind == "linear" else "`unwrap = false`"
+            raise ValueError(f"`wraps` of {owner}; an angle that is unwrapped, or leave it out")
         if self.velocity is not None:
             self.velocity_factor()
         return self

@@ -138,9 +138,9 @@ def _begin_near_zero(records: Sequence[_LoadedRecord], card: Card) -> list[Exper
 
     An encoder that wraps in a record also wraps in records that stay on one side of its zero.
     """
-    found = {j for record in records for j in record.wrapped}
+    wrapping = {j for record in records for j in record.wrapped}
     wrapped = [
-        j for j, c in enumerate(card.coordinates) if (j in found if c.wraps is None else c.wraps)
+        j for j, c in enumerate(card.coordinates) if (j in wrapping if c.wraps is None else c.wraps)
     ]
     return [begin_near_zero(record.experiment, wrapped) for record in records]
 

@@ -20,7 +20,7 @@ def apply_form(form: str | None, function: str, operands: Sequence[str]) -> str:
 def fill_template(name: str, **values: object) -> str:
     """The text of a file of the folder `templates`, with `@name@` replaced by a value."""
     text = (Path(__file__).parent / "templates" / name).read_text(encoding="utf-8")
-    return re.sub("@([a-z_]+)@", lambda found: str(values.get(found[1], found[0])), text)
+    return re.sub("@([a-z_]+)@", lambda match: str(values.get(match[1], match[0])), text)
 
 
 def called_functions(template: str, code: str) -> list[str]:

@@ -125,7 +125,7 @@ class Model(Stateful):
 
     @property
     def step_layout(self) -> StepLayout:
-        """What a step takes of the inputs; by default their means over the period."""
+        """The part of the inputs that a step takes; by default their means over the period."""
         return StepLayout(mean=True)
 
     @final

@@ -276,9 +276,9 @@ class LagrangianSystem:
             try:
                 inputs = (u,) if takes_inputs(function, letters) else ()
             except TypeError as error:
-                found, _, expected = str(error).partition("; expected ")
+                problem, _, expected = str(error).partition("; expected ")
                 raise InputError(
-                    f"system '{self.name}', {name}", found, expected,
+                    f"system '{self.name}', {name}", problem, expected,
                     "u are the inputs, p the parameters by name",
                 ) from error  # fmt: skip
             others = (q, v, z) if "z" in letters else (q, v)
@@ -287,7 +287,7 @@ class LagrangianSystem:
 
 
 def tracing_remedy(error: BaseException) -> str:
-    """What to write where a function needs the values of arrays that JAX traces; "" if not so.
+    """The code to write where a function needs values of arrays that JAX traces; "" if not so.
 
     Args:
         error: the error of JAX or NumPy in the function.

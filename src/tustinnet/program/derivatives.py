@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tustinnet.program.program import OPERATIONS, Loop, Node, Program
-from tustinnet.program.tape import Tape, Term
+from tustinnet.program.tape import NodeTerm, Tape
 
 # derivatives of a node: for each direction the number of a node of its size; no entry for zero
 Tangents = dict[int, int]
@@ -249,23 +249,23 @@ def partial_derivatives(tape: Tape, op: str, value: int, args: Sequence[int]) ->
         value: the node of its value.
         args: the nodes of its arguments.
     """
-    result = PARTIALS[op](*(Term(tape, number) for number in (value, *args)))
+    result = PARTIALS[op](*(NodeTerm(tape, number) for number in (value, *args)))
     partials = result if isinstance(result, tuple) else (result,)
-    return [x.number if isinstance(x, Term) else tape.number(x) for x in partials]
+    return [x.number if isinstance(x, NodeTerm) else tape.number(x) for x in partials]
 
 
-Partials = Term | float | tuple[Term | float, ...]
+Partials = NodeTerm | float | tuple[NodeTerm | float, ...]
 
 
-def _quotient(y: Term, a: Term, b: Term) -> Partials:
+def _quotient(y: NodeTerm, a: NodeTerm, b: NodeTerm) -> Partials:
     inverse = 1.0 / b
     return inverse, -(y * inverse)
 
 
-def _larger(first: str) -> Callable[[Term, Term, Term], Partials]:
+def _larger(first: str) -> Callable[[NodeTerm, NodeTerm, NodeTerm], Partials]:
     """The rule of max and min; the derivative is half of each where both are equal, as in JAX."""
 
-    def rule(y: Term, a: Term, b: Term) -> Partials:
+    def rule(y: NodeTerm, a: NodeTerm, b: NodeTerm) -> Partials:
         is_equal, is_first = a.apply("eq", b), a.apply(first, b)
         tie = is_equal.choose(0.5, 0.0)
         return is_first.choose(1.0, tie), is_first.apply("or", is_equal).choose(tie, 1.0)
@@ -273,19 +273,19 @@ def _larger(first: str) -> Callable[[Term, Term, Term], Partials]:
     return rule
 
 
-def _power(y: Term, a: Term, b: Term) -> Partials:
+def _power(y: NodeTerm, a: NodeTerm, b: NodeTerm) -> Partials:
     base = b * a.apply("pow", b + -1.0)
     exponent = y * a.apply("log")
     return b.apply("eq", 0.0).choose(0.0, base), a.apply("eq", 0.0).choose(0.0, exponent)
 
 
-def _remainder(y: Term, a: Term, b: Term) -> Partials:
+def _remainder(y: NodeTerm, a: NodeTerm, b: NodeTerm) -> Partials:
     ratio = a / b
     low, high = ratio.apply("floor"), ratio.apply("ceil")
     return 1.0, -ratio.apply("ge", 0.0).choose(low, high)
 
 
-def _angle(y: Term, a: Term, b: Term) -> Partials:
+def _angle(y: NodeTerm, a: NodeTerm, b: NodeTerm) -> Partials:
     size = 1.0 / (a * a + b * b)
     return b * size, -(a * size)
 

@@ -11,7 +11,7 @@ import numpy as np
 from jax.lax import GatherScatterMode, RoundingMethod
 
 from tustinnet.program.program import OPERATIONS
-from tustinnet.program.tape import Tape, Term
+from tustinnet.program.tape import NodeTerm, Tape
 
 Ids = np.ndarray  # numbers of nodes, in the shape of the array that they stand for
 
@@ -64,20 +64,20 @@ def _elementwise_rule(op: str) -> Callable[..., Ids]:
     return rule
 
 
-def _formula_rule(formula: Callable[..., Term | float]) -> Callable[..., Ids]:
+def _formula_rule(formula: Callable[..., NodeTerm | float]) -> Callable[..., Ids]:
     """A rule made of several operations: `formula(params, *terms)` for every number."""
 
     def rule(tape: Tape, params: dict[str, Any], *arrays: Ids) -> Ids:
         def op(*numbers: int) -> int:
-            result = formula(params, *(Term(tape, number) for number in numbers))
-            return result.number if isinstance(result, Term) else tape.number(result)
+            result = formula(params, *(NodeTerm(tape, number) for number in numbers))
+            return result.number if isinstance(result, NodeTerm) else tape.number(result)
 
         return elementwise(tape, op, list(arrays))
 
     return rule
 
 
-def _power(params: dict[str, Any], x: Term) -> Term | float:
+def _power(params: dict[str, Any], x: NodeTerm) -> NodeTerm | float:
     """An integer power by repeated squares."""
     exponent, result, square = abs(params["y"]), None, x
     while exponent:
@@ -90,7 +90,7 @@ def _power(params: dict[str, Any], x: Term) -> Term | float:
     return result if params["y"] > 0 else 1.0 / result
 
 
-def _round(params: dict[str, Any], x: Term) -> Term:
+def _round(params: dict[str, Any], x: NodeTerm) -> NodeTerm:
     """The nearest whole number; halves are rounded away from zero, or to the even one."""
     if params["rounding_method"] == RoundingMethod.AWAY_FROM_ZERO:
         return x.apply("sign") * (x.apply("abs") + 0.5).apply("floor")
@@ -99,7 +99,7 @@ def _round(params: dict[str, Any], x: Term) -> Term:
     return is_tie.apply("and", is_odd).choose(up - 1.0, up)
 
 
-def _select(params: dict[str, Any], which: Term, *cases: Term) -> Term:
+def _select(params: dict[str, Any], which: NodeTerm, *cases: NodeTerm) -> NodeTerm:
     if which.tape[which.number].truth:
         return which.choose(cases[1], cases[0])
     result = cases[-1]
@@ -108,7 +108,7 @@ def _select(params: dict[str, Any], which: Term, *cases: Term) -> Term:
     return result
 
 
-def _convert(params: dict[str, Any], x: Term) -> Term:
+def _convert(params: dict[str, Any], x: NodeTerm) -> NodeTerm:
     kind, is_truth = np.dtype(params["new_dtype"]).kind, x.tape[x.number].truth
     if kind == "b":
         return x if is_truth else x.apply("ne", 0.0)
@@ -119,7 +119,7 @@ def _convert(params: dict[str, Any], x: Term) -> Term:
     return x
 
 
-def _is_less(params: dict[str, Any], a: Term, b: Term) -> Term:
+def _is_less(params: dict[str, Any], a: NodeTerm, b: NodeTerm) -> NodeTerm:
     """Whether a comes before b, and NaN after all numbers.
 
     JAX itself replaces zeros and NaN by those without a sign before it compares so.
@@ -131,7 +131,7 @@ def _is_less(params: dict[str, Any], a: Term, b: Term) -> Term:
 def _extremum_rule(op: str) -> Callable[..., Ids]:
     """The rule of `argmax`, or `argmin`: the first index of an extremum, or of a NaN."""
 
-    def is_better(params: dict[str, Any], x: Term, best: Term) -> Term:
+    def is_better(params: dict[str, Any], x: NodeTerm, best: NodeTerm) -> NodeTerm:
         is_nan = x.apply("ne", x).apply("and", best.apply("eq", best))
         return x.apply(op, best).apply("or", is_nan)
 

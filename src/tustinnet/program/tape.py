@@ -58,14 +58,14 @@ class Tape:
 
     def depends(self, ids: Ids, inputs: Collection[str]) -> bool:
         """Whether some nodes depend on one of some inputs."""
-        open_nodes, seen = {int(i) for i in ids} if inputs else set(), set[int]()
+        open_nodes, visited = {int(i) for i in ids} if inputs else set(), set[int]()
         while open_nodes:
             number = open_nodes.pop()
             node = self._nodes[number]
             if node.op == "input" and node.data in inputs:
                 return True
-            seen.add(number)
-            open_nodes |= set(node.args) - seen
+            visited.add(number)
+            open_nodes |= set(node.args) - visited
         return False
 
     def split(self, number: int) -> list[int]:
@@ -267,7 +267,7 @@ class _Exact:
 
 
 @dataclass(frozen=True, eq=False)
-class Term:
+class NodeTerm:
     """A node of a tape in a formula: operators and `apply` write further nodes.
 
     Attributes:
@@ -278,37 +278,37 @@ class Term:
     tape: Tape
     number: int
 
-    def apply(self, op: str, *others: "Term | float") -> "Term":
+    def apply(self, op: str, *others: "NodeTerm | float") -> "NodeTerm":
         """An operation on this node and others, or numbers, in this order."""
-        operands = (other.number if isinstance(other, Term) else self.tape.number(other)
+        operands = (other.number if isinstance(other, NodeTerm) else self.tape.number(other)
                     for other in others)  # fmt: skip
-        return Term(self.tape, self.tape.apply(op, self.number, *operands))
+        return NodeTerm(self.tape, self.tape.apply(op, self.number, *operands))
 
-    def choose(self, first: "Term | float", other: "Term | float") -> "Term":
+    def choose(self, first: "NodeTerm | float", other: "NodeTerm | float") -> "NodeTerm":
         """The first of two values where this node is true, else the other."""
         return self.apply("select", first, other)
 
-    def constant(self, value: float) -> "Term":
+    def constant(self, value: float) -> "NodeTerm":
         """A constant on the same tape."""
-        return Term(self.tape, self.tape.number(value))
+        return NodeTerm(self.tape, self.tape.number(value))
 
-    def __add__(self, other: "Term | float") -> "Term":
+    def __add__(self, other: "NodeTerm | float") -> "NodeTerm":
         return self.apply("add", other)
 
-    def __sub__(self, other: "Term | float") -> "Term":
+    def __sub__(self, other: "NodeTerm | float") -> "NodeTerm":
         return self.apply("sub", other)
 
-    def __rsub__(self, other: float) -> "Term":
+    def __rsub__(self, other: float) -> "NodeTerm":
         return self.constant(other) - self
 
-    def __mul__(self, other: "Term | float") -> "Term":
+    def __mul__(self, other: "NodeTerm | float") -> "NodeTerm":
         return self.apply("mul", other)
 
-    def __truediv__(self, other: "Term | float") -> "Term":
+    def __truediv__(self, other: "NodeTerm | float") -> "NodeTerm":
         return self.apply("div", other)
 
-    def __rtruediv__(self, other: float) -> "Term":
+    def __rtruediv__(self, other: float) -> "NodeTerm":
         return self.constant(other) / self
 
-    def __neg__(self) -> "Term":
+    def __neg__(self) -> "NodeTerm":
         return self.apply("neg")

@@ -29,7 +29,7 @@ _SHARE = 0.5  # expected size of a term of the inertia, as a share of the inerti
 _SHARES, _RATIOS = 5.0, (1e-6, 1e6)  # ranges of such a term, and of inertias to the first one
 _LARGEST = 10.0  # times the root mean square of the accelerations: no single term does more
 _SHAFT = 0.3  # of the travel: two coordinates that turn or slide together differ by less
-_HELD = 5.0  # times that acceleration: gravity on links of a chain, whose motors balance it
+_BALANCED = 5.0  # times that acceleration: gravity on links of a chain, whose motors balance it
 _STEADY = 0.01  # share of the largest damping, where it begins
 _POWERS = ("pull", "spring", "quadratic")  # forces by the power of the coordinate, from 0
 
@@ -87,7 +87,7 @@ class Mechanism(SystemTemplate):
         speed, largest = _sizes(v), [_LARGEST * x for x in _sizes(a)]
         around, is_special = rotating_coordinates(records), len(coordinates) <= _FEW
         # gravity acts on angles, and on the sums of neighbours: links on links, which motors hold
-        held = 1.0 if is_special else _HELD
+        gravity_factor = 1.0 if is_special else _BALANCED
         terms = [
             *_inertias(coordinates),
             *(
@@ -95,7 +95,7 @@ class Mechanism(SystemTemplate):
                     wave.rank,
                     f"{coordinates[k].name}.gravity_{wave.name}",
                     "1/s^2",
-                    held * largest[k],
+                    gravity_factor * largest[k],
                 )
                 for k, wave in _gravity_waves(coordinates)
             ),

@@ -88,10 +88,10 @@ def drop_unneeded_terms(problem: Problem, state: SearchState) -> tuple[Problem, 
             state, stage = longer, longer_stage
     problem, state = _drop_all_unneeded(problem, state, stage)
     if state.is_stopped:
-        left = len(problem.system.optional)
+        remaining = len(problem.system.optional)
         remark = (
-            f"optional terms: {left} of {len(offered)} are left; the time limit ended the search "
-            "for those that are not needed"
+            f"optional terms: {remaining} of {len(offered)} are left; the time limit ended the "
+            "search for those that are not needed"
         )
         return problem, replace(state, remarks=(*remarks, remark))
 
