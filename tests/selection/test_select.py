@@ -33,6 +33,7 @@ from tustinnet.selection.select import (
 from tustinnet.store.header import read_header
 from tustinnet.store.model_file import read_system_name
 from tustinnet.store.run import Earlier, fit_in_folder
+from tustinnet.systems.files import find_system
 
 
 def selected(folder: Path, earlier: Earlier = "refuse", data=None, **changes):
@@ -561,3 +562,16 @@ def test_without_a_system_a_mechanism_is_found_and_corrected(tmp_path):
         model = tn.load_model(tmp_path / "run" / of[name]["models"][0])
         assert tn.evaluate(model, [swings()[0]], "model-10")[0].rmse < 0.1
     assert tn.load_model(tmp_path / "run" / "model.safetensors").channels == choice.model.channels
+
+
+def test_the_file_of_a_system_is_run_once(tmp_path):
+    runs, file = tmp_path / "runs.txt", tmp_path / "swing.py"
+    file.write_text(
+        f"with open({str(runs)!r}, 'a') as log:\n    log.write('run\\n')\n"
+        "from swinging import SWING as SYSTEM\n"
+    )
+    plan = plan_in(tmp_path, TWO.replace(', { name = "network", recipe = "small.toml" }', ""))
+    options = SelectionOptions(plan, find_system(file))
+    choice = select_model(swings(), tmp_path / "run", options)
+    assert choice.origins["grey"] == "identified from all 5 records"
+    assert runs.read_text() == "run\n"

@@ -99,7 +99,7 @@ def _print_reports(reports: "list[ExperimentReport]", unit: str) -> None:
 
 
 def _hold_advice(hold: "Hold | None") -> str:
-    """How models get the hold of an input whose card declares it, declares `unknown`, or none."""
+    """The way to the hold of an input whose card declares it, declares `unknown`, or none."""
     if hold is None:
         return ("no hold declared: `fit` without a recipe determines it, a recipe takes zero-order "
                 "unless the system declares another")  # fmt: skip

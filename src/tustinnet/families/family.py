@@ -154,9 +154,9 @@ class Family(ABC):
             outdated = {"class Family": "TrainedFamily or IdentifiedFamily", **outdated}
         refuse_outdated(cls, outdated)
 
-    def select_seeds(self, wanted: Iterable[int]) -> tuple[int, ...]:
-        """The seeds of fits: those wanted, or 0 alone where a fit does not depend on one."""
-        return tuple(wanted) if self.has_seeds else (0,)
+    def select_seeds(self, seeds: Iterable[int]) -> tuple[int, ...]:
+        """The seeds of fits: those given, or 0 alone where a fit does not depend on one."""
+        return tuple(seeds) if self.has_seeds else (0,)
 
     def owns(self, model: Any) -> bool:
         """Whether a model is of this family."""

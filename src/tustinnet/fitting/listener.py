@@ -55,7 +55,7 @@ class Iteration:
 
 @dataclass(frozen=True)
 class SearchProgress:
-    """How far an identification has come, after every simulation of its segments.
+    """The progress of an identification, after every simulation of its segments.
 
     Attributes:
         stage: what it is doing.

@@ -261,7 +261,7 @@ class Choice:
 
 
 def _count_stopped(stopped: int, total: int, noun: str) -> str:
-    """How many fits were stopped, with the verb: "2 of its 5 trainings were"."""
+    """The number of stopped fits of all, with the verb: "2 of its 5 trainings were"."""
     if total == 1:
         return f"its {noun} was"
     return f"{stopped} of its {total} {noun}s {'was' if stopped == 1 else 'were'}"

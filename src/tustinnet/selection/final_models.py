@@ -194,7 +194,8 @@ def _identify_from_all(
 ) -> FinalModel | str:
     """The system identified from all records, from the values of a fold on; or why it was not."""
     records = tuple(records_without_test(context.data))
-    task = make_job_task([job], replace(context, drawn=(FoldSplit((), Roles(records, ())),)))
+    drawn = (FoldSplit((), Roles(records, ())),)
+    task = make_job_task([job], context.with_changes(drawn=drawn))
 
     folder = context.folder / CANDIDATES / job.candidate / WHOLE
     why = "no time was left to identify it from all records"

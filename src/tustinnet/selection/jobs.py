@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import ConfigDict, TypeAdapter
@@ -192,6 +192,17 @@ class RunContext:
             InputError: it cannot be run, or defines no system that can be computed.
         """
         return None if self.system is None else load_system_or_template(self.system)
+
+    def with_changes(self, **fields: Any) -> "RunContext":
+        """This context with other fields than `system`; the system's file is not run again.
+
+        Args:
+            fields: the fields that change, by name.
+        """
+        other = replace(self, **fields)
+        # programs are kept by the system: another copy of it would be compiled anew
+        vars(other)["loaded_system"] = self.loaded_system
+        return other
 
     @cached_property
     def motion(self) -> float:

@@ -39,7 +39,7 @@ from tustinnet.store.specification import (
     require_same_specification,
     write_specification,
 )
-from tustinnet.systems.files import AnySystem, SystemFile, load_system_or_template
+from tustinnet.systems.files import AnySystem
 
 _TENTH = 0.1  # of a record, a horizon where no fit chose one
 _STARTS = 3  # a horizon is at least as many times as long as what a start is fitted to
@@ -139,10 +139,6 @@ def select_model(
     before = [note for note in (cut, long, *omitted) if note]
     for note in before:
         reporter.on_message(note)
-    timing = determine_timing(data, options.system, timing_end, reporter.on_message)
-    specification = _make_specification(plan, records, options)
-    records, _ = prepare_for_folds(timing.data)
-    notes = (*timing.sentences, *before)
     context = RunContext(
         records,
         ScoringOptions(min(plan.folds, len(records)), plan.start, horizon),
@@ -150,7 +146,10 @@ def select_model(
         system=options.system,
         resume=earlier == "resume",
     )
-    _ = context.loaded_system  # its errors are raised at once
+    specification = _make_specification(plan, context)
+    timing = determine_timing(data, context.loaded_system, timing_end, reporter.on_message)
+    context = context.with_changes(data=prepare_for_folds(timing.data)[0])
+    notes = (*timing.sentences, *before)
     for note in timing.sentences:
         reporter.on_message(note)
     with lock_folder(folder):
@@ -198,7 +197,7 @@ def _with_horizon(context: RunContext, halving: Halving) -> tuple[RunContext, st
         f"of {horizon:.3g} s instead, each from a start of its own (`horizon` in a plan)"
     )
     scoring = replace(context.scoring, horizon=horizon)
-    return replace(context, scoring=scoring, resume=False), note
+    return context.with_changes(scoring=scoring, resume=False), note
 
 
 def _choose(
@@ -271,9 +270,7 @@ def _identifies(candidate: Candidate) -> bool:
     return "system" in candidate.content.family.needs
 
 
-def _make_specification(
-    plan: SelectionPlan, records: DataSet, options: SelectionOptions
-) -> Specification:
+def _make_specification(plan: SelectionPlan, context: RunContext) -> Specification:
     """The plan, records and system of a selection; how long it may take is not part of it.
 
     Nor are holds and delays that were found: another search may find more in more time.
@@ -282,12 +279,11 @@ def _make_specification(
         {**c.model_dump(mode="json", exclude={"set"}), "recipe": c.content.model_dump(mode="json")}
         for c in plan.candidates
     ]
-    system = None if options.system is None else load_system_or_template(options.system)
+    file, system = context.system_file, context.loaded_system
     name = None if system is None else system.name
-    file = options.system if isinstance(options.system, SystemFile) else None
     return {
         "plan": {**plan.model_dump(mode="json"), "candidates": candidates},
-        "data": record_digests(list(records)),
+        "data": record_digests(list(context.data)),
         "system": name if file is None else file.sha256,
     }
 
