@@ -18,7 +18,7 @@ _LEAST = 8.0  # s, what a first try takes at least: a network is compiled before
 _LEAST_SHARE = 0.25  # of a short time, that least
 # a fit that was stopped goes on where so many times its time is left: it compiles, or begins, anew
 _AGAIN = 1.5
-_FAR = 0.3  # of the motion, an error of whole records where errors are known to grow
+_FAR = 0.3  # of the motion within turns, an error of whole records that says little of a model
 NO_TIME = "no time was left for it"
 _FEWEST = 2  # candidates that go on, where there are as many
 
@@ -37,9 +37,8 @@ class Halving:
     Attributes:
         plan: the plan.
         results: of each candidate, by name, from the simplest on.
-        hopeless: whether free runs of whole records were further off than the records move, for
-            all candidates, or far off where errors are known to grow: then no further round was
-            begun.
+        hopeless: whether free runs of whole records were far off for all candidates, as where a
+            plant is unstable, turns over or only integrates: then no further round was begun.
     """
 
     def __init__(
@@ -106,9 +105,7 @@ class Halving:
             self._report(number, ranking, len(alive))
             if ranking and self._context.scoring.horizon is None:
                 mean, _ = mean_and_error(ranking[0].rmse().values())
-                # a search that compares pieces has seen that errors grow, as of an unstable plant
-                grows = any(fit.horizon for result in ranking for fit in result.fits)
-                self.hopeless = not mean <= (_FAR if grows else 1.0) * self._context.motion
+                self.hopeless = not mean <= _FAR * self._context.motion_within_turns
             if self._deadline.remaining <= 0 or self.hopeless:
                 break
         if not self.hopeless:

@@ -193,7 +193,7 @@ def _with_horizon(context: RunContext, halving: Halving) -> tuple[RunContext, st
     shortest = _STARTS * start_named(context.scoring.start).samples * dt
     horizon = max(min(chosen, default=usual), shortest)
     note = (
-        "free runs of whole records run away: judged over pieces "
+        "free runs of whole records are further off than 0.3 of the motion: judged over pieces "
         f"of {horizon:.3g} s instead, each from a start of its own (`horizon` in a plan)"
     )
     scoring = replace(context.scoring, horizon=horizon)
