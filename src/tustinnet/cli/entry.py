@@ -20,4 +20,7 @@ def run() -> None:
         gc.set_threshold(_COLLECTED, *gc.get_threshold()[1:])
         from tustinnet.cli.main import run as command
 
-        command()
+        try:
+            command()
+        finally:
+            gc.freeze()  # the process ends: what it leaves need not be searched for garbage
