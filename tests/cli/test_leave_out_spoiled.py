@@ -52,10 +52,9 @@ def test_a_selection_leaves_out_before_its_rounds(tmp_path, capsys, system):
     folder, out = tmp_path / "logs", tmp_path / "out"
     write(folder, records("hand"))
     (tmp_path / "plan.toml").write_text(PLAN)
-    arguments = ["fit", folder, "--plan", tmp_path / "plan.toml", "--system", system, "--out", out]
-    code, printed, err = tustinnet(
-        capsys, *arguments, "--leave-out-spoiled", "--quiet", "--no-report"
-    )
+    fit = ["fit", folder, "--plan", tmp_path / "plan.toml", "--system", system, "--out", out]
+    fit += ["--quiet", "--no-report"]
+    code, printed, err = tustinnet(capsys, *fit, "--leave-out-spoiled")
     assert code == 0, err
     assert "* left out: run2, " in printed
     summary = json.loads((out / "summary.json").read_text())
@@ -65,6 +64,6 @@ def test_a_selection_leaves_out_before_its_rounds(tmp_path, capsys, system):
     assert {name.split("[")[0] for name in scored} == {f"run{i}" for i in range(6)}
     assert "run2" not in scored
     assert tn.read_header(out / "model.safetensors")["spoiled"] == summary["spoiled"]
-    code, printed, err = tustinnet(capsys, *arguments, "--overwrite", "--quiet", "--no-report")
+    code, printed, err = tustinnet(capsys, *fit, "--overwrite")
     assert code == 0, err
     assert "* spoiled: run2, " in printed

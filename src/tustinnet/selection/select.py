@@ -245,10 +245,15 @@ def _choose(
     except Exception as error:  # of any kind: the model is there
         bands = None
         reporter.on_message(f"no bands around free runs: {error_message(error)}")
+    spoiled: tuple[SpoiledPart, ...] = ()
+    if deadline.has_passed():
+        reporter.on_message("records that spoil a fit: no time was left to look for them")
+    else:
+        spoiled = _find_spoiled(candidates, best.name, models, context)
     origins = {name: model.origin for name, model in models.items()}
     choice = Choice(
         context, candidates, best.name, simplest.name, origins, final.model, bands,
-        spoiled=_find_spoiled(candidates, best.name, models, context), left_out=left_out,
+        spoiled=spoiled, left_out=left_out,
     )  # fmt: skip
     for name, model in models.items():
         path = context.folder / CANDIDATES / name / MODEL
