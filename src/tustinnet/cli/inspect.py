@@ -10,6 +10,7 @@ from tustinnet.cli import options, request, terminal
 
 if TYPE_CHECKING:
     from tustinnet.channels import Hold
+    from tustinnet.data.experiment import Experiment
     from tustinnet.data.inspection import ExperimentReport
     from tustinnet.report.tables import Table
 
@@ -41,6 +42,7 @@ def inspect(
     from tustinnet.data.catalog import load
     from tustinnet.data.inspection import inspect_experiment
     from tustinnet.data.readers import is_readable
+    from tustinnet.data.spoiled import find_without_model
     from tustinnet.errors import InputError
 
     if is_readable(Path(data)) and not Path(data).is_dir():
@@ -62,11 +64,16 @@ def inspect(
     if strict:
         require_sound(reports)
     if json:
-        terminal.print_json(
-            {"data": data_set.name, "experiments": [dataclasses.asdict(r) for r in reports]}
-        )
+        experiments = [
+            dataclasses.asdict(r)
+            | {"spoiled": [part.as_plain() for part in find_without_model(e, r)]}
+            for e, r in zip(records, reports, strict=True)
+        ]
+        terminal.print_json({"data": data_set.name, "experiments": experiments})
     else:
         _print_reports(reports, data_set.channels.unit)
+        for line in spoiled_lines(records, reports):
+            typer.echo(line)
     if figure is not None:
         from tustinnet.report.figures import inspection_figure, write_figure
 
@@ -136,6 +143,19 @@ def _inspect_file(path: Path, *, json: bool) -> None:
 def suspicions(reports: Iterable["ExperimentReport"]) -> list[str]:
     """Lines about suspicious rows in records; each remark once, with the names of its records."""
     return _merge_remarks("suspicious", ((r.name, text) for r in reports for text in r.suspicious))
+
+
+def spoiled_lines(
+    records: "Iterable[Experiment]", reports: "Iterable[ExperimentReport]"
+) -> list[str]:
+    """Lines about parts of records that spoil a fit and show without a model."""
+    from tustinnet.data.spoiled import find_without_model
+
+    return [
+        f"spoiled: {part.sentence}"
+        for e, report in zip(records, reports, strict=True)
+        for part in find_without_model(e, report)
+    ]
 
 
 def require_sound(reports: Iterable["ExperimentReport"]) -> None:

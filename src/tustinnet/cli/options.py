@@ -123,6 +123,14 @@ JudgedHorizon = Annotated[
     ),
 ]
 Strict = Annotated[bool, typer.Option("--strict", help="Refuse records with suspicious rows.")]
+LeaveOutSpoiled = Annotated[
+    bool,
+    typer.Option(
+        "--leave-out-spoiled",
+        help="Leave out stretches and records that spoil the fit (moved by hand, another payload), "
+        "fit the others, and say what was left out.",
+    ),
+]
 Physics = Annotated[
     Path | None,
     typer.Option(

@@ -42,6 +42,7 @@ class FitOptions:
         report: settings of the report.
         json: whether to print JSON instead of tables.
         quiet: whether to hide the progress.
+        leave_out_spoiled: whether to leave out parts of records that spoil the fit.
     """
 
     load: "Callable[[], DataSet]"
@@ -51,6 +52,7 @@ class FitOptions:
     report: "AutomaticReport"
     json: bool
     quiet: bool
+    leave_out_spoiled: bool = False
 
 
 def require_cores(cluster: str | None, device: "Hardware | None") -> None:
@@ -166,7 +168,7 @@ def load_records_to_fit(
     data: str, card: Path | None, out: Path, console: "Console", *, strict: bool
 ) -> "DataSet":
     """Loads the records of a fit; prints which are left out, or with `strict` refuses them."""
-    from tustinnet.cli.inspect import require_sound, suspicions
+    from tustinnet.cli.inspect import require_sound, spoiled_lines, suspicions
     from tustinnet.data.catalog import locate
     from tustinnet.data.inspection import inspect_experiment
     from tustinnet.data.loading import load_folder
@@ -181,9 +183,21 @@ def load_records_to_fit(
     reports = [inspect_experiment(e) for e in records]
     if strict:
         require_sound(reports)
-    for line in suspicions(reports):
-        console.print(line)
+    for line in (*suspicions(reports), *spoiled_lines(records, reports)):
+        console.print(line, highlight=False, soft_wrap=True)
     return records
+
+
+def leave_out_visible(records: "DataSet", console: "Console") -> "tuple[DataSet, tuple[str, ...]]":
+    """Leaves out the parts that show to spoil a fit without a model; prints and returns which."""
+    from tustinnet.data.inspection import inspect_experiment
+    from tustinnet.data.spoiled import find_without_model, leave_out
+
+    parts = [part for e in records for part in find_without_model(e, inspect_experiment(e))]
+    records, sentences = leave_out(records, parts)
+    for sentence in sentences:
+        console.print(sentence, highlight=False, soft_wrap=True)
+    return records, sentences
 
 
 def load_records(data: str, card: Path | None, names: "Collection[str]" = ()) -> "DataSet":

@@ -56,8 +56,9 @@ def select(
 
     quiet, report = fit_options.quiet, fit_options.report
     selection = SelectionOptions(
-        read_plan(plan or USUAL), fit_options.system, parse_seconds(budget), start_time
-    )
+        read_plan(plan or USUAL), fit_options.system, parse_seconds(budget), start_time,
+        fit_options.leave_out_spoiled,
+    )  # fmt: skip
     records = fit_options.load()
     with FitProgress(terminal.messages(), quiet=quiet) as progress:
         reporter = make_reporter(progress, quiet=quiet)

@@ -8,6 +8,7 @@ import numpy as np
 
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment
+from tustinnet.data.spoiled import KEY as SPOILED
 from tustinnet.errors import convert_errors
 from tustinnet.evaluate.scores import mean_rmse
 from tustinnet.families.family import family_of
@@ -150,6 +151,9 @@ def list_notes(results: Sequence[ModelResult], records: Sequence[Experiment]) ->
         ]
         identification = result.reported.header.get("identification") or {}
         notes += [f"{label}: {finding}" for finding in identification.get("findings", ())]
+        spoiled = result.reported.header.get(SPOILED) or {}
+        notes += [f"{label}: spoiled: {part['sentence']}" for part in spoiled.get("parts", ())]
+        notes += [f"{label}: {sentence}" for sentence in spoiled.get("left_out", ())]
     return notes
 
 
