@@ -9,6 +9,8 @@ from tustinnet.signals.spectra import welch
 
 _REACH = 12  # samples to both sides that an estimate uses
 _SEGMENT = 1024  # samples of a spectrum, at most
+_SEGMENTS = 8  # that are averaged where the noise is read from a spectrum
+_FEWEST = 64  # samples of one
 _ABOVE = 4.0  # a frequency counts where its power is above this many times the noise
 _FLOOR = 1e-10  # of the variance, the least noise: solves stay well-posed for exact positions
 
@@ -61,6 +63,16 @@ def wiener_velocities(
     return np.stack([_filter(column, count, dt, response) for column, count in columns], axis=1)
 
 
+def _noise_density(q: Float[np.ndarray, " n"], dt: float) -> float:
+    """The density of the noise: that of the weakest tenth of the frequencies.
+
+    Of short segments: the estimate of a single long one scatters as much as it is large, and its
+    weakest tenth is ten times too weak.
+    """
+    segment = min(max(len(q) // _SEGMENTS, _FEWEST), len(q), _SEGMENT)
+    return float(np.quantile(welch(q, dt, segment)[1][:-1], 0.1))
+
+
 def _filter(
     q: Float[np.ndarray, " n"], count: float, dt: float, response: Response
 ) -> Float[np.ndarray, " n"]:
@@ -71,7 +83,7 @@ def _filter(
     frequency, density = welch(centred, dt, min(n, _SEGMENT))
     omega = 2 * np.pi * frequency[:-1]
     density = density[:-1]  # the trapezoidal rule has none at the last one, half the rate
-    floor = count**2 / 12 * 2 * dt if count else float(np.quantile(density, 0.1))
+    floor = count**2 / 12 * 2 * dt if count else _noise_density(centred, dt)
     power = np.where(density > _ABOVE * floor, density - floor, 0.0) * frequency[1]
     noise = max(floor / (2 * dt), _FLOOR * float(np.var(centred)))  # its variance
     lags = np.arange(2 * reach + 1)
