@@ -63,16 +63,6 @@ def wiener_velocities(
     return np.stack([_filter(column, count, dt, response) for column, count in columns], axis=1)
 
 
-def _noise_density(q: Float[np.ndarray, " n"], dt: float) -> float:
-    """The density of the noise: that of the weakest tenth of the frequencies.
-
-    Of short segments: the estimate of a single long one scatters as much as it is large, and its
-    weakest tenth is ten times too weak.
-    """
-    segment = min(max(len(q) // _SEGMENTS, _FEWEST), len(q), _SEGMENT)
-    return float(np.quantile(welch(q, dt, segment)[1][:-1], 0.1))
-
-
 def _filter(
     q: Float[np.ndarray, " n"], count: float, dt: float, response: Response
 ) -> Float[np.ndarray, " n"]:
@@ -83,8 +73,17 @@ def _filter(
     frequency, density = welch(centred, dt, min(n, _SEGMENT))
     omega = 2 * np.pi * frequency[:-1]
     density = density[:-1]  # the trapezoidal rule has none at the last one, half the rate
-    floor = count**2 / 12 * 2 * dt if count else _noise_density(centred, dt)
-    power = np.where(density > _ABOVE * floor, density - floor, 0.0) * frequency[1]
+    if count:
+        floor, motion = count**2 / 12 * 2 * dt, density
+    else:
+        # of short segments: a single long one scatters as much as it is large, so that its weakest
+        # tenth is ten times too weak, and much of the noise is above a multiple of it
+        segment = min(max(n // _SEGMENTS, _FEWEST), n, _SEGMENT)
+        coarse_frequency, coarse = welch(centred, dt, segment)
+        floor = float(np.quantile(coarse[:-1], 0.1))
+        motion = np.interp(frequency[:-1], coarse_frequency, coarse)
+    is_motion = motion > _ABOVE * floor
+    power = np.where(is_motion, np.maximum(density - floor, 0.0), 0.0) * frequency[1]
     noise = max(floor / (2 * dt), _FLOOR * float(np.var(centred)))  # its variance
     lags = np.arange(2 * reach + 1)
     autocovariance = np.cos(np.outer(lags, omega * dt)) @ power
