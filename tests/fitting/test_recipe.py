@@ -19,6 +19,7 @@ def test_the_packaged_recipes_are_there_and_valid():
         "paper-code-transfer",
         "standard",
         "network",
+        "network-hybrid",
         "transfer",
         "best-tustin",
         "tustin-memory",
