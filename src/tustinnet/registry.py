@@ -111,6 +111,7 @@ SCALINGS: Registry[Any] = Registry(
     "tustinnet.scalings",
     {
         "records": "tustinnet.models.blocks:learn_scaling",
+        "standard": "tustinnet.models.blocks:learn_standard_scaling",
         "published": "tustinnet.reproduce.published:published_scaling",
     },
 )

@@ -12,7 +12,7 @@ from tustinnet.data.recording import Recording, describe_recording
 from tustinnet.signals import equilibria, outliers, transients
 from tustinnet.signals.equilibria import HeldEquilibrium
 from tustinnet.signals.spectra import periodogram
-from tustinnet.signals.timescales import Timescales, timescales
+from tustinnet.signals.timescales import Timescales, correlation_time, timescales
 from tustinnet.signals.transients import RestThresholds
 
 _REST_SECONDS = 0.25  # slow for this long around a sample: near an equilibrium, not a turning point
@@ -181,6 +181,17 @@ def coordinate_timescales(experiments: Sequence[Experiment]) -> dict[str, Timesc
     moving = moving_coordinates(experiments)
     return {
         c.name: timescales([e.q[:, j] for e in experiments])
+        for j, c in enumerate(experiments[0].coordinates)
+        if moving[j]
+    }
+
+
+def correlation_times(experiments: Sequence[Experiment]) -> dict[str, float]:
+    """Samples in which each velocity that moves loses its correlation, by the coordinate's name."""
+    moving = moving_coordinates(experiments)
+    velocities = [e.velocities("wiener") for e in experiments]
+    return {
+        c.name: correlation_time([v[:, j] for v in velocities])
         for j, c in enumerate(experiments[0].coordinates)
         if moving[j]
     }

@@ -87,9 +87,10 @@ class NeuralODEFamily(NetworkFamily):
         channels = experiments[0].channels
         scaling = SCALINGS[hyper.scaling](experiments, velocity, ())
         layers, outputs = Layers(**hyper.layers), 2 * channels.n_q
+        features = feature_count(channels, pairs=len(scaling.pairs))
 
         def build(key: PRNGKeyArray) -> Discretised:
-            network = random_network(scaling, key, feature_count(channels), outputs, layers)
+            network = random_network(scaling, key, features, outputs, layers)
             return _make_discrete(network, channels, hyper.substeps)
 
         return build

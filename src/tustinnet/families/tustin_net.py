@@ -99,7 +99,9 @@ class TustinNet(AccelerationModel):
                 "remembered", f"a share of {self.remembered:g} with memory of "
                 f"{self.relaxation_times} s and rest {self.rest}", "memory and rest beside a share",
             )  # fmt: skip
-        features = feature_count(self.channels, len(self.internal), len(self.taps) or 1)
+        features = feature_count(
+            self.channels, len(self.internal), len(self.taps) or 1, len(self.network.scaling.pairs)
+        )
         self.network.require_shape(features, self.channels.n_q)
 
     @property
@@ -199,7 +201,7 @@ class TustinNetHyper(NetworkHyper):
 
     @model_validator(mode="after")
     def _check_memory(self) -> "TustinNetHyper":
-        if self.memory and self.scaling != "records":
+        if self.memory and self.scaling not in ("records", "standard"):
             raise ValueError(f"the scaling '{self.scaling}' has none for `memory`")
         if self.remembered is not None and not self.memory:
             raise ValueError("`remembered` is of internal states: give `memory`, or leave it out")
@@ -291,7 +293,8 @@ def random_tustin_net(
         taps: the samples of the inputs that it takes.
         layers: hidden, stem, activation and output_bias, see `Layers`.
     """
-    features = feature_count(channels, len(relaxation_times) * channels.n_q, len(taps) or 1)
+    memory, pairs = len(relaxation_times) * channels.n_q, len(scaling.pairs)
+    features = feature_count(channels, memory, len(taps) or 1, pairs)
     network = random_network(scaling, key, features, channels.n_q, Layers(**layers))
     return TustinNet(network, channels, tuple(relaxation_times), tuple(taps))
 
