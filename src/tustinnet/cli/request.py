@@ -411,7 +411,7 @@ def _read_judged(
     judged = [
         Calibration.from_header(dict(header), path)
         if has_bands and KEY in header
-        else judgement_in_header(header, path)
+        else judgement_in_header(header)
         for path, header in headers.items()
     ]
     starts, horizons = ({getattr(j, key, None) for j in judged} for key in ("start", "horizon"))
