@@ -149,10 +149,12 @@ def examine(place: Place, arguments: Sequence[str], named: Sequence[str]) -> tup
         named: the paths of `arguments` that it is told to write.
     """
     before, begun, codes = _files(place.root), time.monotonic(), list[int]()
+    begun_fits = list[bool]()
 
     def run() -> None:
         code, _, err = call(arguments)
         codes.append(code)
+        begun_fits.append(Fitting.__name__ in err)
         if code == 1:
             lines = [line for line in err.splitlines() if line.startswith(("error: ", "Aborted"))]
             oracle.require(len(lines) == 1, f"{len(lines)} lines `error: ...` at exit code 1")
@@ -173,7 +175,7 @@ def examine(place: Place, arguments: Sequence[str], named: Sequence[str]) -> tup
         outcome, told = "finding", f"changed {changed[0].name}"
     elif stray:
         outcome, told = "finding", f"wrote {stray[0].relative_to(place.root)}"
-    elif added and codes != [0]:
+    elif added and codes != [0] and begun_fits != [True]:
         outcome, told = "finding", f"left {added[0].name} behind at exit code {codes}"
     elif any(p.parent == place.root / "logs" for p in added):
         outcome, told = "finding", f"wrote {added[0].name} among the records"

@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -66,6 +67,13 @@ class AutomaticReport:
             )
             return None
         return f"   report: {path}"
+
+
+def after_model(model: Path) -> AbstractContextManager[None]:
+    """Context of what comes after a model is written: an interruption says that it is there."""
+    return terminal.interruptible(
+        f"the model is complete: {model}; figures or the report may be missing"
+    )
 
 
 def require_report(text: str | None) -> None:

@@ -78,7 +78,8 @@ def cross_validate(
         starts=start or (),
     )  # fmt: skip
     console = terminal.messages()
-    require_outputs([out / _FILE, out / _TABLE], overwrite=overwrite)
+    inputs = request.list_input_files(data, card, system)
+    require_outputs([out / _FILE, out / _TABLE], overwrite=overwrite, read=inputs)
     records = request.load_records_to_fit(data, card, out, console, strict=strict)
     request.print_still_coordinates(records_without_test(records), console)
     remedy = "the same command, without --overwrite, continues with the folds that are done"

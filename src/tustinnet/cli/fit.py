@@ -115,7 +115,7 @@ def _fit_recipe(
 ) -> None:
     """Fits one recipe, writes and prints the results."""
     from tustinnet.cli import request
-    from tustinnet.cli.automatic_report import require_report
+    from tustinnet.cli.automatic_report import after_model, require_report
     from tustinnet.fitting.task import make_task
     from tustinnet.report.progress import FitProgress
     from tustinnet.store.model_file import load_model, read_system_name
@@ -160,14 +160,15 @@ def _fit_recipe(
         run = run_task(
             task, records.name, fit_options.out, fit_options.earlier, progress.follow, system_file
         )
-    if system_file is not None:
-        terminal.remember_trust(system_file)
-    if fit_options.json:
-        terminal.print_json(run.summary())
-    else:
-        _print_run(run, fit_options.report.data)
-    _draw_run(run, records)
-    report = _write_report(run, fit_options)
+    with after_model(run.folder / MODEL):
+        if system_file is not None:
+            terminal.remember_trust(system_file)
+        if fit_options.json:
+            terminal.print_json(run.summary())
+        else:
+            _print_run(run, fit_options.report.data)
+        _draw_run(run, records)
+        report = _write_report(run, fit_options)
     if not fit_options.json:
         figures = run.folder / "figures"
         typer.echo(f"model: {run.folder / MODEL}   figures: {figures}{report or ''}")

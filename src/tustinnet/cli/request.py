@@ -171,9 +171,13 @@ def load_records_to_fit(
     from tustinnet.data.inspection import inspect_experiment
     from tustinnet.data.loading import load_folder
     from tustinnet.simulate.start_rules import DerivedStart
+    from tustinnet.store.files import require_outputs
+    from tustinnet.store.run import LOG, MODEL, REPORT, SPECIFICATION, SUMMARY
 
     folder, located_card = locate(data, card)
     require_apart(out, folder)
+    outputs = [out / name for name in (MODEL, SUMMARY, LOG, REPORT, SPECIFICATION)]
+    require_outputs(outputs, overwrite=True, read=list_input_files(data, card))
     records = load_folder(folder, located_card, on_message=None if strict else console.print)
     if not strict:
         kept = _leave_out_short([*records], DerivedStart.usual_name(), ())
@@ -203,6 +207,21 @@ def require_apart(out: Path, folder: Path) -> None:
 
     if out.resolve() == folder.resolve():
         raise InputError(out, "the folder of the data", "another folder for the run")
+
+
+def require_no_new_records(paths: Sequence[Path], data: str, card: Path | None) -> None:
+    """Raises an error if files that are written would be read as records of the data."""
+    from tustinnet.data.card_files import would_be_record
+    from tustinnet.data.catalog import locate
+    from tustinnet.errors import InputError
+
+    folder, located_card = locate(data, card)
+    for path in paths:
+        if would_be_record(path, folder, located_card):
+            raise InputError(
+                path.parent, f"there {path.name} would be a record of '{located_card.name}'",
+                "another folder",
+            )  # fmt: skip
 
 
 def list_input_files(

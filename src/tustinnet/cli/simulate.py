@@ -57,6 +57,7 @@ def simulate(
     paths = [out / simulation_name(e) for e in records]
     inputs = request.list_input_files(data, card, model, system)
     require_outputs(paths, overwrite=overwrite, read=inputs)
+    request.require_no_new_records(paths, data, card)
     scores = evaluate(simulator, records, runs.start, horizon=runs.horizon)
     bands: list[Band | None] = [None] * len(records)
     if band_options is not None:

@@ -56,6 +56,25 @@ def list_record_files(folder: Path, card: Card) -> list[tuple[str | None, FileCa
     return result
 
 
+def would_be_record(path: Path, folder: Path, card: Card) -> bool:
+    """Whether a file that is written to a path would be read as a record of a card.
+
+    Args:
+        path: the file, which need not be there yet.
+        folder: where the card's paths begin.
+        card: the card.
+    """
+    place, base = path.resolve(), folder.resolve()
+    if not place.is_relative_to(base):
+        return False
+    relative = place.relative_to(base)
+    if not card.splits:
+        return len(relative.parts) == 1 and is_readable(path) and not path.name.startswith(".")
+    patterns = [entry.file for entries in card.splits.values() for entry in entries]
+    depth = len(relative.parts)
+    return any(len(Path(p).parts) == depth and relative.match(p) for p in patterns)
+
+
 def _resolve_patterns(
     folder: Path, split: str, entries: list[FileCard], card: Card
 ) -> list[FileCard]:
