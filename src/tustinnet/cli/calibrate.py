@@ -18,6 +18,7 @@ def calibrate(
     start: options.JudgedStart = None,
     horizon: options.JudgedHorizon = None,
     card: options.Card = None,
+    follow_links: options.FollowLinks = False,
     system: options.System = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
@@ -44,7 +45,11 @@ def calibrate(
     header = read_header(model)
     others = find_alternatives(simulator, header, model)
     runs = choose_free_runs(
-        load_records(data, card), {model: simulator}, split or ALL, start, horizon
+        load_records(data, card, follow_links=follow_links),
+        {model: simulator},
+        split or ALL,
+        start,
+        horizon,
     )
     if runs.fitted:
         raise InputError(

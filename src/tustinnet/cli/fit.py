@@ -51,6 +51,7 @@ def fit(
     ] = None,
     cluster: Annotated[str | None, options.cluster("Without a recipe: use")] = None,
     card: options.Card = None,
+    follow_links: options.FollowLinks = False,
     strict: options.Strict = False,
     device: options.Device = None,
     resume: options.Resume = False,
@@ -87,11 +88,19 @@ def fit(
         raise InputError("--resume, --overwrite", "both", "one of them")
     earlier: Earlier = "resume" if resume else "discard" if overwrite else "refuse"
     fit_options = FitOptions(
-        load=partial(load_records_to_fit, data, card, out, terminal.messages(), strict=strict),
+        load=partial(
+            load_records_to_fit,
+            data,
+            card,
+            out,
+            terminal.messages(),
+            strict=strict,
+            follow_links=follow_links,
+        ),
         out=out,
         system=None if system is None else find_system(system),
         earlier=earlier,
-        report=AutomaticReport(data, card, is_enabled=not no_report),
+        report=AutomaticReport(data, card, follow_links, is_enabled=not no_report),
         json=json,
         quiet=quiet,
     )

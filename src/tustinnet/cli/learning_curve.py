@@ -54,6 +54,7 @@ def learning_curve(
     twin: Twin = None,
     start: options.Start = None,
     card: options.Card = None,
+    follow_links: options.FollowLinks = False,
     strict: options.Strict = False,
     device: options.Device = None,
     overwrite: options.Overwrite = False,
@@ -95,7 +96,9 @@ def learning_curve(
     names = [f"learning-curve.{ending}" for ending in ("json", "md", "png")]
     inputs = list_input_files(data, card, system)
     require_outputs([out / name for name in names], overwrite=overwrite, read=inputs)
-    data_set = load_records_to_fit(data, card, out, console, strict=strict)
+    data_set = load_records_to_fit(
+        data, card, out, console, strict=strict, follow_links=follow_links
+    )
     print_still_coordinates(records_without_test(data_set), console)
     draw_records(data_set, curve_options)  # raises at once where there are too few records
     with lock_folder(out):

@@ -163,7 +163,13 @@ def parse_seeds(text: str | None) -> tuple[int, ...]:
 
 
 def load_records_to_fit(
-    data: str, card: Path | None, out: Path, console: "Console", *, strict: bool
+    data: str,
+    card: Path | None,
+    out: Path,
+    console: "Console",
+    *,
+    strict: bool,
+    follow_links: bool,
 ) -> "DataSet":
     """Loads the records of a fit; prints which are left out, or with `strict` refuses them."""
     from tustinnet.cli.inspect import require_sound, suspicions
@@ -178,7 +184,10 @@ def load_records_to_fit(
     require_apart(out, folder)
     outputs = [out / name for name in (MODEL, SUMMARY, LOG, REPORT, SPECIFICATION)]
     require_outputs(outputs, overwrite=True, read=list_input_files(data, card))
-    records = load_folder(folder, located_card, on_message=None if strict else console.print)
+    records = load_folder(
+        folder, located_card, on_message=None if strict else console.print,
+        follow_links=follow_links,
+    )  # fmt: skip
     if not strict:
         kept = _leave_out_short([*records], DerivedStart.usual_name(), ())
         records = replace(records, experiments=tuple(kept))
@@ -190,7 +199,9 @@ def load_records_to_fit(
     return records
 
 
-def load_records(data: str, card: Path | None, names: "Collection[str]" = ()) -> "DataSet":
+def load_records(
+    data: str, card: Path | None, names: "Collection[str]" = (), *, follow_links: bool
+) -> "DataSet":
     """Loads the records of a verb that simulates them; prints which are left out.
 
     As a fit, it leaves out records that cannot be read or used, but not those of some names.
@@ -198,7 +209,10 @@ def load_records(data: str, card: Path | None, names: "Collection[str]" = ()) ->
     from tustinnet.data.catalog import locate
     from tustinnet.data.loading import load_folder
 
-    return load_folder(*locate(data, card), on_message=terminal.messages().print, required=names)
+    return load_folder(
+        *locate(data, card), on_message=terminal.messages().print, required=names,
+        follow_links=follow_links,
+    )  # fmt: skip
 
 
 def require_apart(out: Path, folder: Path) -> None:

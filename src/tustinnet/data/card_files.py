@@ -1,6 +1,7 @@
 """The files that a card names, and the names of their records."""
 
 import re
+import warnings
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
@@ -84,7 +85,7 @@ def _resolve_patterns(
     for entry in entries:
         if any(c in entry.file for c in "*?["):
             with convert_errors(folder / entry.file, "no usable pattern", "e.g. train/*.csv"):
-                paths = [p for p in folder.glob(entry.file) if not p.is_dir()]
+                paths = _without_folders(folder.glob(entry.file))
             files = _in_natural_order(p.relative_to(folder).as_posix() for p in paths)
             result += [entry.model_copy(update={"file": file}) for file in files]
             exists = bool(paths)
@@ -107,8 +108,20 @@ def _resolve_patterns(
 def _list_logs(folder: Path) -> list[str]:
     """Names of the files of a folder that can be read, hidden ones left out."""
     with convert_errors(folder, "cannot be listed", "a folder of logs"):
-        paths = [p for p in folder.iterdir() if is_readable(p) and not p.is_dir()]
-    return _in_natural_order(p.name for p in paths if not p.name.startswith("."))
+        visible = (p for p in folder.iterdir() if not p.name.startswith("."))
+        paths = _without_folders(p for p in visible if is_readable(p))
+    return _in_natural_order(p.name for p in paths)
+
+
+def _without_folders(paths: Iterable[Path]) -> list[Path]:
+    """The paths of files; warns of folders that are called like logs."""
+    files = []
+    for path in paths:
+        if not path.is_dir():
+            files.append(path)
+        elif is_readable(path):
+            warnings.warn(f"{path}: a folder, no record; it is left out", stacklevel=2)
+    return files
 
 
 def _in_natural_order(files: Iterable[str]) -> list[str]:
@@ -129,5 +142,8 @@ def require_inside(folder: Path, path: Path) -> None:
         inside = path.resolve().is_relative_to(folder.resolve())
     if not inside:
         raise InputError(
-            path, "a link that leaves the folder", f"a file below {folder}", "copy the file there"
+            path,
+            "a link that leaves the folder",
+            f"a file below {folder}",
+            "copy the file there, or add --follow-links if you would read it",
         )

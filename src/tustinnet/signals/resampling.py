@@ -129,15 +129,20 @@ def unwrap_angle(
     if not len(jumps):
         return angle, jumps
     turns = np.round(steps / (2 * np.pi))
-    spikes = _spikes(angle, turns)
-    for i in spikes:
-        turns[max(i - 1, 0) : i + 1] = 0
+    for i in _spikes(angle, turns):
+        around = turns[max(i - 1, 0) : i + 1]
+        wrap = around.sum() if len(around) == 2 else 0.0  # one that comes with the reading
+        around[:], around[-1] = 0.0, wrap
+        jumps = np.flatnonzero(turns) + 1
     total = -np.cumsum(np.concatenate([[0.0], turns]))
-    return angle + 2 * np.pi * total, np.setdiff1d(jumps, [*spikes, *(i + 1 for i in spikes)])
+    return angle + 2 * np.pi * total, jumps
 
 
 def _spikes(angle: Float[np.ndarray, " n"], turns: Float[np.ndarray, " m"]) -> list[int]:
     """Indices of single readings that jump by turns which the other readings do not span.
+
+    Apart from these turns they jump farther than any others. Where they do not, they are like
+    their neighbours, as at the seam of a counter of several turns.
 
     Args:
         angle: the readings [rad].
@@ -146,11 +151,16 @@ def _spikes(angle: Float[np.ndarray, " n"], turns: Float[np.ndarray, " m"]) -> l
     before, after = np.append(0.0, turns), np.append(turns, 0.0)
     ends = (np.arange(len(angle)) == 0) | (np.arange(len(angle)) == len(angle) - 1)
     size = np.maximum(np.abs(before), np.abs(after))
-    alone = np.flatnonzero((size >= 2) & ((before == -after) | ends))
+    alone = np.flatnonzero((size >= 2) & ((np.abs(before + after) <= 1) | ends))
     rest = np.delete(angle, alone)
     if not len(rest):
         return []
-    return [int(i) for i in alone if np.ptp(rest) < _TURN * (size[i] - 1)]
+    moves = np.abs(np.diff(angle) - 2 * np.pi * turns)
+    beside = np.zeros(len(angle) + 1, bool)
+    beside[alone] = beside[alone + 1] = True  # steps into and out of these readings
+    usual = moves[~beside[1:-1]].max(initial=0.0)
+    farthest = np.maximum(np.append(0.0, moves), np.append(moves, 0.0))
+    return [int(i) for i in alone if np.ptp(rest) < _TURN * (size[i] - 1) and farthest[i] > usual]
 
 
 def wraps_within_turn(angle: Float[np.ndarray, " n"]) -> bool:
