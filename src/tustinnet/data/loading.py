@@ -323,6 +323,7 @@ def _read_record(
     wrapped = frozenset(j for j in angles if resampling.wraps_within_turn(q[:, j]))
     q, notes = unwrap_angles(q, angles)
     t, dt = _times(reader, card, len(q))
+    columns.release()
     record = Experiment(
         name=name, t=t, q=q, u=u, channels=card.channels(dt), v=v,
         v_measured=bool(velocities) and all(c.measured for c in velocities),
