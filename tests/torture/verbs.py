@@ -30,7 +30,11 @@ from .report import Part
 
 _SLOW = 60.0  # seconds that a verb may take on small records
 _OUTPUTS = ("--out", "--figure", "--figures")
-_COMPUTING = ("tustinnet.store.run.fit_task", "tustinnet.selection.jobs.fit_task")
+_COMPUTING = (
+    "tustinnet.store.run.fit_task",
+    "tustinnet.selection.jobs.fit_task",
+    "tustinnet.systems.qube_servo2_twin.twin",
+)
 _COPY = "system.py"  # kept beside a model that is written
 
 PROPOSALS = """
