@@ -104,7 +104,7 @@ def test_a_file_of_another_kind_is_refused(tmp_path):
         ({"inputs": [{"name": "a\x1b[1m", "unit": "V"}]}, r"'\\x1b'"),
         ({"dt": float("nan")}, "dt"),
         ({"dt": None}, "dt"),
-        ({"dt": 0.0}, "dt: Input should be greater than or equal to 1e-09"),
+        ({"dt": 0.0}, "dt: Input should be greater than or equal to 0.0"),
         ({"structure": {}}, "structure.hidden: missing"),
         ({"structure": {"hidden": [10**12]}}, "less than or equal to 10000"),
         ({"structure": {"hidden": [1] * 101}}, "structure.hidden: .* at most 100 items"),

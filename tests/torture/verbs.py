@@ -21,6 +21,7 @@ from unittest import mock
 import typer
 
 from tustinnet.cli.main import app
+from tustinnet.data.readers import is_readable
 from tustinnet.errors import InputError
 from tustinnet.store.kept_system import CONFIG_VARIABLE
 
@@ -181,7 +182,7 @@ def examine(place: Place, arguments: Sequence[str], named: Sequence[str]) -> tup
         outcome, told = "finding", f"wrote {stray[0].relative_to(place.root)}"
     elif added and codes != [0] and begun_fits != [True]:
         outcome, told = "finding", f"left {added[0].name} behind at exit code {codes}"
-    elif any(p.parent == place.root / "logs" for p in added):
+    elif any(p.parent == place.root / "logs" and is_readable(p) for p in added):
         outcome, told = "finding", f"wrote {added[0].name} among the records"
     for path in added:
         path.unlink()

@@ -85,7 +85,8 @@ def _resolve_patterns(
     for entry in entries:
         if any(c in entry.file for c in "*?["):
             with convert_errors(folder / entry.file, "no usable pattern", "e.g. train/*.csv"):
-                paths = _without_folders(folder.glob(entry.file))
+                found = list(folder.glob(entry.file))
+            paths = _without_folders(found)
             files = _in_natural_order(p.relative_to(folder).as_posix() for p in paths)
             result += [entry.model_copy(update={"file": file}) for file in files]
             exists = bool(paths)
@@ -108,8 +109,8 @@ def _resolve_patterns(
 def _list_logs(folder: Path) -> list[str]:
     """Names of the files of a folder that can be read, hidden ones left out."""
     with convert_errors(folder, "cannot be listed", "a folder of logs"):
-        visible = (p for p in folder.iterdir() if not p.name.startswith("."))
-        paths = _without_folders(p for p in visible if is_readable(p))
+        visible = [p for p in folder.iterdir() if not p.name.startswith(".")]
+    paths = _without_folders(p for p in visible if is_readable(p))
     return _in_natural_order(p.name for p in paths)
 
 
@@ -117,7 +118,9 @@ def _without_folders(paths: Iterable[Path]) -> list[Path]:
     """The paths of files; warns of folders that are called like logs."""
     files = []
     for path in paths:
-        if not path.is_dir():
+        with convert_errors(path, "cannot be looked at", "a file"):
+            is_folder = path.is_dir()
+        if not is_folder:
             files.append(path)
         elif is_readable(path):
             warnings.warn(f"{path}: a folder, no record; it is left out", stacklevel=2)
