@@ -10,6 +10,8 @@ from conftest import SYSTEM
 from test_verbs import tustinnet
 
 import tustinnet as tn
+from tustinnet.models.integrate import Discretised
+from tustinnet.models.lagrangian import LagrangianModel
 
 
 @pytest.fixture
@@ -77,8 +79,11 @@ def test_members_of_a_users_system_share_its_file(
 ):
     grey, out = identified / "model.safetensors", tmp_path / "new" / "mixed.safetensors"
     model = tn.load_model(grey, system)
-    values = {**model.continuous.values, "damping": 1.01 * model.continuous.values["damping"]}
-    other = replace(model, continuous=model.continuous.system.model(values))
+    assert isinstance(model, Discretised)
+    equations = model.continuous
+    assert isinstance(equations, LagrangianModel)
+    values = {**equations.values, "damping": 1.01 * equations.values["damping"]}
+    other = replace(model, continuous=equations.system.model(values))
     tn.save(
         other, identified / "other.safetensors", system_copy=tn.read_header(grey)["system_copy"]
     )

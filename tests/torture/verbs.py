@@ -16,6 +16,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from random import Random
+from typing import Any
 from unittest import mock
 
 import typer
@@ -312,26 +313,27 @@ def cases(place: Place) -> Iterator[list[str]]:
     for verb, plain in commands(place).items():
         base = [verb, *map(str, plain)]
         for parameter in listed[verb].params:
-            if parameter.param_type_name != "option":
-                continue
-            option = max(parameter.opts, key=len)
-            if option == "--help":
-                continue
-            if getattr(parameter, "is_flag", False):
-                yield [*base, option]
-                continue
-            rest = base
-            if option in base:
-                at = base.index(option)
-                rest = base[:at] + base[at + 2 :]
-            for value in values(place):
-                yield [*rest, f"{option}={value}"]
-                if option in _OUTPUTS:
-                    yield [*rest, f"{option}={value}", "--overwrite"]
+            if parameter.param_type_name == "option":
+                yield from _with_option(base, parameter, place)
         for at in (i for i, word in enumerate(base) if i and not base[i - 1].startswith("--")):
             if not base[at].startswith("--"):
                 for value in values(place):
                     yield [*base[:at], value, *base[at + 1 :]]
+
+
+def _with_option(base: list[str], parameter: Any, place: Place) -> Iterator[list[str]]:
+    """A command with an option at every value, instead of the one that it may have."""
+    option = max(parameter.opts, key=len)
+    if getattr(parameter, "is_flag", False):
+        yield [*base, option]
+        return
+    at = base.index(option) if option in base else len(base)
+    rest = base[:at] + base[at + 2 :]
+    for value in values(place):
+        if (option, value) != ("--cluster", "auto"):  # it would begin one
+            yield [*rest, f"{option}={value}"]
+        if option in _OUTPUTS:
+            yield [*rest, f"{option}={value}", "--overwrite"]
 
 
 class Interface:
