@@ -41,6 +41,9 @@ class Coordinate:
             raise InputError(
                 f"coordinate '{self.name}'", f"kind '{self.kind}'", "'angular' or 'linear'"
             )
+        if self.resolution is not None and not 0 < self.resolution < np.inf:
+            raise InputError(f"coordinate '{self.name}'", f"resolution {self.resolution}",
+                             "a positive number, or None")  # fmt: skip
         default = _default_unit(self.kind)
         require_text(self.unit, f"unit of coordinate '{self.name}'")
         if (self.unit or default) != default and "rad" in (self.unit, default):
@@ -80,6 +83,9 @@ class Input:
             raise InputError(
                 f"input '{self.name}'", f"hold '{self.hold}'", f"one of {', '.join(get_args(Hold))}"
             )
+        if self.limits is not None and not -np.inf < self.limits[0] < self.limits[1] < np.inf:
+            raise InputError(f"input '{self.name}'", f"limits {list(self.limits)}",
+                             "two numbers, the smaller one first")  # fmt: skip
         if self.delay is not None and not abs(self.delay) < np.inf:
             raise InputError(f"input '{self.name}'", f"delay {self.delay} s", "a number of seconds")
 

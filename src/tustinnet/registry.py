@@ -100,6 +100,20 @@ SUMMARIES: Registry[Any] = Registry(
         "committee": "tustinnet.families.summaries:committee",
     },
 )
+# what the headers of model files have to have; those of other kinds are checked by `Family.restore`
+DESCRIPTIONS: Registry[Any] = Registry(
+    "kind of model whose files are checked",
+    "tustinnet.descriptions",
+    {
+        "tustin-net": "tustinnet.families.descriptions:TustinNetDescription",
+        "euler-lagrange": "tustinnet.families.descriptions:EulerLagrangeDescription",
+        "hybrid": "tustinnet.families.descriptions:HybridDescription",
+        "gru": "tustinnet.families.descriptions:GRUDescription",
+        "neural-ode": "tustinnet.families.descriptions:NeuralODEDescription",
+        "linear": "tustinnet.families.descriptions:LinearDescription",
+        "committee": "tustinnet.families.descriptions:CommitteeDescription",
+    },
+)
 # kinds of model files that earlier versions wrote, and what to do instead
 REMOVED_KINDS = {
     "encoded": "retrain it with a start such as `model-20`: networks that estimate the initial "

@@ -113,6 +113,14 @@ def test_an_unknown_key_is_refused_with_the_nearest_known_one(
         ({"coordinates": [{**ANGLE, "offset": float("inf")}]}, r"0\.offset: "),
         ({"coordinates": [{**ANGLE, "counts_per_revolution": 1e300}]}, "counts_per_revolution: "),
         ({"inputs": [{"name": "u", "column": 1, "unit": "V", "scale": 1e200}]}, "scale: .*less"),
+        ({"inputs": [{"name": "u", "column": 1, "unit": "V", "scale": 1e-300}]}, "scale: a factor"),
+        ({"inputs": [{"name": "u", "column": 1, "unit": "V", "scale": 0}]}, "scale: a factor"),
+        (
+            {"inputs": [{"name": "u", "column": 1, "unit": "V", "limits": [2, -2]}]},
+            "limits: .*first",
+        ),
+        ({"dt": 0}, "dt: "),
+        ({"dt": -0.01}, "dt: "),
         (
             {"inputs": [{"name": "u", "column": 1, "unit": "V", "limits": [0, float("inf")]}]},
             r"limits\.1: ",

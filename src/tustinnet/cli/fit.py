@@ -53,6 +53,7 @@ def fit(
     ] = None,
     cluster: Annotated[str | None, options.cluster("Without a recipe: use")] = None,
     card: options.Card = None,
+    follow_links: options.FollowLinks = False,
     strict: options.Strict = False,
     leave_out_spoiled: options.LeaveOutSpoiled = False,
     device: options.Device = None,
@@ -95,11 +96,19 @@ def fit(
         raise InputError("--resume, --overwrite", "both", "one of them")
     earlier: Earlier = "resume" if resume else "discard" if overwrite else "refuse"
     fit_options = FitOptions(
-        load=partial(load_records_to_fit, data, card, out, terminal.messages(), strict=strict),
+        load=partial(
+            load_records_to_fit,
+            data,
+            card,
+            out,
+            terminal.messages(),
+            strict=strict,
+            follow_links=follow_links,
+        ),
         out=out,
         system=None if system is None else find_system(system),
         earlier=earlier,
-        report=AutomaticReport(data, card, is_enabled=not no_report),
+        report=AutomaticReport(data, card, follow_links, is_enabled=not no_report),
         json=json,
         quiet=quiet,
         leave_out_spoiled=leave_out_spoiled,
@@ -124,7 +133,7 @@ def _fit_recipe(
 ) -> None:
     """Fits one recipe, writes and prints the results."""
     from tustinnet.cli import request
-    from tustinnet.cli.automatic_report import require_report
+    from tustinnet.cli.automatic_report import after_model, require_report
     from tustinnet.fitting.task import make_task
     from tustinnet.report.progress import FitProgress
     from tustinnet.store.model_file import load_model, read_system_name
@@ -171,14 +180,15 @@ def _fit_recipe(
         run, records = _run_members(
             task, records, left_out, make_task_of, fit_options, progress.follow, system_file
         )
-    if system_file is not None:
-        terminal.remember_trust(system_file)
-    if fit_options.json:
-        terminal.print_json(run.summary())
-    else:
-        _print_run(run, fit_options.report.data)
-    _draw_run(run, records)
-    report = _write_report(run, fit_options)
+    with after_model(run.folder / MODEL):
+        if system_file is not None:
+            terminal.remember_trust(system_file)
+        if fit_options.json:
+            terminal.print_json(run.summary())
+        else:
+            _print_run(run, fit_options.report.data)
+        _draw_run(run, records)
+        report = _write_report(run, fit_options)
     if not fit_options.json:
         figures = run.folder / "figures"
         typer.echo(f"model: {run.folder / MODEL}   figures: {figures}{report or ''}")

@@ -30,6 +30,7 @@ def inspect(
         ),
     ],
     card: options.Card = None,
+    follow_links: options.FollowLinks = False,
     split: options.Split = None,
     strict: options.Strict = False,
     json: options.Json = False,
@@ -47,7 +48,7 @@ def inspect(
 
     if is_readable(Path(data)) and not Path(data).is_dir():
         others = {"--card": card, "--split": split, "--strict": strict, "--figure": figure,
-                  "--overwrite": overwrite}  # fmt: skip
+                  "--overwrite": overwrite, "--follow-links": follow_links}  # fmt: skip
         for option, value in others.items():
             if value:
                 raise InputError(
@@ -58,7 +59,7 @@ def inspect(
         return
     inputs = request.list_input_files(data, card)
     request.require_figures("--figure", figure, inputs, overwrite=overwrite)
-    data_set = load(data, card)
+    data_set = load(data, card, follow_links=follow_links)
     records = request.records_of_split(data_set, split)
     reports = [inspect_experiment(e) for e in records]
     if strict:

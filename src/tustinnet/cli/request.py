@@ -165,7 +165,13 @@ def parse_seeds(text: str | None) -> tuple[int, ...]:
 
 
 def load_records_to_fit(
-    data: str, card: Path | None, out: Path, console: "Console", *, strict: bool
+    data: str,
+    card: Path | None,
+    out: Path,
+    console: "Console",
+    *,
+    strict: bool,
+    follow_links: bool,
 ) -> "DataSet":
     """Loads the records of a fit; prints which are left out, or with `strict` refuses them."""
     from tustinnet.cli.inspect import require_sound, spoiled_lines, suspicions
@@ -173,10 +179,17 @@ def load_records_to_fit(
     from tustinnet.data.inspection import inspect_experiment
     from tustinnet.data.loading import load_folder
     from tustinnet.simulate.start_rules import DerivedStart
+    from tustinnet.store.files import require_outputs
+    from tustinnet.store.run import LOG, MODEL, REPORT, SPECIFICATION, SUMMARY
 
     folder, located_card = locate(data, card)
     require_apart(out, folder)
-    records = load_folder(folder, located_card, on_message=None if strict else console.print)
+    outputs = [out / name for name in (MODEL, SUMMARY, LOG, REPORT, SPECIFICATION)]
+    require_outputs(outputs, overwrite=True, read=list_input_files(data, card))
+    records = load_folder(
+        folder, located_card, on_message=None if strict else console.print,
+        follow_links=follow_links,
+    )  # fmt: skip
     if not strict:
         kept = _leave_out_short([*records], DerivedStart.usual_name(), ())
         records = replace(records, experiments=tuple(kept))
@@ -200,7 +213,9 @@ def leave_out_visible(records: "DataSet", console: "Console") -> "tuple[DataSet,
     return records, sentences
 
 
-def load_records(data: str, card: Path | None, names: "Collection[str]" = ()) -> "DataSet":
+def load_records(
+    data: str, card: Path | None, names: "Collection[str]" = (), *, follow_links: bool
+) -> "DataSet":
     """Loads the records of a verb that simulates them; prints which are left out.
 
     As a fit, it leaves out records that cannot be read or used, but not those of some names.
@@ -208,7 +223,10 @@ def load_records(data: str, card: Path | None, names: "Collection[str]" = ()) ->
     from tustinnet.data.catalog import locate
     from tustinnet.data.loading import load_folder
 
-    return load_folder(*locate(data, card), on_message=terminal.messages().print, required=names)
+    return load_folder(
+        *locate(data, card), on_message=terminal.messages().print, required=names,
+        follow_links=follow_links,
+    )  # fmt: skip
 
 
 def require_apart(out: Path, folder: Path) -> None:
@@ -217,6 +235,21 @@ def require_apart(out: Path, folder: Path) -> None:
 
     if out.resolve() == folder.resolve():
         raise InputError(out, "the folder of the data", "another folder for the run")
+
+
+def require_no_new_records(paths: Sequence[Path], data: str, card: Path | None) -> None:
+    """Raises an error if files that are written would be read as records of the data."""
+    from tustinnet.data.card_files import would_be_record
+    from tustinnet.data.catalog import locate
+    from tustinnet.errors import InputError
+
+    folder, located_card = locate(data, card)
+    for path in paths:
+        if would_be_record(path, folder, located_card):
+            raise InputError(
+                path.parent, f"there {path.name} would be a record of '{located_card.name}'",
+                "another folder",
+            )  # fmt: skip
 
 
 def list_input_files(
@@ -425,7 +458,7 @@ def _read_judged(
     judged = [
         Calibration.from_header(dict(header), path)
         if has_bands and KEY in header
-        else judgement_in_header(header, path)
+        else judgement_in_header(header)
         for path, header in headers.items()
     ]
     starts, horizons = ({getattr(j, key, None) for j in judged} for key in ("start", "horizon"))

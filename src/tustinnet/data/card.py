@@ -19,6 +19,7 @@ from tustinnet.data.declaration import Declaration, Name, Sentence, Text
 from tustinnet.data.units import TIME, convert_to_si, velocity_factor
 
 _MOST_COLUMNS = 10**6
+_SMALLEST_FACTOR = 1e-15  # of inputs: their squares are numbers
 _LONGEST_PART = 255  # bytes of a file's name, as file systems have it
 
 
@@ -39,9 +40,16 @@ def _rising(message: str) -> AfterValidator:
     return AfterValidator(check)
 
 
+def _nonzero(factor: float) -> float:
+    if abs(factor) < _SMALLEST_FACTOR:
+        raise ValueError(f"a factor of at least {_SMALLEST_FACTOR:g} in size, of either sign")
+    return factor
+
+
 SplitName = Literal["train", "validation", "test"]
 ColumnKey = Annotated[StrictInt | StrictStr, AfterValidator(_column)]  # a number counts from 1
 Amount = Annotated[float, Field(ge=-1e15, le=1e15)]
+Scale = Annotated[Amount, AfterValidator(_nonzero)]
 Delay = Annotated[float, Field(ge=-1e4, le=1e4)]
 Resolution = Annotated[float, Field(ge=1e-12, le=1e6)]
 Row = Annotated[StrictInt, Field(ge=0, le=10**12)]
@@ -175,7 +183,7 @@ class InputCard(Declaration):
     name: Name
     column: ColumnKey
     unit: Text
-    scale: Amount = 1.0
+    scale: Scale = 1.0
     sign: Literal[1, -1] = 1
     offset: Amount = 0.0
     hold: Hold = "zero-order"

@@ -5,7 +5,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from tustinnet.errors import InputError, convert_errors
 
@@ -30,7 +30,7 @@ class Columns:
         self,
         names: Sequence[str],
         read: Callable[[list[str]], Sequence[Column]],
-        rows: Sequence[int] | None = None,
+        rows: Sequence[int] | Int[np.ndarray, " n"] | None = None,
         notes: tuple[str, ...] = (),
         others: Mapping[str, str] | None = None,
     ) -> None:
@@ -47,7 +47,12 @@ class Columns:
     def fetch(self, names: Sequence[str]) -> None:
         """Reads some columns at once, which is quicker than one after the other."""
         missing = [name for name in dict.fromkeys(names) if name not in self._columns]
-        self._columns.update(zip(missing, self._read(missing), strict=True))
+        if missing:
+            self._columns.update(zip(missing, self._read(missing), strict=True))
+
+    def release(self) -> None:
+        """Gives back the memory of the numbers and of the file; nothing can be read after it."""
+        self._columns, self._read = {}, _read_nothing
 
     def fetch_elements(self, names: Collection[str]) -> None:
         """Reads some columns of all elements at once: one by one, each would read the file."""
@@ -75,6 +80,10 @@ class Columns:
     def __getitem__(self, name: str) -> Column:
         self.fetch([name])
         return self._columns[name]
+
+
+def _read_nothing(names: list[str]) -> list[Column]:
+    raise RuntimeError(f"columns were released before {names} were read")
 
 
 def _element_names(names: Iterable[str], number: int) -> dict[str, str]:

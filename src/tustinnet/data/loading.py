@@ -34,6 +34,7 @@ def load_folder(
     *,
     on_message: Callable[[str], None] | None = None,
     required: Collection[str] = (),
+    follow_links: bool = False,
 ) -> DataSet:
     """Reads the records that a card names from a folder; without splits, those of all its logs.
 
@@ -44,6 +45,7 @@ def load_folder(
             with a sentence on each; not those that the card names one by one, and not all of a
             split.
         required: names of records that are never left out.
+        follow_links: whether links to files outside of the folder are read.
 
     Raises:
         InputError: a file is missing or damaged or outside of the folder, a column is not there,
@@ -56,7 +58,7 @@ def load_folder(
     errors: list[tuple[str | None, InputError]] = []
     for split, entry in list_record_files(folder, card):
         try:
-            records = _load_file(folder, split, entry, card)
+            records = _load_file(folder, split, entry, card, follow_links=follow_links)
         except InputError as error:
             if on_message is None or entry.file in named or entry.name in required:
                 raise
@@ -146,11 +148,12 @@ def _begin_near_zero(records: Sequence[_LoadedRecord], card: Card) -> list[Exper
 
 
 def _load_file(
-    folder: Path, split: str | None, entry: FileCard, card: Card
+    folder: Path, split: str | None, entry: FileCard, card: Card, *, follow_links: bool
 ) -> list[_LoadedRecord | InputError]:
     """The record of a file, or of each element of its cell arrays the record or its error."""
     path = folder / entry.file
-    require_inside(folder, path)
+    if not follow_links:
+        require_inside(folder, path)
     columns = read_columns(path, header=card.format.header, delimiter=card.format.delimiter)
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
@@ -320,6 +323,7 @@ def _read_record(
     wrapped = frozenset(j for j in angles if resampling.wraps_within_turn(q[:, j]))
     q, notes = unwrap_angles(q, angles)
     t, dt = _times(reader, card, len(q))
+    columns.release()
     record = Experiment(
         name=name, t=t, q=q, u=u, channels=card.channels(dt), v=v,
         v_measured=bool(velocities) and all(c.measured for c in velocities),

@@ -9,9 +9,8 @@ from jaxtyping import PyTree
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from tustinnet.channels import Channels
+from tustinnet.families.descriptions import Tap, check_taps
 from tustinnet.families.family import (
-    MOST_LAYERS,
-    MOST_UNITS,
     Arrays,
     Hyper,
     LayeredStage,
@@ -20,6 +19,7 @@ from tustinnet.families.family import (
     restore_arrays,
 )
 from tustinnet.models.blocks import Layers, Network, Scaling, feature_count, random_network
+from tustinnet.models.sizes import MOST_LAYERS, MOST_TAPS, MOST_UNITS
 from tustinnet.registry import SCALINGS
 
 
@@ -66,15 +66,7 @@ class NetworkHyper(Hyper):
         return self.model_dump(include={"hidden", "stem", "activation", "output_bias", "odd"})
 
 
-def _check_taps(taps: tuple[int, ...]) -> tuple[int, ...]:
-    """The taps, all different."""
-    if len(set(taps)) < len(taps):
-        raise ValueError(f"a tap twice: {list(taps)}")
-    return taps
-
-
-Tap = Annotated[int, Field(ge=-1000, le=1000)]
-InputTaps = Annotated[tuple[Tap, ...], Field(max_length=100), AfterValidator(_check_taps)]
+InputTaps = Annotated[tuple[Tap, ...], Field(max_length=MOST_TAPS), AfterValidator(check_taps)]
 
 
 def describe_network(network: Network) -> dict[str, Any]:

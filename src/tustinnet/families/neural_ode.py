@@ -24,7 +24,8 @@ from tustinnet.families.networks import (
 )
 from tustinnet.models.blocks import Layers, Network, feature_count, random_network
 from tustinnet.models.contract import ContinuousModel, InputVector, Model, State
-from tustinnet.models.integrate import MOST_UNROLLED, Discretised, discretise
+from tustinnet.models.integrate import Discretised, discretise
+from tustinnet.models.sizes import MOST_UNROLLED
 from tustinnet.registry import SCALINGS
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.errors import InputError
+from tustinnet.families.descriptions import Seconds
 from tustinnet.families.family import (
     Arrays,
     Header,
@@ -38,6 +39,7 @@ from tustinnet.models.contract import (
     Model,
     State,
 )
+from tustinnet.models.sizes import MOST_TIMES
 from tustinnet.models.step_layout import StepInput
 from tustinnet.registry import SCALINGS
 from tustinnet.signals.rest import usual_positions
@@ -182,7 +184,7 @@ class TustinNetHyper(NetworkHyper):
     The other keys are those of the network.
     """
 
-    memory: tuple[Annotated[float, Field(gt=0, le=1e6)], ...] = Field(default=(), max_length=100)
+    memory: tuple[Seconds, ...] = Field(default=(), max_length=MOST_TIMES)
     remembered: float | None = Field(default=None, ge=0, le=1)
     input_taps: InputTaps = ()
     linear: bool = False

@@ -22,8 +22,8 @@ from tustinnet.families.family import (
     TrainedFamily,
 )
 from tustinnet.models.contract import Model
-from tustinnet.models.integrate import MOST_SUBSTEPS
 from tustinnet.models.lagrangian import LagrangianSystem
+from tustinnet.models.sizes import MOST_SUBSTEPS
 from tustinnet.registry import DEFAULT_FAMILY, FAMILIES
 from tustinnet.simulate.starts import start_named
 

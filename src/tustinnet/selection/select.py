@@ -37,6 +37,7 @@ from tustinnet.store.kept_system import CANDIDATES, require_copy_fits, write_sys
 from tustinnet.store.model_file import save
 from tustinnet.store.run import FIGURES, MODEL, REPORT, SUMMARY, WRITTEN, Earlier
 from tustinnet.store.specification import (
+    SPECIFICATION,
     Specification,
     record_digests,
     require_same_specification,
@@ -341,12 +342,12 @@ def _prepare_folder(context: RunContext, earlier: Earlier, specification: Specif
     """Refuses, discards or keeps an earlier selection; writes specification and system's file."""
     if earlier == "resume":
         require_same_specification(context.folder, specification, MODEL)
+    own = [context.folder / name for name in (MODEL, SPECIFICATION) if earlier == "discard"]
+    require_copy_fits(context.system_file, context.folder, own)
     if earlier == "discard":
         _discard(context.folder)
     if earlier == "refuse":
         _require_no_earlier(context.folder)
-    if earlier != "discard":
-        require_copy_fits(context.system_file, context.folder)
     files = [context.folder / name for name in (MODEL, SUMMARY, REPORT)]
     drawings = [context.folder / name for name in (FIGURES, TABLE)]
     require_outputs([*files, *drawings], overwrite=earlier != "refuse")

@@ -237,8 +237,8 @@ def run_task(
             `fit`.
     """
     with lock_folder(folder):
-        if earlier != "discard":
-            require_copy_fits(system, folder)
+        own = [folder / MODEL, folder / SPECIFICATION] if earlier == "discard" else []
+        require_copy_fits(system, folder, own)
         specification, family = make_specification(task, system), task.recipe.family
         _prepare_folder(folder, earlier, specification, resumable=family.resumable)
 
