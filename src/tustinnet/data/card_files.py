@@ -6,16 +6,15 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from tustinnet.data.card import Card, FileCard
-from tustinnet.data.readers import is_readable
+from tustinnet.data.readers import is_log
 from tustinnet.errors import InputError, convert_errors, require_name
 
 
 def list_record_files(folder: Path, card: Card) -> list[tuple[str | None, FileCard]]:
     """The files of a card with their splits, patterns resolved, every record with a name.
 
-    Without splits these are all files of the folder that can be read, by their endings, in natural
-    order. Records have the names of their files, with folders and rows where names would be
-    doubled.
+    Without splits these are all logs of the folder, by their endings, in natural order. Records
+    have the names of their files, with folders and rows where names would be doubled.
 
     Raises:
         InputError: a file is missing or listed in two splits, or its name can be no record's.
@@ -86,10 +85,10 @@ def _resolve_patterns(
 
 
 def _list_logs(folder: Path) -> list[str]:
-    """Names of the files of a folder that can be read, hidden ones left out."""
+    """Names of the logs of a folder."""
     with convert_errors(folder, "cannot be listed", "a folder of logs"):
-        paths = [p for p in folder.iterdir() if is_readable(p) and not p.is_dir()]
-    return _in_natural_order(p.name for p in paths if not p.name.startswith("."))
+        paths = [p for p in folder.iterdir() if is_log(p) and not p.is_dir()]
+    return _in_natural_order(p.name for p in paths)
 
 
 def _in_natural_order(files: Iterable[str]) -> list[str]:
