@@ -279,8 +279,8 @@ def test_verbs_leave_out_what_a_fit_leaves_out(folder, model, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("hold", "advice"),
     [
-        (None, "no hold declared: `fit` without a recipe determines it"),
-        ("unknown", 'hold = "unknown": `fit` without a recipe determines it'),
+        (None, "no hold declared: `fit` and `cross-validate` determine it"),
+        ("unknown", 'hold = "unknown": `fit` and `cross-validate` determine it'),
         ("first-order", 'hold = "first-order" as declared; without this key `fit`'),
     ],
 )

@@ -105,11 +105,10 @@ def _print_reports(reports: "list[ExperimentReport]", unit: str) -> None:
 def _hold_advice(hold: "Hold | None") -> str:
     """The way to the hold of an input whose card declares it, declares `unknown`, or none."""
     if hold is None:
-        return ("no hold declared: `fit` without a recipe determines it, a recipe takes zero-order "
-                "unless the system declares another")  # fmt: skip
+        return "no hold declared: `fit` and `cross-validate` determine it"
     if hold == "unknown":
-        return 'hold = "unknown": `fit` without a recipe determines it, and that of a grey box'
-    return f'hold = "{hold}" as declared; without this key `fit` without a recipe determines it'
+        return 'hold = "unknown": `fit` and `cross-validate` determine it'
+    return f'hold = "{hold}" as declared; without this key `fit` determines it'
 
 
 def _inspect_file(path: Path, *, json: bool) -> None:

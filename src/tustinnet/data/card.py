@@ -165,11 +165,11 @@ class InputCard(Declaration):
         sign: 1 or -1.
         offset: reading of the column where the input is 0.
         hold: course between samples: `zero-order`, `first-order`, `band-limited`, or
-            `unknown`: `fit` of a grey box tries all of them. `fit` without a recipe does so also
-            where there is no such key; otherwise it is then that of the system, or `zero-order`.
+            `unknown`: `fit` tries all of them, also where neither this key nor the system says one;
+            elsewhere it is then that of the model, or `zero-order`.
         limits: smallest and largest `value` of the actuator.
-        delay: time from a logged sample to its effect [s], or `unknown`: `fit` of a grey box, or
-            without a recipe, searches for it. `fit` does so also where there is no such key.
+        delay: time from a logged sample to its effect [s], or `unknown`: `fit` searches for it,
+            also where there is no such key.
     """
 
     name: Name

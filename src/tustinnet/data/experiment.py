@@ -326,7 +326,7 @@ class Experiment(HasChannels):
                     f"{self.name}, input '{i.name}'", f"hold 'unknown', and {purpose} needs one",
                     "zero-order, first-order or band-limited",
                     "declare it in the data card" + (
-                        "; `fit` without a recipe, or of a grey box, tries all of them"
+                        "; `fit` tries all of them"
                         if delays else ""
                     ),
                 )  # fmt: skip
@@ -334,8 +334,7 @@ class Experiment(HasChannels):
                 raise InputError(
                     f"{self.name}, input '{i.name}'", f"delay 'unknown', and {purpose} needs one",
                     "a delay in seconds",
-                    "declare it in the data card; `fit` without a recipe, or of a grey box, "
-                    "searches for it",
+                    "declare it in the data card; `fit` searches for it",
                 )  # fmt: skip
 
     def measured_states(

@@ -78,7 +78,6 @@ class FitProgress(AbstractContextManager["FitProgress"]):
             on_message=self._print_once,
         )
 
-
     def _print_once(self, message: str) -> None:
         """Prints a message of a fit, unless another fit had the same: folds have records alike."""
         if message not in self._messages:

@@ -157,17 +157,13 @@ def select_model(
         _prepare_folder(context, earlier, specification)
         make = executor or (lambda context: InProcess(context, reporter.make_job_listener))
         say_once = _make_say_once(reporter)
-        halving = Halving(
-            plan, candidates, context, say_once, rounds_end, ending, promising
-        )
+        halving = Halving(plan, candidates, context, say_once, rounds_end, ending, promising)
         remaining = halving.run(make(context))
         if halving.hopeless:
             context, note = _with_horizon(context, halving)
             reporter.on_message(note)
             notes = (*notes, note)
-            halving = Halving(
-            plan, candidates, context, say_once, rounds_end, ending, promising
-        )
+            halving = Halving(plan, candidates, context, say_once, rounds_end, ending, promising)
             remaining = halving.run(make(context))
         if not remaining:
             raise _nothing_fitted(halving)

@@ -16,8 +16,8 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import error_message
 from tustinnet.fitting.listener import SILENT
-from tustinnet.fitting.recipe import Recipe
-from tustinnet.fitting.recipe_reading import read_recipe
+from tustinnet.fitting.recipe import IdentificationRecipe, Recipe
+from tustinnet.fitting.recipe_reading import is_published, read_recipe
 from tustinnet.fitting.report import Estimate, Identification
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.shooting.identify import UnfinishedSearchError, identify_task
@@ -115,6 +115,34 @@ def determine_timing(
             )
     experiments = tuple(_with_inputs(e, timing) for e in data)
     return Timing(replace(data, experiments=experiments), tuple(sentences), tuple(lags))
+
+
+def determine_recipe_timing(
+    data: DataSet,
+    recipe: Recipe,
+    system: AnySystem | SystemTemplate | None = None,
+    *,
+    is_repeated: bool = False,
+    on_message: Callable[[str], None] = lambda sentence: None,
+) -> Timing:
+    """Finds holds and delays for the fits of one recipe, see `determine_timing`.
+
+    The records stay as they are for the recipes of the publication, and for a single
+    identification that searches for what its data card calls `unknown`.
+
+    Args:
+        data: the records.
+        recipe: the recipe.
+        system: the system that is given; None, or a template, for a mechanism.
+        is_repeated: whether several fits follow, which would search for the same again.
+        on_message: called with what is being done.
+    """
+    is_unknown = any(i.hold == "unknown" or i.delay is None for i in data.channels.inputs)
+    searches = isinstance(recipe, IdentificationRecipe) and is_unknown and not is_repeated
+    if searches or is_published(recipe):
+        return Timing(data)
+    given = None if isinstance(system, SystemTemplate) else system
+    return determine_timing(data, given, on_message=on_message)
 
 
 @dataclass(frozen=True)
@@ -237,8 +265,8 @@ def _explain_lateness(
             sentence = (
                 f"lag of '{name}': first order with a time constant of {lag.value:.3g}{error} s, "
                 f"and no delay; the simulation error is {lag_ratio:.2g} times that without, with a "
-                f"delay of {found} instead {ratio:.2g} times (the force `{LAG}` adds it to equations "
-                "of motion)"
+                f"delay of {found} instead {ratio:.2g} times (the force `{LAG}` adds it to "
+                "equations of motion)"
             )
             explanations[k] = None, sentence
             continue
