@@ -1,6 +1,7 @@
 """Records from columns, as a data card declares them."""
 
 import hashlib
+import statistics
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -155,11 +156,12 @@ def _common_period(records: Sequence[Experiment], card: Card) -> float | None:
     if max(deviations) < _SAME_CLOCK:
         return None
     if card.time is not None and max(deviations) > card.time.tolerance:
-        other = records[int(np.argmax(deviations))]
+        usual = statistics.median_low([e.dt for e in records])
+        other = max(records, key=lambda e: abs(e.dt / usual - 1))
         raise InputError(
             f"record '{other.name}'", f"median interval {other.dt:.4g} s",
-            f"about {common:.4g} s as in the other records",
-            f'leave it out, or add `dt = {common:.4g}` to the card and `irregular = "resample"` '
+            f"about {usual:.4g} s as in other records",
+            f'leave it out, or add `dt = {usual:.4g}` to the card and `irregular = "resample"` '
             "under [time]",
         )  # fmt: skip
     return common

@@ -249,18 +249,13 @@ def _explain_lateness(
     clear = {k: delay for k, delay in delays.items() if is_clear(delay)}
     if not clear or ratio >= _BETTER:
         return {}
-    try:
-        lagging = search.identify(timing, [f"{LAG}:{timing[k].name}" for k in clear])
-    except Exception:  # of any kind: the delay stands
-        lagging, lag_ratio = None, np.inf
-    else:
-        lag_ratio = compare(lagging)
+    lag_ratio, lags = _compare_lags(search, timing, list(clear), compare, ratio)
     explanations: dict[int, tuple[float | None, str]] = {}
     for k, delay in clear.items():
         name = timing[k].name
         found = f"{delay.value:.3g} ± {delay.error:.1g} s ({delay.value / dt:.2g} periods)"
-        if lagging is not None and lag_ratio < _BETTER * ratio:
-            lag = _estimate(lagging, f"{name}.{LAG}")
+        if k in lags:
+            lag = lags[k]
             error = "" if lag.error is None else f" ± {lag.error:.1g}"
             sentence = (
                 f"lag of '{name}': first order with a time constant of {lag.value:.3g}{error} s, "
@@ -270,13 +265,51 @@ def _explain_lateness(
             )
             explanations[k] = None, sentence
             continue
-        instead = "" if lagging is None else f", with a lag instead {lag_ratio:.2g} times"
+        instead = f", with a lag instead {lag_ratio:.2g} times" if np.isfinite(lag_ratio) else ""
         sentence = (
             f"delay of '{name}': {found}; the simulation error is {ratio:.2g} times that without"
             f"{instead}"
         )
         explanations[k] = delay.value, sentence
     return explanations
+
+
+def _compare_lags(
+    search: _TimingSearch,
+    timing: Sequence[Input],
+    places: Sequence[int],
+    compare: Callable[[Identification], float],
+    delay_ratio: float,
+) -> tuple[float, dict[int, Estimate]]:
+    """Lags in the place of delays: how many times the error without is theirs, and clear lags.
+
+    A lag is clear where the error with it is lower than with a delay, and where it is needed beside
+    a delay. In records whose inputs change slowly both may look alike.
+
+    Args:
+        search: the search.
+        timing: the inputs, with their holds.
+        places: the inputs that act late.
+        compare: how many times the error without delays that of an identification is.
+        delay_ratio: that of the delays.
+    """
+    forces = [f"{LAG}:{timing[k].name}" for k in places]
+    try:
+        lagging = search.identify(timing, forces)
+        ratio = compare(lagging)
+        if ratio >= _BETTER * delay_ratio:
+            return ratio, {}
+        delayed = [replace(i, delay=None) if k in places else i for k, i in enumerate(timing)]
+        both = search.identify(delayed, forces)
+    except Exception:  # of any kind: the delays stand
+        return np.inf, {}
+    clear = {}
+    for k in places:
+        name = f"{timing[k].name}.{LAG}"
+        beside = _estimate(both, name)
+        if not beside.bound and beside.value > _SURE * (beside.error or np.inf):
+            clear[k] = _estimate(lagging, name)
+    return ratio, clear
 
 
 def _estimate(identification: Identification, name: str) -> Estimate:
