@@ -65,7 +65,7 @@ def tustinnet(
 def run(arguments: list[str] | None = None) -> None:
     """Runs the command; bad input ends as one line on standard error and exit code 1."""
     try:
-        app(arguments)
+        app(arguments, prog_name=app.info.name)  # also as python -m tustinnet
     except InputError as error:
         sys.stderr.write(f"error: {error}\n")
         sys.exit(1)
