@@ -1,7 +1,7 @@
 """Coordinates, inputs and sampling period as one object, and the layout of a state."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal, get_args
 
@@ -68,6 +68,8 @@ class Input:
             default is `zero-order`.
         limits: smallest and largest value the actuator takes, if known.
         delay: time from a logged sample to its effect [s], None if unknown.
+        is_delay_declared: whether the data card declares it, so that a delay of 0 s is not searched
+            for.
     """
 
     name: str
@@ -75,6 +77,7 @@ class Input:
     hold: Hold | None = None
     limits: tuple[float, float] | None = None
     delay: float | None = 0.0
+    is_delay_declared: bool = field(default=False, compare=False)
 
     def __post_init__(self) -> None:
         require_name(self.name, "input")
@@ -216,9 +219,12 @@ class Channels:
         for c in coordinates:
             if c["unit"] == _default_unit(c["kind"]):
                 del c["unit"]  # files of earlier versions have none
+        inputs = [asdict(i) for i in self.inputs]
+        for i in inputs:
+            del i["is_delay_declared"]  # of the records, not of a model
         return {
             "coordinates": coordinates,
-            "inputs": [asdict(i) for i in self.inputs],
+            "inputs": inputs,
             "dt": self.dt,
         }
 

@@ -154,4 +154,5 @@ TARGETS: Registry[Any] = Registry(
         "mat": "tustinnet.export.mat:TARGET",
     },
 )
-RECIPE_HOMES: list[str] = ["tustinnet.fitting", "tustinnet.reproduce"]  # packages with `recipes/`
+PUBLICATION = "tustinnet.reproduce"  # the package whose recipes are those of the publication
+RECIPE_HOMES: list[str] = ["tustinnet.fitting", PUBLICATION]  # packages with `recipes/`

@@ -100,7 +100,6 @@ def test_an_unknown_key_is_refused_with_the_nearest_known_one(
             "two channels are called 'angle'",
         ),
         ({"coordinates": []}, "coordinates: .*at least 1"),
-        ({"dt": None}, "neither `dt` nor a time column"),
         ({"dt": "fast"}, r"dt: .*\(got 'fast'\)"),
         ({"dt": 0}, "dt: .*greater than or equal"),
         ({"dt": 1e-320}, "dt: .*greater than or equal"),

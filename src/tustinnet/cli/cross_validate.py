@@ -96,7 +96,7 @@ def cross_validate(
             remove_results(out, (_FILE, _TABLE), jobs=overwrite)
         result = cross_validate(
             records, validation, progress.follow, folder=out, executor=executor,
-            system=system and find_system(system),
+            system=system and find_system(system), on_message=terminal.make_printer(quiet=quiet),
         )  # fmt: skip
         table = folds_table(result)
         write_into(out, _FILE, to_json(result.as_plain()))

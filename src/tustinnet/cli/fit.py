@@ -1,5 +1,6 @@
 """`tustinnet fit`: a model from a folder of logs."""
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -164,7 +165,7 @@ def _fit_recipe(
         make_task, recipe=recipe, members=members, physics=physics_model, system=task_system,
         origin=initial_model,
     )  # fmt: skip
-    task = make_task_of(records)
+    task, records = _with_timing(make_task_of(records), records, quiet=fit_options.quiet)
     request.print_still_coordinates(task.folds[0].roles.train, console)
     if not fit_options.quiet:
         _print_windows(task, console)
@@ -256,6 +257,25 @@ def _run_members(
         judges_records=True, left_out=(*left_out, *sentences),
     )  # fmt: skip
     return run, records
+
+
+def _with_timing(task: "Task", records: "DataSet", *, quiet: bool) -> "tuple[Task, DataSet]":
+    """A task of one fold and its records with the holds and delays that no card declares.
+
+    Those of a fit that begins with a model, or corrects one, are the model's.
+    """
+    from tustinnet.fitting.roles import assign_roles
+    from tustinnet.selection.timing import determine_recipe_timing
+
+    (fold,) = task.folds
+    if fold.physics is not None or fold.origin is not None:
+        return task, records
+    on_message = terminal.make_printer(quiet=quiet)
+    timing = determine_recipe_timing(records, task.recipe, task.system, on_message=on_message)
+    for sentence in timing.sentences:
+        on_message(sentence)
+    timed_fold = replace(fold, roles=assign_roles(timing.data))
+    return replace(task, folds=(timed_fold,)), timing.data
 
 
 def _is_usable(result: "FitResult") -> bool:

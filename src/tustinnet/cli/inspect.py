@@ -9,10 +9,14 @@ import typer
 from tustinnet.cli import options, request, terminal
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from tustinnet.channels import Hold
     from tustinnet.data.experiment import Experiment
     from tustinnet.data.inspection import ExperimentReport
     from tustinnet.report.tables import Table
+
+_MOST_NAMED, _FIRST_NAMED = 6, 3  # records that a line names: all of so many, or the first ones
 
 _Figure = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Draw the records (.png, .svg, .pdf).")
@@ -99,9 +103,9 @@ def _print_reports(reports: "list[ExperimentReport]", unit: str) -> None:
     notes = ((r.name, text) for r in reports for text in r.notes if "jitter" not in text)
     for line in (
         *suspicions(reports),
-        *_merge_remarks("held", unstable),
-        *_merge_remarks("hold", holds),
-        *_merge_remarks("note", notes),
+        *_merge_remarks("held", unstable, len(reports)),
+        *_merge_remarks("hold", holds, len(reports)),
+        *_merge_remarks("note", notes, len(reports)),
     ):
         typer.echo(line)
 
@@ -109,11 +113,10 @@ def _print_reports(reports: "list[ExperimentReport]", unit: str) -> None:
 def _hold_advice(hold: "Hold | None") -> str:
     """The way to the hold of an input whose card declares it, declares `unknown`, or none."""
     if hold is None:
-        return ("no hold declared: `fit` without a recipe determines it, a recipe takes zero-order "
-                "unless the system declares another")  # fmt: skip
+        return "no hold declared: `fit` and `cross-validate` determine it"
     if hold == "unknown":
-        return 'hold = "unknown": `fit` without a recipe determines it, and that of a grey box'
-    return f'hold = "{hold}" as declared; without this key `fit` without a recipe determines it'
+        return 'hold = "unknown": `fit` and `cross-validate` determine it'
+    return f'hold = "{hold}" as declared; without this key `fit` determines it'
 
 
 def _inspect_file(path: Path, *, json: bool) -> None:
@@ -141,9 +144,10 @@ def _inspect_file(path: Path, *, json: bool) -> None:
     typer.echo(f"\n# draft of a card; save it as dataset.toml beside the file\n{report.draft}")
 
 
-def suspicions(reports: Iterable["ExperimentReport"]) -> list[str]:
+def suspicions(reports: "Sequence[ExperimentReport]") -> list[str]:
     """Lines about suspicious rows in records; each remark once, with the names of its records."""
-    return _merge_remarks("suspicious", ((r.name, text) for r in reports for text in r.suspicious))
+    remarks = ((r.name, text) for r in reports for text in r.suspicious)
+    return _merge_remarks("suspicious", remarks, len(reports))
 
 
 def spoiled_lines(
@@ -171,12 +175,30 @@ def require_sound(reports: Iterable["ExperimentReport"]) -> None:
             )  # fmt: skip
 
 
-def _merge_remarks(kind: str, remarks: Iterable[tuple[str, str]]) -> list[str]:
-    """Lines of remarks, pairs of record and text: one line for each text, with all its records."""
+def _merge_remarks(kind: str, remarks: Iterable[tuple[str, str]], total: int) -> list[str]:
+    """Lines of remarks: one line for each text, with its records.
+
+    Args:
+        kind: what the lines begin with.
+        remarks: pairs of record and text.
+        total: number of all records.
+    """
     by_text: dict[str, list[str]] = {}
     for name, text in remarks:
         by_text.setdefault(text, []).append(name)
-    return [f"{kind}: {text}  [{', '.join(names)}]" for text, names in sorted(by_text.items())]
+    return [
+        f"{kind}: {text}  [{_list_records(names, total)}]"
+        for text, names in sorted(by_text.items())
+    ]
+
+
+def _list_records(names: "Sequence[str]", total: int) -> str:
+    """Names of records in a line; of many the first ones, and how many others."""
+    if len(names) <= _MOST_NAMED:
+        return ", ".join(names)
+    if len(names) == total:
+        return f"all {total} records"
+    return f"{', '.join(names[:_FIRST_NAMED])} and {len(names) - _FIRST_NAMED} others"
 
 
 def time_table(reports: list["ExperimentReport"]) -> "Table":

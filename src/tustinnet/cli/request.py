@@ -389,15 +389,16 @@ def choose_free_runs(
     from tustinnet.simulate.start_rules import DerivedStart
     from tustinnet.simulate.starts import default_start
     from tustinnet.store.header import read_header, records_in_header
+    from tustinnet.store.judgement import judged_free_runs, usual_split
 
     headers = {path: read_header(path) for path in models}
     defaults = []
     if split is None and not names:
-        split = next((s for s in ("test", "validation") if s in data.splits), ALL)
+        split = usual_split(data) or ALL
         defaults.append(f"{split} records (--split)")
     selected = records_of_split(data, split)
     records = [selected[name] for name in names] if names else list(selected)
-    file_start, file_horizon = _read_judged(headers, records, has_bands=has_bands)
+    file_start, file_horizon = judged_free_runs(headers, records, has_bands=has_bands)
     if start is None and file_start is not None:
         defaults.append(f"start '{file_start}' as in the model's file (--start)")
     start = file_start if start is None else start
@@ -439,39 +440,6 @@ def _leave_out_short(
                 f"left out: {e.name}: {len(e)} samples; expected at least {fewest}"
             )
     return kept
-
-
-def _read_judged(
-    headers: "Mapping[Path, Mapping[str, Any]]", records: "Sequence[Experiment]", *, has_bands: bool
-) -> tuple[str | None, float | None]:
-    """Start and horizon by which files say that models were judged, or with bands calibrated.
-
-    None where files say none or others, where no record or none without velocities can start so,
-    or none is longer.
-    """
-    from tustinnet.errors import InputError
-    from tustinnet.evaluate.bands import KEY, Calibration
-    from tustinnet.simulate.horizon import effective_horizon
-    from tustinnet.simulate.start_rules import StoredStart, start_named
-    from tustinnet.store.header import judgement_in_header
-
-    judged = [
-        Calibration.from_header(dict(header), path)
-        if has_bands and KEY in header
-        else judgement_in_header(header)
-        for path, header in headers.items()
-    ]
-    starts, horizons = ({getattr(j, key, None) for j in judged} for key in ("start", "horizon"))
-    start = starts.pop() if len(starts) == 1 else None
-    horizon = horizons.pop() if len(horizons) == 1 else None
-    try:
-        rule = start_named(start) if start else None
-    except InputError:  # a start of an earlier version
-        rule = None
-    lacks_velocities = isinstance(rule, StoredStart) and any(e.v is None for e in records)
-    if rule is None or lacks_velocities or all(len(e) < rule.samples for e in records):
-        start = None
-    return start, effective_horizon(horizon, records)
 
 
 def compute_bands(

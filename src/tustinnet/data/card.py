@@ -173,11 +173,11 @@ class InputCard(Declaration):
         sign: 1 or -1.
         offset: reading of the column where the input is 0.
         hold: course between samples: `zero-order`, `first-order`, `band-limited`, or
-            `unknown`: `fit` of a grey box tries all of them. `fit` without a recipe does so also
-            where there is no such key; otherwise it is then that of the system, or `zero-order`.
+            `unknown`: `fit` tries all of them, also where neither this key nor the system says one;
+            elsewhere it is then that of the model, or `zero-order`.
         limits: smallest and largest `value` of the actuator.
-        delay: time from a logged sample to its effect [s], or `unknown`: `fit` of a grey box, or
-            without a recipe, searches for it.
+        delay: time from a logged sample to its effect [s], or `unknown`: `fit` searches for it,
+            also where there is no such key.
     """
 
     name: Name
@@ -194,7 +194,8 @@ class InputCard(Declaration):
         """The input as records have it."""
         delay = None if self.delay == "unknown" else self.delay
         hold = self.hold if "hold" in self.model_fields_set else None
-        return Input(self.name, self.unit, hold, self.limits, delay)
+        is_declared = delay is not None and "delay" in self.model_fields_set
+        return Input(self.name, self.unit, hold, self.limits, delay, is_declared)
 
 
 class TimeCard(Declaration):
@@ -296,7 +297,7 @@ class Card(Declaration):
     Attributes:
         name: name of the data set.
         description: a sentence for people.
-        dt: nominal sampling period [s]; the median interval where it is left out.
+        dt: nominal sampling period [s]; the median interval of all records where it is left out.
         splits: files of `train`, `validation` and `test`; without any, all files beside the card
             that can be read are records of no split.
         optional_splits: splits whose files may all be absent.
@@ -330,13 +331,11 @@ class Card(Declaration):
         }
 
     @model_validator(mode="after")
-    def _check_names_and_period(self) -> "Card":
+    def _check_names(self) -> "Card":
         names = [c.name for c in self.coordinates] + [i.name for i in self.inputs]
         duplicates = sorted({name for name in names if names.count(name) > 1})
         if duplicates:
             raise ValueError(f"two channels are called '{duplicates[0]}'")
-        if self.dt is None and self.time is None:
-            raise ValueError("neither `dt` nor a time column says how far apart samples are")
         return self
 
     @property

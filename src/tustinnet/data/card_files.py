@@ -7,16 +7,15 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from tustinnet.data.card import Card, FileCard
-from tustinnet.data.readers import is_readable
+from tustinnet.data.readers import is_log
 from tustinnet.errors import InputError, convert_errors, require_name
 
 
 def list_record_files(folder: Path, card: Card) -> list[tuple[str | None, FileCard]]:
     """The files of a card with their splits, patterns resolved, every record with a name.
 
-    Without splits these are all files of the folder that can be read, by their endings, in natural
-    order. Records have the names of their files, with folders and rows where names would be
-    doubled.
+    Without splits these are all logs of the folder, by their endings, in natural order. Records
+    have the names of their files, with folders and rows where names would be doubled.
 
     Raises:
         InputError: a file is missing or listed in two splits, or its name can be no record's.
@@ -70,7 +69,7 @@ def would_be_record(path: Path, folder: Path, card: Card) -> bool:
         return False
     relative = place.relative_to(base)
     if not card.splits:
-        return len(relative.parts) == 1 and is_readable(path) and not path.name.startswith(".")
+        return len(relative.parts) == 1 and is_log(path)
     patterns = [entry.file for entries in card.splits.values() for entry in entries]
     depth = len(relative.parts)
     return any(len(Path(p).parts) == depth and relative.match(p) for p in patterns)
@@ -107,10 +106,9 @@ def _resolve_patterns(
 
 
 def _list_logs(folder: Path) -> list[str]:
-    """Names of the files of a folder that can be read, hidden ones left out."""
+    """Names of the logs of a folder."""
     with convert_errors(folder, "cannot be listed", "a folder of logs"):
-        visible = [p for p in folder.iterdir() if not p.name.startswith(".")]
-    paths = _without_folders(p for p in visible if is_readable(p))
+        paths = _without_folders(p for p in folder.iterdir() if is_log(p))
     return _in_natural_order(p.name for p in paths)
 
 
@@ -122,7 +120,7 @@ def _without_folders(paths: Iterable[Path]) -> list[Path]:
             is_folder = path.is_dir()
         if not is_folder:
             files.append(path)
-        elif is_readable(path):
+        elif is_log(path):
             warnings.warn(f"{path}: a folder, no record; it is left out", stacklevel=2)
     return files
 

@@ -17,7 +17,7 @@ from tustinnet.data.card_files import list_record_files
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import read_declaration
 from tustinnet.data.loading import load_folder
-from tustinnet.data.readers import is_readable
+from tustinnet.data.readers import is_log
 from tustinnet.errors import InputError
 
 CARD_NAME = "dataset.toml"
@@ -114,7 +114,7 @@ def locate(data: str | Path, card: str | Path | None = None) -> tuple[Path, Card
         if entry.is_in(path):
             return path, entry.card()
     logs = (file for pattern in ("*", "*/*") for file in sorted(path.glob(pattern)))
-    log = next((file for file in logs if is_readable(file)), None)
+    log = next((file for file in logs if is_log(file)), None)
     remedy = "write one (docs/reference/data.md shows how)"
     if log is not None:
         remedy = f"`tustinnet inspect {shlex.quote(str(log))}` drafts one"

@@ -4,13 +4,14 @@ import json
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from tustinnet.data.columns import NUMBERED, Column
+from tustinnet.data.columns import NUMBERED, Column, Columns
 from tustinnet.data.readers import read_columns
 from tustinnet.data.units import ANGLE, LENGTH, TIME
 from tustinnet.errors import InputError
@@ -156,6 +157,19 @@ def inspect_file(path: Path) -> FileReport:
         draft="",
     )
     return replace(report, draft=_draft(report))
+
+
+def find_clock(columns: Columns) -> tuple[str, str, float] | None:
+    """The probable column of times of a file: its name, its unit, the median interval [s]."""
+    values: dict[str, Column] = {}
+    for name in columns.names[:_MOST]:
+        with suppress(InputError):  # no numbers
+            values[name] = columns[name]
+    clock = _find_clock(values)
+    if clock is None:
+        return None
+    unit = _guess_time_unit(clock, values[clock])
+    return clock, unit, float(np.median(np.diff(values[clock]))) * TIME[unit]
 
 
 def _find_clock(values: dict[str, Column]) -> str | None:

@@ -1,6 +1,7 @@
 """Records from columns, as a data card declares them."""
 
 import hashlib
+import statistics
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from tustinnet.data.columns import NUMBERED, Column, Columns, frame_columns
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import declare, read_declaration
 from tustinnet.data.experiment import LARGEST, Experiment, begin_near_zero, unwrap_angles
+from tustinnet.data.file_inspection import find_clock
 from tustinnet.data.mat_file import OBJECT, OBJECT_REMEDY
 from tustinnet.data.readers import read_columns
 from tustinnet.errors import InputError
@@ -52,24 +54,16 @@ def load_folder(
             a number is not finite, the time base is not as declared, nothing moves; the message
             names file and row.
     """
-    # files of patterns are not among these
-    named = {entry.file for entries in card.splits.values() for entry in entries}
-    loaded: list[_LoadedRecord] = []
-    errors: list[tuple[str | None, InputError]] = []
-    for split, entry in list_record_files(folder, card):
-        try:
-            records = _load_file(folder, split, entry, card, follow_links=follow_links)
-        except InputError as error:
-            if on_message is None or entry.file in named or entry.name in required:
-                raise
-            records = [error]
-        for record in records:
-            if isinstance(record, _LoadedRecord):
-                loaded.append(record)
-            elif on_message is None:
-                raise record
-            else:
-                errors.append((split, record))
+    loaded, errors = _load_files(
+        folder, card, required, follow_links=follow_links, raises=on_message is None
+    )
+    if loaded and card.dt is None:
+        dt = _common_period([record.experiment for record in loaded], card)
+        if dt is not None:
+            return load_folder(
+                folder, card.model_copy(update={"dt": dt}), on_message=on_message,
+                required=required, follow_links=follow_links,
+            )  # fmt: skip
     remaining = {record.experiment.split for record in loaded}
     for split, error in errors:
         if on_message is None or split not in remaining:
@@ -92,12 +86,7 @@ def load_folder(
     if card.dt is None:
         # every record has its own median interval; nearly equal ones come from one clock
         common = float(np.median([e.dt for e in experiments]))
-        experiments = [
-            replace(e, channels=replace(e.channels, dt=common))
-            if abs(e.dt / common - 1) < _SAME_CLOCK
-            else e
-            for e in experiments
-        ]
+        experiments = [replace(e, channels=replace(e.channels, dt=common)) for e in experiments]
     return DataSet(card.name, tuple(experiments))
 
 
@@ -125,6 +114,63 @@ def from_frame(
     reader = _ColumnReader(frame_columns(frame, name), name)
     record = _read_record(reader, card, name, split=split, groups=groups or {})
     return _begin_near_zero([record], card)[0]
+
+
+def _load_files(
+    folder: Path, card: Card, required: Collection[str], *, follow_links: bool, raises: bool
+) -> "tuple[list[_LoadedRecord], list[tuple[str | None, InputError]]]":
+    """The records of a card's files, and the errors of others with their splits.
+
+    Args:
+        folder: where the card's paths begin.
+        card: what to read.
+        required: names of records whose errors are raised.
+        follow_links: whether links to files outside of the folder are read.
+        raises: whether all errors are raised.
+    """
+    # files of patterns are not among these
+    named = {entry.file for entries in card.splits.values() for entry in entries}
+    loaded: list[_LoadedRecord] = []
+    errors: list[tuple[str | None, InputError]] = []
+    for split, entry in list_record_files(folder, card):
+        try:
+            records = _load_file(folder, split, entry, card, follow_links=follow_links)
+        except InputError as error:
+            if raises or entry.file in named or entry.name in required:
+                raise
+            records = [error]
+        for record in records:
+            if isinstance(record, _LoadedRecord):
+                loaded.append(record)
+            elif raises:
+                raise record
+            else:
+                errors.append((split, record))
+    return loaded, errors
+
+
+def _common_period(records: Sequence[Experiment], card: Card) -> float | None:
+    """The sampling period of records whose median intervals are not alike, as with much jitter.
+
+    None where they are: then they need not be read again by another period.
+
+    Raises:
+        InputError: records of several sampling periods.
+    """
+    common = float(np.median([e.dt for e in records]))
+    deviations = [abs(e.dt / common - 1) for e in records]
+    if max(deviations) < _SAME_CLOCK:
+        return None
+    if card.time is not None and max(deviations) > card.time.tolerance:
+        usual = statistics.median_low([e.dt for e in records])
+        other = max(records, key=lambda e: abs(e.dt / usual - 1))
+        raise InputError(
+            f"record '{other.name}'", f"median interval {other.dt:.4g} s",
+            f"about {usual:.4g} s as in other records",
+            f'leave it out, or add `dt = {usual:.4g}` to the card and `irregular = "resample"` '
+            "under [time]",
+        )  # fmt: skip
+    return common
 
 
 @dataclass(frozen=True)
@@ -356,8 +402,9 @@ def _rows_within(
 def _times(reader: _ColumnReader, card: Card, n: int) -> tuple[Float[np.ndarray, " n"], float]:
     """Timestamps of all samples and the sampling period [s]."""
     if card.time is None:
-        dt = float(card.dt or np.nan)
-        return np.arange(n) * dt, dt
+        if card.dt is None:
+            raise _no_period(reader)
+        return np.arange(n) * card.dt, card.dt
     t = reader.read(card.time.column) * card.time.factor()
     if len(t) != n:
         raise InputError(reader.where, f"{len(t)} timestamps for {n} samples", "equal numbers")
@@ -380,6 +427,21 @@ def _times(reader: _ColumnReader, card: Card, n: int) -> tuple[Float[np.ndarray,
             "check `unit` under [time]",
         )
     return t, card.dt or median
+
+
+def _no_period(reader: _ColumnReader) -> InputError:
+    """The error where a card gives no sampling period, with the lines that would."""
+    remedy = "add `dt = ...` (in seconds), or name the column of times under [time]"
+    clock = find_clock(reader.columns)
+    if clock is not None:
+        name, unit, dt = clock
+        remedy = (
+            f"column '{name}' has a median interval of {dt:.4g} s: add `dt = {dt:.4g}`, or [time] "
+            f'with `column = "{name}"`' + ("" if unit == "s" else f' and `unit = "{unit}"`')
+        )
+    return InputError(
+        reader.where, "no sampling period in the card", "`dt` or a time column", remedy
+    )
 
 
 def _check_times(record: Experiment, card: TimeCard, reader: _ColumnReader) -> Experiment:

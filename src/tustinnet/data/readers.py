@@ -1,5 +1,6 @@
 """Files of columns: CSV, Parquet, MAT (v5 and 7.3), NPZ."""
 
+import re
 import stat
 from functools import partial
 from pathlib import Path
@@ -12,6 +13,7 @@ from tustinnet.errors import InputError, convert_errors
 
 _TEXT = (".csv", ".txt", ".tsv", ".dat")
 _BINARY = (".parquet", ".mat", ".npz")
+_PROSE = re.compile(r"(?i)(read[-_ ]?me|licen[cs]e|copying|notes$|change[-_ ]?log)(?![a-z])")
 
 
 def read_columns(
@@ -64,3 +66,9 @@ def read_columns(
 def is_readable(path: Path) -> bool:
     """Whether a path has the ending of a file that `read_columns` reads."""
     return path.suffix.lower() in (*_TEXT, *_BINARY)
+
+
+def is_log(path: Path) -> bool:
+    """Whether a path is probably a log: a file that can be read, not hidden and no README.txt."""
+    is_prose = path.suffix.lower() == ".txt" and _PROSE.match(path.stem)
+    return is_readable(path) and not path.name.startswith(".") and not is_prose

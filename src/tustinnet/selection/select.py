@@ -29,7 +29,7 @@ from tustinnet.selection.ranking import CandidateResult, find_simplest, rank
 from tustinnet.selection.runner import InProcess, MakeExecutor
 from tustinnet.selection.scoring import ScoringOptions
 from tustinnet.selection.spoiled import leave_out_spoiled
-from tustinnet.selection.timing import determine_timing
+from tustinnet.selection.timing import LAG, determine_timing
 from tustinnet.simulate.horizon import effective_horizon
 from tustinnet.simulate.starts import start_named
 from tustinnet.store.files import lock_folder, remove_below, require_outputs, to_json, write_into
@@ -155,6 +155,7 @@ def select_model(
     )
     specification = _make_specification(plan, context)
     timing = determine_timing(data, context.loaded_system, timing_end, reporter.on_message)
+    promising = [c.name for c in candidates if timing.lags and _adds_lag(c)]
     for note in timing.sentences:
         reporter.on_message(note)
     usable, left_out = timing.data, ()
@@ -173,13 +174,13 @@ def select_model(
         _prepare_folder(context, earlier, specification)
         make = executor or (lambda context: InProcess(context, reporter.make_job_listener))
         say_once = _make_say_once(reporter)
-        halving = Halving(plan, candidates, context, say_once, rounds_end, ending)
+        halving = Halving(plan, candidates, context, say_once, rounds_end, ending, promising)
         remaining = halving.run(make(context))
         if halving.hopeless:
             context, note = _with_horizon(context, halving)
             reporter.on_message(note)
             notes = (*notes, note)
-            halving = Halving(plan, candidates, context, say_once, rounds_end, ending)
+            halving = Halving(plan, candidates, context, say_once, rounds_end, ending, promising)
             remaining = halving.run(make(context))
         if not remaining:
             raise _nothing_fitted(halving)
@@ -188,6 +189,12 @@ def select_model(
         choice = replace(choice, notes=notes, seconds=seconds, budget=budget)
         write_into(folder, SUMMARY, to_json(choice.as_plain()))
     return choice
+
+
+def _adds_lag(candidate: Candidate) -> bool:
+    """Whether the recipe of a candidate adds the lag of an actuator."""
+    forces = getattr(candidate.content.model, "forces", ())
+    return any(force.partition(":")[0] == LAG for force in forces)
 
 
 def _make_say_once(reporter: Reporter) -> Callable[[str], None]:
@@ -299,6 +306,8 @@ def _applicable_candidates(
     for c in plan.candidates:
         if c.when == other:
             omitted[c.name] = f"only for {other} records"
+        elif _adds_lag(c) and not records.channels.inputs:
+            omitted[c.name] = "only for records with inputs"
         elif c.when == "no-system" and options.system is not None:
             omitted[c.name] = "only without a system"
         elif _identifies(c) and (options.system or resolve_system(c.content, None)) is None:
