@@ -259,7 +259,7 @@ def external_numbers(path: Path) -> None:
         ("log.parquet", Path.touch, "the file is empty"),
         ("log.npz", Path.touch, "the file is empty"),
         ("log.mat", Path.touch, "the file is empty"),
-        ("log.xlsx", lambda path: path.write_text("x"), r"ending '\.xlsx'; .*\.csv.*\.npz"),
+        ("log.docx", lambda path: path.write_text("x"), r"ending '\.docx'; .*\.csv.*\.npz"),
         ("log.tsv", lambda path: path.write_text("a\tb\n1\t2\n\t\n"), "row 3, a: an empty cell"),
         ("log.csv", Path.mkdir, r"log\.csv: a folder, pipe or device"),
         ("log.csv", os.mkfifo, r"log\.csv: a folder, pipe or device"),

@@ -218,6 +218,8 @@ class FileCard(Declaration):
         name: name of the record; the file's name without ending by default.
         cell: number, from 1 on, of the element of the cell or struct arrays of a MAT file that is
             the record; without it each element that has the columns is a record.
+        record: name of the group of an HDF5 file, or number of the episode of a LeRobot file, that
+            is the record; without it each that has the columns is a record.
         rows: first row and the row after the last, counted from 0 after any header.
         seconds: instead of rows, the times at which the record begins and before which it ends,
             from the file's first timestamp on [s], as logged: before it is put on a grid.
@@ -228,6 +230,7 @@ class FileCard(Declaration):
     file: str
     name: Name | None = None
     cell: StrictInt | None = Field(default=None, ge=1, le=10**9)
+    record: Name | None = None
     rows: Rows | None = None
     seconds: Seconds | None = None
     k_bar: Row | None = None
@@ -249,12 +252,15 @@ class FileCard(Declaration):
     def _check_ranges(self) -> "FileCard":
         if self.rows is not None and self.seconds is not None:
             raise ValueError(f"`rows` and `seconds` of '{self.file}'; give one of them")
+        if self.cell is not None and self.record is not None:
+            raise ValueError(f"`cell` and `record` of '{self.file}'; give one of them")
         return self
 
     @property
     def part(self) -> str:
         """Suffix that distinguishes records of one file: `[3]`, `_0-900`, `_0.5-3s`."""
-        cell = "" if self.cell is None else f"[{self.cell}]"
+        label = self.cell if self.record is None else self.record
+        cell = "" if label is None else f"[{label}]"
         if self.rows is not None:
             return f"{cell}_{self.rows[0]}-{self.rows[1]}"
         return cell + ("" if self.seconds is None else "_{:g}-{:g}s".format(*self.seconds))

@@ -1,7 +1,7 @@
 """MAT files, up to version 7 and 7.3: their arrays of numbers by name, those inside of others too.
 
 A field of a struct is `log.q`, the third element of a cell array `logs{3}`, that of a struct array
-`logs(3)`. This module is used in the process of `binary_files` only.
+`logs(3)`.
 """
 
 import math
@@ -12,12 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tustinnet.data.formats.reader import REAL, Array, Contents, Reader, Shape
 from tustinnet.errors import InputError, convert_errors
 
-Array = np.ndarray
-Shape = tuple[int, ...]
-
-REAL = "fiub"  # kinds of numpy's types
 _NUMBERS = "c" + REAL
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _DEEPEST = 20  # structs and cells in one another
@@ -43,15 +40,13 @@ class MatVariable(NamedTuple):
     other: str = ""
 
 
-def mat_contents(path: Path) -> tuple[list[tuple[str, Shape]], dict[str, str]]:
-    """Names and shapes of the arrays of numbers, and descriptions of everything else."""
+def _contents(path: Path) -> Contents:
     variables = list(_walk(path, None))
     arrays = [(v.name, v.shape) for v in variables if v.shape is not None]
-    return arrays, {v.name: v.other for v in variables if v.shape is None}
+    return Contents(arrays, {v.name: v.other for v in variables if v.shape is None})
 
 
-def mat_arrays(path: Path, names: set[str]) -> dict[str, Array]:
-    """The arrays of some names."""
+def _arrays(path: Path, names: set[str]) -> dict[str, Array]:
     return {v.name: v.load() for v in _walk(path, names) if v.name in names}
 
 
@@ -227,3 +222,6 @@ def _elements(path: Path, before: str, after: str, item: Any, depth: int) -> Ite
     """The elements of a cell array, or of a field of a struct array, by its references."""
     for k, reference in enumerate(item[()].reshape(-1), 1):
         yield from _hdf5(path, f"{before}{k}{after}", item.file[reference], depth + 1)
+
+
+READER = Reader("scipy.io", _contents, _arrays)
