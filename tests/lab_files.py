@@ -29,7 +29,7 @@ def held_command(t: float, dt: float = 0.01) -> float:
 CARD = """
 name = "arm"
 [time]
-column = "{topic}/time"
+column = "{time}"
 [[coordinates]]
 name = "elbow"
 kind = "angular"
@@ -150,4 +150,149 @@ def mcap_file(path: Path) -> Path:
             time, data = BEGIN + round(t * 1e9), json.dumps({"data": [command, 7], "note": "on"})
             json_writer.add_message(channel, time, data.encode(), time)
         writer.finish()
+    return path
+
+
+# --- groups and topics ---
+
+
+def ulog_file(path: Path) -> Path:
+    """A log of PX4 of two topics, the second of which has two instances."""
+    import struct
+
+    def message(kind: bytes, content: bytes) -> bytes:
+        return struct.pack("<HB", len(content), kind[0]) + content
+
+    begin = 5_000_000  # us
+    parts = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", begin), message(b"B", bytes(40))]
+    parts += [
+        message(
+            b"F", b"arm_state:uint64_t timestamp;float[2] q;uint8_t mode;uint8_t[7] _padding0;"
+        ),
+        message(b"F", b"actuator:uint64_t timestamp;double volts;"),
+        message(b"A", struct.pack("<BH", 0, 0) + b"arm_state"),
+        message(b"A", struct.pack("<BH", 0, 1) + b"actuator"),
+        message(b"A", struct.pack("<BH", 1, 2) + b"actuator"),
+    ]
+    events = [
+        (t, struct.pack("<HQ2fB", 0, begin + round(t * 1e6), angle(t), t, 3)) for t in ANGLE_TIMES
+    ]
+    for t, command in zip(COMMAND_TIMES, commands(), strict=True):
+        stamp = begin + round(t * 1e6)
+        events += [(t, struct.pack("<HQd", 1, stamp, command))]
+        events += [(t, struct.pack("<HQd", 2, stamp, -command))]
+    parts += [message(b"D", data) for _, data in sorted(events)]
+    raw = path.with_suffix(".raw")
+    raw.write_bytes(b"".join(parts))
+    from pyulog import ULog
+
+    ULog(str(raw)).write_ulog(str(path))
+    raw.unlink()
+    return path
+
+
+def mdf_file(path: Path) -> Path:
+    from asammdf import MDF, Signal
+
+    with MDF(version="3.30" if path.suffix == ".mdf" else "4.10") as file:
+        motion = [
+            Signal(angle(ANGLE_TIMES), ANGLE_TIMES, name="elbow", unit="rad"),
+            Signal(np.arange(200, dtype=np.uint8), ANGLE_TIMES, name="counter"),
+        ]
+        file.append(motion, acq_name="motion", common_timebase=True)
+        file.append([Signal(commands(), COMMAND_TIMES, name="volts", unit="V")], acq_name="drive")
+        file.save(path, overwrite=True)
+    return path
+
+
+def tdms_file(path: Path) -> Path:
+    from nptdms import ChannelObject, TdmsWriter
+
+    begin = np.datetime64("2026-01-01T12:00:00.000000", "us")
+
+    def waveform(t: np.ndarray, unit: str) -> dict[str, Any]:
+        return {
+            "wf_start_time": begin, "wf_start_offset": float(t[0]), "unit_string": unit,
+            "wf_increment": float(t[1] - t[0]),
+        }  # fmt: skip
+
+    with TdmsWriter(path) as file:
+        file.write_segment(
+            [
+                ChannelObject("motion", "elbow", angle(ANGLE_TIMES), waveform(ANGLE_TIMES, "rad")),
+                ChannelObject("motion", "note", ["a"] * 200),
+                ChannelObject("drive", "volts", commands(), waveform(COMMAND_TIMES, "V")),
+            ]
+        )
+    return path
+
+
+# --- LeRobot ---
+
+
+def lerobot_data_set(folder: Path, version: str) -> list[Path]:
+    """A data set of three episodes of two motors: a file for each (v2), or one for all (v3)."""
+    import json
+
+    import polars as pl
+
+    motors = ["shoulder.pos", "elbow.pos"]
+    features = {
+        "observation.state": {"dtype": "float32", "shape": [2], "names": motors},
+        "action": {"dtype": "float32", "shape": [2], "names": {"motors": motors}},
+        "observation.effort": {"dtype": "float32", "shape": [2], "names": None},
+    }
+    (folder / "meta").mkdir(parents=True)
+    info = {"codebase_version": version, "fps": 50, "features": features}
+    (folder / "meta/info.json").write_text(json.dumps(info))
+    episodes = []
+    for episode in range(3):
+        t = np.arange(60 + 10 * episode) / 50
+        state = np.column_stack([np.sin(3 * t + episode), np.cos(2 * t)]).astype(np.float32)
+        table = {
+            "observation.state": state, "action": np.roll(state, -1, axis=0).tolist(),
+            "observation.effort": (2 * state).tolist(), "timestamp": t.astype(np.float32),
+            "episode_index": np.full(len(t), episode), "frame_index": np.arange(len(t)),
+        }  # fmt: skip
+        episodes.append(pl.DataFrame(table))
+    (folder / "data/chunk-000").mkdir(parents=True)
+    if version.startswith("v2"):
+        files = [folder / f"data/chunk-000/episode_{k:06}.parquet" for k in range(3)]
+        for file, table in zip(files, episodes, strict=True):
+            table.write_parquet(file)
+        return files
+    file = folder / "data/chunk-000/file-000.parquet"
+    pl.concat(episodes).write_parquet(file)
+    return [file]
+
+
+# --- groups of arrays ---
+
+
+def hdf5_file(path: Path) -> Path:
+    """A file of three demonstrations in groups, as robot learning has them."""
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        for k in range(3):
+            group = file.create_group(f"data/demo_{k}")
+            group["elbow"] = angle(ANGLE_TIMES + k)
+            group["elbow"].attrs["units"] = "rad"
+            group["obs/joints"] = np.column_stack([ANGLE_TIMES, angle(ANGLE_TIMES)])
+            group["t"] = ANGLE_TIMES
+        file["mask"] = ["demo_0", "demo_1"]
+        file.create_dataset(
+            "table", data=np.array([(1, 2.0)] * 3, dtype=[("count", "i4"), ("force", "f8")])
+        )
+    return path
+
+
+def workbook(path: Path, sheets: dict[str, list[list[Any]]]) -> Path:
+    import xlsxwriter
+
+    with xlsxwriter.Workbook(path) as book:
+        for name, table in sheets.items():
+            sheet = book.add_worksheet(name)
+            for row, cells in enumerate(table):
+                sheet.write_row(row, 0, cells)
     return path

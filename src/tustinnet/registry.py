@@ -158,6 +158,13 @@ READERS: Registry[Any] = Registry(
         ".bag": "tustinnet.data.formats.ros:READER",
         ".db3": "tustinnet.data.formats.ros:READER",
         ".mcap": "tustinnet.data.formats.mcap:READER",
+        ".ulg": "tustinnet.data.formats.ulog:READER",
+        ".mf4": "tustinnet.data.formats.mdf:READER",
+        ".mdf": "tustinnet.data.formats.mdf:READER",
+        ".tdms": "tustinnet.data.formats.tdms:READER",
+        ".xlsx": "tustinnet.data.formats.excel:READER",
+        ".h5": "tustinnet.data.formats.hdf5:READER",
+        ".hdf5": "tustinnet.data.formats.hdf5:READER",
     },
 )  # by the ending of the files
 RECIPE_HOMES: list[str] = ["tustinnet.fitting", "tustinnet.reproduce"]  # packages with `recipes/`

@@ -43,7 +43,7 @@ def test_topics_are_brought_onto_the_times_of_the_coordinate(
 ) -> None:
     write(tmp_path / name)
     (tmp_path / "dataset.toml").write_text(
-        CARD.format(topic="joint_states", position="joint_states/position/elbow",
+        CARD.format(time="joint_states/time", position="joint_states/position/elbow",
                     command="command/data[0]")
     )  # fmt: skip
     (record,) = tn.load(tmp_path)

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tustinnet.data.columns import Column, Listing, require_different
-from tustinnet.data.formats.reader import REAL, Reader, Shape
+from tustinnet.data.formats.reader import REAL, Contents, Reader, Shape
 from tustinnet.errors import InputError, convert_errors
 from tustinnet.registry import load_place
 
@@ -30,6 +30,8 @@ _MOST_COLUMNS = 100_000
 def list_columns(path: Path, reader: Reader) -> Listing:
     """The names of the columns of a file, and what else is known of them."""
     contents = reader.contents(path)
+    _latest.clear()
+    _latest[_key(path, reader)] = contents
     places = _places(path, contents.arrays)
     return Listing(
         list(places), dict(contents.others), _by_column(places, contents.clocks),
@@ -43,7 +45,9 @@ def read(path: Path, reader: Reader, names: list[str]) -> list[Column]:
     Raises:
         InputError: more than `LARGEST` bytes; what is not real numbers.
     """
-    columns = _places(path, reader.contents(path).arrays)
+    # what was listed last is read next: some readers go through the whole file to list it
+    contents = _latest.get(_key(path, reader)) or reader.contents(path)
+    columns = _places(path, contents.arrays)
     shapes = {columns[name].array: columns[name].shape for name in names}
     size = 8 * sum(math.prod(shape) for shape in shapes.values())
     if size > LARGEST:
@@ -63,6 +67,14 @@ def read(path: Path, reader: Reader, names: list[str]) -> list[Column]:
         column = array.reshape(-1) if place.number is None else array[:, place.number]
         numbers.append(np.ascontiguousarray(column, np.float64))
     return numbers
+
+
+_latest: dict[tuple[object, ...], Contents] = {}
+
+
+def _key(path: Path, reader: Reader) -> tuple[object, ...]:
+    status = path.stat()
+    return path.absolute(), reader, status.st_mtime_ns, status.st_size
 
 
 class _Place(NamedTuple):

@@ -4,7 +4,15 @@ from pathlib import PureWindowsPath
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field, StrictInt, StrictStr, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    StrictBool,
+    StrictInt,
+    StrictStr,
+    field_validator,
+    model_validator,
+)
 
 from tustinnet.channels import (
     LONGEST_DT,
@@ -271,13 +279,17 @@ class FormatCard(Declaration):
 
     Attributes:
         header: whether the first row names the columns; by default it does unless it holds
-            nothing but numbers.
-        delimiter: the mark between columns; a tab in .tsv files, else a comma, by default.
+            nothing but numbers. Or the row, from 1 on, that names them.
+        delimiter: the mark between columns, a blank for any number of blanks; found by default.
+        decimal: the mark before the decimals of numbers, `.` or `,`; found by default.
+        encoding: encoding of the text, as Python names it; found by default.
         columns: required number of columns, None for any.
     """
 
-    header: bool | None = None
+    header: StrictBool | Annotated[StrictInt, Field(ge=1, le=10**6)] | None = None
     delimiter: str | None = None
+    decimal: Literal[".", ","] | None = None
+    encoding: str | None = None
     columns: StrictInt | None = Field(default=None, ge=1, le=_MOST_COLUMNS)
 
     @field_validator("delimiter")
@@ -286,6 +298,16 @@ class FormatCard(Declaration):
         if mark is not None and (len(mark) != 1 or mark not in "\t !$%&*,/:;<=>?@^_|~"):
             raise ValueError("one mark, e.g. ';', ',', '|' or a tab")
         return mark
+
+    @field_validator("encoding")
+    @classmethod
+    def _check_encoding(cls, name: str | None) -> str | None:
+        try:
+            if name is not None:
+                "1".encode(name)
+        except (LookupError, ValueError):
+            raise ValueError(f"no encoding '{name}'; utf-8, utf-16, latin-1, cp1252, ...") from None
+        return name
 
 
 class Card(Declaration):

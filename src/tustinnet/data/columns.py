@@ -14,6 +14,8 @@ from tustinnet.errors import InputError, convert_errors
 Column = Float[np.ndarray, " n"]
 
 _ELEMENT = re.compile(r"(?P<variable>[^.({\[]+)[({](?P<number>\d{1,9})[)}](?P<rest>.*)", re.DOTALL)
+# an export of Simulink: its signals are channels of one record, and no records
+_SIGNAL = re.compile(r"(?P<export>.*)\.signals\(\d+\)\.", re.DOTALL)
 NUMBERED = "column "  # columns without a name are called "column 1", ...
 
 
@@ -92,26 +94,43 @@ class Columns:
 
     def fetch_elements(self, names: Collection[str]) -> None:
         """Reads some columns of all elements at once: one by one, each would read the file."""
-        sources = [_element_names(self.names, k) for k in range(1, self.elements + 1)]
+        sources = [self._element_names(self.names, k) for k in range(1, self.elements + 1)]
         self.fetch([s for element in sources for name, s in element.items() if name in names])
 
     @property
     def elements(self) -> int:
         """Length of the longest cell or struct array of a MAT file, 0 without any."""
-        matches = (_ELEMENT.fullmatch(name) for name in (*self.names, *self.others))
+        matches = (self._match_element(name) for name in (*self.names, *self.others))
         return max((int(match["number"]) for match in matches if match), default=0)
 
     def element(self, number: int) -> "Columns":
         """The columns with one element, from 1 on, in place of each cell or struct array."""
-        sources = _element_names(self.names, number)
+        sources = self._element_names(self.names, number)
 
         def read(names: list[str]) -> list[Column]:
             self.fetch([sources[name] for name in names])
             return [self[sources[name]] for name in names]
 
-        others = _element_names(self.others, number)
+        others = self._element_names(self.others, number)
         texts = {name: self.others[source] for name, source in others.items()}
         return Columns(tuple(sources), read, self._rows, self.notes, texts)
+
+    def _match_element(self, name: str) -> re.Match[str] | None:
+        signal = _SIGNAL.match(name)
+        if signal is not None and f"{signal['export']}.time" in self.names:
+            return None
+        return _ELEMENT.fullmatch(name)
+
+    def _element_names(self, names: Iterable[str], number: int) -> dict[str, str]:
+        """Names in the file by their names in an element; those outside of arrays stay."""
+        sources = {}
+        for name in names:
+            match = self._match_element(name)
+            if match is None:
+                sources.setdefault(name, name)
+            elif int(match["number"]) == number:
+                sources[match["variable"] + match["rest"]] = name
+        return sources
 
     def part(self, label: str) -> "Columns":
         """The columns of one of the records in the file; those outside of all groups stay."""
@@ -140,18 +159,6 @@ class Columns:
     def __getitem__(self, name: str) -> Column:
         self.fetch([name])
         return self._columns[name]
-
-
-def _element_names(names: Iterable[str], number: int) -> dict[str, str]:
-    """Names in the file by their names in an element; those outside of arrays stay."""
-    sources = {}
-    for name in names:
-        match = _ELEMENT.fullmatch(name)
-        if match is None:
-            sources.setdefault(name, name)
-        elif int(match["number"]) == number:
-            sources[match["variable"] + match["rest"]] = name
-    return sources
 
 
 def require_different(names: Sequence[str], where: object) -> None:

@@ -254,6 +254,9 @@ def _guess_role(name: str, column: Column, file_unit: str = "") -> ColumnReport:
         role = "input" if is_command else named
         source = "as the file says" if file_unit else "by its name"
         remarks.append(f"in {unit} {source}" + (", which is a command's" if is_command else ""))
+    elif "action" in words:  # of robot learning: what was commanded
+        role = "input"
+        remarks.append("by its name")
     elif _VELOCITIES & {*words} and not (_COMMANDS | _POSITIONS) & {*words}:
         role = "velocity"
         remarks.append("by its name")

@@ -17,7 +17,7 @@ from tustinnet.data.columns import NUMBERED, Column, Columns, frame_columns
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import declare, read_declaration
 from tustinnet.data.experiment import LARGEST, Experiment, begin_near_zero, unwrap_angles
-from tustinnet.data.formats.mat import OBJECT, OBJECT_REMEDY
+from tustinnet.data.formats.mat import OBJECT, object_remedy
 from tustinnet.data.readers import read_columns
 from tustinnet.errors import InputError
 from tustinnet.signals import resampling
@@ -152,7 +152,11 @@ def _load_file(
     """The record of a file, or of each element of its cell arrays the record or its error."""
     path = folder / entry.file
     require_inside(folder, path)
-    columns = read_columns(path, header=card.format.header, delimiter=card.format.delimiter)
+    form = card.format
+    columns = read_columns(
+        path, header=form.header, delimiter=form.delimiter, decimal=form.decimal,
+        encoding=form.encoding,
+    )  # fmt: skip
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -241,12 +245,12 @@ class _ColumnReader:
         others = self.columns.others
         for name, text in others.items():
             if key == name or (name and key.startswith((f"{name}.", f"{name}["))):
-                remedy = OBJECT_REMEDY if text == OBJECT else _header_hint(names)
+                remedy = object_remedy() if text == OBJECT else _header_hint(names)
                 raise InputError(self.where, f"'{name}' is {text}", expected, remedy)
         problem, remedy = f"no column '{key}'", _header_hint(names)
         if "" in others:  # an object without a known name
             problem += f", but {others['']}, which cannot be read"
-            remedy = OBJECT_REMEDY
+            remedy = object_remedy()
         raise InputError(self.where, problem, expected, remedy)
 
     def read(self, key: ColumnKey) -> Column:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tustinnet.data import binary_files, reading_process
 from tustinnet.data.columns import Columns
-from tustinnet.data.formats.mat import OBJECT, OBJECT_REMEDY
+from tustinnet.data.formats.mat import OBJECT, object_remedy
 from tustinnet.data.formats.reader import Reader
 from tustinnet.data.text_file import read_text
 from tustinnet.errors import InputError, convert_errors, require_package
@@ -16,16 +16,23 @@ _TEXT = (".csv", ".txt", ".tsv", ".dat")
 
 
 def read_columns(
-    path: Path, *, header: bool | None = None, delimiter: str | None = None
+    path: Path,
+    *,
+    header: bool | int | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+    encoding: str | None = None,
 ) -> Columns:
     """Reads the columns of a file, by its ending.
 
     Args:
         path: a file with one of the endings .csv, .txt, .tsv, .dat or of the registry `READERS`.
         header: whether the first row of a text file names the columns; by default it does unless
-            it holds nothing but numbers.
-        delimiter: the mark between the columns of a text file; a tab in .tsv, else a comma, by
-            default.
+            it holds nothing but numbers. Or the row of the file, from 1 on, that names them.
+        delimiter: the mark between the columns of a text file, a blank for any number of blanks;
+            found by default.
+        decimal: the mark before the decimals in a text file, `.` or `,`; found by default.
+        encoding: the encoding of a text file; UTF-8, UTF-16 or Latin-1, as found, by default.
 
     Returns:
         Columns by name. Without a header they are called `column 1`, ... The columns of a matrix
@@ -54,7 +61,9 @@ def read_columns(
         raise InputError(path, f"ending '{suffix}'", f"one of {endings}")
     with convert_errors(path, f"cannot be read as {suffix}", "a whole file of that format"):
         if suffix in _TEXT:
-            return read_text(path, header, delimiter or ("\t" if suffix == ".tsv" else ","))
+            return read_text(
+                path, header=header, delimiter=delimiter, decimal=decimal, encoding=encoding
+            )
         reader: Reader = READERS[suffix]
         if reader.extra:
             require_package(reader.library.partition(".")[0], reader.extra, path)
@@ -68,7 +77,7 @@ def read_columns(
     if not listing.names:
         others = listing.others
         example = "".join(f", only {name or 'it'!r}: {x}" for name, x in [*others.items()][:1])
-        remedy = OBJECT_REMEDY if OBJECT in others.values() else ""
+        remedy = object_remedy() if OBJECT in others.values() else ""
         raise InputError(path, f"the file holds no samples{example}", "columns of numbers", remedy)
     return Columns.from_listing(listing, read)
 

@@ -100,7 +100,10 @@ def list_columns(path: Path, reader: str) -> Listing:
         InputError: a damaged file, one that crashes its reader, or takes it too long.
     """
     listing = _request(path, reader, None, _NAMES_S)[0]["listing"]
-    parts = {label: Part(**part) for label, part in listing["parts"].items()}
+    parts = {
+        label: Part(part["prefix"], None if part["rows"] is None else tuple(part["rows"]))
+        for label, part in listing["parts"].items()
+    }
     return Listing(**{**listing, "parts": parts})
 
 
