@@ -1,5 +1,6 @@
 """Bags of ROS and MCAP files: topics of messages."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -70,3 +71,52 @@ def test_the_draft_of_a_card_reads_the_file(
     (tmp_path / "dataset.toml").write_text(found.draft)
     (record,) = tn.load(tmp_path)
     assert {"joint_states_position_elbow"} <= {c.name for c in record.channels.coordinates}
+
+
+def test_of_many_columns_those_named_as_motions_are_looked_at(tmp_path: Path) -> None:
+    from nptdms import ChannelObject, TdmsWriter
+
+    with TdmsWriter(tmp_path / "log.tdms") as file:
+        for k in range(70):
+            name = "position" if k == 65 else f"field {k}"
+            step = {"wf_increment": 0.01}
+            file.write_segment([ChannelObject(f"group {k}", name, angle(ANGLE_TIMES), step)])
+    found = inspect_file(tmp_path / "log.tdms")
+    names = [column.name for column in found.columns]
+    assert {"group 65/position", "group 65/time", "group 58/field 58"} <= {*names}
+    assert "group 69/field 69" not in names
+    assert (
+        "120 of 140 columns are looked at, those named as positions and inputs first" in found.notes
+    )
+
+
+# --- messages ---
+
+
+def test_joints_of_several_publishers_have_times_of_their_own(tmp_path: Path) -> None:
+    from mcap.writer import Writer
+
+    with (tmp_path / "log.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = writer.register_schema("joints", "jsonschema", b"{}")
+        channel = writer.register_channel("/arm/joint_states", "json", schema)
+        for k in range(80):
+            joints = ["a", "b"] if k % 4 else ["grip"]
+            stamp = 5 if k == 7 else k  # two messages of one time: the later one counts
+            message = {"name": joints, "position": [k + j for j in range(len(joints))],
+                       "wide": [0] * 100, "goal": {"x": k, "on": True}}  # fmt: skip
+            writer.add_message(channel, stamp * 10**7, json.dumps(message).encode(), stamp * 10**7)
+        writer.finish()
+    columns = read_columns(tmp_path / "log.mcap")
+    prefix = "arm/joint_states"
+    assert columns.clocks[f"{prefix}/position/a"] == columns.clocks[f"{prefix}/position/b"]
+    assert columns.clocks[f"{prefix}/position/grip"] != columns.clocks[f"{prefix}/position/a"]
+    grip = columns[columns.clocks[f"{prefix}/position/grip"]]
+    np.testing.assert_allclose(grip, np.arange(0, 80, 4) / 100)
+    np.testing.assert_array_equal(columns[f"{prefix}/position/grip"], np.arange(0, 80, 4))
+    t = columns[columns.clocks[f"{prefix}/position/b"]]
+    assert (np.diff(t) > 0).all()
+    assert columns[f"{prefix}/position/b"][t == 0.05].tolist() == [8]
+    assert columns[f"{prefix}/goal/on"].tolist() == [1.0] * 79
+    assert columns.others[f"{prefix}/wide"] == "a list of 100, longer than 64"

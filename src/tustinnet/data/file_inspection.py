@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from tustinnet.data.columns import NUMBERED, Column
+from tustinnet.data.columns import NUMBERED, Column, Columns
 from tustinnet.data.readers import read_columns
 from tustinnet.data.units import ANGLE, LENGTH, TIME
 from tustinnet.errors import InputError
@@ -116,11 +116,16 @@ def inspect_file(path: Path) -> FileReport:
         labels = [*columns.parts]
         notes.append(f"{len(labels)} records; the columns are of the first one, {labels[0]}")
         columns = columns.part(labels[0])
-    if len(columns.names) > _MOST:
+    examined = columns.names[:_MOST]
+    if len(columns.names) > _MOST and not columns.clocks:
         notes.append(f"{len(columns.names)} columns; the first {_MOST} are looked at")
+    elif len(columns.names) > _MOST:
+        examined = _most_telling(columns)
+        text = f"{len(examined)} of {len(columns.names)} columns are looked at"
+        notes.append(f"{text}, those named as positions and inputs first")
     values: dict[str, Column] = {}
     reports: dict[str, ColumnReport] = {}
-    for name in columns.names[:_MOST]:
+    for name in examined:
         try:
             values[name] = columns[name]
             reports[name] = ColumnReport(name, "constant")  # holds its place
@@ -149,6 +154,15 @@ def inspect_file(path: Path) -> FileReport:
         draft="",
     )
     return replace(report, draft=_draft(report, clock))
+
+
+def _most_telling(columns: Columns) -> tuple[str, ...]:
+    """Columns that are named as positions, velocities or inputs, then others, and their times."""
+    telling = _POSITIONS | _VELOCITIES | _COMMANDS | _FORCES | {"joint", "joints"}
+    own = [name for name in columns.names if columns.clocks.get(name) != name]
+    chosen = {*sorted(own, key=lambda name: not telling & {*_words(name)})[:_MOST]}
+    chosen |= {columns.clocks[name] for name in chosen if name in columns.clocks}
+    return tuple(name for name in columns.names if name in chosen)
 
 
 def _guess_roles(
@@ -182,7 +196,8 @@ def _guess_roles(
     for name, column in values.items():
         if name in times:
             extent = float(column[0]), float(column[-1])
-            reports[name] = ColumnReport(name, "time", extent, len(column), None, f"in {unit}?")
+            remark = "in s" if clocks else f"in {unit}?"
+            reports[name] = ColumnReport(name, "time", extent, len(column), None, remark)
     return reports, clock, unit
 
 

@@ -67,13 +67,18 @@ def topic_contents(topics: Iterable[Topic], begin: int) -> Contents:
             continue
         others |= layout.others
         if not layout.clocks:
-            others.setdefault(layout.prefix, f"of messages {topic.kind} without numbers")
+            if not layout.others:
+                others[layout.prefix] = f"of messages {topic.kind} without numbers"
             continue
         (stamped if layout.has_stamps else received).append(layout.prefix)
         times = dict.fromkeys(layout.clocks.values())
         arrays += [(name, (topic.count,)) for name in (*times, *layout.clocks)]
         clocks |= {**layout.clocks, **{time: time for time in times}}
-    notes = [f"times count from {begin / 1e9:.9f} s of the recorder's clock"] if arrays else []
+    notes = (
+        [f"times count from {begin // 10**9}.{begin % 10**9:09} s of the recorder's clock"]
+        if arrays
+        else []
+    )
     for names, text in ((stamped, "the stamps in their headers"), (received, "those of reception")):
         if names:
             more = ", ..." if len(names) > 8 else ""
