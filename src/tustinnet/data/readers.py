@@ -70,7 +70,7 @@ def read_columns(
         place = READERS.place(suffix)
         if isinstance(place, str):
             listing = reading_process.list_columns(path, place)
-            read = partial(reading_process.read, path, place)
+            read = partial(reading_process.read, path, place, speed=reader.speed)
         else:  # one that a program registered: another process does not know it
             listing = binary_files.list_columns(path, reader)
             read = partial(binary_files.read, path, reader)

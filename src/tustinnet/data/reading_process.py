@@ -20,7 +20,7 @@ _START_S = 60.0  # to start Python and import a library, also on a busy machine
 _NAMES_S = 10.0  # to list the columns of a file
 _NUMBERS_S = 60.0  # to read columns
 _MUCH = 2**26  # bytes read at once, above which the process is stopped
-_SLOWEST = 10e6  # bytes of the file a second, on top of that
+_SPEED = 10e6  # bytes of the file a second, on top of that, while it is listed
 
 # the child finds the package where this process found it
 _PROGRAM = """
@@ -99,7 +99,7 @@ def list_columns(path: Path, reader: str) -> Listing:
     Raises:
         InputError: a damaged file, one that crashes its reader, or takes it too long.
     """
-    listing = _request(path, reader, None, _NAMES_S)[0]["listing"]
+    listing = _request(path, reader, None, _NAMES_S, _SPEED)[0]["listing"]
     parts = {
         label: Part(part["prefix"], None if part["rows"] is None else tuple(part["rows"]))
         for label, part in listing["parts"].items()
@@ -107,18 +107,26 @@ def list_columns(path: Path, reader: str) -> Listing:
     return Listing(**{**listing, "parts": parts})
 
 
-def read(path: Path, reader: str, names: list[str]) -> list[Column]:
+def read(path: Path, reader: str, names: list[str], *, speed: float) -> list[Column]:
     """Some columns of a binary file.
+
+    Args:
+        path: the file.
+        reader: the reader of such files, as `module:attribute`.
+        names: the columns.
+        speed: bytes of the file that the reader reads in a second, at least.
 
     Raises:
         InputError: as `list_columns`; numbers that take too much memory; text.
     """
-    return _request(path, reader, names, _NUMBERS_S)[1] if names else []
+    return _request(path, reader, names, _NUMBERS_S, speed)[1] if names else []
 
 
-def _request(path: Path, reader: str, names: list[str] | None, seconds: float) -> Reply:
+def _request(
+    path: Path, reader: str, names: list[str] | None, seconds: float, speed: float
+) -> Reply:
     with convert_errors(path, "cannot be looked at", "a file"):
-        seconds += path.stat().st_size / _SLOWEST
+        seconds += path.stat().st_size / speed
         folder = None if path.is_absolute() else str(Path.cwd())
     with _one_at_a_time:
         process = _running_process(path, reader)

@@ -17,7 +17,7 @@ from tustinnet.errors import InputError, describe_error
 BLANKS = " "  # as a delimiter: any number of blanks and tabs
 _DELIMITERS = (",", ";", "\t", "|", BLANKS)
 _SAMPLE = 60  # lines at the beginning, and as many throughout the file, that are looked at
-_COMMENT = re.compile(r"#|//|%(?=\s)")
+_COMMENTS = ("#", "//", "% ", "%\t")
 _LONGEST_UNIT = 20  # characters
 
 _DIGITS = r"(\d+\.?\d*|\.\d+)"
@@ -134,7 +134,7 @@ def _utf16(content: bytes) -> str | None:
 
 def is_comment(line: str) -> bool:
     """Whether a line begins with a mark of comments: #, //, or % and a blank."""
-    return _COMMENT.match(line) is not None
+    return line.startswith(_COMMENTS)
 
 
 def comment_text(line: str) -> str:

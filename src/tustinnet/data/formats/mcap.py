@@ -65,4 +65,4 @@ def _topics(path: Path) -> Iterator[tuple[list[Topic], int]]:
         yield topics, summary.statistics.message_start_time
 
 
-READER = Reader("mcap.reader", _contents, _arrays, "mcap")
+READER = Reader("mcap.reader", _contents, _arrays, "mcap", speed=1e6)

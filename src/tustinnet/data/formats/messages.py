@@ -6,7 +6,9 @@ others by number: `command/data[0]`.
 """
 
 import dataclasses
+import re
 from collections.abc import Callable, Iterable, Iterator
+from functools import lru_cache
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -26,7 +28,8 @@ _SAME_EPOCH = 86_400 * 10**9  # ns: header stamps further from the reception are
 Message = Any
 
 
-class Topic(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class Topic:
     """A topic of a recording.
 
     Attributes:
@@ -101,12 +104,14 @@ def topic_arrays(topics: Iterable[Topic], begin: int, names: set[str]) -> dict[s
         if not wanted:
             continue
         columns = {ticks.get(name, name) for name in wanted}
+        # the fields of a message in which they are
+        fields = {re.split(r"[/[]", name.removeprefix(f"{prefix}/"))[0] for name in columns}
         stamps: list[int] = []
         values: dict[str, list[float]] = {name: [] for name in columns}
         places: dict[str, list[int]] = {name: [] for name in columns}
         for k, (received, message) in enumerate(topic.messages()):
             stamps.append((_stamp(message) if layout.has_stamps else received) or 0)
-            for name, value in _numbers(f"{prefix}/", message):
+            for name, value in _numbers(f"{prefix}/", message, only=fields):
                 if name in columns and isinstance(value, float):
                     values[name].append(value)
                     places[name].append(k)
@@ -136,10 +141,10 @@ def _layout(topic: Topic) -> _Layout:
     for k, (_, message) in enumerate(islice(topic.messages(), _FIRST)):
         stamps.append(_stamp(message))
         for name, value in _numbers(f"{prefix}/", message):
-            if isinstance(value, float):
-                present.setdefault(name, []).append(k)
-            else:
+            if isinstance(value, str):
                 others[name] = value
+            else:
+                present.setdefault(name, []).append(k)
     clocks: dict[tuple[int, ...], str] = {}
     words = ("time", "stamp", "time of message")
     word = next(word for word in words if f"{prefix}/{word}" not in present)
@@ -158,13 +163,16 @@ def _fields(message: Message) -> dict[str, Any] | None:
     """The fields of a message by name, None of anything else."""
     if isinstance(message, dict):
         return {str(name): value for name, value in message.items()}
-    if dataclasses.is_dataclass(message):
-        return {f.name: getattr(message, f.name) for f in dataclasses.fields(message)
-                if f.name != "__msgtype__"}  # fmt: skip
-    slots = getattr(type(message), "__slots__", None)
-    if slots:
-        return {name.removeprefix("_"): getattr(message, name) for name in slots}
-    return None
+    names = _field_names(type(message))
+    return {name: getattr(message, name) for name in names} if names else None
+
+
+@lru_cache(maxsize=1000)  # classes are made for each file
+def _field_names(kind: type) -> tuple[str, ...]:
+    """The names of the fields of a class of messages, none of another class."""
+    if dataclasses.is_dataclass(kind):
+        return tuple(f.name for f in dataclasses.fields(kind) if f.name != "__msgtype__")
+    return tuple(getattr(kind, "__slots__", ()))
 
 
 def _nanoseconds(value: Any) -> int | None:
@@ -185,9 +193,13 @@ def _stamp(message: Message) -> int | None:
 
 
 def _numbers(
-    prefix: str, message: Message, labels: list[str] | None = None, depth: int = 0
+    prefix: str,
+    message: Message,
+    labels: list[str] | None = None,
+    depth: int = 0,
+    only: set[str] | None = None,
 ) -> Iterator[tuple[str, float | str]]:
-    """Numbers in a message by name, and descriptions of what is none."""
+    """Numbers in a message, or in some fields of it, by name, and descriptions of what is none."""
     if depth > _DEEPEST:
         yield prefix.rstrip("/"), f"messages nested deeper than {_DEEPEST}"
         return
@@ -198,7 +210,7 @@ def _numbers(
     if labels is not None and (len({*labels}) < len(labels) or not all(labels)):
         labels = None  # they name nothing
     for name, value in fields.items():
-        if depth == 0 and name == "header":
+        if (depth == 0 and name == "header") or (only is not None and name not in only):
             continue
         yield from _value(f"{prefix}{name}", value, labels, depth)
 

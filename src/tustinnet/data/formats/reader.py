@@ -57,9 +57,11 @@ class Reader:
         contents: function that gives the contents of a file, without all of its numbers.
         arrays: function that reads the arrays of some names.
         extra: the extra of this package that installs the library; empty where it is always there.
+        speed: bytes of the file that it reads in a second, at least.
     """
 
     library: str
     contents: Callable[[Path], Contents]
     arrays: Callable[[Path, set[str]], dict[str, Array]]
     extra: str = ""
+    speed: float = 10e6

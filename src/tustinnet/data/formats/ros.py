@@ -46,4 +46,4 @@ def _topics(path: Path) -> Iterator[tuple[list[Topic], int]]:
         yield topics, bag.start_time if topics else 0
 
 
-READER = Reader("rosbags.highlevel", _contents, _arrays, "ros")
+READER = Reader("rosbags.highlevel", _contents, _arrays, "ros", speed=1e6)

@@ -99,12 +99,12 @@ def _begin(file: Any) -> np.datetime64 | None:
     return min((begin for begin in begins if isinstance(begin, np.datetime64)), default=None)
 
 
-def _times(channel: Any, begin: np.datetime64 | None) -> Array:
+def _times(channel: Any, begin: Any) -> Array:
     """Times of a waveform channel [s] from the beginning of the earliest one in the file on."""
     start, offset, step, length = _waveform(channel) or (None, 0.0, 1.0, len(channel))
     later = 0.0
     if begin is not None and isinstance(start, np.datetime64):
-        later = (start - begin).astype("timedelta64[ns]").astype(float) / 1e9
+        later = float((start - begin) / np.timedelta64(1, "ns")) / 1e9
     return later + offset + step * np.arange(length)
 
 
