@@ -97,6 +97,7 @@ def test_without_the_package_objects_are_named_with_its_pip_line(
         tn.InputError, match=r"'even\.Data', but a MATLAB object.*tustinnet\[matlab\]"
     ):
         tn.load(tmp_path)
+    assert reading_process._process is not None
     reading_process._process.stop()  # the next one finds the package
 
 

@@ -161,6 +161,7 @@ def test_a_package_adds_a_reader(place, monkeypatch):
         file.write_text("\n".join([*whole[:4], defect, *whole[5:]]))
         with pytest.raises(tn.InputError, match=re.escape(message)):
             tn.load("LOGS")
+    assert reading_process._process is not None
     reading_process._process.stop()
 
 
