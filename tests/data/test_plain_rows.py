@@ -1,5 +1,7 @@
 """Plain text files are read as numbers at once, with the numbers and messages of any other file."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -18,10 +20,15 @@ FILES = (
 )  # fmt: skip
 
 
-def content(path, header):
+@pytest.fixture(autouse=True)
+def _small_files_too(monkeypatch):
+    monkeypatch.setattr(text_file, "_LARGE", -1)
+
+
+def content(path, header, delimiter):
     """Names, numbers, places and notes of a file, or the message that refuses it."""
     try:
-        columns = read_text(path, header, ",")
+        columns = read_text(path, header=header, delimiter=delimiter)
         numbers = [columns[name].tobytes() for name in columns.names]
         return columns.names, numbers, columns.place(len(numbers[0]) // 8 - 1), columns.notes
     except InputError as error:
@@ -32,12 +39,12 @@ def content(path, header):
 def test_a_cell_is_read_or_refused_alike(text, tmp_path, monkeypatch):
     path = tmp_path / "log.csv"
     for token in TOKENS:
-        for header in (None, True, False):
-            path.write_text(text.format(token))
-            found = content(path, header)
+        path.write_text(text.format(token))
+        for header, delimiter in product((None, True, False), (None, ",")):
+            found = content(path, header, delimiter)
             with monkeypatch.context() as patched:
                 patched.setattr(text_file, "_plain_rows", lambda *_: None)
-                assert found == content(path, header), (token, header)
+                assert found == content(path, header, delimiter), (token, header, delimiter)
 
 
 def test_numbers_are_those_of_python(tmp_path):
@@ -45,5 +52,5 @@ def test_numbers_are_those_of_python(tmp_path):
     numbers = generator.normal(size=3000) * 10.0 ** generator.integers(-300, 300, 3000)
     texts = [(repr(x), f"{x:.9g}", f"{x:.25e}")[i % 3] for i, x in enumerate(numbers.tolist())]
     path.write_text("x,y\n" + "\n".join(f"{text},1" for text in texts))
-    assert text_file._plain_rows(path.read_bytes(), ",") is not None
-    assert read_text(path, None, ",")["x"].tolist() == [float(text) for text in texts]
+    assert text_file._plain_rows(path, None) is not None
+    assert read_text(path)["x"].tolist() == [float(text) for text in texts]

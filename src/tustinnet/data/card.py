@@ -4,7 +4,15 @@ from pathlib import PureWindowsPath
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field, StrictInt, StrictStr, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    StrictBool,
+    StrictInt,
+    StrictStr,
+    field_validator,
+    model_validator,
+)
 
 from tustinnet.channels import (
     LONGEST_DT,
@@ -227,6 +235,8 @@ class FileCard(Declaration):
         name: name of the record; the file's name without ending by default.
         cell: number, from 1 on, of the element of the cell or struct arrays of a MAT file that is
             the record; without it each element that has the columns is a record.
+        record: name of the group of an HDF5 file, or number of the episode of a LeRobot file, that
+            is the record; without it each that has the columns is a record.
         rows: first row and the row after the last, counted from 0 after any header.
         seconds: instead of rows, the times at which the record begins and before which it ends,
             from the file's first timestamp on [s], as logged: before it is put on a grid.
@@ -237,6 +247,7 @@ class FileCard(Declaration):
     file: str
     name: Name | None = None
     cell: StrictInt | None = Field(default=None, ge=1, le=10**9)
+    record: Name | None = None
     rows: Rows | None = None
     seconds: Seconds | None = None
     k_bar: Row | None = None
@@ -258,12 +269,15 @@ class FileCard(Declaration):
     def _check_ranges(self) -> "FileCard":
         if self.rows is not None and self.seconds is not None:
             raise ValueError(f"`rows` and `seconds` of '{self.file}'; give one of them")
+        if self.cell is not None and self.record is not None:
+            raise ValueError(f"`cell` and `record` of '{self.file}'; give one of them")
         return self
 
     @property
     def part(self) -> str:
         """Suffix that distinguishes records of one file: `[3]`, `_0-900`, `_0.5-3s`."""
-        cell = "" if self.cell is None else f"[{self.cell}]"
+        label = self.cell if self.record is None else self.record
+        cell = "" if label is None else f"[{label}]"
         if self.rows is not None:
             return f"{cell}_{self.rows[0]}-{self.rows[1]}"
         return cell + ("" if self.seconds is None else "_{:g}-{:g}s".format(*self.seconds))
@@ -274,13 +288,17 @@ class FormatCard(Declaration):
 
     Attributes:
         header: whether the first row names the columns; by default it does unless it holds
-            nothing but numbers.
-        delimiter: the mark between columns; a tab in .tsv files, else a comma, by default.
+            nothing but numbers. Or the row, from 1 on, that names them.
+        delimiter: the mark between columns, a blank for any number of blanks; found by default.
+        decimal: the mark before the decimals of numbers, `.` or `,`; found by default.
+        encoding: encoding of the text, as Python names it; found by default.
         columns: required number of columns, None for any.
     """
 
-    header: bool | None = None
+    header: StrictBool | Annotated[StrictInt, Field(ge=1, le=10**6)] | None = None
     delimiter: str | None = None
+    decimal: Literal[".", ","] | None = None
+    encoding: str | None = None
     columns: StrictInt | None = Field(default=None, ge=1, le=_MOST_COLUMNS)
 
     @field_validator("delimiter")
@@ -289,6 +307,16 @@ class FormatCard(Declaration):
         if mark is not None and (len(mark) != 1 or mark not in "\t !$%&*,/:;<=>?@^_|~"):
             raise ValueError("one mark, e.g. ';', ',', '|' or a tab")
         return mark
+
+    @field_validator("encoding")
+    @classmethod
+    def _check_encoding(cls, name: str | None) -> str | None:
+        try:
+            if name is not None:
+                "1".encode(name)
+        except (LookupError, ValueError):
+            raise ValueError(f"no encoding '{name}'; utf-8, utf-16, latin-1, cp1252, ...") from None
+        return name
 
 
 class Card(Declaration):

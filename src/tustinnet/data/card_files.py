@@ -44,7 +44,7 @@ def list_record_files(folder: Path, card: Card) -> list[tuple[str | None, FileCa
             path = Path(entry.file)
             unique = stems[path.stem] == files[entry.file]
             name = path.stem if unique else path.with_suffix("").as_posix().replace("/", "_")
-            if entry.cell is not None or files[entry.file] > 1:
+            if entry.cell is not None or entry.record is not None or files[entry.file] > 1:
                 name += entry.part
             try:
                 require_name(name, entry.file)

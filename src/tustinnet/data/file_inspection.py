@@ -43,8 +43,10 @@ _INPUT_UNITS = {
 }  # fmt: skip
 # words in names, which decide where no unit does
 _COMMANDS = {"cmd", "command", "setpoint", "target", "ref", "reference", "desired"}
-_FORCES = {"u", "in", "input", "voltage", "torque", "force", "current", "control", "pwm", "duty"}
+_FORCES = {"u", "in", "input", "voltage", "torque", "force", "effort", "current", "control"}
+_FORCES |= {"pwm", "duty"}
 _DRIVES = {"motor", "drive", "actuator"}  # have encoders, too
+_VELOCITIES = {"velocity", "velocities"}
 _POSITIONS = {"enc", "encoder", "pos", "position", "angle"}
 
 
@@ -111,11 +113,20 @@ def inspect_file(path: Path) -> FileReport:
     if columns.elements:
         notes.append(f"{columns.elements} cells or structs; the columns are of the first one")
         columns = columns.element(1)
-    if len(columns.names) > _MOST:
+    elif columns.parts:
+        labels = [*columns.parts]
+        notes.append(f"{len(labels)} records; the columns are of the first one, {labels[0]}")
+        columns = columns.part(labels[0])
+    examined = columns.names[:_MOST]
+    if len(columns.names) > _MOST and not columns.clocks:
         notes.append(f"{len(columns.names)} columns; the first {_MOST} are looked at")
+    elif len(columns.names) > _MOST:
+        examined = _most_telling(columns)
+        text = f"{len(examined)} of {len(columns.names)} columns are looked at"
+        notes.append(f"{text}, those named as positions and inputs first")
     values: dict[str, Column] = {}
     reports: dict[str, ColumnReport] = {}
-    for name in columns.names[:_MOST]:
+    for name in examined:
         try:
             values[name] = columns[name]
             reports[name] = ColumnReport(name, "constant")  # holds its place
@@ -124,22 +135,9 @@ def inspect_file(path: Path) -> FileReport:
             reports[name] = ColumnReport(name, "no numbers", remark=remark)
     if not values:
         raise InputError(path, "no column of numbers", "a column of times, positions or inputs")
-    clock = _find_clock(values)
-    unit = "s" if clock is None else _guess_time_unit(clock, values[clock])
-    for name, column in values.items():
-        if name == clock:
-            extent = float(column[0]), float(column[-1])
-            reports[name] = ColumnReport(name, "time", extent, len(column), None, f"in {unit}?")
-        else:
-            reports[name] = _guess_role(name, column)
-    for name, report in reports.items():
-        # of a position whose unit is known, another one may be the slope by chance
-        if report.role == "velocity" or (report.role == "position" and not report.unit):
-            slope_of = _find_position(name, reports, values)
-            if slope_of is not None:
-                reports[name] = replace(
-                    report, role="velocity", count=None, remark=f"slope of '{slope_of}'"
-                )
+    clocks = {name: columns.clocks[name] for name in values if name in columns.clocks}
+    guesses, clock, unit = _guess_roles(values, columns.units, clocks)
+    reports |= guesses
     others = [ColumnReport(n, "no numbers", remark=text) for n, text in columns.others.items()]
     dt = jitter = None
     if clock is not None:
@@ -156,7 +154,7 @@ def inspect_file(path: Path) -> FileReport:
         notes=tuple(notes),
         draft="",
     )
-    return replace(report, draft=_draft(report))
+    return replace(report, draft=_draft(report, clock))
 
 
 def find_clock(columns: Columns) -> tuple[str, str, float] | None:
@@ -172,7 +170,52 @@ def find_clock(columns: Columns) -> tuple[str, str, float] | None:
     return clock, unit, float(np.median(np.diff(values[clock]))) * TIME[unit]
 
 
-def _find_clock(values: dict[str, Column]) -> str | None:
+def _most_telling(columns: Columns) -> tuple[str, ...]:
+    """Columns that are named as positions, velocities or inputs, then others, and their times."""
+    telling = _POSITIONS | _VELOCITIES | _COMMANDS | _FORCES | {"joint", "joints"}
+    own = [name for name in columns.names if columns.clocks.get(name) != name]
+    chosen = {*sorted(own, key=lambda name: not telling & {*_words(name)})[:_MOST]}
+    chosen |= {columns.clocks[name] for name in chosen if name in columns.clocks}
+    return tuple(name for name in columns.names if name in chosen)
+
+
+def _guess_roles(
+    values: Mapping[str, Column], units: Mapping[str, str], clocks: Mapping[str, str]
+) -> tuple[dict[str, ColumnReport], str | None, str]:
+    """Guesses at all columns of numbers, the column of times, and the unit of the times.
+
+    Args:
+        values: the columns.
+        units: units by column, where the file has them.
+        clocks: columns of times by column, where columns have times of their own.
+    """
+    clock = None if clocks else _find_clock(values)
+    times = {*clocks.values(), clock}
+    reports = {n: _guess_role(n, c, units.get(n, "")) for n, c in values.items() if n not in times}
+    if clocks:  # the times are those of what is probably the first coordinate
+        order = {"position": 0, "input": 1}
+        timed = [name for name in reports if name in clocks] or [*clocks]
+        first = min(timed, key=lambda n: order.get(reports[n].role, 2) if n in reports else 2)
+        clock = clocks[first]
+    unit = "s" if clock is None or clocks else _guess_time_unit(clock, values[clock])
+    for name, report in reports.items():
+        # of a position whose unit is known, another one may be the slope by chance
+        if report.role == "velocity" or (report.role == "position" and not report.unit):
+            others = {n: v for n, v in values.items() if clocks.get(n) == clocks.get(name)}
+            slope_of = _find_position(name, reports, others)
+            if slope_of is not None:
+                reports[name] = replace(
+                    report, role="velocity", count=None, remark=f"slope of '{slope_of}'"
+                )
+    for name, column in values.items():
+        if name in times:
+            extent = float(column[0]), float(column[-1])
+            remark = "in s" if clocks else f"in {unit}?"
+            reports[name] = ColumnReport(name, "time", extent, len(column), None, remark)
+    return reports, clock, unit
+
+
+def _find_clock(values: Mapping[str, Column]) -> str | None:
     """The column of times: it increases, and has such a name or does so regularly."""
     rising = {}
     for name, column in values.items():
@@ -216,8 +259,8 @@ def _unit_at_end(words: Sequence[str]) -> tuple[Role, str] | None:
     return ("input", _INPUT_UNITS[last]) if last in _INPUT_UNITS else None
 
 
-def _guess_role(name: str, column: Column) -> ColumnReport:
-    """A guess at a column: by the unit in its name, else by its values and its name."""
+def _guess_role(name: str, column: Column, file_unit: str = "") -> ColumnReport:
+    """A guess at a column: by its unit or that in its name, else by its values and its name."""
     finite = column[np.isfinite(column)]
     extent = (float(finite.min()), float(finite.max())) if len(finite) else None
     lost = len(column) - len(finite)
@@ -232,13 +275,20 @@ def _guess_role(name: str, column: Column) -> ColumnReport:
     has_levels = changes < _FEW_CHANGES and jump > 1 / 50
     is_smooth = not has_levels and roughness <= _SMOOTH
     count = encoder_count(finite)
-    words = _words(name)
+    words = _words(f"{name} [{file_unit}]" if file_unit else name)
     named, unit = _unit_at_end(words) or (None, "")
     role: Role
     if named is not None:
         is_command = named == "position" and bool(_COMMANDS & {*words})
         role = "input" if is_command else named
-        remarks.append(f"in {unit} by its name" + (", which is a command's" if is_command else ""))
+        source = "as the file says" if file_unit else "by its name"
+        remarks.append(f"in {unit} {source}" + (", which is a command's" if is_command else ""))
+    elif "action" in words:  # of robot learning: what was commanded
+        role = "input"
+        remarks.append("by its name")
+    elif _VELOCITIES & {*words} and not (_COMMANDS | _POSITIONS) & {*words}:
+        role = "velocity"
+        remarks.append("by its name")
     elif _POSITIONS & {*words}:
         role = "position"
         remarks.append("by its name" if is_smooth else "by its name, though it is not smooth")
@@ -280,18 +330,23 @@ def _find_position(
 # --- the draft of a card ---
 
 
-def _draft(report: FileReport) -> str:
-    """A card for the file, with comments on why columns mean what it says and what to check."""
+def _draft(report: FileReport, clock: str | None) -> str:
+    """A card for the file, with comments on why columns mean what it says and what to check.
+
+    Args:
+        report: the report on the file.
+        clock: the column of times.
+    """
     by_role: dict[str, list[ColumnReport]] = {}
     for column in report.columns:
         by_role.setdefault(column.role, []).append(column)
     lines = [f"name = {_quote(Path(report.name).stem)}"]
-    if report.dt is None:
+    if report.dt is None or clock is None:
         lines += ["dt = 0.01  # s: no column of times was found, say how far apart samples are"]
     else:
         lines += [
             f"dt = {float(f'{report.dt:.6g}')}  # s, the median interval", "", "[time]",
-            f"column = {_key(by_role['time'][0].name)}", f'unit = "{report.time_unit}"  # check',
+            f"column = {_key(clock)}", f'unit = "{report.time_unit}"  # check',
         ]  # fmt: skip
     positions = by_role.get("position") or by_role.get("input", [])[:1]
     inputs = [c for c in by_role.get("input", []) if c not in positions]

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.channels import LONGEST_DT, SHORTEST_DT
+from tustinnet.data.alignment import align_columns
 from tustinnet.data.card import Card, ColumnKey, FileCard, TimeCard
 from tustinnet.data.card_files import list_record_files, require_inside
 from tustinnet.data.columns import NUMBERED, Column, Columns, frame_columns
@@ -18,7 +19,7 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import declare, read_declaration
 from tustinnet.data.experiment import LARGEST, Experiment, begin_near_zero, unwrap_angles
 from tustinnet.data.file_inspection import find_clock
-from tustinnet.data.mat_file import OBJECT, OBJECT_REMEDY
+from tustinnet.data.formats.mat import OBJECT, object_remedy
 from tustinnet.data.readers import read_columns
 from tustinnet.errors import InputError
 from tustinnet.signals import resampling
@@ -200,7 +201,11 @@ def _load_file(
     path = folder / entry.file
     if not follow_links:
         require_inside(folder, path)
-    columns = read_columns(path, header=card.format.header, delimiter=card.format.delimiter)
+    form = card.format
+    columns = read_columns(
+        path, header=form.header, delimiter=form.delimiter, decimal=form.decimal,
+        encoding=form.encoding,
+    )  # fmt: skip
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -221,19 +226,41 @@ def _load_file(
             expected = f"a cell {entry.cell} as in the card"
             raise InputError(path, has, expected, "cells count from 1")
         return [read(columns.element(entry.cell), f"{path}, cell {entry.cell}", name)]
-    elements: list[Columns] = []
-    if not names <= {*columns.names}:
-        elements = [columns.element(number) for number in range(1, columns.elements + 1)]
-    if not any(names & {*element.names} - {*columns.names} for element in elements):
+    if entry.record is not None:
+        if entry.record not in columns.parts:
+            has = f"records {', '.join([*columns.parts][:12])}" if columns.parts else "one record"
+            raise InputError(path, has, f"a record '{entry.record}' as in the card")
+        return [read(columns.part(entry.record), f"{path}, record {entry.record}", name)]
+    parts = _parts(columns, names)
+    if not parts:
         return [read(columns, path, name)]  # without the columns anywhere, a message names the file
-    columns.fetch_elements(names)
     records: list[_LoadedRecord | InputError] = []
-    for number, element in enumerate(elements, start=1):
+    for label, part in parts.items():
+        kind = "record" if columns.parts else "cell"
         try:
-            records.append(read(element, f"{path}, cell {number}", f"{name}[{number}]"))
+            records.append(read(part, f"{path}, {kind} {label}", f"{name}[{label}]"))
         except InputError as error:
             records.append(error)
     return records
+
+
+def _parts(columns: Columns, names: set[str]) -> dict[str, Columns]:
+    """The records in one file by label, where these columns are in them and not in the file."""
+    if columns.parts:
+        parts = {label: columns.part(label) for label in columns.parts}
+        by_rows = any(part.rows is not None for part in columns.parts.values())
+        has_names = any(names & {*p.names} - {*columns.names} for p in parts.values())
+        if by_rows or has_names:
+            columns.fetch_parts(names)
+            return parts
+        return {}
+    parts = {}
+    if not names <= {*columns.names}:
+        parts = {str(k): columns.element(k) for k in range(1, columns.elements + 1)}
+    if not any(names & {*part.names} - {*columns.names} for part in parts.values()):
+        return {}
+    columns.fetch_elements(names)
+    return parts
 
 
 class _ColumnReader:
@@ -267,12 +294,12 @@ class _ColumnReader:
         others = self.columns.others
         for name, text in others.items():
             if key == name or (name and key.startswith((f"{name}.", f"{name}["))):
-                remedy = OBJECT_REMEDY if text == OBJECT else _header_hint(names)
+                remedy = object_remedy() if text == OBJECT else _header_hint(names)
                 raise InputError(self.where, f"'{name}' is {text}", expected, remedy)
         problem, remedy = f"no column '{key}'", _header_hint(names)
         if "" in others:  # an object without a known name
             problem += f", but {others['']}, which cannot be read"
-            remedy = OBJECT_REMEDY
+            remedy = object_remedy()
         raise InputError(self.where, problem, expected, remedy)
 
     def read(self, key: ColumnKey) -> Column:
@@ -339,8 +366,10 @@ def _read_record(
     sha256: str = "",
 ) -> _LoadedRecord:
     """The record in some columns, in SI units; `entry` is its file in the card, if it has one."""
-    where, columns = reader.where, reader.columns
-    columns.fetch([reader.name(key) for key in card.columns])
+    where, names = reader.where, [reader.name(key) for key in card.columns]
+    clocks = {reader.columns.clocks[name] for name in names if name in reader.columns.clocks}
+    reader.columns.fetch([*dict.fromkeys((*names, *clocks))])
+    reader.columns = columns = align_columns(reader.columns, card, reader.name, where)
     if entry is not None and entry.seconds is not None:
         reader.rows = _rows_within(entry.seconds, reader, card)
     q = reader.read_matrix([c.column for c in card.coordinates])
