@@ -159,3 +159,22 @@ def test_lines_for_the_card_load_as_the_parts_that_remain(tmp_path):
     later = stretch_of(loaded[2], 75, 100).card
     assert "rows = [225, 300]" in later
     assert "rows = [325, 400]" in later
+
+
+def test_an_unstable_phase_under_control_is_named_from_its_beginning_on():
+    rng, n, h = np.random.default_rng(0), 700, DT / 10
+    wanted = np.interp(np.arange(n) * DT, [2.0, 4.0], [0.0, np.pi])
+    u, q, x = np.empty(n), np.empty(n), np.zeros(2)
+    for k in range(n):
+        pull = 20 * np.sin(wanted[k]) + 60 * (wanted[k] - x[0]) - 12 * x[1]
+        q[k], u[k] = x[0], pull / 4 + rng.uniform(-2, 2)
+        for _ in range(10):
+            x = x + h * np.array([x[1], -20 * np.sin(x[0]) - 0.8 * x[1] + 4 * u[k]])
+    e = tn.from_arrays(
+        q, u, dt=DT, coordinates={"angle": "angular"}, inputs={"torque": "N m"}, name="raised"
+    )
+    (part,) = find_without_model(replace(e, source="raised.csv"), inspect_experiment(e))
+    assert (part.cause, part.is_left_out) == ("unstable phase", False)
+    assert part.seconds is not None
+    assert 3.0 < part.seconds[0] < 4.5
+    assert part.card.startswith('{ file = "raised.csv", seconds = [0, ')

@@ -41,10 +41,10 @@ _STEP = 1e-4  # relative, for derivatives by parameters; of the spread of states
 _REGULARISATION = 1e-3  # of a usual squared error, for a change of a parameter by itself
 _REWEIGHTINGS = 8
 _USUAL = 0.9  # of the pieces have an error that is usual
-_STRETCH = 2.5  # times that: an unlogged force
-_STRETCH_FOR_MOTION = 1.75  # and times the usual error for the motion
+# an unlogged force: times that, and times the usual error for such motion; either pair is enough
+_STRETCH = ((2.5, 1.75), (1.5, 4.0))
 _LEAST_MOTION = 0.3  # of the usual one; where there is less, friction holds it
-_EDGE = 1.5  # times the usual error, beside such a stretch: a part of it
+_EDGE = 1.4  # times the usual error, beside such a stretch: a part of it
 _OWN = 2.7  # times the error with parameters of its own: other conditions
 _UNLIKE = 1.5  # times the median record's error
 
@@ -345,11 +345,11 @@ def _find_stretches(
     median = float(np.median(np.concatenate(single)))
     parts = []
     for i, (e, record) in enumerate(zip(errors, records, strict=True)):
-        is_spoiled = (
-            (smooth[i] > _STRETCH * usual)
-            & (for_motion[i] > _STRETCH_FOR_MOTION * usual_for_motion)
-            & (e.motion > _LEAST_MOTION)
-        )
+        is_far_off = [
+            (smooth[i] > large * usual) & (for_motion[i] > large_for_motion * usual_for_motion)
+            for large, large_for_motion in _STRETCH
+        ]
+        is_spoiled = np.any(is_far_off, axis=0) & (e.motion > _LEAST_MOTION)
         is_part = np.maximum(single[i], smooth[i]) > _EDGE * usual
         runs = np.flatnonzero(np.diff(is_part, prepend=False, append=False)).reshape(-1, 2)
         for a, b in runs.tolist():
