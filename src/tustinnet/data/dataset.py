@@ -66,6 +66,7 @@ class DataSet(HasChannels):
     def __repr__(self) -> str:
         return f"DataSet({self.name!r}, {len(self)} experiments)"
 
+    # a property in the place of a field of the base class: nobody assigns it
     @property
     def channels(self) -> Channels:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Coordinates, inputs and sampling period of all records."""

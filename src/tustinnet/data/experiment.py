@@ -290,6 +290,7 @@ class Experiment(HasChannels):
         """
         inputs = self.inputs if inputs is None else merge_timing(self.inputs, inputs)
         self._require_holds(inputs, "simulating", delays=True)
+        # `unknown` was refused
         holds: list[DeclaredHold] = [i.hold or "zero-order" for i in inputs]  # pyright: ignore[reportAssignmentType]
         delays = [(i.delay or 0.0) / self.dt for i in inputs]
         for i, hold, delay in zip(inputs, holds, delays, strict=True):

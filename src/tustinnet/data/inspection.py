@@ -320,9 +320,8 @@ def _suspicious_positions(e: Experiment, j: int, count: float | None) -> list[st
             f"{coordinate.name} jumps at sample {_list_rows(rows)} (bad rows, or lost counts?)"
         )
     # a few levels have a common step by chance
-    is_encoder = count is not None and len(np.unique(q)) >= _FEWEST_COUNTS
-    declared = coordinate.resolution
-    if is_encoder and declared and abs(count / declared - 1) > _OTHER_COUNT:
+    is_encoder, declared = len(np.unique(q)) >= _FEWEST_COUNTS, coordinate.resolution
+    if is_encoder and declared and count and abs(count / declared - 1) > _OTHER_COUNT:
         sentences.append(
             f"{coordinate.name}: encoder count {count:.5g} {unit} found, "
             f"{declared:.5g} {unit} declared"

@@ -67,6 +67,7 @@ class GRU(AccelerationModel):
     scaling: Scaling
     channels: Channels = eqx.field(static=True)
     needed: int = eqx.field(static=True)
+    # a field in the place of a property of the base class
     taps: tuple[int, ...] = eqx.field(static=True, default=())  # pyright: ignore[reportIncompatibleMethodOverride]
 
     @property

@@ -83,6 +83,7 @@ class HybridModel(Model):
         ] != [i.name for i in theirs.inputs]:
             raise InputError("hybrid", "a network of another system", "the physics' coordinates")
 
+    # a property in the place of a field of the base class: nobody assigns it
     @property
     def channels(self) -> Channels:  # pyright: ignore[reportIncompatibleVariableOverride]
         """The channels of the physics."""

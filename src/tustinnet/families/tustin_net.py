@@ -86,6 +86,7 @@ class TustinNet(AccelerationModel):
     network: Network
     channels: Channels = eqx.field(static=True)
     relaxation_times: tuple[float, ...] = eqx.field(static=True, default=())
+    # a field in the place of a property of the base class
     taps: tuple[int, ...] = eqx.field(static=True, default=())  # pyright: ignore[reportIncompatibleMethodOverride]
     remembered: float = eqx.field(static=True, default=0.0)
     rest: Float[Array, " n_q"] | None = None
@@ -131,6 +132,7 @@ class TustinNet(AccelerationModel):
         """The standard deviations of internal states: a tenth of their size in training."""
         return _SPREAD * self.network.scaling.memory
 
+    # a property in the place of a field of the base class: nobody assigns it
     @property
     def scaling(self) -> Scaling:  # pyright: ignore[reportIncompatibleVariableOverride]
         """The units of the network."""

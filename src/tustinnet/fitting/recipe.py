@@ -369,6 +369,7 @@ class IdentificationRecipe(Recipe):
         search: how to search.
     """
 
+    # narrower than in the base class: recipes are frozen
     model: SerializeAsAny[IdentifiedHyper]  # pyright: ignore[reportIncompatibleVariableOverride]
     search: SearchRecipe = SearchRecipe()
 
@@ -405,6 +406,7 @@ def recipe_type(family: TrainedFamily | IdentifiedFamily) -> type[Recipe]:
         "TrainingRecipe",
         __base__=TrainingRecipe,
         model=(family.hyper, ...),
+        # the type is made while the program runs
         stages=(list[stage], Field(min_length=1, max_length=_STAGES)),  # pyright: ignore[reportInvalidTypeForm]
     )
 

@@ -333,6 +333,7 @@ class LagrangianModel(ContinuousModel):
     system: LagrangianSystem = eqx.field(static=True)
     values: dict[str, Array]
 
+    # a property in the place of a field of the base class: nobody assigns it
     @property
     def channels(self) -> Channels:  # pyright: ignore[reportIncompatibleVariableOverride]
         """The coordinates and inputs of the system."""

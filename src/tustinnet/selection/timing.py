@@ -8,6 +8,7 @@ like a delay: where one is found, a first-order lag in its place is compared wit
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
@@ -32,6 +33,7 @@ _LENGTH = 50  # samples of a piece
 _BETTER = 0.95  # times the error of the usual timing: less is another timing, more is chance
 _SURE = 3.0  # standard errors of a delay that is none
 _SHORTEST = 0.1  # of a period, a delay that matters
+_EXPLAINED = 0.9  # of the squares of errors that a lag explains: a delay that explains less is none
 _USUAL: Hold = "zero-order"
 LAG = "lag"  # the force by name that is the lag of an actuator
 
@@ -61,7 +63,7 @@ def determine_timing(
 
     A hold other than `zero-order`, and a delay, are taken only where they lower the simulation
     error by a twentieth, a delay only where it is three standard errors long. Where a first-order
-    lag of the actuator in its place lowers the error by another twentieth, no delay is taken.
+    lag of the actuator explains clearly more of the squares of errors, no delay is taken.
 
     Args:
         data: the records.
@@ -204,8 +206,8 @@ def _find_hold(
         [replace(i, hold="unknown") if k in places else i for k, i in enumerate(timing)]
     )
     errors = identification.hold_errors
-    ranked = sorted(errors, key=lambda hold: errors[hold])
-    hold = ranked[0] if errors[ranked[0]] < _BETTER * errors[_USUAL] else _USUAL
+    ranked = [cast("Hold", hold) for hold in sorted(errors, key=lambda hold: errors[hold])]
+    hold: Hold = ranked[0] if errors[ranked[0]] < _BETTER * errors[_USUAL] else _USUAL
     is_best = hold == ranked[0]
     listed = ", ".join(f"{hold} {errors[hold]:.3g}" for hold in ranked)
     names = " and ".join(f"'{timing[k].name}'" for k in places)
@@ -249,13 +251,20 @@ def _explain_lateness(
     clear = {k: delay for k, delay in delays.items() if is_clear(delay)}
     if not clear or ratio >= _BETTER:
         return {}
-    lag_ratio, lags = _compare_lags(search, timing, list(clear), compare, ratio)
+    try:
+        lagging = search.identify(timing, [f"{LAG}:{timing[k].name}" for k in clear])
+    except Exception:  # of any kind: the delay stands
+        lagging, lag_ratio = None, np.inf
+    else:
+        lag_ratio = compare(lagging)
+    # with a lag each piece begins with an internal state of its own: some lower errors say nothing
+    is_lag = 1 - ratio**2 < _EXPLAINED * (1 - lag_ratio**2)
     explanations: dict[int, tuple[float | None, str]] = {}
     for k, delay in clear.items():
         name = timing[k].name
         found = f"{delay.value:.3g} ± {delay.error:.1g} s ({delay.value / dt:.2g} periods)"
-        if k in lags:
-            lag = lags[k]
+        if lagging is not None and is_lag:
+            lag = _estimate(lagging, f"{name}.{LAG}")
             error = "" if lag.error is None else f" ± {lag.error:.1g}"
             sentence = (
                 f"lag of '{name}': first order with a time constant of {lag.value:.3g}{error} s, "
@@ -272,44 +281,6 @@ def _explain_lateness(
         )
         explanations[k] = delay.value, sentence
     return explanations
-
-
-def _compare_lags(
-    search: _TimingSearch,
-    timing: Sequence[Input],
-    places: Sequence[int],
-    compare: Callable[[Identification], float],
-    delay_ratio: float,
-) -> tuple[float, dict[int, Estimate]]:
-    """Lags in the place of delays: how many times the error without is theirs, and clear lags.
-
-    A lag is clear where the error with it is lower than with a delay, and where it is needed beside
-    a delay. In records whose inputs change slowly both may look alike.
-
-    Args:
-        search: the search.
-        timing: the inputs, with their holds.
-        places: the inputs that act late.
-        compare: how many times the error without delays that of an identification is.
-        delay_ratio: that of the delays.
-    """
-    forces = [f"{LAG}:{timing[k].name}" for k in places]
-    try:
-        lagging = search.identify(timing, forces)
-        ratio = compare(lagging)
-        if ratio >= _BETTER * delay_ratio:
-            return ratio, {}
-        delayed = [replace(i, delay=None) if k in places else i for k, i in enumerate(timing)]
-        both = search.identify(delayed, forces)
-    except Exception:  # of any kind: the delays stand
-        return np.inf, {}
-    clear = {}
-    for k in places:
-        name = f"{timing[k].name}.{LAG}"
-        beside = _estimate(both, name)
-        if not beside.bound and beside.value > _SURE * (beside.error or np.inf):
-            clear[k] = _estimate(lagging, name)
-    return ratio, clear
 
 
 def _estimate(identification: Identification, name: str) -> Estimate:

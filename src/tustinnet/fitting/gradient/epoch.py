@@ -143,6 +143,7 @@ def _run(
     state: TrainingState, inputs: _EpochInputs, *, program: _EpochProgram
 ) -> tuple[TrainingState, EpochFigures]:
     member, shared = Spec(MEMBERS), Spec()
+    # where the arrays are, in a tree like theirs
     specs = _EpochInputs(member, shared, shared, shared)  # pyright: ignore[reportArgumentType]
 
     def on_device(state: TrainingState, inputs: _EpochInputs) -> tuple[TrainingState, EpochFigures]:
