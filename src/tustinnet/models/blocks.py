@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -422,4 +423,5 @@ def root_mean_square(signal: Float[np.ndarray, "n c"]) -> Float[np.ndarray, " c"
 
 def make_scaling(dtype: type = np.float32, **fields: np.ndarray) -> Scaling:
     """Units from plain arrays."""
-    return Scaling(**{name: jnp.asarray(value, dtype) for name, value in fields.items()})
+    arrays: dict[str, Any] = {name: jnp.asarray(value, dtype) for name, value in fields.items()}
+    return Scaling(**arrays)
