@@ -208,7 +208,7 @@ def _find_hold(
         [replace(i, hold="unknown") if k in places else i for k, i in enumerate(timing)]
     )
     errors = identification.hold_errors
-    ranked = [cast("Hold", hold) for hold in sorted(errors, key=lambda hold: errors[hold])]
+    ranked = cast("list[Hold]", sorted(errors, key=lambda hold: errors[hold]))
     hold: Hold = ranked[0] if errors[ranked[0]] < _BETTER * errors[_USUAL] else _USUAL
     is_best = hold == ranked[0]
     listed = ", ".join(f"{hold} {errors[hold]:.3g}" for hold in ranked)
