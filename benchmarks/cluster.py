@@ -24,7 +24,7 @@ import tustinnet as tn
 from tustinnet.selection.cluster import AUTO, cluster
 from tustinnet.selection.jobs import Job, JobResult, RunContext
 from tustinnet.selection.runner import Executor, InProcess, MakeExecutor, run_jobs
-from tustinnet.selection.scoring import ScoringOptions
+from tustinnet.selection.scoring import Scorer
 
 FOLDS, SEEDS, EPOCHS = 5, 4, 6
 
@@ -41,7 +41,7 @@ def measure(name: str, make: MakeExecutor, data: tn.DataSet) -> None:
     recipe = tn.read_recipe("linear", [f"stages.*.epochs={EPOCHS}"])
     jobs = [Job("linear", recipe, f, (seed,)) for seed in range(SEEDS) for f in range(FOLDS)]
     with tempfile.TemporaryDirectory() as folder:
-        context = RunContext(data, ScoringOptions(FOLDS, "model-20"), Path(folder))
+        context = RunContext(data, Scorer(FOLDS, "model-20"), Path(folder))
         executor, begun = make(context), time.monotonic()
         seconds = [result.seconds for result in do_all(executor, jobs)]
         whole, begun = time.monotonic() - begun, time.monotonic()

@@ -282,6 +282,12 @@ def test_files_that_differ_from_the_published_ones_are_named(
 # --- the packaged data set ---
 
 
+def test_the_packaged_card_declares_hold_and_delay_so_that_nothing_is_searched_for() -> None:
+    (voltage,) = QUBE_SERVO2.card().channels(0.01).inputs
+    assert (voltage.hold, voltage.delay) == ("zero-order", 0.0)
+    assert voltage.is_delay_declared
+
+
 def test_the_packaged_card_and_checksums_name_the_same_files() -> None:
     card, sums = QUBE_SERVO2.card(), QUBE_SERVO2.checksums()
     assert {f.file for files in card.splits.values() for f in files} == set(sums)

@@ -24,11 +24,11 @@ from tustinnet.selection.cluster import _make_work, cluster, perform_here, versi
 from tustinnet.selection.cross_validation import cross_validate, make_cross_validation_options
 from tustinnet.selection.deadline import NEVER
 from tustinnet.selection.jobs import Job, RunContext
-from tustinnet.selection.scoring import ScoringOptions
+from tustinnet.selection.scoring import Scorer
 from tustinnet.selection.select import Reporter, SelectionOptions, select_model
 from tustinnet.systems.files import SystemFile
 
-SCORING = ScoringOptions(3, "model-10")
+SCORING = Scorer(3, "model-10")
 PARTED = "import os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n"
 
 

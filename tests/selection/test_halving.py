@@ -11,7 +11,7 @@ from tustinnet.selection.deadline import NEVER, Deadline
 from tustinnet.selection.halving import Halving
 from tustinnet.selection.jobs import FitScore, Job, JobResult, RunContext
 from tustinnet.selection.plan import SelectionPlan
-from tustinnet.selection.scoring import ScoringOptions
+from tustinnet.selection.scoring import Scorer
 
 PLAN = {
     "name": "pretended",
@@ -57,7 +57,7 @@ class Pretended:
 
 def halving(plan: dict | None = None, deadline: Deadline = NEVER) -> tuple[Halving, list[str]]:
     of, said = SelectionPlan.model_validate(plan or PLAN), []
-    context = RunContext(swings(), ScoringOptions(3, "model-20"))
+    context = RunContext(swings(), Scorer(3, "model-20"))
     return Halving(of, of.candidates, context, said.append, deadline), said
 
 

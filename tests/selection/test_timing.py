@@ -35,7 +35,7 @@ def records(
         u = voltage(200, seed)
         blank = tn.from_arrays(np.zeros(len(u)), u, dt=DT, name=f"noise{seed}",
                                coordinates=SWING.coordinates, inputs=(acting,))  # fmt: skip
-        x0 = np.zeros(3 if lag else 2)
+        x0 = np.array([0.0, 0.0, u[0]] if lag else [0.0, 0.0])
         q = np.asarray(tn.rollout(model, x0, input_signal(model, blank)))[:, :1]
         inputs = (Input("voltage", "V", declared, delay=known),)
         channels = replace(blank.channels, inputs=inputs)

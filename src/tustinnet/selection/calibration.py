@@ -5,13 +5,13 @@ from tustinnet.evaluate.bands import Calibration, Prediction, calibrate_bands, p
 from tustinnet.families.family import family_of
 from tustinnet.selection.committees import combine, member_weights
 from tustinnet.selection.deadline import NEVER, Deadline
-from tustinnet.selection.final_models import Candidates, FinalModel
+from tustinnet.selection.final_models import FinalModel, SelectionResults
 from tustinnet.selection.jobs import RunContext
 from tustinnet.store.header import read_header
 
 
 def calibrate_on_folds(
-    candidates: Candidates,
+    candidates: SelectionResults,
     name: str,
     final: FinalModel,
     context: RunContext,

@@ -14,7 +14,7 @@ from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.evaluate.scores import scores_header
 from tustinnet.fitting.report import data_header
 from tustinnet.models.contract import Model
-from tustinnet.selection.final_models import Candidates, FinalModel
+from tustinnet.selection.final_models import FinalModel, SelectionResults
 from tustinnet.selection.folds import records_without_test
 from tustinnet.selection.jobs import LEFT_OUT, FitScore, RunContext
 from tustinnet.selection.ranking import (
@@ -53,7 +53,7 @@ class Choice:
     """
 
     context: RunContext
-    candidates: Candidates
+    candidates: SelectionResults
     best: str
     simplest: str
     origins: Mapping[str, str]

@@ -19,7 +19,7 @@ from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.selection.folds import FOLDS, records_without_test, split_into_folds
 from tustinnet.selection.jobs import SCORES, Job, JobResult, RunContext
 from tustinnet.selection.runner import InProcess, MakeExecutor, run_jobs
-from tustinnet.selection.scoring import RecipeScoring
+from tustinnet.selection.scoring import RecipeScorer
 from tustinnet.selection.timing import determine_recipe_timing
 from tustinnet.simulate.horizon import horizon_samples
 from tustinnet.simulate.starts import default_and_fitted_starts, start_named
@@ -232,7 +232,7 @@ def cross_validate(
         horizon_samples(recipe.longest_run, records, start_named(start))
     context = RunContext(
         data,
-        RecipeScoring(folds, starts[0], names=options.starts),
+        RecipeScorer(folds, starts[0], names=options.starts),
         folder or Path(),
         models={} if executor is None else None,
         # in this process the system is loaded already; a worker loads its file

@@ -30,7 +30,7 @@ _AS_PROMISED = 1.5  # times the error that folds promise: more is another model 
 
 
 @dataclass(frozen=True)
-class Candidates:
+class SelectionResults:
     """The results of a plan's rounds, and of the committees after them.
 
     Attributes:
@@ -82,7 +82,7 @@ class FinalModel:
 
 
 def make_final_models(
-    candidates: Candidates,
+    candidates: SelectionResults,
     best: CandidateResult,
     simplest: CandidateResult,
     context: RunContext,
@@ -116,7 +116,7 @@ def make_final_models(
 
 
 def _possible_models(
-    candidates: Candidates,
+    candidates: SelectionResults,
     result: CandidateResult,
     context: RunContext,
     make_job_listener: MakeJobListener | None,

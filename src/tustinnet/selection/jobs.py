@@ -31,7 +31,7 @@ from tustinnet.models.contract import Model
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.selection.deadline import NEVER, Deadline, StopCheck
 from tustinnet.selection.folds import FoldSplit, split_into_folds
-from tustinnet.selection.scoring import RmseByStart, ScoringOptions
+from tustinnet.selection.scoring import RmseByStart, Scorer
 from tustinnet.store.checkpoint import fingerprint
 from tustinnet.store.files import (
     remove_partial_files,
@@ -170,7 +170,7 @@ class RunContext:
     """
 
     data: DataSet
-    scoring: ScoringOptions
+    scoring: Scorer
     folder: Path = Path()
     models: dict[str, Model] | None = None
     system: AnySystem | SystemTemplate | None = None

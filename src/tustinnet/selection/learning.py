@@ -33,7 +33,7 @@ from tustinnet.selection.cross_validation import (
 from tustinnet.selection.folds import FOLDS, FoldSplit, records_without_test, split_into_folds
 from tustinnet.selection.jobs import Job, RunContext
 from tustinnet.selection.runner import InProcess, run_jobs
-from tustinnet.selection.scoring import RecipeScoring
+from tustinnet.selection.scoring import RecipeScorer
 from tustinnet.simulate.starts import default_start, start_named
 from tustinnet.systems.files import AnySystem, SystemTemplate
 from tustinnet.systems.twin import imitate_records
@@ -301,7 +301,7 @@ class DrawFitter:
         make_listener: MakeListener = lambda prepared: SILENT,
     ) -> None:
         self._data, self._make_listener = data, make_listener
-        self._scoring = RecipeScoring(0, start, names=(start,), warm_up=True)
+        self._scoring = RecipeScorer(0, start, names=(start,), warm_up=True)
 
     def train(
         self,

@@ -17,8 +17,8 @@ WhichStarts = Literal["all", "deciding", "others"]
 
 
 @dataclass(frozen=True)
-class ScoringOptions:
-    """Free runs from a common start, over a common horizon: candidates of any kind can be compared.
+class Scorer:
+    """Scores of free runs from a common start, over a common horizon, for candidates of any kind.
 
     Attributes:
         folds: number of folds that the records are split into.
@@ -83,7 +83,7 @@ class ScoringOptions:
 
 
 @dataclass(frozen=True)
-class RecipeScoring(ScoringOptions):
+class RecipeScorer(Scorer):
     """Free runs over the horizon of the recipe, from any starts: one recipe is scored by itself.
 
     Attributes:

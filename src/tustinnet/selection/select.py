@@ -20,14 +20,14 @@ from tustinnet.selection.calibration import calibrate_on_folds
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.committees import score_committees
 from tustinnet.selection.deadline import NEVER, Deadline
-from tustinnet.selection.final_models import Candidates, FinalModel, make_final_models
+from tustinnet.selection.final_models import FinalModel, SelectionResults, make_final_models
 from tustinnet.selection.folds import prepare_for_folds, records_without_test
 from tustinnet.selection.halving import NO_TIME, Halving
 from tustinnet.selection.jobs import NO_STAGE, SCORES, SPENT, MakeJobListener, RunContext
 from tustinnet.selection.plan import USUAL, Candidate, SelectionPlan, read_plan
 from tustinnet.selection.ranking import CandidateResult, find_simplest, rank
 from tustinnet.selection.runner import InProcess, MakeExecutor
-from tustinnet.selection.scoring import ScoringOptions
+from tustinnet.selection.scoring import Scorer
 from tustinnet.selection.spoiled import leave_out_spoiled
 from tustinnet.selection.timing import LAG, determine_timing
 from tustinnet.simulate.horizon import effective_horizon
@@ -148,7 +148,7 @@ def select_model(
         reporter.on_message(note)
     context = RunContext(
         records,
-        ScoringOptions(min(plan.folds, len(records)), plan.start, horizon),
+        Scorer(min(plan.folds, len(records)), plan.start, horizon),
         folder,
         system=options.system,
         resume=earlier == "resume",
@@ -241,7 +241,7 @@ def _choose(
         halving.plan, remaining, context, reporter.on_message, before_final
     )
     names = tuple(r.name for r in remaining)
-    candidates = Candidates(halving.plan, tuple(halving.results.values()), names, committees)
+    candidates = SelectionResults(halving.plan, tuple(halving.results.values()), names, committees)
     best = rank(candidates.choosable)[0]
     simplest = find_simplest(candidates.choosable, best)
     models = make_final_models(
@@ -271,7 +271,7 @@ def _choose(
 
 
 def _find_spoiled(
-    candidates: Candidates, best: str, models: Mapping[str, FinalModel], context: RunContext
+    candidates: SelectionResults, best: str, models: Mapping[str, FinalModel], context: RunContext
 ) -> tuple[SpoiledPart, ...]:
     """Parts of records that the chosen model does not explain.
 

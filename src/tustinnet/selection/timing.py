@@ -33,7 +33,7 @@ _LENGTH = 50  # samples of a piece
 _BETTER = 0.95  # times the error of the usual timing: less is another timing, more is chance
 _SURE = 3.0  # standard errors of a delay that is none
 _SHORTEST = 0.1  # of a period, a delay that matters
-_EXPLAINED = 0.9  # of the squares of errors that a lag explains: a delay that explains less is none
+_LAG = 2 / 3  # times the error with a delay: less is a lag, more may be its additional freedom
 _USUAL: Hold = "zero-order"
 LAG = "lag"  # the force by name that is the lag of an actuator
 
@@ -63,7 +63,7 @@ def determine_timing(
 
     A hold other than `zero-order`, and a delay, are taken only where they lower the simulation
     error by a twentieth, a delay only where it is three standard errors long. Where a first-order
-    lag of the actuator explains clearly more of the squares of errors, no delay is taken.
+    lag of the actuator in its place lowers the error by another third, no delay is taken.
 
     Args:
         data: the records.
@@ -174,8 +174,10 @@ class _TimingSearch:
         model = self.recipe.model.model_copy(update=added)
         recipe = self.recipe.model_copy(update={"model": model})
         task = Task(recipe, (Fold(roles),), (Member(),), self.system)
-        fit = identify_task(task, Member(), SILENT, self.deadline.has_passed)
-        if fit.identification is None or fit.is_out_of_time:
+        # an identification asks for the time only when it has compiled its programs
+        is_late = self.deadline.has_passed()
+        fit = None if is_late else identify_task(task, Member(), SILENT, self.deadline.has_passed)
+        if fit is None or fit.identification is None or fit.is_out_of_time:
             raise UnfinishedSearchError("holds and delays", "no time was left", "more time")
         return fit.identification
 
@@ -206,7 +208,7 @@ def _find_hold(
         [replace(i, hold="unknown") if k in places else i for k, i in enumerate(timing)]
     )
     errors = identification.hold_errors
-    ranked = [cast("Hold", hold) for hold in sorted(errors, key=lambda hold: errors[hold])]
+    ranked = cast("list[Hold]", sorted(errors, key=lambda hold: errors[hold]))
     hold: Hold = ranked[0] if errors[ranked[0]] < _BETTER * errors[_USUAL] else _USUAL
     is_best = hold == ranked[0]
     listed = ", ".join(f"{hold} {errors[hold]:.3g}" for hold in ranked)
@@ -257,8 +259,8 @@ def _explain_lateness(
         lagging, lag_ratio = None, np.inf
     else:
         lag_ratio = compare(lagging)
-    # with a lag each piece begins with an internal state of its own: some lower errors say nothing
-    is_lag = 1 - ratio**2 < _EXPLAINED * (1 - lag_ratio**2)
+    # with a lag each piece begins with an internal state of its own
+    is_lag = lag_ratio < _LAG * ratio
     explanations: dict[int, tuple[float | None, str]] = {}
     for k, delay in clear.items():
         name = timing[k].name
