@@ -1,0 +1,318 @@
+"""Logs as they are found in files: their columns, their clock, the records in them."""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from tustinnet.data.columns import NUMBERED, Columns
+from tustinnet.data.drafting.names import NameReading, read_name
+from tustinnet.data.drafting.numbers import Values
+from tustinnet.data.readers import read_columns
+from tustinnet.data.units import TIME
+from tustinnet.errors import InputError
+
+_MOST_COLUMNS = 60  # that are examined
+_REGULAR = 0.5  # relative deviation of the intervals of a clock that has another name
+_COARSE = 0.05  # of the period; timestamps of a larger step make the median interval wrong
+_GAP = 10.0  # periods; a longer interval ends a record
+_SHORTEST = 20  # samples of a record
+_EPOCHS = (("s", 5e8, 5e9), ("ms", 5e11, 5e12), ("us", 5e14, 5e15), ("ns", 5e17, 5e18))
+_PERIODS = (1e-5, 2.0)  # s, that logs of mechanisms have
+_EPISODES = {"episode", "run", "trial", "versuch", "experiment", "take", "traj", "trajectory"}
+
+
+@dataclass(frozen=True)
+class Log:
+    """The columns of a file, or of one element of its cell or struct arrays.
+
+    Attributes:
+        file: the file below the folder of the card.
+        cell: number of the element, None for a whole file.
+        values: columns of numbers, all of one length.
+        texts: what the other columns are, by name.
+        notes: remarks on how the file was read.
+        headless: whether the file has no names of columns.
+    """
+
+    file: str
+    cell: int | None
+    values: Mapping[str, Values]
+    texts: Mapping[str, str]
+    notes: tuple[str, ...]
+    headless: bool = False
+
+    def __len__(self) -> int:
+        return len(next(iter(self.values.values())))
+
+
+@dataclass(frozen=True)
+class Piece:
+    """The samples of a log that are one record.
+
+    Attributes:
+        log: the log.
+        rows: first sample and the one after the last.
+        t: its times from 0 on [s].
+        because: why it is a part of its file, empty for a whole one.
+    """
+
+    log: Log
+    rows: tuple[int, int]
+    t: Values
+    because: str = ""
+
+    def column(self, name: str) -> Values:
+        """The samples of a column in the piece."""
+        return self.log.values[name][slice(*self.rows)]
+
+    def part(self, first: int, stop: int, because: str) -> "Piece":
+        """A part of the piece, by samples of it."""
+        rows = (self.rows[0] + first, self.rows[0] + stop)
+        return replace(self, rows=rows, t=self.t[first:stop], because=because)
+
+    @property
+    def whole(self) -> bool:
+        """Whether it has all samples of its log."""
+        return self.rows == (0, len(self.log))
+
+    @property
+    def seconds(self) -> float:
+        """Its duration [s]."""
+        return float(self.t[-1] - self.t[0]) if len(self.t) > 1 else 0.0
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The time base of all logs.
+
+    Attributes:
+        column: the column of times, None without one.
+        unit: its unit.
+        because: why it is taken for that.
+        dt: period [s], None where nothing says it.
+        worst: largest deviation of an interval from it [s], gaps aside.
+        sure: whether the unit is sure.
+        others: other columns that are times or counters, with the reason.
+    """
+
+    column: str | None
+    unit: str = "s"
+    because: str = ""
+    dt: float | None = None
+    worst: float = 0.0
+    sure: bool = True
+    others: dict[str, str] = field(default_factory=dict)
+
+
+def read_logs(
+    folder: Path, files: Sequence[str], on_message: Callable[[str], None]
+) -> list[Log]:
+    """Reads the logs of a folder that have the same columns as most of them.
+
+    Args:
+        folder: the folder of the card.
+        files: the files, below it.
+        on_message: called with a sentence on each file that is left out.
+
+    Raises:
+        InputError: no file has columns of numbers.
+    """
+    logs: list[Log] = []
+    errors: list[InputError] = []
+    for file in files:
+        try:
+            logs += _read_file(folder, file)
+        except InputError as error:
+            errors.append(error)
+    if not logs:
+        raise errors[0] if errors else InputError(
+            folder, "no logs", "files of columns, such as .csv, .parquet or .mat"
+        )
+    for error in errors:
+        on_message(f"left out: {error}")
+    samples: Counter[tuple[str, ...]] = Counter()
+    for log in logs:
+        samples[tuple(log.values)] += len(log)
+    usual = samples.most_common(1)[0][0]
+    for log in logs:
+        # a file may have more columns than the others, and not fewer
+        if not {*usual} <= {*log.values}:
+            missing = ", ".join(sorted({*usual} - {*log.values})[:4])
+            on_message(f"left out: {log.file}: other columns than most files (no {missing})")
+    return [
+        replace(log, values={name: log.values[name] for name in usual})
+        for log in logs
+        if {*usual} <= {*log.values}
+    ]
+
+
+def _read_file(folder: Path, file: str) -> list[Log]:
+    columns = read_columns(folder / file)
+    if not columns.elements:
+        return [_read_log(columns, file, None)]
+    elements = [columns.element(number) for number in range(1, columns.elements + 1)]
+    columns.fetch_elements({name for element in elements for name in element.names})
+    return [_read_log(element, file, number) for number, element in enumerate(elements, start=1)]
+
+
+def _read_log(columns: Columns, file: str, cell: int | None) -> Log:
+    """The columns of numbers that have the length of most of them."""
+    values: dict[str, Values] = {}
+    texts = dict(columns.others)
+    notes = list(columns.notes)
+    if len(columns.names) > _MOST_COLUMNS:
+        notes.append(f"{len(columns.names)} columns; the first {_MOST_COLUMNS} are looked at")
+    for name in columns.names[:_MOST_COLUMNS]:
+        try:
+            values[name] = columns[name]
+        except InputError as error:
+            texts[name] = str(error).split(": ", 1)[-1]
+    lengths = Counter(len(column) for column in values.values() if len(column) > 1)
+    if not lengths:
+        raise InputError(file, "no column of numbers", "a column of times, positions or inputs")
+    usual = max(lengths, key=lambda length: (lengths[length], length))
+    for name in [name for name, column in values.items() if len(column) != usual]:
+        texts[name] = f"{len(values.pop(name))} values, where the others have {usual}"
+    headless = all(name.startswith(NUMBERED) for name in columns.names)
+    return Log(file, cell, values, texts, tuple(notes), headless)
+
+
+# --- the clock ---
+
+
+def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Clock:
+    """The column of times: it rises in every record, and has such a name or does so regularly."""
+    candidates: list[tuple[float, str]] = []
+    others: dict[str, str] = {}
+    for name, reading in readings.items():
+        columns = [log.values[name] for log in logs]
+        intervals = _intervals(columns)
+        if intervals is None:
+            continue
+        spread = float(np.std(intervals) / np.mean(intervals))
+        weight = reading.quantities.get("time", 0.0)
+        if reading.quantity == "counter" or (
+            weight == 0 and spread < 1e-9 and intervals[0] == 1 and (columns[0][0] in (0, 1))
+        ):
+            others[name] = "counts the samples"
+            continue
+        if weight == 0 and (spread > _REGULAR or _speaks_of_motion(reading)):
+            continue
+        # of two clocks the regular one; of two regular ones that which begins near 0
+        begins_late = abs(columns[0][0]) > 1e8
+        candidates.append((weight - 2 * min(spread, 1.0) - 0.1 * begins_late, name))
+    if not candidates:
+        return Clock(None, others=others)
+    # the first of equal ones
+    best = max(candidates, key=lambda candidate: (round(candidate[0], 3)))[1]
+    others |= {name: f"a clock as '{best}'" for _, name in candidates if name != best}
+    unit, because, sure = _time_unit(best, readings[best], [log.values[best] for log in logs])
+    reason = "by its name" if readings[best].quantities.get("time") else "it rises regularly"
+    intervals = _intervals([log.values[best] for log in logs])
+    assert intervals is not None
+    dt, worst = _period(intervals * TIME[unit])
+    return Clock(best, unit, f"{reason}; {because}", dt, worst, sure, others)
+
+
+def _speaks_of_motion(reading: NameReading) -> bool:
+    return reading.quantity is not None and max(reading.quantities.values()) >= 3
+
+
+def _intervals(columns: Sequence[Values]) -> Values | None:
+    """The intervals of a column that rises, restarts aside; None for another one."""
+    steps = np.concatenate([np.diff(column) for column in columns])
+    if not np.isfinite(steps).all() or not len(steps):
+        return None
+    rising = steps > 0
+    # a log of several records restarts its clock; a few repeated stamps do no clock harm
+    if (steps < 0).sum() > max(2, 0.02 * len(steps)) or rising.mean() < 0.97:
+        return None
+    if (~rising).any() and max(map(len, columns)) < _SHORTEST:
+        return None
+    return steps[rising]
+
+
+def _period(intervals: Values) -> tuple[float, float]:
+    """The period of a clock, and the largest deviation from it, gaps aside."""
+    median = float(np.median(intervals))
+    near = intervals[intervals < 1.5 * median]
+    step = float(np.ptp(np.unique(np.round(near / median, 6))))
+    values = len(np.unique(np.round(near / median, 3)))
+    # timestamps of few whole steps: 3, 3, 4 ms are 3.33 ms
+    dt = float(near.mean()) if values <= 5 and step > _COARSE else median
+    kept = intervals[intervals <= _GAP * dt]
+    return float(f"{dt:.6g}"), float(np.abs(kept - dt).max(initial=0.0))
+
+
+def _time_unit(
+    name: str, reading: NameReading, columns: Sequence[Values]
+) -> tuple[str, str, bool]:
+    """The unit of times, the reason, and whether it is sure."""
+    if reading.unit in TIME:
+        return reading.unit, f"in {reading.unit} by its name", True
+    intervals = _intervals(columns)
+    assert intervals is not None
+    step, first = float(np.median(intervals)), float(columns[0][0])
+    for word, unit in (("millis", "ms"), ("micros", "us"), ("nanos", "ns"), ("ns", "ns"),
+                       ("ms", "ms"), ("us", "us"), ("nsec", "ns"), ("nsecs", "ns")):  # fmt: skip
+        if word in reading.words:
+            return unit, f"in {unit} by its name", True
+    for unit, low, high in _EPOCHS:
+        if low < first < high and _PERIODS[0] <= step * TIME[unit] <= _PERIODS[1]:
+            return unit, f"in {unit}: it begins at {first:.4g}, a time since 1970", True
+    if any((column != np.round(column)).any() for column in columns):
+        return "s", f"in s: intervals of {step:.4g}", step < _PERIODS[1]
+    fits = [unit for unit in ("ms", "us", "ns") if 5e-4 <= step * TIME[unit] <= _PERIODS[1]]
+    unit = fits[0] if fits else "s" if step < _PERIODS[1] else "ns"
+    if step == 1:
+        return "ms", "in ms? whole numbers 1 apart", False
+    return unit, f"in {unit}: whole numbers {step:.4g} apart", True
+
+
+# --- the records in the logs ---
+
+
+def find_pieces(
+    logs: Sequence[Log], clock: Clock, readings: Mapping[str, NameReading]
+) -> list[Piece]:
+    """The records in the logs: cut where the clock starts again, at gaps, and between episodes."""
+    dt = clock.dt or 0.01
+    episodes = [
+        name
+        for name, reading in readings.items()
+        if _EPISODES & {*reading.words} and _is_episode([log.values[name] for log in logs])
+    ]
+    pieces = []
+    for log in logs:
+        n = len(log)
+        t = dt * np.arange(n) if clock.column is None else log.values[clock.column] * TIME[clock.unit]
+        steps = np.diff(t)
+        cuts = {int(k) + 1: "the clock starts again" for k in np.flatnonzero(steps < -dt)}
+        for name in episodes:
+            changed = np.flatnonzero(np.diff(log.values[name]) != 0) + 1
+            cuts |= {int(k): f"'{name}' changes" for k in changed}
+        for k in np.flatnonzero(steps > _GAP * dt):
+            cuts.setdefault(int(k) + 1, f"a gap of {steps[k]:.3g} s")
+        edges = [0, *sorted(cuts), n]
+        for first, stop in zip(edges[:-1], edges[1:], strict=True):
+            because = cuts.get(first) or (cuts.get(stop, "") if len(edges) > 2 else "")
+            pieces.append(Piece(log, (first, stop), t[first:stop] - t[first], because))
+    long = [piece for piece in pieces if len(piece.t) >= _SHORTEST]
+    return long or pieces
+
+
+def _is_episode(columns: Sequence[Values]) -> bool:
+    """Whether a column numbers records: whole numbers, few of them, which change rarely."""
+    changes = sum(int((np.diff(column) != 0).sum()) for column in columns)
+    samples = sum(map(len, columns))
+    return all((c == np.round(c)).all() for c in columns) and changes * _SHORTEST < samples
+
+
+def read_names(logs: Sequence[Log]) -> dict[str, NameReading]:
+    """The readings of the names of all columns; `column 3` of a file without names says nothing."""
+    return {
+        name: read_name("" if name.startswith(NUMBERED) else name) for name in logs[0].values
+    }
