@@ -10,6 +10,7 @@ from tustinnet.cli import options, request, terminal
 
 if TYPE_CHECKING:
     from tustinnet.channels import Hold
+    from tustinnet.data.dataset import DataSet
     from tustinnet.data.inspection import ExperimentReport
     from tustinnet.report.tables import Table
 
@@ -72,6 +73,13 @@ def inspect(
 
         write_figure(inspection_figure(list(records), reports), figure.parent, figure.name)
         terminal.messages().print(f"figure: {figure}")
+
+
+def print_inspection(data: "DataSet") -> None:
+    """Prints the inspection of all records of a data set."""
+    from tustinnet.data.inspection import inspect_experiment
+
+    _print_reports([inspect_experiment(e) for e in data], data.channels.unit)
 
 
 def _print_reports(reports: "list[ExperimentReport]", unit: str) -> None:

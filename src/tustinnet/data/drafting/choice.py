@@ -9,10 +9,10 @@ import numpy as np
 
 from tustinnet.channels import Kind
 from tustinnet.data.drafting.numbers import Values
-from tustinnet.data.drafting.names import INPUTS, NameReading, Quantity, read_name
+from tustinnet.data.drafting.names import INPUTS, NameReading, Quantity
 from tustinnet.data.drafting.numbers import Numbers, counts_in_turn, is_decimal
 from tustinnet.data.drafting.relations import Slopes, compare_courses, find_copy
-from tustinnet.data.drafting.roles import Verdict
+from tustinnet.data.drafting.roles import FAINT, Verdict
 from tustinnet.data.units import ANGLE, LENGTH, convert_to_si, velocity_factor
 
 _SAME_FACTOR = 0.02  # relative; factors of units this near are equal
@@ -20,7 +20,7 @@ _MOST_RADIANS = 20.0  # an angle without a unit that moves farther is in degrees
 _MOST_METRES = 5.0  # a length without a unit that moves farther is in mm
 _OVERFLOWS = (2.0**16, 2.0**32)  # where counters start again, not encoders
 _USUAL_COUNTS = 4096
-_CLEAR, _FAINT = 3.0, 1.9  # scores of a position that is one, and of one that may be none
+_CLEAR = 3.0  # score of a column that is surely a position
 _ROLES = ("none", "position", "velocity", "input", "set point")
 _QUANTITY_UNITS: dict[Quantity, str] = {
     "voltage": "V", "current": "A", "torque": "N m", "force": "N", "pressure": "bar",
@@ -42,12 +42,14 @@ class Question:
         text: the question.
         assumption: the answer that is taken without another one.
         options: answers that are possible, () for any text or number.
+        is_number: whether the answer is a positive number.
     """
 
     key: str
     text: str
     assumption: str
     options: tuple[str, ...] = ()
+    is_number: bool = False
 
 
 @dataclass(frozen=True)
@@ -149,7 +151,9 @@ def choose_channels(findings: Findings) -> Choice:
         if only_speeds:
             coordinate = _speed_coordinate(column, names[column], findings, choice)
         else:
-            coordinate = _coordinate(column, names[column], matched.get(column), findings, choice)
+            kind = _kind_by_inputs(inputs, findings)
+            velocity = matched.get(column)
+            coordinate = _coordinate(column, names[column], velocity, kind, findings, choice)
         choice.coordinates.append(coordinate)
     for column in inputs:
         choice.inputs.append(_input(column, names[column], findings, choice))
@@ -175,7 +179,7 @@ def _clear_positions(findings: Findings, choice: Choice) -> list[str]:
     if max(scores.values(), default=0.0) < _CLEAR:
         return positions
     for name in positions:
-        if scores[name] < _FAINT and name not in answered:
+        if scores[name] < FAINT and name not in answered:
             choice.unused[name] = (
                 f"perhaps a position ({findings.verdicts[name].because}), beside columns that say so"
             )
@@ -286,15 +290,16 @@ def _is_measured(position: str, velocity: str, findings: Findings) -> tuple[bool
 
 
 def _coordinate(
-    column: str, name: str, velocity: str | None, findings: Findings, choice: Choice
-) -> CoordinateChoice:
+    column: str, name: str, velocity: str | None, input_kind: Kind | None, findings: Findings,
+    choice: Choice,
+) -> CoordinateChoice:  # fmt: skip
     """A coordinate with its unit: by name, by wraps, by its velocity, by its steps, by its size."""
     reading, numbers = findings.readings[column], findings.numbers[column]
     because = list(findings.verdicts[column].reasons)
     doubts: list[str] = []
     unit = reading.unit
-    if read_name(column).quantity == "position" or not unit:
-        pass
+    if unit == "rad" and numbers.whole and not reading.in_brackets:
+        unit = ""  # whole numbers are no radians: a word, as the German one for a wheel
     kind: Kind | None = reading.kind
     counts: int | None = None
     velocity_unit = findings.readings[velocity].unit if velocity else ""
@@ -325,6 +330,9 @@ def _coordinate(
         kind = "linear" if unit in LENGTH else "angular" if unit in ANGLE else None
     if kind is None and velocity_unit:
         kind = findings.readings[velocity or ""].kind
+    if kind is None and input_kind is not None:
+        kind = input_kind
+        because.append(f"{kind}, as a {'torque' if kind == 'angular' else 'force'} drives it")
     key = f"unit {column}"
     if key in findings.answers:
         unit = findings.answers[key]
@@ -367,6 +375,14 @@ def _coordinate(
         column, name, kind, unit, counts, resolution,
         _velocity(column, velocity, unit, kind, factor, findings), tuple(because), tuple(doubts),
     )  # fmt: skip
+
+
+def _kind_by_inputs(inputs: Sequence[str], findings: Findings) -> Kind | None:
+    """The kind of coordinates that are driven by torques only, or by forces only."""
+    quantities = {findings.readings[name].quantity for name in inputs}
+    if quantities == {"torque"}:
+        return "angular"
+    return "linear" if quantities == {"force"} and len(inputs) == 1 else None
 
 
 def _range(numbers: Numbers) -> str:
@@ -483,7 +499,10 @@ def _ask_counts(
         return counts
     overflow = f", which starts again at {numbers.wrap:.0f}" if numbers.wrap in _OVERFLOWS else ""
     choice.questions.append(
-        Question(key, f"counts in a turn of the encoder '{column}'{overflow}", str(_USUAL_COUNTS))
+        Question(
+            key, f"counts in a turn of the encoder '{column}'{overflow}", str(_USUAL_COUNTS),
+            is_number=True,
+        )  # fmt: skip
     )
     doubts.append(f"counts in a turn: {_USUAL_COUNTS} is assumed")
     return _USUAL_COUNTS
@@ -502,7 +521,8 @@ def _ask_resolution(
             return float(f"{factor * velocity_factor(velocity_unit, 'm'):.4g}")
         except ValueError:
             pass
-    choice.questions.append(Question(key, f"length of a count of '{column}' [m]", "1e-05"))
+    text = f"length of a count of '{column}' [m]"
+    choice.questions.append(Question(key, text, "1e-05", is_number=True))
     doubts.append("the length of a count: 1e-05 m is assumed")
     return 1e-5
 

@@ -24,7 +24,9 @@ from tustinnet.errors import InputError
 
 _MOST_SAMPLES = 200_000  # on which the evidence rests
 _USUAL_PERIOD = 0.01  # s, assumed where nothing says it
+_FEWEST = 6  # samples of a record
 _PERIOD = "period"
+_PLAIN_FOLDERS = {"", "logs", "log", "data", "daten", "messungen", "records", "csv", "raw"}
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,7 @@ class Draft:
     Attributes:
         text: the card in TOML.
         columns: every column of numbers, in the order of the files.
+        dt: sampling period [s].
         choice: coordinates and inputs.
         clock: the time base.
         splits: the records and their splits.
@@ -64,6 +67,7 @@ class Draft:
 
     text: str
     columns: tuple[DraftColumn, ...]
+    dt: float
     choice: Choice
     clock: Clock
     splits: Splits
@@ -108,7 +112,7 @@ def draft_card(
     dt = clock.dt
     if dt is None:
         text = "sampling period [s]; no column of times was found"
-        questions.append(Question(_PERIOD, text, str(_USUAL_PERIOD)))
+        questions.append(Question(_PERIOD, text, str(_USUAL_PERIOD), is_number=True))
         dt = float(answers.get(_PERIOD, _USUAL_PERIOD))
     pieces = find_pieces(logs, clock, readings)
     motion = [n for n in readings if n != clock.column and n not in clock.others]
@@ -117,8 +121,9 @@ def draft_card(
     samples = {n: [unwrap(p.column(n), numbers[n].wrap) for p in shown] for n in motion}
     if not motion:
         raise InputError(folder, "no column besides the times", "columns of positions and inputs")
-    slopes = compare_slopes(samples, [p.t for p in shown])
-    verdicts = judge_columns({n: readings[n] for n in motion}, numbers, samples, slopes)
+    times = [p.t for p in shown]
+    slopes = compare_slopes(samples, times)
+    verdicts = judge_columns({n: readings[n] for n in motion}, numbers, samples, slopes, times)
     for column in motion:
         if (answer := answers.get(f"role {column}")) is not None:
             verdicts[column] = Verdict(_role(answer), ("as you say",))
@@ -129,20 +134,62 @@ def draft_card(
             folder, f"no column could be a position: {_list_roles(verdicts)}",
             "positions of a mechanism",
         )  # fmt: skip
+    pieces = _usable_pieces(pieces, choice, notes.append)
+    if not pieces:
+        raise InputError(folder, notes[-1], "records in which positions move, of finite numbers")
     positions = {
         c.column: [unwrap(p.column(c.column), numbers[c.column].wrap) for p in pieces]
         for c in choice.coordinates
     }
     splits = choose_splits(pieces, positions, [i.column for i in choice.inputs])
     text = write_card(
-        name or folder.resolve().name or "logs", clock, dt, choice, splits,
+        name or _name(folder), clock, dt, choice, splits,
         headless=logs[0].headless, texts=logs[0].texts,
         is_period_assumed=clock.dt is None and _PERIOD not in answers,
     )  # fmt: skip
     return Draft(
-        text, tuple(_columns(readings, clock, choice, verdicts, numbers)), choice, clock, splits,
+        text, tuple(_columns(readings, clock, choice, verdicts, numbers)), dt, choice, clock,
+        splits,
         tuple(q for q in (*questions, *choice.questions) if q.key not in answers), tuple(notes),
     )  # fmt: skip
+
+
+def _usable_pieces(
+    pieces: Sequence[Piece], choice: Choice, on_message: Callable[[str], None]
+) -> list[Piece]:
+    """Records that a card can read: of finite numbers, whose clock rises, in which something moves.
+
+    Rows that are not finite at either end of a record are cut off.
+    """
+    coordinates = [c.column for c in choice.coordinates]
+    used = [*coordinates, *(i.column for i in choice.inputs)]
+    used += [c.velocity.column for c in choice.coordinates if c.velocity]
+    usable: list[Piece] = []
+    for piece in pieces:
+        place = piece.log.file + (f"[{piece.log.cell}]" if piece.log.cell else "")
+        finite = np.isfinite(piece.t)
+        for name in used:
+            finite &= np.isfinite(piece.column(name))
+        rows = np.flatnonzero(finite)
+        if len(rows) < _FEWEST or not finite[rows[0] : rows[-1] + 1].all():
+            on_message(f"left out: {place}: numbers that are not finite, or too few samples")
+            continue
+        if len(rows) < len(finite):
+            on_message(f"{place}: {len(finite) - len(rows)} rows at its ends are not finite; cut off")
+            piece = piece.part(int(rows[0]), int(rows[-1]) + 1, "rows are not finite")
+        if (np.diff(piece.t) <= 0).any():
+            on_message(f"left out: {place}: times that do not rise")
+        elif not any(np.ptp(piece.column(name)) for name in coordinates):
+            on_message(f"left out: {place}: nothing moves")
+        else:
+            usable.append(piece)
+    return usable
+
+
+def _name(folder: Path) -> str:
+    """A name for the logs of a folder: its own, or that of the folder above where it says nothing."""
+    path = folder.resolve()
+    return path.parent.name if path.name.lower() in _PLAIN_FOLDERS and path.parent.name else path.name
 
 
 def _role(answer: str) -> Role:

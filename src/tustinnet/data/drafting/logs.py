@@ -17,6 +17,7 @@ from tustinnet.errors import InputError
 _MOST_COLUMNS = 60  # that are examined
 _REGULAR = 0.5  # relative deviation of the intervals of a clock that has another name
 _COARSE = 0.05  # of the period; timestamps of a larger step make the median interval wrong
+_ROUND = 2e-4  # relative; a period this near to one of two digits is that
 _GAP = 10.0  # periods; a longer interval ends a record
 _SHORTEST = 20  # samples of a record
 _EPOCHS = (("s", 5e8, 5e9), ("ms", 5e11, 5e12), ("us", 5e14, 5e15), ("ns", 5e17, 5e18))
@@ -244,7 +245,9 @@ def _period(intervals: Values) -> tuple[float, float]:
     # timestamps of few whole steps: 3, 3, 4 ms are 3.33 ms
     dt = float(near.mean()) if values <= 5 and step > _COARSE else median
     kept = intervals[intervals <= _GAP * dt]
-    return float(f"{dt:.6g}"), float(np.abs(kept - dt).max(initial=0.0))
+    dt = next((nice for nice in (float(f"{dt:.1g}"), float(f"{dt:.2g}"))
+               if abs(dt / nice - 1) < _ROUND), float(f"{dt:.6g}"))  # fmt: skip
+    return dt, float(np.abs(kept - dt).max(initial=0.0))
 
 
 def _time_unit(

@@ -13,6 +13,8 @@ _MOST_ROWS = 20_000  # displacements that are compared
 _LAGS = (1, 2, 3, 5, 8, 13, 21, 34, 55)  # samples by which a command may lead
 _COPY = 2e-5  # share of the variance in which copies differ, rounding aside
 
+_SPANS = (1, 2, 4, 8, 16, 32)  # samples over which an acceleration is averaged
+
 Pairs = Float[np.ndarray, "c c"]
 
 
@@ -24,13 +26,11 @@ class Slopes:
         names: the columns.
         correlation: of the change of column i with the integral of column j, [i, j].
         factor: column j over the slope of column i, [i, j].
-        error: share of the integral's variance that the change does not explain, [i, j].
     """
 
     names: tuple[str, ...]
     correlation: Pairs
     factor: Pairs
-    error: Pairs
 
     def between(self, position: str, velocity: str) -> tuple[float, float]:
         """Correlation and factor of a velocity with the slope of a position."""
@@ -53,7 +53,7 @@ def compare_slopes(
     """
     names = tuple(columns)
     size = len(names)
-    best = Slopes(names, *(np.zeros((size, size)) for _ in range(3)))
+    best = Slopes(names, *(np.zeros((size, size)) for _ in range(2)))
     stacks = [np.stack([columns[name][k] for name in names], axis=1) for k in range(len(times))]
     stacks = [np.where(np.isfinite(stack), stack, 0.0) for stack in stacks]
     for width in _WIDTHS:
@@ -80,7 +80,6 @@ def compare_slopes(
             names,
             np.where(better, correlation, best.correlation),
             np.where(better, factor, best.factor),
-            np.where(better, 1 - correlation**2, best.error),
         )
     return best
 
@@ -139,3 +138,51 @@ def find_copy(first: Sequence[Values], second: Sequence[Values]) -> float | None
     a, b = a - a.mean(), b - b.mean()
     correlation = a @ b / np.sqrt((a @ a) * (b @ b))
     return float((a @ b) / (a @ a)) if 1 - correlation**2 < _COPY else None
+
+
+@np.errstate(all="ignore")
+def explained_acceleration(
+    first: Sequence[Values], second: Sequence[Values], times: Sequence[Values]
+) -> float:
+    """The share of the acceleration of a column that another one explains, 0 to 1.
+
+    It is the share of what position, velocity and direction of motion leave unexplained in a linear
+    regression, over the span of samples at which it is largest. An input explains much of the
+    acceleration of a position, and a position little of that of an input.
+
+    Args:
+        first: samples of the column that explains, record by record.
+        second: samples of the column that accelerates.
+        times: times of each record [s].
+    """
+    best = 0.0
+    for span in _SPANS:
+        rows, targets = [], []
+        weights = np.convolve(np.ones(span), np.ones(span)) / span**2
+        for u, q, t in zip(first, second, times, strict=True):
+            if len(t) < 6 * span + 10:
+                continue
+            width = span * float(np.median(np.diff(t)))
+            stride = max(1, span // 2, sum(map(len, times)) // _MOST_ROWS)
+            v = (q[2 * span :] - q[: -2 * span]) / (2 * width)
+            a = (q[2 * span :] - 2 * q[span:-span] + q[: -2 * span]) / width**2
+            # the second difference is the acceleration weighted by a triangle around the sample
+            average = np.convolve(u, weights, "valid")[1 : 1 + len(a)]
+            direction = np.sign(np.where(np.abs(v) > 0.02 * np.abs(v).max(), v, 0.0))
+            table = np.column_stack([np.ones(len(a)), q[span:-span], v, direction, average])
+            rows.append(table[::stride])
+            targets.append(a[::stride])
+        if sum(map(len, rows)) < 30:
+            continue
+        table, target = np.concatenate(rows), np.concatenate(targets)
+        scale = np.abs(table).max(axis=0)
+        table = table / np.where(scale > 0, scale, 1.0)
+        if not (np.isfinite(table).all() and np.isfinite(target).all()):
+            continue
+        errors = [
+            target - part @ np.linalg.lstsq(part, target, rcond=None)[0]
+            for part in (table[:, :-1], table)
+        ]
+        before, after = (float(error @ error) for error in errors)
+        best = max(best, 1 - after / before if before > 0 else 0.0)
+    return best

@@ -7,7 +7,12 @@ from typing import Literal
 from tustinnet.data.drafting.numbers import Values
 from tustinnet.data.drafting.names import INPUTS, NameReading, Quantity
 from tustinnet.data.drafting.numbers import Numbers, is_decimal
-from tustinnet.data.drafting.relations import Slopes, compare_courses, find_copy
+from tustinnet.data.drafting.relations import (
+    Slopes,
+    compare_courses,
+    explained_acceleration,
+    find_copy,
+)
 
 Role = Literal[
     "time", "position", "velocity", "acceleration", "input", "set point", "error", "flag",
@@ -17,6 +22,8 @@ Role = Literal[
 _DERIVATIVE = 0.97  # correlation with a slope that needs no name
 _NAMED_DERIVATIVE = 0.75  # of a column whose name says velocity
 _FOLLOWED = 0.9  # correlation of a position with its set point
+FAINT = 1.9  # score of a position that may be something else
+_DRIVEN, _DRIVING = 0.5, 0.15  # shares of accelerations that an input explains, and those of it
 _CLEAR = 1.0  # a role whose score is by less above the next one is doubtful
 _ROLES: dict[Quantity, Role] = {
     **dict.fromkeys(INPUTS, "input"), "position": "position", "velocity": "velocity",
@@ -71,6 +78,7 @@ def judge_columns(
     numbers: Mapping[str, Numbers],
     samples: Mapping[str, Sequence[Values]],
     slopes: Slopes,
+    times: Sequence[Values],
 ) -> dict[str, Verdict]:
     """The verdicts on columns that are neither times nor counters.
 
@@ -79,6 +87,7 @@ def judge_columns(
         numbers: properties of the numbers.
         samples: samples of every column, record by record, without wraps.
         slopes: comparison of changes with integrals.
+        times: times of each record [s].
     """
     verdicts: dict[str, Verdict] = {}
     for name in samples:
@@ -100,10 +109,31 @@ def judge_columns(
             verdict.role, verdict.reasons, verdict.rival, verdict.score,
             slope_of if is_rate else None, leads if verdict.role == "set point" else None,
         )  # fmt: skip
+    faint = [n for n, v in verdicts.items() if v.role == "position" and v.score < FAINT]
+    for name in faint:
+        driven = _find_driven(name, verdicts, samples, times)
+        if driven is not None:
+            share = f"{100 * driven[1]:.0f} %"
+            reason = f"it explains {share} of the acceleration of '{driven[0]}', not the reverse"
+            verdicts[name] = Verdict("input", (reason,), "position", 1.0)
+    if not any(verdict.role == "input" for verdict in verdicts.values()):
+        _take_continuous_columns_for_inputs(numbers, verdicts)
     for name in samples:
         if (pair := _find_difference(name, readings[name], verdicts, samples)) is not None:
             verdicts[name] = Verdict("error", (f"'{pair[0]}' minus '{pair[1]}'",))
     return verdicts
+
+
+def _take_continuous_columns_for_inputs(
+    numbers: Mapping[str, Numbers], verdicts: dict[str, Verdict]
+) -> None:
+    """Where no column is an input, takes those for it that do not move in steps as positions do."""
+    positions = [name for name, verdict in verdicts.items() if verdict.role == "position"]
+    if any(numbers[name].count is not None for name in positions):
+        for name in positions:
+            if numbers[name].count is None and verdicts[name].score < FAINT:
+                reason = "it has no steps, as the positions have"
+                verdicts[name] = Verdict("input", (reason,), "position", 1.0)
 
 
 def _decide(numbers: Numbers, reading: NameReading, evidence: Sequence[Evidence]) -> Verdict:
@@ -253,6 +283,23 @@ def _find_follower(
         score = course.correlation + 0.3 * is_alike
         if score > best_score:
             best, best_score = other, score
+    return best
+
+
+def _find_driven(
+    name: str, verdicts: Mapping[str, Verdict], samples: Mapping[str, Sequence[Values]],
+    times: Sequence[Values],
+) -> tuple[str, float] | None:  # fmt: skip
+    """The position that a smooth column without a telling name drives, and how much; else None."""
+    positions = [n for n, v in verdicts.items() if v.role == "position" and n != name]
+    best: tuple[str, float] | None = None
+    for position in positions:
+        share = explained_acceleration(samples[name], samples[position], times)
+        if share < _DRIVEN or (best and share <= best[1]):
+            continue
+        reverse = explained_acceleration(samples[position], samples[name], times)
+        if reverse < _DRIVING * share:
+            best = position, share
     return best
 
 
