@@ -499,3 +499,163 @@ LABORATORIES: tuple[Callable[[Path], Truth], ...] = (
     gantry, propeller, servo_axis, capital_names, three_joints, free_double_pendulum, tachometer,
     episodes, long_with_rests, elastic_drive, labview,
 )  # fmt: skip
+
+
+# --- eight more, written when the drafts of those above were right, and not looked at before ---
+
+
+def hydraulics(folder: Path) -> Truth:
+    """A hydraulic cylinder in German: piston, two pressures, voltage of the valve."""
+    rng, dt, n = np.random.default_rng(31), 0.005, 1600
+    u = levels(rng, 5, n, 5, 110)
+    q, v = simulate(slide, u * 0.5, dt, np.zeros((5, 1)))
+    pressure = 60 + 8 * np.gradient(v[..., 0], dt, axis=1)
+    write(
+        folder, [f"Zylinder_{k}.csv" for k in range(1, 6)],
+        {"Zeit [s]": dt * np.arange(n), "Kolbenweg [mm]": np.round(1000 * q[..., 0] + 200, 2),
+         "Druck A [bar]": pressure + rng.normal(0, 0.4, (5, n)),
+         "Druck B [bar]": 110 - pressure + rng.normal(0, 0.4, (5, n)), "Ventilspannung [V]": u},
+    )  # fmt: skip
+    return Truth(
+        "Zeit [s]", dt, {"Kolbenweg [mm]": ("linear", "mm")}, {"Ventilspannung [V]": "V"}, records=5
+    )
+
+
+def field_oriented(folder: Path) -> Truth:
+    """A brushless drive: mechanical angle, filtered speed, currents of field-oriented control."""
+    rng, dt, n = np.random.default_rng(32), 0.001, 3000
+    t = dt * np.arange(n)
+    u = np.concatenate([levels(rng, 3, n, 4, 300), sines(rng, 3, t, 4, 5.0)])
+    q, v = simulate(wheel, u * 2, dt, np.zeros((6, 1)))
+    rpm = np.apply_along_axis(
+        lambda row: np.convolve(row, np.full(12, 1 / 12))[:n], 1, v[..., 0] * 30 / np.pi
+    )
+    write(
+        folder, [f"{kind}_{k}.csv" for kind in ("step", "chirp") for k in range(3)],
+        {"t_us": np.round(1e6 * t), "mech_angle_rad": q[..., 0] % (2 * np.pi),
+         "speed_rpm": rpm + rng.normal(0, 1, rpm.shape), "iq_ref_A": u,
+         "iq_A": u + rng.normal(0, 0.1, u.shape), "id_A": rng.normal(0, 0.1, u.shape),
+         "vbus_V": 48 + rng.normal(0, 0.05, u.shape), "temp_C": np.tile(31 + 0.001 * t, (6, 1))},
+    )  # fmt: skip
+    return Truth(
+        "t_us", dt, {"mech_angle_rad": ("angular", "rad")}, {"iq_ref_A": "A"},
+        {"mech_angle_rad": "speed_rpm"}, time_unit="us", records=6, kinds=("step", "chirp"),
+    )  # fmt: skip
+
+
+def simulink(folder: Path) -> Truth:
+    """Parquet files with names in camel case and units at their end."""
+    rng, dt, n = np.random.default_rng(33), 0.01, 900
+    t = dt * np.arange(n)
+    reference = moves(rng, 4, t, 0.8)
+    theta = follow(reference, dt, 10.0)
+    dot = np.gradient(theta, dt, axis=1)
+    volts = np.gradient(dot, dt, axis=1) / 12 + dot / 8 + 2 * np.sin(theta)
+    write(
+        folder, [f"exp_{k}.parquet" for k in range(4)],
+        {"Time": t, "Theta_rad": theta, "ThetaDot_rad_s": dot, "ThetaRef_rad": reference,
+         "MotorVoltage_V": volts},
+    )  # fmt: skip
+    return Truth(
+        "Time", dt, {"Theta_rad": ("angular", "rad")}, {"MotorVoltage_V": "V"},
+        {"Theta_rad": "ThetaDot_rad_s"}, records=4,
+    )  # fmt: skip
+
+
+def ball_on_plate(folder: Path) -> Truth:
+    """A ball on a plate: its place by a camera, the angles that two servos are told."""
+    rng, dt, n = np.random.default_rng(34), 0.02, 800
+    u = np.stack([levels(rng, 5, n, 6.0, 35) for _ in range(2)], axis=2)
+    q, _ = simulate(lambda q, v, u: 7 * np.radians(u) - 0.6 * v - 2 * q, u, dt, np.zeros((5, 2)))
+    q = 1000 * q + rng.normal(0, 0.3, q.shape)
+    write(
+        folder, [f"ball{k}.csv" for k in range(5)],
+        {"t": dt * np.arange(n), "ball_x_mm": q[..., 0], "ball_y_mm": q[..., 1],
+         "servo_x_deg": u[..., 0], "servo_y_deg": u[..., 1]},
+    )  # fmt: skip
+    return Truth(
+        "t", dt, {"ball_x_mm": ("linear", "mm"), "ball_y_mm": ("linear", "mm")},
+        {"servo_x_deg": "deg", "servo_y_deg": "deg"}, records=5,
+    )  # fmt: skip
+
+
+def furuta(folder: Path) -> Truth:
+    """A rotary pendulum in folders for training and test; the pendulum's angle wraps."""
+    rng, dt, n = np.random.default_rng(35), 0.01, 800
+    u = sines(rng, 6, dt * np.arange(n), 1.5, 2.0)
+    q, _ = simulate(chain, u, dt, np.zeros((6, 2)))
+    degrees = np.degrees(q)
+    names = [f"train/swing{k}.csv" for k in range(1, 5)] + [f"val/swing{k}.csv" for k in (5, 6)]
+    write(
+        folder, names,
+        {"time": dt * np.arange(n), "theta_deg": np.round(degrees[..., 0] / 0.17578125) * 0.17578125,
+         "alpha_deg": np.round(degrees[..., 1] / 0.17578125) * 0.17578125 % 360,
+         "motor_pwm": np.round(u * 40)},
+    )  # fmt: skip
+    return Truth(
+        "time", dt, {"theta_deg": ("angular", "deg"), "alpha_deg": ("angular", "deg")},
+        {"motor_pwm": "%"}, counts={"theta_deg": 2048, "alpha_deg": 2048}, records=6,
+    )  # fmt: skip
+
+
+def industrial_robot(folder: Path) -> Truth:
+    """Two axes of an industrial robot in German, without times: actual and set angles, currents."""
+    rng, dt, n = np.random.default_rng(36), 0.01, 900
+    t = dt * np.arange(n)
+    columns = {"Sample": np.arange(n)}
+    for axis, size in (("A1", 60), ("A2", 35)):
+        soll = size * moves(rng, 5, t, 1.0)
+        ist = follow(soll, dt, 14.0)
+        v = np.gradient(ist, dt, axis=1)
+        strom = np.gradient(v, dt, axis=1) / 400 + v / 60 + 0.5 * np.tanh(v) + np.sin(np.radians(ist))
+        columns |= {f"{axis}_Soll_Grad": soll, f"{axis}_Ist_Grad": np.round(ist, 3),
+                    f"{axis}_Strom_A": strom + rng.normal(0, 0.05, strom.shape)}  # fmt: skip
+    write(folder, [f"Bahn{k}.csv" for k in range(1, 6)], columns)
+    return Truth(
+        None, dt, {f"{a}_Ist_Grad": ("angular", "deg") for a in ("A1", "A2")},
+        {f"{a}_Strom_A": "A" for a in ("A1", "A2")}, records=5,
+    )  # fmt: skip
+
+
+def exoskeleton(folder: Path) -> Truth:
+    """A knee exoskeleton: angle, gyroscope, torque, electromyogram, phase of the gait."""
+    rng, dt, n = np.random.default_rng(37), 0.01, 1000
+    t = dt * np.arange(n)
+    u = sines(rng, 4, t, 1.5, 1.4)
+    q, v = simulate(arm, u, dt, np.zeros((4, 1)))
+    write(
+        folder, [f"subject1_walk{k}.csv" for k in range(1, 5)],
+        {"Time [s]": t, "Knee angle [°]": np.degrees(q[..., 0]),
+         "Knee velocity [°/s]": np.degrees(v[..., 0]) + rng.normal(0, 1, (4, n)),
+         "Knee torque [Nm]": 10 * u, "EMG_1 [mV]": rng.normal(0, 0.2, (4, n)),
+         "Gait phase": np.tile((t % 1.2) / 1.2, (4, 1))},
+    )  # fmt: skip
+    return Truth(
+        "Time [s]", dt, {"Knee angle [°]": ("angular", "deg")}, {"Knee torque [Nm]": "N m"},
+        {"Knee angle [°]": "Knee velocity [°/s]"}, records=4,
+    )  # fmt: skip
+
+
+def lift(folder: Path) -> Truth:
+    """A lift: height in cm, duty of the motor, a limit switch, load; gaps in its only log."""
+    rng, dt, n = np.random.default_rng(38), 0.02, 3000
+    u = levels(rng, 1, n, 0.9, 75)
+    q, _ = simulate(slide, u, dt, np.zeros((1, 1)))
+    t = 1000 * dt * np.arange(n)
+    for begin in (800, 1500, 2300):
+        t[begin:] += 4000
+    height = np.round(100 * q[..., 0] + 120, 1)
+    write(
+        folder, ["lift_log.csv"],
+        {"millis": t[None], "height_cm": height, "motor_duty": np.round(u, 3),
+         "limit_sw": (height > 140).astype(float), "load_kg": np.full((1, n), 12.5)},
+    )  # fmt: skip
+    return Truth(
+        "millis", dt, {"height_cm": ("linear", "cm")}, {"motor_duty": "1"}, time_unit="ms", records=4
+    )
+
+
+FURTHER: tuple[Callable[[Path], Truth], ...] = (
+    hydraulics, field_oriented, simulink, ball_on_plate, furuta, industrial_robot, exoskeleton, lift,
+)  # fmt: skip
+EVERY = (*LABORATORIES, *FURTHER)

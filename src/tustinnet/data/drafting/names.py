@@ -328,6 +328,8 @@ def _is_unit(ending: str, before: Sequence[str]) -> bool:
     if len(ending) > 1:
         return True
     last = before[-1]
+    if (last, ending) in (("u", "v"), ("i", "a"), ("f", "n"), ("t", "s"), ("x", "m"), ("y", "m")):
+        return True  # a symbol and the unit of its quantity
     if ending in ("k", "c", "g", "w", "s"):
         return ending == "s" and last in _WITHIN["time"] | _PERHAPS["time"]
     spoken = {q for q, texts in _WITHIN.items() if last in texts}
