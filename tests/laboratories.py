@@ -594,7 +594,7 @@ def furuta(folder: Path) -> Truth:
     )  # fmt: skip
     return Truth(
         "time", dt, {"theta_deg": ("angular", "deg"), "alpha_deg": ("angular", "deg")},
-        {"motor_pwm": "%"}, counts={"theta_deg": 2048, "alpha_deg": 2048}, records=6,
+        {"motor_pwm": "1"}, counts={"theta_deg": 2048, "alpha_deg": 2048}, records=6,
     )  # fmt: skip
 
 

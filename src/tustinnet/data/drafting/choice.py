@@ -11,9 +11,14 @@ from tustinnet.channels import Kind
 from tustinnet.data.drafting.numbers import Values
 from tustinnet.data.drafting.names import INPUTS, NameReading, Quantity
 from tustinnet.data.drafting.numbers import Numbers, counts_in_turn, is_decimal
-from tustinnet.data.drafting.relations import Slopes, compare_courses, find_copy
+from tustinnet.data.drafting.relations import (
+    Slopes,
+    compare_courses,
+    explained_acceleration,
+    find_copy,
+)
 from tustinnet.data.drafting.roles import FAINT, Verdict
-from tustinnet.data.units import ANGLE, LENGTH, convert_to_si, velocity_factor
+from tustinnet.data.units import ANGLE, LENGTH, convert_to_si
 
 _SAME_FACTOR = 0.02  # relative; factors of units this near are equal
 _MOST_RADIANS = 20.0  # an angle without a unit that moves farther is in degrees
@@ -21,6 +26,7 @@ _MOST_METRES = 5.0  # a length without a unit that moves farther is in mm
 _OVERFLOWS = (2.0**16, 2.0**32)  # where counters start again, not encoders
 _USUAL_COUNTS = 4096
 _CLEAR = 3.0  # score of a column that is surely a position
+_TELLING, _IDLE = 0.3, 0.1  # share of an acceleration that tells, share of it that is nothing
 _ROLES = ("none", "position", "velocity", "input", "set point")
 _QUANTITY_UNITS: dict[Quantity, str] = {
     "voltage": "V", "current": "A", "torque": "N m", "force": "N", "pressure": "bar",
@@ -29,6 +35,9 @@ _QUANTITY_UNITS: dict[Quantity, str] = {
 _RANKS: dict[Quantity, int] = {
     "voltage": 0, "duty": 0, "control": 0, "torque": 1, "force": 1, "current": 2, "pressure": 3,
 }  # fmt: skip
+# SI units in units of speeds, of angles and of lengths
+_ANGULAR_SPEEDS = {**{f"{u}/s": f for u, f in ANGLE.items()}, "rpm": 2 * np.pi / 60}
+_LINEAR_SPEEDS = {**{f"{u}/s": f for u, f in LENGTH.items()}, "km/h": 1 / 3.6}
 _SENSORS = {"tacho", "tachometer", "gyro", "imu", "resolver", "drehrate"}
 _DISTURBANCES = {"disturbance", "stoerung", "wind", "stoermoment", "stoerkraft"}
 
@@ -124,6 +133,7 @@ class Findings:
     readings: Mapping[str, NameReading]
     numbers: Mapping[str, Numbers]
     samples: Mapping[str, Sequence[Values]]
+    times: Sequence[Values]
     slopes: Slopes
     verdicts: Mapping[str, Verdict]
     answers: Mapping[str, str]
@@ -410,21 +420,20 @@ def _unit_by_velocity(
     """The unit of a position by the factor of its velocity, empty where it says none."""
     if factor is None or factor <= 0:
         return ""
-    units = list(LENGTH if kind == "linear" else ANGLE if kind == "angular" else (*ANGLE, *LENGTH))
-    units = [unit for unit in units if unit not in ("in", "um", "mrad")]
-    speeds = [velocity_unit] if velocity_unit else [f"{unit}/s" for unit in units]
-    speeds += [] if velocity_unit or kind == "linear" else ["rpm"]
-    for unit in units:
-        for speed in speeds:
-            try:
-                expected = (ANGLE | LENGTH)[unit] / velocity_factor(speed, "rad" if unit in ANGLE else "m")
-            except ValueError:
-                continue
-            # a factor of 1 without any unit says only that both have the same
-            is_telling = bool(velocity_unit) or speed != f"{unit}/s"
-            if is_telling and abs(factor / expected - 1) < _SAME_FACTOR:
-                # counts may have any factor
-                return "" if numbers.whole and not velocity_unit else unit
+    tables: list[tuple[Mapping[str, float], Mapping[str, float]]] = []
+    if kind != "linear":
+        tables.append((ANGLE, _ANGULAR_SPEEDS))
+    if kind != "angular":
+        tables.append((LENGTH, _LINEAR_SPEEDS))
+    for units, speeds in tables:
+        for unit in (u for u in units if u not in ("in", "um", "mrad")):
+            for speed, size in speeds.items():
+                # a factor of 1 without any unit says only that both have the same
+                if speed != velocity_unit and (velocity_unit or speed == f"{unit}/s"):
+                    continue
+                if abs(factor * size / units[unit] - 1) < _SAME_FACTOR:
+                    # counts may have any factor
+                    return "" if numbers.whole and not velocity_unit else unit
     if numbers.whole and numbers.largest > 50 and _counts_by_velocity(velocity_unit, factor):
         return "counts"
     return ""
@@ -460,13 +469,9 @@ def _unit_by_size(numbers: Numbers, kind: Kind) -> tuple[str, bool]:
 
 def _counts_by_velocity(velocity_unit: str, factor: float | None) -> int | None:
     """Counts in a turn, by the factor from a position in counts to a velocity in a known unit."""
-    if not velocity_unit or not factor or factor <= 0:
+    if velocity_unit not in _ANGULAR_SPEEDS or not factor or factor <= 0:
         return None
-    try:
-        turn = 2 * np.pi / velocity_factor(velocity_unit, "rad")
-    except ValueError:
-        return None
-    counts = turn / factor
+    counts = 2 * np.pi / _ANGULAR_SPEEDS[velocity_unit] / factor
     for usual in (4096, 2048, 8192, 1024, 16384, 512, 65536, 2000, 4000, 1000, 10000, 2400, 20000,
                   1440, 3600, 1200, 2880, 2500, 500, 360, 8000, 5000, 1600, 3200, 40000):  # fmt: skip
         if abs(counts / usual - 1) < _SAME_FACTOR / 2:
@@ -516,11 +521,8 @@ def _ask_resolution(
     key = f"resolution {column}"
     if key in findings.answers:
         return float(findings.answers[key])
-    if velocity_unit and factor:
-        try:
-            return float(f"{factor * velocity_factor(velocity_unit, 'm'):.4g}")
-        except ValueError:
-            pass
+    if velocity_unit in _LINEAR_SPEEDS and factor:
+        return float(f"{factor * _LINEAR_SPEEDS[velocity_unit]:.4g}")
     text = f"length of a count of '{column}' [m]"
     choice.questions.append(Question(key, text, "1e-05", is_number=True))
     doubts.append("the length of a count: 1e-05 m is assumed")
@@ -537,14 +539,10 @@ def _velocity(
     measured, because = _is_measured(column, velocity, findings)
     speed: str | None = findings.readings[velocity].unit or None
     if speed is None and unit in (*ANGLE, *LENGTH):
-        si = "rad" if kind == "angular" else "m"
-        table = ANGLE | LENGTH
         units = ANGLE if kind == "angular" else LENGTH
-        for candidate in (f"{unit}/s", *(f"{u}/s" for u in units), "rpm"):
-            if candidate == "rpm" and kind == "linear":
-                continue
-            expected = table[unit] / velocity_factor(candidate, si)
-            if abs(factor / expected - 1) < 2 * _SAME_FACTOR:
+        speeds = _ANGULAR_SPEEDS if kind == "angular" else _LINEAR_SPEEDS
+        for candidate in (f"{unit}/s", *speeds):
+            if abs(factor * speeds[candidate] / units[unit] - 1) < 2 * _SAME_FACTOR:
                 speed = candidate
                 because += f"; in {candidate} by its size"
                 break
@@ -600,8 +598,7 @@ def _choose_inputs(findings: Findings, choice: Choice) -> list[str]:
             continue
         kept.append(name)
     ranked = {name: _rank(name, findings) for name in kept}
-    named = [rank for name, rank in ranked.items() if rank is not None]
-    best = min(named, default=None)
+    best = _best_rank(ranked, findings)
     inputs: list[str] = []
     for name in kept:
         reading, rank = findings.readings[name], ranked[name]
@@ -613,8 +610,33 @@ def _choose_inputs(findings: Findings, choice: Choice) -> list[str]:
             choice.unused[name] = f"perhaps an input ({what}), beside columns that say so"
         else:
             first = next(n for n in kept if ranked[n] == best)
-            choice.unused[name] = f"an effect of '{first}', which moves first"
+            is_later = rank > best
+            choice.unused[name] = (
+                f"an effect of '{first}', which moves first" if is_later
+                else f"explains little of the motion, unlike '{first}'"
+            )  # fmt: skip
     return inputs
+
+
+def _best_rank(
+    ranked: Mapping[str, tuple[int, int] | None], findings: Findings
+) -> tuple[int, int] | None:
+    """The first rank in the chain of causes of which a column moves anything."""
+    ranks = sorted({rank for rank in ranked.values() if rank is not None})
+    if len(ranks) < 2:
+        return next(iter(ranks), None)
+    positions = findings.columns("position")
+    shares = {
+        rank: max(
+            (explained_acceleration(findings.samples[name], findings.samples[p], findings.times)
+             for name in ranked if ranked[name] == rank for p in positions),
+            default=0.0,
+        )
+        for rank in ranks
+    }  # fmt: skip
+    most = max(shares.values())
+    # friction and loads hide what an input does; a column that explains nothing beside it is none
+    return next(rank for rank in ranks if most < _TELLING or shares[rank] > _IDLE * most)
 
 
 def _leads_position(name: str, findings: Findings) -> bool:

@@ -127,7 +127,7 @@ def draft_card(
     for column in motion:
         if (answer := answers.get(f"role {column}")) is not None:
             verdicts[column] = Verdict(_role(answer), ("as you say",))
-    findings = Findings(readings, numbers, samples, slopes, verdicts, answers)
+    findings = Findings(readings, numbers, samples, times, slopes, verdicts, answers)
     choice = choose_channels(findings)
     if not choice.coordinates:
         raise InputError(

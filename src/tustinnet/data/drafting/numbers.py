@@ -11,7 +11,7 @@ from tustinnet.signals.encoder import encoder_count
 Values = Float[np.ndarray, " _"]  # one column, of any length
 
 _FEW_CHANGES = 0.2  # of samples: a column that changes less often is held at levels
-_LEAST_LEVEL = 1 / 50  # of the range; the smallest change between levels
+_LEAST_LEVEL = 1 / 50  # of the range; usual change between levels
 _SMOOTH = 0.3  # a smooth column changes by less than this share of its spread a sample
 _OFTEN = 0.2  # of samples; a column that jumps more often does not wrap
 _FEWEST = 20  # values of a column that wraps
@@ -94,7 +94,7 @@ def examine(pieces: Sequence[Values]) -> Numbers:
     if not len(moving):  # constant in every record
         return Numbers(extent, len(levels), lost, bool((levels == np.round(levels)).all()))
     changes = float(np.mean(steps != 0))
-    has_levels = changes < _FEW_CHANGES and bool(moving.min() > _LEAST_LEVEL * np.ptp(levels))
+    has_levels = changes < _FEW_CHANGES and bool(np.median(moving) > _LEAST_LEVEL * np.ptp(levels))
     return Numbers(
         range=extent,
         distinct=len(levels),

@@ -10,6 +10,8 @@ from tustinnet.data.drafting.numbers import Values
 
 _WIDTHS = (1, 2, 4, 8, 16, 32, 64)  # samples over which a column is integrated
 _MOST_ROWS = 20_000  # displacements that are compared
+_FEWER_ROWS = 5_000  # accelerations that are explained
+_WITHOUT = [0, 1, 2, 4]  # the regression without the column that explains
 _LAGS = (1, 2, 3, 5, 8, 13, 21, 34, 55)  # samples by which a command may lead
 _COPY = 2e-5  # share of the variance in which copies differ, rounding aside
 
@@ -163,26 +165,30 @@ def explained_acceleration(
             if len(t) < 6 * span + 10:
                 continue
             width = span * float(np.median(np.diff(t)))
-            stride = max(1, span // 2, sum(map(len, times)) // _MOST_ROWS)
+            stride = max(1, span // 2, sum(map(len, times)) // _FEWER_ROWS)
             v = (q[2 * span :] - q[: -2 * span]) / (2 * width)
             a = (q[2 * span :] - 2 * q[span:-span] + q[: -2 * span]) / width**2
             # the second difference is the acceleration weighted by a triangle around the sample
             average = np.convolve(u, weights, "valid")[1 : 1 + len(a)]
             direction = np.sign(np.where(np.abs(v) > 0.02 * np.abs(v).max(), v, 0.0))
-            table = np.column_stack([np.ones(len(a)), q[span:-span], v, direction, average])
-            rows.append(table[::stride])
+            rows.append(np.column_stack([q[span:-span], v, direction, average])[::stride])
             targets.append(a[::stride])
         if sum(map(len, rows)) < 30:
             continue
-        table, target = np.concatenate(rows), np.concatenate(targets)
-        scale = np.abs(table).max(axis=0)
-        table = table / np.where(scale > 0, scale, 1.0)
-        if not (np.isfinite(table).all() and np.isfinite(target).all()):
+        table = np.column_stack([np.concatenate(rows), np.concatenate(targets)])
+        table = table - table.mean(axis=0)
+        table = table / np.where(table.std(axis=0) > 0, table.std(axis=0), 1.0)
+        if not np.isfinite(table).all():
             continue
-        errors = [
-            target - part @ np.linalg.lstsq(part, target, rcond=None)[0]
-            for part in (table[:, :-1], table)
-        ]
-        before, after = (float(error @ error) for error in errors)
+        products = table.T @ table / len(table)
+        before = _unexplained(products[np.ix_(_WITHOUT, _WITHOUT)])
+        after = _unexplained(products)
         best = max(best, 1 - after / before if before > 0 else 0.0)
     return best
+
+
+def _unexplained(products: Pairs) -> float:
+    """The share of the last column that the others leave unexplained, by correlations of all."""
+    inner, outer = products[:-1, :-1], products[:-1, -1]
+    slopes = np.linalg.lstsq(inner, outer, rcond=1e-10)[0]
+    return max(float(products[-1, -1] - outer @ slopes), 0.0)

@@ -116,6 +116,13 @@ def judge_columns(
             share = f"{100 * driven[1]:.0f} %"
             reason = f"it explains {share} of the acceleration of '{driven[0]}', not the reverse"
             verdicts[name] = Verdict("input", (reason,), "position", 1.0)
+    for name, verdict in list(verdicts.items()):
+        # a position does not jump from level to level; a command does, also one in degrees
+        if verdict.role == "position" and numbers[name].levels:
+            driven = _find_driven(name, verdicts, samples, times, _DRIVEN)
+            if driven is not None:
+                reason = f"held levels, which explain {100 * driven[1]:.0f} % of the acceleration of"
+                verdicts[name] = Verdict("input", (f"{reason} '{driven[0]}'",), "position", 1.0)
     if not any(verdict.role == "input" for verdict in verdicts.values()):
         _take_continuous_columns_for_inputs(numbers, verdicts)
     for name in samples:
@@ -288,9 +295,12 @@ def _find_follower(
 
 def _find_driven(
     name: str, verdicts: Mapping[str, Verdict], samples: Mapping[str, Sequence[Values]],
-    times: Sequence[Values],
+    times: Sequence[Values], most_reverse: float = _DRIVING,
 ) -> tuple[str, float] | None:  # fmt: skip
-    """The position that a smooth column without a telling name drives, and how much; else None."""
+    """The position that a column drives, and the share that it explains; None without one.
+
+    The position explains at most `most_reverse` times as much of the column's own acceleration.
+    """
     positions = [n for n, v in verdicts.items() if v.role == "position" and n != name]
     best: tuple[str, float] | None = None
     for position in positions:
@@ -298,7 +308,7 @@ def _find_driven(
         if share < _DRIVEN or (best and share <= best[1]):
             continue
         reverse = explained_acceleration(samples[position], samples[name], times)
-        if reverse < _DRIVING * share:
+        if reverse < most_reverse * share:
             best = position, share
     return best
 
