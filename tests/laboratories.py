@@ -454,12 +454,12 @@ def long_with_rests(folder: Path) -> Truth:
     bursts = []
     for _ in range(6):
         t = dt * np.arange(700)
-        bursts += [sines(rng, 1, t, 4.0, 2.0)[0], np.zeros(300)]
+        bursts += [sines(rng, 1, t, 4.0, 2.0)[0], np.zeros(600)]
     u = np.concatenate(bursts)[None]
     q, _ = simulate(arm, u, dt, np.zeros((1, 1)))
     write(folder, ["day.csv"], {"time": dt * np.arange(u.shape[1]),
           "motor_cnt": np.round(q[..., 0] * 4096 / 2 / np.pi), "volts": u})  # fmt: skip
-    return Truth("time", dt, {"motor_cnt": ("angular", "counts")}, {"volts": "V"}, records=-4)
+    return Truth("time", dt, {"motor_cnt": ("angular", "counts")}, {"volts": "V"}, records=6)
 
 
 def elastic_drive(folder: Path) -> Truth:

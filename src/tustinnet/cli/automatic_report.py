@@ -37,6 +37,12 @@ class AutomaticReport:
     card: Path | None = None
     is_enabled: bool = True
 
+    @property
+    def data_words(self) -> str:
+        """The arguments by which other verbs find the records: DATA, and the card if one is named."""
+        words = [self.data, *([] if self.card is None else ["--card", str(self.card)])]
+        return shlex.join(words)
+
     def write(
         self, models: Sequence[Path], out: Path, write_page: Callable[[str], Path],
         options: Mapping[str, object],

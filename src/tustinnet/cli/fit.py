@@ -65,7 +65,9 @@ def fit(
     require_cores(cluster, device)
     terminal.prepare_jax(device)
     from tustinnet.cli.automatic_report import AutomaticReport
+    from tustinnet.cli.init import draft_into_run
     from tustinnet.cli.select import select
+    from tustinnet.data.catalog import lacks_card
     from tustinnet.errors import InputError
     from tustinnet.systems.files import find_system
 
@@ -85,6 +87,8 @@ def fit(
                                  "omit --recipe, --physics and --from to try several")  # fmt: skip
     if resume and overwrite:
         raise InputError("--resume, --overwrite", "both", "one of them")
+    if card is None and lacks_card(data):
+        card = draft_into_run(Path(data), out, keeps=resume, overwrite=overwrite)
     earlier: Earlier = "resume" if resume else "discard" if overwrite else "refuse"
     fit_options = FitOptions(
         load=partial(load_records_to_fit, data, card, out, terminal.messages(), strict=strict),
@@ -165,7 +169,7 @@ def _fit_recipe(
     if fit_options.json:
         terminal.print_json(run.summary())
     else:
-        _print_run(run, fit_options.report.data)
+        _print_run(run, fit_options.report.data_words)
     _draw_run(run, records)
     report = _write_report(run, fit_options)
     if not fit_options.json:

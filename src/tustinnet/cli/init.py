@@ -1,6 +1,7 @@
 """`tustinnet init`: a data card from the logs themselves."""
 
 import os
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -78,6 +79,7 @@ def make_draft(folder: Path, files: Sequence[str], *, is_asking: bool) -> "Draft
         for question in draft.questions:
             answers[question.key] = _ask(question)
         draft = draft_card(folder, files, answers)
+    draft.require_readable(folder)
     return draft
 
 
@@ -117,6 +119,43 @@ def draw_draft(draft: "Draft", folder: Path) -> None:
     write_figure(draft_figure(draft), folder, FIGURE)
 
 
+def draft_into_run(folder: Path, out: Path, *, keeps: bool, overwrite: bool) -> Path:
+    """Drafts a card for logs that have none into the folder of a run, and says what it assumed.
+
+    Args:
+        folder: the logs, beside which nothing is written.
+        out: the folder of the run.
+        keeps: whether a card that an earlier run left there is used as it is.
+        overwrite: whether it may be replaced.
+
+    Returns:
+        The card.
+    """
+    from tustinnet.cli.request import require_apart
+    from tustinnet.data.catalog import CARD_NAME
+    from tustinnet.data.drafting.files import list_logs
+    from tustinnet.store.files import require_outputs, require_writable_folder
+
+    require_apart(out, folder)
+    card, console = out / CARD_NAME, terminal.messages()
+    if keeps and card.is_file():
+        console.print(f"no card in {folder}: that of the earlier run, {card}")
+        return card
+    folder, files = list_logs([folder])
+    draft = make_draft(folder, files, is_asking=False)
+    if not (card.is_file() and card.read_bytes() == draft.text.encode()):
+        require_outputs([card], overwrite=overwrite)
+    require_writable_folder(out)
+    write_draft(draft, out)
+    draw_draft(draft, out)
+    console.print(
+        f"no card in {folder}: drafted {card} (figure: {out / FIGURE}); "
+        f"`tustinnet init {shlex.quote(str(folder))}` asks, and writes one beside the logs"
+    )
+    print_assumptions(draft)
+    return card
+
+
 def print_assumptions(draft: "Draft") -> None:
     """Prints what was assumed and remarks on the files, a line each, as messages."""
     console = terminal.messages()
@@ -124,8 +163,10 @@ def print_assumptions(draft: "Draft") -> None:
         console.print(note if note.startswith("left out") else f"note: {note}")
     for question in draft.questions:
         console.print(f"assumed: {question.text}: {question.assumption}")
-    for doubt in dict.fromkeys(d for c in draft.choice.coordinates for d in c.doubts if "set point" in d):
-        console.print(f"check: {doubt}")
+    for channel in draft.choice.inputs:
+        for doubt in channel.doubts:
+            if not doubt.startswith("the unit"):  # which is among the assumptions
+                console.print(f"check: '{channel.column}' as an input: {doubt}")
 
 
 def _print_draft(draft: "Draft", folder: Path) -> None:

@@ -16,7 +16,7 @@ def write_card(
     clock: Clock,
     dt: float,
     choice: Choice,
-    splits: Splits,
+    splits: Splits | None,
     *,
     headless: bool,
     texts: Mapping[str, str],
@@ -29,7 +29,7 @@ def write_card(
         clock: the time base.
         dt: sampling period [s].
         choice: coordinates, inputs and columns that are not used.
-        splits: the records.
+        splits: the records; None where all logs beside the card are records.
         headless: whether the files have no names of columns.
         texts: columns that hold no numbers, and what they hold.
         is_period_assumed: whether nothing in the files says the period.
@@ -53,6 +53,8 @@ def write_card(
             share = f"{100 * clock.worst / dt:.0f} %"
             lines.append(f'irregular = "resample"  # intervals deviate by up to {share} of dt')
     lines += [line for coordinate in choice.coordinates for line in _coordinate(coordinate)]
+    if not choice.coordinates:
+        lines += ["", "# [[coordinates]]: no column could be a position"]
     lines += [line for channel in choice.inputs for line in _input(channel)]
     if not choice.inputs:
         lines += ["", "# no column looks like an input: the records are of free motion"]
@@ -103,7 +105,12 @@ def _input(c: InputChoice) -> list[str]:
     ]  # fmt: skip
 
 
-def _splits(splits: Splits) -> list[str]:
+def _splits(splits: Splits | None) -> list[str]:
+    if splits is None:
+        return [
+            "", "# all logs beside this card are records; to choose some and what they are for:",
+            "# [splits]", '# train = ["this file"]', '# validation = ["another file"]',
+        ]  # fmt: skip
     lines = ["", *(f"# {sentence}" for sentence in splits.sentences)]
     by_split: dict[str, list[DraftRecord]] = {}
     for record in splits.records:

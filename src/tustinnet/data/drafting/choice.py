@@ -219,11 +219,13 @@ def _without_copies(names: list[str], findings: Findings, choice: Choice) -> lis
     ))  # fmt: skip
     for name in order:
         for other in kept:
+            a, b = findings.readings[name], findings.readings[other]
             factor = find_copy(findings.samples[other], findings.samples[name])
-            if factor is not None:
+            # a stiff machine moves as one, and motor and load are two coordinates nevertheless
+            is_one_thing = a.object == b.object or not (a.object and b.object)
+            if factor is not None and is_one_thing:
                 choice.unused[name] = f"{factor:.6g} times '{other}'"
                 break
-            a, b = findings.readings[name], findings.readings[other]
             is_alike = a.object == b.object and a.quantity == b.quantity
             if is_alike and (a.qualifier != b.qualifier or a.unit != b.unit):
                 course = compare_courses(findings.samples[other], findings.samples[name])
@@ -248,7 +250,8 @@ def _match_velocities(
             correlation, _ = findings.slopes.between(position, velocity)
             a, b = findings.readings[velocity], findings.readings[position]
             is_alike = bool(a.object) and a.object == b.object
-            if correlation < (0.6 if is_alike else 0.9):
+            fits = None in (a.kind, b.kind) or a.kind == b.kind
+            if correlation < (0.6 if is_alike else 0.9) or not fits:
                 continue
             is_raw = a.qualifier not in ("filtered", "model", "command")
             candidates.append((correlation + 0.2 * is_alike + 0.1 * is_raw, position, velocity))
@@ -700,23 +703,25 @@ def _input(column: str, name: str, findings: Findings, choice: Choice) -> InputC
 def _channel_names(
     positions: Sequence[str], inputs: Sequence[str], readings: Mapping[str, NameReading]
 ) -> dict[str, str]:
-    """Names of channels by column, as short as they stay different."""
+    """Names of channels by column, as short as they stay different: the last parts of paths."""
     columns = [*positions, *inputs]
-    full = {c: re.sub(r"[\s/\\]+", "_", c).strip("_").lstrip(".") or "column" for c in columns}
-    levels = [
-        {c: re.sub(r"[\s\\]+", "_", c.rstrip("/").split("/")[-1]).lstrip(".") for c in columns},
-        full,
-    ]
-    for level in levels:
-        for c in columns:
-            level[c] = _without_unit(level[c], readings[c]) or full[c]
     names: dict[str, str] = {}
-    for level in [*levels, full]:
-        counts = Counter(level[c] for c in columns if c not in names)
-        for c in columns:
-            if c not in names and counts[level[c]] == 1 and level[c] not in names.values():
-                names[c] = level[c]
+    for length in (1, 2, 3, 99):
+        for is_short in (True, False):
+            remaining = [c for c in columns if c not in names]
+            named = {c: _part_of_name(c, length, readings[c], is_short) for c in remaining}
+            counts = Counter(named.values())
+            for column, name in named.items():
+                if name and counts[name] == 1 and name not in names.values():
+                    names[column] = name
     return names
+
+
+def _part_of_name(column: str, length: int, reading: NameReading, is_short: bool) -> str:
+    """The last parts of a column's name as the name of a channel, without its unit if `is_short`."""
+    name = _without_unit(column, reading) if is_short else column
+    parts = [part for part in re.split(r"[/.]", name) if part.strip()]
+    return re.sub(r"[\s\\]+", "_", "_".join(parts[-length:]).strip())
 
 
 def _without_unit(name: str, reading: NameReading) -> str:

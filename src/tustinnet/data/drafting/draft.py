@@ -63,6 +63,9 @@ class Draft:
         splits: the records and their splits.
         questions: what the columns do not say, with what was assumed.
         notes: remarks on how the files were read, and files that were left out.
+        texts: columns that hold no numbers, and what they hold.
+        rows: number of samples in all records.
+        is_readable: whether the card can read a record.
     """
 
     text: str
@@ -73,6 +76,22 @@ class Draft:
     splits: Splits
     questions: tuple[Question, ...]
     notes: tuple[str, ...]
+    texts: Mapping[str, str]
+    rows: int
+    is_readable: bool
+
+    def require_readable(self, folder: Path) -> None:
+        """Raises unless the card has coordinates and a record that it can read.
+
+        Raises:
+            InputError: no column could be a position, or no record could be read.
+        """
+        if not self.choice.coordinates:
+            roles = ", ".join(f"'{c.name}' ({c.role})" for c in self.columns)
+            raise InputError(folder, f"no column could be a position: {roles}", "positions")
+        if not self.is_readable:
+            expected = "records of finite numbers in which positions move"
+            raise InputError(folder, self.notes[-1], expected)
 
     @property
     def typical(self) -> Piece:
@@ -86,7 +105,12 @@ class Draft:
 
 
 def draft_card(
-    folder: Path, files: Sequence[str], answers: Mapping[str, str] | None = None, name: str = ""
+    folder: Path,
+    files: Sequence[str],
+    answers: Mapping[str, str] | None = None,
+    *,
+    name: str = "",
+    has_splits: bool = True,
 ) -> Draft:
     """Drafts a data card for logs.
 
@@ -95,12 +119,13 @@ def draft_card(
         files: the logs, below it.
         answers: answers to questions of an earlier draft, by their keys.
         name: name of the data set; that of the folder by default.
+        has_splits: whether the card names the files; otherwise all logs beside it are records.
 
     Returns:
         The draft. Its `questions` say what was assumed.
 
     Raises:
-        InputError: no file has columns of numbers, or nothing in them could be a position.
+        InputError: no file has columns of numbers besides times.
     """
     answers = answers or {}
     notes: list[str] = []
@@ -129,21 +154,15 @@ def draft_card(
             verdicts[column] = Verdict(_role(answer), ("as you say",))
     findings = Findings(readings, numbers, samples, times, slopes, verdicts, answers)
     choice = choose_channels(findings)
-    if not choice.coordinates:
-        raise InputError(
-            folder, f"no column could be a position: {_list_roles(verdicts)}",
-            "positions of a mechanism",
-        )  # fmt: skip
-    pieces = _usable_pieces(pieces, choice, notes.append)
-    if not pieces:
-        raise InputError(folder, notes[-1], "records in which positions move, of finite numbers")
+    usable = _usable_pieces(pieces, choice, notes.append)
+    pieces = usable or pieces
     positions = {
         c.column: [unwrap(p.column(c.column), numbers[c.column].wrap) for p in pieces]
         for c in choice.coordinates
     }
     splits = choose_splits(pieces, positions, [i.column for i in choice.inputs])
     text = write_card(
-        name or _name(folder), clock, dt, choice, splits,
+        name or _name(folder), clock, dt, choice, splits if has_splits else None,
         headless=logs[0].headless, texts=logs[0].texts,
         is_period_assumed=clock.dt is None and _PERIOD not in answers,
     )  # fmt: skip
@@ -151,6 +170,7 @@ def draft_card(
         text, tuple(_columns(readings, clock, choice, verdicts, numbers)), dt, choice, clock,
         splits,
         tuple(q for q in (*questions, *choice.questions) if q.key not in answers), tuple(notes),
+        logs[0].texts, sum(map(len, logs)), bool(usable),
     )  # fmt: skip
 
 
@@ -179,7 +199,7 @@ def _usable_pieces(
             piece = piece.part(int(rows[0]), int(rows[-1]) + 1, "rows are not finite")
         if (np.diff(piece.t) <= 0).any():
             on_message(f"left out: {place}: times that do not rise")
-        elif not any(np.ptp(piece.column(name)) for name in coordinates):
+        elif coordinates and not any(np.ptp(piece.column(name)) for name in coordinates):
             on_message(f"left out: {place}: nothing moves")
         else:
             usable.append(piece)
@@ -197,10 +217,6 @@ def _role(answer: str) -> Role:
         "position": "position", "velocity": "velocity", "input": "input", "set point": "set point",
     }  # fmt: skip
     return roles.get(answer, "other")
-
-
-def _list_roles(verdicts: Mapping[str, Verdict]) -> str:
-    return ", ".join(f"'{name}' ({verdict.role})" for name, verdict in verdicts.items())
 
 
 def _choose_samples(pieces: Sequence[Piece]) -> list[Piece]:

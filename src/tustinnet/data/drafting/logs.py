@@ -156,7 +156,9 @@ def _read_file(folder: Path, file: str) -> list[Log]:
         return [_read_log(columns, file, None)]
     elements = [columns.element(number) for number in range(1, columns.elements + 1)]
     columns.fetch_elements({name for element in elements for name in element.names})
-    return [_read_log(element, file, number) for number, element in enumerate(elements, start=1)]
+    logs = [_read_log(element, file, number) for number, element in enumerate(elements, start=1)]
+    note = f"{file}: {len(logs)} cells or structs, each a record"
+    return [replace(log, notes=(note, *log.notes)) for log in logs]
 
 
 def _read_log(columns: Columns, file: str, cell: int | None) -> Log:

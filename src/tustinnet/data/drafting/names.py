@@ -217,7 +217,8 @@ def read_name(name: str) -> NameReading:
     if "error" in quantities and quantities["error"] >= 3:
         quantities["error"] += 5.0  # `position error [mm]` is an error
     if unit_quantity is not None:
-        add(unit_quantity, 6.0 if in_brackets or unit_quantity in _SURE_UNITS else 4.0, f"[{unit}]")
+        surely = in_brackets or unit_quantity in _SURE_UNITS
+        add(unit_quantity, 6.0 if surely else 5.0, f"[{unit}]")
     qualifier = next((mark for mark in _MARKS if _MARKS[mark] & {*words}), None)
     if qualifier == "measured" and not _MARKS["measured"] - {"m", "sensor"} & {*words}:
         qualifier = None if words[-1:] != ["m"] or len(words) < 2 else qualifier
