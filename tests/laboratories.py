@@ -154,7 +154,9 @@ def rounded(values: Signal, step: float, sensor: float = 0.0) -> Signal:
     return np.round(values / step) * step if not sensor else np.round(values / step)
 
 
-def write(folder: Path, names: Sequence[str], columns: Mapping[str, Signal], digits: int = 9) -> None:
+def write(
+    folder: Path, names: Sequence[str], columns: Mapping[str, Signal], digits: int = 9
+) -> None:
     """Writes a CSV file (or .tsv, .parquet) for each record."""
     for k, name in enumerate(names):
         frame = pl.DataFrame({c: np.asarray(v[k] if v.ndim > 1 else v) for c, v in columns.items()})
@@ -168,7 +170,9 @@ def write(folder: Path, names: Sequence[str], columns: Mapping[str, Signal], dig
         pl.DataFrame(text).write_csv(path, separator=separator, quote_style="necessary")
 
 
-def stamps(rng: np.random.Generator, records: int, samples: int, dt: float, jitter: float) -> Signal:
+def stamps(
+    rng: np.random.Generator, records: int, samples: int, dt: float, jitter: float
+) -> Signal:
     """Times of each record [s], early or late by up to `jitter`."""
     return dt * np.arange(samples) + rng.uniform(-jitter, jitter, (records, samples))
 
@@ -202,8 +206,14 @@ def arduino(folder: Path) -> Truth:
     q, _ = simulate(wheel, pwm / 40, dt, np.zeros((5, 1)))
     t = np.round(1e6 * (stamps(rng, 5, n, dt, 8e-5) + 3.1))
     counts = np.round(q[..., 0] * 1440 / (2 * np.pi))
-    write(folder, [f"LOG{k:03d}.CSV".lower() for k in range(5)], {"micros": t, "enc": counts, "pwm": pwm})
-    return Truth("micros", dt, {"enc": ("angular", "counts")}, {"pwm": "1"}, time_unit="us", records=5)
+    write(
+        folder,
+        [f"LOG{k:03d}.CSV".lower() for k in range(5)],
+        {"micros": t, "enc": counts, "pwm": pwm},
+    )
+    return Truth(
+        "micros", dt, {"enc": ("angular", "counts")}, {"pwm": "1"}, time_unit="us", records=5
+    )
 
 
 def plc(folder: Path) -> Truth:
@@ -270,7 +280,11 @@ def matlab_cells(folder: Path) -> Truth:
     q, _ = simulate(arm, u[..., None], dt, rng.uniform(-0.5, 0.5, (6, 1)))
     cells = np.empty(6, object)
     for k in range(6):
-        cells[k] = {"t": dt * np.arange(n), "theta": rounded(q[k, :, 0], 2 * np.pi / 4096), "u": u[k]}
+        cells[k] = {
+            "t": dt * np.arange(n),
+            "theta": rounded(q[k, :, 0], 2 * np.pi / 4096),
+            "u": u[k],
+        }
     scipy.io.savemat(folder / "experiments.mat", {"logs": cells})
     return Truth("logs.t", dt, {"logs.theta": ("angular", "rad")}, {"logs.u": "V"}, records=6)
 
@@ -285,7 +299,9 @@ def wrapped_counter(folder: Path) -> Truth:
         folder, [f"run{k}.csv" for k in range(1, 6)],
         {"t_ms": 10 * np.arange(n), "cnt": counts, "u_V": np.round(u, 3), "status": np.full((5, n), 3)},
     )  # fmt: skip
-    return Truth("t_ms", dt, {"cnt": ("angular", "counts")}, {"u_V": "V"}, time_unit="ms", records=5)
+    return Truth(
+        "t_ms", dt, {"cnt": ("angular", "counts")}, {"u_V": "V"}, time_unit="ms", records=5
+    )
 
 
 def german_disc(folder: Path) -> Truth:
@@ -343,7 +359,9 @@ def propeller(folder: Path) -> Truth:
     """A quadrotor's arm on a flight controller: pitch in degrees, gyroscope, throttle, battery."""
     rng, dt, n = np.random.default_rng(11), 0.004, 2000
     u = 0.5 + levels(rng, 5, n, 0.25, 260)
-    q, v = simulate(lambda q, v, u: 60 * (u - 0.5) - 14 * np.sin(q) - 2 * v, u, dt, np.zeros((5, 1)))
+    q, v = simulate(
+        lambda q, v, u: 60 * (u - 0.5) - 14 * np.sin(q) - 2 * v, u, dt, np.zeros((5, 1))
+    )
     t = np.round(1e6 * (stamps(rng, 5, n, dt, 1e-4) + 55.0))
     write(
         folder, [f"flight_{k}.csv" for k in range(1, 6)],
@@ -439,7 +457,9 @@ def episodes(folder: Path) -> Truth:
         "episode_index": np.repeat(np.arange(6)[:, None], n, axis=1),
         "index": np.arange(6 * n).reshape(6, n), "task_index": np.zeros((6, n)),
     }  # fmt: skip
-    write(folder, ["episodes.csv"], {name: values.reshape(1, -1) for name, values in whole.items()}, 8)
+    write(
+        folder, ["episodes.csv"], {name: values.reshape(1, -1) for name, values in whole.items()}, 8
+    )
     state_of = "observation.state.{}".format
     return Truth(
         "timestamp", dt,
@@ -607,7 +627,9 @@ def industrial_robot(folder: Path) -> Truth:
         soll = size * moves(rng, 5, t, 1.0)
         ist = follow(soll, dt, 14.0)
         v = np.gradient(ist, dt, axis=1)
-        strom = np.gradient(v, dt, axis=1) / 400 + v / 60 + 0.5 * np.tanh(v) + np.sin(np.radians(ist))
+        strom = (
+            np.gradient(v, dt, axis=1) / 400 + v / 60 + 0.5 * np.tanh(v) + np.sin(np.radians(ist))
+        )
         columns |= {f"{axis}_Soll_Grad": soll, f"{axis}_Ist_Grad": np.round(ist, 3),
                     f"{axis}_Strom_A": strom + rng.normal(0, 0.05, strom.shape)}  # fmt: skip
     write(folder, [f"Bahn{k}.csv" for k in range(1, 6)], columns)
@@ -651,7 +673,12 @@ def lift(folder: Path) -> Truth:
          "limit_sw": (height > 140).astype(float), "load_kg": np.full((1, n), 12.5)},
     )  # fmt: skip
     return Truth(
-        "millis", dt, {"height_cm": ("linear", "cm")}, {"motor_duty": "1"}, time_unit="ms", records=4
+        "millis",
+        dt,
+        {"height_cm": ("linear", "cm")},
+        {"motor_duty": "1"},
+        time_unit="ms",
+        records=4,
     )
 
 

@@ -29,7 +29,9 @@ def differences(card: dict[str, Any], truth: Truth, data: tn.DataSet) -> list[st
         "coordinates": {str(c["column"]): (c["kind"], c["unit"]) for c in card["coordinates"]},
         "inputs": {str(i["column"]): i["unit"] for i in card.get("inputs", [])},
         "velocities": {
-            str(c["column"]): str(c["velocity"]["column"]) for c in card["coordinates"] if "velocity" in c
+            str(c["column"]): str(c["velocity"]["column"])
+            for c in card["coordinates"]
+            if "velocity" in c
         },
     }
     expected = {
@@ -44,7 +46,9 @@ def differences(card: dict[str, Any], truth: Truth, data: tn.DataSet) -> list[st
         if declared[key] != expected[key]
     ]
     counts = {c["column"]: c.get("counts_per_revolution") for c in card["coordinates"]}
-    found += [f"counts of {c}: {counts.get(c)}" for c, n in truth.counts.items() if counts.get(c) != n]
+    found += [
+        f"counts of {c}: {counts.get(c)}" for c, n in truth.counts.items() if counts.get(c) != n
+    ]
     if abs(card["dt"] / truth.dt - 1) > 1e-3:
         found.append(f"dt: {card['dt']}, not {truth.dt}")
     enough = len(data) == truth.records if truth.records > 0 else len(data) >= -truth.records

@@ -11,7 +11,7 @@ import typer
 from tustinnet.cli import options, terminal
 
 if TYPE_CHECKING:
-    from tustinnet.data.drafting.choice import Question
+    from tustinnet.data.drafting.findings import Question
     from tustinnet.data.drafting.draft import Draft
 
 FIGURE = "init.png"
@@ -173,9 +173,7 @@ def _print_draft(draft: "Draft", folder: Path) -> None:
     """Prints the columns with what they were taken for, and the splits."""
     from tustinnet.report.tables import Table
 
-    rows = [
-        [c.name, c.use or f"– ({c.role})", c.unit or "–", c.because] for c in draft.columns
-    ]
+    rows = [[c.name, c.use or f"– ({c.role})", c.unit or "–", c.because] for c in draft.columns]
     records = draft.splits.records
     title = f"{folder}: {len(records)} records, every {1e3 * draft.dt:.6g} ms"
     terminal.print_tables(Table(["column", "taken for", "unit", "why"], rows, title=title))

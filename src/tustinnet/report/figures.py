@@ -134,7 +134,9 @@ def _draw_band(
     axes.fill_between(t[after], low, high, color=colour, alpha=0.2, linewidth=0, label=label)
 
 
-def plot_line(axes: Axes, t: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"], **style: Any) -> None:
+def plot_line(
+    axes: Axes, t: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"], **style: Any
+) -> None:
     """Draws a line; of a long one only extremes of intervals narrower than a pixel of a PNG."""
     if len(y) > _LONG:
         samples = find_extremes(y[:, None], len(y) // _BINS)

@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping, Sequence
 
 from tustinnet.data.columns import NUMBERED
-from tustinnet.data.drafting.choice import Choice, CoordinateChoice, InputChoice
+from tustinnet.data.drafting.findings import Choice, CoordinateChoice, InputChoice
 from tustinnet.data.drafting.logs import Clock
 from tustinnet.data.drafting.splits import DraftRecord, Splits
 
@@ -34,7 +34,9 @@ def write_card(
         texts: columns that hold no numbers, and what they hold.
         is_period_assumed: whether nothing in the files says the period.
     """
-    why = "assumed; check: how far apart are the samples?" if is_period_assumed else "median interval"
+    why = (
+        "assumed; check: how far apart are the samples?" if is_period_assumed else "median interval"
+    )
     lines = [
         "# drafted by `tustinnet init` from the files; check what is marked so",
         "# every key: docs/reference/data.md",

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from tustinnet.data.drafting.card_text import write_card
-from tustinnet.data.drafting.choice import Choice, Findings, Question, choose_channels
+from tustinnet.data.drafting.choice import choose_channels
+from tustinnet.data.drafting.findings import Choice, Findings, Question
 from tustinnet.data.drafting.logs import (
     Clock,
     Piece,
@@ -195,7 +196,9 @@ def _usable_pieces(
             on_message(f"left out: {place}: numbers that are not finite, or too few samples")
             continue
         if len(rows) < len(finite):
-            on_message(f"{place}: {len(finite) - len(rows)} rows at its ends are not finite; cut off")
+            on_message(
+                f"{place}: {len(finite) - len(rows)} rows at its ends are not finite; cut off"
+            )
             piece = piece.part(int(rows[0]), int(rows[-1]) + 1, "rows are not finite")
         if (np.diff(piece.t) <= 0).any():
             on_message(f"left out: {place}: times that do not rise")
@@ -209,7 +212,9 @@ def _usable_pieces(
 def _name(folder: Path) -> str:
     """A name for the logs of a folder: its own, or that of the folder above where it says nothing."""
     path = folder.resolve()
-    return path.parent.name if path.name.lower() in _PLAIN_FOLDERS and path.parent.name else path.name
+    return (
+        path.parent.name if path.name.lower() in _PLAIN_FOLDERS and path.parent.name else path.name
+    )
 
 
 def _role(answer: str) -> Role:

@@ -21,7 +21,9 @@ def list_logs(paths: Sequence[Path]) -> tuple[Path, list[str]]:
     """
     for path in paths:
         if not path.exists():
-            raise InputError(path, "no such file or folder", "a folder of logs, or some of its files")
+            raise InputError(
+                path, "no such file or folder", "a folder of logs, or some of its files"
+            )
     folders = [path for path in paths if path.is_dir()]
     if folders and len(paths) > 1:
         raise InputError(

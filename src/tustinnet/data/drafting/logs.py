@@ -108,9 +108,7 @@ class Clock:
     others: dict[str, str] = field(default_factory=dict)
 
 
-def read_logs(
-    folder: Path, files: Sequence[str], on_message: Callable[[str], None]
-) -> list[Log]:
+def read_logs(folder: Path, files: Sequence[str], on_message: Callable[[str], None]) -> list[Log]:
     """Reads the logs of a folder that have the same columns as most of them.
 
     Args:
@@ -129,8 +127,10 @@ def read_logs(
         except InputError as error:
             errors.append(error)
     if not logs:
-        raise errors[0] if errors else InputError(
-            folder, "no logs", "files of columns, such as .csv, .parquet or .mat"
+        raise (
+            errors[0]
+            if errors
+            else InputError(folder, "no logs", "files of columns, such as .csv, .parquet or .mat")
         )
     for error in errors:
         on_message(f"left out: {error}")
@@ -210,7 +210,7 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
     if not candidates:
         return Clock(None, others=others)
     # the first of equal ones
-    best = max(candidates, key=lambda candidate: (round(candidate[0], 3)))[1]
+    best = max(candidates, key=lambda candidate: round(candidate[0], 3))[1]
     others |= {name: f"a clock as '{best}'" for _, name in candidates if name != best}
     unit, because, sure = _time_unit(best, readings[best], [log.values[best] for log in logs])
     reason = "by its name" if readings[best].quantities.get("time") else "it rises regularly"
@@ -252,9 +252,7 @@ def _period(intervals: Values) -> tuple[float, float]:
     return dt, float(np.abs(kept - dt).max(initial=0.0))
 
 
-def _time_unit(
-    name: str, reading: NameReading, columns: Sequence[Values]
-) -> tuple[str, str, bool]:
+def _time_unit(name: str, reading: NameReading, columns: Sequence[Values]) -> tuple[str, str, bool]:
     """The unit of times, the reason, and whether it is sure."""
     if reading.unit in TIME:
         return reading.unit, f"in {reading.unit} by its name", True
@@ -293,7 +291,11 @@ def find_pieces(
     pieces = []
     for log in logs:
         n = len(log)
-        t = dt * np.arange(n) if clock.column is None else log.values[clock.column] * TIME[clock.unit]
+        t = (
+            dt * np.arange(n)
+            if clock.column is None
+            else log.values[clock.column] * TIME[clock.unit]
+        )
         steps = np.diff(t)
         cuts = {int(k) + 1: "the clock starts again" for k in np.flatnonzero(steps < -dt)}
         for name in episodes:
@@ -318,6 +320,4 @@ def _is_episode(columns: Sequence[Values]) -> bool:
 
 def read_names(logs: Sequence[Log]) -> dict[str, NameReading]:
     """The readings of the names of all columns; `column 3` of a file without names says nothing."""
-    return {
-        name: read_name("" if name.startswith(NUMBERED) else name) for name in logs[0].values
-    }
+    return {name: read_name("" if name.startswith(NUMBERED) else name) for name in logs[0].values}

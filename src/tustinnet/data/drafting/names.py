@@ -19,7 +19,9 @@ INPUTS: tuple[Quantity, ...] = (
     "voltage", "duty", "control", "torque", "force", "current", "pressure",
 )  # fmt: skip
 
-_UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue"})
+_UMLAUTS = str.maketrans(
+    {"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue"}
+)
 _GREEK = str.maketrans(
     {"φ": "phi", "ϕ": "phi", "θ": "theta", "ϑ": "theta", "ψ": "psi", "ω": "omega", "α": "alpha",
      "β": "beta", "γ": "gamma", "τ": "tau", "Δ": "delta", "ẋ": "xdot", "\u0307": "dot"}
@@ -41,7 +43,18 @@ _POSITION = {
     **dict.fromkeys(("meter", "metre", "meters", "metres"), "m"),
     "\N{MICRO SIGN}m": "um", "\N{GREEK SMALL LETTER MU}m": "um",
 }  # fmt: skip
-_PER_SECOND = ("/s", "/sec", "_s", "_sec", "_per_s", "_per_sec", "_per_second", "ps", "*s^-1", "s-1")
+_PER_SECOND = (
+    "/s",
+    "/sec",
+    "_s",
+    "_sec",
+    "_per_s",
+    "_per_sec",
+    "_per_second",
+    "ps",
+    "*s^-1",
+    "s-1",
+)
 _VELOCITY = {
     **{f"{name}{per}": f"{unit}/s" for name, unit in _POSITION.items() for per in _PER_SECOND},
     **dict.fromkeys(
@@ -125,28 +138,133 @@ _QUALIFIERS: dict[Qualifier, str] = {
     "model": "sim simulated model predicted pred",
 }
 _ANGULAR = set(
-    "angle angles winkel theta phi psi alpha beta gamma pitch roll yaw drehwinkel th ang pole "
-    "pendulum pendel joint gelenk shoulder elbow wrist hip knee schulter ellbogen encoder enc "
-    "disc scheibe link drehgeber resolver azimuth elevation omega gyro tacho drehzahl rpm "
-    "winkelgeschwindigkeit wheel rad_ rotor torque tau moment drehmoment".split()
+    [
+        "angle",
+        "angles",
+        "winkel",
+        "theta",
+        "phi",
+        "psi",
+        "alpha",
+        "beta",
+        "gamma",
+        "pitch",
+        "roll",
+        "yaw",
+        "drehwinkel",
+        "th",
+        "ang",
+        "pole",
+        "pendulum",
+        "pendel",
+        "joint",
+        "gelenk",
+        "shoulder",
+        "elbow",
+        "wrist",
+        "hip",
+        "knee",
+        "schulter",
+        "ellbogen",
+        "encoder",
+        "enc",
+        "disc",
+        "scheibe",
+        "link",
+        "drehgeber",
+        "resolver",
+        "azimuth",
+        "elevation",
+        "omega",
+        "gyro",
+        "tacho",
+        "drehzahl",
+        "rpm",
+        "winkelgeschwindigkeit",
+        "wheel",
+        "rad_",
+        "rotor",
+        "torque",
+        "tau",
+        "moment",
+        "drehmoment",
+    ]
 )
 _LINEAR = set(
-    "x y z weg hub lage cart wagen trolley katze slide schlitten carriage displacement height "
-    "hoehe distance dist abstand auslenkung deflection laser ball kugel piston kolben stroke "
-    "linear force kraft".split()
+    [
+        "x",
+        "y",
+        "z",
+        "weg",
+        "hub",
+        "lage",
+        "cart",
+        "wagen",
+        "trolley",
+        "katze",
+        "slide",
+        "schlitten",
+        "carriage",
+        "displacement",
+        "height",
+        "hoehe",
+        "distance",
+        "dist",
+        "abstand",
+        "auslenkung",
+        "deflection",
+        "laser",
+        "ball",
+        "kugel",
+        "piston",
+        "kolben",
+        "stroke",
+        "linear",
+        "force",
+        "kraft",
+    ]
 )
 _SYMBOL = re.compile(
     r"(?P<before>d{0,2})(?P<symbol>theta|phi|psi|alpha|beta|gamma|th|q|x|y|z|s|pos|angle|ang)"
     r"(?P<behind>ddot|dot|pp|p|dd|d|punkt)?"
 )
-_CONTACT = {"states", "state", "joint", "joints", "observation", "msg", "data", "value", "log", "logs"}
+_CONTACT = {
+    "states",
+    "state",
+    "joint",
+    "joints",
+    "observation",
+    "msg",
+    "data",
+    "value",
+    "log",
+    "logs",
+}
 _WITHIN = {q: set(words.split()) for q, words in _STRONG.items()}
 _PERHAPS = {q: set(words.split()) for q, words in _WEAK.items()}
 _MARKS = {q: set(words.split()) for q, words in _QUALIFIERS.items()}
 _PURE = set().union(
     *(_WITHIN[q] for q in ("time", "velocity", "acceleration", *INPUTS, "error")),
     *_MARKS.values(),
-    "pos position positions angle angles winkel lage enc encoder u i f m w v n rpm".split(),
+    [
+        "pos",
+        "position",
+        "positions",
+        "angle",
+        "angles",
+        "winkel",
+        "lage",
+        "enc",
+        "encoder",
+        "u",
+        "i",
+        "f",
+        "m",
+        "w",
+        "v",
+        "n",
+        "rpm",
+    ],
 )  # words that say which quantity, but not of what
 
 
@@ -336,7 +454,7 @@ def _is_unit(ending: str, before: Sequence[str]) -> bool:
     spoken = {q for q, texts in _WITHIN.items() if last in texts}
     spoken |= {q for q, texts in _PERHAPS.items() if last in texts}
     if ending == "m":
-        return not spoken or "position" in spoken and last not in ("q", "theta", "phi")
+        return not spoken or ("position" in spoken and last not in ("q", "theta", "phi"))
     is_position = bool(spoken & {"position"}) and not spoken & {*INPUTS}
     if ending in "anv" and is_position and last not in ("motor", "drive"):
         return last not in _WITHIN["position"] and len(last) > 1

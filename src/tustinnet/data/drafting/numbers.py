@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-
 from jaxtyping import Float
+
 from tustinnet.signals.encoder import encoder_count
 
 Values = Float[np.ndarray, " _"]  # one column, of any length

@@ -41,9 +41,7 @@ class Slopes:
 
 
 @np.errstate(all="ignore")  # constants have no correlation; it is set to 0
-def compare_slopes(
-    columns: Mapping[str, Sequence[Values]], times: Sequence[Values]
-) -> Slopes:
+def compare_slopes(columns: Mapping[str, Sequence[Values]], times: Sequence[Values]) -> Slopes:
     """Compares changes over some samples with integrals over them; the best width counts.
 
     Over several samples the quantisation of an encoder, the noise of a sensor and the delay of a
@@ -111,7 +109,9 @@ def compare_courses(first: Sequence[Values], second: Sequence[Values]) -> Follow
     """
     best = Following(0.0, 0.0, 0)
     for lag in (0, *_LAGS, *(-lag for lag in _LAGS)):
-        before = [a[: len(a) - lag] if lag >= 0 else a[-lag:] for a in first if len(a) > 4 * abs(lag)]
+        before = [
+            a[: len(a) - lag] if lag >= 0 else a[-lag:] for a in first if len(a) > 4 * abs(lag)
+        ]
         after = [b[lag:] if lag >= 0 else b[:lag] for b in second if len(b) > 4 * abs(lag)]
         if not before:
             continue

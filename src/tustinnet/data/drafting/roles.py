@@ -4,9 +4,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from tustinnet.data.drafting.numbers import Values
 from tustinnet.data.drafting.names import INPUTS, NameReading, Quantity
-from tustinnet.data.drafting.numbers import Numbers, is_decimal
+from tustinnet.data.drafting.numbers import Numbers, Values, is_decimal
 from tustinnet.data.drafting.relations import (
     Slopes,
     compare_courses,
@@ -121,7 +120,9 @@ def judge_columns(
         if verdict.role == "position" and numbers[name].levels:
             driven = _find_driven(name, verdicts, samples, times, _DRIVEN)
             if driven is not None:
-                reason = f"held levels, which explain {100 * driven[1]:.0f} % of the acceleration of"
+                reason = (
+                    f"held levels, which explain {100 * driven[1]:.0f} % of the acceleration of"
+                )
                 verdicts[name] = Verdict("input", (f"{reason} '{driven[0]}'",), "position", 1.0)
     if not any(verdict.role == "input" for verdict in verdicts.values()):
         _take_continuous_columns_for_inputs(numbers, verdicts)
@@ -267,7 +268,7 @@ def _find_follower(
     reading = readings[name]
     is_command = reading.qualifier == "command"
     known = max(reading.quantities.values(), default=0.0) >= 3
-    if (known and not is_command) or reading.unit and not is_command:
+    if (known and not is_command) or (reading.unit and not is_command):
         return None
     if any(q in INPUTS and w >= 3 for q, w in reading.quantities.items()):
         return None

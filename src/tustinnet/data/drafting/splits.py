@@ -7,8 +7,8 @@ from pathlib import PurePosixPath
 
 import numpy as np
 
-from tustinnet.data.drafting.numbers import Values
 from tustinnet.data.drafting.logs import Piece
+from tustinnet.data.drafting.numbers import Values
 
 _FEW = 4  # records; of fewer ones long ones are cut
 _LONG = 2000  # samples of a record that may be cut
@@ -68,7 +68,9 @@ def choose_splits(
     """
     said = _splits_by_name(pieces)
     if said is not None:
-        records = [DraftRecord(p, _kind(p), "", split) for p, split in zip(pieces, said, strict=True)]
+        records = [
+            DraftRecord(p, _kind(p), "", split) for p, split in zip(pieces, said, strict=True)
+        ]
         return Splits(tuple(records), ("splits by the names of files or folders",))
     sentences: list[str] = []
     if len(pieces) < _FEW:
@@ -117,7 +119,7 @@ def _splits_by_name(pieces: Sequence[Piece]) -> list[str] | None:
         found = [split for split, names in _SPLIT_WORDS.items() if names & words]
         splits.append(found[-1] if found else None)
     said = {split for split in splits if split}
-    if not said & {"validation", "test"} or said == {"test"} and None not in splits:
+    if not said & {"validation", "test"} or (said == {"test"} and None not in splits):
         return None
     return [split or "train" for split in splits]
 
@@ -126,7 +128,9 @@ def _kind(piece: Piece) -> str:
     """The kind of a record: the words of its file's name, without numbers and units behind them."""
     stem = PurePosixPath(piece.log.file).stem
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", stem)
-    words = re.findall(r"(?<![^\W\d_])[^\W\d_]+", re.sub(r"\d+([.,_]\d+)?[^\W\d_]{0,3}(?![^\W_])", " ", spaced))
+    words = re.findall(
+        r"(?<![^\W\d_])[^\W\d_]+", re.sub(r"\d+([.,_]\d+)?[^\W\d_]{0,3}(?![^\W_])", " ", spaced)
+    )
     return "_".join(w.lower() for w in words if w.lower() not in _REPETITIONS)
 
 
@@ -142,7 +146,9 @@ def _group(pieces: Sequence[Piece], inputs: Sequence[str]) -> list[DraftRecord]:
     sets: list[str] = []
     for piece in pieces:
         tokens = _tokens(PurePosixPath(piece.log.file).with_suffix("").as_posix())
-        numbers = [i for i, t in enumerate(tokens) if t.isdigit() and len(t) < _FEWEST_DIGITS_OF_A_DATE]
+        numbers = [
+            i for i, t in enumerate(tokens) if t.isdigit() and len(t) < _FEWEST_DIGITS_OF_A_DATE
+        ]
         marked = [i for i in numbers if i and tokens[i - 1] in _REPETITIONS]
         name = PurePosixPath(piece.log.file).as_posix()
         is_part = not piece.whole or piece.log.cell is not None
@@ -254,7 +260,9 @@ def _rests(piece: Piece, positions: Sequence[Values]) -> list[int]:
         calm[width // 2 : width // 2 + len(moved)] = moved <= limit
         still &= calm
     edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
-    rests = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= width]
+    rests = [
+        (int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= width
+    ]
     shortest = max(_SHORTEST, n // _PARTS)
     cuts: list[int] = []
     for a, b in rests:
