@@ -297,7 +297,8 @@ def wrapped_counter(folder: Path) -> Truth:
     counts = np.round(q[..., 0] * 4096 / (2 * np.pi)) % 65536
     write(
         folder, [f"run{k}.csv" for k in range(1, 6)],
-        {"t_ms": 10 * np.arange(n), "cnt": counts, "u_V": np.round(u, 3), "status": np.full((5, n), 3)},
+        {"t_ms": 10 * np.arange(n), "cnt": counts, "u_V": np.round(u, 3),
+         "status": np.full((5, n), 3)},
     )  # fmt: skip
     return Truth(
         "t_ms", dt, {"cnt": ("angular", "counts")}, {"u_V": "V"}, time_unit="ms", records=5
@@ -368,7 +369,8 @@ def propeller(folder: Path) -> Truth:
         {"timestamp_us": t, "pitch_deg": np.degrees(q[..., 0]) + rng.normal(0, 0.02, (5, n)),
          "gyro_y_dps": np.degrees(v[..., 0]) + rng.normal(0, 0.8, (5, n)),
          "acc_x": rng.normal(0, 0.3, (5, n)) + 9.81 * np.sin(q[..., 0]),
-         "throttle": np.round(u, 3), "vbat": 11.8 - 1e-4 * np.arange(n) + rng.normal(0, 0.01, (5, n)),
+         "throttle": np.round(u, 3),
+         "vbat": 11.8 - 1e-4 * np.arange(n) + rng.normal(0, 0.01, (5, n)),
          "armed_flag": np.ones((5, n))},
     )  # fmt: skip
     return Truth(
@@ -420,7 +422,8 @@ def three_joints(folder: Path) -> Truth:
     write(folder, [f"traj_{k}.parquet" for k in range(6)], columns)
     return Truth(
         "timestamp", dt, {f"q{j}": ("angular", "rad") for j in (1, 2, 3)},
-        {f"tau{j}_cmd": "N m" for j in (1, 2, 3)}, {f"q{j}": f"dq{j}" for j in (1, 2, 3)}, records=6,
+        {f"tau{j}_cmd": "N m" for j in (1, 2, 3)}, {f"q{j}": f"dq{j}" for j in (1, 2, 3)},
+        records=6,
     )  # fmt: skip
 
 
@@ -440,7 +443,8 @@ def tachometer(folder: Path) -> Truth:
     u = levels(rng, 5, n, 12, 70)
     _, v = simulate(wheel, u * 2, dt, np.zeros((5, 1)))
     write(folder, [f"hochlauf{k}.csv" for k in range(1, 6)],
-          {"Zeit/s": dt * np.arange(n), "n_ist [1/min]": v[..., 0] * 30 / np.pi, "u_a [V]": u})  # fmt: skip
+          {"Zeit/s": dt * np.arange(n), "n_ist [1/min]": v[..., 0] * 30 / np.pi,
+           "u_a [V]": u})  # fmt: skip
     return Truth("Zeit/s", dt, {"n_ist [1/min]": ("linear", "rpm")}, {"u_a [V]": "V"}, records=5)
 
 
@@ -451,7 +455,8 @@ def episodes(folder: Path) -> Truth:
     action = np.stack([40 * moves(rng, 6, t, 1.0) for _ in range(2)], axis=2)
     state = np.stack([follow(action[..., j], dt, 9.0) for j in range(2)], axis=2)
     whole = {
-        "observation.state.shoulder_pan": state[..., 0], "observation.state.elbow_flex": state[..., 1],
+        "observation.state.shoulder_pan": state[..., 0],
+        "observation.state.elbow_flex": state[..., 1],
         "action.shoulder_pan": action[..., 0], "action.elbow_flex": action[..., 1],
         "timestamp": np.tile(t, (6, 1)), "frame_index": np.tile(np.arange(n), (6, 1)),
         "episode_index": np.repeat(np.arange(6)[:, None], n, axis=1),
@@ -483,7 +488,7 @@ def long_with_rests(folder: Path) -> Truth:
 
 
 def elastic_drive(folder: Path) -> Truth:
-    """Two masses with an elastic shaft: positions of both, commanded and actual torque, resampled."""
+    """Two masses with an elastic shaft: positions of both, commanded and actual torque."""
     rng, dt, n = np.random.default_rng(19), 0.002, 2000
     t = dt * np.arange(n)
     u = np.concatenate([levels(rng, 4, n, 2.0, 200), sines(rng, 4, t, 2.0, 8.0)])
@@ -510,13 +515,14 @@ def labview(folder: Path) -> Truth:
     q, _ = simulate(slide, u, dt, np.zeros((5, 1)))
     poti = 5 + 8 * q[..., 0] + rng.normal(0, 0.002, (5, n))
     write(folder, [f"meas_{k}.tsv" for k in range(1, 6)],
-          {"X_Value": dt * np.arange(n), "Poti (V)": np.round(poti, 4), "Drive (V)": np.round(u, 3)})  # fmt: skip
+          {"X_Value": dt * np.arange(n), "Poti (V)": np.round(poti, 4),
+           "Drive (V)": np.round(u, 3)})  # fmt: skip
     return Truth("X_Value", dt, {"Poti (V)": ("linear", "V")}, {"Drive (V)": "V"}, records=5)
 
 
 LABORATORIES: tuple[Callable[[Path], Truth], ...] = (
-    without_header, arduino, plc, ros, matlab, matlab_cells, wrapped_counter, german_disc, cart_pole,
-    gantry, propeller, servo_axis, capital_names, three_joints, free_double_pendulum, tachometer,
+    without_header, arduino, plc, ros, matlab, matlab_cells, wrapped_counter, german_disc,
+    cart_pole, gantry, propeller, servo_axis, capital_names, three_joints, free_double_pendulum, tachometer,
     episodes, long_with_rests, elastic_drive, labview,
 )  # fmt: skip
 
@@ -608,7 +614,8 @@ def furuta(folder: Path) -> Truth:
     names = [f"train/swing{k}.csv" for k in range(1, 5)] + [f"val/swing{k}.csv" for k in (5, 6)]
     write(
         folder, names,
-        {"time": dt * np.arange(n), "theta_deg": np.round(degrees[..., 0] / 0.17578125) * 0.17578125,
+        {"time": dt * np.arange(n),
+         "theta_deg": np.round(degrees[..., 0] / 0.17578125) * 0.17578125,
          "alpha_deg": np.round(degrees[..., 1] / 0.17578125) * 0.17578125 % 360,
          "motor_pwm": np.round(u * 40)},
     )  # fmt: skip
@@ -683,6 +690,7 @@ def lift(folder: Path) -> Truth:
 
 
 FURTHER: tuple[Callable[[Path], Truth], ...] = (
-    hydraulics, field_oriented, simulink, ball_on_plate, furuta, industrial_robot, exoskeleton, lift,
+    hydraulics, field_oriented, simulink, ball_on_plate, furuta, industrial_robot, exoskeleton,
+    lift,
 )  # fmt: skip
 EVERY = (*LABORATORIES, *FURTHER)

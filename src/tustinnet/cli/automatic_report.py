@@ -39,7 +39,7 @@ class AutomaticReport:
 
     @property
     def data_words(self) -> str:
-        """The arguments by which other verbs find the records: DATA, and the card if one is named."""
+        """The arguments by which other verbs find the records: DATA, and a card that was named."""
         words = [self.data, *([] if self.card is None else ["--card", str(self.card)])]
         return shlex.join(words)
 

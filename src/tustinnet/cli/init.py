@@ -11,8 +11,8 @@ import typer
 from tustinnet.cli import options, terminal
 
 if TYPE_CHECKING:
-    from tustinnet.data.drafting.findings import Question
     from tustinnet.data.drafting.draft import Draft
+    from tustinnet.data.drafting.findings import Question
 
 FIGURE = "init.png"
 _LONGEST_ANSWER = 40  # characters
@@ -62,7 +62,8 @@ def init(
     print_assumptions(draft)
     draw_draft(draft, folder)
     terminal.messages().print(
-        f"card: {folder / CARD_NAME}   figure: {folder / FIGURE}   next: tustinnet fit {folder} --out RUN"
+        f"card: {folder / CARD_NAME}   figure: {folder / FIGURE}   "
+        f"next: tustinnet fit {shlex.quote(str(folder))} --out RUN"
     )
 
 

@@ -86,7 +86,7 @@ def _resolve_patterns(
 
 
 def list_logs_in(folder: Path) -> list[str]:
-    """Names of the logs in a folder, in natural order: files that can be read and are not hidden."""
+    """Names of the logs in a folder, in natural order: readable files that are not hidden."""
     with convert_errors(folder, "cannot be listed", "a folder of logs"):
         paths = [p for p in folder.iterdir() if is_readable(p) and not p.is_dir()]
     return _in_natural_order(p.name for p in paths if not p.name.startswith("."))

@@ -27,7 +27,7 @@ def name_channels(
 
 
 def _part_of_name(column: str, length: int, reading: NameReading, is_short: bool) -> str:
-    """The last parts of a column's name as the name of a channel, without its unit if `is_short`."""
+    """The last parts of a column's name as a channel's name, without its unit if `is_short`."""
     name = _without_unit(column, reading) if is_short else column
     parts = [part for part in re.split(r"[/.]", name) if part.strip()]
     return re.sub(r"[\s\\]+", "_", "_".join(parts[-length:]).strip())

@@ -36,7 +36,9 @@ def choose_channels(findings: Findings) -> Choice:
         else:
             kind = _kind_by_inputs(inputs, findings)
             velocity = matched.get(column)
-            coordinate = describe_coordinate(column, names[column], velocity, kind, findings, choice)
+            coordinate = describe_coordinate(
+                column, names[column], velocity, kind, findings, choice
+            )
         choice.coordinates.append(coordinate)
     for column in inputs:
         choice.inputs.append(describe_input(column, names[column], findings, choice))
@@ -63,9 +65,8 @@ def _clear_positions(findings: Findings, choice: Choice) -> list[str]:
         return positions
     for name in positions:
         if scores[name] < FAINT and name not in answered:
-            choice.unused[name] = (
-                f"perhaps a position ({findings.verdicts[name].because}), beside columns that say so"
-            )
+            because = findings.verdicts[name].because
+            choice.unused[name] = f"perhaps a position ({because}), beside columns that say so"
             choice.questions.append(Question(f"role {name}", f"what is '{name}'?", "none", _ROLES))
     return [name for name in positions if name not in choice.unused]
 
@@ -138,9 +139,8 @@ def _match_velocities(
         if near:
             choice.unused[velocity] = f"a second velocity of '{near[0]}'"
         elif correlations and min(correlations) < -0.9:
-            choice.unused[velocity] = (
-                f"a velocity in the other direction than '{positions[int(np.argmin(correlations))]}'"
-            )
+            opposite = positions[int(np.argmin(correlations))]
+            choice.unused[velocity] = f"a velocity in the other direction than '{opposite}'"
         else:
             choice.unused[velocity] = (
                 f"a velocity, and the slope of no position ({findings.verdicts[velocity].because})"

@@ -210,7 +210,7 @@ def _usable_pieces(
 
 
 def _name(folder: Path) -> str:
-    """A name for the logs of a folder: its own, or that of the folder above where it says nothing."""
+    """A name for the logs of a folder: its own, or that of the folder above a plain `logs`."""
     path = folder.resolve()
     return (
         path.parent.name if path.name.lower() in _PLAIN_FOLDERS and path.parent.name else path.name

@@ -47,7 +47,8 @@ def list_logs(paths: Sequence[Path]) -> tuple[Path, list[str]]:
     for path in paths:
         if not is_readable(path):
             raise InputError(path, f"ending '{path.suffix}'", "a log: .csv, .parquet, .mat, ...")
-    folder = Path(os.path.commonpath([os.path.abspath(path.parent) for path in paths]))
     if len({path.parent for path in paths}) == 1:
-        folder = paths[0].parent
-    return folder, [os.path.relpath(path, folder).replace(os.sep, "/") for path in paths]
+        return paths[0].parent, [path.name for path in paths]
+    whole = [path.resolve() for path in paths]
+    folder = Path(os.path.commonpath([path.parent for path in whole]))
+    return folder, [path.relative_to(folder).as_posix() for path in whole]

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -304,7 +305,7 @@ def find_pieces(
         for k in np.flatnonzero(steps > _GAP * dt):
             cuts.setdefault(int(k) + 1, f"a gap of {steps[k]:.3g} s")
         edges = [0, *sorted(cuts), n]
-        for first, stop in zip(edges[:-1], edges[1:], strict=True):
+        for first, stop in pairwise(edges):
             because = cuts.get(first) or (cuts.get(stop, "") if len(edges) > 2 else "")
             pieces.append(Piece(log, (first, stop), t[first:stop] - t[first], because))
     long = [piece for piece in pieces if len(piece.t) >= _SHORTEST]

@@ -4,6 +4,7 @@ import re
 import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 from tustinnet.channels import Kind
@@ -111,7 +112,7 @@ _STRONG: dict[Quantity, str] = {
     "error": "error err fehler regelabweichung schleppfehler deviation regelfehler",
     "flag": "status flag flags enable enabled ena mode modus fault alarm valid limit endschalter "
     "freigabe button taster bit done ready trigger trig estop switch homed zustand armed",
-    "other": "temp temperature temperatur battery bat batterie vbus vbat ubat vcc vdd cpu load_cpu noise fric "
+    "other": "temp temperature temperatur battery bat batterie vbus vbat ubat vcc vdd cpu noise fric "
     "friction reibung humidity rssi checksum crc supply versorgung latency",
 }
 _WEAK: dict[Quantity, str] = {
@@ -137,98 +138,94 @@ _QUALIFIERS: dict[Qualifier, str] = {
     "filtered": "filt filtered filter smooth smoothed est estimated gefiltert lpf lp kf kalman",
     "model": "sim simulated model predicted pred",
 }
-_ANGULAR = set(
-    [
-        "angle",
-        "angles",
-        "winkel",
-        "theta",
-        "phi",
-        "psi",
-        "alpha",
-        "beta",
-        "gamma",
-        "pitch",
-        "roll",
-        "yaw",
-        "drehwinkel",
-        "th",
-        "ang",
-        "pole",
-        "pendulum",
-        "pendel",
-        "joint",
-        "gelenk",
-        "shoulder",
-        "elbow",
-        "wrist",
-        "hip",
-        "knee",
-        "schulter",
-        "ellbogen",
-        "encoder",
-        "enc",
-        "disc",
-        "scheibe",
-        "link",
-        "drehgeber",
-        "resolver",
-        "azimuth",
-        "elevation",
-        "omega",
-        "gyro",
-        "tacho",
-        "drehzahl",
-        "rpm",
-        "winkelgeschwindigkeit",
-        "wheel",
-        "rad_",
-        "rotor",
-        "torque",
-        "tau",
-        "moment",
-        "drehmoment",
-    ]
-)
-_LINEAR = set(
-    [
-        "x",
-        "y",
-        "z",
-        "weg",
-        "hub",
-        "lage",
-        "cart",
-        "wagen",
-        "trolley",
-        "katze",
-        "slide",
-        "schlitten",
-        "carriage",
-        "displacement",
-        "height",
-        "hoehe",
-        "distance",
-        "dist",
-        "abstand",
-        "auslenkung",
-        "deflection",
-        "laser",
-        "ball",
-        "kugel",
-        "piston",
-        "kolben",
-        "stroke",
-        "linear",
-        "force",
-        "kraft",
-    ]
-)
+_ANGULAR = {
+    "angle",
+    "angles",
+    "winkel",
+    "theta",
+    "phi",
+    "psi",
+    "alpha",
+    "beta",
+    "gamma",
+    "pitch",
+    "roll",
+    "yaw",
+    "drehwinkel",
+    "th",
+    "ang",
+    "pole",
+    "pendulum",
+    "pendel",
+    "joint",
+    "gelenk",
+    "shoulder",
+    "elbow",
+    "wrist",
+    "hip",
+    "knee",
+    "schulter",
+    "ellbogen",
+    "encoder",
+    "enc",
+    "disc",
+    "scheibe",
+    "link",
+    "drehgeber",
+    "resolver",
+    "azimuth",
+    "elevation",
+    "omega",
+    "gyro",
+    "tacho",
+    "drehzahl",
+    "rpm",
+    "winkelgeschwindigkeit",
+    "wheel",
+    "rad_",
+    "rotor",
+    "torque",
+    "tau",
+    "moment",
+    "drehmoment",
+}
+_LINEAR = {
+    "x",
+    "y",
+    "z",
+    "weg",
+    "hub",
+    "lage",
+    "cart",
+    "wagen",
+    "trolley",
+    "katze",
+    "slide",
+    "schlitten",
+    "carriage",
+    "displacement",
+    "height",
+    "hoehe",
+    "distance",
+    "dist",
+    "abstand",
+    "auslenkung",
+    "deflection",
+    "laser",
+    "ball",
+    "kugel",
+    "piston",
+    "kolben",
+    "stroke",
+    "linear",
+    "force",
+    "kraft",
+}
 _SYMBOL = re.compile(
     r"(?P<before>d{0,2})(?P<symbol>theta|phi|psi|alpha|beta|gamma|th|q|x|y|z|s|pos|angle|ang)"
     r"(?P<behind>ddot|dot|pp|p|dd|d|punkt)?"
 )
-_CONTACT = {
+_CONTAINERS = {
     "states",
     "state",
     "joint",
@@ -305,38 +302,11 @@ def read_name(name: str) -> NameReading:
     words = _split_words(plain)
     if not in_brackets:
         words, unit, unit_quantity = _take_ending(words)
-    quantities: dict[Quantity, float] = {}
-    word: dict[Quantity, str] = {}
-
-    def add(quantity: Quantity, weight: float, because: str) -> None:
-        if weight > quantities.get(quantity, 0.0):
-            quantities[quantity], word[quantity] = weight, because
-
-    for text in words:
-        for quantity, texts in _WITHIN.items():
-            if text in texts:
-                add(quantity, 3.0, text)
-        for quantity, texts in _PERHAPS.items():
-            if text in texts:
-                add(quantity, 1.0, text)
-        symbol = _SYMBOL.fullmatch(text)
-        if symbol and (symbol["before"] or symbol["behind"]):
-            order = len(symbol["before"]) or {"ddot": 2, "pp": 2, "dd": 2}.get(symbol["behind"], 1)
-            surely = bool(symbol["before"]) or (symbol["behind"] or "") in ("dot", "ddot", "punkt")
-            add("velocity" if order == 1 else "acceleration", 3.5 if surely else 1.5, text)
-    if "velocity" in quantities and quantities.get("position", 0) == 3.0:
-        # `theta_dot`, `angle rate`: the position is that of which it is the rate
-        quantities["velocity"] += 0.5 if quantities["velocity"] >= 3 else 0.0
-    if {"d", "dt"} <= {*words} or (words[:1] == ["d"] and "position" in quantities):
-        add("velocity", 3.5, "d/dt")
-    pair = list(zip(words, words[1:], strict=False))
-    if ("dot", "dot") in pair or ("d", "dot") in pair:
-        add("acceleration", 4.0, "dot dot")
-    if "error" in quantities and quantities["error"] >= 3:
-        quantities["error"] += 5.0  # `position error [mm]` is an error
+    quantities, word = _read_quantities(words)
     if unit_quantity is not None:
         surely = in_brackets or unit_quantity in _SURE_UNITS
-        add(unit_quantity, 6.0 if surely else 5.0, f"[{unit}]")
+        quantities[unit_quantity] = max(quantities.get(unit_quantity, 0.0), 6.0 if surely else 5.0)
+        word[unit_quantity] = f"[{unit}]"
     qualifier = next((mark for mark in _MARKS if _MARKS[mark] & {*words}), None)
     if qualifier == "measured" and not _MARKS["measured"] - {"m", "sensor"} & {*words}:
         qualifier = None if words[-1:] != ["m"] or len(words) < 2 else qualifier
@@ -347,6 +317,41 @@ def read_name(name: str) -> NameReading:
 
 
 _SURE_UNITS = ("velocity", "acceleration")
+
+
+def _read_quantities(
+    words: Sequence[str],
+) -> tuple[dict[Quantity, float], dict[Quantity, str]]:
+    """The weight of each quantity that words speak for, and the word that does so."""
+    quantities: dict[Quantity, float] = {}
+    word: dict[Quantity, str] = {}
+
+    def add(quantity: Quantity, weight: float, because: str) -> None:
+        if weight > quantities.get(quantity, 0.0):
+            quantities[quantity], word[quantity] = weight, because
+
+    for text in words:
+        for table, weight in ((_WITHIN, 3.0), (_PERHAPS, 1.0)):
+            for quantity, texts in table.items():
+                if text in texts:
+                    add(quantity, weight, text)
+        symbol = _SYMBOL.fullmatch(text)
+        if symbol and (symbol["before"] or symbol["behind"]):
+            order = len(symbol["before"]) or _ORDERS.get(symbol["behind"], 1)
+            surely = symbol["before"] or symbol["behind"] in ("dot", "ddot", "punkt")
+            add("velocity" if order == 1 else "acceleration", 3.5 if surely else 1.5, text)
+    if quantities.get("velocity", 0.0) >= 3 and quantities.get("position") == 3.0:
+        quantities["velocity"] += 0.5  # `theta_dot`, `angle rate`: it is of that position
+    if {"d", "dt"} <= {*words} or (words[:1] == ["d"] and "position" in quantities):
+        add("velocity", 3.5, "d/dt")
+    if {("dot", "dot"), ("d", "dot")} & {*pairwise(words)}:
+        add("acceleration", 4.0, "dot dot")
+    if quantities.get("error", 0.0) >= 3:
+        quantities["error"] += 5.0  # `position error [mm]` is an error
+    return quantities, word
+
+
+_ORDERS = {"ddot": 2, "pp": 2, "dd": 2}  # of derivatives, by endings of symbols
 
 
 def _kind(words: Sequence[str], unit: str) -> Kind | None:
@@ -367,7 +372,7 @@ def _kind(words: Sequence[str], unit: str) -> Kind | None:
 def _object(words: Sequence[str]) -> frozenset[str]:
     """The words that say of what a column is the quantity: `theta` of `theta_dot_ref`."""
     symbols = [m["symbol"] if (m := _SYMBOL.fullmatch(w)) else w for w in words]
-    return frozenset(w for w in symbols if w not in _PURE and w not in _CONTACT and w != "d")
+    return frozenset(w for w in symbols if w not in _PURE and w not in _CONTAINERS and w != "d")
 
 
 def _look_up(text: str) -> tuple[str, Quantity | None] | None:
@@ -399,7 +404,7 @@ def unit_quantity(text: str) -> tuple[str, Quantity | None] | None:
 
 
 def _take_unit(name: str) -> tuple[str, str, Quantity | None, bool]:
-    """A name without the unit that stands apart in it, the unit, its quantity, whether there is one."""
+    """A name without a unit that stands apart, the unit, its quantity, whether there is one."""
     for match in _BRACKETS.finditer(name):
         unit = _look_up(match[1])
         if unit is not None and match[1].strip() and not match[1].strip().isdigit():

@@ -110,7 +110,7 @@ def examine(pieces: Sequence[Values]) -> Numbers:
 
 
 def _find_turn(steps: Values, levels: Values) -> float | None:
-    """The length of a turn, where a column jumps by nearly its whole range and else moves little."""
+    """The length of a turn, where a column jumps by nearly its range and else moves little."""
     extent = float(levels[-1] - levels[0])
     jumps = np.abs(steps) > extent / 2
     if not jumps.any() or jumps.mean() > _OFTEN or len(levels) < _FEWEST:

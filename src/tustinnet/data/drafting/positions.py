@@ -322,9 +322,7 @@ def _is_measured(position: str, velocity: str, findings: Findings) -> tuple[bool
     return False, "taken for computed from the positions; measured = true if by a sensor of its own"
 
 
-def describe_speed(
-    column: str, name: str, findings: Findings, choice: Choice
-) -> CoordinateChoice:
+def describe_speed(column: str, name: str, findings: Findings, choice: Choice) -> CoordinateChoice:
     """A speed as a coordinate of its own, where no position is measured."""
     reading, numbers = findings.readings[column], findings.numbers[column]
     unit, doubts = reading.unit, []
@@ -336,7 +334,9 @@ def describe_speed(
         doubts = [f"the unit: {unit} by its range {range_text(numbers)}"]
         options = ("rad/s", "rpm", "deg/s", "m/s", "mm/s", "V")
         choice.questions.append(
-            Question(key, f"unit of the speed '{column}' (range {range_text(numbers)})", unit, options)
+            Question(
+                key, f"unit of the speed '{column}' (range {range_text(numbers)})", unit, options
+            )
         )
     because = (
         *findings.verdicts[column].reasons,

@@ -108,6 +108,20 @@ def judge_columns(
             verdict.role, verdict.reasons, verdict.rival, verdict.score,
             slope_of if is_rate else None, leads if verdict.role == "set point" else None,
         )  # fmt: skip
+    _take_drivers_for_inputs(numbers, verdicts, samples, times)
+    for name in samples:
+        if (pair := _find_difference(name, readings[name], verdicts, samples)) is not None:
+            verdicts[name] = Verdict("error", (f"'{pair[0]}' minus '{pair[1]}'",))
+    return verdicts
+
+
+def _take_drivers_for_inputs(
+    numbers: Mapping[str, Numbers],
+    verdicts: dict[str, Verdict],
+    samples: Mapping[str, Sequence[Values]],
+    times: Sequence[Values],
+) -> None:
+    """Takes positions for inputs that explain the acceleration of another one as inputs do."""
     faint = [n for n, v in verdicts.items() if v.role == "position" and v.score < FAINT]
     for name in faint:
         driven = _find_driven(name, verdicts, samples, times)
@@ -126,10 +140,6 @@ def judge_columns(
                 verdicts[name] = Verdict("input", (f"{reason} '{driven[0]}'",), "position", 1.0)
     if not any(verdict.role == "input" for verdict in verdicts.values()):
         _take_continuous_columns_for_inputs(numbers, verdicts)
-    for name in samples:
-        if (pair := _find_difference(name, readings[name], verdicts, samples)) is not None:
-            verdicts[name] = Verdict("error", (f"'{pair[0]}' minus '{pair[1]}'",))
-    return verdicts
 
 
 def _take_continuous_columns_for_inputs(

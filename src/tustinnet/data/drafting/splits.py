@@ -3,6 +3,7 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import PurePosixPath
 
 import numpy as np
@@ -141,8 +142,6 @@ def _group(pieces: Sequence[Piece], inputs: Sequence[str]) -> list[DraftRecord]:
         # records without excitation are a kind of their own
         quiet = inputs and all(not np.ptp(piece.column(name)) for name in inputs)
         kinds[k] += " without input" if quiet else ""
-    if len({*kinds}) > max(1, len(pieces) // 2) and len({*kinds}) == len(pieces):
-        pass  # `choose_splits` treats a file of each kind
     sets: list[str] = []
     for piece in pieces:
         tokens = _tokens(PurePosixPath(piece.log.file).with_suffix("").as_posix())
@@ -231,16 +230,14 @@ def _cut_long(
         edges = [0, *cuts, len(piece.t)]
         if cuts:
             sentences.append(f"{piece.log.file}: cut in the middle of {len(cuts)} rests")
-            parts += [
-                piece.part(a, b, "it rests") for a, b in zip(edges[:-1], edges[1:], strict=True)
-            ]
+            parts += [piece.part(a, b, "it rests") for a, b in pairwise(edges)]
         else:
             parts.append(piece)
     if len(parts) == 1 and len(parts[0].t) >= _LONG // 4:
         (piece,) = parts
         n = len(piece.t)
         edges = [0, n // 4, n // 2, 3 * n // 4, n]
-        parts = [piece.part(a, b, "the end") for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        parts = [piece.part(a, b, "the end") for a, b in pairwise(edges)]
         sentences.append(f"{piece.log.file}: one record without rests, cut into four parts")
     return parts, sentences
 
