@@ -522,8 +522,8 @@ def labview(folder: Path) -> Truth:
 
 LABORATORIES: tuple[Callable[[Path], Truth], ...] = (
     without_header, arduino, plc, ros, matlab, matlab_cells, wrapped_counter, german_disc,
-    cart_pole, gantry, propeller, servo_axis, capital_names, three_joints, free_double_pendulum, tachometer,
-    episodes, long_with_rests, elastic_drive, labview,
+    cart_pole, gantry, propeller, servo_axis, capital_names, three_joints, free_double_pendulum,
+    tachometer, episodes, long_with_rests, elastic_drive, labview,
 )  # fmt: skip
 
 

@@ -59,7 +59,10 @@ def fit(
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Fit a model: try several recipes and keep the best, or fit one."""
+    """Fit a model: try several recipes and keep the best, or fit one.
+
+    For a folder without a data card, one is drafted into --out, as by `tustinnet init --yes`.
+    """
     from tustinnet.cli.request import FitOptions, load_records_to_fit, require_cores
 
     require_cores(cluster, device)

@@ -12,10 +12,10 @@ _COLOURS = {
     "time": COLOURS[4], "coordinate": MEASURED, "velocity": COLOURS[2], "input": INPUT,
     "set point": COLOURS[1],
 }  # fmt: skip
-_UNUSED = "#b0b0b0"
+_UNUSED = "#8f8f8f"
 _MOST = 30  # columns that are drawn, those of the card first
 _COLUMNS = 2
-_WIDTH = 74  # characters of a line of a title
+_WIDTH = 92  # characters of a line of a title
 _LINES = 3  # of a title
 
 
@@ -30,7 +30,8 @@ def draft_figure(draft: Draft) -> Figure:
         panels = figure.subplots(rows, _COLUMNS, squeeze=False, sharex=True)
         for axes, column in zip(panels.ravel(), drawn, strict=False):
             values = piece.column(column.name)
-            colour = _COLOURS.get(column.use or column.role, _UNUSED)
+            is_shown = column.use or column.role == "set point"
+            colour = _COLOURS[column.use or column.role] if is_shown else _UNUSED
             style = "steps-post" if column.use == "input" and column.numbers.levels else "default"
             finite = np.where(np.isfinite(values), values, np.nan)
             plot_line(axes, piece.t, finite, color=colour, linewidth=0.9, drawstyle=style)
@@ -39,8 +40,9 @@ def draft_figure(draft: Draft) -> Figure:
             axes.ticklabel_format(useOffset=False)
         for axes in panels.ravel()[len(drawn) :]:
             axes.set_axis_off()
-        for axes in panels[-1]:
+        for axes in panels.ravel()[:len(drawn)][-_COLUMNS:]:
             axes.set_xlabel("time [s]")
+            axes.tick_params(labelbottom=True)
         place = piece.log.file + ("" if piece.log.cell is None else f"[{piece.log.cell}]")
         rows_text = "" if piece.whole else f", rows {piece.rows[0]} to {piece.rows[1]}"
         more = len(draft.columns) - len(drawn)
@@ -51,7 +53,7 @@ def draft_figure(draft: Draft) -> Figure:
 
 def _title(column: DraftColumn) -> str:
     """Name, use, unit and reasons of a column on a few lines."""
-    use = column.use or f"not used ({column.role})"
     unit = f" [{column.unit}]" if column.unit else ""
-    lines = textwrap.wrap(f"{column.name}: {use}{unit}; {column.because}", _WIDTH)
+    text = f"{column.name}: {column.use or 'not used'}{unit}; {column.because}"
+    lines = textwrap.wrap(text, _WIDTH)
     return "\n".join(lines[:_LINES]) + (" ..." if len(lines) > _LINES else "")

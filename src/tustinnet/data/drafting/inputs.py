@@ -49,7 +49,9 @@ def choose_inputs(findings: Findings, choice: Choice) -> list[str]:
             what = findings.verdicts[name].because
             choice.unused[name] = f"perhaps an input ({what}), beside columns that say so"
         else:
-            first = next(n for n in kept if ranked[n] == best)
+            causes = [n for n in kept if ranked[n] == best]
+            alike = (n for n in causes if findings.readings[n].object == reading.object)
+            first = next(alike, causes[0])
             is_later = rank > best
             choice.unused[name] = (
                 f"an effect of '{first}', which moves first" if is_later

@@ -212,7 +212,7 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
         return Clock(None, others=others)
     # the first of equal ones
     best = max(candidates, key=lambda candidate: round(candidate[0], 3))[1]
-    others |= {name: f"a clock as '{best}'" for _, name in candidates if name != best}
+    others |= {name: "rises as a clock does" for _, name in candidates if name != best}
     unit, because, sure = _time_unit(best, readings[best], [log.values[best] for log in logs])
     reason = "by its name" if readings[best].quantities.get("time") else "it rises regularly"
     intervals = _intervals([log.values[best] for log in logs])

@@ -112,8 +112,8 @@ _STRONG: dict[Quantity, str] = {
     "error": "error err fehler regelabweichung schleppfehler deviation regelfehler",
     "flag": "status flag flags enable enabled ena mode modus fault alarm valid limit endschalter "
     "freigabe button taster bit done ready trigger trig estop switch homed zustand armed",
-    "other": "temp temperature temperatur battery bat batterie vbus vbat ubat vcc vdd cpu noise fric "
-    "friction reibung humidity rssi checksum crc supply versorgung latency",
+    "other": "temp temperature temperatur bat batterie vbus vbat ubat vcc vdd cpu noise "
+    "battery fric friction reibung humidity rssi checksum crc supply versorgung latency",
 }
 _WEAK: dict[Quantity, str] = {
     "time": "t sec secs ts date datetime datum uhrzeit clk",
