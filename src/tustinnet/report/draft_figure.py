@@ -40,7 +40,7 @@ def draft_figure(draft: Draft) -> Figure:
             axes.ticklabel_format(useOffset=False)
         for axes in panels.ravel()[len(drawn) :]:
             axes.set_axis_off()
-        for axes in panels.ravel()[:len(drawn)][-_COLUMNS:]:
+        for axes in panels.ravel()[: len(drawn)][-_COLUMNS:]:
             axes.set_xlabel("time [s]")
             axes.tick_params(labelbottom=True)
         place = piece.log.file + ("" if piece.log.cell is None else f"[{piece.log.cell}]")

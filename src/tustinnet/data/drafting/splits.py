@@ -99,7 +99,7 @@ def choose_splits(
         return Splits(tuple(replace(r, split=None) for r in records), tuple(sentences))
     kinds = [kind for kind in sets if kind]
     if len(kinds) > 1:
-        sentences.append(f"kinds of records: {', '.join(kinds)}; each in every split if it can")
+        sentences.append(f"kinds of records: {', '.join(kinds)}; each is divided among the splits")
     if any(len(rs) > 1 for units in sets.values() for rs in units.values()):
         sentences.append("repetitions of an experiment are in one split")
     return Splits(tuple(records), tuple(sentences))
