@@ -128,10 +128,10 @@ lose_counts(Path("LOGS/sweep2.csv"), 300, row=120)  # as if somebody touched the
 Image("LOGS/init.png")
 
 # %% [markdown]
-# The first table says what each column was taken for, and why. The figure shows the same. A wrong
+# The first lines say what each column was taken for, and why. The figure shows the same. A wrong
 # unit gives a wrong model without an error message, so read what was `assumed`: nothing in the files
 # says how many counts the encoder has in a turn, and 4096 was taken. Here that is right. The records
-# are of three kinds, and one of each kind is for validation. The other tables are explained
+# are of three kinds, and one of each kind is for validation. The tables are explained
 # [below](#look-before-you-fit).
 #
 # Two things only you know: the encoder shows 512 where the arm hangs down (`offset`), and the logger

@@ -28,7 +28,7 @@ def test_init_writes_a_card_a_figure_and_what_inspect_says(logs, capsys):
     code, out, err = tustinnet(capsys, "init", logs, "--yes")
     assert code == 0, err
     assert "counts in a turn of the encoder 'cnt', which starts again at 65536: 4096" in err
-    for text in ("taken for", "it wraps at 65536", "k_bar", "run5"):
+    for text in ("coordinate [counts]", "it wraps at 65536", "k_bar", "run5"):
         assert text in out
     assert (logs / "init.png").read_bytes().startswith(b"\x89PNG")
     data = tn.load(logs)

@@ -138,7 +138,8 @@ def _inspect_file(path: Path, *, json: bool) -> None:
     terminal.print_tables(Table(["column", "looks like", "range", "values", "why"], rows, title))
     for note in report.notes:
         typer.echo(f"note: {note}")
-    typer.echo(f"\n# draft of a card; save it as dataset.toml beside the file\n{report.draft}")
+    typer.echo("\n# draft of a card; save it as dataset.toml beside the file. For all logs of the "
+               f"folder: tustinnet init {path.parent}\n{report.draft}")  # fmt: skip
 
 
 def suspicions(reports: Iterable["ExperimentReport"]) -> list[str]:

@@ -38,7 +38,7 @@ def write_card(
         "assumed; check: how far apart are the samples?" if is_period_assumed else "median interval"
     )
     lines = [
-        "# drafted by `tustinnet init` from the files; check what is marked so",
+        "# drafted from the logs; what is marked `check` is assumed",
         "# every key: docs/reference/data.md",
         f"name = {quote(name)}",
         f"dt = {dt!r}  # s, {why}",

@@ -45,15 +45,17 @@ def choose_channels(findings: Findings) -> Choice:
     used = {*positions, *inputs, *matched.values()}
     for name, verdict in findings.verdicts.items():
         if name not in used and name not in choice.unused:
-            choice.unused[name] = _why_unused(name, verdict)
+            choice.unused[name] = _why_unused(verdict)
     return choice
 
 
-def _why_unused(name: str, verdict: Verdict) -> str:
-    article = "an" if verdict.role[0] in "aeio" else "a"
-    what = "constant" if verdict.role == "constant" else f"{article} {verdict.role}"
-    what = {"other": "no quantity of the motion", "flag": "a flag"}.get(verdict.role, what)
-    return what if verdict.role == "constant" else f"{what}: {verdict.because}"
+def _why_unused(verdict: Verdict) -> str:
+    """The reason why a column of a role is not used."""
+    if verdict.role == "constant":
+        return "constant"
+    article = "an" if verdict.role[0] in "aei" else "a"
+    what = "no quantity of the motion" if verdict.role == "other" else f"{article} {verdict.role}"
+    return f"{what}: {verdict.because}"
 
 
 def _clear_positions(findings: Findings, choice: Choice) -> list[str]:

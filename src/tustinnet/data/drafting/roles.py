@@ -91,7 +91,7 @@ def judge_columns(
     verdicts: dict[str, Verdict] = {}
     for name in samples:
         evidence = [*_name_evidence(readings[name]), *_number_evidence(numbers[name])]
-        verdicts[name] = _decide(numbers[name], readings[name], evidence)
+        verdicts[name] = _decide(numbers[name], evidence)
     for name in samples:
         if numbers[name].constant:
             continue
@@ -102,7 +102,7 @@ def judge_columns(
             evidence.append(_slope_evidence(name, slope_of, readings, verdicts, slopes))
         if leads is not None:
             evidence.append(_set_point_evidence(name, leads, readings))
-        verdict = _decide(numbers[name], readings[name], evidence)
+        verdict = _decide(numbers[name], evidence)
         is_rate = verdict.role in ("velocity", "acceleration")
         verdicts[name] = Verdict(
             verdict.role, verdict.reasons, verdict.rival, verdict.score,
@@ -134,10 +134,9 @@ def _take_drivers_for_inputs(
         if verdict.role == "position" and numbers[name].levels:
             driven = _find_driven(name, verdicts, samples, times, _DRIVEN)
             if driven is not None:
-                reason = (
-                    f"held levels, which explain {100 * driven[1]:.0f} % of the acceleration of"
-                )
-                verdicts[name] = Verdict("input", (f"{reason} '{driven[0]}'",), "position", 1.0)
+                share = f"{100 * driven[1]:.0f} %"
+                reason = f"held levels, which explain {share} of the acceleration of '{driven[0]}'"
+                verdicts[name] = Verdict("input", (reason,), "position", 1.0)
     if not any(verdict.role == "input" for verdict in verdicts.values()):
         _take_continuous_columns_for_inputs(numbers, verdicts)
 
@@ -154,7 +153,7 @@ def _take_continuous_columns_for_inputs(
                 verdicts[name] = Verdict("input", (reason,), "position", 1.0)
 
 
-def _decide(numbers: Numbers, reading: NameReading, evidence: Sequence[Evidence]) -> Verdict:
+def _decide(numbers: Numbers, evidence: Sequence[Evidence]) -> Verdict:
     """The role for which most speaks; lost samples are a remark."""
     lost = (f"{numbers.lost} not finite",) if numbers.lost else ()
     if numbers.constant:
