@@ -35,7 +35,7 @@ def write_card(
         is_period_assumed: whether nothing in the files says the period.
     """
     why = (
-        "assumed; check: how far apart are the samples?" if is_period_assumed else "median interval"
+        "assumed; check: how far apart are the samples?" if is_period_assumed else "mean interval"
     )
     lines = [
         "# drafted from the logs; what is marked `check` is assumed",

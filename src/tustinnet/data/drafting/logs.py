@@ -17,7 +17,6 @@ from tustinnet.errors import InputError
 
 _MOST_COLUMNS = 60  # that are examined
 _REGULAR = 0.5  # relative deviation of the intervals of a clock that has another name
-_COARSE = 0.05  # of the period; timestamps of a larger step make the median interval wrong
 _ROUND = 2e-4  # relative; a period this near to one of two digits is that
 _GAP = 10.0  # periods; a longer interval ends a record
 _SHORTEST = 20  # samples of a record
@@ -243,10 +242,7 @@ def _period(intervals: Values) -> tuple[float, float]:
     """The period of a clock, and the largest deviation from it, gaps aside."""
     median = float(np.median(intervals))
     near = intervals[intervals < 1.5 * median]
-    step = float(np.ptp(np.unique(np.round(near / median, 6))))
-    values = len(np.unique(np.round(near / median, 3)))
-    # timestamps of few whole steps: 3, 3, 4 ms are 3.33 ms
-    dt = float(near.mean()) if values <= 5 and step > _COARSE else median
+    dt = float(near.mean())  # of timestamps in whole ms, 3, 3 and 4 are 3.33
     kept = intervals[intervals <= _GAP * dt]
     dt = next((nice for nice in (float(f"{dt:.1g}"), float(f"{dt:.2g}"))
                if abs(dt / nice - 1) < _ROUND), float(f"{dt:.6g}"))  # fmt: skip
