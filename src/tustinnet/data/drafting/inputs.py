@@ -122,8 +122,8 @@ def describe_input(column: str, name: str, findings: Findings, choice: Choice) -
     if not unit and leads is not None:
         unit = findings.readings[leads].unit
     if not unit:
-        weak = [q for q in reading.quantities if q in _QUANTITY_UNITS]
-        unit = _QUANTITY_UNITS[weak[0]] if weak else "1"
+        units = (u for q, u in _QUANTITY_UNITS.items() if q in reading.quantities)
+        unit = next(units, "1")
         doubts.append(f"the unit: {unit} is assumed")
         choice.questions.append(
             Question(key, f"unit of the input '{column}' (range {range_text(numbers)})", unit)

@@ -17,7 +17,7 @@ from tustinnet.errors import InputError
 
 _MOST_COLUMNS = 60  # that are examined
 _REGULAR = 0.5  # relative deviation of the intervals of a clock that has another name
-_ROUND = 2e-4  # relative; a period this near to one of two digits is that
+_ROUND = 5e-4  # relative; a period this near to one of two digits is that
 _GAP = 10.0  # periods; a longer interval ends a record
 _SHORTEST = 20  # samples of a record
 _EPOCHS = (("s", 5e8, 5e9), ("ms", 5e11, 5e12), ("us", 5e14, 5e15), ("ns", 5e17, 5e18))

@@ -237,9 +237,9 @@ _CONTAINERS = {
     "log",
     "logs",
 }
-_WITHIN = {q: set(words.split()) for q, words in _STRONG.items()}
-_PERHAPS = {q: set(words.split()) for q, words in _WEAK.items()}
-_MARKS = {q: set(words.split()) for q, words in _QUALIFIERS.items()}
+_WITHIN: dict[Quantity, set[str]] = {q: set(words.split()) for q, words in _STRONG.items()}
+_PERHAPS: dict[Quantity, set[str]] = {q: set(words.split()) for q, words in _WEAK.items()}
+_MARKS: dict[Qualifier, set[str]] = {q: set(words.split()) for q, words in _QUALIFIERS.items()}
 _PURE = set().union(
     *(_WITHIN[q] for q in ("time", "velocity", "acceleration", *INPUTS, "error")),
     *_MARKS.values(),
@@ -307,7 +307,8 @@ def read_name(name: str) -> NameReading:
         surely = in_brackets or unit_quantity in _SURE_UNITS
         quantities[unit_quantity] = max(quantities.get(unit_quantity, 0.0), 6.0 if surely else 5.0)
         word[unit_quantity] = f"[{unit}]"
-    qualifier = next((mark for mark in _MARKS if _MARKS[mark] & {*words}), None)
+    qualifiers = (mark for mark, texts in _MARKS.items() if texts & {*words})
+    qualifier: Qualifier | None = next(qualifiers, None)
     if qualifier == "measured" and not _MARKS["measured"] - {"m", "sensor"} & {*words}:
         qualifier = None if words[-1:] != ["m"] or len(words) < 2 else qualifier
     return NameReading(

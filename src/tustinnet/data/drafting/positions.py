@@ -85,12 +85,10 @@ def _find_kind(
         return "angular"
     kind = reading.kind or (findings.readings[velocity].kind if velocity else None)
     if kind is None and input_kind is not None:
-        because.append(f"{input_kind}, by the {_DRIVERS[input_kind]} that drives it")
+        driver = "torque" if input_kind == "angular" else "force"
+        because.append(f"{input_kind}, by the {driver} that drives it")
         return input_kind
     return kind
-
-
-_DRIVERS: dict[Kind, str] = {"angular": "torque", "linear": "force"}
 
 
 def _find_unit(

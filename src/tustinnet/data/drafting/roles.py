@@ -162,7 +162,7 @@ def _decide(numbers: Numbers, evidence: Sequence[Evidence]) -> Verdict:
     for item in evidence:
         sums[item.role] = sums.get(item.role, 0.0) + item.weight
     role, *others = sorted(sums, key=lambda r: -sums[r])
-    rival = next((other for other in others if sums[role] - sums[other] < _CLEAR), None)
+    rival: Role | None = next((r for r in others if sums[role] - sums[r] < _CLEAR), None)
     items = sorted((e for e in evidence if e.role == role), key=lambda e: -e.weight)
     return Verdict(role, (*(item.sentence for item in items), *lost), rival, sums[role])
 
