@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 _NUMBER = re.compile(r"[-+]?((\d+\.?\d*|\.\d+)(e[-+]?\d+)?|nan|inf|infinity)", re.IGNORECASE)
 
+NO_HEADER = "no header: the first row is a sample"  # the note on such a file
+
 Lines = list[tuple[int, str]]  # rows of the file, counted from 1, and their text
 
 
@@ -58,7 +60,7 @@ def read_text(path: Path, header: bool | None, delimiter: str) -> Columns:
             for name in requested
         ]
 
-    notes = ("no header: the first row is a sample",) if header is None and is_sample else ()
+    notes = (NO_HEADER,) if header is None and is_sample else ()
     return Columns(names, read, rows, notes)
 
 

@@ -18,7 +18,7 @@ def write_card(
     choice: Choice,
     splits: Splits | None,
     *,
-    headless: bool,
+    has_header: bool | None,
     texts: Mapping[str, str],
     is_period_assumed: bool,
 ) -> str:
@@ -30,7 +30,7 @@ def write_card(
         dt: sampling period [s].
         choice: coordinates, inputs and columns that are not used.
         splits: the records; None where all logs beside the card are records.
-        headless: whether the files have no names of columns.
+        has_header: whether files without names of columns have a header; None with names.
         texts: columns that hold no numbers, and what they hold.
         is_period_assumed: whether nothing in the files says the period.
     """
@@ -41,8 +41,8 @@ def write_card(
         f"name = {quote(name)}",
         f"dt = {dt!r}  # s, {why}",
     ]
-    if headless:
-        lines += ["", "[format]", "header = false"]
+    if has_header is not None:
+        lines += ["", "[format]", f"header = {str(has_header).lower()}"]
     if clock.column is not None:
         doubt = "" if clock.sure else "; check the unit"
         lines += [

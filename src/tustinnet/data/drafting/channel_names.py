@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from tustinnet.data.drafting.names import NameReading
+from tustinnet.errors import InputError, require_name
 
 _MOST_PARTS = 99  # of a column's name
 
@@ -21,9 +22,20 @@ def name_channels(
             named = {c: _part_of_name(c, length, readings[c], is_short) for c in remaining}
             counts = Counter(named.values())
             for column, name in named.items():
-                if name and counts[name] == 1 and name not in names.values():
+                if _is_name(name) and counts[name] == 1 and name not in names.values():
                     names[column] = name
+    for number, column in enumerate(columns, start=1):
+        names.setdefault(column, f"channel_{number}")
     return names
+
+
+def _is_name(text: str) -> bool:
+    """Whether a text can be a channel's name."""
+    try:
+        require_name(text, "")
+    except InputError:
+        return False
+    return True
 
 
 def _part_of_name(column: str, length: int, reading: NameReading, is_short: bool) -> str:

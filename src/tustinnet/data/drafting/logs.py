@@ -8,10 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
+from tustinnet.channels import LONGEST_DT, SHORTEST_DT
 from tustinnet.data.columns import NUMBERED, Columns
 from tustinnet.data.drafting.names import NameReading, read_name
 from tustinnet.data.drafting.numbers import Values
 from tustinnet.data.readers import read_columns
+from tustinnet.data.text_file import NO_HEADER
 from tustinnet.data.units import TIME
 from tustinnet.errors import InputError
 
@@ -35,7 +37,8 @@ class Log:
         values: columns of numbers, all of one length.
         texts: what the other columns are, by name.
         notes: remarks on how the file was read.
-        headless: whether the file has no names of columns.
+        has_header: whether the first row of a file whose columns have no names is a header; None
+            where they have names.
     """
 
     file: str
@@ -43,7 +46,7 @@ class Log:
     values: Mapping[str, Values]
     texts: Mapping[str, str]
     notes: tuple[str, ...]
-    headless: bool = False
+    has_header: bool | None = None
 
     def __len__(self) -> int:
         return len(next(iter(self.values.values())))
@@ -179,8 +182,9 @@ def _read_log(columns: Columns, file: str, cell: int | None) -> Log:
     usual = max(lengths, key=lambda length: (lengths[length], length))
     for name in [name for name, column in values.items() if len(column) != usual]:
         texts[name] = f"{len(values.pop(name))} values, where the others have {usual}"
-    headless = all(name.startswith(NUMBERED) for name in columns.names)
-    return Log(file, cell, values, texts, tuple(notes), headless)
+    is_nameless = all(name.startswith(NUMBERED) for name in columns.names)
+    has_header = NO_HEADER not in columns.notes if is_nameless else None
+    return Log(file, cell, values, texts, tuple(notes), has_header)
 
 
 # --- the clock ---
@@ -217,6 +221,8 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
     intervals = _intervals([log.values[best] for log in logs])
     assert intervals is not None
     dt, worst = _period(intervals * TIME[unit])
+    if not SHORTEST_DT <= dt <= LONGEST_DT:
+        return Clock(None, others={**others, best: f"rises, but {dt:.3g} s apart"})
     return Clock(best, unit, f"{reason}; {because}", dt, worst, sure, others)
 
 

@@ -307,8 +307,8 @@ def read_name(name: str) -> NameReading:
         surely = in_brackets or unit_quantity in _SURE_UNITS
         quantities[unit_quantity] = max(quantities.get(unit_quantity, 0.0), 6.0 if surely else 5.0)
         word[unit_quantity] = f"[{unit}]"
-    qualifiers = (mark for mark, texts in _MARKS.items() if texts & {*words})
-    qualifier: Qualifier | None = next(qualifiers, None)
+    qualifiers: list[Qualifier] = [mark for mark, texts in _MARKS.items() if texts & {*words}]
+    qualifier = qualifiers[0] if qualifiers else None
     if qualifier == "measured" and not _MARKS["measured"] - {"m", "sensor"} & {*words}:
         qualifier = None if words[-1:] != ["m"] or len(words) < 2 else qualifier
     return NameReading(

@@ -23,6 +23,7 @@ _MOST_METRES = 5.0  # a length without a unit that moves farther is in mm
 _OVERFLOWS = (2.0**16, 2.0**32)  # where counters start again, not encoders
 _COARSE = 1e-4  # of the range; a smaller decimal step is a file's rounding, no resolution
 _USUAL_COUNTS = 4096
+_LEAST_COUNT, _MOST_COUNT = 1e-12, 1e6  # rad or m, as cards have resolutions
 # SI units in units of speeds, of angles and of lengths
 _ANGULAR_SPEEDS = {**{f"{u}/s": f for u, f in ANGLE.items()}, "rpm": 2 * np.pi / 60}
 _LINEAR_SPEEDS = {**{f"{u}/s": f for u, f in LENGTH.items()}, "km/h": 1 / 3.6}
@@ -102,7 +103,8 @@ def _find_unit(
         because.append(f"in {answer} as you say")
         return answer
     # whole numbers are no radians: a word, as the German one for a wheel
-    if reading.unit and not (reading.unit == "rad" and numbers.whole and not reading.in_brackets):
+    is_word = reading.unit == "rad" and numbers.whole and not reading.in_brackets
+    if reading.unit and not is_word and _is_card_unit(reading.unit):
         return reading.unit
     if numbers.wrap is not None:
         return _unit_of_turn(numbers.wrap)
@@ -134,6 +136,17 @@ def _kind_of_unit(unit: str, kind: Kind | None) -> Kind:
         return "linear"
 
 
+def _is_card_unit(unit: str) -> bool:
+    """Whether cards know a unit."""
+    if unit in (*ANGLE, *LENGTH, "counts"):
+        return True
+    try:
+        convert_to_si(unit)
+    except ValueError:
+        return False
+    return True
+
+
 def _resolution(numbers: Numbers, unit: str, kind: Kind) -> tuple[int | None, float | None]:
     """Counts in a turn, or the step of a position [rad or m], where it moves in steps."""
     step = numbers.count
@@ -147,7 +160,8 @@ def _resolution(numbers: Numbers, unit: str, kind: Kind) -> tuple[int | None, fl
     is_coarse = step > _COARSE * (numbers.range[1] - numbers.range[0])
     if size is None or not (is_coarse or not is_decimal(step)):
         return None, None
-    return None, float(f"{step * size:.6g}")
+    resolution = float(f"{step * size:.6g}")
+    return None, resolution if _LEAST_COUNT < resolution < _MOST_COUNT else None
 
 
 def _unit_by_velocity(
