@@ -75,8 +75,8 @@ def test_the_draft_says_what_a_person_would_say(laboratory: Laboratory, tmp_path
 
 NAMES = [
     "t", "time", "a", "x", "q1", "dq1", "u", "I", "pos [mm]", "n_ist [1/min]", "soll", "Flag",
-    "index", "episode_index", "theta", "thetadot", "K [°C]", "1", "", "p/bar", "tau_cmd", '"q"', "ä",
-    "a.b.c", "[x]", "/", "_deg", "v_m",
+    "index", "episode_index", "theta", "thetadot", "K [°C]", "1", "", "p/bar", "tau_cmd", '"q"',
+    "ä", "a.b.c", "[x]", "/", "_deg", "v_m",
 ]  # fmt: skip
 
 
