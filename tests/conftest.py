@@ -83,7 +83,7 @@ def record(
         u,
         dt=DT,
         coordinates=[tn.Coordinate("angle", "angular", COUNT)],
-        inputs=[tn.Input("torque", "N m")],
+        inputs=[tn.Input("torque", "N m", "zero-order", is_delay_declared=True)],
         name=name,
         split=split,
     )
@@ -119,6 +119,8 @@ counts_per_revolution = 4096
 name = "torque"
 column = "torque"
 unit = "N m"
+hold = "zero-order"
+delay = 0.0
 [splits]
 train = ["fall1.csv", "fall2.csv", "noise1.csv"]
 validation = ["fall3.csv", "noise2.csv"]

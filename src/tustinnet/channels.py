@@ -1,7 +1,7 @@
 """Coordinates, inputs and sampling period as one object, and the layout of a state."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal, get_args
 
@@ -41,6 +41,9 @@ class Coordinate:
             raise InputError(
                 f"coordinate '{self.name}'", f"kind '{self.kind}'", "'angular' or 'linear'"
             )
+        if self.resolution is not None and not 0 < self.resolution < np.inf:
+            raise InputError(f"coordinate '{self.name}'", f"resolution {self.resolution}",
+                             "a positive number, or None")  # fmt: skip
         default = _default_unit(self.kind)
         require_text(self.unit, f"unit of coordinate '{self.name}'")
         if (self.unit or default) != default and "rad" in (self.unit, default):
@@ -65,6 +68,8 @@ class Input:
             default is `zero-order`.
         limits: smallest and largest value the actuator takes, if known.
         delay: time from a logged sample to its effect [s], None if unknown.
+        is_delay_declared: whether the data card declares it, so that a delay of 0 s is not searched
+            for.
     """
 
     name: str
@@ -72,6 +77,7 @@ class Input:
     hold: Hold | None = None
     limits: tuple[float, float] | None = None
     delay: float | None = 0.0
+    is_delay_declared: bool = field(default=False, compare=False)
 
     def __post_init__(self) -> None:
         require_name(self.name, "input")
@@ -80,6 +86,9 @@ class Input:
             raise InputError(
                 f"input '{self.name}'", f"hold '{self.hold}'", f"one of {', '.join(get_args(Hold))}"
             )
+        if self.limits is not None and not -np.inf < self.limits[0] < self.limits[1] < np.inf:
+            raise InputError(f"input '{self.name}'", f"limits {list(self.limits)}",
+                             "two numbers, the smaller one first")  # fmt: skip
         if self.delay is not None and not abs(self.delay) < np.inf:
             raise InputError(f"input '{self.name}'", f"delay {self.delay} s", "a number of seconds")
 
@@ -210,9 +219,12 @@ class Channels:
         for c in coordinates:
             if c["unit"] == _default_unit(c["kind"]):
                 del c["unit"]  # files of earlier versions have none
+        inputs = [asdict(i) for i in self.inputs]
+        for i in inputs:
+            del i["is_delay_declared"]  # of the records, not of a model
         return {
             "coordinates": coordinates,
-            "inputs": [asdict(i) for i in self.inputs],
+            "inputs": inputs,
             "dt": self.dt,
         }
 

@@ -1,8 +1,8 @@
-"""Registries of what has a name: families of models, scalings, systems, targets of exports.
+"""Registries of what has a name: families of models, scalings, systems, targets, readers of files.
 
 A new one is a line here. Other packages add theirs by entry points of the groups
-`tustinnet.families`, `tustinnet.shown`, `tustinnet.scalings`, `tustinnet.systems` and
-`tustinnet.targets`; a program adds one by `register`.
+`tustinnet.families`, `tustinnet.shown`, `tustinnet.scalings`, `tustinnet.systems`,
+`tustinnet.targets` and `tustinnet.readers`; a program adds one by `register`.
 """
 
 import sys
@@ -53,13 +53,16 @@ class Registry(Generic[Item]):
     def __contains__(self, name: object) -> bool:
         return name in self.names()
 
+    def place(self, name: str) -> str | Item | None:
+        """The place of an item as `module:attribute`, the item itself, or None without it."""
+        entries = _entry_points(self.group, tuple(sys.path))
+        values = (entry.value for entry in entries if entry.name == name)
+        return self.places[name] if name in self.places else next(values, None)
+
     def __getitem__(self, name: str) -> Item:
         if name in self.places:
             place = self.places[name]
-            if not isinstance(place, str):
-                return place
-            module, _, attribute = place.partition(":")
-            return cast(Item, getattr(import_module(module), attribute))
+            return cast(Item, load_place(place)) if isinstance(place, str) else place
         for entry in _entry_points(self.group, tuple(sys.path)):
             if entry.name != name:
                 continue
@@ -71,6 +74,12 @@ class Registry(Generic[Item]):
         raise InputError(
             f"{self.noun} '{name}'", f"no such {self.noun}", f"one of {', '.join(self.names())}"
         )
+
+
+def load_place(place: str) -> Any:
+    """The attribute of a module at `module:attribute`."""
+    module, _, attribute = place.partition(":")
+    return getattr(import_module(module), attribute)
 
 
 FAMILIES: Registry[Any] = Registry(
@@ -100,6 +109,20 @@ SUMMARIES: Registry[Any] = Registry(
         "committee": "tustinnet.families.summaries:committee",
     },
 )
+# what the headers of model files have to have; those of other kinds are checked by `Family.restore`
+DESCRIPTIONS: Registry[Any] = Registry(
+    "kind of model whose files are checked",
+    "tustinnet.descriptions",
+    {
+        "tustin-net": "tustinnet.families.descriptions:TustinNetDescription",
+        "euler-lagrange": "tustinnet.families.descriptions:EulerLagrangeDescription",
+        "hybrid": "tustinnet.families.descriptions:HybridDescription",
+        "gru": "tustinnet.families.descriptions:GRUDescription",
+        "neural-ode": "tustinnet.families.descriptions:NeuralODEDescription",
+        "linear": "tustinnet.families.descriptions:LinearDescription",
+        "committee": "tustinnet.families.descriptions:CommitteeDescription",
+    },
+)
 # kinds of model files that earlier versions wrote, and what to do instead
 REMOVED_KINDS = {
     "encoded": "retrain it with a start such as `model-20`: networks that estimate the initial "
@@ -111,6 +134,7 @@ SCALINGS: Registry[Any] = Registry(
     "tustinnet.scalings",
     {
         "records": "tustinnet.models.blocks:learn_scaling",
+        "standard": "tustinnet.models.blocks:learn_standard_scaling",
         "published": "tustinnet.reproduce.published:published_scaling",
     },
 )
@@ -139,4 +163,24 @@ TARGETS: Registry[Any] = Registry(
         "mat": "tustinnet.export.mat:TARGET",
     },
 )
-RECIPE_HOMES: list[str] = ["tustinnet.fitting", "tustinnet.reproduce"]  # packages with `recipes/`
+READERS: Registry[Any] = Registry(
+    "reader",
+    "tustinnet.readers",
+    {
+        ".parquet": "tustinnet.data.formats.parquet:READER",
+        ".mat": "tustinnet.data.formats.mat:READER",
+        ".npz": "tustinnet.data.formats.npz:READER",
+        ".bag": "tustinnet.data.formats.ros:READER",
+        ".db3": "tustinnet.data.formats.ros:READER",
+        ".mcap": "tustinnet.data.formats.mcap:READER",
+        ".ulg": "tustinnet.data.formats.ulog:READER",
+        ".mf4": "tustinnet.data.formats.mdf:READER",
+        ".mdf": "tustinnet.data.formats.mdf:READER",
+        ".tdms": "tustinnet.data.formats.tdms:READER",
+        ".xlsx": "tustinnet.data.formats.excel:READER",
+        ".h5": "tustinnet.data.formats.hdf5:READER",
+        ".hdf5": "tustinnet.data.formats.hdf5:READER",
+    },
+)  # by the ending of the files
+PUBLICATION = "tustinnet.reproduce"  # the package whose recipes are those of the publication
+RECIPE_HOMES: list[str] = ["tustinnet.fitting", PUBLICATION]  # packages with `recipes/`

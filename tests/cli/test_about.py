@@ -45,6 +45,15 @@ def test_verbose_alone_is_refused(capsys):
     assert "--version --verbose" in err
 
 
+def test_the_package_runs_as_the_command():
+    done = subprocess.run(
+        [sys.executable, "-m", "tustinnet", "fitt"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert "Usage: tustinnet [OPTIONS]" in done.stderr
+    assert "No such command 'fitt'" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("typed", "completed"),
     [

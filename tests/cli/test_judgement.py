@@ -33,7 +33,7 @@ def printed(capsys, *arguments: object) -> tuple[dict, str]:
 
 def test_a_fit_says_in_the_file_how_it_was_judged(model, capsys):
     header = read_header(model)
-    assert judgement_in_header(header, model) == Judgement(start="derived-6", split="validation")
+    assert judgement_in_header(header) == Judgement(start="derived-6", split="validation")
     other = judged(model, "other", horizon=1.0)
     for path, length in ((model, "whole records"), (other, "segments of 1 s")):
         _, out, _ = tustinnet(capsys, "show", path)
@@ -112,4 +112,4 @@ def test_a_damaged_judgement_is_one_line(model, folder, capsys):
         file = judged(model, "damaged", **changes)
         code, out, err = tustinnet(capsys, "evaluate", file, folder)
         assert (code, out, err.count("\n")) == (1, "", 1)
-        assert f"{file}, scores, {next(iter(changes))}: " in err
+        assert f"{file}, scores.{next(iter(changes))}: " in err

@@ -11,7 +11,7 @@ from test_verbs import tustinnet
 
 from tustinnet.data import catalog
 from tustinnet.evaluate import scores
-from tustinnet.selection import jobs
+from tustinnet.selection import final_models, jobs
 from tustinnet.store import model_file, run
 
 
@@ -107,6 +107,7 @@ def refused(place, capsys, monkeypatch, pendulum):
             patched.setattr(scores, "evaluate", computes)
             patched.setattr(run, "fit_in_folder", computes)
             patched.setattr(jobs, "fit_in_folder", computes)
+            patched.setattr(final_models, "fit_in_folder", computes)
             if arguments[0] == "reproduce":
                 _stand_in_for_the_measured_data(patched, place.logs, pendulum)
             code, out, err = tustinnet(capsys, *arguments)

@@ -1,6 +1,7 @@
 """Models put together by the command."""
 
 import json
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 
@@ -9,6 +10,8 @@ from conftest import SYSTEM
 from test_verbs import tustinnet
 
 import tustinnet as tn
+from tustinnet.models.integrate import Discretised
+from tustinnet.models.lagrangian import LagrangianModel
 
 
 @pytest.fixture
@@ -75,7 +78,16 @@ def test_members_of_a_users_system_share_its_file(
     capsys,
 ):
     grey, out = identified / "model.safetensors", tmp_path / "new" / "mixed.safetensors"
-    asked = ("committee", grey, models[0], grey, "--out", out)
+    model = tn.load_model(grey, system)
+    assert isinstance(model, Discretised)
+    equations = model.continuous
+    assert isinstance(equations, LagrangianModel)
+    values = {**equations.values, "damping": 1.01 * equations.values["damping"]}
+    other = replace(model, continuous=equations.system.model(values))
+    tn.save(
+        other, identified / "other.safetensors", system_copy=tn.read_header(grey)["system_copy"]
+    )
+    asked = ("committee", grey, models[0], identified / "other.safetensors", "--out", out)
     assert tustinnet(capsys, *asked)[0] == 0  # with the copy that was kept
     kept = tn.read_header(out)["system_copy"]
     assert kept == {"file": "system.py", "sha256": sha256(SYSTEM.encode()).hexdigest()}

@@ -10,6 +10,9 @@ from pathlib import Path
 import pytest
 
 from tustinnet.cli import terminal
+from tustinnet.cli.automatic_report import after_model
+from tustinnet.cli.main import run
+from tustinnet.data import catalog
 from tustinnet.store.sealed import read_sealed
 
 COMMAND = [sys.executable, "-c", "from tustinnet.cli.entry import run; run()"]
@@ -63,6 +66,35 @@ def test_a_signal_that_arrives_where_exceptions_are_dropped_is_not_lost(capsys):
         time.sleep(5)
     assert ended.value.code == 143
     assert capsys.readouterr().err == "interrupted\n"
+
+
+@pytest.mark.parametrize("ended_by", [1, 0])
+def test_a_library_that_turns_a_signal_into_an_error_does_not_change_the_exit_code(
+    ended_by, folder, tmp_path, monkeypatch
+):
+    def stopped(*_: object) -> None:
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(5)
+        except KeyboardInterrupt:
+            raise SystemExit(ended_by) from None
+
+    monkeypatch.setattr(catalog, "load", lambda *_, **__: stopped())
+    with pytest.raises(SystemExit) as ended, terminal.stoppable():
+        run(["inspect", str(folder)])
+    assert ended.value.code == (143 if ended_by else 0)
+    with pytest.raises(SystemExit) as ended:  # a later verb in this process is its own
+        run(["inspect", str(tmp_path / "none")])
+    assert ended.value.code == 1
+
+
+def test_after_the_model_is_written_an_interruption_says_that_it_is_there(capsys, tmp_path):
+    model = tmp_path / "model.safetensors"
+    with pytest.raises(SystemExit) as ended, terminal.stoppable(), after_model(model):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(5)
+    assert ended.value.code == 143
+    assert capsys.readouterr().err.startswith(f"interrupted; the model is complete: {model}")
 
 
 def test_a_signal_that_is_ignored_stays_ignored():

@@ -3,13 +3,17 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 import pytest
 
+import tustinnet as tn
+from tustinnet.cli.inspect import suspicions
 from tustinnet.cli.main import run
+from tustinnet.data.inspection import inspect_experiment
 
 
 def tustinnet(capsys: pytest.CaptureFixture, *arguments: object) -> tuple[int, str, str]:
@@ -279,8 +283,8 @@ def test_verbs_leave_out_what_a_fit_leaves_out(folder, model, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("hold", "advice"),
     [
-        (None, "no hold declared: `fit` without a recipe determines it"),
-        ("unknown", 'hold = "unknown": `fit` without a recipe determines it'),
+        (None, "no hold declared: `fit` and `cross-validate` determine it"),
+        ("unknown", 'hold = "unknown": `fit` and `cross-validate` determine it'),
         ("first-order", 'hold = "first-order" as declared; without this key `fit`'),
     ],
 )
@@ -298,6 +302,22 @@ def test_inspect_says_how_the_hold_of_an_input_is_found(folder, hold, advice, ca
     code, out, err = tustinnet(capsys, "inspect", folder)
     assert code == 0, err
     assert f"its course between samples decides the simulation ({advice}" in out
+
+
+def test_a_remark_names_all_records_of_a_few_and_the_first_ones_of_many(pendulum):
+    e = pendulum["fall1"]
+    channels = replace(e.channels, coordinates=(tn.Coordinate("angle", "angular", 0.002),))
+    spoilt = [replace(e, name=f"run{k}", channels=channels) for k in range(9)]
+    reports = [inspect_experiment(e) for e in spoilt]
+    sound = inspect_experiment(e)
+    for chosen, names in (
+        (reports[:6], "[run0, run1, run2, run3, run4, run5]"),
+        (reports, "[all 9 records]"),
+        ([*reports, sound], "[run0, run1, run2 and 6 others]"),
+    ):
+        (line,) = suspicions(chosen)
+        assert line.startswith("suspicious: angle: encoder count 0.001534 rad found, ")
+        assert line.endswith(f"declared  {names}")
 
 
 def test_fit_and_cross_validate_say_first_what_looks_wrong_and_what_never_moves(

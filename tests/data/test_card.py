@@ -100,7 +100,6 @@ def test_an_unknown_key_is_refused_with_the_nearest_known_one(
             "two channels are called 'angle'",
         ),
         ({"coordinates": []}, "coordinates: .*at least 1"),
-        ({"dt": None}, "neither `dt` nor a time column"),
         ({"dt": "fast"}, r"dt: .*\(got 'fast'\)"),
         ({"dt": 0}, "dt: .*greater than or equal"),
         ({"dt": 1e-320}, "dt: .*greater than or equal"),
@@ -113,6 +112,14 @@ def test_an_unknown_key_is_refused_with_the_nearest_known_one(
         ({"coordinates": [{**ANGLE, "offset": float("inf")}]}, r"0\.offset: "),
         ({"coordinates": [{**ANGLE, "counts_per_revolution": 1e300}]}, "counts_per_revolution: "),
         ({"inputs": [{"name": "u", "column": 1, "unit": "V", "scale": 1e200}]}, "scale: .*less"),
+        ({"inputs": [{"name": "u", "column": 1, "unit": "V", "scale": 1e-300}]}, "scale: a factor"),
+        ({"inputs": [{"name": "u", "column": 1, "unit": "V", "scale": 0}]}, "scale: a factor"),
+        (
+            {"inputs": [{"name": "u", "column": 1, "unit": "V", "limits": [2, -2]}]},
+            "limits: .*first",
+        ),
+        ({"dt": 0}, "dt: "),
+        ({"dt": -0.01}, "dt: "),
         (
             {"inputs": [{"name": "u", "column": 1, "unit": "V", "limits": [0, float("inf")]}]},
             r"limits\.1: ",

@@ -125,7 +125,7 @@ def test_a_reader_that_crashes_or_hangs_is_told(
     program = f"""
 import os, time
 import tustinnet.data.binary_files as files
-files._columns = lambda path: {does}
+files.list_columns = lambda *_: {does}
 files.serve()
 """
     program = reading_process._PROGRAM.split("from")[0] + program
@@ -175,7 +175,7 @@ def test_the_reader_ends_with_the_process_that_started_it(tmp_path: Path) -> Non
     program = f"""
 import os, pathlib
 from tustinnet.data import reading_process
-reading_process.column_names(pathlib.Path({str(path)!r}))
+reading_process.list_columns(pathlib.Path({str(path)!r}), 'tustinnet.data.formats.npz:READER')
 print(reading_process._process._child.pid, flush=True)
 os._exit(1)
 """

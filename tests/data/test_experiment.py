@@ -295,6 +295,21 @@ def test_a_period_has_a_slope_where_an_input_follows_a_straight_line() -> None:
     np.testing.assert_array_equal(pieces, [[[1, 1], [0, 2]], [[3, 3], [0, -3]]])
 
 
+def test_a_band_limited_input_is_interpolated_once_for_each_timing() -> None:
+    u = np.random.default_rng(0).normal(size=60)
+    inputs = [tn.Input("torque", "N m", "band-limited")]
+    e = tn.from_arrays(np.cumsum(u), u, dt=DT, inputs=inputs, coordinates={"angle": "angular"})
+    first = e.excitation()
+    assert e.excitation() is first
+    late = e.excitation([replace(inputs[0], delay=0.4 * DT)])
+    assert np.abs(late.samples - first.samples).max() > 0.1
+    again = e.excitation()
+    np.testing.assert_array_equal(again.pieces, first.pieces)
+    with pytest.raises(ValueError, match="read-only"):
+        again.samples[0] = 1.0
+    assert e[:30].excitation().samples.shape == (30, 1)
+
+
 def test_a_record_without_inputs_has_no_excitation() -> None:
     e = tn.from_arrays([1.0, 2, 3], dt=DT, coordinates={"angle": "angular"})
     assert e.excitation().pieces.shape == (2, 1, 0)

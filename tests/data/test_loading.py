@@ -47,6 +47,67 @@ def timed(**keys: Any) -> dict[str, Any]:
     return {"time": {"column": "time", **keys}}
 
 
+# --- sampling periods ---
+
+
+@pytest.mark.parametrize("irregular", ["keep", "resample"])
+def test_records_of_a_clock_with_much_jitter_have_one_period(tmp_path, irregular) -> None:
+    generator = np.random.default_rng(0)
+    for k in range(4):
+        write(tmp_path / f"log{k}.csv", time=DT * (np.arange(90) + generator.uniform(0, 0.3, 90)))
+    data = load_folder(tmp_path, card(dt=None, **timed(irregular=irregular)))
+    medians = [np.median(np.diff(e.t)) for e in data] if irregular == "keep" else [DT]
+    assert data.channels.dt == pytest.approx(np.median(medians), rel=0.02)
+    assert {e.dt for e in data} == {data.channels.dt}
+    if irregular == "resample":
+        assert all(np.allclose(np.diff(e.t), e.dt) for e in data)
+
+
+def test_records_of_two_periods_are_refused_with_what_to_write(tmp_path) -> None:
+    for k, factor in enumerate((1, 1, 2)):
+        write(tmp_path / f"log{k}.csv", time=factor * DT * np.arange(40))
+    with pytest.raises(tn.InputError, match=r"'log2': median interval 0\.02 s.*add `dt = 0\.01`"):
+        load_folder(tmp_path, card(dt=None, **timed()))
+
+
+@pytest.mark.parametrize(
+    ("clock", "scale", "remedy"),
+    [
+        ("time", 1, r"median interval of 0\.01 s: add `dt = 0\.01`, or \[time\] with "
+                    r'`column = "time"`$'),
+        ("t_ms", 1e3, r'`dt = 0\.01`, or \[time\] with `column = "t_ms"` and `unit = "ms"`$'),
+    ],
+)  # fmt: skip
+def test_a_card_without_a_period_is_refused_with_the_line_to_add(
+    tmp_path, clock, scale, remedy
+) -> None:
+    t = scale * DT * np.arange(40)
+    path = write(tmp_path / "log.csv")
+    pl.DataFrame({clock: t, "angle": np.sin(t / scale), "torque": np.cos(t / scale)}).write_csv(
+        path
+    )
+    with pytest.raises(tn.InputError, match=f"no sampling period in the card.*{remedy}"):
+        load_folder(tmp_path, card(dt=None))
+
+
+def test_a_card_without_a_period_of_files_without_times_says_what_is_missing(tmp_path) -> None:
+    q = np.random.default_rng(0).normal(size=40)
+    write(tmp_path / "log.csv")
+    pl.DataFrame({"angle": q, "torque": -q}).write_csv(tmp_path / "log.csv")
+    with pytest.raises(tn.InputError, match=r"add `dt = \.\.\.` \(in seconds\)"):
+        load_folder(tmp_path, card(dt=None))
+
+
+@pytest.mark.parametrize(
+    "name", ["README.txt", "readme_first.txt", "LICENSE.txt", "Notes.txt", "read.md"]
+)
+def test_texts_for_people_beside_a_card_are_no_logs(tmp_path, name) -> None:
+    write(tmp_path / "notes2.csv")
+    write(tmp_path / "log.csv")
+    (tmp_path / name).write_text("Measured on Monday.\n")
+    assert [e.name for e in load_folder(tmp_path, card())] == ["log", "notes2"]
+
+
 # --- folders ---
 
 
@@ -210,7 +271,9 @@ def test_links_in_a_circle_are_told(tmp_path: Path) -> None:
 def test_folders_that_a_pattern_finds_are_no_records(tmp_path: Path) -> None:
     (tmp_path / "run.old.csv").mkdir()
     write(tmp_path / "run1.csv")
-    assert [e.name for e in load_folder(tmp_path, card(splits={"train": ["run*"]}))] == ["run1"]
+    with pytest.warns(UserWarning, match=r"run\.old\.csv: a folder, no record; it is left out"):
+        records = load_folder(tmp_path, card(splits={"train": ["run*"]}))
+    assert [e.name for e in records] == ["run1"]
 
 
 def test_a_file_whose_name_is_no_records_name_is_told(tmp_path: Path) -> None:
@@ -432,7 +495,7 @@ def test_a_log_that_does_not_fit_the_card_is_refused(
         ),
         (
             {"a.csv": DT, "b.csv": 0.02}, {"splits": {"train": ["*.csv"]}, "dt": None, **timed()},
-            r"b: sampling period 0\.02 s; .* 0\.01 s as in a",
+            r"'b': median interval 0\.02 s; .* 0\.01 s as in other .*add `dt = 0\.01`",
         ),
     ],
 )  # fmt: skip

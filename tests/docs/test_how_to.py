@@ -1,7 +1,6 @@
 """What the how-to guides tell readers to type does what they say."""
 
 import json
-import os
 import re
 import runpy
 import shutil
@@ -17,13 +16,13 @@ import pytest
 from documented import DOCS, blocks, section
 
 import tustinnet as tn
+from tustinnet.data import reading_process
 from tustinnet.data.card import Card
 from tustinnet.data.declaration import declare
-from tustinnet.registry import FAMILIES
+from tustinnet.registry import FAMILIES, READERS
 
-SRC = DOCS.parent / "src"
 PAGES = sorted((DOCS / "how-to").glob("*.md"))
-MODULES = ("make_logs", "drag", "table")  # files of the pages that other files import
+MODULES = ("make_logs", "drag", "table", "json_lines")  # files of the pages that other files import
 
 
 def written(page: str, heading: str, language: str, number: int = 0) -> str:
@@ -135,26 +134,35 @@ def test_logs_of_another_format_are_read_by_a_program(place, capsys):
             assert record.split == expected[record.name].split
 
 
-@pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")
-def test_a_reader_is_added_to_the_package(place):
+def test_a_package_adds_a_reader(place, monkeypatch):
     as_json_lines(place / "LOGS")
     with pytest.raises(tn.InputError, match=r"ending '\.jsonl'"):
         tn.load("LOGS")
-    shutil.copytree(SRC, place / "src", ignore=shutil.ignore_patterns("__pycache__"))
-    module = written("add-a-reader", "In the package", "python")
-    (place / "src/tustinnet/data/json_lines.py").write_text(module)
-    (place / "reader.diff").write_text(written("add-a-reader", "In the package", "diff"))
-    # outside of a repository git takes the files as they are
-    env = os.environ | {"GIT_CEILING_DIRECTORIES": str(place.parent)}
-    subprocess.run(["git", "apply", "reader.diff"], cwd=place, env=env, check=True)
-    program = "import tustinnet as tn; print(tn.__file__, len(tn.load('LOGS')))"
-    told = subprocess.run(
-        [sys.executable, "-c", program],
-        env=os.environ | {"PYTHONPATH": str(place / "src")},
-        capture_output=True, text=True, check=True,
-    ).stdout.split()  # fmt: skip
-    assert Path(told[0]).is_relative_to(place)
-    assert told[1] == "5"
+    (place / "json_lines.py").write_text(written("add-a-reader", "In a package", "python"))
+    package = tomllib.loads(written("add-a-reader", "In a package", "toml"))
+    ((ending, at),) = package["project"]["entry-points"][READERS.group].items()
+    info = place / "installed/json_lines-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: json-lines\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(f"[{READERS.group}]\n{ending} = {at}\n")
+    monkeypatch.syspath_prepend(place / "installed")
+    if reading_process._process is not None:  # it imports what was installed when it began
+        reading_process._process.stop()
+    assert len(tn.load("LOGS")) == 5
+    file = place / "LOGS/run1.jsonl"
+    whole = file.read_text().splitlines()
+    for defect, message in (
+        (
+            '{"time": 0.04, "elbow_deg": "x", "volts": 1}',
+            "sample 4 (counted from 0), elbow_deg: 'x'",
+        ),
+        ('{"time": 0.04, "volts": 1}', "sample 4 (counted from 0), elbow_deg: nan (1 such)"),
+    ):
+        file.write_text("\n".join([*whole[:4], defect, *whole[5:]]))
+        with pytest.raises(tn.InputError, match=re.escape(message)):
+            tn.load("LOGS")
+    assert reading_process._process is not None
+    reading_process._process.stop()
 
 
 def test_a_wheel_is_identified_from_its_speed(tmp_path, monkeypatch, capsys):
@@ -206,7 +214,7 @@ def tables(page: Path) -> list[dict[str, object]]:
 def test_cards_are_valid(page):
     whole = tomllib.loads(written("index", "The logs in the examples", "toml"))
     for table in tables(page):
-        if table.keys() <= whole.keys():  # a part of a card is put into the whole one
+        if table.keys() <= {*whole, "format"}:  # a part of a card is put into the whole one
             declare(whole | table, Card, page.name)
         else:  # recipes and packages, which other tests use
             assert {"model", "project"} & table.keys(), page.name

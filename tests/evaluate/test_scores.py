@@ -115,7 +115,13 @@ def test_a_horizon_longer_than_every_record_is_refused(model, pendulum):
         tn.rmse_ahead(model, list(pendulum), 10_000)
 
 
-def test_scores_need_double_precision_and_say_how_to_switch_it_on():
+def test_scores_need_double_precision_and_say_how_to_switch_it_on(pendulum):
+    with (
+        jax.enable_x64(False),
+        pytest.warns(UserWarning, match="fit: JAX computes in single precision; scores"),
+        pytest.raises(tn.InputError),
+    ):
+        tn.fit(pendulum, "no recipe")
     with jax.enable_x64(False), pytest.raises(tn.InputError, match="jax_enable_x64"):
         require_float64("evaluate")
 

@@ -335,6 +335,27 @@ def test_without_a_compiler_it_has_sources_only(tmp_path, monkeypatch):
         assert validate_fmu(str(tmp_path / "out" / name)) == []
 
 
+@pytest.mark.parametrize("name", ["time", "der_time"])
+def test_no_two_variables_have_the_name_of_a_channel_that_is_called_time(name, monkeypatch):
+    monkeypatch.setattr(shutil, "which", lambda _: None)  # sources only
+    angle = replace(SWING.coordinates[0], name="time")
+    voltage = tn.Input(name, "V") if name != "time" else replace(SWING.inputs[0], name="u")
+    for system in (
+        replace(SWING, coordinates=(angle,), inputs=(voltage,)),
+        replace(SWING, inputs=(tn.Input("time", "V"),)),
+    ):
+        files = TARGET.files(make_source(tn.discretise(swing_model(system=system), DT)))
+        for content in files.values():
+            assert isinstance(content, bytes)
+            description = zipfile.ZipFile(io.BytesIO(content)).read("modelDescription.xml").decode()
+            variables = Xml.fromstring(description).find("ModelVariables")
+            assert variables is not None
+            names = [v.get("name") for v in variables]
+            assert len(set(names)) == len(names)
+            assert "time_2" in names
+            assert "'time' is called 'time_2' here." in description
+
+
 def test_elsewhere_it_has_sources_only(tmp_path, monkeypatch):
     monkeypatch.setattr("platform.machine", lambda: "riscv64")
     for name, content in TARGET.files(source("free")).items():

@@ -18,6 +18,8 @@ def test_the_packaged_recipes_are_there_and_valid():
         "paper-code-standard",
         "paper-code-transfer",
         "standard",
+        "network",
+        "network-hybrid",
         "transfer",
         "best-tustin",
         "tustin-memory",

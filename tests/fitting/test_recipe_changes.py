@@ -85,7 +85,7 @@ def test_values_are_read_as_toml_has_them():
         ("stages.0.epoch=3", "did you mean 'epochs'"),
         ("stages.*.epochs=0", r"stages\.0\.epochs: .*greater than 0"),
         ("model.kind=tustin", "no kind of model 'tustin'; expected one of tustin-net"),
-        ("model.scaling=metres", "no scaling 'metres'; known: records, published"),
+        ("model.scaling=metres", "no scaling 'metres'; known: records, standard, published"),
         ("model=tustin-net", "expected a table with `kind"),
         ("start=somewhere", ", start: unknown start 'somewhere'"),
         ("stages.0.rate=inf", r"stages\.0\.rate: .*finite"),

@@ -88,3 +88,13 @@ def test_a_training_counts_lengths_in_their_spread_an_identification_in_metres()
     unit = make_residual(StageRecipe.model_validate(stage), records).unit
     assert unit[0] == unit[1] == 2.0 ** round(np.log2(spread))
     assert make_residual(SearchRecipe(), records).unit == (1.0,)
+
+
+def test_a_scaled_training_has_units_that_are_powers_of_two():
+    stage = {
+        "name": "one", "windows": {"draw": "strided", "length": 20, "step": 5}, "rate": 1e-2,
+        "epochs": 5, "batch": 16, "scaled": True,
+    }  # fmt: skip
+    units = make_residual(StageRecipe.model_validate(stage), list(stretched(1.0))[:2]).unit
+    assert all(np.log2(units) == np.round(np.log2(units)))
+    assert units[0] != units[1]

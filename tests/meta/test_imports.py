@@ -57,6 +57,19 @@ def test_help_loads_nothing_heavy(verb):
     assert not heavy_after(command(verb, "--help"))
 
 
+@pytest.mark.parametrize(("set_by_the_user", "threads"), [(None, "1"), ("4", "4")])
+def test_linear_algebra_has_one_thread_unless_the_user_says_otherwise(
+    set_by_the_user, threads, monkeypatch
+):
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    if set_by_the_user:
+        monkeypatch.setenv("OPENBLAS_NUM_THREADS", set_by_the_user)
+    telling = (
+        "\nimport os\nprint('threads', os.environ['OPENBLAS_NUM_THREADS'], 'numpy' in sys.modules)"
+    )
+    assert f"threads {threads} False" in python(command("--version") + telling)
+
+
 def test_records_are_inspected_without_jax_and_scipy(folder):
     assert heavy_after(command("inspect", folder)) <= READING
 

@@ -28,6 +28,7 @@ from tustinnet.models.kinematics import parent_indices
 from tustinnet.report.page import content, write
 from tustinnet.report.page.signals import bounded, pack, thin
 from tustinnet.simulate.range import Range, training_support
+from tustinnet.store.header import read_header
 
 HOSTILE = '"><img src=x onerror=alert(1)>'
 UNIT = "</script><script>alert(2)</script>"
@@ -370,6 +371,33 @@ def test_a_tree_of_links_is_placed_as_its_frames_say():
     for of, (begin, end) in zip(found, expected, strict=True):
         np.testing.assert_allclose(of["begin"], begin, atol=1e-12)
         np.testing.assert_allclose(of["end"], end, atol=1e-12)
+
+
+def test_split_start_and_horizon_are_by_default_those_of_the_command(
+    trained_once, pendulum, tmp_path, monkeypatch
+):
+    pages = []
+
+    def keep(models, records, path, options):
+        pages.append(([e.name for e in records], options.start, options.horizon))
+        return path
+
+    monkeypatch.setattr(write, "write_page", keep)
+    judged = read_header(trained_once / "model.safetensors")["scores"]
+    page = tmp_path / "report.html"
+    tn.write_report([trained_once], pendulum, page)
+    tn.write_report([trained_once], pendulum, page, split="all", start="derived-6", horizon=1.0)
+    tn.write_report([trained_once], list(pendulum)[:2], page, horizon=np.inf)
+    tn.write_report({"mine": tn.load_model(trained_once / "model.safetensors")}, pendulum[0], page)
+    validation = [e.name for e in pendulum.split("validation")]
+    assert pages == [
+        (validation, judged["start"], judged.get("horizon")),
+        ([e.name for e in pendulum], "derived-6", 1.0),
+        ([e.name for e in list(pendulum)[:2]], judged["start"], None),
+        ([pendulum[0].name], None, None),
+    ]
+    with pytest.raises(InputError, match="split: 'test' of records that are no data set"):
+        tn.write_report([trained_once], list(pendulum), page, split="test")
 
 
 def test_models_that_would_fill_the_page_stay_out_of_the_playground(

@@ -209,6 +209,15 @@ def test_quiet_progress_of_an_identification_says_nothing():
     assert out.getvalue() == ""
 
 
+def test_a_message_that_several_fits_have_is_printed_once():
+    out, task = io.StringIO(), make_task(data_set(records()), "grey", system=SWING)
+    with FitProgress(Console(file=out)) as progress:
+        for fold in range(3):
+            progress.follow(task, f"grey-box, fold {fold}").on_message("left out: short")
+        progress.follow(task).on_message("left out: another")
+    assert out.getvalue().splitlines() == ["left out: short", "left out: another"]
+
+
 def test_quiet_progress_tells_events_only(pendulum, small_recipe):
     out = io.StringIO()
     with FitProgress(Console(file=out), quiet=True) as progress:

@@ -2,28 +2,41 @@
 
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from swinging import DT, SWING, swing_model, voltage
+from swinging import DT, LAGGING, SWING, TRUTH, swing_model, voltage
 
 import tustinnet as tn
 from tustinnet.channels import Hold, Input
+from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.models.integrate import discretise
 from tustinnet.selection.deadline import Deadline
-from tustinnet.selection.timing import determine_timing
+from tustinnet.selection.timing import determine_recipe_timing, determine_timing
 from tustinnet.simulate.input_signal import input_signal
 
 
-def records(hold: Hold, delay: float, declared: Hold | None = None, known: float | None = 0.0):
+def records(
+    hold: Hold,
+    delay: float,
+    declared: Hold | None = None,
+    known: float | None = 0.0,
+    lag: float | None = None,
+):
     """Records of the pendulum whose input acts in one way and is declared in another."""
     acting = Input("voltage", "V", hold, delay=delay)
-    model = discretise(swing_model(), DT, 4, inputs=(acting,))
+    swing = swing_model()
+    if lag is not None:
+        values = {**TRUTH, "lag": lag, "share": 1.0}
+        swing = LAGGING.model({name: jnp.asarray(x) for name, x in values.items()})
+    model = discretise(swing, DT, 4, inputs=(acting,))
     made = []
     for seed in range(4):
         u = voltage(200, seed)
         blank = tn.from_arrays(np.zeros(len(u)), u, dt=DT, name=f"noise{seed}",
                                coordinates=SWING.coordinates, inputs=(acting,))  # fmt: skip
-        q = np.asarray(tn.rollout(model, np.zeros(2), input_signal(model, blank)))[:, :1]
+        x0 = np.zeros(3 if lag else 2)
+        q = np.asarray(tn.rollout(model, x0, input_signal(model, blank)))[:, :1]
         inputs = (Input("voltage", "V", declared, delay=known),)
         channels = replace(blank.channels, inputs=inputs)
         made.append(replace(blank, q=np.round(q / 1e-4) * 1e-4, channels=channels))
@@ -39,8 +52,47 @@ def test_a_delay_that_nobody_declared_is_found_with_its_error(system):
     assert (
         "hold of 'voltage': zero-order; simulation errors [rad]: zero-order" in timing.sentences[0]
     )
+    assert timing.lags == ()
     assert timing.sentences[1].startswith("delay of 'voltage': 0.0")
+    assert ", with a lag instead 0." in timing.sentences[1]
     assert "periods); the simulation error is 0." in timing.sentences[1]
+
+
+@pytest.mark.parametrize("system", [None, SWING])
+def test_an_actuator_that_lags_is_no_delay(system):
+    timing = determine_timing(records("zero-order", 0.0, "zero-order", lag=0.06), system)
+    assert timing.lags == ("voltage",)
+    (found,) = timing.data.channels.inputs
+    assert found.delay == 0.0
+    (sentence,) = timing.sentences
+    assert sentence.startswith("lag of 'voltage': first order with a time constant of 0.0")
+    assert "and no delay; the simulation error is 0." in sentence
+    assert "periods) instead 0." in sentence
+
+
+def test_a_delay_that_the_card_declares_is_not_searched_for_though_it_is_0():
+    data = records("zero-order", DT, "zero-order")
+    inputs = (replace(data.channels.inputs[0], is_delay_declared=True),)
+    channels = replace(data.channels, inputs=inputs)
+    data = tn.DataSet("late", tuple(replace(e, channels=channels) for e in data))
+    messages: list[str] = []
+    assert determine_timing(data, SWING, on_message=messages.append).data is data
+    assert messages == []
+
+
+@pytest.mark.parametrize(
+    ("recipe", "known", "is_repeated"),
+    [("paper-standard", 0.0, False), ("grey", None, False), ("grey", None, True)],
+)
+def test_only_recipes_that_search_themselves_or_are_published_have_no_search(
+    recipe, known, is_repeated
+):
+    data, messages = records("zero-order", DT, "zero-order", known), list[str]()
+    passed = determine_recipe_timing(
+        data, read_recipe(recipe), SWING, is_repeated=is_repeated, on_message=messages.append
+    )
+    assert bool(messages) == is_repeated
+    assert (passed.data is data) != is_repeated
 
 
 def test_a_hold_that_the_card_calls_unknown_is_found():

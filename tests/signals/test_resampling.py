@@ -179,6 +179,27 @@ def test_an_encoder_wraps_that_jumps_by_a_turn_within_a_turn(
     assert wraps_within_turn(np.array(angle)) is wraps
 
 
+@pytest.mark.parametrize("sample", [0, 30, 41, 42, 59])
+@pytest.mark.parametrize("reading", [57.0, -200.0])
+def test_a_single_reading_turns_away_from_the_others_is_no_wrap(sample: int, reading: float):
+    clean = np.mod(np.linspace(0, 9, 60), 2 * np.pi)  # wraps at 42
+    bad = clean.copy()
+    bad[sample] = reading
+    expected, _ = unwrap_angle(clean)
+    found, jumps = unwrap_angle(bad)
+    others = np.arange(60) != sample
+    np.testing.assert_array_equal(found[others], expected[others])
+    assert abs(found[sample] - reading) < 2 * np.pi + 1e-9
+    assert len(jumps) == 1
+
+
+def test_a_counter_of_several_turns_wraps_also_for_a_single_reading() -> None:
+    angle = np.array([24.7, 24.9, 25.0, 25.2, 25.1, 25.2, 25.0, 24.9])
+    found, jumps = unwrap_angle(np.mod(angle, 8 * np.pi))
+    np.testing.assert_allclose(np.diff(found), np.diff(angle))
+    assert len(jumps) == 4
+
+
 @given(angle=st.floats(-40, 40))
 def test_a_wrapped_record_begins_between_minus_135_and_225_degrees(angle: float) -> None:
     begins = angle + 2 * np.pi * turns_to_beginning(angle)

@@ -59,3 +59,14 @@ def test_a_coordinate_that_never_moves_has_none_and_few_samples_are_enough():
     found = differentiate(q, 0.1, "wiener")
     assert (found[:, 0] == 0).all()
     assert np.isfinite(found).all()
+
+
+def test_noise_that_nobody_declared_is_read_from_the_spectrum():
+    t = np.arange(1000) * 0.01
+    q, v = np.sin(3 * t) + 0.3 * np.sin(11 * t), 3 * np.cos(3 * t) + 3.3 * np.cos(11 * t)
+    noisy = (q + np.random.default_rng(0).normal(0, 5e-4, len(q)))[:, None]
+    found = {m: differentiate(noisy, 0.01, m) for m in ("stencil", "wiener", "trapezoidal")}
+    inside = slice(20, -20)
+    error = {m: np.std(x[inside, 0] - v[inside]) for m, x in found.items()}
+    assert error["wiener"] < error["stencil"] / 5
+    assert error["trapezoidal"] < error["stencil"] / 5

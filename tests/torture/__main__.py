@@ -6,10 +6,12 @@ import sys
 import time
 from pathlib import Path
 
-from . import faults, fuzz, kills, load, report
+from . import faults, fuzz, kills, load, report, verbs
 
-_SHARE = {"fuzz": 0.5, "kills": 0.35, "faults": 0.15}  # of the time
+# of the time
+_SHARE = {"fuzz": 0.25, "headers": 0.15, "verbs": 0.15, "kills": 0.3, "faults": 0.15}
 _WHOLE = 20.0  # minutes from which on the load is whole
+_VERBS = 8  # cases of files for each of a verb, which takes longer
 _PART = 20  # else it is this much smaller
 
 
@@ -18,10 +20,11 @@ def _arguments() -> argparse.Namespace:
     add = parser.add_argument
     add("--minutes", type=float, default=5.0)
     add("--seed", type=int, default=0, help="what is damaged and when is killed follows from it")
-    add("--parts", default="corpus,fuzz,kills,faults,load")
-    add("--cases", type=int, default=10**9, help="at most so many of fuzz and kills each")
+    add("--parts", default="corpus,fuzz,headers,verbs,kills,faults,load")
+    add("--cases", type=int, default=10**9, help="at most so many of a part; of verbs an eighth")
     add("--case", type=int, help="only this case of fuzz")
     add("--kill", type=int, help="only this case of kills")
+    add("--header", type=int, help="only this case of headers")
     add("--jobs", type=int, default=os.cpu_count() or 1, help="cases at once")
     add("--out", type=Path, default=Path("results"), help="folder of torture.json")
     return parser.parse_args()
@@ -34,6 +37,12 @@ def _parts(asked: argparse.Namespace, place: Path) -> list[report.Part]:
         "corpus": lambda: fuzz.replay(place),
         "fuzz": lambda: fuzz.Campaign(place, asked.seed, asked.jobs).run(
             seconds["fuzz"], asked.cases
+        ),
+        "headers": lambda: verbs.Headers(verbs.prepare(place, place / "verbs"), asked.seed).run(
+            seconds["headers"], asked.cases // _VERBS
+        ),
+        "verbs": lambda: verbs.Interface(verbs.prepare(place, place / "verbs"), asked.seed).run(
+            seconds["verbs"], asked.cases // _VERBS
         ),
         "kills": lambda: kills.Kills(place, asked.seed).run(
             seconds["kills"], asked.cases, asked.jobs
@@ -58,6 +67,10 @@ def main() -> int:
         again = kills.Kills(place, asked.seed)
         again.one(asked.kill)
         parts = [again.part]
+    elif asked.header is not None:
+        headers = verbs.Headers(verbs.prepare(place, place / "verbs"), asked.seed)
+        headers.one(asked.header)
+        parts = [headers.part]
     else:
         parts = _parts(asked, place)
     print(report.write(parts, asked.seed, time.monotonic() - begun, out))

@@ -212,6 +212,63 @@ def _sealed_again(data: bytes) -> bytes:
     return joined(*found)
 
 
+def change_header(data: bytes, random: Random) -> tuple[bytes, str]:
+    """A model file with one or two entries of its header changed and sealed again; their places.
+
+    Most changes keep the type of an entry, so that only its meaning is wrong.
+    """
+    found = parts(data)
+    assert found is not None
+    metadata = found[0]["__metadata__"]
+    header, told = json.loads(metadata[KEY]), []
+    for _ in range(random.choice((1, 1, 2))):
+        path = _random_path(header, random)
+        place = header
+        for key in path[:-1]:
+            place = place[key]
+        told.append(f"{'.'.join(map(str, path))}: {_change(place, path[-1], random)}")
+    metadata[KEY] = json.dumps(header)
+    return _sealed_again(joined(*found)), "; ".join(told)
+
+
+def _random_path(content: Any, random: Random) -> list[Any]:
+    """The keys to a random entry, each table as likely as another, however long its lists are."""
+    path: list[Any] = []
+    while isinstance(content, dict | list) and content and (not path or random.random() < 0.85):
+        path.append(random.choice(list(content) if isinstance(content, dict)
+                                  else range(len(content))))  # fmt: skip
+        content = content[path[-1]]
+    return path
+
+
+def _change(place: Any, key: Any, random: Random) -> str:
+    """Changes an entry; the new value in words."""
+    old = place[key]
+    if random.random() < 0.3:
+        new = random.choice((*_ODD_VALUES, "\ud800"))
+    elif isinstance(old, bool):
+        new = not old
+    elif isinstance(old, int | float):
+        new = random.choice(
+            (0, -old, old * 2, old / 2, 1e-300, 1e140, 1e308, -1.0, 1, 10**6, 1e300)
+        )
+    elif isinstance(old, str):
+        new = random.choice(
+            ("", f"{old}x", "file", "model-20", "model-99999999", "warm-up-3", "theta")
+        )
+    elif isinstance(old, list):
+        new = random.choice(([], old * 2, old[1:], old[::-1], [old], old[:1] * 3))
+    elif isinstance(old, dict):
+        new = random.choice(({}, {**old, "x": 1}, dict(list(old.items())[1:]), [old]))
+    else:
+        new = random.choice((0.5, "x", [], {}))
+    if isinstance(place, dict) and random.random() < 0.15:
+        del place[key]
+        return "removed"
+    place[key] = new
+    return repr(new)[:40]
+
+
 def _weights(data: bytes, random: Random) -> bytes:
     """Flips bits of the body alone."""
     found = parts(data)

@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,10 +15,10 @@ def report_command(
     models: Sequence[Path], data: str, out: Path, options: Mapping[str, object],
     systems: Sequence[str] = (),
 ) -> str:  # fmt: skip
-    """Command line of `tustinnet report`; options that are None are omitted."""
+    """Command line of `tustinnet report`; options that are None are omitted, True are flags."""
     words = ["tustinnet", "report", *map(str, models), data, "--out", str(out)]
     for name, value in options.items():
-        words += [] if value is None else [name, str(value)]
+        words += [] if value is None else [name] if value is True else [name, str(value)]
     for name in systems:
         words += ["--system", name]
     return shlex.join(words)
@@ -30,11 +31,13 @@ class AutomaticReport:
     Attributes:
         data: the argument DATA of the verb.
         card: its data card, if one was named.
+        follow_links: whether links that leave the folder of the data were read.
         is_enabled: whether to write a report.
     """
 
     data: str
     card: Path | None = None
+    follow_links: bool = False
     is_enabled: bool = True
 
     @property
@@ -63,7 +66,9 @@ class AutomaticReport:
 
         if not self.is_enabled:
             return ""
-        command = report_command(models, self.data, out, {**options, "--card": self.card})
+        command = report_command(models, self.data, out, {
+            **options, "--card": self.card, "--follow-links": self.follow_links or None,
+        })  # fmt: skip
         try:
             path = write_page(command)
         except Exception as error:
@@ -72,6 +77,13 @@ class AutomaticReport:
             )
             return None
         return f"   report: {path}"
+
+
+def after_model(model: Path) -> AbstractContextManager[None]:
+    """Context of what comes after a model is written: an interruption says that it is there."""
+    return terminal.interruptible(
+        f"the model is complete: {model}; figures or the report may be missing"
+    )
 
 
 def require_report(text: str | None) -> None:

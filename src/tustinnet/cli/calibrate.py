@@ -18,6 +18,7 @@ def calibrate(
     start: options.JudgedStart = None,
     horizon: options.JudgedHorizon = None,
     card: options.Card = None,
+    follow_links: options.FollowLinks = False,
     system: options.System = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
@@ -38,11 +39,17 @@ def calibrate(
 
     inputs = list_input_files(data, card, model, system)
     require_outputs([out], overwrite=overwrite, read=inputs, endings=ENDINGS)
+    system_copy = find_system_copy(model)
+    require_copy_fits(system_copy, out.parent, [out])
     simulator = load_model(model, system)
     header = read_header(model)
     others = find_alternatives(simulator, header, model)
     runs = choose_free_runs(
-        load_records(data, card), {model: simulator}, split or ALL, start, horizon
+        load_records(data, card, follow_links=follow_links),
+        {model: simulator},
+        split or ALL,
+        start,
+        horizon,
     )
     if runs.fitted:
         raise InputError(
@@ -52,9 +59,6 @@ def calibrate(
     records, start = runs.records, runs.start
     predictions = predict(simulator, others, records, start, horizon=runs.horizon)
     calibration = calibrate_bands(predictions, records, start, runs.horizon)
-    system_copy = find_system_copy(model)
-    if not overwrite:
-        require_copy_fits(system_copy, out.parent)
     copy_with_header(model, out, **{KEY: calibration.as_header()})
     if system_copy is not None:
         write_system_copy(system_copy, out.parent)

@@ -9,6 +9,9 @@ import typer
 from tustinnet.cli import options, terminal
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from tustinnet.models.contract import Model
     from tustinnet.systems.files import SystemFile
 
 
@@ -48,9 +51,9 @@ def committee(
     members = load_models(
         models, [] if shared_system is None else [shared_system], lambda path: None
     )
+    _require_different(models, members)
     system_file = shared_system if isinstance(shared_system, SystemFile) else None
-    if not overwrite:
-        require_copy_fits(system_file, out.parent)
+    require_copy_fits(system_file, out.parent, [out])
     headers = [read_header(path) for path in models]
     files: list[dict[str, Any]] = []
     for path, header in zip(models, headers, strict=True):
@@ -67,6 +70,21 @@ def committee(
         write_system_copy(system_file, out.parent)
         terminal.remember_trust(system_file)
     terminal.messages().print(f"{len(members)} models: {out}")
+
+
+def _require_different(paths: list[Path], models: "Sequence[Model]") -> None:
+    """Raises an error if two files have one model: it would only count twice."""
+    from tustinnet.errors import InputError
+    from tustinnet.store.checkpoint import model_digest
+
+    earlier: dict[str, Path] = {}
+    for path, model in zip(paths, models, strict=True):
+        other = earlier.setdefault(model_digest(model), path)
+        if other is not path:
+            raise InputError(
+                path, f"the same model as {other}", "different models",
+                "give it once; --weights says how much it counts",
+            )  # fmt: skip
 
 
 def _find_shared_system(models: list[Path]) -> "SystemFile | None":

@@ -29,6 +29,7 @@ def compare(
     start: options.JudgedStart = None,
     horizon: options.JudgedHorizon = None,
     card: options.Card = None,
+    follow_links: options.FollowLinks = False,
     system: _Systems = None,
     figures: Annotated[
         Path | None,
@@ -57,7 +58,12 @@ def compare(
     loaded_models = load_models(models, systems, request.kept_system)
     by_file = dict(zip(models, loaded_models, strict=True))
     runs = request.choose_free_runs(
-        request.load_records(data, card), by_file, split, start, horizon, has_bands=band is not None
+        request.load_records(data, card, follow_links=follow_links),
+        by_file,
+        split,
+        start,
+        horizon,
+        has_bands=band is not None,
     )
     records = runs.records
     paths = None if figures is None else [figures / f"{e.name}.png" for e in records]

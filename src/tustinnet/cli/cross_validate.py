@@ -46,6 +46,7 @@ def cross_validate(
     start: _Starts = None,
     cluster: Annotated[str | None, options.cluster("Fit each fold as a job of its own on")] = None,
     card: options.Card = None,
+    follow_links: options.FollowLinks = False,
     strict: options.Strict = False,
     device: options.Device = None,
     overwrite: options.Overwrite = False,
@@ -78,8 +79,11 @@ def cross_validate(
         starts=start or (),
     )  # fmt: skip
     console = terminal.messages()
-    require_outputs([out / _FILE, out / _TABLE], overwrite=overwrite)
-    records = request.load_records_to_fit(data, card, out, console, strict=strict)
+    inputs = request.list_input_files(data, card, system)
+    require_outputs([out / _FILE, out / _TABLE], overwrite=overwrite, read=inputs)
+    records = request.load_records_to_fit(
+        data, card, out, console, strict=strict, follow_links=follow_links
+    )
     request.print_still_coordinates(records_without_test(records), console)
     remedy = "the same command, without --overwrite, continues with the folds that are done"
     with (
@@ -92,7 +96,7 @@ def cross_validate(
             remove_results(out, (_FILE, _TABLE), jobs=overwrite)
         result = cross_validate(
             records, validation, progress.follow, folder=out, executor=executor,
-            system=system and find_system(system),
+            system=system and find_system(system), on_message=terminal.make_printer(quiet=quiet),
         )  # fmt: skip
         table = folds_table(result)
         write_into(out, _FILE, to_json(result.as_plain()))

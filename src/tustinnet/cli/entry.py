@@ -1,12 +1,26 @@
 """Entry point of the command; from the first moment on, signals end it with one line."""
 
+import gc
+import os
+
 from tustinnet.cli.terminal import shorten_warnings, stoppable
+
+# of libraries of linear algebra: threads take longer to wait for one another than small matrices
+# take, thirty times as long where other programs use the cores
+_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_COLLECTED = 20_000  # new objects; by default 700, and a tenth of the time goes into what stays
 
 
 def run() -> None:
     """Runs the command."""
     with stoppable():
         shorten_warnings()
+        for name in _THREADS:  # before NumPy is loaded
+            os.environ.setdefault(name, "1")
+        gc.set_threshold(_COLLECTED, *gc.get_threshold()[1:])
         from tustinnet.cli.main import run as command
 
-        command()
+        try:
+            command()
+        finally:
+            gc.freeze()  # the process ends: what it leaves need not be searched for garbage

@@ -37,6 +37,7 @@ def evaluate(
     start: options.JudgedStart = None,
     horizon: options.JudgedHorizon = None,
     card: options.Card = None,
+    follow_links: options.FollowLinks = False,
     system: options.System = None,
     ahead: _Ahead = None,
     figures: _Figures = None,
@@ -59,7 +60,7 @@ def evaluate(
     band_options = request.make_band_options(band, whole=whole_records)
     simulator = request.load_model(model, system)
     channels = simulator.channels
-    data_set = request.load_records(data, card)
+    data_set = request.load_records(data, card, follow_links=follow_links)
     runs = request.choose_free_runs(
         data_set, {model: simulator}, split, start, horizon, has_bands=band is not None
     )

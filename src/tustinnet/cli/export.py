@@ -50,6 +50,9 @@ def export(
     groups = dict(pair.split("=", 1) for pair in group or [] if "=" in pair)
     if len(groups) < len(group or []):
         raise InputError("--group", f"'{', '.join(group or [])}'", "NAME=VALUE, each name once")
+    if system is not None and out.resolve() in Path(system).resolve().parents:
+        raise InputError(out, f"the folder of {system}, which the command reads",
+                         "another folder")  # fmt: skip
     exports = export_model(
         load_model(model, system), find_targets(to, _parse_point(at)), out,
         file=model, groups=groups, overwrite=overwrite,

@@ -1,5 +1,6 @@
 """`tustinnet fit`: a model from a folder of logs."""
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -9,15 +10,17 @@ import typer
 from tustinnet.cli import completion, options, terminal
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from rich.console import Console
 
     from tustinnet.cli.request import FitOptions
     from tustinnet.data.dataset import DataSet
+    from tustinnet.fitting.fit import MakeListener
     from tustinnet.fitting.report import FitResult
     from tustinnet.fitting.task import Task
     from tustinnet.store.run import Earlier, Run
+    from tustinnet.systems.files import SystemFile
 
 
 _Plan = Annotated[
@@ -51,7 +54,9 @@ def fit(
     ] = None,
     cluster: Annotated[str | None, options.cluster("Without a recipe: use")] = None,
     card: options.Card = None,
+    follow_links: options.FollowLinks = False,
     strict: options.Strict = False,
+    leave_out_spoiled: options.LeaveOutSpoiled = False,
     device: options.Device = None,
     resume: options.Resume = False,
     overwrite: options.Overwrite = False,
@@ -88,19 +93,33 @@ def fit(
             if value is not None:
                 raise InputError(option, "not applicable to a single recipe", "no recipe, no model",
                                  "omit --recipe, --physics and --from to try several")  # fmt: skip
+        if resume and leave_out_spoiled:
+            raise InputError(
+                "--resume, --leave-out-spoiled", "both, with a single recipe", "one of them",
+                "fit anew (--overwrite), or put the lines for the card into it",
+            )  # fmt: skip
     if resume and overwrite:
         raise InputError("--resume, --overwrite", "both", "one of them")
     if card is None and lacks_card(data):
         card = draft_into_run(Path(data), out, keeps=resume, overwrite=overwrite)
     earlier: Earlier = "resume" if resume else "discard" if overwrite else "refuse"
     fit_options = FitOptions(
-        load=partial(load_records_to_fit, data, card, out, terminal.messages(), strict=strict),
+        load=partial(
+            load_records_to_fit,
+            data,
+            card,
+            out,
+            terminal.messages(),
+            strict=strict,
+            follow_links=follow_links,
+        ),
         out=out,
         system=None if system is None else find_system(system),
         earlier=earlier,
-        report=AutomaticReport(data, card, is_enabled=not no_report),
+        report=AutomaticReport(data, card, follow_links, is_enabled=not no_report),
         json=json,
         quiet=quiet,
+        leave_out_spoiled=leave_out_spoiled,
     )
     if selects:
         select(fit_options, plan=plan, budget=budget, cluster_address=cluster)
@@ -122,11 +141,11 @@ def _fit_recipe(
 ) -> None:
     """Fits one recipe, writes and prints the results."""
     from tustinnet.cli import request
-    from tustinnet.cli.automatic_report import require_report
+    from tustinnet.cli.automatic_report import after_model, require_report
     from tustinnet.fitting.task import make_task
     from tustinnet.report.progress import FitProgress
     from tustinnet.store.model_file import load_model, read_system_name
-    from tustinnet.store.run import MODEL, run_task
+    from tustinnet.store.run import MODEL
 
     system, console = fit_options.system, terminal.messages()
     stored_recipe = (
@@ -140,7 +159,7 @@ def _fit_recipe(
     if system is None and (file := physics or origin) is not None:
         system = request.kept_system(file)
     physics_model = None if physics is None else load_model(physics, system)
-    records = fit_options.load()
+    records, left_out = _load_records(fit_options)
     if "validation" not in records.splits:
         console.print("note: no validation split; the scores below are of the training records")
     task_system = system
@@ -149,9 +168,11 @@ def _fit_recipe(
     elif physics is not None or origin is not None:
         task_system = None  # it is that of the physics
     system_file = None if isinstance(system, str) else system
-    task = make_task(
-        records, recipe, members, physics=physics_model, system=task_system, origin=initial_model
-    )
+    make_task_of = partial(
+        make_task, recipe=recipe, members=members, physics=physics_model, system=task_system,
+        origin=initial_model,
+    )  # fmt: skip
+    task, records = _with_timing(make_task_of(records), records, quiet=fit_options.quiet)
     request.print_still_coordinates(task.folds[0].roles.train, console)
     if not fit_options.quiet:
         _print_windows(task, console)
@@ -164,17 +185,18 @@ def _fit_recipe(
         FitProgress(console, quiet=fit_options.quiet) as progress,
         terminal.interruptible(remedy),
     ):
-        run = run_task(
-            task, records.name, fit_options.out, fit_options.earlier, progress.follow, system_file
+        run, records = _run_members(
+            task, records, left_out, make_task_of, fit_options, progress.follow, system_file
         )
-    if system_file is not None:
-        terminal.remember_trust(system_file)
-    if fit_options.json:
-        terminal.print_json(run.summary())
-    else:
-        _print_run(run, fit_options.report.data_words)
-    _draw_run(run, records)
-    report = _write_report(run, fit_options)
+    with after_model(run.folder / MODEL):
+        if system_file is not None:
+            terminal.remember_trust(system_file)
+        if fit_options.json:
+            terminal.print_json(run.summary())
+        else:
+            _print_run(run, fit_options.report.data_words)
+        _draw_run(run, records)
+        report = _write_report(run, fit_options)
     if not fit_options.json:
         figures = run.folder / "figures"
         typer.echo(f"model: {run.folder / MODEL}   figures: {figures}{report or ''}")
@@ -186,6 +208,81 @@ def _fit_recipe(
     if not any(_is_usable(m.result) for m in run.members):
         raise typer.Exit(1)
     require_report(report)
+
+
+def _load_records(fit_options: "FitOptions") -> "tuple[DataSet, tuple[str, ...]]":
+    """Records of a fit, and sentences on the parts left out that spoil it without a doubt."""
+    from tustinnet.cli.request import leave_out_visible
+
+    records = fit_options.load()
+    if not fit_options.leave_out_spoiled:
+        return records, ()
+    return leave_out_visible(records, terminal.messages())
+
+
+def _run_members(
+    task: "Task",
+    records: "DataSet",
+    left_out: tuple[str, ...],
+    make_task_of: "Callable[[DataSet], Task]",
+    fit_options: "FitOptions",
+    make_listener: "MakeListener",
+    system_file: "SystemFile | None",
+) -> "tuple[Run, DataSet]":
+    """Runs a task, and where requested again without the parts of records that spoil it.
+
+    Args:
+        task: the task.
+        records: its records.
+        left_out: sentences on the parts that were left out before.
+        make_task_of: makes the task of fewer records.
+        fit_options: the options of the command.
+        make_listener: see `run_task`.
+        system_file: the file of the system.
+
+    Returns:
+        The run, and the records that it was fitted to.
+    """
+    from tustinnet.data.spoiled import leave_out
+    from tustinnet.store.run import run_task
+
+    judges, out = fit_options.leave_out_spoiled, fit_options.out
+    run = run_task(
+        task, records.name, out, fit_options.earlier, make_listener, system_file,
+        judges_records=judges, left_out=left_out,
+    )  # fmt: skip
+    if not judges:
+        return run, records
+    records, sentences = leave_out(records, run.spoiled)
+    nothing = () if left_out else ("spoiled records: none found, nothing was left out",)
+    for sentence in sentences or nothing:
+        terminal.messages().print(sentence, highlight=False, soft_wrap=True)
+    if not sentences:
+        return run, records
+    run = run_task(
+        make_task_of(records), records.name, out, "discard", make_listener, system_file,
+        judges_records=True, left_out=(*left_out, *sentences),
+    )  # fmt: skip
+    return run, records
+
+
+def _with_timing(task: "Task", records: "DataSet", *, quiet: bool) -> "tuple[Task, DataSet]":
+    """A task of one fold and its records with the holds and delays that no card declares.
+
+    Those of a fit that begins with a model, or corrects one, are the model's.
+    """
+    from tustinnet.fitting.roles import assign_roles
+    from tustinnet.selection.timing import determine_recipe_timing
+
+    (fold,) = task.folds
+    if fold.physics is not None or fold.origin is not None:
+        return task, records
+    on_message = terminal.make_printer(quiet=quiet)
+    timing = determine_recipe_timing(records, task.recipe, task.system, on_message=on_message)
+    for sentence in timing.sentences:
+        on_message(sentence)
+    timed_fold = replace(fold, roles=assign_roles(timing.data))
+    return replace(task, folds=(timed_fold,)), timing.data
 
 
 def _is_usable(result: "FitResult") -> bool:
@@ -253,6 +350,10 @@ def _print_run(run: "Run", data: str) -> None:
         is_warned = _is_usable(run.best.result) and not run.best.result.finished
         outcome = "" if is_warned else f"{identification.outcome}; "
         typer.echo(f"{outcome}{identification.seconds:.1f} s")
+    for part in run.spoiled:
+        typer.echo(f"* spoiled: {part.sentence}")
+    for sentence in run.left_out:
+        typer.echo(f"* {sentence}")
     for sentence in fit_summary(run, data):
         typer.echo(sentence)
 

@@ -9,10 +9,15 @@ import typer
 from tustinnet.cli import options, request, terminal
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from tustinnet.channels import Hold
     from tustinnet.data.dataset import DataSet
+    from tustinnet.data.experiment import Experiment
     from tustinnet.data.inspection import ExperimentReport
     from tustinnet.report.tables import Table
+
+_MOST_NAMED, _FIRST_NAMED = 6, 3  # records that a line names: all of so many, or the first ones
 
 _Figure = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Draw the records (.png, .svg, .pdf).")
@@ -30,6 +35,7 @@ def inspect(
         ),
     ],
     card: options.Card = None,
+    follow_links: options.FollowLinks = False,
     split: options.Split = None,
     strict: options.Strict = False,
     json: options.Json = False,
@@ -42,11 +48,12 @@ def inspect(
     from tustinnet.data.catalog import load
     from tustinnet.data.inspection import inspect_experiment
     from tustinnet.data.readers import is_readable
+    from tustinnet.data.spoiled import find_without_model
     from tustinnet.errors import InputError
 
     if is_readable(Path(data)) and not Path(data).is_dir():
         others = {"--card": card, "--split": split, "--strict": strict, "--figure": figure,
-                  "--overwrite": overwrite}  # fmt: skip
+                  "--overwrite": overwrite, "--follow-links": follow_links}  # fmt: skip
         for option, value in others.items():
             if value:
                 raise InputError(
@@ -57,17 +64,22 @@ def inspect(
         return
     inputs = request.list_input_files(data, card)
     request.require_figures("--figure", figure, inputs, overwrite=overwrite)
-    data_set = load(data, card)
+    data_set = load(data, card, follow_links=follow_links)
     records = request.records_of_split(data_set, split)
     reports = [inspect_experiment(e) for e in records]
     if strict:
         require_sound(reports)
     if json:
-        terminal.print_json(
-            {"data": data_set.name, "experiments": [dataclasses.asdict(r) for r in reports]}
-        )
+        experiments = [
+            dataclasses.asdict(r)
+            | {"spoiled": [part.as_plain() for part in find_without_model(e, r)]}
+            for e, r in zip(records, reports, strict=True)
+        ]
+        terminal.print_json({"data": data_set.name, "experiments": experiments})
     else:
         _print_reports(reports, data_set.channels.unit)
+        for line in spoiled_lines(records, reports):
+            typer.echo(line)
     if figure is not None:
         from tustinnet.report.figures import inspection_figure, write_figure
 
@@ -99,9 +111,9 @@ def _print_reports(reports: "list[ExperimentReport]", unit: str) -> None:
     notes = ((r.name, text) for r in reports for text in r.notes if "jitter" not in text)
     for line in (
         *suspicions(reports),
-        *_merge_remarks("held", unstable),
-        *_merge_remarks("hold", holds),
-        *_merge_remarks("note", notes),
+        *_merge_remarks("held", unstable, len(reports)),
+        *_merge_remarks("hold", holds, len(reports)),
+        *_merge_remarks("note", notes, len(reports)),
     ):
         typer.echo(line)
 
@@ -109,11 +121,10 @@ def _print_reports(reports: "list[ExperimentReport]", unit: str) -> None:
 def _hold_advice(hold: "Hold | None") -> str:
     """The way to the hold of an input whose card declares it, declares `unknown`, or none."""
     if hold is None:
-        return ("no hold declared: `fit` without a recipe determines it, a recipe takes zero-order "
-                "unless the system declares another")  # fmt: skip
+        return "no hold declared: `fit` and `cross-validate` determine it"
     if hold == "unknown":
-        return 'hold = "unknown": `fit` without a recipe determines it, and that of a grey box'
-    return f'hold = "{hold}" as declared; without this key `fit` without a recipe determines it'
+        return 'hold = "unknown": `fit` and `cross-validate` determine it'
+    return f'hold = "{hold}" as declared; without this key `fit` determines it'
 
 
 def _inspect_file(path: Path, *, json: bool) -> None:
@@ -142,9 +153,23 @@ def _inspect_file(path: Path, *, json: bool) -> None:
                f"folder: tustinnet init {path.parent}\n{report.draft}")  # fmt: skip
 
 
-def suspicions(reports: Iterable["ExperimentReport"]) -> list[str]:
+def suspicions(reports: "Sequence[ExperimentReport]") -> list[str]:
     """Lines about suspicious rows in records; each remark once, with the names of its records."""
-    return _merge_remarks("suspicious", ((r.name, text) for r in reports for text in r.suspicious))
+    remarks = ((r.name, text) for r in reports for text in r.suspicious)
+    return _merge_remarks("suspicious", remarks, len(reports))
+
+
+def spoiled_lines(
+    records: "Iterable[Experiment]", reports: "Iterable[ExperimentReport]"
+) -> list[str]:
+    """Lines about parts of records that spoil a fit and show without a model."""
+    from tustinnet.data.spoiled import find_without_model
+
+    return [
+        f"spoiled: {part.sentence}"
+        for e, report in zip(records, reports, strict=True)
+        for part in find_without_model(e, report)
+    ]
 
 
 def require_sound(reports: Iterable["ExperimentReport"]) -> None:
@@ -159,12 +184,30 @@ def require_sound(reports: Iterable["ExperimentReport"]) -> None:
             )  # fmt: skip
 
 
-def _merge_remarks(kind: str, remarks: Iterable[tuple[str, str]]) -> list[str]:
-    """Lines of remarks, pairs of record and text: one line for each text, with all its records."""
+def _merge_remarks(kind: str, remarks: Iterable[tuple[str, str]], total: int) -> list[str]:
+    """Lines of remarks: one line for each text, with its records.
+
+    Args:
+        kind: what the lines begin with.
+        remarks: pairs of record and text.
+        total: number of all records.
+    """
     by_text: dict[str, list[str]] = {}
     for name, text in remarks:
         by_text.setdefault(text, []).append(name)
-    return [f"{kind}: {text}  [{', '.join(names)}]" for text, names in sorted(by_text.items())]
+    return [
+        f"{kind}: {text}  [{_list_records(names, total)}]"
+        for text, names in sorted(by_text.items())
+    ]
+
+
+def _list_records(names: "Sequence[str]", total: int) -> str:
+    """Names of records in a line; of many the first ones, and how many others."""
+    if len(names) <= _MOST_NAMED:
+        return ", ".join(names)
+    if len(names) == total:
+        return f"all {total} records"
+    return f"{', '.join(names[:_FIRST_NAMED])} and {len(names) - _FIRST_NAMED} others"
 
 
 def time_table(reports: list["ExperimentReport"]) -> "Table":

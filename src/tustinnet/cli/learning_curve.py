@@ -54,6 +54,7 @@ def learning_curve(
     twin: Twin = None,
     start: options.Start = None,
     card: options.Card = None,
+    follow_links: options.FollowLinks = False,
     strict: options.Strict = False,
     device: options.Device = None,
     overwrite: options.Overwrite = False,
@@ -65,7 +66,11 @@ def learning_curve(
     Models are fitted to more and more records and scored on records that were left out.
     """
     terminal.prepare_jax(device)
-    from tustinnet.cli.request import load_records_to_fit, print_still_coordinates
+    from tustinnet.cli.request import (
+        list_input_files,
+        load_records_to_fit,
+        print_still_coordinates,
+    )
     from tustinnet.errors import InputError
     from tustinnet.report.learning import learning_figure, learning_table
     from tustinnet.report.progress import FitProgress
@@ -89,8 +94,11 @@ def learning_curve(
     )  # fmt: skip
     console = terminal.messages()
     names = [f"learning-curve.{ending}" for ending in ("json", "md", "png")]
-    require_outputs([out / name for name in names], overwrite=overwrite)
-    data_set = load_records_to_fit(data, card, out, console, strict=strict)
+    inputs = list_input_files(data, card, system)
+    require_outputs([out / name for name in names], overwrite=overwrite, read=inputs)
+    data_set = load_records_to_fit(
+        data, card, out, console, strict=strict, follow_links=follow_links
+    )
     print_still_coordinates(records_without_test(data_set), console)
     draw_records(data_set, curve_options)  # raises at once where there are too few records
     with lock_folder(out):

@@ -23,6 +23,7 @@ from tustinnet.cli.reproduce import reproduce
 from tustinnet.cli.residuals import residuals
 from tustinnet.cli.show import show
 from tustinnet.cli.simulate import simulate
+from tustinnet.cli.verb import Verb
 from tustinnet.errors import InputError
 
 app = typer.Typer(
@@ -35,7 +36,7 @@ _VERBS = (
     compare, residuals, committee, calibrate, export, show, report, reproduce,
 )  # fmt: skip
 for verb in _VERBS:
-    app.command()(terminal.interruptible()(verb))
+    app.command(cls=Verb)(terminal.interruptible()(verb))
 
 
 @app.callback(invoke_without_command=True)
@@ -51,7 +52,8 @@ def tustinnet(
 ) -> None:
     """From logs of a mechanical system to a model that simulates it.
 
-    Exit codes: 0 success, 1 failure (one line says why), 2 wrong usage.
+    Exit codes: 0 success, 1 failure (one line says why), 2 wrong usage, 129, 130 or 143 stopped by
+    SIGHUP, Ctrl-C or SIGTERM (a line says whether the model is there).
     """
     if verbose and not version:
         raise InputError("--verbose", "not applicable without --version", "--version --verbose")
@@ -66,7 +68,9 @@ def tustinnet(
 def run(arguments: list[str] | None = None) -> None:
     """Runs the command; bad input ends as one line on standard error and exit code 1."""
     try:
-        app(arguments)
+        app(arguments, prog_name=app.info.name)  # also as python -m tustinnet
     except InputError as error:
         sys.stderr.write(f"error: {error}\n")
-        sys.exit(1)
+        sys.exit(terminal.exit_code(1))
+    except SystemExit as ended:
+        sys.exit(terminal.exit_code(ended.code))

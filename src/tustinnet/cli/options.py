@@ -44,6 +44,10 @@ Models = Annotated[
 Card = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Data card, if DATA is a folder without one.")
 ]
+FollowLinks = Annotated[
+    bool,
+    typer.Option("--follow-links", help="Read links in DATA also to files outside of that folder."),
+]
 System = Annotated[
     str | None,
     typer.Option(
@@ -123,6 +127,14 @@ JudgedHorizon = Annotated[
     ),
 ]
 Strict = Annotated[bool, typer.Option("--strict", help="Refuse records with suspicious rows.")]
+LeaveOutSpoiled = Annotated[
+    bool,
+    typer.Option(
+        "--leave-out-spoiled",
+        help="Leave out stretches and records that spoil the fit (moved by hand, another payload), "
+        "fit the others, and say what was left out.",
+    ),
+]
 Physics = Annotated[
     Path | None,
     typer.Option(

@@ -30,6 +30,7 @@ def report(
     start: options.JudgedStart = None,
     horizon: options.JudgedHorizon = None,
     card: options.Card = None,
+    follow_links: options.FollowLinks = False,
     system: Annotated[
         list[str] | None,
         typer.Option(
@@ -64,9 +65,12 @@ def report(
     loaded_models = load_models(files, restoring, kept_system)
     links = _choose_links(drawing, loaded_models, loaded_models[0].coordinates)
     by_file = dict(zip(files, loaded_models, strict=True))
-    runs = choose_free_runs(load_records(data, card), by_file, split, start, horizon)
+    runs = choose_free_runs(
+        load_records(data, card, follow_links=follow_links), by_file, split, start, horizon
+    )
     command = report_command(models, data, out, {
         "--split": split, "--start": start, "--horizon": horizon, "--card": card,
+        "--follow-links": follow_links or None,
     }, system or [])  # fmt: skip
     report_options = ReportOptions(runs.start, runs.horizon, links, command)
     reported = read_reported_models(files, loaded_models)

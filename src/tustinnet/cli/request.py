@@ -42,6 +42,7 @@ class FitOptions:
         report: settings of the report.
         json: whether to print JSON instead of tables.
         quiet: whether to hide the progress.
+        leave_out_spoiled: whether to leave out parts of records that spoil the fit.
     """
 
     load: "Callable[[], DataSet]"
@@ -51,6 +52,7 @@ class FitOptions:
     report: "AutomaticReport"
     json: bool
     quiet: bool
+    leave_out_spoiled: bool = False
 
 
 def require_cores(cluster: str | None, device: "Hardware | None") -> None:
@@ -163,30 +165,57 @@ def parse_seeds(text: str | None) -> tuple[int, ...]:
 
 
 def load_records_to_fit(
-    data: str, card: Path | None, out: Path, console: "Console", *, strict: bool
+    data: str,
+    card: Path | None,
+    out: Path,
+    console: "Console",
+    *,
+    strict: bool,
+    follow_links: bool,
 ) -> "DataSet":
     """Loads the records of a fit; prints which are left out, or with `strict` refuses them."""
-    from tustinnet.cli.inspect import require_sound, suspicions
+    from tustinnet.cli.inspect import require_sound, spoiled_lines, suspicions
     from tustinnet.data.catalog import locate
     from tustinnet.data.inspection import inspect_experiment
     from tustinnet.data.loading import load_folder
     from tustinnet.simulate.start_rules import DerivedStart
+    from tustinnet.store.files import require_outputs
+    from tustinnet.store.run import LOG, MODEL, REPORT, SPECIFICATION, SUMMARY
 
     folder, located_card = locate(data, card)
     require_apart(out, folder)
-    records = load_folder(folder, located_card, on_message=None if strict else console.print)
+    outputs = [out / name for name in (MODEL, SUMMARY, LOG, REPORT, SPECIFICATION)]
+    require_outputs(outputs, overwrite=True, read=list_input_files(data, card))
+    records = load_folder(
+        folder, located_card, on_message=None if strict else console.print,
+        follow_links=follow_links,
+    )  # fmt: skip
     if not strict:
         kept = _leave_out_short([*records], DerivedStart.usual_name(), ())
         records = replace(records, experiments=tuple(kept))
     reports = [inspect_experiment(e) for e in records]
     if strict:
         require_sound(reports)
-    for line in suspicions(reports):
-        console.print(line)
+    for line in (*suspicions(reports), *spoiled_lines(records, reports)):
+        console.print(line, highlight=False, soft_wrap=True)
     return records
 
 
-def load_records(data: str, card: Path | None, names: "Collection[str]" = ()) -> "DataSet":
+def leave_out_visible(records: "DataSet", console: "Console") -> "tuple[DataSet, tuple[str, ...]]":
+    """Leaves out the parts that show to spoil a fit without a model; prints and returns which."""
+    from tustinnet.data.inspection import inspect_experiment
+    from tustinnet.data.spoiled import find_without_model, leave_out
+
+    parts = [part for e in records for part in find_without_model(e, inspect_experiment(e))]
+    records, sentences = leave_out(records, parts)
+    for sentence in sentences:
+        console.print(sentence, highlight=False, soft_wrap=True)
+    return records, sentences
+
+
+def load_records(
+    data: str, card: Path | None, names: "Collection[str]" = (), *, follow_links: bool
+) -> "DataSet":
     """Loads the records of a verb that simulates them; prints which are left out.
 
     As a fit, it leaves out records that cannot be read or used, but not those of some names.
@@ -194,7 +223,10 @@ def load_records(data: str, card: Path | None, names: "Collection[str]" = ()) ->
     from tustinnet.data.catalog import locate
     from tustinnet.data.loading import load_folder
 
-    return load_folder(*locate(data, card), on_message=terminal.messages().print, required=names)
+    return load_folder(
+        *locate(data, card), on_message=terminal.messages().print, required=names,
+        follow_links=follow_links,
+    )  # fmt: skip
 
 
 def require_apart(out: Path, folder: Path) -> None:
@@ -203,6 +235,21 @@ def require_apart(out: Path, folder: Path) -> None:
 
     if out.resolve() == folder.resolve():
         raise InputError(out, "the folder of the data", "another folder for the run")
+
+
+def require_no_new_records(paths: Sequence[Path], data: str, card: Path | None) -> None:
+    """Raises an error if files that are written would be read as records of the data."""
+    from tustinnet.data.card_files import would_be_record
+    from tustinnet.data.catalog import locate
+    from tustinnet.errors import InputError
+
+    folder, located_card = locate(data, card)
+    for path in paths:
+        if would_be_record(path, folder, located_card):
+            raise InputError(
+                path.parent, f"there {path.name} would be a record of '{located_card.name}'",
+                "another folder",
+            )  # fmt: skip
 
 
 def list_input_files(
@@ -342,15 +389,16 @@ def choose_free_runs(
     from tustinnet.simulate.start_rules import DerivedStart
     from tustinnet.simulate.starts import default_start
     from tustinnet.store.header import read_header, records_in_header
+    from tustinnet.store.judgement import judged_free_runs, usual_split
 
     headers = {path: read_header(path) for path in models}
     defaults = []
     if split is None and not names:
-        split = next((s for s in ("test", "validation") if s in data.splits), ALL)
+        split = usual_split(data) or ALL
         defaults.append(f"{split} records (--split)")
     selected = records_of_split(data, split)
     records = [selected[name] for name in names] if names else list(selected)
-    file_start, file_horizon = _read_judged(headers, records, has_bands=has_bands)
+    file_start, file_horizon = judged_free_runs(headers, records, has_bands=has_bands)
     if start is None and file_start is not None:
         defaults.append(f"start '{file_start}' as in the model's file (--start)")
     start = file_start if start is None else start
@@ -392,39 +440,6 @@ def _leave_out_short(
                 f"left out: {e.name}: {len(e)} samples; expected at least {fewest}"
             )
     return kept
-
-
-def _read_judged(
-    headers: "Mapping[Path, Mapping[str, Any]]", records: "Sequence[Experiment]", *, has_bands: bool
-) -> tuple[str | None, float | None]:
-    """Start and horizon by which files say that models were judged, or with bands calibrated.
-
-    None where files say none or others, where no record or none without velocities can start so,
-    or none is longer.
-    """
-    from tustinnet.errors import InputError
-    from tustinnet.evaluate.bands import KEY, Calibration
-    from tustinnet.simulate.horizon import effective_horizon
-    from tustinnet.simulate.start_rules import StoredStart, start_named
-    from tustinnet.store.header import judgement_in_header
-
-    judged = [
-        Calibration.from_header(dict(header), path)
-        if has_bands and KEY in header
-        else judgement_in_header(header, path)
-        for path, header in headers.items()
-    ]
-    starts, horizons = ({getattr(j, key, None) for j in judged} for key in ("start", "horizon"))
-    start = starts.pop() if len(starts) == 1 else None
-    horizon = horizons.pop() if len(horizons) == 1 else None
-    try:
-        rule = start_named(start) if start else None
-    except InputError:  # a start of an earlier version
-        rule = None
-    lacks_velocities = isinstance(rule, StoredStart) and any(e.v is None for e in records)
-    if rule is None or lacks_velocities or all(len(e) < rule.samples for e in records):
-        start = None
-    return start, effective_horizon(horizon, records)
 
 
 def compute_bands(

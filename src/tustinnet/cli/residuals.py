@@ -25,6 +25,7 @@ def residuals(
         int, typer.Option(min=1, metavar="L", help="Largest lag of the correlations, in samples.")
     ] = 50,
     card: options.Card = None,
+    follow_links: options.FollowLinks = False,
     system: options.System = None,
     figure: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Draw the correlations (.png, .svg, .pdf).")
@@ -49,7 +50,11 @@ def residuals(
     simulator = request.load_model(model, system)
     channels = simulator.channels
     runs = request.choose_free_runs(
-        request.load_records(data, card), {model: simulator}, split, start, horizon
+        request.load_records(data, card, follow_links=follow_links),
+        {model: simulator},
+        split,
+        start,
+        horizon,
     )
     records, horizon = runs.records, runs.horizon
     reports = residual_reports(simulator, records, runs.start, lags, horizon=horizon)

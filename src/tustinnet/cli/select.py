@@ -45,7 +45,7 @@ def select(
     Without a plan the usual one is used, without a cluster this process.
     """
     start_time = time.monotonic()  # the imports and records from here on take seconds
-    from tustinnet.cli.automatic_report import require_report
+    from tustinnet.cli.automatic_report import after_model, require_report
     from tustinnet.cli.request import open_cluster
     from tustinnet.report.page.fit_reports import write_choice_report
     from tustinnet.report.progress import FitProgress
@@ -56,8 +56,9 @@ def select(
 
     quiet, report = fit_options.quiet, fit_options.report
     selection = SelectionOptions(
-        read_plan(plan or USUAL), fit_options.system, parse_seconds(budget), start_time
-    )
+        read_plan(plan or USUAL), fit_options.system, parse_seconds(budget), start_time,
+        fit_options.leave_out_spoiled,
+    )  # fmt: skip
     records = fit_options.load()
     with FitProgress(terminal.messages(), quiet=quiet) as progress:
         reporter = make_reporter(progress, quiet=quiet)
@@ -68,20 +69,21 @@ def select(
             choice = select_model(
                 records, fit_options.out, selection, fit_options.earlier, reporter, executor
             )
-    if choice.context.system_file is not None:
-        terminal.remember_trust(choice.context.system_file)
-    if fit_options.json:
-        terminal.print_json(choice.as_plain())
-    else:
-        print_choice(choice, quiet=quiet)
-    draw_choice(choice)
     folder, start = choice.context.folder, choice.result(choice.best).starts[0]
-    page = report.write(
-        [folder],
-        folder / REPORT,
-        lambda command: write_choice_report(choice, command),
-        {"--split": ALL, "--start": start, "--horizon": choice.context.scoring.horizon},
-    )
+    with after_model(folder / MODEL):
+        if choice.context.system_file is not None:
+            terminal.remember_trust(choice.context.system_file)
+        if fit_options.json:
+            terminal.print_json(choice.as_plain())
+        else:
+            print_choice(choice, quiet=quiet)
+        draw_choice(choice)
+        page = report.write(
+            [folder],
+            folder / REPORT,
+            lambda command: write_choice_report(choice, command),
+            {"--split": ALL, "--start": start, "--horizon": choice.context.scoring.horizon},
+        )
     if not fit_options.json:
         print_files(choice, page or "")
         typer.echo(f"next: {next_steps(folder / MODEL, report.data_words)}")

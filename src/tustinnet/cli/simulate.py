@@ -27,6 +27,7 @@ def simulate(
     band: options.Band = None,
     whole_records: options.WholeRecords = False,
     card: options.Card = None,
+    follow_links: options.FollowLinks = False,
     system: options.System = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
@@ -48,7 +49,7 @@ def simulate(
 
     band_options = request.make_band_options(band, whole=whole_records)
     simulator = request.load_model(model, system)
-    data_set = request.load_records(data, card, experiment or ())
+    data_set = request.load_records(data, card, experiment or (), follow_links=follow_links)
     runs = request.choose_free_runs(
         data_set, {model: simulator}, split, start, horizon,
         names=experiment or (), has_bands=band is not None,
@@ -57,6 +58,7 @@ def simulate(
     paths = [out / simulation_name(e) for e in records]
     inputs = request.list_input_files(data, card, model, system)
     require_outputs(paths, overwrite=overwrite, read=inputs)
+    request.require_no_new_records(paths, data, card)
     scores = evaluate(simulator, records, runs.start, horizon=runs.horizon)
     bands: list[Band | None] = [None] * len(records)
     if band_options is not None:

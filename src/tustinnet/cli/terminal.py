@@ -101,6 +101,7 @@ class Stopped(KeyboardInterrupt):
 
 
 _depth = 0  # of nested `interruptible` contexts
+_received = 0  # number of the last signal that interrupted a verb, 0 without any
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
@@ -112,6 +113,8 @@ def _stop(number: int, frame: FrameType | None) -> None:
     while frame is not None and frame.f_globals.get("__name__") != "importlib._bootstrap":
         frame = frame.f_back
     if _depth and frame is None:
+        global _received
+        _received = number
         raise Stopped(number)
     os.write(2, b"interrupted\n")
     os._exit(128 + number)
@@ -147,6 +150,14 @@ def stoppable() -> Iterator[None]:
             signal.signal(number, handler)
 
 
+def exit_code(code: Any) -> Any:
+    """The exit code of a command that would end with `code`: that of a signal, if one came.
+
+    Libraries turn the exception of a signal into others, whose code is 1.
+    """
+    return 128 + _received if code == 1 and _received else code
+
+
 @contextmanager
 def interruptible(remedy: str = "") -> Iterator[None]:
     """Within the context, an interruption ends with one line and the usual exit code.
@@ -154,7 +165,8 @@ def interruptible(remedy: str = "") -> Iterator[None]:
     Args:
         remedy: how to continue later, for the line.
     """
-    global _depth
+    global _depth, _received
+    _received = _received if _depth else 0  # of an earlier verb in this process
     _depth += 1
     try:
         yield

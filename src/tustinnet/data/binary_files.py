@@ -1,55 +1,53 @@
-"""MAT, NPZ and Parquet files: the names of their columns, and the numbers in some of them.
+"""Binary files: the names of their columns, and the numbers in some of them.
 
 `serve` runs in a process of its own (`reading_process` starts it): on damaged files the libraries
-used here can crash, hang or ask for any amount of memory.
+of the readers can crash, hang or ask for any amount of memory.
 """
 
+import dataclasses
 import importlib
 import json
 import math
 import os
 import signal
 import sys
-import zipfile
-from collections.abc import Callable
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from tustinnet.data.columns import Column, frame_columns, require_different
-from tustinnet.data.mat_file import REAL, Array, Shape, mat_arrays, mat_contents
+from tustinnet.data.columns import Column, Listing, require_different
+from tustinnet.data.formats.reader import REAL, Contents, Reader, Shape
 from tustinnet.errors import InputError, convert_errors
+from tustinnet.registry import load_place
 
 LARGEST = 2**30  # bytes: the requested columns of a file, as double precision
 _ADDRESS_SPACE = 6 * 2**30  # bytes: these columns, their sources, and the libraries
 _MOST_COLUMNS = 100_000
 
-Contents = tuple[list[tuple[str, Shape]], dict[str, str]]
+
+def list_columns(path: Path, reader: Reader) -> Listing:
+    """The names of the columns of a file, and what else is known of them."""
+    contents = reader.contents(path)
+    _latest.clear()
+    _latest[_key(path, reader)] = contents
+    places = _places(path, contents.arrays)
+    return Listing(
+        list(places), dict(contents.others), _by_column(places, contents.clocks),
+        _by_column(places, contents.units), dict(contents.parts), list(contents.notes),
+    )  # fmt: skip
 
 
-class Format(NamedTuple):
-    """Reader of a kind of file.
-
-    Attributes:
-        library: the library to import.
-        contents: function that gives names and shapes of the arrays of numbers in a file, and a
-            description of everything else, by name.
-        arrays: function that reads some of the arrays, by name.
-    """
-
-    library: str
-    contents: Callable[[Path], Contents]
-    arrays: Callable[[Path, set[str]], dict[str, Array]]
-
-
-def read(path: Path, names: list[str]) -> list[Column]:
+def read(path: Path, reader: Reader, names: list[str]) -> list[Column]:
     """Some columns of a file.
 
     Raises:
         InputError: more than `LARGEST` bytes; what is not real numbers.
     """
-    columns, _ = _columns(path)
+    # what was listed last is read next: some readers go through the whole file to list it
+    contents = _latest.get(_key(path, reader)) or reader.contents(path)
+    columns = _places(path, contents.arrays)
     shapes = {columns[name].array: columns[name].shape for name in names}
     size = 8 * sum(math.prod(shape) for shape in shapes.values())
     if size > LARGEST:
@@ -59,7 +57,7 @@ def read(path: Path, names: list[str]) -> list[Column]:
             f"at most {LARGEST / 2**30:g} GiB",
             "cut the record, or leave out columns",
         )
-    arrays = FORMATS[path.suffix.lower()].arrays(path, set(shapes))
+    arrays = reader.arrays(path, set(shapes))
     numbers = []
     for name in names:
         place = columns[name]
@@ -71,6 +69,14 @@ def read(path: Path, names: list[str]) -> list[Column]:
     return numbers
 
 
+_latest: dict[tuple[object, ...], Contents] = {}
+
+
+def _key(path: Path, reader: Reader) -> tuple[object, ...]:
+    status = path.stat()
+    return path.absolute(), reader, status.st_mtime_ns, status.st_size
+
+
 class _Place(NamedTuple):
     """Place of a column: an array, its shape, and the number of a column of a matrix from 0."""
 
@@ -79,9 +85,8 @@ class _Place(NamedTuple):
     number: int | None
 
 
-def _columns(path: Path) -> tuple[dict[str, _Place], dict[str, str]]:
-    """Places of the columns of a file, in its order, and a description of everything else."""
-    shapes, others = FORMATS[path.suffix.lower()].contents(path)
+def _places(path: Path, shapes: list[tuple[str, Shape]]) -> dict[str, _Place]:
+    """Places of the columns of a file, in its order, by the names and shapes of its arrays."""
     vectors = [len(shape) == 1 or 1 in shape for _, shape in shapes]
     count = sum(1 if one else shape[1] for (_, shape), one in zip(shapes, vectors, strict=True))
     if count > _MOST_COLUMNS:
@@ -93,65 +98,12 @@ def _columns(path: Path) -> tuple[dict[str, _Place], dict[str, str]]:
             (name if j is None else f"{name}[{j + 1}]", _Place(name, shape, j)) for j in numbers
         ]
     require_different([name for name, _ in columns], path)
-    return dict(columns), others
+    return dict(columns)
 
 
-# --- NPZ ---
-
-
-def _npz_contents(path: Path) -> Contents:
-    with zipfile.ZipFile(path) as archive:
-        tables, others = [], {}
-        for member in archive.namelist():
-            if not member.endswith(".npy"):
-                continue
-            with archive.open(member) as file:
-                version = np.lib.format.read_magic(file)
-                read_header = (
-                    np.lib.format.read_array_header_1_0
-                    if version == (1, 0)
-                    else np.lib.format.read_array_header_2_0
-                )
-                shape, _, dtype = read_header(file)
-            name = member.removesuffix(".npy")
-            if dtype.kind not in REAL:
-                others[name] = "text or objects"
-            elif len(shape) in (1, 2) and math.prod(shape) >= 2:
-                tables.append((name, shape))
-            else:
-                others[name] = f"of shape {shape}"
-    return tables, others
-
-
-def _npz_arrays(path: Path, names: set[str]) -> dict[str, Array]:
-    with np.load(path, allow_pickle=False) as archive:
-        return {name: archive[name] for name in names}
-
-
-# --- Parquet ---
-
-
-def _parquet_contents(path: Path) -> Contents:
-    import polars as pl
-
-    table = pl.scan_parquet(path, glob=False, hive_partitioning=False)
-    rows = table.select(pl.len()).collect().item()
-    return [(name, (rows,)) for name in table.collect_schema().names() if rows], {}
-
-
-def _parquet_arrays(path: Path, names: set[str]) -> dict[str, Array]:
-    import polars as pl
-
-    frame = pl.read_parquet(path, columns=sorted(names), glob=False, hive_partitioning=False)
-    columns = frame_columns(frame, path)
-    return {name: columns[name] for name in names}
-
-
-FORMATS = {
-    ".parquet": Format("polars", _parquet_contents, _parquet_arrays),
-    ".mat": Format("scipy.io", mat_contents, mat_arrays),
-    ".npz": Format("numpy", _npz_contents, _npz_arrays),
-}
+def _by_column(places: Mapping[str, _Place], values: Mapping[str, str]) -> dict[str, str]:
+    """Values by the name of a column, from those by the name of an array."""
+    return {name: values[p.array] for name, p in places.items() if values.get(p.array)}
 
 
 # --- the process ---
@@ -161,10 +113,10 @@ def serve() -> None:
     """Answers requests on stdin until it is closed.
 
     A request is a line of JSON: `path`, the `folder` where a relative one begins, `names` (columns
-    to read, or null to list them) and `seconds` that it may take. With a null `path` it requests
-    the import of the library for the ending `suffix`. A reply is a line of JSON, too: `names` and
-    `others` (descriptions of all that is no column, by name), or `lengths`, followed by the numbers
-    of the columns as bytes of float64, or the message with which the request is `refused`.
+    to read, or null to list them), the `reader` as `module:attribute`, and `seconds` that it may
+    take. With a null `path` it requests the import of the reader's library. A reply is a line of
+    JSON, too: the `listing`, or `lengths`, followed by the numbers of the columns as bytes of
+    float64, or the message with which the request is `refused`.
     """
     replies = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # libraries print there, which is no reply
@@ -187,8 +139,9 @@ def serve() -> None:
 def _answer(request: dict[str, Any]) -> tuple[dict[str, Any], list[Column]]:
     _alarm(request["seconds"])
     try:
+        reader: Reader = load_place(request["reader"])
         if request["path"] is None:
-            importlib.import_module(FORMATS[request["suffix"]].library)
+            importlib.import_module(reader.library)
             return {}, []
         path, names = Path(request["path"]), request["names"]
         if request["folder"] is not None:
@@ -197,9 +150,8 @@ def _answer(request: dict[str, Any]) -> tuple[dict[str, Any], list[Column]]:
             path, f"cannot be read as {path.suffix.lower()}", "a whole file of that format"
         ):
             if names is None:
-                places, others = _columns(path)
-                return {"names": list(places), "others": others}, []
-            columns = read(path, names)
+                return {"listing": dataclasses.asdict(list_columns(path, reader))}, []
+            columns = read(path, reader, names)
             return {"lengths": [len(column) for column in columns]}, columns
     except InputError as error:
         return {"refused": str(error)}, []

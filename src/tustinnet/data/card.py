@@ -4,7 +4,15 @@ from pathlib import PureWindowsPath
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field, StrictInt, StrictStr, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    StrictBool,
+    StrictInt,
+    StrictStr,
+    field_validator,
+    model_validator,
+)
 
 from tustinnet.channels import (
     LONGEST_DT,
@@ -19,6 +27,7 @@ from tustinnet.data.declaration import Declaration, Name, Sentence, Text
 from tustinnet.data.units import TIME, convert_to_si, velocity_factor
 
 _MOST_COLUMNS = 10**6
+_SMALLEST_FACTOR = 1e-15  # of inputs: their squares are numbers
 _LONGEST_PART = 255  # bytes of a file's name, as file systems have it
 
 
@@ -39,9 +48,16 @@ def _rising(message: str) -> AfterValidator:
     return AfterValidator(check)
 
 
+def _nonzero(factor: float) -> float:
+    if abs(factor) < _SMALLEST_FACTOR:
+        raise ValueError(f"a factor of at least {_SMALLEST_FACTOR:g} in size, of either sign")
+    return factor
+
+
 SplitName = Literal["train", "validation", "test"]
 ColumnKey = Annotated[StrictInt | StrictStr, AfterValidator(_column)]  # a number counts from 1
 Amount = Annotated[float, Field(ge=-1e15, le=1e15)]
+Scale = Annotated[Amount, AfterValidator(_nonzero)]
 Delay = Annotated[float, Field(ge=-1e4, le=1e4)]
 Resolution = Annotated[float, Field(ge=1e-12, le=1e6)]
 Row = Annotated[StrictInt, Field(ge=0, le=10**12)]
@@ -165,17 +181,17 @@ class InputCard(Declaration):
         sign: 1 or -1.
         offset: reading of the column where the input is 0.
         hold: course between samples: `zero-order`, `first-order`, `band-limited`, or
-            `unknown`: `fit` of a grey box tries all of them. `fit` without a recipe does so also
-            where there is no such key; otherwise it is then that of the system, or `zero-order`.
+            `unknown`: `fit` tries all of them, also where neither this key nor the system says one;
+            elsewhere it is then that of the model, or `zero-order`.
         limits: smallest and largest `value` of the actuator.
-        delay: time from a logged sample to its effect [s], or `unknown`: `fit` of a grey box, or
-            without a recipe, searches for it.
+        delay: time from a logged sample to its effect [s], or `unknown`: `fit` searches for it,
+            also where there is no such key.
     """
 
     name: Name
     column: ColumnKey
     unit: Text
-    scale: Amount = 1.0
+    scale: Scale = 1.0
     sign: Literal[1, -1] = 1
     offset: Amount = 0.0
     hold: Hold = "zero-order"
@@ -186,7 +202,8 @@ class InputCard(Declaration):
         """The input as records have it."""
         delay = None if self.delay == "unknown" else self.delay
         hold = self.hold if "hold" in self.model_fields_set else None
-        return Input(self.name, self.unit, hold, self.limits, delay)
+        is_declared = delay is not None and "delay" in self.model_fields_set
+        return Input(self.name, self.unit, hold, self.limits, delay, is_declared)
 
 
 class TimeCard(Declaration):
@@ -218,6 +235,8 @@ class FileCard(Declaration):
         name: name of the record; the file's name without ending by default.
         cell: number, from 1 on, of the element of the cell or struct arrays of a MAT file that is
             the record; without it each element that has the columns is a record.
+        record: name of the group of an HDF5 file, or number of the episode of a LeRobot file, that
+            is the record; without it each that has the columns is a record.
         rows: first row and the row after the last, counted from 0 after any header.
         seconds: instead of rows, the times at which the record begins and before which it ends,
             from the file's first timestamp on [s], as logged: before it is put on a grid.
@@ -228,6 +247,7 @@ class FileCard(Declaration):
     file: str
     name: Name | None = None
     cell: StrictInt | None = Field(default=None, ge=1, le=10**9)
+    record: Name | None = None
     rows: Rows | None = None
     seconds: Seconds | None = None
     k_bar: Row | None = None
@@ -249,12 +269,15 @@ class FileCard(Declaration):
     def _check_ranges(self) -> "FileCard":
         if self.rows is not None and self.seconds is not None:
             raise ValueError(f"`rows` and `seconds` of '{self.file}'; give one of them")
+        if self.cell is not None and self.record is not None:
+            raise ValueError(f"`cell` and `record` of '{self.file}'; give one of them")
         return self
 
     @property
     def part(self) -> str:
         """Suffix that distinguishes records of one file: `[3]`, `_0-900`, `_0.5-3s`."""
-        cell = "" if self.cell is None else f"[{self.cell}]"
+        label = self.cell if self.record is None else self.record
+        cell = "" if label is None else f"[{label}]"
         if self.rows is not None:
             return f"{cell}_{self.rows[0]}-{self.rows[1]}"
         return cell + ("" if self.seconds is None else "_{:g}-{:g}s".format(*self.seconds))
@@ -265,13 +288,17 @@ class FormatCard(Declaration):
 
     Attributes:
         header: whether the first row names the columns; by default it does unless it holds
-            nothing but numbers.
-        delimiter: the mark between columns; a tab in .tsv files, else a comma, by default.
+            nothing but numbers. Or the row, from 1 on, that names them.
+        delimiter: the mark between columns, a blank for any number of blanks; found by default.
+        decimal: the mark before the decimals of numbers, `.` or `,`; found by default.
+        encoding: encoding of the text, as Python names it; found by default.
         columns: required number of columns, None for any.
     """
 
-    header: bool | None = None
+    header: StrictBool | Annotated[StrictInt, Field(ge=1, le=10**6)] | None = None
     delimiter: str | None = None
+    decimal: Literal[".", ","] | None = None
+    encoding: str | None = None
     columns: StrictInt | None = Field(default=None, ge=1, le=_MOST_COLUMNS)
 
     @field_validator("delimiter")
@@ -281,6 +308,16 @@ class FormatCard(Declaration):
             raise ValueError("one mark, e.g. ';', ',', '|' or a tab")
         return mark
 
+    @field_validator("encoding")
+    @classmethod
+    def _check_encoding(cls, name: str | None) -> str | None:
+        try:
+            if name is not None:
+                "1".encode(name)
+        except (LookupError, ValueError):
+            raise ValueError(f"no encoding '{name}'; utf-8, utf-16, latin-1, cp1252, ...") from None
+        return name
+
 
 class Card(Declaration):
     """The data card.
@@ -288,7 +325,7 @@ class Card(Declaration):
     Attributes:
         name: name of the data set.
         description: a sentence for people.
-        dt: nominal sampling period [s]; the median interval where it is left out.
+        dt: nominal sampling period [s]; the median interval of all records where it is left out.
         splits: files of `train`, `validation` and `test`; without any, all files beside the card
             that can be read are records of no split.
         optional_splits: splits whose files may all be absent.
@@ -322,13 +359,11 @@ class Card(Declaration):
         }
 
     @model_validator(mode="after")
-    def _check_names_and_period(self) -> "Card":
+    def _check_names(self) -> "Card":
         names = [c.name for c in self.coordinates] + [i.name for i in self.inputs]
         duplicates = sorted({name for name in names if names.count(name) > 1})
         if duplicates:
             raise ValueError(f"two channels are called '{duplicates[0]}'")
-        if self.dt is None and self.time is None:
-            raise ValueError("neither `dt` nor a time column says how far apart samples are")
         return self
 
     @property

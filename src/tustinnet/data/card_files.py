@@ -1,21 +1,21 @@
 """The files that a card names, and the names of their records."""
 
 import re
+import warnings
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 
 from tustinnet.data.card import Card, FileCard
-from tustinnet.data.readers import is_readable
+from tustinnet.data.readers import is_log
 from tustinnet.errors import InputError, convert_errors, require_name
 
 
 def list_record_files(folder: Path, card: Card) -> list[tuple[str | None, FileCard]]:
     """The files of a card with their splits, patterns resolved, every record with a name.
 
-    Without splits these are all files of the folder that can be read, by their endings, in natural
-    order. Records have the names of their files, with folders and rows where names would be
-    doubled.
+    Without splits these are all logs of the folder, by their endings, in natural order. Records
+    have the names of their files, with folders and rows where names would be doubled.
 
     Raises:
         InputError: a file is missing or listed in two splits, or its name can be no record's.
@@ -44,7 +44,7 @@ def list_record_files(folder: Path, card: Card) -> list[tuple[str | None, FileCa
             path = Path(entry.file)
             unique = stems[path.stem] == files[entry.file]
             name = path.stem if unique else path.with_suffix("").as_posix().replace("/", "_")
-            if entry.cell is not None or files[entry.file] > 1:
+            if entry.cell is not None or entry.record is not None or files[entry.file] > 1:
                 name += entry.part
             try:
                 require_name(name, entry.file)
@@ -56,6 +56,25 @@ def list_record_files(folder: Path, card: Card) -> list[tuple[str | None, FileCa
     return result
 
 
+def would_be_record(path: Path, folder: Path, card: Card) -> bool:
+    """Whether a file that is written to a path would be read as a record of a card.
+
+    Args:
+        path: the file, which need not be there yet.
+        folder: where the card's paths begin.
+        card: the card.
+    """
+    place, base = path.resolve(), folder.resolve()
+    if not place.is_relative_to(base):
+        return False
+    relative = place.relative_to(base)
+    if not card.splits:
+        return len(relative.parts) == 1 and is_log(path)
+    patterns = [entry.file for entries in card.splits.values() for entry in entries]
+    depth = len(relative.parts)
+    return any(len(Path(p).parts) == depth and relative.match(p) for p in patterns)
+
+
 def _resolve_patterns(
     folder: Path, split: str, entries: list[FileCard], card: Card
 ) -> list[FileCard]:
@@ -65,7 +84,8 @@ def _resolve_patterns(
     for entry in entries:
         if any(c in entry.file for c in "*?["):
             with convert_errors(folder / entry.file, "no usable pattern", "e.g. train/*.csv"):
-                paths = [p for p in folder.glob(entry.file) if not p.is_dir()]
+                found = list(folder.glob(entry.file))
+            paths = _without_folders(found)
             files = _in_natural_order(p.relative_to(folder).as_posix() for p in paths)
             result += [entry.model_copy(update={"file": file}) for file in files]
             exists = bool(paths)
@@ -86,10 +106,23 @@ def _resolve_patterns(
 
 
 def list_logs_in(folder: Path) -> list[str]:
-    """Names of the logs in a folder, in natural order: readable files that are not hidden."""
+    """Names of the logs in a folder, in natural order."""
     with convert_errors(folder, "cannot be listed", "a folder of logs"):
-        paths = [p for p in folder.iterdir() if is_readable(p) and not p.is_dir()]
-    return _in_natural_order(p.name for p in paths if not p.name.startswith("."))
+        paths = _without_folders(p for p in folder.iterdir() if is_log(p))
+    return _in_natural_order(p.name for p in paths)
+
+
+def _without_folders(paths: Iterable[Path]) -> list[Path]:
+    """The paths of files; warns of folders that are called like logs."""
+    files = []
+    for path in paths:
+        with convert_errors(path, "cannot be looked at", "a file"):
+            is_folder = path.is_dir()
+        if not is_folder:
+            files.append(path)
+        elif is_log(path):
+            warnings.warn(f"{path}: a folder, no record; it is left out", stacklevel=2)
+    return files
 
 
 def _in_natural_order(files: Iterable[str]) -> list[str]:
@@ -110,5 +143,8 @@ def require_inside(folder: Path, path: Path) -> None:
         inside = path.resolve().is_relative_to(folder.resolve())
     if not inside:
         raise InputError(
-            path, "a link that leaves the folder", f"a file below {folder}", "copy the file there"
+            path,
+            "a link that leaves the folder",
+            f"a file below {folder}",
+            "copy the file there, or add --follow-links if you would read it",
         )

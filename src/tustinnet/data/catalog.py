@@ -17,7 +17,7 @@ from tustinnet.data.card_files import list_record_files
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import read_declaration
 from tustinnet.data.loading import load_folder
-from tustinnet.data.readers import is_readable
+from tustinnet.data.readers import is_log
 from tustinnet.errors import InputError
 
 CARD_NAME = "dataset.toml"
@@ -78,18 +78,21 @@ QUBE_SERVO2 = PublishedDataSet(
 CATALOG = {entry.name: entry for entry in (QUBE_SERVO2,)}
 
 
-def load(data: str | Path, card: str | Path | None = None) -> DataSet:
+def load(
+    data: str | Path, card: str | Path | None = None, *, follow_links: bool = False
+) -> DataSet:
     """Reads a data set.
 
     Args:
         data: a name of the catalog (`qube-servo2`), a data card, or a folder that holds
             `dataset.toml` or the files of a data set of the catalog.
         card: a data card for the folder `data`, where it has none of its own.
+        follow_links: whether links to files outside of the folder are read.
 
     Raises:
         InputError: no data set there; the message says what was expected.
     """
-    return load_folder(*locate(data, card))
+    return load_folder(*locate(data, card), follow_links=follow_links)
 
 
 def locate(data: str | Path, card: str | Path | None = None) -> tuple[Path, Card]:
@@ -110,9 +113,9 @@ def locate(data: str | Path, card: str | Path | None = None) -> tuple[Path, Card
     for entry in CATALOG.values():
         if entry.is_in(path):
             return path, entry.card()
-    logs = (file for pattern in ("*", "*/*") for file in sorted(path.glob(pattern)))
+    logs = (file for pattern in ("*", "*/*", "*/*/*") for file in sorted(path.glob(pattern)))
     remedy = "write one (docs/reference/data.md shows how)"
-    if any(is_readable(file) for file in logs):
+    if any(is_log(file) for file in logs):
         remedy = f"`tustinnet init {shlex.quote(str(path))}` writes one"
     raise InputError(
         path,
@@ -129,7 +132,9 @@ def lacks_card(data: str | Path) -> bool:
         return False
     if any(entry.is_in(path) for entry in CATALOG.values()):
         return False
-    return any(is_readable(file) for pattern in ("*", "*/*") for file in path.glob(pattern))
+    return any(
+        is_readable(file) for pattern in ("*", "*/*", "*/*/*") for file in path.glob(pattern)
+    )
 
 
 def list_input_files(data: str | Path, card: str | Path | None = None) -> list[Path]:

@@ -2,17 +2,43 @@
 
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
+from tustinnet.data.formats.reader import Part
 from tustinnet.errors import InputError, convert_errors
 
 Column = Float[np.ndarray, " n"]
 
 _ELEMENT = re.compile(r"(?P<variable>[^.({\[]+)[({](?P<number>\d{1,9})[)}](?P<rest>.*)", re.DOTALL)
+# an export of Simulink: its signals are channels of one record, and no records
+_SIGNAL = re.compile(r"(?P<export>.*)\.signals\(\d+\)\.", re.DOTALL)
 NUMBERED = "column "  # columns without a name are called "column 1", ...
+
+
+@dataclass(frozen=True)
+class Listing:
+    """The names of the columns of a file, and what else is known of them without their numbers.
+
+    Attributes:
+        names: names of the columns.
+        others: a description of everything in the file that is no column of numbers, by name.
+        clocks: for columns whose samples have times of their own, the name of the column of these
+            times [s], by name. A column of times is its own clock.
+        units: units by the name of the column, where the file has them.
+        parts: records among several in the file, by label.
+        notes: remarks on how the file is read.
+    """
+
+    names: list[str]
+    others: dict[str, str] = field(default_factory=dict)
+    clocks: dict[str, str] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
+    parts: dict[str, Part] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
 
 
 class Columns:
@@ -24,19 +50,36 @@ class Columns:
         names: names of the columns.
         notes: remarks on how the file was read.
         others: a description of everything in the file that is no column of numbers, by name.
+        clocks: names of the columns of times [s] of those columns that have times of their own.
+        units: units by the name of the column, where the file has them.
+        parts: records among several in the file, by label: groups of HDF5, episodes.
     """
 
     def __init__(
         self,
         names: Sequence[str],
         read: Callable[[list[str]], Sequence[Column]],
-        rows: Sequence[int] | None = None,
+        rows: Sequence[int] | Int[np.ndarray, " n"] | None = None,
         notes: tuple[str, ...] = (),
         others: Mapping[str, str] | None = None,
+        clocks: Mapping[str, str] | None = None,
+        units: Mapping[str, str] | None = None,
+        parts: Mapping[str, Part] | None = None,
     ) -> None:
         self.names, self.notes, self.others = tuple(names), notes, others or {}
+        self.clocks, self.units, self.parts = clocks or {}, units or {}, parts or {}
         self._read, self._rows = read, rows
         self._columns: dict[str, Column] = {}
+
+    @classmethod
+    def from_listing(
+        cls, listing: Listing, read: Callable[[list[str]], Sequence[Column]]
+    ) -> "Columns":
+        """Columns of a listing, read by a function."""
+        return cls(
+            listing.names, read, notes=tuple(listing.notes), others=listing.others,
+            clocks=listing.clocks, units=listing.units, parts=listing.parts,
+        )  # fmt: skip
 
     def place(self, sample: int) -> str:
         """The place of a sample: the row of a text file, else its number."""
@@ -47,46 +90,84 @@ class Columns:
     def fetch(self, names: Sequence[str]) -> None:
         """Reads some columns at once, which is quicker than one after the other."""
         missing = [name for name in dict.fromkeys(names) if name not in self._columns]
-        self._columns.update(zip(missing, self._read(missing), strict=True))
+        if missing:
+            self._columns.update(zip(missing, self._read(missing), strict=True))
+
+    def release(self) -> None:
+        """Gives back the memory of the numbers and of the file; nothing can be read after it."""
+        self._columns, self._read = {}, _read_nothing
 
     def fetch_elements(self, names: Collection[str]) -> None:
         """Reads some columns of all elements at once: one by one, each would read the file."""
-        sources = [_element_names(self.names, k) for k in range(1, self.elements + 1)]
+        sources = [self._element_names(self.names, k) for k in range(1, self.elements + 1)]
         self.fetch([s for element in sources for name, s in element.items() if name in names])
 
     @property
     def elements(self) -> int:
         """Length of the longest cell or struct array of a MAT file, 0 without any."""
-        matches = (_ELEMENT.fullmatch(name) for name in (*self.names, *self.others))
+        matches = (self._match_element(name) for name in (*self.names, *self.others))
         return max((int(match["number"]) for match in matches if match), default=0)
 
     def element(self, number: int) -> "Columns":
         """The columns with one element, from 1 on, in place of each cell or struct array."""
-        sources = _element_names(self.names, number)
+        sources = self._element_names(self.names, number)
 
         def read(names: list[str]) -> list[Column]:
             self.fetch([sources[name] for name in names])
             return [self[sources[name]] for name in names]
 
-        others = _element_names(self.others, number)
+        others = self._element_names(self.others, number)
         texts = {name: self.others[source] for name, source in others.items()}
         return Columns(tuple(sources), read, self._rows, self.notes, texts)
+
+    def _match_element(self, name: str) -> re.Match[str] | None:
+        signal = _SIGNAL.match(name)
+        if signal is not None and f"{signal['export']}.time" in self.names:
+            return None
+        return _ELEMENT.fullmatch(name)
+
+    def _element_names(self, names: Iterable[str], number: int) -> dict[str, str]:
+        """Names in the file by their names in an element; those outside of arrays stay."""
+        sources = {}
+        for name in names:
+            match = self._match_element(name)
+            if match is None:
+                sources.setdefault(name, name)
+            elif int(match["number"]) == number:
+                sources[match["variable"] + match["rest"]] = name
+        return sources
+
+    def part(self, label: str) -> "Columns":
+        """The columns of one of the records in the file; those outside of all groups stay."""
+        part = self.parts[label]
+        prefixes = tuple({p.prefix for p in self.parts.values() if p.prefix})
+        sources = {
+            name.removeprefix(part.prefix): name
+            for name in self.names
+            if (part.prefix and name.startswith(part.prefix)) or not name.startswith(prefixes)
+        }
+
+        def read(names: list[str]) -> list[Column]:
+            self.fetch([sources[name] for name in names])
+            first, stop = part.rows or (None, None)
+            return [self[sources[name]][first:stop] for name in names]
+
+        units = {name: self.units[s] for name, s in sources.items() if s in self.units}
+        return Columns(tuple(sources), read, None, self.notes, self.others, units=units)
+
+    def fetch_parts(self, names: Collection[str]) -> None:
+        """Reads some columns of all records in the file at once: one by one, each would read it."""
+        prefixes = [part.prefix for part in self.parts.values()]
+        sources = {f"{prefix}{name}" for prefix in ("", *prefixes) for name in names}
+        self.fetch([name for name in self.names if name in sources])
 
     def __getitem__(self, name: str) -> Column:
         self.fetch([name])
         return self._columns[name]
 
 
-def _element_names(names: Iterable[str], number: int) -> dict[str, str]:
-    """Names in the file by their names in an element; those outside of arrays stay."""
-    sources = {}
-    for name in names:
-        match = _ELEMENT.fullmatch(name)
-        if match is None:
-            sources.setdefault(name, name)
-        elif int(match["number"]) == number:
-            sources[match["variable"] + match["rest"]] = name
-    return sources
+def _read_nothing(names: list[str]) -> list[Column]:
+    raise RuntimeError(f"columns were released before {names} were read")
 
 
 def require_different(names: Sequence[str], where: object) -> None:

@@ -1,6 +1,7 @@
 """TOML files that declare something (a data set, a recipe), read strictly."""
 
 import difflib
+import json
 import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
@@ -153,10 +154,28 @@ def read_packaged(
     )
 
 
-def declare(content: dict[str, Any], kind: type[DeclarationType], where: object) -> DeclarationType:
-    """Validates a mapping as a declaration; `where` names it in errors."""
+def declare(
+    content: dict[str, Any],
+    kind: type[DeclarationType],
+    where: object,
+    *,
+    strict: bool = False,
+) -> DeclarationType:
+    """Validates a mapping as a declaration.
+
+    Args:
+        content: the mapping.
+        kind: the declaration.
+        where: its name in errors.
+        strict: whether it is from JSON, whose types are taken as they are: "1" is no number.
+
+    Raises:
+        InputError: see `read_declaration`.
+    """
     require_plain(content, where)
     try:
+        if strict:
+            return kind.model_validate_json(json.dumps(content), strict=True)
         return kind.model_validate(content)
     except ValidationError as error:
         # a misspelt key also makes the right one missing: the misspelling is the news

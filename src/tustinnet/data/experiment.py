@@ -303,7 +303,16 @@ class Experiment(HasChannels):
                     where, f"hold 'band-limited' and {len(self)} samples", f"more than {HALF}",
                     "leave the record out, or declare another hold",
                 )  # fmt: skip
-        return excitation(self.u, holds, delays)
+        if "band-limited" not in holds:
+            return excitation(self.u, holds, delays)
+        # its interpolation takes longer than a free run, and every free run needs it
+        key, kept = (tuple(holds), tuple(delays)), vars(self).get("_interpolated")
+        if kept is None or kept[0] != key:
+            kept = key, excitation(self.u, holds, delays)
+            for values in kept[1]:
+                values.flags.writeable = False  # others get them, too
+            vars(self)["_interpolated"] = kept
+        return kept[1]
 
     def with_timing(self, inputs: Sequence[Input]) -> "Experiment":
         """The record with the delays of a model's inputs, and their holds where it has none."""
@@ -317,7 +326,7 @@ class Experiment(HasChannels):
                     f"{self.name}, input '{i.name}'", f"hold 'unknown', and {purpose} needs one",
                     "zero-order, first-order or band-limited",
                     "declare it in the data card" + (
-                        "; `fit` without a recipe, or of a grey box, tries all of them"
+                        "; `fit` tries all of them"
                         if delays else ""
                     ),
                 )  # fmt: skip
@@ -325,8 +334,7 @@ class Experiment(HasChannels):
                 raise InputError(
                     f"{self.name}, input '{i.name}'", f"delay 'unknown', and {purpose} needs one",
                     "a delay in seconds",
-                    "declare it in the data card; `fit` without a recipe, or of a grey box, "
-                    "searches for it",
+                    "declare it in the data card; `fit` searches for it",
                 )  # fmt: skip
 
     def measured_states(

@@ -12,7 +12,7 @@ from tustinnet.data.recording import Recording, describe_recording
 from tustinnet.signals import equilibria, outliers, transients
 from tustinnet.signals.equilibria import HeldEquilibrium
 from tustinnet.signals.spectra import periodogram
-from tustinnet.signals.timescales import Timescales, timescales
+from tustinnet.signals.timescales import Timescales, correlation_time, timescales
 from tustinnet.signals.transients import RestThresholds
 
 _REST_SECONDS = 0.25  # slow for this long around a sample: near an equilibrium, not a turning point
@@ -21,6 +21,7 @@ _REST_SECONDS = 0.25  # slow for this long around a sample: near an equilibrium,
 _FEW_LEVELS = 10
 _STUCK_SHARE = 0.02
 _OTHER_COUNT = 0.01  # relative; an encoder count this far from the declared one is another
+_FEWEST_COUNTS = 10  # levels of a position that tell the count of its encoder
 _QUARTER, _OFTEN = np.pi / 2, 0.05  # no angle moves by this a sample, in this share of the samples
 _MOST_OF_A_TURN = 1.5 * np.pi  # rad; a link that falls from upright ends short of a full turn
 _FAST, _FAST_SHARE = 0.1, 0.02  # of the sampling rate; of the power above it
@@ -186,6 +187,17 @@ def coordinate_timescales(experiments: Sequence[Experiment]) -> dict[str, Timesc
     }
 
 
+def correlation_times(experiments: Sequence[Experiment]) -> dict[str, float]:
+    """Samples in which each velocity that moves loses its correlation, by the coordinate's name."""
+    moving = moving_coordinates(experiments)
+    velocities = [e.velocities("wiener") for e in experiments]
+    return {
+        c.name: correlation_time([v[:, j] for v in velocities])
+        for j, c in enumerate(experiments[0].coordinates)
+        if moving[j]
+    }
+
+
 def rotating_coordinates(experiments: Sequence[Experiment]) -> set[str]:
     """Names of the angles that cover most of a turn in the records: no spring holds them."""
     q = np.concatenate([e.q for e in experiments])
@@ -307,10 +319,13 @@ def _suspicious_positions(e: Experiment, j: int, count: float | None) -> list[st
         sentences.append(
             f"{coordinate.name} jumps at sample {_list_rows(rows)} (bad rows, or lost counts?)"
         )
-    if coordinate.resolution and count and abs(count / coordinate.resolution - 1) > _OTHER_COUNT:
+    # a few levels have a common step by chance
+    is_encoder = count is not None and len(np.unique(q)) >= _FEWEST_COUNTS
+    declared = coordinate.resolution
+    if is_encoder and declared and abs(count / declared - 1) > _OTHER_COUNT:
         sentences.append(
             f"{coordinate.name}: encoder count {count:.5g} {unit} found, "
-            f"{coordinate.resolution:.5g} {unit} declared"
+            f"{declared:.5g} {unit} declared"
         )
     return sentences
 

@@ -1,6 +1,7 @@
 """Records from columns, as a data card declares them."""
 
 import hashlib
+import statistics
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,13 +11,15 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.channels import LONGEST_DT, SHORTEST_DT
+from tustinnet.data.alignment import align_columns
 from tustinnet.data.card import Card, ColumnKey, FileCard, TimeCard
 from tustinnet.data.card_files import list_record_files, require_inside
 from tustinnet.data.columns import NUMBERED, Column, Columns, frame_columns
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import declare, read_declaration
+from tustinnet.data.drafting.logs import find_clock_of
 from tustinnet.data.experiment import LARGEST, Experiment, begin_near_zero, unwrap_angles
-from tustinnet.data.mat_file import OBJECT, OBJECT_REMEDY
+from tustinnet.data.formats.mat import OBJECT, object_remedy
 from tustinnet.data.readers import read_columns
 from tustinnet.errors import InputError
 from tustinnet.signals import resampling
@@ -34,6 +37,7 @@ def load_folder(
     *,
     on_message: Callable[[str], None] | None = None,
     required: Collection[str] = (),
+    follow_links: bool = False,
 ) -> DataSet:
     """Reads the records that a card names from a folder; without splits, those of all its logs.
 
@@ -44,30 +48,23 @@ def load_folder(
             with a sentence on each; not those that the card names one by one, and not all of a
             split.
         required: names of records that are never left out.
+        follow_links: whether links to files outside of the folder are read.
 
     Raises:
         InputError: a file is missing or damaged or outside of the folder, a column is not there,
             a number is not finite, the time base is not as declared, nothing moves; the message
             names file and row.
     """
-    # files of patterns are not among these
-    named = {entry.file for entries in card.splits.values() for entry in entries}
-    loaded: list[_LoadedRecord] = []
-    errors: list[tuple[str | None, InputError]] = []
-    for split, entry in list_record_files(folder, card):
-        try:
-            records = _load_file(folder, split, entry, card)
-        except InputError as error:
-            if on_message is None or entry.file in named or entry.name in required:
-                raise
-            records = [error]
-        for record in records:
-            if isinstance(record, _LoadedRecord):
-                loaded.append(record)
-            elif on_message is None:
-                raise record
-            else:
-                errors.append((split, record))
+    loaded, errors = _load_files(
+        folder, card, required, follow_links=follow_links, raises=on_message is None
+    )
+    if loaded and card.dt is None:
+        dt = _common_period([record.experiment for record in loaded], card)
+        if dt is not None:
+            return load_folder(
+                folder, card.model_copy(update={"dt": dt}), on_message=on_message,
+                required=required, follow_links=follow_links,
+            )  # fmt: skip
     remaining = {record.experiment.split for record in loaded}
     for split, error in errors:
         if on_message is None or split not in remaining:
@@ -90,12 +87,7 @@ def load_folder(
     if card.dt is None:
         # every record has its own median interval; nearly equal ones come from one clock
         common = float(np.median([e.dt for e in experiments]))
-        experiments = [
-            replace(e, channels=replace(e.channels, dt=common))
-            if abs(e.dt / common - 1) < _SAME_CLOCK
-            else e
-            for e in experiments
-        ]
+        experiments = [replace(e, channels=replace(e.channels, dt=common)) for e in experiments]
     return DataSet(card.name, tuple(experiments))
 
 
@@ -125,6 +117,63 @@ def from_frame(
     return _begin_near_zero([record], card)[0]
 
 
+def _load_files(
+    folder: Path, card: Card, required: Collection[str], *, follow_links: bool, raises: bool
+) -> "tuple[list[_LoadedRecord], list[tuple[str | None, InputError]]]":
+    """The records of a card's files, and the errors of others with their splits.
+
+    Args:
+        folder: where the card's paths begin.
+        card: what to read.
+        required: names of records whose errors are raised.
+        follow_links: whether links to files outside of the folder are read.
+        raises: whether all errors are raised.
+    """
+    # files of patterns are not among these
+    named = {entry.file for entries in card.splits.values() for entry in entries}
+    loaded: list[_LoadedRecord] = []
+    errors: list[tuple[str | None, InputError]] = []
+    for split, entry in list_record_files(folder, card):
+        try:
+            records = _load_file(folder, split, entry, card, follow_links=follow_links)
+        except InputError as error:
+            if raises or entry.file in named or entry.name in required:
+                raise
+            records = [error]
+        for record in records:
+            if isinstance(record, _LoadedRecord):
+                loaded.append(record)
+            elif raises:
+                raise record
+            else:
+                errors.append((split, record))
+    return loaded, errors
+
+
+def _common_period(records: Sequence[Experiment], card: Card) -> float | None:
+    """The sampling period of records whose median intervals are not alike, as with much jitter.
+
+    None where they are: then they need not be read again by another period.
+
+    Raises:
+        InputError: records of several sampling periods.
+    """
+    common = float(np.median([e.dt for e in records]))
+    deviations = [abs(e.dt / common - 1) for e in records]
+    if max(deviations) < _SAME_CLOCK:
+        return None
+    if card.time is not None and max(deviations) > card.time.tolerance:
+        usual = statistics.median_low([e.dt for e in records])
+        other = max(records, key=lambda e: abs(e.dt / usual - 1))
+        raise InputError(
+            f"record '{other.name}'", f"median interval {other.dt:.4g} s",
+            f"about {usual:.4g} s as in other records",
+            f'leave it out, or add `dt = {usual:.4g}` to the card and `irregular = "resample"` '
+            "under [time]",
+        )  # fmt: skip
+    return common
+
+
 @dataclass(frozen=True)
 class _LoadedRecord:
     """A record as it was read, and the coordinates whose encoders wrap each turn in it."""
@@ -146,12 +195,17 @@ def _begin_near_zero(records: Sequence[_LoadedRecord], card: Card) -> list[Exper
 
 
 def _load_file(
-    folder: Path, split: str | None, entry: FileCard, card: Card
+    folder: Path, split: str | None, entry: FileCard, card: Card, *, follow_links: bool
 ) -> list[_LoadedRecord | InputError]:
     """The record of a file, or of each element of its cell arrays the record or its error."""
     path = folder / entry.file
-    require_inside(folder, path)
-    columns = read_columns(path, header=card.format.header, delimiter=card.format.delimiter)
+    if not follow_links:
+        require_inside(folder, path)
+    form = card.format
+    columns = read_columns(
+        path, header=form.header, delimiter=form.delimiter, decimal=form.decimal,
+        encoding=form.encoding,
+    )  # fmt: skip
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -172,19 +226,41 @@ def _load_file(
             expected = f"a cell {entry.cell} as in the card"
             raise InputError(path, has, expected, "cells count from 1")
         return [read(columns.element(entry.cell), f"{path}, cell {entry.cell}", name)]
-    elements: list[Columns] = []
-    if not names <= {*columns.names}:
-        elements = [columns.element(number) for number in range(1, columns.elements + 1)]
-    if not any(names & {*element.names} - {*columns.names} for element in elements):
+    if entry.record is not None:
+        if entry.record not in columns.parts:
+            has = f"records {', '.join([*columns.parts][:12])}" if columns.parts else "one record"
+            raise InputError(path, has, f"a record '{entry.record}' as in the card")
+        return [read(columns.part(entry.record), f"{path}, record {entry.record}", name)]
+    parts = _parts(columns, names)
+    if not parts:
         return [read(columns, path, name)]  # without the columns anywhere, a message names the file
-    columns.fetch_elements(names)
     records: list[_LoadedRecord | InputError] = []
-    for number, element in enumerate(elements, start=1):
+    for label, part in parts.items():
+        kind = "record" if columns.parts else "cell"
         try:
-            records.append(read(element, f"{path}, cell {number}", f"{name}[{number}]"))
+            records.append(read(part, f"{path}, {kind} {label}", f"{name}[{label}]"))
         except InputError as error:
             records.append(error)
     return records
+
+
+def _parts(columns: Columns, names: set[str]) -> dict[str, Columns]:
+    """The records in one file by label, where these columns are in them and not in the file."""
+    if columns.parts:
+        parts = {label: columns.part(label) for label in columns.parts}
+        by_rows = any(part.rows is not None for part in columns.parts.values())
+        has_names = any(names & {*p.names} - {*columns.names} for p in parts.values())
+        if by_rows or has_names:
+            columns.fetch_parts(names)
+            return parts
+        return {}
+    parts = {}
+    if not names <= {*columns.names}:
+        parts = {str(k): columns.element(k) for k in range(1, columns.elements + 1)}
+    if not any(names & {*part.names} - {*columns.names} for part in parts.values()):
+        return {}
+    columns.fetch_elements(names)
+    return parts
 
 
 class _ColumnReader:
@@ -218,12 +294,12 @@ class _ColumnReader:
         others = self.columns.others
         for name, text in others.items():
             if key == name or (name and key.startswith((f"{name}.", f"{name}["))):
-                remedy = OBJECT_REMEDY if text == OBJECT else _header_hint(names)
+                remedy = object_remedy() if text == OBJECT else _header_hint(names)
                 raise InputError(self.where, f"'{name}' is {text}", expected, remedy)
         problem, remedy = f"no column '{key}'", _header_hint(names)
         if "" in others:  # an object without a known name
             problem += f", but {others['']}, which cannot be read"
-            remedy = OBJECT_REMEDY
+            remedy = object_remedy()
         raise InputError(self.where, problem, expected, remedy)
 
     def read(self, key: ColumnKey) -> Column:
@@ -290,8 +366,10 @@ def _read_record(
     sha256: str = "",
 ) -> _LoadedRecord:
     """The record in some columns, in SI units; `entry` is its file in the card, if it has one."""
-    where, columns = reader.where, reader.columns
-    columns.fetch([reader.name(key) for key in card.columns])
+    where, names = reader.where, [reader.name(key) for key in card.columns]
+    clocks = {reader.columns.clocks[name] for name in names if name in reader.columns.clocks}
+    reader.columns.fetch([*dict.fromkeys((*names, *clocks))])
+    reader.columns = columns = align_columns(reader.columns, card, reader.name, where)
     if entry is not None and entry.seconds is not None:
         reader.rows = _rows_within(entry.seconds, reader, card)
     q = reader.read_matrix([c.column for c in card.coordinates])
@@ -320,6 +398,7 @@ def _read_record(
     wrapped = frozenset(j for j in angles if resampling.wraps_within_turn(q[:, j]))
     q, notes = unwrap_angles(q, angles)
     t, dt = _times(reader, card, len(q))
+    columns.release()
     record = Experiment(
         name=name, t=t, q=q, u=u, channels=card.channels(dt), v=v,
         v_measured=bool(velocities) and all(c.measured for c in velocities),
@@ -352,8 +431,9 @@ def _rows_within(
 def _times(reader: _ColumnReader, card: Card, n: int) -> tuple[Float[np.ndarray, " n"], float]:
     """Timestamps of all samples and the sampling period [s]."""
     if card.time is None:
-        dt = float(card.dt or np.nan)
-        return np.arange(n) * dt, dt
+        if card.dt is None:
+            raise _no_period(reader)
+        return np.arange(n) * card.dt, card.dt
     t = reader.read(card.time.column) * card.time.factor()
     if len(t) != n:
         raise InputError(reader.where, f"{len(t)} timestamps for {n} samples", "equal numbers")
@@ -376,6 +456,21 @@ def _times(reader: _ColumnReader, card: Card, n: int) -> tuple[Float[np.ndarray,
             "check `unit` under [time]",
         )
     return t, card.dt or median
+
+
+def _no_period(reader: _ColumnReader) -> InputError:
+    """The error where a card gives no sampling period, with the lines that would."""
+    remedy = "add `dt = ...` (in seconds), or name the column of times under [time]"
+    clock = find_clock_of(reader.columns)
+    if clock is not None:
+        name, unit, dt = clock.column, clock.unit, clock.dt
+        remedy = (
+            f"column '{name}' has a median interval of {dt:.4g} s: add `dt = {dt:.4g}`, or [time] "
+            f'with `column = "{name}"`' + ("" if unit == "s" else f' and `unit = "{unit}"`')
+        )
+    return InputError(
+        reader.where, "no sampling period in the card", "`dt` or a time column", remedy
+    )
 
 
 def _check_times(record: Experiment, card: TimeCard, reader: _ColumnReader) -> Experiment:

@@ -1,30 +1,40 @@
-"""Files of columns: CSV, Parquet, MAT (v5 and 7.3), NPZ."""
+"""Files of columns: text, and the binary formats of the registry `READERS`."""
 
+import re
 import stat
 from functools import partial
 from pathlib import Path
 
-from tustinnet.data import reading_process
+from tustinnet.data import binary_files, reading_process
 from tustinnet.data.columns import Columns
-from tustinnet.data.mat_file import OBJECT, OBJECT_REMEDY
+from tustinnet.data.formats.mat import OBJECT, object_remedy
+from tustinnet.data.formats.reader import Reader
 from tustinnet.data.text_file import read_text
-from tustinnet.errors import InputError, convert_errors
+from tustinnet.errors import InputError, convert_errors, require_package
+from tustinnet.registry import READERS
 
 _TEXT = (".csv", ".txt", ".tsv", ".dat")
-_BINARY = (".parquet", ".mat", ".npz")
+_PROSE = re.compile(r"(?i)(read[-_ ]?me|licen[cs]e|copying|notes$|change[-_ ]?log)(?![a-z])")
 
 
 def read_columns(
-    path: Path, *, header: bool | None = None, delimiter: str | None = None
+    path: Path,
+    *,
+    header: bool | int | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+    encoding: str | None = None,
 ) -> Columns:
     """Reads the columns of a file, by its ending.
 
     Args:
-        path: a .csv, .txt, .tsv, .dat, .parquet, .mat or .npz file.
+        path: a file with one of the endings .csv, .txt, .tsv, .dat or of the registry `READERS`.
         header: whether the first row of a text file names the columns; by default it does unless
-            it holds nothing but numbers.
-        delimiter: the mark between the columns of a text file; a tab in .tsv, else a comma, by
-            default.
+            it holds nothing but numbers. Or the row of the file, from 1 on, that names them.
+        delimiter: the mark between the columns of a text file, a blank for any number of blanks;
+            found by default.
+        decimal: the mark before the decimals in a text file, `.` or `,`; found by default.
+        encoding: the encoding of a text file; UTF-8, UTF-16 or Latin-1, as found, by default.
 
     Returns:
         Columns by name. Without a header they are called `column 1`, ... The columns of a matrix
@@ -49,18 +59,38 @@ def read_columns(
         raise InputError(path, "the file is empty", "rows of samples")
     suffix = path.suffix.lower()
     if not is_readable(path):
-        raise InputError(path, f"ending '{suffix}'", f"one of {', '.join((*_TEXT, *_BINARY))}")
+        endings = ", ".join((*_TEXT, *READERS.names()))
+        raise InputError(path, f"ending '{suffix}'", f"one of {endings}")
     with convert_errors(path, f"cannot be read as {suffix}", "a whole file of that format"):
         if suffix in _TEXT:
-            return read_text(path, header, delimiter or ("\t" if suffix == ".tsv" else ","))
-        names, others = reading_process.column_names(path)
-    if not names:
+            return read_text(
+                path, header=header, delimiter=delimiter, decimal=decimal, encoding=encoding
+            )
+        reader: Reader = READERS[suffix]
+        if reader.extra:
+            require_package(reader.library.partition(".")[0], reader.extra, path)
+        place = READERS.place(suffix)
+        if isinstance(place, str):
+            listing = reading_process.list_columns(path, place)
+            read = partial(reading_process.read, path, place, speed=reader.speed)
+        else:  # one that a program registered: another process does not know it
+            listing = binary_files.list_columns(path, reader)
+            read = partial(binary_files.read, path, reader)
+    if not listing.names:
+        others = listing.others
         example = "".join(f", only {name or 'it'!r}: {x}" for name, x in [*others.items()][:1])
-        remedy = OBJECT_REMEDY if OBJECT in others.values() else ""
+        remedy = object_remedy() if OBJECT in others.values() else ""
         raise InputError(path, f"the file holds no samples{example}", "columns of numbers", remedy)
-    return Columns(names, partial(reading_process.read, path), others=others)
+    return Columns.from_listing(listing, read)
 
 
 def is_readable(path: Path) -> bool:
     """Whether a path has the ending of a file that `read_columns` reads."""
-    return path.suffix.lower() in (*_TEXT, *_BINARY)
+    suffix = path.suffix.lower()
+    return suffix in _TEXT or suffix in READERS
+
+
+def is_log(path: Path) -> bool:
+    """Whether a path is probably a log: a file that can be read, not hidden and no README.txt."""
+    is_prose = path.suffix.lower() == ".txt" and _PROSE.match(path.stem)
+    return is_readable(path) and not path.name.startswith(".") and not is_prose

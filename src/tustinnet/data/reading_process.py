@@ -12,14 +12,15 @@ from typing import Any, cast
 
 import numpy as np
 
-from tustinnet.data.columns import Column
+from tustinnet.data.columns import Column, Listing
+from tustinnet.data.formats.reader import Part
 from tustinnet.errors import InputError, convert_errors
 
 _START_S = 60.0  # to start Python and import a library, also on a busy machine
 _NAMES_S = 10.0  # to list the columns of a file
 _NUMBERS_S = 60.0  # to read columns
 _MUCH = 2**26  # bytes read at once, above which the process is stopped
-_SLOWEST = 10e6  # bytes of the file a second, on top of that
+_SPEED = 10e6  # bytes of the file a second, on top of that, while it is listed
 
 # the child finds the package where this process found it
 _PROGRAM = """
@@ -38,7 +39,7 @@ class _Process:
 
     def __init__(self) -> None:
         self.owner = os.getpid()
-        self.libraries: set[str] = set()
+        self.readers: set[str] = set()
         environment = {k: v for k, v in os.environ.items() if k != "PYTHONFAULTHANDLER"}
         self._child = subprocess.Popen(
             [sys.executable, "-W", "ignore", "-c", _PROGRAM, *sys.path],
@@ -88,32 +89,48 @@ _process: _Process | None = None
 _one_at_a_time = threading.Lock()
 
 
-def column_names(path: Path) -> tuple[list[str], dict[str, str]]:
-    """Names of the columns of a .mat, .npz or .parquet file, and a description of all else.
+def list_columns(path: Path, reader: str) -> Listing:
+    """The names of the columns of a binary file, and what else is known of them.
+
+    Args:
+        path: the file.
+        reader: the reader of such files, as `module:attribute`.
 
     Raises:
         InputError: a damaged file, one that crashes its reader, or takes it too long.
     """
-    reply, _ = _request(path, None, _NAMES_S)
-    return reply["names"], reply["others"]
+    listing = _request(path, reader, None, _NAMES_S, _SPEED)[0]["listing"]
+    parts = {
+        label: Part(part["prefix"], None if part["rows"] is None else tuple(part["rows"]))
+        for label, part in listing["parts"].items()
+    }
+    return Listing(**{**listing, "parts": parts})
 
 
-def read(path: Path, names: list[str]) -> list[Column]:
-    """Some columns of a .mat, .npz or .parquet file.
+def read(path: Path, reader: str, names: list[str], *, speed: float) -> list[Column]:
+    """Some columns of a binary file.
+
+    Args:
+        path: the file.
+        reader: the reader of such files, as `module:attribute`.
+        names: the columns.
+        speed: bytes of the file that the reader reads in a second, at least.
 
     Raises:
-        InputError: as `column_names`; numbers that take too much memory; text.
+        InputError: as `list_columns`; numbers that take too much memory; text.
     """
-    return _request(path, names, _NUMBERS_S)[1] if names else []
+    return _request(path, reader, names, _NUMBERS_S, speed)[1] if names else []
 
 
-def _request(path: Path, names: list[str] | None, seconds: float) -> Reply:
+def _request(
+    path: Path, reader: str, names: list[str] | None, seconds: float, speed: float
+) -> Reply:
     with convert_errors(path, "cannot be looked at", "a file"):
-        seconds += path.stat().st_size / _SLOWEST
+        seconds += path.stat().st_size / speed
         folder = None if path.is_absolute() else str(Path.cwd())
     with _one_at_a_time:
-        process = _running_process(path)
-        request = {"path": str(path), "folder": folder, "names": names}
+        process = _running_process(path, reader)
+        request = {"path": str(path), "folder": folder, "names": names, "reader": reader}
         reply = process.send(request, seconds)
         if reply is not None and sum(column.nbytes for column in reply[1]) > _MUCH:
             process.stop()  # its libraries would keep the memory
@@ -129,16 +146,16 @@ def _request(path: Path, names: list[str] | None, seconds: float) -> Reply:
     return reply
 
 
-def _running_process(path: Path) -> _Process:
-    """The process, with the library for a file, started where necessary."""
+def _running_process(path: Path, reader: str) -> _Process:
+    """The process, with the library of a reader, started where necessary."""
     global _process
-    suffix = path.suffix.lower()
     if _process is None or not _process.is_usable:
         with convert_errors(path, "the process that reads such files does not start", "Python"):
             _process = _Process()
         atexit.register(_process.stop)
-    if suffix not in _process.libraries:
-        if _process.send({"path": None, "suffix": suffix}, _START_S) is None:
+    if reader not in _process.readers:
+        if _process.send({"path": None, "reader": reader}, _START_S) is None:
+            suffix = path.suffix.lower()
             raise InputError(path, f"the process that reads {suffix} files does not start")
-        _process.libraries.add(suffix)
+        _process.readers.add(reader)
     return _process

@@ -1,35 +1,61 @@
 """Text files of columns."""
 
-import re
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Int
 
 from tustinnet.data.columns import NUMBERED, Column, Columns, require_different
+from tustinnet.data.text_dialect import (
+    BLANKS,
+    NUMBER,
+    Dialect,
+    Header,
+    Lines,
+    comment_text,
+    decode,
+    find_dialect,
+    is_comment,
+    read_header,
+)
 from tustinnet.errors import InputError, describe_error
 
 if TYPE_CHECKING:
     import polars as pl
 
-_NUMBER = re.compile(r"[-+]?((\d+\.?\d*|\.\d+)(e[-+]?\d+)?|nan|inf|infinity)", re.IGNORECASE)
-
 NO_HEADER = "no header: the first row is a sample"  # the note on such a file
 
-Lines = list[tuple[int, str]]  # rows of the file, counted from 1, and their text
+_HEADER_ROWS = 4  # first rows that may be names, names, units and a sample
+_LARGE = 4 * 2**20  # bytes, from which a file of plain rows is read without a text for every cell
+_NEWLINE, _BLANK = ord("\n"), ord(" ")
+_OTHER_MARKS = (ord("/"), ord("%"))  # with which other comments begin
+_AT_ONCE = 10**5  # lines that are checked at once
+_SAMPLE = 60  # first lines, and lines throughout the file, from which the marks are found
 
 
-def read_text(path: Path, header: bool | None, delimiter: str) -> Columns:
+def read_text(
+    path: Path,
+    *,
+    header: bool | int | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+    encoding: str | None = None,
+) -> Columns:
     """Reads the columns of a text file; see `read_columns`.
 
-    Blank lines and lines that begin with `#` are no rows. Every other line is one: a quote that
-    would make one row of several lines is refused. Errors name the rows of the file as it is.
+    Blank lines and comments are no rows. Every other line is one: a quote that would make one row
+    of several lines is refused. Errors name the rows of the file as it is.
     """
-    lines = _lines(path, delimiter)
-    table = _cells(path, lines, delimiter)
-    first = [(cell or "").strip() for cell in table.row(0)]
-    texts = [cell for cell in first if cell]
-    is_sample = bool(texts) and all(_NUMBER.fullmatch(text) for text in texts)
+    file = _find_rows(path, header, delimiter, decimal, encoding)
+    lines, dialect, plain, all_rows = file.lines, file.dialect, file.plain, file.rows
+    if header is not None and not isinstance(header, bool):
+        header = True
+    table = _cells(path, lines, dialect)
+    first = _texts(table, 0)
+    is_sample = any(first) and all(dialect.is_number(cell) for cell in first if cell)
     if header and is_sample:
         raise InputError(
             f"{path} row {lines[0][0]}",
@@ -37,55 +63,258 @@ def read_text(path: Path, header: bool | None, delimiter: str) -> Columns:
             "a header, as `header = true` says",
             "if the file has none, set `header = false` under [format], or leave it out",
         )
-    has_header = not is_sample if header is None else header
-    if len(lines) <= has_header:
-        raise InputError(path, "the file holds no samples", "rows of numbers")
     numbered = [f"{NUMBERED}{number}" for number in range(1, table.width + 1)]
-    names = [a or b for a, b in zip(first, numbered, strict=True)] if has_header else numbered
+    found = Header(numbered, {}, 0)
+    if (not is_sample) if header is None else header:
+        rows = [_texts(table, k) for k in range(min(_HEADER_ROWS, len(table)))]
+        found = read_header(rows, dialect)
+    elif header is None and (names := _names_in(file.comment, dialect, table.width)):
+        found = Header(names, {}, 0)
+    if len(all_rows) <= found.rows:
+        raise InputError(path, "the file holds no samples", "rows of numbers")
+    names = [a or b for a, b in zip(found.names, numbered, strict=True)]
     require_different(names, path)
     index = {name: column for column, name in enumerate(names)}
-    rows, table = [row for row, _ in lines[has_header:]], table.slice(int(has_header))
+    rows, first_row = all_rows[found.rows :], lines[0][0]
 
     def read(requested: list[str]) -> list[Column]:
-        doubtful = next((name for name in requested if _NUMBER.fullmatch(name)), None)
+        doubtful = next((name for name in requested if NUMBER.fullmatch(name)), None)
         if header is None and doubtful is not None:  # names beside numbers, some of them used
             raise InputError(
-                f"{path} row {lines[0][0]}",
+                f"{path} row {first_row}",
                 f"names of columns and the number {doubtful}",
                 "names or numbers only",
                 "set `header = true` (names) or `header = false` (a sample) under [format]",
             )
+        cells = table
+        if plain is not None:
+            numbers = plain.numbers([index[name] for name in requested], skipped=found.rows)
+            if numbers is not None:
+                return numbers
+            # the cell that is no number is looked for as in any other file
+            cells = _cells(path, _lines(plain.text.decode())[0], dialect)
+        cells = cells.slice(found.rows)
         return [
-            _numbers(table.to_series(index[name]), f"{path} row {{}}, {name}", rows, has_header)
+            _numbers(
+                cells.to_series(index[name]), dialect, f"{path} row {{}}, {name}", rows,
+                has_header=found.rows > 0,
+            )
             for name in requested
-        ]
+        ]  # fmt: skip
 
-    notes = (NO_HEADER,) if header is None and is_sample else ()
-    return Columns(names, read, rows, notes)
-
-
-def _lines(path: Path, delimiter: str) -> Lines:
-    content = path.read_bytes()
-    if b"\0" in content or content.startswith((b"\xff\xfe", b"\xfe\xff")):  # zeros or UTF-16
-        raise InputError(
-            path, "not a text file in UTF-8", "rows of numbers as text", "save it as UTF-8"
-        )
-    text = content.decode("utf-8-sig", "replace").replace("\r\n", "\n").replace("\r", "\n")
-    lines = [
-        (row, line)
-        for row, line in enumerate(text.split("\n"), start=1)
-        # empty cells between tabs are a row
-        if (line.strip() or (delimiter == "\t" and "\t" in line)) and not line.startswith("#")
+    described = (
+        dialect if delimiter is None else Dialect(",", dialect.decimal, dialect.thousands)
+    ).describe()
+    is_bare = header is None and is_sample and names == numbered
+    notes = [
+        *([file.remark] if file.remark else []),
+        *([described] if described and not _prefers_tabs(path) else []),
+        *([f"{file.skipped} rows before the header skipped"] if file.skipped else []),
+        *([f"names and units in {found.rows} rows"] if found.rows > 1 else []),
+        *(["names of the columns in a comment"] if is_sample and found.names != numbered else []),
+        *([NO_HEADER] if is_bare else []),
     ]
+    return Columns(names, read, rows, tuple(notes), units=found.units)
+
+
+@dataclass(frozen=True)
+class _FoundRows:
+    """The rows of a file, and how they are written.
+
+    Attributes:
+        lines: the rows and their text; of plain rows only the first.
+        rows: the rows in the file, counted from 1.
+        comment: the last comment before them, without its marks.
+        dialect: the marks of the file.
+        remark: on its encoding.
+        skipped: number of rows before a header, of other lengths.
+        plain: the rows, where they can be read as numbers at once.
+    """
+
+    lines: Lines
+    rows: Sequence[int] | Int[np.ndarray, " n"]
+    comment: str
+    dialect: Dialect
+    remark: str = ""
+    skipped: int = 0
+    plain: "_PlainRows | None" = None
+
+
+def _prefers_tabs(path: Path) -> bool:
+    return path.suffix.lower() == ".tsv"
+
+
+def _find_rows(
+    path: Path,
+    header: bool | int | None,
+    delimiter: str | None,
+    decimal: str | None,
+    encoding: str | None,
+) -> _FoundRows:
+    """The rows of a file that are no comments nor blank, and no lines above a header."""
+    first_row = 0 if header is None or isinstance(header, bool) else header
+    is_usual = encoding is None and decimal in {None, "."} and not first_row
+    if is_usual and path.stat().st_size > _LARGE:
+        plain = _plain_rows(path, delimiter)
+        if plain is not None:
+            return _FoundRows(
+                plain.first_lines, plain.rows, plain.comment, plain.dialect, plain=plain
+            )
+    text, remark = decode(path, encoding)
+    lines, comment = _lines(text)
+    if first_row:
+        lines, comment = [(row, line) for row, line in lines if row >= first_row], ""
     if not lines:
         raise InputError(path, "the file holds no samples", "rows of numbers")
-    return lines
+    tabs = _prefers_tabs(path)
+    dialect = find_dialect(lines, delimiter, decimal, prefers_tabs=tabs, where=path)
+    if dialect.delimiter != "\t":  # empty cells between tabs are a row
+        lines = [(row, line) for row, line in lines if line.strip()]
+    if not lines:
+        raise InputError(path, "the file holds no samples", "rows of numbers")
+    skipped = 0 if header is False else _preamble(lines, dialect)
+    lines = lines[skipped:]
+    return _FoundRows(lines, [row for row, _ in lines], comment, dialect, remark, skipped)
 
 
-def _cells(path: Path, lines: Lines, delimiter: str) -> "pl.DataFrame":
+@dataclass(frozen=True)
+class _PlainRows:
+    """The rows of a file that can be read as numbers at once, without a text for every cell.
+
+    Attributes:
+        text: the rows, without blank lines and comments.
+        rows: their rows in the file, counted from 1.
+        comment: the last comment before them, without its marks.
+        dialect: the marks of the file.
+    """
+
+    text: bytes
+    rows: Sequence[int] | Int[np.ndarray, " n"]
+    comment: str
+    dialect: Dialect
+
+    @property
+    def first_lines(self) -> Lines:
+        """The first rows, among which are names and units."""
+        lines = self.text.split(b"\n", _HEADER_ROWS)[:_HEADER_ROWS]
+        return [(int(row), line.decode()) for row, line in zip(self.rows, lines, strict=False)]
+
+    def numbers(self, columns: list[int], *, skipped: int) -> list[Column] | None:
+        """The numbers of some columns, without the rows that are skipped; None where one is none.
+
+        Args:
+            columns: indices of the columns.
+            skipped: number of rows before the first sample.
+        """
+        import polars as pl
+
+        delimiter = self.dialect.delimiter
+        width = self.first_lines[0][1].count(delimiter) + 1
+        schema = {str(i): pl.Float64 if i in columns else pl.String for i in range(width)}
+        names = [str(column) for column in columns]
+        try:
+            lazy = pl.scan_csv(
+                self.text, has_header=False, separator=delimiter, skip_rows=skipped, schema=schema
+            )
+            table = lazy.select(names).collect()
+        except (pl.exceptions.PolarsError, pl.exceptions.PanicException):
+            return None
+        if len(table) != len(self.rows) - skipped or any(table.null_count().row(0)):
+            return None
+        return [table[name].to_numpy() for name in names]
+
+
+def _plain_rows(path: Path, delimiter: str | None) -> _PlainRows | None:
+    """The rows of a file in ASCII without quotes, each as long as the first; None of others."""
+    content = path.read_bytes().replace(b"\r\n", b"\n")
+    if not content.isascii() or any(mark in content for mark in (b'"', b"\r", b"\0")):
+        return None
+    marks = np.frombuffer(content, np.uint8)
+    ends = np.flatnonzero(marks == _NEWLINE)
+    if not content.endswith(b"\n"):
+        ends = np.append(ends, len(content))
+    starts = np.concatenate([[0], ends[:-1] + 1])
+    first = marks[np.minimum(starts, len(marks) - 1)]
+    is_row = (starts < ends) & (first != ord("#"))
+    rows = np.flatnonzero(is_row)
+    # perhaps blank, or another comment: a closer look is needed
+    if not len(rows) or (first[rows] <= _BLANK).any() or np.isin(first[rows], _OTHER_MARKS).any():
+        return None
+
+    def line(index: int) -> str:
+        return content[starts[index] : ends[index]].decode()
+
+    sample = rows[np.unique(np.linspace(0, len(rows) - 1, _SAMPLE).astype(int))]
+    lines = [(k + 1, line(k)) for k in (*rows[:_SAMPLE].tolist(), *sample.tolist())]
+    tabs = _prefers_tabs(path)
+    try:
+        dialect = find_dialect(lines, delimiter, None, prefers_tabs=tabs, where=path)
+    except InputError:
+        return None
+    if dialect.delimiter == BLANKS or dialect.decimal != "." or dialect.thousands:
+        return None
+    mark = ord(dialect.delimiter)
+    cells = line(int(rows[0])).count(dialect.delimiter)
+    for begin in range(0, len(starts), _AT_ONCE):
+        some = slice(begin, begin + _AT_ONCE)
+        origin, stop = starts[some][0], ends[some][-1] + 1
+        is_mark = (marks[origin:stop] == mark).astype(np.uint32)
+        if len(is_mark) == starts[some][-1] - origin:  # the last line is empty
+            is_mark = np.append(is_mark, np.uint32(0))
+        counts = np.add.reduceat(is_mark, starts[some] - origin)
+        if (counts[is_row[some]] != cells).any():
+            return None
+    comments = np.flatnonzero((starts < ends) & (first == ord("#")))
+    before = comments[comments < rows[0]]
+    comment = comment_text(line(int(before[-1]))) if len(before) else ""
+    if not is_row.all():
+        runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+        content = b"\n".join(content[starts[run[0]] : ends[run[-1]]] for run in runs)
+    is_run = rows[-1] - rows[0] + 1 == len(rows)
+    numbered = range(int(rows[0]) + 1, int(rows[-1]) + 2) if is_run else rows + 1
+    return _PlainRows(content, numbered, comment, dialect)
+
+
+def _lines(text: str) -> tuple[Lines, str]:
+    """The lines of a file that are no comments nor blank, and the last comment before them."""
+    lines: Lines = []
+    comment = ""
+    for row, line in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1):
+        if is_comment(line):
+            comment = comment if lines else comment_text(line)
+        elif line.strip() or "\t" in line:
+            lines.append((row, line))
+    return lines, comment
+
+
+def _texts(table: "pl.DataFrame", row: int) -> list[str]:
+    return [(cell or "").strip() for cell in table.row(row)]
+
+
+def _names_in(comment: str, dialect: Dialect, width: int) -> list[str] | None:
+    """The names of the columns in a comment above the first sample, None where it has none."""
+    names = dialect.split(comment)
+    is_header = len(names) == width > 1 and all(names) and len({*names}) == width
+    return names if is_header and not any(dialect.is_number(name) for name in names) else None
+
+
+def _preamble(lines: Lines, dialect: Dialect) -> int:
+    """The number of lines before a header that are shorter or longer than the rows of the table."""
+    tail = [len(dialect.split(line)) for _, line in lines[-5:]]
+    width = max({*tail}, key=tail.count)
+    first = next((k for k, (_, line) in enumerate(lines) if len(dialect.split(line)) == width), 0)
+    cells = dialect.split(lines[first][1])
+    is_header = width > 1 and not any(dialect.is_number(cell) for cell in cells)
+    return first if is_header else 0
+
+
+def _cells(path: Path, lines: Lines, dialect: Dialect) -> "pl.DataFrame":
     """The cells as text, a row for every line."""
     import polars as pl
 
+    delimiter = dialect.delimiter
+    if delimiter == BLANKS:
+        lines, delimiter = [(row, "\t".join(line.split())) for row, line in lines], "\t"
     text = "\n".join(line for _, line in lines).encode()
     try:
         table = pl.read_csv(text, has_header=False, separator=delimiter, infer_schema=False)
@@ -102,25 +331,50 @@ def _cells(path: Path, lines: Lines, delimiter: str) -> "pl.DataFrame":
         defect = f'row {unclosed} has a quote (") that is not closed'
     elif ragged is not None:
         defect = f"row {ragged[0]} has {ragged[1]} cells, row {first_row} has {width}"
-    raise InputError(path, defect, f"rows of equal length separated by '{delimiter}'")
+    raise InputError(path, defect, f"rows of equal length separated by '{dialect.delimiter}'")
 
 
-def _numbers(cells: "pl.Series", where: str, rows: list[int], has_header: bool) -> Column:
+def _numbers(
+    cells: "pl.Series",
+    dialect: Dialect,
+    where: str,
+    rows: Sequence[int] | Int[np.ndarray, " n"],
+    *,
+    has_header: bool,
+) -> Column:
     """The numbers of some cells; `where` has {} in place of the row, for the message."""
     import polars as pl
 
-    numbers = cells.cast(pl.Float64, strict=False)
+    is_plain = dialect.decimal == "." and not dialect.thousands
+    numbers = cells.cast(pl.Float64, strict=False) if is_plain else pl.Series([None])
     if numbers.null_count():
-        numbers = cells.str.strip_chars().cast(pl.Float64, strict=False)
+        numbers = _plain(cells.str.strip_chars(), dialect).cast(pl.Float64, strict=False)
     if numbers.null_count():
         sample = int(np.flatnonzero(numbers.is_null().to_numpy())[0])
         text = (cells[sample] or "").strip()
+        remedy = "correct or remove the row"
+        if not (has_header or sample):
+            remedy = "if the first row names the columns, set `header = true`"
+        elif "," in text and not text.strip("+-0123456789.,"):
+            remedy += ', or set `decimal = ","` or `"."` under [format]'
         raise InputError(
-            where.format(rows[sample]),
-            f"the text '{text[:40]}'" if text else "an empty cell",
-            "a number",
-            "correct or remove the row"
-            if has_header or sample
-            else "if the first row names the columns, set `header = true`",
-        )
+            where.format(rows[sample]), f"the text '{text[:40]}'" if text else "an empty cell",
+            "a number", remedy,
+        )  # fmt: skip
     return numbers.to_numpy()
+
+
+def _plain(cells: "pl.Series", dialect: Dialect) -> "pl.Series":
+    """Numbers as Python writes them: a decimal point, exponents by e, nothing between thousands."""
+    import polars as pl
+
+    if dialect.thousands:
+        grouped = cells.str.contains(dialect.thousands, literal=True)
+        wrong = grouped & ~cells.str.contains(f"^(?:{dialect.grouped().pattern})$")
+        cells = cells.str.replace_all(dialect.thousands, "", literal=True)
+        cells = cells.set(wrong, None)
+    if dialect.decimal != ".":
+        wrong = cells.str.contains(".", literal=True)
+        cells = cells.str.replace_all(dialect.decimal, ".", literal=True).set(wrong, None)
+    cells = cells.str.replace("^\u2212", "-")  # the minus sign of typography
+    return cells.str.replace("(?i)^([-+]?[0-9.]+)d([-+]?[0-9]+)$", "${1}e${2}").cast(pl.String)

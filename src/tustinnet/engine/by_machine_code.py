@@ -33,7 +33,9 @@ from tustinnet.program.numbers import run
 _TYPES = {"ptr": ctypes.c_void_p, "i64": ctypes.c_int64}
 _ALIGNED = 64  # bytes
 _CACHED = 192  # functions
-_FEW_OPERATIONS = 30_000  # of a formula, up to which NumPy does them and nothing is compiled
+# of a formula, up to which NumPy does them and nothing is compiled: to compile an operation takes
+# longer than to do it at hundreds of points
+_FEW_OPERATIONS, _FEW_POINTS = 30_000, 20
 _operations: WeakKeyDictionary[Formula, int] = WeakKeyDictionary()  # of each, done by NumPy
 
 
@@ -99,7 +101,7 @@ def evaluate(
     """Values of a formula, or its derivatives, at many points; see `runs.evaluate`."""
     program = formula.derivatives if derivatives else formula.program
     operations = _operations.get(formula, 0) + len(points) * len(program.nodes)
-    if operations < _FEW_OPERATIONS:
+    if operations < max(_FEW_OPERATIONS, _FEW_POINTS * len(program.nodes)):
         _operations[formula] = operations
         rows = [run(program, x=point)["value"] for point in _contiguous(points)]
         return np.stack(rows) if rows else np.zeros((0, output_size(program, "value")))

@@ -13,7 +13,7 @@ import numpy as np
 
 from tustinnet.data.experiment import LARGEST, Experiment
 from tustinnet.data.proposals import Proposal
-from tustinnet.errors import InputError
+from tustinnet.errors import InputError, convert_errors
 from tustinnet.evaluate.bands import find_alternatives, predict
 from tustinnet.fitting.shooting.information import fisher_information, search_space_for
 from tustinnet.models.contract import Model, require_float64, with_dtype
@@ -95,7 +95,9 @@ def rank_proposals(
         raise InputError("--horizon", "not applicable to an identified system", "a committee")
     if identification:
         criterion, unit = COVARIANCE, "nats"
-        gains = _covariance_gains(model, identification, records)
+        expected = "those of an identified system"
+        with convert_errors("next-record", "errors of parameters that do not fit", expected):
+            gains = _covariance_gains(model, identification, records)
     else:
         criterion, unit = DISAGREEMENT, model.channels.unit
         gains = _disagreement_gains(model, header, records, horizon)

@@ -166,7 +166,7 @@ class _Description:
     def from_source(cls, source: Source) -> "_Description":
         inputs = [i.name for i in source.channels.inputs]
         parameters = [name for name, _, _ in source.parameters]
-        names = _unique([*source.states, *inputs, "time", *parameters])
+        _, *names = _unique(["time", *source.states, *inputs, *parameters])  # `time` is FMI's own
         units = [*source.units, *(i.unit for i in source.channels.inputs)]
         channels = tuple(zip(names, units, strict=False))
         title = f"model of {', '.join(c.name for c in source.channels.coordinates)}"
@@ -174,7 +174,7 @@ class _Description:
         constants = tuple(
             (name, unit, value)
             for name, (_, unit, value) in zip(
-                names[len(channels) + 1 :], source.parameters, strict=True
+                names[len(channels) :], source.parameters, strict=True
             )
         )
         notes = [
@@ -188,6 +188,12 @@ class _Description:
             )
         if min(source.input_layout.offsets) < 0:
             notes.append("Inputs before the first step are taken as the first ones.")
+        own_names = [*source.states, *inputs, *parameters]
+        notes += [
+            f"'{own}' is called '{name}' here."
+            for own, name in zip(own_names, names, strict=True)
+            if own != name
+        ]
         notes += [f"Note: {note}." for note in source.notes]
         n = source.n_x
         return cls(title, channels[:n], channels[n:], constants, period, " ".join(notes))

@@ -2,15 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
+from tustinnet.engine.equations import Formula
 from tustinnet.errors import InputError
 from tustinnet.export.source import Source
-from tustinnet.simulate.linearise import value_and_jacobians
+from tustinnet.simulate.linearise import value_and_jacobian
 
 
 @dataclass(frozen=True)
@@ -53,14 +52,17 @@ def compute_tangent(
         )  # fmt: skip
     state = np.asarray(x, float)
     inputs = np.tile(np.asarray(u, float), len(source.input_layout.offsets))
-    value, slopes = jax.jit(partial(value_and_jacobians, source.function))(state, inputs)
-    following, a, b = map(np.asarray, (value, *slopes))
-    if not all(np.isfinite(values).all() for values in (following, a, b)):
+    formula = Formula(
+        lambda point: source.function(point[:n_x], point[n_x:]), n_x + len(inputs),
+        where="operating point",
+    )  # fmt: skip
+    following, jacobian = value_and_jacobian(formula, np.concatenate([state, inputs]))
+    if not (np.isfinite(following).all() and np.isfinite(jacobian).all()):
         raise InputError(
             "operating point", "derivatives that are not finite",
             "a point where the model is smooth",
         )  # fmt: skip
-    return Tangent(state, inputs, a, b, following - state)
+    return Tangent(state, inputs, jacobian[:, :n_x], jacobian[:, n_x:], following - state)
 
 
 def operating_point(

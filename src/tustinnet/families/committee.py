@@ -290,6 +290,8 @@ class CommitteeFamily(Family):
             restore_part(part, arrays, f"{i}.", loaded if systems_in(part) else None, where)
             for i, part in enumerate(header[MEMBERS], 1)
         ]
+        for i, member in enumerate(members):
+            _require_member(member, members[0], f"{where}, members.{i}")
         weights = np.array([part[WEIGHT] for part in header[MEMBERS]])
         if not (weights >= 0).all() or abs(weights.sum() - 1) > _ROUNDING:
             raise ValueError(f"weights {weights.tolist()}")

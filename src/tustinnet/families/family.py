@@ -20,13 +20,12 @@ from tustinnet.models.blocks import is_layer
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import FromContinuous
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
+from tustinnet.models.sizes import MOST_LAYERS
 from tustinnet.registry import FAMILIES, SUMMARIES, SYSTEMS
 from tustinnet.renamed import current_name, refuse_outdated
 
 Requirement = Literal["system", "physics"]
 
-# larger values exhaust memory before any message
-MOST_LAYERS, MOST_UNITS, MOST_STATES = 100, 10_000, 1000
 # names of earlier versions, which families of other packages may have or use
 _RENAMED_HOOKS = {
     "trainable": "trainable_mask",

@@ -13,7 +13,6 @@ from pydantic import Field
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.families.family import (
-    MOST_UNITS,
     Arrays,
     Header,
     Hyper,
@@ -30,6 +29,7 @@ from tustinnet.models.contract import (
     Model,
     State,
 )
+from tustinnet.models.sizes import LONGEST_WARM_UP, MOST_UNITS
 from tustinnet.models.step_layout import StepInput
 
 
@@ -121,7 +121,7 @@ class GRUHyper(Hyper):
     """
 
     hidden: int = Field(default=32, gt=0, le=MOST_UNITS)
-    warm_up: int = Field(default=20, ge=6, le=100_000)
+    warm_up: int = Field(default=20, ge=6, le=LONGEST_WARM_UP)
     input_taps: InputTaps = ()
 
 

@@ -36,8 +36,9 @@ from tustinnet.models.contract import (
     State,
     require_fit,
 )
-from tustinnet.models.integrate import MOST_SUBSTEPS, Discretised
+from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import LagrangianModel
+from tustinnet.models.sizes import MOST_SUBSTEPS
 from tustinnet.models.step_layout import StepInput, StepLayout
 from tustinnet.registry import DEFAULT_FAMILY, FAMILIES
 from tustinnet.signals.stacking import stack_padded
@@ -292,7 +293,9 @@ class HybridFamily(TrainedFamily):
             restore_part(header[name], arrays, f"{name}.", system, where)
             for name in (PHYSICS, CORRECTION)
         )
-        return HybridModel(physics, correction, bool(header["fades_at_rest"]))
+        if not isinstance(correction, AccelerationModel):
+            raise ValueError(f"a correction of kind '{header[CORRECTION]['kind']}'")
+        return HybridModel(physics, correction, header["fades_at_rest"])
 
     def parameters(self, model: HybridModel) -> Sequence[tuple[str, str, float]]:
         """Name, unit and value of the parameters of the physics."""

@@ -14,7 +14,6 @@ from pydantic import Field
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment, VelocitySource, moving_coordinates
 from tustinnet.families.family import (
-    MOST_STATES,
     Arrays,
     Header,
     Hyper,
@@ -24,6 +23,7 @@ from tustinnet.families.family import (
 )
 from tustinnet.models.blocks import Affine, root_mean_square
 from tustinnet.models.contract import InputVector, Model, State
+from tustinnet.models.sizes import MOST_STATES
 
 _INITIAL_COUPLING = 0.1  # standard deviation of the weights that random internal states begin with
 

@@ -9,9 +9,8 @@ from jaxtyping import PyTree
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from tustinnet.channels import Channels
+from tustinnet.families.descriptions import Tap, check_taps
 from tustinnet.families.family import (
-    MOST_LAYERS,
-    MOST_UNITS,
     Arrays,
     Hyper,
     LayeredStage,
@@ -20,6 +19,7 @@ from tustinnet.families.family import (
     restore_arrays,
 )
 from tustinnet.models.blocks import Layers, Network, Scaling, feature_count, random_network
+from tustinnet.models.sizes import MOST_LAYERS, MOST_TAPS, MOST_UNITS
 from tustinnet.registry import SCALINGS
 
 
@@ -33,7 +33,9 @@ class NetworkHyper(Hyper):
         output_bias: whether the output layer has a bias.
         odd: whether its output changes its sign with positions, velocities and inputs: for
             mechanisms that are the same to both sides of zero.
-        scaling: a name of the registry; `records` learns all units from the training records.
+        scaling: a name of the registry; `records` learns all units from the training records,
+            `standard` also centres and scales sines and cosines of angles and adds differences of
+            coordinates that move together.
     """
 
     hidden: tuple[Annotated[int, Field(gt=0, le=MOST_UNITS)], ...] = Field(
@@ -64,15 +66,7 @@ class NetworkHyper(Hyper):
         return self.model_dump(include={"hidden", "stem", "activation", "output_bias", "odd"})
 
 
-def _check_taps(taps: tuple[int, ...]) -> tuple[int, ...]:
-    """The taps, all different."""
-    if len(set(taps)) < len(taps):
-        raise ValueError(f"a tap twice: {list(taps)}")
-    return taps
-
-
-Tap = Annotated[int, Field(ge=-1000, le=1000)]
-InputTaps = Annotated[tuple[Tap, ...], Field(max_length=100), AfterValidator(_check_taps)]
+InputTaps = Annotated[tuple[Tap, ...], Field(max_length=MOST_TAPS), AfterValidator(check_taps)]
 
 
 def describe_network(network: Network) -> dict[str, Any]:
@@ -84,6 +78,8 @@ def describe_network(network: Network) -> dict[str, Any]:
         "output_bias": network.output.bias is not None,
         "linear": network.bypass is not None,
         "odd": network.odd,
+        "centred_angles": len(network.scaling.angle_scale) > 0,
+        "pairs": [list(pair) for pair in network.scaling.pairs],
     }
 
 
@@ -92,24 +88,33 @@ def restore_network(
 ) -> Network:
     """The network of a model file."""
     taps = len(structure.get("input_taps", ())) or 1
-    features = feature_count(channels, memory, taps)
+    centred = bool(structure.get("centred_angles", False))
+    pairs = tuple((int(i), int(j)) for i, j in structure.get("pairs", ()))
+    features = feature_count(channels, memory, taps, len(pairs))
     layers = Layers(
         **{key: structure[key] for key in ("hidden", "stem", "activation", "output_bias")},
         **{key: structure.get(key, False) for key in ("linear", "odd")},
     )
 
     def make() -> Network:
-        scaling = blank_scaling(channels, memory)
+        scaling = blank_scaling(channels, memory, centred, pairs)
         return random_network(scaling, jax.random.key(0), features, outputs, layers)
 
     return restore_arrays(make, arrays)
 
 
-def blank_scaling(channels: Channels, memory: int = 0) -> Scaling:
+def blank_scaling(
+    channels: Channels,
+    memory: int = 0,
+    centred: bool = False,
+    pairs: tuple[tuple[int, int], ...] = (),
+) -> Scaling:
     """Units of the right sizes, all 0, for the arrays of a file to be put into."""
-    linear = channels.n_q - int(channels.angular.sum())
-    sizes = (linear, linear, channels.n_q, channels.n_u, channels.n_q, memory)
-    return Scaling(*(jnp.zeros(n, jnp.float32) for n in sizes))
+    angular = int(channels.angular.sum())
+    linear = channels.n_q - angular
+    sizes = (linear, linear, channels.n_q, channels.n_u, channels.n_q, memory,
+             2 * angular * centred, angular * centred, 2 * len(pairs))  # fmt: skip
+    return Scaling(*(jnp.zeros(n, jnp.float32) for n in sizes), pairs=pairs)
 
 
 class NetworkFamily(TrainedFamily):

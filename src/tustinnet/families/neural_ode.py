@@ -24,7 +24,8 @@ from tustinnet.families.networks import (
 )
 from tustinnet.models.blocks import Layers, Network, feature_count, random_network
 from tustinnet.models.contract import ContinuousModel, InputVector, Model, State
-from tustinnet.models.integrate import MOST_UNROLLED, Discretised, discretise
+from tustinnet.models.integrate import Discretised, discretise
+from tustinnet.models.sizes import MOST_UNROLLED
 from tustinnet.registry import SCALINGS
 
 
@@ -87,9 +88,10 @@ class NeuralODEFamily(NetworkFamily):
         channels = experiments[0].channels
         scaling = SCALINGS[hyper.scaling](experiments, velocity, ())
         layers, outputs = Layers(**hyper.layers), 2 * channels.n_q
+        features = feature_count(channels, pairs=len(scaling.pairs))
 
         def build(key: PRNGKeyArray) -> Discretised:
-            network = random_network(scaling, key, feature_count(channels), outputs, layers)
+            network = random_network(scaling, key, features, outputs, layers)
             return _make_discrete(network, channels, hyper.substeps)
 
         return build

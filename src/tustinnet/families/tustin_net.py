@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.errors import InputError
+from tustinnet.families.descriptions import Seconds
 from tustinnet.families.family import (
     Arrays,
     Header,
@@ -38,6 +39,7 @@ from tustinnet.models.contract import (
     Model,
     State,
 )
+from tustinnet.models.sizes import MOST_TIMES
 from tustinnet.models.step_layout import StepInput
 from tustinnet.registry import SCALINGS
 from tustinnet.signals.rest import usual_positions
@@ -99,7 +101,9 @@ class TustinNet(AccelerationModel):
                 "remembered", f"a share of {self.remembered:g} with memory of "
                 f"{self.relaxation_times} s and rest {self.rest}", "memory and rest beside a share",
             )  # fmt: skip
-        features = feature_count(self.channels, len(self.internal), len(self.taps) or 1)
+        features = feature_count(
+            self.channels, len(self.internal), len(self.taps) or 1, len(self.network.scaling.pairs)
+        )
         self.network.require_shape(features, self.channels.n_q)
 
     @property
@@ -180,7 +184,7 @@ class TustinNetHyper(NetworkHyper):
     The other keys are those of the network.
     """
 
-    memory: tuple[Annotated[float, Field(gt=0, le=1e6)], ...] = Field(default=(), max_length=100)
+    memory: tuple[Seconds, ...] = Field(default=(), max_length=MOST_TIMES)
     remembered: float | None = Field(default=None, ge=0, le=1)
     input_taps: InputTaps = ()
     linear: bool = False
@@ -199,7 +203,7 @@ class TustinNetHyper(NetworkHyper):
 
     @model_validator(mode="after")
     def _check_memory(self) -> "TustinNetHyper":
-        if self.memory and self.scaling != "records":
+        if self.memory and self.scaling not in ("records", "standard"):
             raise ValueError(f"the scaling '{self.scaling}' has none for `memory`")
         if self.remembered is not None and not self.memory:
             raise ValueError("`remembered` is of internal states: give `memory`, or leave it out")
@@ -291,7 +295,8 @@ def random_tustin_net(
         taps: the samples of the inputs that it takes.
         layers: hidden, stem, activation and output_bias, see `Layers`.
     """
-    features = feature_count(channels, len(relaxation_times) * channels.n_q, len(taps) or 1)
+    memory, pairs = len(relaxation_times) * channels.n_q, len(scaling.pairs)
+    features = feature_count(channels, memory, len(taps) or 1, pairs)
     network = random_network(scaling, key, features, channels.n_q, Layers(**layers))
     return TustinNet(network, channels, tuple(relaxation_times), tuple(taps))
 

@@ -12,7 +12,7 @@ from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.shooting.identify import identify_task
 from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
 from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task
-from tustinnet.models.contract import Model
+from tustinnet.models.contract import Model, warn_of_single_precision
 from tustinnet.simulate.programs import make_room
 from tustinnet.systems.files import AnySystem
 
@@ -48,6 +48,7 @@ def fit(
         InputError: records too short for a window, no training split, a recipe that does not fit
             or to which an argument is not applicable; see also `identify`.
     """
+    warn_of_single_precision("fit")
     task = make_task(data, recipe, [Member(seed)], physics=physics, system=system)
     return fit_task(task, lambda _: listener)[0]
 
@@ -81,6 +82,7 @@ def fit_many(
     Raises:
         InputError: no seed, a rate that is not positive; see `fit`.
     """
+    warn_of_single_precision("fit_many")
     members = [Member(seed, rate) for seed in seeds for rate in rates]
     return fit_task(make_task(data, recipe, members, physics=physics), lambda _: listener)
 

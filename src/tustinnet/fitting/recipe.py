@@ -22,8 +22,8 @@ from tustinnet.families.family import (
     TrainedFamily,
 )
 from tustinnet.models.contract import Model
-from tustinnet.models.integrate import MOST_SUBSTEPS
 from tustinnet.models.lagrangian import LagrangianSystem
+from tustinnet.models.sizes import MOST_SUBSTEPS
 from tustinnet.registry import DEFAULT_FAMILY, FAMILIES
 from tustinnet.simulate.starts import start_named
 
@@ -63,7 +63,8 @@ class WindowRecipe(Declaration):
 
     Attributes:
         draw: `strided` from the first row on, or `random`.
-        length: steps in a window.
+        length: steps in a window; or
+        span: the length of a window in correlation times of the slowest velocity.
         adapt: whether `length` may change with the records: longer where the system moves
             slowly compared to the period, shorter where records are short.
         step: samples between two strided windows.
@@ -74,7 +75,8 @@ class WindowRecipe(Declaration):
     """
 
     draw: Literal["strided", "random"]
-    length: Count
+    length: Count | None = None
+    span: float | None = Field(default=None, gt=0, le=1e3)
     adapt: bool = False
     step: Count | None = None
     count: int | None = Field(default=None, gt=0, le=_WINDOWS)
@@ -83,6 +85,10 @@ class WindowRecipe(Declaration):
 
     @model_validator(mode="after")
     def _check_draw(self) -> "WindowRecipe":
+        if (self.length is None) == (self.span is None):
+            raise ValueError("windows take either `length` or `span`")
+        if self.span is not None and self.adapt:
+            raise ValueError("`adapt` changes a `length`; a `span` follows the records anyway")
         if self.draw == "random" and (self.count is None or self.step or self.part != 1.0):
             raise ValueError("random windows take `count`, not `step` or `part`")
         if self.draw == "strided" and (self.step is None) == (self.count is None):

@@ -9,12 +9,17 @@ from typing import Any
 from tustinnet.data.declaration import list_packaged, parse_toml, read_packaged, require_plain
 from tustinnet.errors import InputError, convert_errors
 from tustinnet.fitting.recipe import Recipe, declare_recipe
-from tustinnet.registry import RECIPE_HOMES
+from tustinnet.registry import PUBLICATION, RECIPE_HOMES
 
 
 def packaged_recipes() -> list[str]:
     """Names of the recipes that come with the package."""
     return list(list_packaged(RECIPE_HOMES))
+
+
+def is_published(recipe: Recipe) -> bool:
+    """Whether a recipe is one of the publication, which stays as it was published."""
+    return recipe.name in list_packaged([PUBLICATION])
 
 
 def read_recipe(

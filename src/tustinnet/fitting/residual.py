@@ -89,9 +89,9 @@ def make_residual(
     where coordinates are of different kinds each position is measured by its spread. Not scaled,
     all channels count in SI units, but for lengths in a training.
 
-    A training counts lengths in their spread, rounded to a power of two: else its rate, its clip
-    and Adam's epsilon would act differently on a stage of 0.1 mm and on one of 1 m. (Angles need
-    no such unit: a radian is the same everywhere.) The rounding lets folds share a program.
+    A training counts lengths in their spread: else its rate, its clip and Adam's epsilon would act
+    differently on a stage of 0.1 mm and on one of 1 m. (Angles need no such unit: a radian is the
+    same everywhere.) All its units are rounded to powers of two: folds then share a program.
 
     Args:
         recipe: the keys `loss`, `periodic` and `scaled` of it.
@@ -104,18 +104,22 @@ def make_residual(
     span = np.where(
         moving_coordinates(experiments), _spread([e.q.var(axis=0) for e in experiments]), 0.0
     )
-    length = ~channels.angular & (span > 0) & isinstance(recipe, StageRecipe)
-    plain = np.where(length, 2.0 ** np.round(np.log2(np.where(length, span, 1.0))), _STILL_UNIT)
+    trains = isinstance(recipe, StageRecipe)
+    length = ~channels.angular & (span > 0) & trains
+    plain = np.where(length, _to_power_of_two(np.where(length, span, 1.0)), _STILL_UNIT)
     if not recipe.scaled:
         return Residual(periodic, tuple(np.tile(plain, 2 if state else 1).tolist()))
     mixed = len({c.kind for c in channels.coordinates}) > 1
     position = np.where(span > 0, span, _STILL_UNIT) if mixed else plain
+    if trains:
+        position = _to_power_of_two(position)
     if not state:
         return Residual(periodic, tuple(position.tolist()))
     speed = _spread([np.mean(e.velocities() ** 2, axis=0) for e in experiments])
     speed = np.where(speed > 0, speed, _STILL_UNIT)
     # a coordinate that never moves does not count
-    velocity = np.where(span > 0, position * speed / np.where(span > 0, span, 1.0), np.inf)
+    rate = speed / np.where(span > 0, span, 1.0)
+    velocity = np.where(span > 0, position * (_to_power_of_two(rate) if trains else rate), np.inf)
     return Residual(periodic, (*position.tolist(), *velocity.tolist()))
 
 
@@ -150,6 +154,11 @@ def robust_weights(
     if kind == "huber":
         return _HUBER / np.maximum(z, _HUBER)
     return 1 / (1 + z**2 / _DEGREES_OF_FREEDOM)
+
+
+def _to_power_of_two(units: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Units rounded to powers of two, above 0."""
+    return 2.0 ** np.round(np.log2(units))
 
 
 def _spread(squares: Sequence[np.ndarray]) -> np.ndarray:

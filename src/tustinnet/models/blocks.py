@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import equinox as eqx
 import jax
@@ -21,6 +21,9 @@ ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
     "silu": jax.nn.silu,
     "softplus": jax.nn.softplus,
 }
+
+
+_TOGETHER = 0.3  # of a coordinate's spread: less apart, two coordinates move together
 
 
 class Affine(eqx.Module):
@@ -78,6 +81,12 @@ class Scaling(eqx.Module):
         input: divides inputs, (n_u,).
         acceleration: multiplies the accelerations of a network [rad/s^2 or m/s^2], (n_q,).
         memory: divides internal states that are fed to a network, (n_z,).
+        angle_centre: subtracted from the sines, then from the cosines of angles, (2 n_angular,), or
+            none.
+        angle_scale: divides both of an angle, (n_angular,), or none.
+        pair_scale: divides the differences of the positions of `pairs`, then of their velocities,
+            (2 n_pairs,).
+        pairs: coordinates of a kind that move together, whose differences are features, too.
     """
 
     position_offset: Float[Array, " n_linear"]
@@ -86,34 +95,62 @@ class Scaling(eqx.Module):
     input: Float[Array, " n_u"]
     acceleration: Float[Array, " n_q"]
     memory: Float[Array, " n_z"] = eqx.field(default_factory=lambda: jnp.zeros(0, jnp.float32))
+    angle_centre: Float[Array, " _"] = eqx.field(default_factory=lambda: jnp.zeros(0, jnp.float32))
+    angle_scale: Float[Array, " _"] = eqx.field(default_factory=lambda: jnp.zeros(0, jnp.float32))
+    pair_scale: Float[Array, " _"] = eqx.field(default_factory=lambda: jnp.zeros(0, jnp.float32))
+    pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
 
     def features(
         self, channels: Channels, x: Float[Array, " n_x"], u: Float[Array, "*taps n_u"]
     ) -> Float[Array, " n_0"]:
         """The inputs of a network: sines, cosines, linear positions, velocities, inputs, scaled.
 
-        As many of the internal states as `memory` has units for stand before the inputs. Of
-        several samples of the inputs one stands after the other.
+        Differences of pairs, of angles their sines, follow the velocities. As many of the internal
+        states as `memory` has units for stand before the inputs. Of several samples of the inputs
+        one stands after the other.
         """
         angle, length = _split_by_kind(x[channels.position], channels.angular)
+        circle = jnp.concatenate([jnp.sin(angle), jnp.cos(angle)])
+        if len(self.angle_scale):
+            circle = (circle - self.angle_centre) / jnp.tile(self.angle_scale, 2)
         features = [
-            jnp.sin(angle),
-            jnp.cos(angle),
+            circle,
             (length - self.position_offset) / self.position_scale,
             x[channels.velocity] / self.velocity,
         ]
+        if self.pairs:
+            features.append(pair_differences(self.pairs, channels, x) / self.pair_scale)
         if len(self.memory):
             features.append(x[channels.internal] / self.memory)
         return jnp.concatenate([*features, jnp.ravel(u / self.input)])
 
 
-def feature_count(channels: Channels, memory: int = 0, taps: int = 1) -> int:
+def pair_differences(
+    pairs: Sequence[tuple[int, int]], channels: Channels, x: Float[Array, " n_x"]
+) -> Float[Array, " _"]:
+    """Differences of the positions of pairs, of angles their sines, then of their velocities.
+
+    Args:
+        pairs: two coordinates each, of the same kind.
+        channels: the coordinates.
+        x: a state.
+    """
+    q, v = x[channels.position], x[channels.velocity]
+    apart = [q[j] - q[i] for i, j in pairs]
+    positions = [
+        jnp.sin(d) if channels.angular[i] else d for d, (i, _) in zip(apart, pairs, strict=True)
+    ]
+    return jnp.stack([*positions, *(v[j] - v[i] for i, j in pairs)])
+
+
+def feature_count(channels: Channels, memory: int = 0, taps: int = 1, pairs: int = 0) -> int:
     """The number of features of a network.
 
-    Three per angular coordinate, two per linear one, one per internal state, and one per input
-    and tap.
+    Three per angular coordinate, two per linear one and per pair, one per internal state, and one
+    per input and tap.
     """
-    return 2 * channels.n_q + int(channels.angular.sum()) + memory + taps * channels.n_u
+    own = 2 * channels.n_q + int(channels.angular.sum())
+    return own + 2 * pairs + memory + taps * channels.n_u
 
 
 def _split_by_kind(q: Float[Array, " n_q"], angular: np.ndarray) -> tuple[Array, Array]:
@@ -310,6 +347,56 @@ def learn_scaling(
         input=root_mean_square(np.concatenate([e.u for e in experiments])),
         acceleration=root_mean_square(change),
         memory=root_mean_square(np.concatenate(internal)),
+    )
+
+
+def learn_standard_scaling(
+    experiments: Sequence[Experiment],
+    velocity: VelocitySource = "auto",
+    relaxation_times: Sequence[float] = (),
+) -> Scaling:
+    """Units from the training records in which all features are of the size of 1.
+
+    Like `learn_scaling`, and the sines and cosines of an angle are centred and divided by the
+    radius within which they move: an angle that stays near a position counts as much as one that
+    turns around. Coordinates of a kind that move together, as both ends of a shaft do, also enter
+    by their differences, in units of these: they are what a shaft or a belt acts by, and would be
+    lost beside the positions.
+
+    Args:
+        experiments: the training records.
+        velocity: which velocities to use.
+        relaxation_times: relaxation times of the internal states [s].
+    """
+    scaling = learn_scaling(experiments, velocity, relaxation_times)
+    channels = experiments[0].channels
+    q = np.concatenate([e.q for e in experiments])
+    v = np.concatenate([e.velocities(velocity) for e in experiments])
+    moving = moving_coordinates(experiments)
+    angle = q[:, channels.angular]
+    circle = np.concatenate([np.sin(angle), np.cos(angle)], axis=1)
+    radius = np.sqrt(np.sum(circle.var(axis=0).reshape(2, -1), axis=0))
+    spread, speed = q.std(axis=0), root_mean_square(v)
+    pairs: list[tuple[int, int]] = []
+    apart: list[float] = []  # the spread of the difference of each pair, and of its speed
+    speed_apart: list[float] = []
+    for i, j in combinations(np.flatnonzero(moving).tolist(), 2):
+        if channels.angular[i] != channels.angular[j]:
+            continue
+        difference = q[:, j] - q[:, i]
+        size = np.std(np.sin(difference) if channels.angular[i] else difference)
+        rate = np.sqrt(np.mean((v[:, j] - v[:, i]) ** 2))
+        together = difference.std() < _TOGETHER * min(spread[i], spread[j])
+        if together and size > 0 and 0 < rate < min(speed[i], speed[j]):
+            pairs.append((i, j))
+            apart.append(float(size))
+            speed_apart.append(float(rate))
+    return replace(
+        scaling,
+        angle_centre=jnp.asarray(circle.mean(axis=0), jnp.float32),
+        angle_scale=jnp.asarray(np.where(moving[channels.angular], radius, 1.0), jnp.float32),
+        pair_scale=jnp.asarray([*apart, *speed_apart], jnp.float32),
+        pairs=tuple(pairs),
     )
 
 

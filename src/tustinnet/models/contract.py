@@ -1,5 +1,6 @@
 """The interface of models: states, inputs, steps."""
 
+import warnings
 from abc import abstractmethod
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar, final
@@ -222,6 +223,16 @@ def with_dtype(model: AnyModel, dtype: DTypeLike) -> AnyModel:
 def require_fit(model: Model, experiment: Experiment) -> None:
     """Raises unless a model has the coordinates, inputs and sampling period of a record."""
     model.channels.require_same(experiment.channels, experiment.name, "the model")
+
+
+def warn_of_single_precision(what: str) -> None:
+    """Warns, once for each place of a program, where JAX computes in single precision."""
+    if not jax.config.read("jax_enable_x64"):
+        warnings.warn(
+            f"{what}: JAX computes in single precision; scores of the model need float64: call "
+            "jax.config.update('jax_enable_x64', True) before anything else",
+            stacklevel=3,
+        )
 
 
 def require_float64(what: str) -> None:

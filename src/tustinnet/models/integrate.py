@@ -19,10 +19,9 @@ from tustinnet.models.contract import (
     Model,
     State,
 )
+from tustinnet.models.sizes import MOST_SUBSTEPS, MOST_UNROLLED
 from tustinnet.models.step_layout import StepInput, StepLayout
 
-MOST_SUBSTEPS = 10_000  # more would be a period far too long for the system
-MOST_UNROLLED = 100  # each is compiled
 # the classical method: the stages' places along the step, and their weights
 _NODES = (0.0, 0.5, 0.5, 1.0)
 _WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)

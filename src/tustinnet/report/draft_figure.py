@@ -43,7 +43,7 @@ def draft_figure(draft: Draft) -> Figure:
         for axes in panels.ravel()[: len(drawn)][-_COLUMNS:]:
             axes.set_xlabel("time [s]")
             axes.tick_params(labelbottom=True)
-        place = piece.log.file + ("" if piece.log.cell is None else f"[{piece.log.cell}]")
+        place = piece.log.place
         rows_text = "" if piece.whole else f", rows {piece.rows[0]} to {piece.rows[1]}"
         more = len(draft.columns) - len(drawn)
         left_out = f"; {more} more columns are not drawn" if more else ""

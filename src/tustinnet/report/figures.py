@@ -10,6 +10,7 @@ import matplotlib as mpl
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tustinnet.channels import Channels
@@ -29,6 +30,7 @@ _DASHES = ("-.", "--", ":", (0, (6, 1, 1, 1, 1, 1)), "--")
 _LEGEND_WIDTH = 118  # characters of a legend that fit below a figure, 7 of a column for its line
 _BINS = 1200  # fewest along a line of a figure, more than it has pixels
 _LONG = 4 * _BINS  # samples; of a longer line only the extremes are drawn
+_DOTS = 150  # an inch
 _STYLE = {
     "font.size": 9,
     "axes.spines.top": False,
@@ -58,8 +60,12 @@ def write_figure(figure: Figure, folder: Path, name: str) -> None:
     """
     require_outputs([folder / name], overwrite=True, endings=FIGURE_ENDINGS)
     buffer, ending = BytesIO(), Path(name).suffix[1:].lower()
-    metadata = {"Date": None} if ending == "svg" else None
-    figure.savefig(buffer, format=ending, dpi=150, metadata=metadata)
+    if ending == "png":
+        figure.set_dpi(_DOTS)
+        FigureCanvasAgg(figure).print_png(buffer)  # `savefig` draws twice, to lay out first
+    else:
+        metadata = {"Date": None} if ending == "svg" else None
+        figure.savefig(buffer, format=ending, dpi=_DOTS, metadata=metadata)
     write_into(folder, name, buffer.getvalue())
 
 

@@ -36,6 +36,7 @@ class FitProgress(AbstractContextManager["FitProgress"]):
 
     def __init__(self, console: Console, *, quiet: bool = False) -> None:
         self._console, self._quiet = console, quiet
+        self._messages = set[str]()  # that were printed
         self._bars: Progress | None = None
         if console.is_terminal and not quiet:
             self._bars = Progress(
@@ -69,13 +70,19 @@ class FitProgress(AbstractContextManager["FitProgress"]):
         if isinstance(prepared, TrainingPlan):
             return Listener(
                 on_epoch=_Trainings(self._console, self._bars, prepared, label, self._quiet),
-                on_message=self._console.print,
+                on_message=self._print_once,
             )
         name = label or prepared.recipe.name
         return Listener(
             on_progress=_Identification(self._console, self._bars, name, self._quiet),
-            on_message=self._console.print,
+            on_message=self._print_once,
         )
+
+    def _print_once(self, message: str) -> None:
+        """Prints a message of a fit, unless another fit had the same: folds have records alike."""
+        if message not in self._messages:
+            self._messages.add(message)
+            self._console.print(message)
 
 
 class _Figures(ProgressColumn):

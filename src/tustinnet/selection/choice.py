@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Any
 
 from tustinnet.data.experiment import Experiment
+from tustinnet.data.spoiled import SpoiledPart, spoiled_header
 from tustinnet.evaluate.bands import KEY as BANDS
 from tustinnet.evaluate.bands import Calibration
 from tustinnet.evaluate.metrics import mean_and_error
@@ -47,6 +48,8 @@ class Choice:
         notes: what else was done or left out, in sentences.
         seconds: time it took.
         budget: how long it was to take at most [s], None for no limit.
+        spoiled: parts of the records that the model does not explain.
+        left_out: sentences on the parts of records that were left out; `notes` have them, too.
     """
 
     context: RunContext
@@ -59,6 +62,8 @@ class Choice:
     notes: tuple[str, ...] = ()
     seconds: float = 0.0
     budget: float | None = None
+    spoiled: tuple[SpoiledPart, ...] = ()
+    left_out: tuple[str, ...] = ()
 
     @property
     def unit(self) -> str:
@@ -153,7 +158,8 @@ class Choice:
                 f"its free runs have bands (simulate --band) of up to {level} %, calibrated on the "
                 f"{len(self.bands.records)} records that folds left out"
             )
-        return (*sentences, *self._unscored, *self.notes)
+        spoiled = [f"spoiled: {part.sentence}" for part in self.spoiled]
+        return (*sentences, *spoiled, *self._unscored, *self.notes)
 
     @property
     def _unscored(self) -> list[str]:
@@ -210,6 +216,7 @@ class Choice:
             },
             **(system_header(self.context.system_file) if needs_system else {}),
             **({BANDS: self.bands.as_header()} if self.bands and name == self.best else {}),
+            **spoiled_header(self.spoiled, self.left_out),
         }
 
     def as_plain(self) -> dict[str, Any]:
@@ -227,6 +234,7 @@ class Choice:
             "seconds": self.seconds,
             "budget": self.budget,
             "sentences": list(self.sentences),
+            **spoiled_header(self.spoiled, self.left_out),
             "candidates": [self._result_as_plain(r, best) for r in self.candidates.all_results],
         }
 

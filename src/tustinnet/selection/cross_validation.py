@@ -1,6 +1,6 @@
 """Cross-validation: every record scored by models that never saw it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from tustinnet.selection.folds import FOLDS, records_without_test, split_into_fo
 from tustinnet.selection.jobs import SCORES, Job, JobResult, RunContext
 from tustinnet.selection.runner import InProcess, MakeExecutor, run_jobs
 from tustinnet.selection.scoring import RecipeScoring
+from tustinnet.selection.timing import determine_recipe_timing
 from tustinnet.simulate.horizon import horizon_samples
 from tustinnet.simulate.starts import default_and_fitted_starts, start_named
 from tustinnet.store.kept_system import CANDIDATES
@@ -190,6 +191,7 @@ def cross_validate(
     folder: Path | None = None,
     executor: MakeExecutor | None = None,
     system: AnySystem | None = None,
+    on_message: Callable[[str], None] = lambda sentence: None,
 ) -> CrossValidationResult:
     """Fits a recipe to every choice of folds and scores the records that were left out.
 
@@ -206,6 +208,8 @@ def cross_validate(
         executor: where the jobs are done, as `cluster` gives it; by default in this process, and
             nothing is written.
         system: the system of the options as it was named, for workers to load.
+        on_message: called with sentences on the holds and delays of inputs, which are searched for
+            once where the data card does not declare them.
 
     Returns:
         The score of every record for every seed; `summary` has means and standard errors.
@@ -214,7 +218,14 @@ def cross_validate(
         InputError: too few records, a horizon of the recipe that is too short for a start, or too
             long; see also `fit`.
     """
-    records, recipe = records_without_test(data), options.recipe
+    recipe = options.recipe
+    timing = determine_recipe_timing(
+        data, recipe, options.system, is_repeated=True, on_message=on_message
+    )
+    for sentence in timing.sentences:
+        on_message(sentence)
+    data = timing.data
+    records = records_without_test(data)
     folds = len(split_into_folds(data, options.folds))
     starts = options.starts or default_and_fitted_starts(records)
     for start in starts:

@@ -1,7 +1,7 @@
 """Successive halving: rounds of more and more folds and seeds, each with fewer candidates."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
 from tustinnet.evaluate.metrics import mean_and_error
@@ -18,7 +18,7 @@ _LEAST = 8.0  # s, what a first try takes at least: a network is compiled before
 _LEAST_SHARE = 0.25  # of a short time, that least
 # a fit that was stopped goes on where so many times its time is left: it compiles, or begins, anew
 _AGAIN = 1.5
-_FAR = 0.3  # of the motion, an error of whole records where errors are known to grow
+_FAR = 0.3  # of the motion within turns, an error of whole records that says little of a model
 NO_TIME = "no time was left for it"
 _FEWEST = 2  # candidates that go on, where there are as many
 
@@ -33,13 +33,14 @@ class Halving:
         on_message: called with sentences on what happens.
         deadline: when the rounds have to end.
         ending: seconds after that, in which the chosen system is identified from all records.
+        promising: names of candidates that are tried early, whatever the plan says: the records
+            speak for them.
 
     Attributes:
         plan: the plan.
         results: of each candidate, by name, from the simplest on.
-        hopeless: whether free runs of whole records were further off than the records move, for
-            all candidates, or far off where errors are known to grow: then no further round was
-            begun.
+        hopeless: whether free runs of whole records were far off for all candidates, as where a
+            plant is unstable, turns over or only integrates: then no further round was begun.
     """
 
     def __init__(
@@ -50,6 +51,7 @@ class Halving:
         on_message: Callable[[str], None],
         deadline: Deadline = NEVER,
         ending: float = 0.0,
+        promising: Collection[str] = (),
     ) -> None:
         self.plan, self._candidates, self._context = plan, tuple(candidates), context
         self._folds, self._on_message = context.scoring.folds, on_message
@@ -57,7 +59,9 @@ class Halving:
         self._expected: dict[str, float] = {}  # seconds a seed takes on a fold
         # one of each kind is tried before others of it
         kinds = [c.content.family.kind for c in candidates]
-        self._late = {c.name for i, c in enumerate(candidates) if c.last or kinds[i] in kinds[:i]}
+        self._last = {c.name for c in candidates if c.last} - {*promising}
+        self._late = {c.name for i, c in enumerate(candidates) if kinds[i] in kinds[:i]}
+        self._late = self._last | (self._late - {*promising})
         self._begun: dict[tuple[str, int], Job] = {}  # the last job of a candidate and fold
         self._stopped: list[Job] = []  # jobs that their share of the time stopped
         self._omitted = 0  # jobs of a round for which no time was left, and nobody was told
@@ -74,8 +78,8 @@ class Halving:
                 order = [r.name for r in rank([self.results[c.name] for c in alive])]
                 ordered = sorted(alive, key=lambda c: order.index(c.name))
             else:
-                ordered = sorted(alive, key=lambda c: (c.last, c.name in self._late))
-            late = set() if number else {c.name for c in alive if c.last}
+                ordered = sorted(alive, key=lambda c: (c.name in self._last, c.name in self._late))
+            late = set[str]() if number else self._last
             jobs = []
             for fold in range(min(stage.folds, self._folds)):
                 for c in ordered:
@@ -106,9 +110,7 @@ class Halving:
             self._report(number, ranking, len(alive))
             if ranking and self._context.scoring.horizon is None:
                 mean, _ = mean_and_error(ranking[0].rmse().values())
-                # a search that compares pieces has seen that errors grow, as of an unstable plant
-                grows = any(fit.horizon for result in ranking for fit in result.fits)
-                self.hopeless = not mean <= (_FAR if grows else 1.0) * self._context.motion
+                self.hopeless = not mean <= _FAR * self._context.motion_within_turns
             if self._deadline.remaining <= 0 or self.hopeless:
                 break
         if not self.hopeless:

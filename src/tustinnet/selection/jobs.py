@@ -205,12 +205,6 @@ class RunContext:
         return other
 
     @cached_property
-    def motion(self) -> float:
-        """Root mean square of the positions about each record's mean [rad or m]."""
-        q = np.concatenate([e.q - e.q.mean(axis=0) for e in self.data])
-        return float(np.sqrt(np.mean(np.sum(q**2, axis=1)))) or 1.0
-
-    @cached_property
     def motion_within_turns(self) -> float:
         """Root mean square of the positions about their means, without whole turns [rad or m]."""
         squares = 0.0

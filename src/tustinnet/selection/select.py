@@ -3,7 +3,7 @@
 import json
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,22 +11,25 @@ import numpy as np
 
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.inspection import coordinate_timescales
+from tustinnet.data.spoiled import SpoiledPart
 from tustinnet.errors import InputError, error_message
+from tustinnet.evaluate.spoiled import find_spoiled
 from tustinnet.fitting.listener import SILENT
 from tustinnet.fitting.task import resolve_system
 from tustinnet.selection.calibration import calibrate_on_folds
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.committees import score_committees
 from tustinnet.selection.deadline import NEVER, Deadline
-from tustinnet.selection.final_models import Candidates, make_final_models
-from tustinnet.selection.folds import prepare_for_folds
+from tustinnet.selection.final_models import Candidates, FinalModel, make_final_models
+from tustinnet.selection.folds import prepare_for_folds, records_without_test
 from tustinnet.selection.halving import NO_TIME, Halving
 from tustinnet.selection.jobs import NO_STAGE, SCORES, SPENT, MakeJobListener, RunContext
 from tustinnet.selection.plan import USUAL, Candidate, SelectionPlan, read_plan
 from tustinnet.selection.ranking import CandidateResult, find_simplest, rank
 from tustinnet.selection.runner import InProcess, MakeExecutor
 from tustinnet.selection.scoring import ScoringOptions
-from tustinnet.selection.timing import determine_timing
+from tustinnet.selection.spoiled import leave_out_spoiled
+from tustinnet.selection.timing import LAG, determine_timing
 from tustinnet.simulate.horizon import effective_horizon
 from tustinnet.simulate.starts import start_named
 from tustinnet.store.files import lock_folder, remove_below, require_outputs, to_json, write_into
@@ -34,6 +37,7 @@ from tustinnet.store.kept_system import CANDIDATES, require_copy_fits, write_sys
 from tustinnet.store.model_file import save
 from tustinnet.store.run import FIGURES, MODEL, REPORT, SUMMARY, WRITTEN, Earlier
 from tustinnet.store.specification import (
+    SPECIFICATION,
     Specification,
     record_digests,
     require_same_specification,
@@ -44,6 +48,7 @@ from tustinnet.systems.files import AnySystem
 _TENTH = 0.1  # of a record, a horizon where no fit chose one
 _STARTS = 3  # a horizon is at least as many times as long as what a start is fitted to
 _TIMING = 0.1  # share of the budget for holds and delays, at most
+_SPOILED = 0.2  # share of the budget for parts of records that spoil fits, at most
 _ENDING = 0.12  # share of the budget for committees, the last fit and bands
 _FILES = 0.08  # and for figures and the report, which come after the selection
 _FEWEST_FILES = 6.0  # s, what these take at least
@@ -60,12 +65,14 @@ class SelectionOptions:
         system: the system that candidates of a system identify, or None.
         budget: how long it may take [s], None for no limit.
         since: from when on it counts, a `time.monotonic()`; None for the call of `select_model`.
+        leave_out_spoiled: whether parts of records that spoil fits are left out of everything.
     """
 
     plan: str | Path | SelectionPlan = USUAL
     system: AnySystem | None = None
     budget: float | None = None
     since: float | None = None
+    leave_out_spoiled: bool = False
 
 
 @dataclass(frozen=True)
@@ -148,29 +155,46 @@ def select_model(
     )
     specification = _make_specification(plan, context)
     timing = determine_timing(data, context.loaded_system, timing_end, reporter.on_message)
-    context = context.with_changes(data=prepare_for_folds(timing.data)[0])
-    notes = (*timing.sentences, *before)
+    promising = [c.name for c in candidates if timing.lags and _adds_lag(c)]
     for note in timing.sentences:
         reporter.on_message(note)
+    usable, left_out = timing.data, ()
+    if options.leave_out_spoiled:
+        end = NEVER if budget is None else Deadline.after(_SPOILED * budget)
+        usable, left_out = leave_out_spoiled(
+            usable, context.loaded_system, end, reporter.on_message
+        )
+        for note in left_out:
+            reporter.on_message(note)
+    context = context.with_changes(data=prepare_for_folds(usable)[0])
+    folds = min(context.scoring.folds, len(context.data))
+    context = context.with_changes(scoring=replace(context.scoring, folds=folds))
+    notes = (*timing.sentences, *left_out, *before)
     with lock_folder(folder):
         _prepare_folder(context, earlier, specification)
         make = executor or (lambda context: InProcess(context, reporter.make_job_listener))
         say_once = _make_say_once(reporter)
-        halving = Halving(plan, candidates, context, say_once, rounds_end, ending)
+        halving = Halving(plan, candidates, context, say_once, rounds_end, ending, promising)
         remaining = halving.run(make(context))
         if halving.hopeless:
             context, note = _with_horizon(context, halving)
             reporter.on_message(note)
             notes = (*notes, note)
-            halving = Halving(plan, candidates, context, say_once, rounds_end, ending)
+            halving = Halving(plan, candidates, context, say_once, rounds_end, ending, promising)
             remaining = halving.run(make(context))
         if not remaining:
             raise _nothing_fitted(halving)
-        choice = _choose(halving, remaining, context, reporter, models_end)
+        choice = _choose(halving, remaining, context, reporter, models_end, left_out)
         seconds = time.monotonic() - started
         choice = replace(choice, notes=notes, seconds=seconds, budget=budget)
         write_into(folder, SUMMARY, to_json(choice.as_plain()))
     return choice
+
+
+def _adds_lag(candidate: Candidate) -> bool:
+    """Whether the recipe of a candidate adds the lag of an actuator."""
+    forces = getattr(candidate.content.model, "forces", ())
+    return any(force.partition(":")[0] == LAG for force in forces)
 
 
 def _make_say_once(reporter: Reporter) -> Callable[[str], None]:
@@ -193,7 +217,7 @@ def _with_horizon(context: RunContext, halving: Halving) -> tuple[RunContext, st
     shortest = _STARTS * start_named(context.scoring.start).samples * dt
     horizon = max(min(chosen, default=usual), shortest)
     note = (
-        "free runs of whole records run away: judged over pieces "
+        "free runs of whole records are further off than 0.3 of the motion: judged over pieces "
         f"of {horizon:.3g} s instead, each from a start of its own (`horizon` in a plan)"
     )
     scoring = replace(context.scoring, horizon=horizon)
@@ -206,8 +230,12 @@ def _choose(
     context: RunContext,
     reporter: Reporter,
     deadline: Deadline,
+    left_out: tuple[str, ...],
 ) -> Choice:
-    """Scores committees of the candidates that remain, and writes the models."""
+    """Scores committees of the candidates that remain, and writes the models.
+
+    `left_out` are the sentences on parts of records that were left out.
+    """
     before_final = deadline.earlier_by(halving.seconds_for_final(remaining[0].name))
     committees = score_committees(
         halving.plan, remaining, context, reporter.on_message, before_final
@@ -225,13 +253,42 @@ def _choose(
     except Exception as error:  # of any kind: the model is there
         bands = None
         reporter.on_message(f"no bands around free runs: {error_message(error)}")
+    spoiled: tuple[SpoiledPart, ...] = ()
+    if deadline.has_passed():
+        reporter.on_message("records that spoil a fit: no time was left to look for them")
+    else:
+        spoiled = _find_spoiled(candidates, best.name, models, context)
     origins = {name: model.origin for name, model in models.items()}
-    choice = Choice(context, candidates, best.name, simplest.name, origins, final.model, bands)
+    choice = Choice(
+        context, candidates, best.name, simplest.name, origins, final.model, bands,
+        spoiled=spoiled, left_out=left_out,
+    )  # fmt: skip
     for name, model in models.items():
         path = context.folder / CANDIDATES / name / MODEL
         save(model.model, path, **choice.header(name, model))
     save(choice.model, context.folder / MODEL, **choice.header(best.name, final))
     return choice
+
+
+def _find_spoiled(
+    candidates: Candidates, best: str, models: Mapping[str, FinalModel], context: RunContext
+) -> tuple[SpoiledPart, ...]:
+    """Parts of records that the chosen model does not explain.
+
+    Where that has weights, those of the best one that was identified: its parameters say which
+    records were made under other conditions. None where nothing was.
+    """
+    ranked = [best, *(r.name for r in rank(candidates.choosable) if r.name != best)]
+    identified = [
+        name
+        for name in ranked
+        if name in models
+        and name not in candidates.committees
+        and not candidates.plan.candidate(name).content.family.has_seeds
+    ]
+    if not identified:
+        return ()
+    return find_spoiled(models[identified[0]].model, records_without_test(context.data))
 
 
 def _applicable_candidates(
@@ -249,6 +306,8 @@ def _applicable_candidates(
     for c in plan.candidates:
         if c.when == other:
             omitted[c.name] = f"only for {other} records"
+        elif _adds_lag(c) and not records.channels.inputs:
+            omitted[c.name] = "only for records with inputs"
         elif c.when == "no-system" and options.system is not None:
             omitted[c.name] = "only without a system"
         elif _identifies(c) and (options.system or resolve_system(c.content, None)) is None:
@@ -292,12 +351,12 @@ def _prepare_folder(context: RunContext, earlier: Earlier, specification: Specif
     """Refuses, discards or keeps an earlier selection; writes specification and system's file."""
     if earlier == "resume":
         require_same_specification(context.folder, specification, MODEL)
+    own = [context.folder / name for name in (MODEL, SPECIFICATION) if earlier == "discard"]
+    require_copy_fits(context.system_file, context.folder, own)
     if earlier == "discard":
         _discard(context.folder)
     if earlier == "refuse":
         _require_no_earlier(context.folder)
-    if earlier != "discard":
-        require_copy_fits(context.system_file, context.folder)
     files = [context.folder / name for name in (MODEL, SUMMARY, REPORT)]
     drawings = [context.folder / name for name in (FIGURES, TABLE)]
     require_outputs([*files, *drawings], overwrite=earlier != "refuse")

@@ -2,7 +2,8 @@
 
 They are properties of the records, not of a model: what an input does between two samples, and
 the time from a logged sample to its effect. A system that is given, or a mechanism, is identified
-from some of the records, with every hold, and with the delay as a parameter.
+from some of the records, with every hold, and with the delay as a parameter. A slow actuator looks
+like a delay: where one is found, a first-order lag in its place is compared with it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -15,8 +16,9 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import error_message
 from tustinnet.fitting.listener import SILENT
-from tustinnet.fitting.recipe_reading import read_recipe
-from tustinnet.fitting.report import Identification
+from tustinnet.fitting.recipe import IdentificationRecipe, Recipe
+from tustinnet.fitting.recipe_reading import is_published, read_recipe
+from tustinnet.fitting.report import Estimate, Identification
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.shooting.identify import UnfinishedSearchError, identify_task
 from tustinnet.fitting.task import Fold, Member, Task, resolve_system
@@ -31,6 +33,7 @@ _BETTER = 0.95  # times the error of the usual timing: less is another timing, m
 _SURE = 3.0  # standard errors of a delay that is none
 _SHORTEST = 0.1  # of a period, a delay that matters
 _USUAL: Hold = "zero-order"
+LAG = "lag"  # the force by name that is the lag of an actuator
 
 
 @dataclass(frozen=True)
@@ -40,10 +43,12 @@ class Timing:
     Attributes:
         data: the records.
         sentences: what was found, with the evidence.
+        lags: names of the inputs whose actuators lag, where a delay is no explanation.
     """
 
     data: DataSet
     sentences: tuple[str, ...] = ()
+    lags: tuple[str, ...] = ()
 
 
 def determine_timing(
@@ -55,7 +60,8 @@ def determine_timing(
     """Finds the holds that the data card does not declare, and the delay where it declares none.
 
     A hold other than `zero-order`, and a delay, are taken only where they lower the simulation
-    error by a twentieth, a delay only where it is three standard errors long.
+    error by a twentieth, a delay only where it is three standard errors long. Where a first-order
+    lag of the actuator in its place lowers the error by another twentieth, no delay is taken.
 
     Args:
         data: the records.
@@ -67,73 +73,38 @@ def determine_timing(
     sentences = _list_conflicts(declared, data.channels.inputs)
     inputs = [i if i.hold else replace(i, hold=declared.get(i.name)) for i in data.channels.inputs]
     open_holds = [k for k, i in enumerate(inputs) if i.hold in (None, "unknown")]
-    open_delays = [k for k, i in enumerate(inputs) if not i.delay]
+    open_delays = [k for k, i in enumerate(inputs) if not (i.delay or i.is_delay_declared)]
     timing = [
         replace(i, hold=_USUAL if k in open_holds else i.hold, delay=i.delay or 0.0)
         for k, i in enumerate(inputs)
     ]
     if not open_holds and not open_delays:
         return Timing(data, tuple(sentences))
-    by = "a mechanism" if system is None else "the system"
-    records, unit = _choose_records(data), data.channels.unit
-    # short pieces: there a delay of a period shows most, and nothing runs away; positions alone,
-    # as smoothed velocities would say another delay
-    changes = (
-        "search.refine=none",
-        "search.loss=position",
-        f"search.horizon={_LENGTH * records[0].dt}",
-    )
-    recipe = read_recipe("mechanism" if system is None else "best-grey", changes)
-    loaded = resolve_system(recipe, system)
-
-    def identify(inputs: Sequence[Input]) -> Identification:
-        roles = Roles(tuple(_with_inputs(e, inputs) for e in records), ())
-        task = Task(recipe, (Fold(roles),), (Member(),), loaded)
-        fit = identify_task(task, Member(), SILENT, deadline.has_passed)
-        if fit.identification is None or fit.is_out_of_time:
-            raise UnfinishedSearchError("holds and delays", "no time was left", "more time")
-        return fit.identification
-
+    search = _make_search(data, system, deadline)
+    lags: list[str] = []
     try:
-        _require_applicable(loaded, records)
+        _require_applicable(search)
+        by = "a mechanism" if system is None else "the system"
         on_message(f"holds and delays of inputs: searched for by {by}")
         undelayed: Identification | None = None
         if open_holds:
-            undelayed = identify(
-                [replace(i, hold="unknown") if k in open_holds else i for k, i in enumerate(timing)]
-            )
-            errors = undelayed.hold_errors
-            ranked = sorted(errors, key=lambda hold: errors[hold])
-            is_clear = errors[ranked[0]] < _BETTER * errors[_USUAL]
-            hold = ranked[0] if is_clear else _USUAL
+            hold, undelayed, sentence = _find_hold(search, timing, open_holds)
             timing = [replace(i, hold=hold) if k in open_holds else i for k, i in enumerate(timing)]
-            listed = ", ".join(f"{hold} {errors[hold]:.3g}" for hold in ranked)
-            names = " and ".join(f"'{inputs[k].name}'" for k in open_holds)
-            why = "" if hold == ranked[0] else " as usual, as no other is clearly better"
-            sentences.append(f"hold of {names}: {hold}{why}; simulation errors [{unit}]: {listed}")
-            if hold != ranked[0]:
-                undelayed = None  # it is of another hold
+            sentences.append(sentence)
         if open_delays:
-            before = (undelayed or identify(timing)).rmse
-            delayed = identify(
-                [replace(i, delay=None) if k in open_delays else i for k, i in enumerate(timing)]
-            )
-            ratio = float(np.median([delayed.rmse[name] / before[name] for name in before]))
-            estimates = {e.name: e for e in delayed.estimates}
-            for k in open_delays:
-                name, dt = inputs[k].name, float(records[0].dt)
-                delay = estimates[delay_name(inputs[k])]
-                # a delay that nothing says anything about has no error
-                least = max(_SURE * (delay.error or np.inf), _SHORTEST * dt)
-                if ratio < _BETTER and not delay.bound and abs(delay.value) > least:
-                    timing[k] = replace(timing[k], delay=delay.value)
-                    sentences.append(
-                        f"delay of '{name}': {delay.value:.3g} ± {delay.error:.1g} s "
-                        f"({delay.value / dt:.2g} periods); the simulation error is {ratio:.2g} "
-                        "times that without"
-                    )
-                elif inputs[k].delay is None:
-                    sentences.append(f"delay of '{name}': none that makes a clear difference")
+            before = undelayed or search.identify(timing)
+            explanations = _explain_lateness(search, timing, open_delays, before)
+            for k, (delay, sentence) in explanations.items():
+                sentences.append(sentence)
+                if delay is None:
+                    lags.append(inputs[k].name)
+                else:
+                    timing[k] = replace(timing[k], delay=delay)
+            sentences += [
+                f"delay of '{inputs[k].name}': none that makes a clear difference"
+                for k in open_delays
+                if inputs[k].delay is None and k not in explanations
+            ]
     except Exception as error:  # of any kind: candidates are tried with what is known
         if any(i.hold == "unknown" or i.delay is None for i in inputs):
             out_of_time = isinstance(error, UnfinishedSearchError)
@@ -143,7 +114,207 @@ def determine_timing(
                 "not known"
             )
     experiments = tuple(_with_inputs(e, timing) for e in data)
-    return Timing(replace(data, experiments=experiments), tuple(sentences))
+    return Timing(replace(data, experiments=experiments), tuple(sentences), tuple(lags))
+
+
+def determine_recipe_timing(
+    data: DataSet,
+    recipe: Recipe,
+    system: AnySystem | SystemTemplate | None = None,
+    *,
+    is_repeated: bool = False,
+    on_message: Callable[[str], None] = lambda sentence: None,
+) -> Timing:
+    """Finds holds and delays for the fits of one recipe, see `determine_timing`.
+
+    The records stay as they are for the recipes of the publication, and for a single
+    identification that searches for what its data card calls `unknown`.
+
+    Args:
+        data: the records.
+        recipe: the recipe.
+        system: the system that is given; None, or a template, for a mechanism.
+        is_repeated: whether several fits follow, which would search for the same again.
+        on_message: called with what is being done.
+    """
+    is_unknown = any(i.hold == "unknown" or i.delay is None for i in data.channels.inputs)
+    searches = isinstance(recipe, IdentificationRecipe) and is_unknown and not is_repeated
+    if searches or is_published(recipe):
+        return Timing(data)
+    given = None if isinstance(system, SystemTemplate) else system
+    return determine_timing(data, given, on_message=on_message)
+
+
+@dataclass(frozen=True)
+class _TimingSearch:
+    """Identifications of some records, with inputs that act in one way or another.
+
+    Attributes:
+        records: the records.
+        recipe: the recipe.
+        system: the system that is identified.
+        deadline: when the last one has to end.
+    """
+
+    records: Sequence[Experiment]
+    recipe: Recipe
+    system: LagrangianSystem | SystemTemplate | None
+    deadline: Deadline
+
+    def identify(self, inputs: Sequence[Input], forces: Sequence[str] = ()) -> Identification:
+        """The system identified with inputs in the place of the records' own, and added forces.
+
+        Raises:
+            UnfinishedSearchError: no time was left.
+        """
+        roles = Roles(tuple(_with_inputs(e, inputs) for e in self.records), ())
+        added = {"forces": (*getattr(self.recipe.model, "forces", ()), *forces)}
+        model = self.recipe.model.model_copy(update=added)
+        recipe = self.recipe.model_copy(update={"model": model})
+        task = Task(recipe, (Fold(roles),), (Member(),), self.system)
+        fit = identify_task(task, Member(), SILENT, self.deadline.has_passed)
+        if fit.identification is None or fit.is_out_of_time:
+            raise UnfinishedSearchError("holds and delays", "no time was left", "more time")
+        return fit.identification
+
+
+def _make_search(data: DataSet, system: AnySystem | None, deadline: Deadline) -> _TimingSearch:
+    """Makes the search for the timing of records by a system, or by a mechanism."""
+    records = _choose_records(data)
+    # short pieces: there a delay of a period shows most, and nothing runs away; positions alone,
+    # as smoothed velocities would say another delay
+    changes = (
+        "search.refine=none",
+        "search.loss=position",
+        f"search.horizon={_LENGTH * records[0].dt}",
+    )
+    recipe = read_recipe("mechanism" if system is None else "best-grey", changes)
+    return _TimingSearch(records, recipe, resolve_system(recipe, system), deadline)
+
+
+def _find_hold(
+    search: _TimingSearch, timing: Sequence[Input], places: Sequence[int]
+) -> tuple[Hold, Identification | None, str]:
+    """The hold of the inputs at some places, what was identified with it, and the evidence.
+
+    Another hold than the usual one has to be clearly better. Where the usual one is taken though it
+    is not the best, nothing was identified with it.
+    """
+    identification = search.identify(
+        [replace(i, hold="unknown") if k in places else i for k, i in enumerate(timing)]
+    )
+    errors = identification.hold_errors
+    ranked = sorted(errors, key=lambda hold: errors[hold])
+    hold = ranked[0] if errors[ranked[0]] < _BETTER * errors[_USUAL] else _USUAL
+    is_best = hold == ranked[0]
+    listed = ", ".join(f"{hold} {errors[hold]:.3g}" for hold in ranked)
+    names = " and ".join(f"'{timing[k].name}'" for k in places)
+    why = "" if is_best else " as usual, as no other is clearly better"
+    unit = search.records[0].channels.unit
+    sentence = f"hold of {names}: {hold}{why}; simulation errors [{unit}]: {listed}"
+    return hold, identification if is_best else None, sentence
+
+
+def _explain_lateness(
+    search: _TimingSearch,
+    timing: Sequence[Input],
+    places: Sequence[int],
+    undelayed: Identification,
+) -> dict[int, tuple[float | None, str]]:
+    """The inputs that act late, by their place: the delay, None of a lag, and the evidence.
+
+    Args:
+        search: the search.
+        timing: the inputs, with their holds.
+        places: those whose delay is not known.
+        undelayed: what was identified without delays.
+    """
+
+    def compare(identification: Identification) -> float:
+        """How many times the error without delays the error of a typical record is."""
+        before, rmse = undelayed.rmse, identification.rmse
+        return float(np.median([rmse[name] / before[name] for name in before]))
+
+    delayed = search.identify(
+        [replace(i, delay=None) if k in places else i for k, i in enumerate(timing)]
+    )
+    ratio, dt = compare(delayed), float(search.records[0].dt)
+    delays = {k: _estimate(delayed, delay_name(timing[k])) for k in places}
+
+    def is_clear(delay: Estimate) -> bool:
+        # a delay that nothing says anything about has no error
+        least = max(_SURE * (delay.error or np.inf), _SHORTEST * dt)
+        return not delay.bound and abs(delay.value) > least
+
+    clear = {k: delay for k, delay in delays.items() if is_clear(delay)}
+    if not clear or ratio >= _BETTER:
+        return {}
+    lag_ratio, lags = _compare_lags(search, timing, list(clear), compare, ratio)
+    explanations: dict[int, tuple[float | None, str]] = {}
+    for k, delay in clear.items():
+        name = timing[k].name
+        found = f"{delay.value:.3g} ± {delay.error:.1g} s ({delay.value / dt:.2g} periods)"
+        if k in lags:
+            lag = lags[k]
+            error = "" if lag.error is None else f" ± {lag.error:.1g}"
+            sentence = (
+                f"lag of '{name}': first order with a time constant of {lag.value:.3g}{error} s, "
+                f"and no delay; the simulation error is {lag_ratio:.2g} times that without, with a "
+                f"delay of {found} instead {ratio:.2g} times (the force `{LAG}` adds it to "
+                "equations of motion)"
+            )
+            explanations[k] = None, sentence
+            continue
+        instead = f", with a lag instead {lag_ratio:.2g} times" if np.isfinite(lag_ratio) else ""
+        sentence = (
+            f"delay of '{name}': {found}; the simulation error is {ratio:.2g} times that without"
+            f"{instead}"
+        )
+        explanations[k] = delay.value, sentence
+    return explanations
+
+
+def _compare_lags(
+    search: _TimingSearch,
+    timing: Sequence[Input],
+    places: Sequence[int],
+    compare: Callable[[Identification], float],
+    delay_ratio: float,
+) -> tuple[float, dict[int, Estimate]]:
+    """Lags in the place of delays: how many times the error without is theirs, and clear lags.
+
+    A lag is clear where the error with it is lower than with a delay, and where it is needed beside
+    a delay. In records whose inputs change slowly both may look alike.
+
+    Args:
+        search: the search.
+        timing: the inputs, with their holds.
+        places: the inputs that act late.
+        compare: how many times the error without delays that of an identification is.
+        delay_ratio: that of the delays.
+    """
+    forces = [f"{LAG}:{timing[k].name}" for k in places]
+    try:
+        lagging = search.identify(timing, forces)
+        ratio = compare(lagging)
+        if ratio >= _BETTER * delay_ratio:
+            return ratio, {}
+        delayed = [replace(i, delay=None) if k in places else i for k, i in enumerate(timing)]
+        both = search.identify(delayed, forces)
+    except Exception:  # of any kind: the delays stand
+        return np.inf, {}
+    clear = {}
+    for k in places:
+        name = f"{timing[k].name}.{LAG}"
+        beside = _estimate(both, name)
+        if not beside.bound and beside.value > _SURE * (beside.error or np.inf):
+            clear[k] = _estimate(lagging, name)
+    return ratio, clear
+
+
+def _estimate(identification: Identification, name: str) -> Estimate:
+    """The estimate of a parameter."""
+    return next(e for e in identification.estimates if e.name == name)
 
 
 def _holds_of(system: AnySystem | None) -> dict[str, Hold | None]:
@@ -152,12 +323,10 @@ def _holds_of(system: AnySystem | None) -> dict[str, Hold | None]:
     return {i.name: i.hold for i in getattr(loaded, "inputs", ())}
 
 
-def _require_applicable(
-    system: LagrangianSystem | SystemTemplate | None, records: Sequence[Experiment]
-) -> None:
+def _require_applicable(search: _TimingSearch) -> None:
     """Raises where a template makes no system of records, before time is spent."""
-    if isinstance(system, SystemTemplate):
-        system.for_records(records)
+    if isinstance(search.system, SystemTemplate):
+        search.system.for_records(search.records)
 
 
 def _list_conflicts(declared: Mapping[str, Hold | None], inputs: Sequence[Input]) -> list[str]:

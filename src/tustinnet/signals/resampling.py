@@ -122,12 +122,45 @@ def unwrap_angle(
 
     A step of more than half a turn between samples is taken for a wrap. Whole turns are counted
     and added at once, so that a reading in a turn is always the same angle to the last digit.
+    A single reading that is whole turns away from all others is no wrap and stays as it is.
     """
-    jumps = np.flatnonzero(np.abs(np.diff(angle)) > np.pi) + 1
+    steps = np.diff(angle)
+    jumps = np.flatnonzero(np.abs(steps) > np.pi) + 1
     if not len(jumps):
         return angle, jumps
-    turns = -np.cumsum(np.round(np.diff(angle, prepend=angle[:1]) / (2 * np.pi)))
-    return angle + 2 * np.pi * turns, jumps
+    turns = np.round(steps / (2 * np.pi))
+    for i in _spikes(angle, turns):
+        around = turns[max(i - 1, 0) : i + 1]
+        wrap = around.sum() if len(around) == 2 else 0.0  # one that comes with the reading
+        around[:], around[-1] = 0.0, wrap
+        jumps = np.flatnonzero(turns) + 1
+    total = -np.cumsum(np.concatenate([[0.0], turns]))
+    return angle + 2 * np.pi * total, jumps
+
+
+def _spikes(angle: Float[np.ndarray, " n"], turns: Float[np.ndarray, " m"]) -> list[int]:
+    """Indices of single readings that jump by turns which the other readings do not span.
+
+    Apart from these turns they jump farther than any others. Where they do not, they are like
+    their neighbours, as at the seam of a counter of several turns.
+
+    Args:
+        angle: the readings [rad].
+        turns: whole turns in each step between them.
+    """
+    before, after = np.append(0.0, turns), np.append(turns, 0.0)
+    ends = (np.arange(len(angle)) == 0) | (np.arange(len(angle)) == len(angle) - 1)
+    size = np.maximum(np.abs(before), np.abs(after))
+    alone = np.flatnonzero((size >= 2) & ((np.abs(before + after) <= 1) | ends))
+    rest = np.delete(angle, alone)
+    if not len(rest):
+        return []
+    moves = np.abs(np.diff(angle) - 2 * np.pi * turns)
+    beside = np.zeros(len(angle) + 1, bool)
+    beside[alone] = beside[alone + 1] = True  # steps into and out of these readings
+    usual = moves[~beside[1:-1]].max(initial=0.0)
+    farthest = np.maximum(np.append(0.0, moves), np.append(moves, 0.0))
+    return [int(i) for i in alone if np.ptp(rest) < _TURN * (size[i] - 1) and farthest[i] > usual]
 
 
 def wraps_within_turn(angle: Float[np.ndarray, " n"]) -> bool:

@@ -51,3 +51,24 @@ def timescales(positions: Sequence[Float[np.ndarray, " _"]]) -> Timescales:
     decay = lag * below[0] if len(below) else float(segment)
     variance = np.mean([q.var() for q in positions])
     return Timescales(float(np.sqrt(variance)), segment / dominant, float(decay))
+
+
+def correlation_time(velocities: Sequence[Float[np.ndarray, " _"]]) -> float:
+    """Number of samples after which the autocorrelation of a velocity has fallen to 1/e.
+
+    For so long a motion goes on as it does. It is short of the time in which a position returns,
+    and other than that it is known for a carriage that nothing pulls back.
+
+    Args:
+        velocities: velocities of the coordinate in each record, not all of them constant.
+
+    References:
+        Bendat, Piersol (2010), Random data, chapter 5.
+    """
+    longest = max(map(len, velocities))
+    total = np.zeros(longest)
+    for v in velocities:
+        spectrum = np.abs(np.fft.rfft(v - v.mean(), 2 * longest)) ** 2  # padded: no wrap around
+        total += np.fft.irfft(spectrum)[:longest]
+    below = np.flatnonzero(total < total[0] / np.e)
+    return float(below[0]) if len(below) else float(longest)

@@ -9,6 +9,8 @@ from tustinnet.signals.spectra import welch
 
 _REACH = 12  # samples to both sides that an estimate uses
 _SEGMENT = 1024  # samples of a spectrum, at most
+_SEGMENTS = 8  # that are averaged where the noise is read from a spectrum
+_FEWEST = 64  # samples of one
 _ABOVE = 4.0  # a frequency counts where its power is above this many times the noise
 _FLOOR = 1e-10  # of the variance, the least noise: solves stay well-posed for exact positions
 
@@ -71,8 +73,17 @@ def _filter(
     frequency, density = welch(centred, dt, min(n, _SEGMENT))
     omega = 2 * np.pi * frequency[:-1]
     density = density[:-1]  # the trapezoidal rule has none at the last one, half the rate
-    floor = count**2 / 12 * 2 * dt if count else float(np.quantile(density, 0.1))
-    power = np.where(density > _ABOVE * floor, density - floor, 0.0) * frequency[1]
+    if count:
+        floor, motion = count**2 / 12 * 2 * dt, density
+    else:
+        # of short segments: a single long one scatters as much as it is large, so that its weakest
+        # tenth is ten times too weak, and much of the noise is above a multiple of it
+        segment = min(max(n // _SEGMENTS, _FEWEST), n, _SEGMENT)
+        coarse_frequency, coarse = welch(centred, dt, segment)
+        floor = float(np.quantile(coarse[:-1], 0.1))
+        motion = np.interp(frequency[:-1], coarse_frequency, coarse)
+    is_motion = motion > _ABOVE * floor
+    power = np.where(is_motion, np.maximum(density - floor, 0.0), 0.0) * frequency[1]
     noise = max(floor / (2 * dt), _FLOOR * float(np.var(centred)))  # its variance
     lags = np.arange(2 * reach + 1)
     autocovariance = np.cos(np.outer(lags, omega * dt)) @ power

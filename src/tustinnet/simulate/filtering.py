@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -11,7 +12,6 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model, require_fit
 from tustinnet.simulate.input_signal import input_signal
-from tustinnet.simulate.linearise import value_and_jacobians
 
 Deviations = Float[Array | np.ndarray, " _"]
 Rows = Float[Array | np.ndarray, "..."]
@@ -102,8 +102,13 @@ def kalman_filter(
     return FilterResult(np.stack(states), np.sqrt(np.stack(variances)))
 
 
-@eqx.filter_jit
+@eqx.filter_jit  # a step with its derivatives, written out for LLVM, takes longer to compile
 def _predict(model: Model, x: Rows, u: Rows) -> tuple[Array, Array]:
     """The next state, and its Jacobian by this one."""
-    x_next, (a,) = value_and_jacobians(lambda x: model.step(x, jnp.asarray(u)), jnp.asarray(x))
+
+    def twice(x: Array) -> tuple[Array, Array]:
+        x_next = model.step(x, jnp.asarray(u))
+        return x_next, x_next
+
+    a, x_next = jax.jacfwd(twice, has_aux=True)(jnp.asarray(x))
     return x_next, a

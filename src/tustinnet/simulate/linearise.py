@@ -1,14 +1,12 @@
 """Linear models about a point."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from tustinnet.engine.equations import Formula
+from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
 from tustinnet.models.contract import ContinuousModel, Model
 
@@ -36,7 +34,7 @@ def linearize(
     x: Float[Array | np.ndarray, " n_x"],
     u: Float[Array | np.ndarray, " n_u"],
 ) -> Linearisation:
-    """Linearises a model by automatic differentiation.
+    """Linearises a model by the exact derivatives of its equations.
 
     Args:
         model: a continuous model, or a discrete one.
@@ -47,7 +45,7 @@ def linearize(
         InputError: shapes that the model does not have.
     """
     n_x, n_u = model.state_size, model.channels.n_u
-    state, inputs = jnp.asarray(x), jnp.asarray(u)
+    state, inputs = np.asarray(x, np.float64), np.asarray(u, np.float64)
     if state.shape != (n_x,) or inputs.shape != (n_u,):
         raise InputError(
             "linearize",
@@ -56,31 +54,23 @@ def linearize(
         )
     discrete = isinstance(model, Model)
     function = model.step if discrete else model.derivative
-    value, (a, b) = value_and_jacobians(function, state, inputs)
+    formula = Formula(
+        lambda point: function(point[:n_x], point[n_x:]), n_x + n_u,
+        where=f"the model ({type(model).__name__})",
+    )  # fmt: skip
+    value, jacobian = value_and_jacobian(formula, np.concatenate([state, inputs]))
     return Linearisation(
-        np.asarray(a),
-        np.asarray(b),
-        np.asarray(value - state if discrete else value),
+        jacobian[:, :n_x],
+        jacobian[:, n_x:],
+        value - state if discrete else value,
         model.dt if discrete else None,
     )
 
 
-def value_and_jacobians(
-    function: Callable[..., Array], *point: Any
-) -> tuple[Array, tuple[Array, ...]]:
-    """The value of a function at a point and its Jacobians by each argument, computed once.
-
-    Args:
-        function: from vectors, (n,) each, to a vector, (m,).
-        point: the vectors.
-
-    Returns:
-        The value, (m,), and for each argument the derivatives, (m, n).
-    """
-
-    def twice(*point: Array) -> tuple[Array, Array]:
-        value = function(*point)
-        return value, value
-
-    jacobians, value = jax.jacfwd(twice, argnums=tuple(range(len(point))), has_aux=True)(*point)
-    return value, jacobians
+def value_and_jacobian(
+    formula: Formula, point: Float[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m n_by"]]:
+    """The value of a formula at a point, (m,), and its derivatives there, (m, n_by)."""
+    points = point[None]
+    value = evaluate(formula, points)[0]
+    return value, evaluate(formula, points, derivatives=True).reshape(len(value), -1)

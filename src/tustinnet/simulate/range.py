@@ -275,10 +275,15 @@ def _spread_points(points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "k d"]
     References:
         Gonzalez (1985), Clustering to minimize the maximum intercluster distance.
     """
-    indices, distance = [0], np.sum((points - points[0]) ** 2, axis=1)
+    columns = np.ascontiguousarray(points.T)  # sums over a few columns take longer row by row
+
+    def squared_distance(index: int) -> Float[np.ndarray, " n"]:
+        return np.sum((columns - columns[:, index, None]) ** 2, axis=0)
+
+    indices, distance = [0], squared_distance(0)
     while len(indices) < min(_POINTS, len(points)):
         indices.append(int(np.argmax(distance)))
-        distance = np.minimum(distance, np.sum((points - points[indices[-1]]) ** 2, axis=1))
+        distance = np.minimum(distance, squared_distance(indices[-1]))
     return points[indices]
 
 

@@ -77,6 +77,13 @@ def fingerprint(task: Task, member: Member) -> str:
     return digest.hexdigest()
 
 
+def model_digest(model: Model) -> str:
+    """A SHA-256 of a model: structure, channels, arrays."""
+    digest = hashlib.sha256()
+    feed_model(digest, model)
+    return digest.hexdigest()
+
+
 def feed_model(digest: Any, model: Model) -> None:
     """Adds a model to a digest: structure, channels, arrays."""
     described, arrays = family_of(model).describe(model)

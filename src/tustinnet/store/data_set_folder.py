@@ -38,7 +38,11 @@ def write_data_set(
     time = channels.n_u + channels.n_q + 1
     inputs = [
         {"name": i.name, "column": k, "unit": i.unit, "hold": i.hold or "zero-order"}
-        | ({} if i.delay == 0 else {"delay": "unknown" if i.delay is None else i.delay})
+        | (
+            {"delay": "unknown" if i.delay is None else i.delay}
+            if i.delay != 0 or i.is_delay_declared
+            else {}
+        )
         | ({"limits": list(i.limits)} if i.limits else {})
         for k, i in enumerate(channels.inputs, 1)
     ]

@@ -132,6 +132,8 @@ def require_outputs(
     existing = [path for path in listed if os.path.exists(path)]  # noqa: PTH110
     sources = [source for source in read if os.path.exists(source)]  # noqa: PTH110
     for path in listed:
+        if listed.count(path) > 1:
+            raise InputError(path, "two results that would be written there", "one for each file")
         if path in existing and any(path.samefile(source) for source in sources):
             raise InputError(path, "what the command reads", "another file for what it writes")
         if endings and path.suffix.lower() not in endings:

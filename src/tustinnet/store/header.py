@@ -1,60 +1,307 @@
-"""The header of a model file, read without its model: no JAX is loaded for it."""
+"""The header of a model file, read and checked without its model: no JAX is loaded for it.
+
+Whatever is read from a header is declared here, or by the family in `families.descriptions`, and
+is checked when the file is read. A header that passes can be used by every verb as it is.
+"""
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 
-from tustinnet.channels import LONGEST_DT, Coordinate, Input
-from tustinnet.data.declaration import Declaration, declare
-from tustinnet.errors import convert_errors
+from tustinnet.data.declaration import declare
+from tustinnet.errors import InputError, convert_errors
+from tustinnet.families.descriptions import Entries, check_description
 from tustinnet.families.summaries import summarise
 from tustinnet.registry import FAMILIES
 from tustinnet.store.sealed import read_sealed
 
 ORIGIN = "from"  # in headers: the model that a fit began with
+_LARGEST = 1e150  # of a number: its square is finite
+
+Number = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST)]
+Size = Annotated[float, Field(ge=0, le=_LARGEST)]
+Duration = Annotated[float, Field(gt=0, le=1e12)]
+Count = Annotated[int, Field(ge=0)]
+Share = Annotated[float, Field(ge=-1 - 1e-6, le=1 + 1e-6)]
+Interval = tuple[Number, Number]
 
 
-class _Header(Declaration):
-    """The keys in the header of every model file; the rest is its family's, and the fit's."""
+class _Exact(Entries):
+    """A table with no further keys."""
 
-    model_config = ConfigDict(extra="allow", allow_inf_nan=False)
-
-    format: int
-    kind: str
-    coordinates: list[Coordinate] = Field(min_length=1)
-    inputs: list[Input]
-    dt: float = Field(ge=0, le=LONGEST_DT)
-    versions: dict[str, str] = Field(default_factory=dict)
+    model_config = ConfigDict(extra="forbid")
 
 
-class Judgement(Declaration):
+class _Estimate(_Exact):
+    """An identified parameter, see `fitting.report.Estimate`."""
+
+    name: str
+    unit: str
+    value: Number
+    error: Size | None
+    naive_error: Size | None
+    interval: Interval | None
+    lower: Number
+    upper: Number
+    bound: Literal["", "lower", "upper"] = ""
+
+    @model_validator(mode="after")
+    def _check_range(self) -> "_Estimate":
+        if not self.lower < self.upper:
+            raise ValueError("`lower` is not below `upper`")
+        return self
+
+
+class _Stretch(_Exact):
+    """Samples that weigh little, see `fitting.report.Stretch`."""
+
+    record: str
+    begin: Number
+    end: Number
+    weight: Number
+
+
+class _Refit(Entries):
+    """A second fit of parameters, see `fitting.report.Refit`."""
+
+    values: dict[str, Number] = Field(default_factory=dict)
+
+
+class _Identification(Entries):
+    """An identification, see `fitting.report.Identification.as_plain`; format 1 has `held`."""
+
+    estimates: list[_Estimate]
+    correlation: list[list[Share | None]] | None = None
+    fixed: dict[str, Number] = Field(default_factory=dict)
+    held: dict[str, Number] = Field(default_factory=dict)
+    trust: str = "residuals"
+    outcome: str = ""
+    findings: list[str] = Field(default_factory=list)
+    residual_rmse: dict[str, Size | None] = Field(default_factory=dict)
+    downweighted: list[_Stretch] = Field(default_factory=list)
+    refined: _Refit | None = None
+
+    @model_validator(mode="after")
+    def _check_sizes(self) -> "_Identification":
+        n = len(self.estimates)
+        if self.correlation is not None and [len(row) for row in self.correlation] != [n] * n:
+            raise ValueError(f"`correlation` is not of {n} by {n}, as there are estimates")
+        if len({e.name for e in self.estimates}) < n:
+            raise ValueError("two estimates of one name")
+        return self
+
+
+class _Training(Entries):
+    """A training, see `fitting.report.FitResult.details`."""
+
+    seed: int | None = None
+    outcome: str = ""
+    windows: list[Count] = Field(default_factory=list)
+    epochs: list[Count] = Field(default_factory=list)
+    kept_epoch: Count | None = None
+
+
+class _Recipe(Entries):
+    """The recipe of a fit; its reader checks the rest."""
+
+    name: str
+
+
+class _Record(Entries):
+    """A record that a model was made from."""
+
+    name: str
+    sha256: str
+    split: str | None = None
+    source: str = ""
+    groups: dict[str, str] = Field(default_factory=dict)
+
+
+class _Data(Entries):
+    """The records that a model was made from."""
+
+    name: str
+    records: list[_Record]
+
+
+class _Origin(Entries):
+    """The model that a fit began with."""
+
+    file: str
+    sha256: str
+    made_from: dict[str, str] = Field(default_factory=dict)
+
+
+class _Selection(Entries):
+    """The selection that a model was chosen by."""
+
+    plan: str
+    chosen: str
+
+
+class _Sources(Entries):
+    """What a model was made from."""
+
+    data: _Data | None = None
+    files: list["_File"] = Field(default_factory=list)
+    origin: _Origin | None = Field(default=None, alias=ORIGIN)
+    selection: _Selection | None = None
+
+    @model_validator(mode="after")
+    def _check_tables(self) -> Self:
+        for name in type(self).model_fields.keys() & self.model_fields_set:
+            if getattr(self, name) is None:
+                raise ValueError(f"`{ORIGIN if name == 'origin' else name}` is null; no such key")
+        return self
+
+
+class _File(_Sources):
+    """A model that a committee was made from."""
+
+    file: str
+    sha256: str
+
+
+class _Support(Entries):
+    """The points that came together in records, see `simulate.range.TrainingSupport`."""
+
+    points: list[list[Number]] = Field(min_length=1)
+    spread: list[Annotated[float, Field(gt=0, le=_LARGEST)]]
+    reach: float = Field(gt=0, le=_LARGEST)
+
+
+class _Range(Entries):
+    """The range of records, see `simulate.range.Range`.
+
+    Internal states of a model that diverged along its records are no numbers.
+    """
+
+    states: list[tuple[Number | None, Number | None]]
+    inputs: list[Interval]
+    cloud: _Support | None = None
+    recorded_states: list[list[Number]] | None = Field(default=None, min_length=1)
+
+    @model_validator(mode="after")
+    def _check_order(self) -> "_Range":
+        for low, high in (*self.states, *self.inputs):
+            if low is not None and high is not None and low > high:
+                raise ValueError("a smallest value above the largest")
+        return self
+
+
+class _Band(Entries):
+    """The band of a coordinate, see `evaluate.bands.Part`."""
+
+    floor: float = Field(gt=0, le=_LARGEST)
+    factors: list[Size] = Field(min_length=1)
+    records: list[Size] = Field(min_length=1)
+    unit: Annotated[float, Field(gt=0, le=_LARGEST)] | None = None
+
+
+class _Bands(Entries):
+    """Bands, see `evaluate.bands.Calibration`."""
+
+    start: str
+    horizon: Duration | None
+    records: list[str] = Field(min_length=1)
+    moving: list[_Band]
+    resting: list[_Band]
+
+    @model_validator(mode="after")
+    def _check_records(self) -> "_Bands":
+        if any(len(b.records) != len(self.records) for b in (*self.moving, *self.resting)):
+            raise ValueError(f"bands of another number than the {len(self.records)} records")
+        return self
+
+
+class Judgement(Entries):
     """The free runs by which a model was judged when it was fitted.
 
     Attributes:
-        start: where they started.
+        start: where they started; "" where a file says none.
         horizon: how long each lasted at most [s], None for whole records.
         split: split of the records; `left out` of a selection, whose folds left them out.
     """
 
-    start: str
-    horizon: float | None = Field(default=None, gt=0)
+    start: str = ""
+    horizon: Duration | None = None
     split: str = ""
 
 
-def judgement_in_header(header: Mapping[str, Any], path: str | Path) -> Judgement | None:
-    """The free runs by which the model of a file was judged, None where the file says none.
+class _Scores(Judgement):
+    """The scores of a model; those that are not finite are None."""
+
+    unit: str = ""
+    rmse: dict[str, Size | None] = Field(default_factory=dict)
+    mean: Size | None = None
+    standard_error: Size | None = None
+
+
+class _SpoiledPart(Entries):
+    """A part of a record that spoils a fit, see `data.spoiled.SpoiledPart`."""
+
+    sentence: str
+
+
+class _Spoiled(Entries):
+    """The parts of records that spoil a fit, and sentences on those that it left out."""
+
+    parts: list[_SpoiledPart] = Field(default_factory=list)
+    left_out: list[str] = Field(default_factory=list)
+
+
+class _Copy(Entries):
+    """The copy of a system file that a run keeps."""
+
+    file: str
+    sha256: str
+
+
+class _Header(_Sources):
+    """The entries of a header beside the description of its model; further keys are allowed."""
+
+    format: int = Field(ge=1)
+    versions: dict[str, str] = Field(default_factory=dict)
+    recipe: _Recipe | None = None
+    training: _Training | None = None
+    identification: _Identification | None = None
+    range: _Range | None = None
+    scores: _Scores | None = None
+    bands: _Bands | None = None
+    spoiled: _Spoiled | None = None
+    system_copy: _Copy | None = None
+
+
+def check_header(header: Mapping[str, Any], where: object) -> None:
+    """Raises unless the header of a model file can be used as it is, by every verb.
+
+    Args:
+        header: the header.
+        where: the file.
 
     Raises:
-        InputError: the file says something else there.
+        InputError: an entry that is missing, of another type, out of range, or of another size
+            than the model's channels.
     """
-    scores = header.get("scores")
-    if not isinstance(scores, dict) or "start" not in scores:
+    check_description(header, where)
+    content = declare(dict(header), _Header, where, strict=True)
+    n_q = len(header["coordinates"])
+    for name in ("moving", "resting"):
+        bands = [] if content.bands is None else getattr(content.bands, name)
+        if content.bands is not None and len(bands) != n_q:
+            raise InputError(f"{where}, bands.{name}", f"{len(bands)} bands",
+                             f"{n_q}, one for each coordinate")  # fmt: skip
+
+
+def judgement_in_header(header: Mapping[str, Any]) -> Judgement | None:
+    """The free runs by which the model of a file was judged, None where the file says none."""
+    scores = header.get("scores", {})
+    if "start" not in scores:
         return None
-    content = {key: scores[key] for key in Judgement.model_fields if key in scores}
-    return declare(content, Judgement, f"{path}, scores")
+    return Judgement(**{key: scores[key] for key in Judgement.model_fields if key in scores})
 
 
 def read_header(path: str | Path) -> dict[str, Any]:
@@ -70,13 +317,13 @@ def read_header(path: str | Path) -> dict[str, Any]:
 
 
 def read_header_and_arrays(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Header and arrays of a model file, the header as `_Header` has it.
+    """Header and arrays of a model file, the header as `check_header` has it.
 
     Raises:
         InputError: as `load_model`.
     """
     header, arrays = read_sealed(path, FAMILIES.names())
-    declare(header, _Header, path)
+    check_header(header, path)
     return header, arrays
 
 
@@ -103,7 +350,7 @@ def records_in_header(header: Mapping[str, Any]) -> dict[str, str]:
         record["sha256"]: record["name"]
         for record in listed
         if record["sha256"]
-        and (record["split"] != "test" if selected else record["split"] == "train")
+        and (record.get("split") != "test" if selected else record.get("split") == "train")
     }
     for part in header.get("files", ()):
         records |= records_in_header(part)

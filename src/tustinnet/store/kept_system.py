@@ -5,7 +5,7 @@ that the user has consented to is kept, a file of that name in the user's config
 """
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,17 +37,28 @@ def write_system_copy(system: SystemFile, folder: Path) -> None:
     write_into(folder, COPY, system.text)
 
 
-def require_copy_fits(system: SystemFile | None, folder: Path) -> None:
+def require_copy_fits(
+    system: SystemFile | None, folder: Path, replaced: Sequence[Path] = ()
+) -> None:
     """Raises unless the copy can be written without replacing another file.
+
+    Args:
+        system: the file of the system, if there is one.
+        folder: where the copy is kept.
+        replaced: files of an earlier run that are replaced too. A copy whose SHA-256 one of them
+            names is theirs.
 
     Raises:
         InputError: another `system.py` is there.
     """
     path = folder / COPY
-    if system is not None and path.exists() and _read_copy(path) != system.text:
+    if system is None or not path.exists() or (text := _read_copy(path)) == system.text:
+        return
+    digest = SystemFile(path, text).sha256.encode()
+    if not any(digest in file.read_bytes() for file in replaced if file.is_file()):
         raise InputError(
             path, f"another file than {system.path}, a copy of which is kept there", "a new folder",
-            "choose another place, or add --overwrite",
+            "choose another place, or move that file away",
         )  # fmt: skip
 
 

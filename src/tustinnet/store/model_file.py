@@ -154,12 +154,7 @@ def read_downweighted(path: str | Path) -> list[Stretch]:
     """The stretches that weighed less than half in the identification of a file's model, if any.
 
     Raises:
-        InputError: the file has something else there.
+        InputError: as `read_header`.
     """
-    identification = read_header(path).get("identification")
-    try:
-        return [Stretch(**s) for s in (identification or {}).get("downweighted", ())]
-    except (TypeError, AttributeError) as error:
-        raise InputError(
-            path, "an account of its identification that is damaged", "stretches of records"
-        ) from error
+    identification = read_header(path).get("identification", {})
+    return [Stretch(**s) for s in identification.get("downweighted", ())]

@@ -21,8 +21,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
+from tustinnet.data.spoiled import SpoiledPart, spoiled_header
 from tustinnet.errors import InputError
 from tustinnet.evaluate.scores import Score, evaluate, mean_rmse, rmse_by_record, scores_header
+from tustinnet.evaluate.spoiled import find_spoiled
 from tustinnet.fitting.fit import MakeListener, MakeStopCheck, fit_task
 from tustinnet.fitting.gradient.loop import ResumePoint, never_stop
 from tustinnet.fitting.gradient.plan import TrainingPlan
@@ -98,6 +100,8 @@ class Run:
         folder: where the files are.
         system: the system's file, where one was given.
         origin: the account of the model that the fits began with, empty where they began anew.
+        spoiled: parts of the records that the best model does not explain.
+        left_out: sentences on the parts of records that were left out before.
     """
 
     members: tuple[MemberRun, ...]
@@ -107,6 +111,8 @@ class Run:
     folder: Path
     system: SystemFile | None = None
     origin: Mapping[str, Any] = field(default_factory=dict)
+    spoiled: tuple[SpoiledPart, ...] = ()
+    left_out: tuple[str, ...] = ()
 
     @property
     def best(self) -> MemberRun:
@@ -165,6 +171,7 @@ class Run:
             ),
             **system_header(self.system),
             **({ORIGIN: dict(self.origin)} if self.origin else {}),
+            **spoiled_header(self.spoiled, self.left_out),
         }
 
     def summary(self) -> dict[str, Any]:
@@ -204,6 +211,9 @@ def run_task(
     earlier: Earlier = "refuse",
     make_listener: MakeListener = lambda prepared: Listener(),
     system: SystemFile | None = None,
+    *,
+    judges_records: bool = False,
+    left_out: tuple[str, ...] = (),
 ) -> Run:
     """Fits all members of a task and keeps everything in a folder.
 
@@ -216,6 +226,9 @@ def run_task(
         make_listener: given the plan of trainings that run together, or the task of an
             identification, returns the listener of its progress.
         system: the file of the system that the task is of; a copy is kept with the models.
+        judges_records: whether parts of records that spoil the fit are looked for with networks,
+            too, which takes longer than with an identified system.
+        left_out: sentences on the parts of records that were left out before.
 
     Raises:
         InputError: the folder cannot be written, another run is writing there, it holds an earlier
@@ -224,8 +237,8 @@ def run_task(
             `fit`.
     """
     with lock_folder(folder):
-        if earlier != "discard":
-            require_copy_fits(system, folder)
+        own = [folder / MODEL, folder / SPECIFICATION] if earlier == "discard" else []
+        require_copy_fits(system, folder, own)
         specification, family = make_specification(task, system), task.recipe.family
         _prepare_folder(folder, earlier, specification, resumable=family.resumable)
 
@@ -246,7 +259,11 @@ def run_task(
             place = folder / member.name if family.has_seeds else folder
             members.append(MemberRun(result, scores, place))
         account = {} if origin is None else origin.provenance
-        run = Run(tuple(members), data, roles, fits[0].start, folder, system, account)
+        run = Run(
+            tuple(members), data, roles, fits[0].start, folder, system, account, left_out=left_out
+        )
+        if judges_records or not family.has_seeds:
+            run = replace(run, spoiled=find_spoiled(run.best.result.model, roles.all))
         write_specification(folder, specification)
         if system is not None:
             write_system_copy(system, folder)

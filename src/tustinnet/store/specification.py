@@ -9,8 +9,7 @@ from typing import Any
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.fitting.task import Task
-from tustinnet.models.contract import Model
-from tustinnet.store.checkpoint import feed_model, feed_record
+from tustinnet.store.checkpoint import feed_record, model_digest
 from tustinnet.store.files import to_json, write_into
 from tustinnet.store.model_file import read_header
 from tustinnet.systems.files import SystemFile
@@ -27,13 +26,6 @@ def make_specification(task: Task, system: SystemFile | None) -> Specification:
     (fold,) = task.folds
     name = None if task.system is None else task.system.name
 
-    def digest(model: Model | None) -> str | None:
-        if model is None:
-            return None
-        hasher = hashlib.sha256()
-        feed_model(hasher, model)
-        return hasher.hexdigest()
-
     return {
         "recipe": task.recipe.model_dump(mode="json"),
         "data": {
@@ -41,8 +33,8 @@ def make_specification(task: Task, system: SystemFile | None) -> Specification:
             "validation": record_digests(fold.roles.validation),
         },
         "system": name if system is None else system.sha256,
-        "physics": digest(fold.physics),
-        "from": digest(None if fold.origin is None else fold.origin.model),
+        "physics": None if fold.physics is None else model_digest(fold.physics),
+        "from": None if fold.origin is None else model_digest(fold.origin.model),
     }
 
 

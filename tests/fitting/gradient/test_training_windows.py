@@ -16,6 +16,7 @@ from tustinnet.fitting.gradient.windows import (
     describe_windows,
     draw_stage_windows,
     draw_windows,
+    span_length,
 )
 from tustinnet.fitting.recipe import WindowRecipe
 from tustinnet.fitting.task import make_task
@@ -177,3 +178,23 @@ def test_windows_of_a_fast_oscillation_last_until_their_start_is_forgotten():
     assert "windows of 50 steps: 5." in account
     assert "of mass, 6" in account
     assert "samples a period are few" in account
+
+
+def test_a_span_lasts_as_long_however_fast_the_records_are_sampled(pendulum):
+    slow = list(pendulum)
+    fast = [e.resample(e.dt / 2) for e in slow]
+    lengths = [span_length(records, 3.0) for records in (slow, fast)]
+    assert lengths[1] == pytest.approx(2 * lengths[0], rel=0.5)
+    assert 25 <= lengths[0] < lengths[1] <= 200
+
+
+def test_a_span_is_at_most_a_quarter_of_a_record(pendulum):
+    short = [e[:80] for e in pendulum]
+    assert span_length(short, 100.0) == 20
+
+
+def test_windows_take_a_length_or_a_span():
+    with pytest.raises(ValueError, match="either `length` or `span`"):
+        WindowRecipe(draw="strided", step=1)
+    with pytest.raises(ValueError, match="`adapt` changes a `length`"):
+        WindowRecipe(draw="strided", span=3, step=1, adapt=True)

@@ -131,6 +131,7 @@ def _entries(records: Sequence[DraftRecord]) -> list[str]:
         piece = record.piece
         keys = [f"file = {quote(piece.log.file)}"]
         keys += [] if piece.log.cell is None else [f"cell = {piece.log.cell}"]
+        keys += [] if piece.log.record is None else [f"record = {quote(piece.log.record)}"]
         keys += [] if piece.whole else [f"rows = [{piece.rows[0]}, {piece.rows[1]}]"]
         entries.append(quote(piece.log.file) if len(keys) == 1 else f"{{ {', '.join(keys)} }}")
     return entries

@@ -51,7 +51,7 @@ def _without_unit(name: str, reading: NameReading) -> str:
         return name
     if reading.in_brackets:
         shorter = re.sub(r"[\W_]*[\[({<][^\[\](){}<>]*[\])}>]", "", name)
-        return re.sub(r"(?i)(_in_\S+|/.*)$", "", shorter) if shorter == name else shorter
+        return re.sub(r"(?i)(_in_\S+|\s*/\s+\S+)$", "", shorter) if shorter == name else shorter
     return (
         re.sub(r"([\W_]*(per|[^\W\d_]{1,6}))?[\W_]*[^\W\d_]+\d*[\W_]*$", "", name)
         if (reading.unit.endswith("/s") and not re.search(r"(?i)(rpm|dps|mps|rads)\d*$", name))

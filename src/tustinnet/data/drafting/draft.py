@@ -168,8 +168,8 @@ def draft_card(
         is_period_assumed=clock.dt is None and _PERIOD not in answers,
     )  # fmt: skip
     return Draft(
-        text, tuple(_columns(readings, clock, choice, verdicts, numbers)), dt, choice, clock,
-        splits,
+        text, tuple(_columns(readings, clock, choice, verdicts, numbers, logs[0].clocks)), dt,
+        choice, clock, splits,
         tuple(q for q in (*questions, *choice.questions) if q.key not in answers), tuple(notes),
         logs[0].texts, sum(map(len, logs)), bool(usable),
     )  # fmt: skip
@@ -187,7 +187,7 @@ def _usable_pieces(
     used += [c.velocity.column for c in choice.coordinates if c.velocity]
     usable: list[Piece] = []
     for piece in pieces:
-        place = piece.log.file + (f"[{piece.log.cell}]" if piece.log.cell else "")
+        place = piece.log.place
         finite = np.isfinite(piece.t)
         for name in used:
             finite &= np.isfinite(piece.column(name))
@@ -238,6 +238,7 @@ def _choose_samples(pieces: Sequence[Piece]) -> list[Piece]:
 def _columns(
     readings: Mapping[str, object], clock: Clock, choice: Choice,
     verdicts: Mapping[str, Verdict], numbers: Mapping[str, Numbers],
+    clocks: Sequence[str],
 ) -> list[DraftColumn]:  # fmt: skip
     """Every column with its role, its use and the reasons."""
     velocities = {c.velocity.column: c.velocity for c in choice.coordinates if c.velocity}
@@ -250,7 +251,8 @@ def _columns(
         if name == clock.column:
             role, use, because, unit = "time", "time", clock.because, clock.unit
         elif name in clock.others:
-            role, because = "counter", clock.others[name]
+            role = "time" if name in clocks else "counter"
+            because = clock.others[name]
         else:
             role, because = verdicts[name].role, verdicts[name].because
             if name in coordinates:

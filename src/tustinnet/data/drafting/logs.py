@@ -10,7 +10,7 @@ import numpy as np
 
 from tustinnet.channels import LONGEST_DT, SHORTEST_DT
 from tustinnet.data.columns import NUMBERED, Columns
-from tustinnet.data.drafting.names import NameReading, read_name
+from tustinnet.data.drafting.names import INPUTS, NameReading, read_name
 from tustinnet.data.drafting.numbers import Values
 from tustinnet.data.readers import read_columns
 from tustinnet.data.text_file import NO_HEADER
@@ -20,6 +20,7 @@ from tustinnet.errors import InputError
 _MOST_COLUMNS = 60  # that are examined
 _REGULAR = 0.5  # relative deviation of the intervals of a clock that has another name
 _ROUND = 5e-4  # relative; a period this near to one of two digits is that
+_SAYS = 3.0  # weight of a word that says a quantity
 _GAP = 10.0  # periods; a longer interval ends a record
 _SHORTEST = 20  # samples of a record
 _EPOCHS = (("s", 5e8, 5e9), ("ms", 5e11, 5e12), ("us", 5e14, 5e15), ("ns", 5e17, 5e18))
@@ -39,6 +40,10 @@ class Log:
         notes: remarks on how the file was read.
         has_header: whether the first row of a file whose columns have no names is a header; None
             where they have names.
+        record: label of one of several records in the file, None for a whole file.
+        clocks: columns of times [s], of which the first has those of all samples here; empty
+            where columns have no times of their own.
+        units: units by column, where the file has them.
     """
 
     file: str
@@ -47,9 +52,18 @@ class Log:
     texts: Mapping[str, str]
     notes: tuple[str, ...]
     has_header: bool | None = None
+    record: str | None = None
+    clocks: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(next(iter(self.values.values())))
+
+    @property
+    def place(self) -> str:
+        """The file, and the part of it in brackets."""
+        label = self.cell if self.record is None else self.record
+        return self.file if label is None else f"{self.file}[{label}]"
 
 
 @dataclass(frozen=True)
@@ -155,6 +169,11 @@ def read_logs(folder: Path, files: Sequence[str], on_message: Callable[[str], No
 
 def _read_file(folder: Path, file: str) -> list[Log]:
     columns = read_columns(folder / file)
+    if columns.parts:
+        parts = {label: columns.part(label) for label in columns.parts}
+        columns.fetch_parts({name for part in parts.values() for name in part.names})
+        logs = [replace(_read_log(part, file, None), record=k) for k, part in parts.items()]
+        return [replace(log, notes=(f"{file}: {len(logs)} records", *log.notes)) for log in logs]
     if not columns.elements:
         return [_read_log(columns, file, None)]
     elements = [columns.element(number) for number in range(1, columns.elements + 1)]
@@ -169,13 +188,23 @@ def _read_log(columns: Columns, file: str, cell: int | None) -> Log:
     values: dict[str, Values] = {}
     texts = dict(columns.others)
     notes = list(columns.notes)
-    if len(columns.names) > _MOST_COLUMNS:
+    examined = columns.names[:_MOST_COLUMNS]
+    if len(columns.names) > _MOST_COLUMNS and columns.clocks:
+        examined = _most_telling(columns)
+        text = f"{len(examined)} of {len(columns.names)} columns are looked at"
+        notes.append(f"{text}, those named as positions and inputs first")
+    elif len(columns.names) > _MOST_COLUMNS:
         notes.append(f"{len(columns.names)} columns; the first {_MOST_COLUMNS} are looked at")
-    for name in columns.names[:_MOST_COLUMNS]:
+    for name in examined:
         try:
             values[name] = columns[name]
         except InputError as error:
             texts[name] = str(error).split(": ", 1)[-1]
+    clocks, times = columns.clocks, ()
+    if clocks:
+        values = _on_common_times(values, clocks, columns.units)
+        base = next(iter(values))
+        times = (base, *(name for name in values if name != base and name in clocks.values()))
     lengths = Counter(len(column) for column in values.values() if len(column) > 1)
     if not lengths:
         raise InputError(file, "no column of numbers", "a column of times, positions or inputs")
@@ -184,7 +213,57 @@ def _read_log(columns: Columns, file: str, cell: int | None) -> Log:
         texts[name] = f"{len(values.pop(name))} values, where the others have {usual}"
     is_nameless = all(name.startswith(NUMBERED) for name in columns.names)
     has_header = NO_HEADER not in columns.notes if is_nameless else None
-    return Log(file, cell, values, texts, tuple(notes), has_header)
+    return Log(
+        file, cell, values, texts, tuple(notes), has_header, clocks=times, units=columns.units
+    )
+
+
+def _on_common_times(
+    values: Mapping[str, Values], clocks: Mapping[str, str], units: Mapping[str, str]
+) -> dict[str, Values]:
+    """Columns with times of their own at those of the column that is most likely a position."""
+
+    def likelihood(name: str) -> float:
+        reading = read_name(name.replace("/", "."), units.get(name, ""))
+        is_command = reading.qualifier == "command"
+        return 0.0 if is_command else reading.quantities.get("position", 0.0)
+
+    own = [n for n in values if n in clocks and clocks[n] != n and clocks[n] in values] or [*clocks]
+    base = clocks[max(own, key=likelihood)]
+    t = values[base]
+    common = {base: t}
+    for name in (n for n in values if n in own or n in {*clocks.values()} - {base}):
+        times, column = values[clocks[name]], values[name]
+        if clocks[name] == base or len(times) < 2:
+            common[name] = column
+        else:  # held, as inputs are
+            last = np.searchsorted(times, t, "right") - 1
+            common[name] = column[np.clip(last, 0, len(column) - 1)]
+    return common
+
+
+def _most_telling(columns: Columns) -> tuple[str, ...]:
+    """Columns that are named as positions, velocities or inputs, then others, and their times."""
+
+    def is_silent(name: str) -> bool:
+        quantities = read_name(name.replace("/", ".")).quantities
+        telling = ("position", "velocity", *INPUTS)
+        return max((quantities.get(q, 0.0) for q in telling), default=0.0) < _SAYS
+
+    own = [name for name in columns.names if columns.clocks.get(name) != name]
+    chosen = {*sorted(own, key=is_silent)[:_MOST_COLUMNS]}
+    chosen |= {columns.clocks[name] for name in chosen if name in columns.clocks}
+    return tuple(name for name in columns.names if name in chosen)
+
+
+def find_clock_of(columns: Columns) -> Clock | None:
+    """The clock in the columns of one file, None where it has none."""
+    try:
+        log = _read_log(columns, "", None)
+    except InputError:
+        return None
+    clock = find_clock([log], read_names([log]))
+    return None if clock.column is None else clock
 
 
 # --- the clock ---
@@ -194,7 +273,11 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
     """The column of times: it rises in every record, and has such a name or does so regularly."""
     candidates: list[tuple[float, str]] = []
     others: dict[str, str] = {}
+    own_times = logs[0].clocks
+    others |= dict.fromkeys(own_times[1:], "times of other columns")
     for name, reading in readings.items():
+        if own_times and name != own_times[0]:
+            continue
         columns = [log.values[name] for log in logs]
         intervals = _intervals(columns)
         if intervals is None:
@@ -216,7 +299,9 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
     # the first of equal ones
     best = max(candidates, key=lambda candidate: round(candidate[0], 3))[1]
     others |= {name: "rises as a clock does" for _, name in candidates if name != best}
-    unit, because, sure = _time_unit(best, readings[best], [log.values[best] for log in logs])
+    unit, because, sure = "s", "in s, as the file says", True
+    if not own_times:
+        unit, because, sure = _time_unit(best, readings[best], [log.values[best] for log in logs])
     reason = "by its name" if readings[best].quantities.get("time") else "it rises regularly"
     intervals = _intervals([log.values[best] for log in logs])
     assert intervals is not None
@@ -257,7 +342,7 @@ def _period(intervals: Values) -> tuple[float, float]:
 
 def _time_unit(name: str, reading: NameReading, columns: Sequence[Values]) -> tuple[str, str, bool]:
     """The unit of times, the reason, and whether it is sure."""
-    if reading.unit in TIME:
+    if reading.unit in TIME and reading.quantity == "time":
         return reading.unit, f"in {reading.unit} by its name", True
     intervals = _intervals(columns)
     assert intervals is not None
@@ -323,4 +408,8 @@ def _is_episode(columns: Sequence[Values]) -> bool:
 
 def read_names(logs: Sequence[Log]) -> dict[str, NameReading]:
     """The readings of the names of all columns; `column 3` of a file without names says nothing."""
-    return {name: read_name("" if name.startswith(NUMBERED) else name) for name in logs[0].values}
+    units = logs[0].units
+    return {
+        name: read_name("" if name.startswith(NUMBERED) else name, units.get(name, ""))
+        for name in logs[0].values
+    }

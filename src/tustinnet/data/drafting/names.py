@@ -295,14 +295,21 @@ class NameReading:
         return max(self.quantities, key=lambda q: self.quantities[q], default=None)
 
 
-def read_name(name: str) -> NameReading:
-    """Reads the words and the unit in a column's name."""
+def read_name(name: str, file_unit: str = "") -> NameReading:
+    """Reads the words and the unit in a column's name; a unit that the file says decides."""
+    known = _look_up(file_unit) if file_unit else None
+    if known is not None and known[0]:
+        reading = read_name(f"{name} [{file_unit}]")
+        if reading.unit == known[0]:
+            return reading
     plain = unicodedata.normalize("NFC", name).translate(_GREEK).translate(_UMLAUTS)
     plain, unit, unit_quantity, in_brackets = _take_unit(plain)
     words = _split_words(plain)
     if not in_brackets:
         words, unit, unit_quantity = _take_ending(words)
     quantities, word = _read_quantities(words)
+    if {"action", "actions"} & {*words}:  # of robot learning: what was commanded
+        quantities["control"], word["control"] = 8.0, "action"
     if unit_quantity is not None:
         surely = in_brackets or unit_quantity in _SURE_UNITS
         quantities[unit_quantity] = max(quantities.get(unit_quantity, 0.0), 6.0 if surely else 5.0)

@@ -150,9 +150,9 @@ def _group(pieces: Sequence[Piece], inputs: Sequence[str]) -> list[DraftRecord]:
         ]
         marked = [i for i in numbers if i and tokens[i - 1] in _REPETITIONS]
         name = PurePosixPath(piece.log.file).as_posix()
-        is_part = not piece.whole or piece.log.cell is not None
+        is_part = not piece.whole or piece.log.place != piece.log.file
         if is_part:
-            name = f"{name}[{piece.log.cell}]{piece.rows}"
+            name = f"{piece.log.place}{piece.rows}"
         elif marked or len(numbers) > 1:
             last = marked[-1] if marked else numbers[-1]
             name = "_".join(t for i, t in enumerate(tokens) if i != last)
@@ -162,7 +162,7 @@ def _group(pieces: Sequence[Piece], inputs: Sequence[str]) -> list[DraftRecord]:
         if len({sets[k] for k in members}) == 1 and len(members) > 1:
             # numbers alone distinguish all records of the kind: no repetitions
             for k in members:
-                sets[k] = f"{pieces[k].log.file}[{pieces[k].log.cell}]{pieces[k].rows}"
+                sets[k] = f"{pieces[k].log.place}{pieces[k].rows}"
     _join_equal_inputs(pieces, inputs, kinds, sets)
     return [DraftRecord(p, kind, s) for p, kind, s in zip(pieces, kinds, sets, strict=True)]
 

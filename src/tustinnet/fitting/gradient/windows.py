@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from tustinnet.data.experiment import Experiment, VelocitySource
-from tustinnet.data.inspection import coordinate_timescales, transient_end
+from tustinnet.data.inspection import coordinate_timescales, correlation_times, transient_end
 from tustinnet.errors import InputError
 from tustinnet.fitting.recipe import WindowRecipe
 from tustinnet.models.contract import Model
@@ -20,6 +20,8 @@ from tustinnet.simulate.input_signal import input_signal
 _LONGEST = 4  # an adapted window is at most this many times the recipe's length
 _RECORD_SHARE = 4  # and at most the median record over this
 _ROUND = 5  # adapted lengths are multiples of this
+_SHORTEST_SPAN, _LONGEST_SPAN = 25, 200  # steps of a window whose length follows the records
+_STEPS_AN_OCTAVE = 2  # of such lengths
 _DECAYS = 3  # times of decay to 1/e after which a wrong start is forgotten
 
 
@@ -148,8 +150,32 @@ def draw_windows(
 
 
 def window_length(experiments: Sequence[Experiment], recipe: WindowRecipe) -> int:
-    """The steps in a window that are compared, adapted to the records where the recipe says so."""
+    """The steps in a window that are compared, from the records where the recipe says so."""
+    if recipe.length is None:
+        return span_length(experiments, recipe.span or 1.0)
     return adapt_length(experiments, recipe.length) if recipe.adapt else recipe.length
+
+
+def span_length(experiments: Sequence[Experiment], span: float) -> int:
+    """A window length [steps] of so many correlation times of the slowest velocity.
+
+    In that time every velocity is changed by what acts on it, so a window shows the forces and not
+    the start alone. Where the slowest coordinate takes far longer than it makes sense to simulate
+    in a step of the optimiser, and where the fastest one would be seen too shortly, lengths end at
+    25 and 200 steps; and at a quarter of the median record. Lengths are steps of a geometric
+    series, so that folds of the records have the same one.
+
+    Args:
+        experiments: the records.
+        span: how many correlation times.
+    """
+    slowest = max(correlation_times(experiments).values(), default=1.0)
+    median = int(np.median([len(e) for e in experiments]))
+    longest = min(_LONGEST_SPAN, max(median // _RECORD_SHARE, _ROUND))
+    length = min(max(span * slowest, _SHORTEST_SPAN), longest)
+    step = int(np.log2(length / _SHORTEST_SPAN) * _STEPS_AN_OCTAVE + 0.5)
+    rounded = int(_SHORTEST_SPAN * 2.0 ** (step / _STEPS_AN_OCTAVE)) // _ROUND * _ROUND
+    return max(_ROUND, min(rounded, longest))
 
 
 def adapt_length(experiments: Sequence[Experiment], length: int) -> int:

@@ -78,7 +78,8 @@ def compute_products(
     parameter_rows = equations.parameter_rows(space.to_values(vector), segments.group_indices)
     # polynomials over every period, held inputs with one coefficient; derivatives by delays follow
     inputs = [segments.inputs, *([segments.inputs_by_delay] if has_delays else [])]
-    polynomials = np.concatenate([x[:, None] if x.ndim == 2 else x for x in inputs], axis=-1)
+    parts = [x[:, None] if x.ndim == 2 else x for x in inputs]
+    polynomials = np.concatenate(parts, axis=-1) if has_delays else parts[0]
     initial = equations.initial_states(
         x0, parameter_rows, segments.adds_expected, polynomials[segments.first_row]
     )

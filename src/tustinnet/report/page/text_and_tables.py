@@ -8,7 +8,7 @@ import numpy as np
 
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment
-from tustinnet.errors import convert_errors
+from tustinnet.data.spoiled import KEY as SPOILED
 from tustinnet.evaluate.scores import mean_rmse
 from tustinnet.families.family import family_of
 from tustinnet.fitting.report import Estimate
@@ -110,14 +110,12 @@ def describe_fold_scores(reported: ReportedModel, records: Sequence[Experiment])
         return ""
     if scores.get("mean") is None:
         return "Models made in the same way diverge on some records that they were not fitted to."
-    with convert_errors(reported.label, "scores that are damaged", "those that `fit` writes"):
-        mean, error = float(scores["mean"]), scores.get("standard_error")
-        spread = f" ± {error:.2g}" if error else ""
-        size = f"{number(mean)}{spread} {scores['unit']}"
-        count = len(scores["rmse"])
+    error, unit, count = (scores.get(k) for k in ("standard_error", "unit", "rmse"))
+    spread = f" ± {error:.2g}" if error else ""
+    size = f"{number(scores['mean'])}{spread} {unit or ''}".strip()
     return (
         "On records that they were not fitted to, models made in the same way are off by "
-        f"{size} on average ({count} records, on folds)."
+        f"{size} on average ({len(count or ())} records, on folds)."
     )
 
 
@@ -150,6 +148,9 @@ def list_notes(results: Sequence[ModelResult], records: Sequence[Experiment]) ->
         ]
         identification = result.reported.header.get("identification") or {}
         notes += [f"{label}: {finding}" for finding in identification.get("findings", ())]
+        spoiled = result.reported.header.get(SPOILED) or {}
+        notes += [f"{label}: spoiled: {part['sentence']}" for part in spoiled.get("parts", ())]
+        notes += [f"{label}: {sentence}" for sentence in spoiled.get("left_out", ())]
     return notes
 
 
@@ -187,15 +188,14 @@ def parameters_of(reported: ReportedModel) -> ParameterGroup | None:
         table = Table(ESTIMATE_COLUMNS[:3], rows)
         places = [None] * len(rows)
         return ParameterGroup(reported.label, "values", table, places) if rows else None
-    with convert_errors(reported.label, "an identification that is damaged", "estimates"):
-        estimates = [
-            Estimate(**e | {"interval": e["interval"] and tuple(e["interval"])})
-            for e in identification["estimates"]
-        ]
-        refined = (identification.get("refined") or {}).get("values")
-        title = estimates_title(identification["trust"], refined)
-        fixed = [[name, f"{value:.4g}", units.get(name, ""), "fixed", "", "", ""]
-                 for name, value in identification["fixed"].items()]  # fmt: skip
+    estimates = [
+        Estimate(**e | {"interval": e["interval"] and tuple(e["interval"])})
+        for e in identification["estimates"]
+    ]
+    refined = (identification.get("refined") or {}).get("values")
+    title = estimates_title(identification.get("trust", "residuals"), refined)
+    fixed = [[name, f"{value:.4g}", units.get(name, ""), "fixed", "", "", ""]
+             for name, value in identification.get("fixed", {}).items()]  # fmt: skip
     places = []
     for e in estimates:
         low, high = e.interval or (e.value, e.value)

@@ -1,10 +1,12 @@
 """The HTML report of models on records, written as one file."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.export.javascript import MODULE, TARGET
@@ -20,9 +22,11 @@ from tustinnet.report.page.render import render
 from tustinnet.report.page.reported_model import ReportedModel, model_file, read_reported_models
 from tustinnet.simulate.starts import default_start
 from tustinnet.store.files import require_outputs, write_into
+from tustinnet.store.judgement import judged_free_runs, usual_split
 from tustinnet.store.model_file import load_model, package_versions
 
 ENDINGS = (".html", ".htm")
+_ALL = "all"  # in the place of a split: all records
 # bytes of a page, and of that for everything except signals and models
 _MAX_PAGE, _FRAME = 1_000_000, 250_000
 _MAX_MODULES = 650_000  # bytes of all models in the playground, so that signals have room
@@ -51,22 +55,29 @@ class ReportOptions:
 
 def write_report(
     models: Mapping[str, Model] | Sequence[str | Path],
-    records: Sequence[Experiment] | Experiment,
+    records: DataSet | Sequence[Experiment] | Experiment,
     out: str | Path,
     *,
+    split: str | None = None,
     start: str | None = None,
     horizon: float | None = None,
     overwrite: bool = False,
 ) -> Path:
     """Writes a report of models on records: one HTML file that needs no server and no network.
 
+    Split, start and horizon are by default those of the command `report`: what the files say.
+
     Args:
         models: model files or run folders, whose data, training and parameters are also shown;
             or models by label. The report is about the first.
         records: the records that are simulated.
         out: the file.
-        start: where the free runs start, as for `evaluate`; None for the usual start.
-        horizon: longest duration of a free run [s], see `free_run`; None for whole records.
+        split: the split of a data set, `all` for all of its records; None for `test`, else
+            `validation`, else all.
+        start: where the free runs start, as for `evaluate`; None for that by which the files say
+            that the models were judged, else the usual start.
+        horizon: longest duration of a free run [s], see `free_run`; infinite for whole records,
+            None for that of the files, else whole records.
         overwrite: whether an existing file may be replaced.
 
     Returns:
@@ -74,8 +85,8 @@ def write_report(
 
     Raises:
         InputError: no models or records, or too many models; a model that does not exist; records
-            of other channels than the models'; a file that exists, or that has another ending; see
-            also `evaluate`.
+            of other channels than the models'; a split of records that are no data set; a file
+            that exists, or that has another ending; see also `evaluate`.
     """
     path = Path(out)
     files = [] if isinstance(models, Mapping) else [model_file(Path(model)) for model in models]
@@ -84,8 +95,26 @@ def write_report(
         reported = [ReportedModel(label, model) for label, model in models.items()]
     else:
         reported = read_reported_models(files, [load_model(file) for file in files])
-    record_list = [records] if isinstance(records, Experiment) else list(records)
+    record_list = _choose_records(records, split)
+    headers = {m.file: m.header for m in reported if m.file is not None}
+    if headers:
+        file_start, file_horizon = judged_free_runs(headers, record_list)
+        start = file_start if start is None else start
+        horizon = file_horizon if horizon is None else horizon
+    horizon = None if horizon == math.inf else horizon
     return write_page(reported, record_list, path, ReportOptions(start, horizon))
+
+
+def _choose_records(
+    records: Sequence[Experiment] | DataSet | Experiment, split: str | None
+) -> list[Experiment]:
+    """The records of a split of a data set, by default the usual one; others as they are."""
+    if isinstance(records, DataSet):
+        split = split or usual_split(records) or _ALL
+        return [*records] if split == _ALL else [*records.split(split)]
+    if split is not None:
+        raise InputError("split", f"'{split}' of records that are no data set", "a DataSet")
+    return [records] if isinstance(records, Experiment) else [*records]
 
 
 def write_page(

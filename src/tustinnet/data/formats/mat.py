@@ -1,7 +1,7 @@
 """MAT files, up to version 7 and 7.3: their arrays of numbers by name, those inside of others too.
 
 A field of a struct is `log.q`, the third element of a cell array `logs{3}`, that of a struct array
-`logs(3)`. This module is used in the process of `binary_files` only.
+`logs(3)`.
 """
 
 import math
@@ -12,19 +12,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tustinnet.data.formats.hdf5 import members, require_numbers_inside
+from tustinnet.data.formats.mat_objects import can_read_objects, object_arrays, object_names
+from tustinnet.data.formats.reader import REAL, Array, Contents, Reader, Shape
 from tustinnet.errors import InputError, convert_errors
 
-Array = np.ndarray
-Shape = tuple[int, ...]
-
-REAL = "fiub"  # kinds of numpy's types
 _NUMBERS = "c" + REAL
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _DEEPEST = 20  # structs and cells in one another
 _OBJECT = 3  # `MATLAB_object_decode` of objects
 _UNNAMED = "None"  # the name that scipy gives objects
 OBJECT = "a MATLAB object (timeseries, timetable, table, ...)"
-OBJECT_REMEDY = "save it as numbers: s = struct(ts), or t = ts.Time, x = ts.Data"
+_REMEDY = "save it as numbers: s = struct(ts), or t = ts.Time, x = ts.Data"
 
 
 class MatVariable(NamedTuple):
@@ -35,24 +34,68 @@ class MatVariable(NamedTuple):
         shape: shape of an array of numbers that can be columns, else None.
         load: function that reads the array.
         other: description of a variable that is no such array.
+        clock: name of the variable of its times, where it has times of its own.
     """
 
     name: str
     shape: Shape | None
     load: Callable[[], Array] = lambda: np.empty(0)
     other: str = ""
+    clock: str = ""
 
 
-def mat_contents(path: Path) -> tuple[list[tuple[str, Shape]], dict[str, str]]:
-    """Names and shapes of the arrays of numbers, and descriptions of everything else."""
+def object_remedy() -> str:
+    """The way to numbers that are in an object of MATLAB."""
+    pip = "" if can_read_objects() else ", or pip install 'tustinnet[matlab]'"
+    return _REMEDY + pip
+
+
+def _contents(path: Path) -> Contents:
     variables = list(_walk(path, None))
-    arrays = [(v.name, v.shape) for v in variables if v.shape is not None]
-    return arrays, {v.name: v.other for v in variables if v.shape is None}
+    objects = {v.name for v in variables if v.other == OBJECT}
+    inner = _in_objects(path, objects) if objects and can_read_objects() else []
+    # scipy may not know the name of an object
+    opened = {o for o in objects if any(_is_in(v.name, o) for v in inner)} | (
+        {""} if inner else set()
+    )
+    variables = [v for v in variables if v.name not in opened] + inner
+    return Contents(
+        [(v.name, v.shape) for v in variables if v.shape is not None],
+        {v.name: v.other for v in variables if v.shape is None},
+        {v.name: v.clock for v in variables if v.clock},
+    )
 
 
-def mat_arrays(path: Path, names: set[str]) -> dict[str, Array]:
-    """The arrays of some names."""
-    return {v.name: v.load() for v in _walk(path, names) if v.name in names}
+def _arrays(path: Path, names: set[str]) -> dict[str, Array]:
+    arrays = {v.name: v.load() for v in _walk(path, names) if v.name in names}
+    missing = names - {*arrays}
+    inner = _in_objects(path, {_owner(name) for name in missing}) if missing else []
+    return arrays | {v.name: v.load() for v in inner if v.name in missing}
+
+
+def _in_objects(path: Path, objects: set[str]) -> list[MatVariable]:
+    """The arrays in objects of these names, none where they cannot be read."""
+    try:
+        if "" in objects:
+            objects = objects | {*object_names(path)}
+        owners = sorted({_owner(name) for name in objects if name})
+        arrays = list(object_arrays(path, owners)) if owners else []
+    except Exception:  # objects that the library does not know, or damaged ones
+        return []
+    inner = [a for a in arrays if any(_is_in(a.name, name) for name in objects)]
+    variables = [_numbers(a.name, a.values.shape, lambda a=a: a.values) for a in inner]
+    return list(_oriented(v._replace(clock=a.clock) for v, a in zip(variables, inner, strict=True)))
+
+
+def _owner(name: str) -> str:
+    """The variable that a part belongs to: `log` of `log.runs{3}.q`."""
+    return re.split(r"[.({]", name)[0]
+
+
+def _is_in(name: str, owner: str) -> bool:
+    return bool(owner) and (
+        name == owner or name.startswith((f"{owner}.", f"{owner}(", f"{owner}{{"))
+    )
 
 
 def _walk(path: Path, names: set[str] | None) -> Iterator[MatVariable]:
@@ -67,7 +110,7 @@ def _walk(path: Path, names: set[str] | None) -> Iterator[MatVariable]:
     with h5py.File(path, "r") as file:
         yield from _oriented(
             variable
-            for name, item in _children(file)
+            for name, item in members(file)
             if not name.startswith("#")  # targets of references, and objects
             for variable in _hdf5(path, name, item, 0)
         )
@@ -92,7 +135,7 @@ def _oriented(variables: Iterable[MatVariable]) -> Iterator[MatVariable]:
             shapes.get(f"{v.name.removesuffix('Data')}Time") if v.name.endswith(".Data") else None
         )
         if times and v.shape and len(v.shape) == 2 and v.shape[0] != times[0] == v.shape[1]:
-            yield MatVariable(v.name, v.shape[::-1], lambda load=v.load: load().T)
+            yield v._replace(shape=v.shape[::-1], load=lambda load=v.load: load().T)
         else:
             yield v
 
@@ -103,7 +146,7 @@ def _oriented(variables: Iterable[MatVariable]) -> Iterator[MatVariable]:
 def _mat5(path: Path, names: set[str] | None) -> Iterator[MatVariable]:
     import scipy.io
 
-    variables = None if names is None else {re.split(r"[.({]", name)[0] for name in names}
+    variables = None if names is None else {_owner(name) for name in names}
     try:
         contents = scipy.io.whosmat(path)
     except TypeError:  # it fails on objects, which have no size
@@ -177,15 +220,6 @@ def _mat5_value(name: str, value: Any, brackets: str = "") -> Iterator[MatVariab
 # --- version 7.3 ---
 
 
-def _children(group: Any) -> Iterator[tuple[str, Any]]:
-    """The members of a group without links, which may lead into another file, or back."""
-    import h5py
-
-    for name in group:
-        if isinstance(group.get(name, getlink=True), h5py.HardLink):
-            yield name, group[name]
-
-
 def _hdf5(path: Path, name: str, item: Any, depth: int) -> Iterator[MatVariable]:
     import h5py
 
@@ -195,7 +229,7 @@ def _hdf5(path: Path, name: str, item: Any, depth: int) -> Iterator[MatVariable]
     if item.attrs.get("MATLAB_object_decode") == _OBJECT:
         yield MatVariable(name, None, other=OBJECT)
     elif isinstance(item, h5py.Group):
-        for field, inner in _children(item):
+        for field, inner in members(item):
             if _has_references(inner) and not inner.attrs.get("MATLAB_class"):  # a struct array
                 yield from _elements(path, f"{name}(", f").{field}", inner, depth)
             else:
@@ -209,8 +243,7 @@ def _hdf5(path: Path, name: str, item: Any, depth: int) -> Iterator[MatVariable]
     elif item.attrs.get("MATLAB_empty"):
         yield MatVariable(name, None, other="empty")
     elif item.dtype.kind in REAL:
-        if item.external or item.is_virtual:
-            raise InputError(path, f"the numbers of '{name}' are in another file", "in this file")
+        require_numbers_inside(path, name, item)
         # MATLAB stores matrices column-major: h5py sees the transpose
         yield _numbers(name, (item.shape or ())[::-1], lambda: item[()].T)
     else:
@@ -227,3 +260,6 @@ def _elements(path: Path, before: str, after: str, item: Any, depth: int) -> Ite
     """The elements of a cell array, or of a field of a struct array, by its references."""
     for k, reference in enumerate(item[()].reshape(-1), 1):
         yield from _hdf5(path, f"{before}{k}{after}", item.file[reference], depth + 1)
+
+
+READER = Reader("scipy.io", _contents, _arrays)

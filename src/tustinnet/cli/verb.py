@@ -1,0 +1,47 @@
+"""Verbs as commands: paths that name nothing, or that no file system takes, are refused by name."""
+
+from typing import Any
+
+from typer.core import TyperCommand
+
+from tustinnet.errors import InputError
+
+_LONGEST_PART, _LONGEST = 255, 4000  # bytes of a file's name and of a path, as systems have them
+_FILES = ("FILE", "DIR", "MODEL", "RUN")  # words of metavars of values that may be paths
+
+
+class Verb(TyperCommand):
+    """A verb; its paths are checked before anything is loaded for it."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parses the arguments.
+
+        Raises:
+            InputError: an empty path, or one with a name that is too long.
+        """
+        if not ctx.resilient_parsing:
+            values, _, _ = self.make_parser(ctx).parse_args(args=list(args))
+            for parameter in self.get_params(ctx):
+                is_argument = parameter.param_type_name == "argument"
+                if is_argument or any(word in str(parameter.metavar) for word in _FILES):
+                    name = parameter.metavar if is_argument else max(parameter.opts, key=len)
+                    value = values.get(str(parameter.name))
+                    for path in value if isinstance(value, list | tuple) else [value]:
+                        if isinstance(path, str):
+                            _require_path(str(name), path)
+        return super().parse_args(ctx, args)
+
+
+def _require_path(name: str, path: str) -> None:
+    """Raises unless a text can be a path; an empty one would be the current folder."""
+    if not path.strip():
+        raise InputError(name, f"'{path}'", "a path or a name",
+                         "for the current folder, write .")  # fmt: skip
+    sizes = [len(part.encode(errors="replace")) for part in path.split("/")]
+    if max(sizes) > _LONGEST_PART or sum(sizes) + len(sizes) > _LONGEST:
+        raise InputError(
+            name, f"'{path[:30]}...', a path of {len(path)} characters",
+            f"at most {_LONGEST}, and {_LONGEST_PART} bytes in each name",
+        )  # fmt: skip
+    if "\0" in path:
+        raise InputError(name, "a path with a zero byte", "a path")

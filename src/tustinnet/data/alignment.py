@@ -1,0 +1,166 @@
+"""Columns with times of their own, brought onto the times of one of them.
+
+Topics of a bag and groups of a measurement file are each sampled by a clock of their own. Signals
+are brought over by the rules for resampling (`signals.resampling`): positions by a spline, what was
+measured by straight lines, held inputs as the mean of the values that were held.
+"""
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from jaxtyping import Float
+
+from tustinnet.data.card import Card, ColumnKey, CoordinateCard, InputCard
+from tustinnet.data.columns import Column, Columns
+from tustinnet.errors import InputError
+from tustinnet.signals import resampling
+
+Times = Float[np.ndarray, " n"]
+Grid = Float[np.ndarray, " m"]
+Resample = Callable[[Times, Column, Grid], Grid]  # times, values, other times
+
+_GAP = 2.5  # intervals longer than this many median ones are gaps, as in a record
+_SAME_INSTANT = 1e-6  # median intervals
+
+
+def align_columns(
+    columns: Columns, card: Card, name: Callable[[ColumnKey], str], where: object
+) -> Columns:
+    """The columns of a card at the times of its time column; others unchanged where no need is.
+
+    Args:
+        columns: columns of a file.
+        card: what they mean.
+        name: function that gives the name of a column in the file.
+        where: the file, for messages.
+
+    Raises:
+        InputError: columns of several clocks without a time column in the card; times that do not
+            rise, or do not overlap.
+    """
+    rules = _rules(card, name)
+    clocks = {column: columns.clocks.get(column) for column in rules}
+    time = None if card.time is None else name(card.time.column)
+    used = clocks if time is None else {time: columns.clocks.get(time), **clocks}
+    if len({*used.values()}) <= 1:
+        return columns
+    lacking = next((column for column, clock in used.items() if clock is None), None)
+    if lacking is not None:
+        other = next(column for column, clock in used.items() if clock is not None)
+        raise InputError(
+            where, f"'{lacking}' has no times of its own, '{other}' has",
+            "columns with times, or all of them without", "name other columns",
+        )  # fmt: skip
+    if time is None:
+        first, second = [next(n for n, c in used.items() if c == k) for k in {*used.values()}][:2]
+        raise InputError(
+            where, f"'{first}' and '{second}' are sampled at different times",
+            "the times to bring them onto",
+            f'set `column = "{clocks[name(card.coordinates[0].column)]}"` under [time]',
+        )  # fmt: skip
+    base = columns.clocks[time]
+    own = {clock: columns[clock] for clock in dict.fromkeys(used.values()) if clock is not None}
+    for clock, t in own.items():
+        if len(t) < 2 or not (np.diff(t) > 0).all():
+            raise InputError(
+                f"{where}, {clock}", "times that do not increase strictly", "at least 2 that do"
+            )
+    begin, end = _common_span(own, base, rules, clocks)
+    slack = _SAME_INSTANT * float(np.median(np.diff(own[base])))
+    inside = (own[base] >= begin - slack) & (own[base] <= end + slack)
+    if inside.sum() < 2:
+        spans = ", ".join(f"{clock} {t[0]:.6g}..{t[-1]:.6g} s" for clock, t in own.items())
+        raise InputError(
+            where, f"the columns have no time in common ({spans})", "times of one clock",
+            "name other columns, or another file",
+        )  # fmt: skip
+    grid = own[base][inside]
+    aligned: dict[str, Column] = {time: columns[time][inside]}
+    for column, rule in rules.items():
+        clock = clocks[column]
+        if clock == base or clock is None:
+            aligned[column] = columns[column][inside]
+        elif not np.isfinite(columns[column]).all():
+            aligned[column] = np.interp(grid, own[clock], columns[column])  # refused as it is read
+        else:
+            aligned[column] = rule(own[clock], columns[column], np.clip(grid, own[clock][0], None))
+    lost = len(inside) - int(inside.sum())
+    notes = [
+        *(
+            [f"{lost} of {len(inside)} samples of {base} left out: others have none"]
+            if lost
+            else []
+        ),
+        *(
+            _note(clock, own[clock], base, [c for c, k in clocks.items() if k == clock])
+            for clock in own
+            if clock != base
+        ),
+    ]
+    return Columns(
+        columns.names,
+        lambda names: [aligned[n] if n in aligned else columns[n] for n in names],
+        notes=(*columns.notes, *notes),
+        others=columns.others,
+    )
+
+
+def _rules(card: Card, name: Callable[[ColumnKey], str]) -> dict[str, Resample]:
+    """The rules by which the columns of a card are resampled, by their names in the file."""
+    rules: dict[str, Resample] = {}
+    for coordinate in card.coordinates:
+        rules[name(coordinate.column)] = partial(_resample_position, coordinate)
+        if coordinate.velocity is not None:
+            rules.setdefault(name(coordinate.velocity.column), _resample_linear)
+    for entry in card.inputs:
+        rules.setdefault(name(entry.column), _input_rule(entry))
+    return rules
+
+
+def _common_span(
+    own: dict[str, Times], base: str, rules: dict[str, Resample], clocks: dict[str, str | None]
+) -> tuple[float, float]:
+    """First and last time at which all columns have values; held inputs keep their last one."""
+    held = {c: all(r is _resample_held for n, r in rules.items() if clocks[n] == c) for c in own}
+    begin = max(t[0] for t in own.values())
+    return begin, min(t[-1] for clock, t in own.items() if clock == base or not held[clock])
+
+
+def _note(clock: str, t: Times, base: str, names: list[str]) -> str:
+    """A remark on columns that were brought onto other times, and on gaps in theirs."""
+    steps = np.diff(t)
+    gaps = int((steps > _GAP * np.median(steps)).sum())
+    text = f"{', '.join(names[:4])}{', ...' if len(names) > 4 else ''} brought from {clock} "
+    text += f"({1 / np.median(steps):.4g} Hz) onto {base}"
+    return text + (f", over {gaps} gap{'s' * (gaps > 1)}" if gaps else "")
+
+
+def _resample_position(coordinate: CoordinateCard, t: Times, column: Column, grid: Grid) -> Grid:
+    if coordinate.kind == "linear" or not coordinate.unwrap:
+        return resampling.resample_positions(t, column[:, None], grid)[:, 0]
+    factor = coordinate.factor()
+    angle = column * factor
+    unwrapped = resampling.unwrap_angle(angle)[0]
+    moved = resampling.resample_positions(t, unwrapped[:, None], grid)[:, 0]
+    if resampling.wraps_within_turn(angle):  # and it still shows that it does
+        moved = angle.min() + (moved - angle.min()) % (2 * np.pi)
+    return moved / factor
+
+
+def _resample_linear(t: Times, column: Column, grid: Grid) -> Grid:
+    return np.interp(grid, t, column)
+
+
+def _resample_spline(t: Times, column: Column, grid: Grid) -> Grid:
+    return resampling.resample_positions(t, column[:, None], grid)[:, 0]
+
+
+def _resample_held(t: Times, column: Column, grid: Grid) -> Grid:
+    return resampling.resample_held(t, column[:, None], grid)[:, 0]
+
+
+def _input_rule(entry: InputCard) -> Resample:
+    """The rule for an input, by the course between its samples."""
+    rules = {"first-order": _resample_linear, "band-limited": _resample_spline}
+    return rules.get(entry.hold, _resample_held)

@@ -1,0 +1,96 @@
+"""Excel workbooks: the columns of each sheet, as `Sheet1/angle` where several have some."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from tustinnet.data.formats.reader import Array, Contents, Reader
+from tustinnet.data.text_dialect import Dialect, read_header
+
+if TYPE_CHECKING:
+    import polars as pl
+
+_HEADER_ROWS = 4  # first rows that may be names, names, units and a sample
+_DIALECT = Dialect(",")  # of numbers that are cells of text
+
+
+class _Sheet(NamedTuple):
+    """The columns of a sheet: their cells by name, and their units."""
+
+    cells: dict[str, "pl.Series"]
+    units: dict[str, str]
+
+
+def _contents(path: Path) -> Contents:
+    import polars as pl
+
+    arrays, others, units = [], {}, {}
+    for name, (column, unit) in _columns(path).items():
+        if column.cast(pl.Float64, strict=False).null_count() == len(column):
+            others[name] = "text"
+            continue
+        arrays.append((name, (len(column),)))
+        units[name] = unit
+    return Contents(arrays, others, units=units)
+
+
+def _arrays(path: Path, names: set[str]) -> dict[str, Array]:
+    import polars as pl
+
+    from tustinnet.data.columns import frame_columns
+
+    found = _columns(path)
+    arrays: dict[str, Array] = {}
+    for name in names:
+        arrays[name] = frame_columns(pl.DataFrame({name: found[name][0]}), path)[name]
+    return arrays
+
+
+def _columns(path: Path) -> dict[str, tuple["pl.Series", str]]:
+    """The cells and the unit of every column of all sheets, by name."""
+    import fastexcel
+
+    book = fastexcel.read_excel(path)
+    sheets: dict[str, _Sheet] = {}
+    for name in book.sheet_names:
+        sheet = _sheet(book.load_sheet(name, header_row=None, dtypes="string").to_polars())
+        if sheet is not None:
+            sheets[name] = sheet
+    return {
+        (column if len(sheets) == 1 else f"{name}/{column}"): (cells, sheet.units.get(column, ""))
+        for name, sheet in sheets.items()
+        for column, cells in sheet.cells.items()
+    }
+
+
+def _sheet(table: "pl.DataFrame") -> _Sheet | None:
+    """The columns of a sheet below its first row that has several cells; None of an empty one."""
+    import polars as pl
+
+    table = table.filter(~pl.all_horizontal(pl.all().is_null()))
+    for first in range(min(50, len(table))):  # titles and remarks stand above
+        rows = [
+            [(cell or "").strip() for cell in table.row(k)]
+            for k in range(first, min(first + _HEADER_ROWS, len(table)))
+        ]
+        if sum(map(bool, rows[0])) >= min(2, table.width):
+            break
+    else:
+        return None
+    numbered = [f"column {k}" for k in range(1, table.width + 1)]
+    names, units, count = numbered, {}, 0
+    if not all(_DIALECT.is_number(cell) for cell in rows[0] if cell):
+        header = read_header(rows, _DIALECT)
+        names = [a or b for a, b in zip(header.names, numbered, strict=True)]
+        units, count = header.units, header.rows
+    table = table.slice(first + count)
+    if not len(table):
+        return None
+    cells: dict[str, pl.Series] = {}
+    for name, column in zip(names, table.iter_columns(), strict=True):
+        # a second column of one name is called by its number, an empty one is none
+        if column.null_count() < len(column):
+            cells[name if name not in cells else f"{name}[{len(cells) + 1}]"] = column
+    return _Sheet(cells, units)
+
+
+READER = Reader("fastexcel", _contents, _arrays, "excel")

@@ -1,0 +1,114 @@
+"""HDF5 files: data sets in groups, as `run1/angle`; groups of one kind are records."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tustinnet.data.formats.reader import REAL, Array, Contents, Part, Reader, Shape
+from tustinnet.errors import InputError
+
+_DEEPEST = 20  # groups in one another
+_UNITS = ("units", "unit", "Units", "Unit")  # attributes
+
+
+class _Item(NamedTuple):
+    """A data set, or a field of one of compound type; `shape` is None where it has no columns."""
+
+    name: str
+    data: Any
+    field: str | None
+    shape: Shape | None
+    other: str = ""
+
+
+def members(group: Any) -> Iterator[tuple[str, Any]]:
+    """The members of a group without links, which may lead into another file, or back."""
+    import h5py
+
+    for name in group:
+        if isinstance(group.get(name, getlink=True), h5py.HardLink):
+            yield name, group[name]
+
+
+def require_numbers_inside(path: Path, name: str, data: Any) -> None:
+    """Raises unless the numbers of a data set are in the file itself.
+
+    Raises:
+        InputError: they are in another file.
+    """
+    if data.external or data.is_virtual:
+        raise InputError(path, f"the numbers of '{name}' are in another file", "in this file")
+
+
+def _contents(path: Path) -> Contents:
+    import h5py
+
+    arrays, others, units = [], {}, {}
+    with h5py.File(path, "r") as file:
+        for item in _walk(path, "", file, 0):
+            if item.shape is None:
+                others[item.name] = item.other
+                continue
+            arrays.append((item.name, item.shape))
+            texts = (item.data.attrs.get(key) for key in _UNITS)
+            unit = next((text for text in texts if isinstance(text, str | bytes)), "")
+            units[item.name] = unit if isinstance(unit, str) else unit.decode("utf-8", "replace")
+    return Contents(arrays, others, units=units, parts=_parts([name for name, _ in arrays]))
+
+
+def _arrays(path: Path, names: set[str]) -> dict[str, Array]:
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        return {
+            item.name: np.asarray(item.data[()] if item.field is None else item.data[item.field])
+            .reshape(item.shape)
+            for item in _walk(path, "", file, 0)
+            if item.name in names and item.shape is not None
+        }  # fmt: skip
+
+
+def _walk(path: Path, prefix: str, group: Any, depth: int) -> Iterator[_Item]:
+    import h5py
+
+    if depth > _DEEPEST:
+        raise InputError(path, f"'{prefix}' is nested deeper than {_DEEPEST}", "a few groups")
+    for key, inner in members(group):
+        name = f"{prefix}{key}"
+        if isinstance(inner, h5py.Group):
+            yield from _walk(path, f"{name}/", inner, depth + 1)
+        elif isinstance(inner, h5py.Dataset):
+            fields = inner.dtype.names
+            for field in fields or (None,):
+                dtype = inner.dtype if field is None else inner.dtype[field]
+                full = name if field is None else f"{name}.{field}"
+                shape = tuple(n for n in (*(inner.shape or ()), *dtype.shape) if n != 1)
+                if dtype.base.kind not in REAL:
+                    yield _Item(full, inner, field, None, "no real numbers")
+                elif len(shape) not in (1, 2) or 0 in shape:
+                    other = f"of shape {inner.shape}" if inner.shape else "a single number"
+                    yield _Item(full, inner, field, None, other)
+                else:
+                    require_numbers_inside(path, full, inner)
+                    yield _Item(full, inner, field, shape)
+
+
+def _parts(names: list[str]) -> dict[str, Part]:
+    """Groups beside one another with arrays of the same names: they are records."""
+    inside: dict[str, set[str]] = {}
+    for name in names:
+        pieces = name.split("/")
+        for k in range(1, len(pieces)):
+            inside.setdefault("/".join(pieces[:k]), set()).add("/".join(pieces[k:]))
+    siblings: dict[str, list[str]] = {}
+    for group in inside:
+        siblings.setdefault(group.rpartition("/")[0], []).append(group)
+    for groups in siblings.values():
+        if len(groups) > 1 and all(inside[group] == inside[groups[0]] for group in groups):
+            return {group.rpartition("/")[2]: Part(f"{group}/") for group in groups}
+    return {}
+
+
+READER = Reader("h5py", _contents, _arrays)

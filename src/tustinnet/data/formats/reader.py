@@ -1,0 +1,67 @@
+"""The interface of all readers of binary files."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+Array = np.ndarray
+Shape = tuple[int, ...]
+
+REAL = "fiub"  # kinds of numpy's types
+
+
+@dataclass(frozen=True)
+class Part:
+    """A record among several in one file: a range of all rows, or the arrays of one group.
+
+    Attributes:
+        prefix: beginning of the names of its arrays in the file, which they lack in the record.
+        rows: first row, and the row after the last; None for all.
+    """
+
+    prefix: str = ""
+    rows: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True)
+class Contents:
+    """The arrays of numbers in a file, and a description of everything else.
+
+    Attributes:
+        arrays: names and shapes, in the file's order. A matrix has samples by columns. A shape may
+            be larger than the array where its length is known only when it is read.
+        others: descriptions of all that is no array of real numbers, by name.
+        clocks: for arrays whose samples have times of their own, the name of the array of these
+            times [s], by name. An array of times is its own clock.
+        units: units by the name of the array, where the file has them.
+        parts: records among several in the file, by the label that follows the file's name.
+        notes: remarks on how the file is read.
+    """
+
+    arrays: list[tuple[str, Shape]]
+    others: Mapping[str, str] = field(default_factory=dict)
+    clocks: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    parts: Mapping[str, Part] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Reader:
+    """Reader of a kind of file. Both functions may raise anything on a damaged file.
+
+    Attributes:
+        library: the module that it needs, imported only when such a file is read.
+        contents: function that gives the contents of a file, without all of its numbers.
+        arrays: function that reads the arrays of some names.
+        extra: the extra of this package that installs the library; empty where it is always there.
+        speed: bytes of the file that it reads in a second, at least.
+    """
+
+    library: str
+    contents: Callable[[Path], Contents]
+    arrays: Callable[[Path, set[str]], dict[str, Array]]
+    extra: str = ""
+    speed: float = 10e6

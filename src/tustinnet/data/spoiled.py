@@ -1,0 +1,260 @@
+"""Parts of records that spoil a fit: what they are, their lines for the data card, their removal.
+
+A part is a record or a stretch of it. This module finds those that need no model: a mechanism that
+moves though its inputs are zero, inputs at or beyond the limits of the actuator, a position that is
+unstable and held. `evaluate.spoiled` finds others by the errors of a model.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from tustinnet.data.dataset import DataSet
+from tustinnet.data.experiment import Experiment
+from tustinnet.data.inspection import ExperimentReport
+from tustinnet.signals.transients import is_slow, rest_thresholds
+
+Cause = Literal["unlogged force", "other conditions", "saturated input", "unstable phase"]
+
+KEY = "spoiled"  # in headers and summaries
+FEWEST = 50  # samples of a part of a record that is worth keeping
+_OFTEN = 0.05  # of the samples at an extreme value, from which an input is worth a line
+_ZERO = 0.02  # of an input's largest value: as good as none
+_REST = 0.5  # s at rest before a motion that no input causes
+_CLEARLY = 3.0  # times the speed below which it is at rest, and a motion
+
+
+@dataclass(frozen=True)
+class SpoiledPart:
+    """A record, or a stretch of it, that spoils a fit.
+
+    Attributes:
+        record: the record.
+        cause: what is probably wrong with it.
+        samples: first sample of the stretch and the one after its last; None for a whole record.
+        seconds: beginning and end of the stretch [s], from the record's first sample on; None for
+            a whole record.
+        reason: why it is named, in words.
+        card: the line for the data card that mends it, empty where there is none.
+        is_left_out: whether a fit leaves it out where that is requested.
+    """
+
+    record: str
+    cause: Cause
+    samples: tuple[int, int] | None
+    seconds: tuple[float, float] | None
+    reason: str
+    card: str = ""
+    is_left_out: bool = True
+
+    @property
+    def place(self) -> str:
+        """The record, and the times of the stretch, in words."""
+        if self.seconds is None:
+            return self.record
+        return f"{self.record}, {self.seconds[0]:.4g} to {self.seconds[1]:.4g} s"
+
+    @property
+    def sentence(self) -> str:
+        """The place, the reason and the line for the card."""
+        return f"{self.place}: {self.reason}" + (f"; card: {self.card}" if self.card else "")
+
+    def as_plain(self) -> dict[str, Any]:
+        """The part as plain values, with its sentence."""
+        return {**asdict(self), "sentence": self.sentence}
+
+
+def spoiled_stretch(e: Experiment, first: int, stop: int, cause: Cause, reason: str) -> SpoiledPart:
+    """A stretch of a record that spoils a fit, with the entries of the parts that remain.
+
+    Args:
+        e: the record.
+        first: its first sample.
+        stop: the sample after its last.
+        cause: what is probably wrong.
+        reason: why it is named.
+    """
+    seconds = float(e.t[first] - e.t[0]), float(e.t[stop - 1] - e.t[0])
+    entries = [card_entry(e, a, b) for a, b in _remaining(e, [(first, stop)])]
+    card = ", ".join(entry for entry in entries if entry)
+    return SpoiledPart(e.name, cause, (first, stop), seconds, reason, card)
+
+
+def spoiled_record(e: Experiment, cause: Cause, reason: str) -> SpoiledPart:
+    """A record that spoils a fit as a whole, with an entry that gives it a group of its own."""
+    entry = card_entry(e, 0, len(e), groups={"setup": e.name})
+    return SpoiledPart(e.name, cause, None, None, reason, entry)
+
+
+def card_entry(e: Experiment, first: int, stop: int, groups: dict[str, str] | None = None) -> str:
+    """The entry of some samples of a record under `[splits]` of a data card.
+
+    Args:
+        e: the record.
+        first: the first sample.
+        stop: the sample after the last.
+        groups: conditions beside those of the record.
+
+    Returns:
+        An inline table of TOML; empty for a record that is of no file, or that is a part of a file
+        and was resampled, of which nothing says the rows.
+    """
+    is_whole = first == 0 and stop == len(e)
+    if not e.source or (e.recording is not None and e.first_row):
+        return ""
+    parts = [f"file = {_quote(e.source)}"]
+    cell = re.search(r"\[(\d+)\]$", e.name)
+    if cell and e.source.lower().endswith(".mat"):
+        parts.append(f"cell = {cell[1]}")
+    if e.first_row:
+        parts.append(f"rows = [{e.first_row + first}, {e.first_row + stop}]")
+    elif not is_whole:
+        # in the middle between two samples, so that rounding moves none
+        elapsed = e.t - e.t[0]
+        edges = [0.0 if k == 0 else float(elapsed[k - 1]) + e.dt / 2 for k in (first, stop)]
+        parts.append("seconds = [{:.7g}, {:.7g}]".format(*edges))
+    together = {**dict(e.groups), **(groups or {})}
+    if together:
+        pairs = ", ".join(f"{_quote(key)} = {_quote(value)}" for key, value in together.items())
+        parts.append(f"groups = {{ {pairs} }}")
+    return f"{{ {', '.join(parts)} }}"
+
+
+def _quote(text: str) -> str:
+    """A text as TOML has it, without quotation marks where a key needs none."""
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'
+
+
+def _remaining(e: Experiment, stretches: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    """The parts of a record between some stretches that are long enough to be kept."""
+    left_out = np.zeros(len(e), bool)
+    for first, stop in stretches:
+        left_out[first:stop] = True
+    edges = np.flatnonzero(np.diff(~left_out, prepend=False, append=False)).reshape(-1, 2)
+    return [(a, b) for a, b in edges.tolist() if b - a >= FEWEST]
+
+
+def leave_out(data: DataSet, parts: Sequence[SpoiledPart]) -> tuple[DataSet, tuple[str, ...]]:
+    """Records without the parts that spoil a fit, and a sentence on each part that is left out.
+
+    Records of the split `test` stay as they are. A part without which a split, or a set without
+    splits, would have no records stays, too.
+
+    Args:
+        data: the records.
+        parts: the parts; those that are only named stay.
+    """
+    experiments: list[Experiment] = []
+    sentences: list[str] = []
+    for e in data:
+        of_record = [p for p in parts if p.record == e.name and p.is_left_out and e.split != "test"]
+        stretches = [p.samples or (0, len(e)) for p in of_record]
+        kept = _remaining(e, stretches) if stretches else [(0, len(e))]
+        is_last = not kept and not any(
+            x.split == e.split and all(p.record != x.name for p in parts) for x in data
+        )
+        if is_last or not of_record:
+            experiments.append(e)
+            continue
+        sentences += [f"left out: {p.place}: {p.reason}" for p in of_record]
+        experiments += [replace(e[a:b], name=f"{e.name}[{a}:{b}]") for a, b in kept]
+    return replace(data, experiments=tuple(experiments)), tuple(sentences)
+
+
+def find_without_model(e: Experiment, report: ExperimentReport) -> list[SpoiledPart]:
+    """The parts of a record that spoil a fit, as far as they show without a model.
+
+    Args:
+        e: the record.
+        report: its inspection.
+    """
+    parts = _moved_by_hand(e)
+    if report.held is not None and report.held.sample >= FEWEST:
+        first = report.held.sample
+        reason = (
+            f"a controller holds an unstable position; errors of a simulation grow e-fold in "
+            f"{report.held.e_fold:.2g} s: judge it over a horizon (--horizon "
+            f"{4 * report.held.e_fold:.2g}), or leave it out"
+        )
+        parts.append(replace(
+            spoiled_stretch(e, first, len(e), "unstable phase", reason), is_left_out=False
+        ))  # fmt: skip
+    for i, u in zip(e.inputs, e.u.T, strict=True):
+        part = _at_limits(e, i.name, i.unit, i.limits, u, _saturated_share(report, i.name))
+        parts += [] if part is None else [part]
+    return parts
+
+
+def _saturated_share(report: ExperimentReport, name: str) -> float:
+    return next(i.saturated for i in report.inputs if i.name == name)
+
+
+def _at_limits(
+    e: Experiment, name: str, unit: str, limits: tuple[float, float] | None, u: np.ndarray,
+    share: float,
+) -> SpoiledPart | None:  # fmt: skip
+    """An input beyond the declared limits of its actuator, or often at an extreme value."""
+    if limits is not None:
+        beyond = float(np.mean((u < limits[0]) | (u > limits[1])))
+        if not beyond:
+            return None
+        reason = (
+            f"{name} is beyond its limits of {limits[0]:g} and {limits[1]:g} {unit} in "
+            f"{beyond:.0%} of the samples: the actuator gave less than the log says; log what it "
+            "gave, or clip the column"
+        )
+        return SpoiledPart(e.name, "saturated input", None, None, reason, is_left_out=False)
+    if share < _OFTEN:
+        return None
+    low, high = float(u.min()), float(u.max())
+    reason = (
+        f"{name} is at its smallest or largest value, {low:.4g} or {high:.4g} {unit}, in "
+        f"{share:.0%} of the samples: probably a limit; make sure that the log has what the "
+        "actuator gave, not what was wanted"
+    )
+    card = f"limits = [{low:.6g}, {high:.6g}]  # of the input {name}"
+    return SpoiledPart(e.name, "saturated input", None, None, reason, card, is_left_out=False)
+
+
+def _moved_by_hand(e: Experiment) -> list[SpoiledPart]:
+    """Stretches in which a mechanism leaves its rest though all inputs are zero.
+
+    The hand's end cannot be seen: a stretch lasts as long as the inputs are zero. Where the record
+    begins away from where it ends, the hand lets go: the stretch is the rest before.
+    """
+    if not e.forced:
+        return []
+    is_zero = np.all(np.abs(e.u) <= _ZERO * np.abs(e.u).max(axis=0), axis=1)
+    v = e.velocities("stencil")
+    thresholds = rest_thresholds(e.q, v, e.channels.resolution, e.dt)
+    slow = np.all(is_slow(v, thresholds), axis=1)
+    is_moving = np.any(np.abs(v) > _CLEARLY * thresholds.speed, axis=1)
+    needed = max(10, round(_REST / e.dt))
+    parts: list[SpoiledPart] = []
+    edges = np.flatnonzero(np.diff(is_zero, prepend=False, append=False)).reshape(-1, 2)
+    for a, b in edges.tolist():
+        rests = np.flatnonzero(np.diff(slow[a:b], prepend=False, append=False)).reshape(-1, 2)
+        long = [(a + r, a + s) for r, s in rests.tolist() if s - r >= needed]
+        if not long:
+            continue
+        r, s = long[0]
+        after = np.flatnonzero(is_moving[s:b])
+        if not len(after):
+            continue
+        is_release = r == 0 and np.any(np.abs(e.q[r] - thresholds.resting) > thresholds.excursion)
+        first, stop = (0, s) if is_release else (s - needed // 2, b)
+        what = "is held, and let go" if is_release else "moves"
+        reason = f"the mechanism {what} though all inputs are zero: by a hand?"
+        parts.append(spoiled_stretch(e, first, stop, "unlogged force", reason))
+    return parts
+
+
+def spoiled_header(parts: Sequence[SpoiledPart], left_out: Sequence[str]) -> dict[str, Any]:
+    """The entry of files on parts that spoil a fit and on those left out; empty without any."""
+    if not parts and not left_out:
+        return {}
+    return {KEY: {"parts": [p.as_plain() for p in parts], "left_out": list(left_out)}}

@@ -1,0 +1,370 @@
+"""Parts of records that a model does not explain though it explains the others.
+
+Records are cut into short pieces. For each piece the state is sought with which the model follows
+it best; what remains is the error of the forces alone, even where free runs of whole records
+diverge. About the model's parameters these errors are linear in changes of the parameters: so the
+parameters that suit all other records, and those that suit a record alone, are found without
+another fit.
+
+* A stretch with errors far above those of all other stretches has a force that is not in the log.
+* A record that its own parameters explain far better than those of the other records was made
+  under other conditions, such as another payload. Where the model lacks something, parameters
+  depend on the kind of motion; so those of other single records must not explain it either.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from tustinnet.data.experiment import Experiment
+from tustinnet.data.spoiled import SpoiledPart, spoiled_record, spoiled_stretch
+from tustinnet.errors import InputError
+from tustinnet.models.contract import Model, with_dtype
+from tustinnet.simulate.batches import map_in_batches
+from tustinnet.simulate.input_signal import InputSignal, input_signals
+from tustinnet.simulate.simulation import simulate_runs
+from tustinnet.simulate.start_rules import FittedStart
+from tustinnet.simulate.starts import start_states
+
+_PIECES = 24  # of a record
+_SHORTEST, _LONGEST = 20, 100  # samples of a piece
+_FEWEST_PIECES = 3  # of a record that is judged
+_FEWEST_RECORDS = 4  # of which one can be unlike the others
+_MOST = 1 / 3  # of the records that are unlike the others
+_MOST_PARAMETERS = 60  # numbers of a model that are parameters and no weights
+_MOST_INTERNAL = 4  # internal states that can be told from positions in a piece
+_STEP = 1e-4  # relative, for derivatives by parameters; of the spread of states by these
+_REGULARISATION = 1e-3  # of a usual squared error, for a change of a parameter by itself
+_REWEIGHTINGS = 8
+_USUAL = 0.9  # of the pieces have an error that is usual
+# an unlogged force: times that, and times the usual error for such motion; either pair is enough
+_STRETCH = ((2.5, 1.75), (1.5, 4.0))
+_LEAST_MOTION = 0.3  # of the usual one; where there is less, friction holds it
+_EDGE = 1.4  # times the usual error, beside such a stretch: a part of it
+_OWN = 2.7  # times the error with parameters of its own: other conditions
+_UNLIKE = 1.5  # times the median record's error
+
+
+@dataclass(frozen=True)
+class _PieceErrors:
+    """Squared errors of a record's pieces as functions of changes of parameters.
+
+    A piece's mean squared error is `constant - 2 gradient' s + s' curvature s`, each coordinate in
+    units of its usual error.
+
+    Attributes:
+        curvature: (n, n_p, n_p).
+        gradient: (n, n_p).
+        constant: (n,).
+        motion: root mean square distance of the positions from straight lines, in units of the
+            usual one, the largest of all coordinates, (n,).
+    """
+
+    curvature: Float[np.ndarray, "n n_p n_p"]
+    gradient: Float[np.ndarray, "n n_p"]
+    constant: Float[np.ndarray, " n"]
+    motion: Float[np.ndarray, " n"]
+
+    def errors(self, change: Float[np.ndarray, " n_p"]) -> Float[np.ndarray, " n"]:
+        """Root mean square errors of the pieces after a change of the parameters, (n,)."""
+        second = np.einsum("kst,s,t->k", self.curvature, change, change)
+        return np.sqrt(np.maximum(self.constant - 2 * self.gradient @ change + second, 1e-12))
+
+    def part(self, pieces: slice) -> "_PieceErrors":
+        """Some of the pieces."""
+        return _PieceErrors(
+            self.curvature[pieces], self.gradient[pieces], self.constant[pieces],
+            self.motion[pieces],
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Pieces:
+    """Pieces of a record: residuals and what changes them, (n, samples, n_q, ...).
+
+    Attributes:
+        residual: measured less simulated positions, from the best initial states.
+        by_state: derivatives of the simulation by the initial state, in units of its spread.
+        by_parameter: derivatives by relative changes of the parameters.
+        measured: the positions.
+    """
+
+    residual: Float[np.ndarray, "n samples n_q"]
+    by_state: Float[np.ndarray, "n samples n_q n_x"]
+    by_parameter: Float[np.ndarray, "n samples n_q n_p"]
+    measured: Float[np.ndarray, "n samples n_q"]
+
+
+def find_spoiled(model: Model, records: Sequence[Experiment]) -> tuple[SpoiledPart, ...]:
+    """The parts of records that a model does not explain; none where it cannot be judged by.
+
+    A fit is not lost because its records cannot be judged, as where simulations diverge.
+
+    Args:
+        model: a model that was fitted to the records.
+        records: the records.
+    """
+    try:
+        with np.errstate(all="ignore"):
+            return tuple(find_by_model(model, records))
+    except (InputError, np.linalg.LinAlgError, FloatingPointError, ValueError):
+        return ()
+
+
+def find_by_model(model: Model, records: Sequence[Experiment]) -> list[SpoiledPart]:
+    """The parts of records that a model does not explain though it explains the others.
+
+    Args:
+        model: a model that was fitted to the records.
+        records: the records; those of fewer than three pieces are not judged.
+
+    Returns:
+        The parts, record by record; none where there are too few records to compare.
+    """
+    lengths = [len(e) for e in records]
+    samples = int(np.clip(np.median(lengths) // _PIECES, _SHORTEST, _LONGEST))
+    records = [e for e in records if len(e) >= _FEWEST_PIECES * samples]
+    if not records:
+        return []
+    errors = _make_errors(_simulate_pieces(model, records, samples), records)
+    if not np.isfinite(np.concatenate([e.constant for e in errors])).all():
+        return []
+    unlike = _find_unlike(errors)
+    alike = [i for i in range(len(records)) if i not in unlike]
+    parts = [
+        spoiled_record(
+            records[i], "other conditions",
+            f"short simulations are {ratio:.2g} times as far off with the parameters of other "
+            "records as with its own: another payload, device or setting?",
+        )
+        for i, ratio in unlike.items()
+    ]  # fmt: skip
+    parts += _find_stretches([errors[i] for i in alike], [records[i] for i in alike], samples)
+    order = {e.name: i for i, e in enumerate(records)}
+    return sorted(parts, key=lambda part: order[part.record])
+
+
+def _simulate_pieces(model: Model, records: Sequence[Experiment], samples: int) -> list[_Pieces]:
+    """Residuals of all pieces from the best initial states, and their derivatives."""
+    position, n_m = records[0].channels.position, records[0].channels.measured.stop
+
+    def simulate_batch(shared: Model, batch: Sequence[Experiment]) -> list[_Pieces]:
+        counts = [len(e) // samples for e in batch]
+        flat = [
+            e[k * samples : (k + 1) * samples]
+            for e, n in zip(batch, counts, strict=True)
+            for k in range(n)
+        ]
+        start = np.asarray(start_states(shared, flat, FittedStart(samples)))
+        signal = input_signals(shared, flat)
+
+        def positions(m: Model, x: np.ndarray, s: InputSignal = signal) -> np.ndarray:
+            return np.asarray(simulate_runs(m, x, s))[..., position]
+
+        base = positions(shared, start)
+        n_x = start.shape[1] if start.shape[1] - n_m <= _MOST_INTERNAL else n_m
+        spread = start.std(axis=0) + 1e-9
+        by_state = []
+        for j in range(n_x):
+            moved = start.copy()
+            moved[:, j] += _STEP * spread[j]
+            by_state.append((positions(shared, moved) - base) / _STEP)
+        changed = [(positions(m, start) - base) / _STEP for m in _changed_models(shared)]
+        if not changed:  # of a network the gains of its inputs
+            for j in range(batch[0].channels.n_u):
+                louder = [replace(e, u=_with_column(e.u, j, (1 + _STEP) * e.u[:, j])) for e in flat]
+                moved = positions(shared, start, input_signals(shared, louder))
+                changed.append((moved - base) / _STEP)
+        measured = np.stack([e.q for e in flat])
+        by_parameter = np.stack(changed, axis=-1) if changed else np.zeros((*measured.shape, 0))
+        edges = np.cumsum(counts)[:-1]
+        return [
+            _Pieces(*arrays)
+            for arrays in zip(
+                np.split(measured - base, edges),
+                np.split(np.stack(by_state, axis=-1), edges),
+                np.split(by_parameter, edges),
+                np.split(measured, edges),
+                strict=True,
+            )
+        ]
+
+    return map_in_batches(with_dtype(model, np.float64).simplify(), records, simulate_batch)
+
+
+def _with_column(u: np.ndarray, j: int, column: np.ndarray) -> np.ndarray:
+    changed = u.copy()
+    changed[:, j] = column
+    return changed
+
+
+def _changed_models(model: Model) -> list[Model]:
+    """The model with each of its parameters changed a little; none of a model with weights."""
+    arrays, static = eqx.partition(model, eqx.is_inexact_array)
+    leaves, tree = jax.tree.flatten(arrays)
+    if sum(leaf.size for leaf in leaves) > _MOST_PARAMETERS:
+        return []
+    models = []
+    for i, leaf in enumerate(leaves):
+        for k in np.flatnonzero(np.asarray(leaf)):
+            changed = np.array(leaf, dtype=np.float64)
+            changed.flat[k] *= 1 + _STEP
+            others = [*leaves[:i], changed, *leaves[i + 1 :]]
+            models.append(eqx.combine(jax.tree.unflatten(tree, others), static))
+    return models
+
+
+def _make_errors(pieces: Sequence[_Pieces], records: Sequence[Experiment]) -> list[_PieceErrors]:
+    """Squared errors of the pieces of each record, with initial states that follow the changes."""
+    rms = np.sqrt(np.concatenate([np.mean(p.residual**2, axis=1) for p in pieces]))
+    counts = np.asarray(records[0].channels.resolution) / np.sqrt(12)
+    spread = np.concatenate([e.q for e in records]).std(axis=0)
+    usual = np.maximum(np.maximum(np.median(rms, axis=0), counts), 1e-6 * spread + 1e-12)
+    line = np.vander(np.linspace(-1, 1, pieces[0].residual.shape[1]), 2)
+    away = np.eye(len(line)) - line @ np.linalg.pinv(line)
+    motions = [
+        np.sqrt(np.mean(np.einsum("ij,kjc->kic", away, p.measured) ** 2, axis=1)) for p in pieces
+    ]
+    usual_motion = np.maximum(np.median(np.concatenate(motions), axis=0), counts + 1e-12)
+    result = []
+    for p, motion in zip(pieces, motions, strict=True):
+        n, samples, n_q = p.residual.shape
+        size = samples * n_q
+        residual = (p.residual / usual).reshape(n, size)
+        by_state = (p.by_state / usual[:, None]).reshape(n, size, -1)
+        by_parameter = (p.by_parameter / usual[:, None]).reshape(n, size, -1)
+        largest = np.abs(by_state).max(axis=1, keepdims=True)
+        basis = np.linalg.qr(by_state / np.maximum(largest, 1e-12))[0]
+        residual = residual - np.einsum("kix,kjx,kj->ki", basis, basis, residual, optimize=True)
+        by_parameter = by_parameter - np.einsum(
+            "kix,kjx,kjp->kip", basis, basis, by_parameter, optimize=True
+        )
+        result.append(
+            _PieceErrors(
+                np.einsum("kip,kiq->kpq", by_parameter, by_parameter, optimize=True) / size,
+                np.einsum("kip,ki->kp", by_parameter, residual) / size,
+                np.mean(residual**2, axis=1),
+                (motion / usual_motion).max(axis=1),
+            )
+        )
+    return result
+
+
+def _best_change(errors: Sequence[_PieceErrors]) -> Float[np.ndarray, " n_p"]:
+    """The change of the parameters that suits some records best, (n_p,).
+
+    Pieces weigh the less, the larger their error (Cauchy).
+    """
+    curvature = np.concatenate([e.curvature for e in errors])
+    gradient = np.concatenate([e.gradient for e in errors])
+    constant, motion = (
+        np.concatenate([getattr(e, name) for e in errors]) for name in ("constant", "motion")
+    )
+    together = _PieceErrors(curvature, gradient, constant, motion)
+    change = np.zeros(gradient.shape[1])
+    for _ in range(_REWEIGHTINGS):
+        squared = together.errors(change) ** 2
+        weight = 1 / (1 + squared / (4 * np.median(squared)))
+        total = np.einsum("k,kst->st", weight, curvature)
+        ridge = _REGULARISATION * len(weight) + 1e-12 * np.trace(total)
+        change = np.linalg.solve(
+            total + ridge * np.eye(len(change)), np.einsum("k,ks->s", weight, gradient)
+        )
+    return change
+
+
+def _own_error(errors: _PieceErrors) -> float:
+    """Median error of a record's pieces with parameters from its other pieces."""
+    halves = [errors.part(slice(k, None, 2)) for k in (0, 1)]
+    own = [a.errors(_best_change([b])) for a, b in (halves, halves[::-1])]
+    return float(np.median(np.concatenate(own)))
+
+
+def _find_unlike(errors: Sequence[_PieceErrors]) -> dict[int, float]:
+    """Records that their own parameters explain far better than those of other records.
+
+    Two records of other conditions explain one another: the parameters of single records count
+    from the second best on.
+
+    Returns:
+        By the record's index, the ratio of the errors with the others' parameters and its own.
+    """
+    unlike: dict[int, float] = {}
+    if len(errors) < _FEWEST_RECORDS:
+        return unlike
+    own = [_own_error(e) for e in errors]
+    changes = [_best_change([e]) for e in errors]
+    by_single = [
+        sorted(float(np.median(e.errors(change))) for j, change in enumerate(changes) if j != i)[1]
+        for i, e in enumerate(errors)
+    ]
+    while len(unlike) < int(_MOST * len(errors)):
+        alike = [i for i in range(len(errors)) if i not in unlike]
+        by_others = {
+            i: float(np.median(e.errors(_best_change([errors[j] for j in alike if j != i]))))
+            for i, e in enumerate(errors)
+            if i in alike
+        }
+        typical = float(np.median(list(by_others.values())))
+        ratios = {
+            i: min(error, by_single[i]) / own[i]
+            for i, error in by_others.items()
+            if error > _UNLIKE * typical
+        }
+        worst = max(ratios, key=lambda i: ratios[i], default=None)
+        if worst is None or ratios[worst] < _OWN:
+            break
+        unlike[worst] = ratios[worst]
+    return unlike
+
+
+def _find_stretches(
+    errors: Sequence[_PieceErrors], records: Sequence[Experiment], samples: int
+) -> list[SpoiledPart]:
+    """Stretches whose errors are far above the usual ones, and above those for such motion.
+
+    A piece counts where one beside it is far off, too: single ones are chance.
+    """
+    if not errors:
+        return []
+    few = len(errors) < _FEWEST_RECORDS
+    single = [
+        e.errors(_best_change(errors if few else [x for x in errors if x is not e])) for e in errors
+    ]
+    smooth = [_running_median(x) for x in single]
+    for_motion = [
+        _running_median(x / np.hypot(1, e.motion)) for x, e in zip(single, errors, strict=True)
+    ]
+    usual, usual_for_motion = (
+        float(np.quantile(np.concatenate(x), _USUAL)) for x in (smooth, for_motion)
+    )
+    median = float(np.median(np.concatenate(single)))
+    parts = []
+    for i, (e, record) in enumerate(zip(errors, records, strict=True)):
+        is_far_off = [
+            (smooth[i] > large * usual) & (for_motion[i] > large_for_motion * usual_for_motion)
+            for large, large_for_motion in _STRETCH
+        ]
+        is_spoiled = np.any(is_far_off, axis=0) & (e.motion > _LEAST_MOTION)
+        is_part = np.maximum(single[i], smooth[i]) > _EDGE * usual
+        runs = np.flatnonzero(np.diff(is_part, prepend=False, append=False)).reshape(-1, 2)
+        for a, b in runs.tolist():
+            if is_spoiled[a:b].any():
+                first = max(0, a * samples - samples // 2)
+                stop = min(len(record), b * samples + samples // 2)
+                reason = (
+                    f"short simulations are {single[i][a:b].max() / median:.2g} times as far off "
+                    "as usual: moved by a hand, a contact, or another force that is not in the log?"
+                )
+                parts.append(spoiled_stretch(record, first, stop, "unlogged force", reason))
+    return parts
+
+
+def _running_median(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Median of each value and those beside it, (n,)."""
+    padded = np.concatenate([values[:1], values, values[-1:]])
+    return np.median(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0)

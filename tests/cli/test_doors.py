@@ -1,0 +1,170 @@
+"""What comes in by arguments and files: each is refused by name, or said, or asked for."""
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+from test_verbs import tustinnet
+
+import tustinnet as tn
+from tustinnet.data.card import Card, FileCard
+from tustinnet.data.card_files import would_be_record
+from tustinnet.data.declaration import read_declaration
+
+
+@pytest.fixture
+def model(run_folder) -> Path:
+    """A network."""
+    return run_folder / "model.safetensors"
+
+
+def with_data(verb: str, model: Path, data: Path, out: Path) -> list[object]:
+    """A verb that reads records."""
+    models = {"compare": [model, model.parent / "seed-1" / "model.safetensors"]}
+    reads_model = verb in ("simulate", "evaluate", "compare", "residuals", "report", "calibrate")
+    ending = {"report": ".html", "calibrate": ".safetensors"}.get(verb, "")
+    writes = verb not in ("inspect", "evaluate", "compare", "residuals")
+    return [
+        verb, *(models.get(verb, [model]) if reads_model else []), data,
+        *(["--out", out.with_suffix(ending)] if writes else []),
+    ]  # fmt: skip
+
+
+READING = ("inspect", "fit", "cross-validate", "learning-curve", "simulate", "evaluate", "compare",
+           "residuals", "report", "calibrate")  # fmt: skip
+
+
+@pytest.mark.parametrize("verb", READING)
+def test_links_out_of_the_folder_are_followed_where_that_is_asked_for(
+    verb, model, folder, tmp_path, refused, capsys
+):
+    """`--follow-links` of inspect, fit, cross-validate, learning-curve, simulate, evaluate,
+    compare, residuals, report, calibrate."""
+    elsewhere = tmp_path / "elsewhere.csv"
+    shutil.move(folder / "fall3.csv", elsewhere)
+    (folder / "fall3.csv").symlink_to(elsewhere)
+    if verb == "calibrate":
+        members = [model.parent / f"seed-{seed}" / "model.safetensors" for seed in (0, 1)]
+        model = tmp_path / "committee.safetensors"
+        assert tustinnet(capsys, "committee", *members, "--out", model)[0] == 0
+    command = with_data(verb, model, folder, tmp_path / "out")
+    refused(*command, names=("fall3.csv", "a link that leaves the folder", "--follow-links"))
+    # followed, the link is no reason to refuse: another one, given beside it, is
+    lines = elsewhere.read_text().splitlines()
+    elsewhere.write_text("\n".join([*lines[:5], "nothing,1,1", *lines[6:]]))
+    refused(*command, "--follow-links", names=("fall3.csv row 6", "'nothing'"))
+
+
+def test_a_folder_that_is_called_like_a_record_is_said_to_be_left_out(folder, tmp_path):
+    (folder / "fall9.csv").mkdir()
+    card = (folder / "dataset.toml").read_text().partition("[splits]")[0]
+    for splits in ("", '[splits]\ntrain = ["fall*.csv"]\n'):
+        (folder / "dataset.toml").write_text(card + splits)
+        with pytest.warns(UserWarning, match=r"fall9\.csv: a folder, no record"):
+            assert len(tn.load(folder)) >= 3
+
+
+EMPTY = {
+    "simulate": ("--out",), "committee": ("--out",), "calibrate": ("--out", "--card", "--system"),
+    "report": ("--out",), "fit": ("--out", "--physics", "--from", "--recipe"),
+    "inspect": ("--figure",), "evaluate": ("--figures",), "demo": ("--out",),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("verb", "option"), [(v, o) for v, names in EMPTY.items() for o in names])
+@pytest.mark.parametrize("value", ["", " ", "x" * 5000, "y/" * 3000])
+def test_a_path_that_names_nothing_or_is_too_long_is_refused_by_its_option(
+    verb, option, value, model, folder, tmp_path, refused, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    given = {"demo": [], "inspect": [folder], "fit": [folder], "committee": [model, model]}
+    command = [verb, *given.get(verb, [model, folder])]
+    if option != "--out" and verb in ("calibrate", "fit"):
+        command += ["--out", tmp_path / "out"]
+    refused(*command, f"{option}={value}", names=(option,))
+    refused("show", value, names=("MODEL",))
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("splits", ["", '[splits]\ntrain = ["*.csv", "*.txt"]\n'])
+def test_simulations_are_not_written_where_a_card_would_read_them(
+    splits, model, folder, tmp_path, refused
+):
+    card = (folder / "dataset.toml").read_text().partition("[splits]")[0]
+    for path in folder.glob("*.csv"):
+        path.rename(path.with_suffix(".txt"))  # so that their simulations are new files
+    shutil.copy(folder / "fall1.txt", folder / "other.csv")
+    (folder / "dataset.toml").write_text(card + splits)
+    before = sorted(folder.iterdir())
+    refused("simulate", model, folder, "--out", folder, "--start", "derived-6", "--experiment",
+            "fall3", names=("fall3.csv would be a record of", "another folder"))  # fmt: skip
+    assert sorted(folder.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    ("file", "patterns", "is_record"),
+    [
+        ("new.csv", ["*.csv"], True),
+        ("sub/new.csv", ["*.csv"], False),
+        ("sub/new.csv", ["*/*.csv"], True),
+        ("sub/new.csv", ["sub/new.csv"], True),
+        ("new.csv", [], True),
+        ("sub/new.csv", [], False),
+        (".new.csv", [], False),
+        ("new.png", [], False),
+        ("../new.csv", ["*.csv"], False),
+        ("sub/../new.csv", ["*.csv"], True),
+    ],
+)
+def test_files_that_a_card_would_read(file, patterns, is_record, folder):
+    (folder / "sub").mkdir()
+    card = read_declaration(folder / "dataset.toml", Card)
+    splits = {"train": [FileCard(file=pattern) for pattern in patterns]} if patterns else {}
+    card = card.model_copy(update={"splits": splits})
+    assert would_be_record(folder / file, folder, card) is is_record
+
+
+@pytest.mark.parametrize("verb", ["calibrate", "committee", "fit"])
+def test_another_system_file_beside_the_output_is_never_replaced(
+    verb, identified, folder, system, tmp_path, refused, capsys
+):
+    out, grey = tmp_path / "out", identified / "model.safetensors"
+    out.mkdir()
+    (out / "system.py").write_text("mine = True")
+    file = out / "model.safetensors"
+    command = {
+        "fit": ("fit", folder, "--recipe", "grey", "--system", system, "--set",
+                "search.iterations=2", "--no-report", "--out", out),
+        "calibrate": ("calibrate", grey, folder, "--split", "validation", "--out", file),
+        "committee": ("committee", grey, "--out", file),
+    }[verb]  # fmt: skip
+    for more in ((), ("--overwrite",)):
+        refused(*command, *more, names=("system.py", "another file than"))
+    assert (out / "system.py").read_text() == "mine = True"
+    (out / "system.py").unlink()
+    assert tustinnet(capsys, *command)[0] == 0  # its own copy is replaced with the model
+    text = (out / "system.py").read_text()
+    system.write_text(f"{system.read_text()}\n# another version\n")
+    if verb == "fit":
+        assert tustinnet(capsys, *command, "--overwrite")[0] == 0
+        assert (out / "system.py").read_text() != text
+
+
+@pytest.mark.parametrize("make", ["same", "copy", "hard link", "symbolic link", "calibrated"])
+def test_a_committee_of_one_model_twice_is_refused(make, model, folder, tmp_path, refused):
+    other = tmp_path / "other.safetensors"
+    match make:
+        case "same":
+            other = model
+        case "copy":
+            shutil.copy(model, other)
+        case "hard link":
+            os.link(model, other)
+        case "symbolic link":
+            other.symlink_to(model)
+        case _:  # another header, the same arrays
+            tn.save(tn.load_model(model), other)
+    out = tmp_path / "both.safetensors"
+    refused("committee", model, other, "--out", out, names=("the same model as", "--weights"))
+    assert not out.exists()

@@ -1,0 +1,209 @@
+"""Text files as programs of all countries write them, and Excel workbooks."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from lab_files import workbook
+
+import tustinnet as tn
+from tustinnet.data.file_inspection import inspect_file
+from tustinnet.data.readers import read_columns
+from tustinnet.errors import InputError
+
+TIME = [0.0, 0.01, 0.02, 0.03]
+ANGLE = [0.5, -1.25, 3e-3, 1234.5]
+
+
+def read(folder: Path, content: str | bytes, name: str = "log.csv", **options: Any) -> Any:
+    path = folder / name
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return read_columns(path, **options)
+
+
+def rows(delimiter: str, *, comma: bool = False, names: str = "t{}angle", end: str = "\n") -> str:
+    lines = [names.format(delimiter)]
+    for t, x in zip(TIME, ANGLE, strict=True):
+        cells = [f"{value:g}".replace(".", "," if comma else ".") for value in (t, x)]
+        lines.append(delimiter.join(cells))
+    return end.join(lines) + end
+
+
+@pytest.mark.parametrize("name", ["log.csv", "log.txt", "log.tsv", "log.dat"])
+@pytest.mark.parametrize(
+    ("delimiter", "comma"),
+    [(",", False), *((d, c) for d in (";", "\t", "|", " ", "    ") for c in (False, True))],
+)
+def test_the_mark_between_columns_is_found(
+    tmp_path: Path, name: str, delimiter: str, comma: bool
+) -> None:
+    columns = read(tmp_path, rows(delimiter, comma=comma), name)
+    assert columns.names == ("t", "angle")
+    np.testing.assert_array_equal(columns["t"], TIME)
+    np.testing.assert_array_equal(columns["angle"], ANGLE)
+    assert ("decimal comma" in " ".join(columns.notes)) == comma or name == "log.tsv"
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        # marks between thousands
+        ('a,b\n"1,234.5",1\n"12,000.25",2\n', [1234.5, 12000.25]),
+        ("a;b\n1.234,5;1\n12.000,25;2\n", [1234.5, 12000.25]),
+        ("a;b\n1'234.5;1\n12'000.25;2\n", [1234.5, 12000.25]),
+        ("a;b\n1 234,5;1\n12\u202f000,25;2\n".replace(" ", "\u202f"), [1234.5, 12000.25]),
+        ("a;b\n1,234,567;1.5\n2,000;2.5\n", [1234567, 2000]),
+        ("a;b\n1.234.567;1,5\n2.000;2,5\n", [1234567, 2000]),
+        ('a,b\n"1,5",1\n"-2,25",2\n', [1.5, -2.25]),
+        # three digits after a comma are decimals where nothing else says so
+        ("a;b\n1,234;1\n2,345;2\n", [1.234, 2.345]),
+        # exponents of Fortran, and a minus of typography
+        ("a b\n1.0D-3 1\n-2.5d+02 2\n", [1e-3, -250]),
+        ("a;b\n1,0D-3;1\n2,5E2;2\n", [1e-3, 250]),
+        ("a,b\n\u22121.5,1\n2,2\n", [-1.5, 2]),
+        # notes and texts beside numbers
+        ("a;note\n1,5;so, so\n2,5;a pause, long\n", [1.5, 2.5]),
+        ("a,when\n1.5,2026-01-01 10:00:00\n2.5,2026-01-01 10:00:01\n", [1.5, 2.5]),
+    ],
+)
+def test_numbers_of_all_countries_are_read(
+    tmp_path: Path, content: str, expected: list[float]
+) -> None:
+    np.testing.assert_array_equal(read(tmp_path, content)["a"], expected)
+
+
+@pytest.mark.parametrize(
+    ("content", "names", "units"),
+    [
+        ("t,q\ns,rad\n0,1\n1,2\n", ["t", "q"], {"t": "s", "q": "rad"}),
+        ("t;q\n[s];[deg/s]\n0;1,5\n1;2,5\n", ["t", "q"], {"t": "s", "q": "deg/s"}),
+        ("t,q,n\n(ms),-,\n0,1,2\n1,2,3\n", ["t", "q", "n"], {"t": "ms"}),
+        ("t,motor,,arm\n,pos,vel,pos\n0,1,2,3\n1,2,3,4\n",
+         ["t", "motor/pos", "motor/vel", "arm/pos"], {}),
+        ("t,motor,\n,pos,vel\ns,rad,rad/s\n0,1,2\n1,2,3\n", ["t", "motor/pos", "motor/vel"],
+         {"t": "s", "motor/pos": "rad", "motor/vel": "rad/s"}),
+        ("# a rig\n# t, q\n0,1\n1,2\n", ["t", "q"], {}),
+        ("% a rig\n\n// made by hand\nt,q\n0,1\n% pause\n1,2\n", ["t", "q"], {}),
+        ("Rig 7\nmade on a Monday, by hand\n\nt;q\n0;1\n1;2\n2;3\n3;4\n4;5\n", ["t", "q"], {}),
+        ("%time,q\n0,1\n1,2\n", ["%time", "q"], {}),  # as rostopic writes it
+        ("time [s]  angle [deg]\n0 1\n1 2\n".replace(" [", "["), ["time[s]", "angle[deg]"], {}),
+    ],
+    ids=lambda value: repr(value)[:40],
+)  # fmt: skip
+def test_rows_of_names_units_and_comments(
+    tmp_path: Path, content: str, names: list[str], units: dict[str, str]
+) -> None:
+    columns = read(tmp_path, content)
+    assert [*columns.names] == names
+    assert columns.units == units
+    assert columns[names[0]][:2].tolist() == [0, 1]
+
+
+@pytest.mark.parametrize(
+    ("encoding", "bom"),
+    [("utf-8", "\ufeff"), ("utf-8", ""), ("utf-16", ""), ("utf-16-le", ""), ("utf-16-be", "\ufeff"),
+     ("latin-1", ""), ("cp1252", "")],
+)  # fmt: skip
+def test_texts_in_several_encodings(tmp_path: Path, encoding: str, bom: str) -> None:
+    content = bom + "zeit,winkel [\u00b0]\n0,1.5\n1,2.5\n2,3.5\n"
+    columns = read(tmp_path, content.encode(encoding))
+    assert columns.names == ("zeit", "winkel [\u00b0]")
+    np.testing.assert_array_equal(columns["winkel [\u00b0]"], [1.5, 2.5, 3.5])
+    if encoding == "latin-1":
+        assert columns.notes == ("not in UTF-8, read as Latin-1",)
+
+
+def test_a_card_decides_where_a_file_does_not(tmp_path: Path) -> None:
+    content = "a;b\n1,234;1.234\n2,345;2.345\n"
+    with pytest.raises(InputError, match=r"do not say which mark is decimal.*`decimal"):
+        read(tmp_path, content)
+    assert read(tmp_path, content, decimal=".")["a"].tolist() == [1234, 2345]
+    assert read(tmp_path, content, decimal=",")["b"].tolist() == [1234, 2345]
+    greek = "\u03c6,t\n1,0\n2,1\n".encode("cp1253")
+    assert read(tmp_path, greek, encoding="cp1253").names == ("\u03c6", "t")
+    with pytest.raises(InputError, match="not a text file in utf-8"):
+        read(tmp_path, greek, encoding="utf-8")
+    late = "Rig,7\nrate,100\nt,q\n0,1\n1,2\n"
+    assert read(tmp_path, late, header=3).names == ("t", "q")
+    (tmp_path / "dataset.toml").write_text(
+        'name = "a"\ndt = 0.01\n[format]\nheader = 3\ndecimal = "."\nencoding = "utf-8"\n'
+        '[[coordinates]]\nname = "q"\nkind = "linear"\ncolumn = "q"\n'
+    )
+    assert tn.load(tmp_path)[0].q[:, 0].tolist() == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("key", "message"),
+    [
+        ("encoding = 'klingon'", "no encoding 'klingon'"), ("decimal = ';'", "decimal"),
+        ("header = 0", "header"), ("header = 'yes'", "header"),
+    ],
+)  # fmt: skip
+def test_keys_of_the_format_are_checked(tmp_path: Path, key: str, message: str) -> None:
+    (tmp_path / "dataset.toml").write_text(
+        f'name = "a"\ndt = 0.01\n[format]\n{key}\n'
+        '[[coordinates]]\nname = "q"\nkind = "linear"\ncolumn = "q"\n'
+    )
+    with pytest.raises(InputError, match=message):
+        tn.load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("a;b\n1.234,5;1\n12.00,25;2\n", r"row 3, a: the text '12\.00,25'"),
+        ("a;b\n1,5;1\n1.5;2\n2,5;3\n", r"row 3, a: the text '1\.5'|do not say"),
+        ("a b\n1.0D-3 1\n1.0D 2\n", r"row 3, a: the text '1\.0D'"),
+        ("a b\n1 2\n3\n4 5 6\n", r"row 3 has 1 cells, row 1 has 2; expected .*separated by ' '"),
+        ("a;b\n1;2\n;3\n", "row 3, a: an empty cell"),
+    ],
+)
+def test_numbers_that_are_none_are_refused_with_their_row(
+    tmp_path: Path, content: str, message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        read(tmp_path, content)["a"]
+
+
+def test_units_of_the_file_are_in_the_draft(tmp_path: Path) -> None:
+    t = np.arange(300) * 0.01
+    lines = ["t;x;u", "s;deg;V"]
+    lines += [f"{a:.2f};{40 * np.sin(3 * a):.6f};{2 * (a % 0.5 > 0.2)}" for a in t]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(lines).replace(".", ","))
+    report = inspect_file(path)
+    assert {c.name: c.unit for c in report.columns} == {"t": "s", "x": "deg", "u": "V"}
+    assert report.notes == ("separated by ';', decimal comma", "names and units in 2 rows")
+    (tmp_path / "dataset.toml").write_text(report.draft)
+    (record,) = tn.load(tmp_path)
+    np.testing.assert_allclose(record.q[:, 0], np.radians(40 * np.sin(3 * t)), atol=1e-6)
+
+
+# --- Excel ---
+
+
+MOTION = [["time", "elbow", "note"], ["s", "rad", None], *(
+    [t, x, "fine"] for t, x in zip(TIME, ANGLE, strict=True)
+)]  # fmt: skip
+
+
+def test_a_sheet_of_excel_is_a_table(tmp_path: Path) -> None:
+    titled = [["Measurements of the rig"], [], *MOTION]
+    columns = read_columns(workbook(tmp_path / "log.xlsx", {"Sheet1": titled, "Empty": []}))
+    assert columns.names == ("time", "elbow")
+    np.testing.assert_array_equal(columns["elbow"], ANGLE)
+    assert columns.units == {"time": "s", "elbow": "rad"}
+    assert columns.others == {"note": "text"}
+
+
+def test_several_sheets_have_their_names_before_those_of_columns(tmp_path: Path) -> None:
+    numbers = [[1.5, 2.0], [0.0625, 3.0]]
+    path = workbook(tmp_path / "log.xlsx", {"motion": MOTION, "raw": numbers})
+    columns = read_columns(path)
+    assert columns.names == ("motion/time", "motion/elbow", "raw/column 1", "raw/column 2")
+    np.testing.assert_array_equal(columns["raw/column 1"], [1.5, 0.0625])
+    path = workbook(tmp_path / "gap.xlsx", {"a": [["x", "y"], [1, 2], [None, 3], ["off", 4]]})
+    with pytest.raises(InputError, match=r"gap\.xlsx, sample 2 .*, x: 'off'; expected a number"):
+        read_columns(path)["x"]
+    assert read_columns(path)["y"].tolist() == [2, 3, 4]

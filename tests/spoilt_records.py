@@ -1,0 +1,70 @@
+"""Records of the small pendulum, some of which spoil a fit: a hand's force, another inertia."""
+
+from collections.abc import Iterable
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from conftest import CARD, COUNT, DT
+
+import tustinnet as tn
+
+SAMPLES = 400
+HAND = slice(150, 225)  # 3 to 4.5 s
+BEGIN, END = 3.0, 4.5
+
+
+def simulate(
+    name: str, seed: int, *, inertia: float = 1.0, hand: bool = False, split: str | None = None
+) -> tn.Experiment:
+    """A record of the pendulum under steps of torque, with a hand's force or another inertia."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(-3, 3, SAMPLES // 10), 10)
+    force = np.zeros(SAMPLES)
+    if hand:
+        force[HAND] = 12 * np.sin(np.linspace(0, 3 * np.pi, HAND.stop - HAND.start))
+    x, angles, h = np.array([rng.uniform(-0.5, 0.5), 0.0]), np.empty(SAMPLES), DT / 10
+
+    def rate(x: np.ndarray, k: int) -> np.ndarray:
+        torque = -20 * np.sin(x[0]) - 0.8 * x[1] + 4 * u[k] + force[k]
+        return np.array([x[1], torque / inertia])
+
+    for k in range(SAMPLES):
+        angles[k] = x[0]
+        for _ in range(10):
+            x = x + h * rate(x + h / 2 * rate(x, k), k)
+    return tn.from_arrays(
+        np.round(angles / COUNT) * COUNT,
+        u,
+        dt=DT,
+        coordinates=[tn.Coordinate("angle", "angular", COUNT)],
+        inputs=[tn.Input("torque", "N m")],
+        name=name,
+        split=split,
+    )
+
+
+@lru_cache
+def records(spoilt: str = "") -> tuple[tn.Experiment, ...]:
+    """Six records, the third with a hand's force, the second and the third with more inertia."""
+    return tuple(
+        simulate(
+            f"run{i}",
+            i,
+            hand=spoilt == "hand" and i == 2,
+            inertia=1.4 if spoilt == "payload" and i in (1, 2) else 1.0,
+            split="train",
+        )
+        for i in range(6)
+    )
+
+
+def write(folder: Path, experiments: Iterable[tn.Experiment]) -> None:
+    """Writes records as CSV files with a card without splits."""
+    folder.mkdir()
+    for e in experiments:
+        rows = np.column_stack([e.t, np.rad2deg(e.q[:, 0]), e.u[:, 0]])
+        np.savetxt(
+            folder / f"{e.name}.csv", rows, "%.9g", ",", header="time,angle,torque", comments=""
+        )
+    (folder / "dataset.toml").write_text(CARD.split("[splits]")[0])
