@@ -113,7 +113,7 @@ def locate(data: str | Path, card: str | Path | None = None) -> tuple[Path, Card
     for entry in CATALOG.values():
         if entry.is_in(path):
             return path, entry.card()
-    logs = (file for pattern in ("*", "*/*", "*/*/*") for file in sorted(path.glob(pattern)))
+    logs = (file for pattern in ("*", "*/*") for file in sorted(path.glob(pattern)))
     remedy = "write one (docs/reference/data.md shows how)"
     if any(is_log(file) for file in logs):
         remedy = f"`tustinnet init {shlex.quote(str(path))}` writes one"
@@ -132,9 +132,7 @@ def lacks_card(data: str | Path) -> bool:
         return False
     if any(entry.is_in(path) for entry in CATALOG.values()):
         return False
-    return any(
-        is_readable(file) for pattern in ("*", "*/*", "*/*/*") for file in path.glob(pattern)
-    )
+    return any(is_log(file) for pattern in ("*", "*/*") for file in path.glob(pattern))
 
 
 def list_input_files(data: str | Path, card: str | Path | None = None) -> list[Path]:
