@@ -8,7 +8,7 @@
 #
 # You will
 #
-# 1. describe the columns in a data card,
+# 1. let `init` describe the columns in a data card, and correct it,
 # 2. look at the records before you fit anything,
 # 3. train three networks and read what `fit` says,
 # 4. compare with a simple model and test the residuals,
@@ -116,9 +116,27 @@ lose_counts(Path("LOGS/sweep2.csv"), 300, row=120)  # as if somebody touched the
 # ## The data card
 #
 # A file `dataset.toml` in the folder says what the columns mean. This file is the
-# [data card](../reference/glossary.md#data-card). The package guesses nothing, because a wrong unit
-# would give a wrong model without an error message. You need no velocity column: velocities are
-# computed from the positions.
+# [data card](../reference/glossary.md#data-card). `init` writes it. It looks at the names and the
+# numbers of all columns, asks what they do not say, and inspects the records. With `--yes` it asks
+# nothing and says what it assumed. You need no velocity column: velocities are computed from the
+# positions.
+
+# %% language="bash"
+# tustinnet init LOGS --yes
+
+# %% alt="Time, encoder and voltage of a record, each with what it was taken for and why"
+Image("LOGS/init.png")
+
+# %% [markdown]
+# The first lines say what each column was taken for, and why. The figure shows the same. A wrong
+# unit gives a wrong model without an error message, so read what was `assumed`: nothing in the files
+# says how many counts the encoder has in a turn, and 4096 was taken. Here that is right. The records
+# are of three kinds, and one of each kind is for validation. The tables are explained
+# [below](#look-before-you-fit).
+#
+# Two things only you know: the encoder shows 512 where the arm hangs down (`offset`), and the logger
+# keeps the voltage until the next row (`hold`). The next cell writes them into the card, and gives
+# the channels the names that this page uses:
 #
 # * `hold = "zero-order"` says that the voltage stays as it is until the next row.
 # * `[splits]` says what each record is for. Records under `train` are trained on. Records under

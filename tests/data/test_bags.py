@@ -70,7 +70,7 @@ def test_the_draft_of_a_card_reads_the_file(
     assert found.dt == pytest.approx(0.01)
     (tmp_path / "dataset.toml").write_text(found.draft)
     (record,) = tn.load(tmp_path)
-    assert {"joint_states_position_elbow"} <= {c.name for c in record.channels.coordinates}
+    assert {"elbow"} <= {c.name for c in record.channels.coordinates}
 
 
 def test_of_many_columns_those_named_as_motions_are_looked_at(tmp_path: Path) -> None:

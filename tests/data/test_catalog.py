@@ -141,7 +141,7 @@ def test_a_folder_without_a_card_is_refused_with_what_to_do(tmp_path: Path) -> N
     (tmp_path / "read me.pdf").touch()
     (tmp_path / "runs").mkdir()
     (tmp_path / "runs" / "run 1.csv").touch()
-    told = r"no dataset\.toml.*`tustinnet inspect '.*runs/run 1\.csv'` drafts one.*--card FILE"
+    told = r"no dataset\.toml.*`tustinnet init .*` writes one.*--card FILE"
     with pytest.raises(tn.InputError, match=told):
         tn.load(tmp_path)
 

@@ -42,8 +42,9 @@ def test_columns_are_told_apart(tmp_path: Path) -> None:
     assert found.jitter == pytest.approx(0, abs=1e-9)
     by_name = {c.name: c for c in found.columns}
     assert by_name["arm"].count == pytest.approx(1)
-    assert by_name["rate"].remark == "slope of 'arm'"
-    assert (by_name["a"].remark, by_name["b"].remark) == ("held levels", "rough")
+    assert by_name["rate"].remark.startswith("slope of 'arm'")
+    assert by_name["a"].remark.startswith("held levels")
+    assert by_name["b"].remark == "rough"
 
 
 BELT = {"time": T, "motor_cnt": COUNTS, "carriage_mm": 90 * ANGLE, "voltage": ANGLE}
@@ -55,9 +56,11 @@ DRAFTS = [
     ({"motor_deg": LEVELS, "pos_um": NOISE, "encoder_ticks1": ANGLE},
      [("motor", "motor_deg", "deg", None), ("pos", "pos_um", "um", None),
       ("encoder", "encoder_ticks1", "counts", None)], []),
-    ({"x": ANGLE, "lift_n": COUNTS, "hub_nm": ANGLE, "coil_a": ANGLE, "b_volt": COUNTS},
-     [("x", "x", "rad", None)],
-     [("lift", "N"), ("hub", "N m"), ("coil", "A"), ("b", "V")]),
+    # of a voltage, forces and a current the voltage moves first
+    ({"x": ANGLE, "lift_n": NOISE, "hub_nm": LEVELS, "coil_a": RATE, "b_volt": COUNTS},
+     [("x", "x", "m", None)], [("b", "V")]),
+    ({"x": ANGLE, "lift_n": NOISE, "hub_nm": LEVELS}, [("x", "x", "m", None)],
+     [("lift", "N"), ("hub", "N m")]),
     ({"slide [cm]": ANGLE, "motorCnt 1": COUNTS, "drive (mV)": ANGLE},
      [("slide", "slide [cm]", "cm", None), ("motorCnt_1", "motorCnt 1", "counts", None)],
      [("drive", "mV")]),
@@ -68,10 +71,10 @@ DRAFTS = [
     ({"setpoint_mm": ANGLE, "slide_mm": ANGLE}, [("slide", "slide_mm", "mm", None)],
      [("setpoint", "mm")]),
     # motors have encoders; what counts in equal steps is measured, unless it is named as a drive
-    ({"motor": COUNTS, "torque": ANGLE}, [("motor", "motor", "counts", None)], [("torque", "V")]),
-    ({"motor": ANGLE, "x": ANGLE}, [("x", "x", "rad", None)], [("motor", "V")]),
+    ({"motor": COUNTS, "torque": ANGLE}, [("motor", "motor", "counts", None)], [("torque", "N m")]),
+    ({"motor": ANGLE, "x": ANGLE}, [("x", "x", "m", None)], [("motor", "1")]),
     ({"pwm": COUNTS, "encoder_a": COUNTS}, [("encoder_a", "encoder_a", "counts", None)],
-     [("pwm", "V")]),
+     [("pwm", "1")]),
     # a slope, unless the unit says that it is something else; velocities of all coordinates or none
     ({"arm_rad": ANGLE, "gyro_deg_per_s": RATE},
      [("arm", "arm_rad", "rad", "gyro_deg_per_s")], []),
@@ -104,22 +107,23 @@ def test_the_draft_says_why_and_what_to_check(tmp_path: Path) -> None:
     pl.DataFrame({**BELT, "gain": np.ones(N), "spin_rad_s": NOISE}).write_csv(tmp_path / "log.csv")
     draft = inspect_file(tmp_path / "log.csv").draft
     for line in (
-        '# "motor_cnt" as a measured coordinate: in counts by its name; steps of 1, as encoder '
-        "counts",
-        "counts_per_revolution = 4096  # fill in: counts in a turn",
-        '# "voltage" as an input: by its name',
-        'unit = "V"  # check: say which',
-        '# "gain" is not used: constant',
-        '# "spin_rad_s" is not used: in rad/s by its name, and the slope of no position',
+        '# "motor_cnt" as a coordinate: in counts by its name; steps of 1, as encoder counts; '
+        "smooth",
+        "# check counts in a turn: 4096 is assumed",
+        "counts_per_revolution = 4096",
+        """# "voltage" as an input: 'voltage' in its name""",
+        '# not used: "gain": constant',
+        '# not used: "spin_rad_s": a velocity, and the slope of no position (in rad/s by its name)',
     ):
         assert line in draft.splitlines()
 
 
-def test_a_speed_without_any_position_has_a_guide(tmp_path: Path) -> None:
+def test_a_speed_without_any_position_is_the_coordinate(tmp_path: Path) -> None:
     pl.DataFrame({"time": T, "spin_rad_s": NOISE, "voltage": NOISE}).write_csv(tmp_path / "log.csv")
     draft = inspect_file(tmp_path / "log.csv").draft
-    guide = "a speed can be the coordinate itself: docs/how-to/speed-only.md"
-    assert f"the slope of no position; {guide}\n" in draft
+    assert "the speed is the coordinate (docs/how-to/speed-only.md)\n" in draft
+    (coordinate,) = tomllib.loads(draft)["coordinates"]
+    assert (coordinate["kind"], coordinate["unit"]) == ("linear", "rad/s")
 
 
 def test_the_draft_is_a_card_that_reads_the_file(tmp_path: Path) -> None:

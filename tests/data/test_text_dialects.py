@@ -173,7 +173,7 @@ def test_units_of_the_file_are_in_the_draft(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("\n".join(lines).replace(".", ","))
     report = inspect_file(path)
-    assert {c.name: c.unit for c in report.columns} == {"t": "", "x": "deg", "u": "V"}
+    assert {c.name: c.unit for c in report.columns} == {"t": "s", "x": "deg", "u": "V"}
     assert report.notes == ("separated by ';', decimal comma", "names and units in 2 rows")
     (tmp_path / "dataset.toml").write_text(report.draft)
     (record,) = tn.load(tmp_path)

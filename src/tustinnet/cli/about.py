@@ -11,7 +11,7 @@ NAME = "tustinnet"
 STEPS = """\
 tustinnet: from logs of a mechanical system to a model that simulates it
 
-  1  describe  LOGS/dataset.toml names the columns: time, coordinates, inputs, units
+  1  describe  tustinnet init LOGS     (writes LOGS/dataset.toml: times, coordinates, inputs, units)
   2  look      tustinnet inspect LOGS --figure records.png
   3  fit       tustinnet fit LOGS --budget 10min --out RUN     (--system arm.py: your physics too)
   4  judge     tustinnet report RUN LOGS --out report.html     (a page that moves; or: evaluate)

@@ -40,6 +40,12 @@ class AutomaticReport:
     follow_links: bool = False
     is_enabled: bool = True
 
+    @property
+    def data_words(self) -> str:
+        """The arguments by which other verbs find the records: DATA, and a card that was named."""
+        words = [self.data, *([] if self.card is None else ["--card", str(self.card)])]
+        return shlex.join(words)
+
     def write(
         self, models: Sequence[Path], out: Path, write_page: Callable[[str], Path],
         options: Mapping[str, object],

@@ -64,13 +64,18 @@ def fit(
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Fit a model: try several recipes and keep the best, or fit one."""
+    """Fit a model: try several recipes and keep the best, or fit one.
+
+    For a folder without a data card, one is drafted into --out, as by `tustinnet init --yes`.
+    """
     from tustinnet.cli.request import FitOptions, load_records_to_fit, require_cores
 
     require_cores(cluster, device)
     terminal.prepare_jax(device)
     from tustinnet.cli.automatic_report import AutomaticReport
+    from tustinnet.cli.init import draft_into_run
     from tustinnet.cli.select import select
+    from tustinnet.data.catalog import lacks_card
     from tustinnet.errors import InputError
     from tustinnet.systems.files import find_system
 
@@ -95,6 +100,8 @@ def fit(
             )  # fmt: skip
     if resume and overwrite:
         raise InputError("--resume, --overwrite", "both", "one of them")
+    if card is None and lacks_card(data):
+        card = draft_into_run(Path(data), out, keeps=resume, overwrite=overwrite)
     earlier: Earlier = "resume" if resume else "discard" if overwrite else "refuse"
     fit_options = FitOptions(
         load=partial(
@@ -187,7 +194,7 @@ def _fit_recipe(
         if fit_options.json:
             terminal.print_json(run.summary())
         else:
-            _print_run(run, fit_options.report.data)
+            _print_run(run, fit_options.report.data_words)
         _draw_run(run, records)
         report = _write_report(run, fit_options)
     if not fit_options.json:

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from tustinnet.channels import Hold
+    from tustinnet.data.dataset import DataSet
     from tustinnet.data.experiment import Experiment
     from tustinnet.data.inspection import ExperimentReport
     from tustinnet.report.tables import Table
@@ -86,6 +87,13 @@ def inspect(
         terminal.messages().print(f"figure: {figure}")
 
 
+def print_inspection(data: "DataSet") -> None:
+    """Prints the inspection of all records of a data set."""
+    from tustinnet.data.inspection import inspect_experiment
+
+    _print_reports([inspect_experiment(e) for e in data], data.channels.unit)
+
+
 def _print_reports(reports: "list[ExperimentReport]", unit: str) -> None:
     """Prints two tables, and a line for each remark."""
     terminal.print_tables(time_table(reports), _channel_table(reports, unit))
@@ -141,7 +149,8 @@ def _inspect_file(path: Path, *, json: bool) -> None:
     terminal.print_tables(Table(["column", "looks like", "range", "values", "why"], rows, title))
     for note in report.notes:
         typer.echo(f"note: {note}")
-    typer.echo(f"\n# draft of a card; save it as dataset.toml beside the file\n{report.draft}")
+    typer.echo("\n# draft of a card; save it as dataset.toml beside the file. For all logs of the "
+               f"folder: tustinnet init {path.parent}\n{report.draft}")  # fmt: skip
 
 
 def suspicions(reports: "Sequence[ExperimentReport]") -> list[str]:

@@ -14,6 +14,7 @@ from tustinnet.cli.demo import demo
 from tustinnet.cli.evaluate import evaluate
 from tustinnet.cli.export import export
 from tustinnet.cli.fit import fit
+from tustinnet.cli.init import init
 from tustinnet.cli.inspect import inspect
 from tustinnet.cli.learning_curve import learning_curve
 from tustinnet.cli.next_record import next_record
@@ -31,7 +32,7 @@ app = typer.Typer(
     rich_markup_mode=None,  # loading rich would double the time that --help takes
 )
 _VERBS = (
-    demo, inspect, fit, cross_validate, learning_curve, next_record, simulate, evaluate,
+    demo, init, inspect, fit, cross_validate, learning_curve, next_record, simulate, evaluate,
     compare, residuals, committee, calibrate, export, show, report, reproduce,
 )  # fmt: skip
 for verb in _VERBS:

@@ -86,7 +86,7 @@ def select(
         )
     if not fit_options.json:
         print_files(choice, page or "")
-        typer.echo(f"next: {next_steps(folder / MODEL, report.data)}")
+        typer.echo(f"next: {next_steps(folder / MODEL, report.data_words)}")
     require_report(page)
 
 

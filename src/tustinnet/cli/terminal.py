@@ -58,15 +58,23 @@ def print_tables(*tables: "Table") -> None:
         table.print(console)
 
 
-def confirm(question: str) -> bool:
-    """Asks the user on a terminal; False without a terminal."""
-    if not (sys.stdin and sys.stdin.isatty() and sys.stderr.isatty()):
-        return False
+def can_ask() -> bool:
+    """Whether there is a terminal at which somebody can answer."""
+    return bool(sys.stdin and sys.stdin.isatty() and sys.stderr.isatty())
+
+
+def ask(question: str, default: str) -> str:
+    """The line that the user answers to a question on a terminal; empty for the default."""
     from tustinnet.errors import to_printable
 
-    sys.stderr.write(f"{to_printable(question, _LONGEST_QUESTION)} [y/N] ")
+    sys.stderr.write(f"{to_printable(question, _LONGEST_QUESTION)} [{default}] ")
     sys.stderr.flush()
-    return sys.stdin.readline().strip().lower() in ("y", "yes")
+    return sys.stdin.readline().strip()
+
+
+def confirm(question: str) -> bool:
+    """Asks the user on a terminal; False without a terminal."""
+    return can_ask() and ask(question, "y/N").lower() in ("y", "yes")
 
 
 def remember_trust(system: "SystemFile") -> None:

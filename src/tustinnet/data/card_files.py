@@ -27,7 +27,7 @@ def list_record_files(folder: Path, card: Card) -> list[tuple[str | None, FileCa
     ]
     if not card.splits:
         # these files exist: their names need no check
-        entries = [(None, FileCard.model_construct(file=file)) for file in _list_logs(folder)]
+        entries = [(None, FileCard.model_construct(file=file)) for file in list_logs_in(folder)]
     split_by_part: dict[tuple[str, str], str | None] = {}
     for split, entry in entries:
         other = split_by_part.setdefault((entry.file, entry.part), split)
@@ -105,8 +105,8 @@ def _resolve_patterns(
     return result
 
 
-def _list_logs(folder: Path) -> list[str]:
-    """Names of the logs of a folder."""
+def list_logs_in(folder: Path) -> list[str]:
+    """Names of the logs in a folder, in natural order."""
     with convert_errors(folder, "cannot be listed", "a folder of logs"):
         paths = _without_folders(p for p in folder.iterdir() if is_log(p))
     return _in_natural_order(p.name for p in paths)

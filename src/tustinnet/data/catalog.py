@@ -114,16 +114,25 @@ def locate(data: str | Path, card: str | Path | None = None) -> tuple[Path, Card
         if entry.is_in(path):
             return path, entry.card()
     logs = (file for pattern in ("*", "*/*") for file in sorted(path.glob(pattern)))
-    log = next((file for file in logs if is_log(file)), None)
     remedy = "write one (docs/reference/data.md shows how)"
-    if log is not None:
-        remedy = f"`tustinnet inspect {shlex.quote(str(log))}` drafts one"
+    if any(is_log(file) for file in logs):
+        remedy = f"`tustinnet init {shlex.quote(str(path))}` writes one"
     raise InputError(
         path,
         f"no {CARD_NAME} and no data set of the catalog in this folder",
         "a data card that says what the columns mean",
         f"{remedy}, or give --card FILE",
     )
+
+
+def lacks_card(data: str | Path) -> bool:
+    """Whether `data` is a folder of logs that neither a card in it nor the catalog describes."""
+    path = Path(data)
+    if str(data) in CATALOG or not path.is_dir() or (path / CARD_NAME).is_file():
+        return False
+    if any(entry.is_in(path) for entry in CATALOG.values()):
+        return False
+    return any(is_log(file) for pattern in ("*", "*/*") for file in path.glob(pattern))
 
 
 def list_input_files(data: str | Path, card: str | Path | None = None) -> list[Path]:

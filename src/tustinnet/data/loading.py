@@ -17,8 +17,8 @@ from tustinnet.data.card_files import list_record_files, require_inside
 from tustinnet.data.columns import NUMBERED, Column, Columns, frame_columns
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import declare, read_declaration
+from tustinnet.data.drafting.logs import find_clock_of
 from tustinnet.data.experiment import LARGEST, Experiment, begin_near_zero, unwrap_angles
-from tustinnet.data.file_inspection import find_clock
 from tustinnet.data.formats.mat import OBJECT, object_remedy
 from tustinnet.data.readers import read_columns
 from tustinnet.errors import InputError
@@ -461,9 +461,9 @@ def _times(reader: _ColumnReader, card: Card, n: int) -> tuple[Float[np.ndarray,
 def _no_period(reader: _ColumnReader) -> InputError:
     """The error where a card gives no sampling period, with the lines that would."""
     remedy = "add `dt = ...` (in seconds), or name the column of times under [time]"
-    clock = find_clock(reader.columns)
+    clock = find_clock_of(reader.columns)
     if clock is not None:
-        name, unit, dt = clock
+        name, unit, dt = clock.column, clock.unit, clock.dt
         remedy = (
             f"column '{name}' has a median interval of {dt:.4g} s: add `dt = {dt:.4g}`, or [time] "
             f'with `column = "{name}"`' + ("" if unit == "s" else f' and `unit = "{unit}"`')

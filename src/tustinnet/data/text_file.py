@@ -26,6 +26,8 @@ from tustinnet.errors import InputError, describe_error
 if TYPE_CHECKING:
     import polars as pl
 
+NO_HEADER = "no header: the first row is a sample"  # the note on such a file
+
 _HEADER_ROWS = 4  # first rows that may be names, names, units and a sample
 _LARGE = 4 * 2**20  # bytes, from which a file of plain rows is read without a text for every cell
 _NEWLINE, _BLANK = ord("\n"), ord(" ")
@@ -110,7 +112,7 @@ def read_text(
         *([f"{file.skipped} rows before the header skipped"] if file.skipped else []),
         *([f"names and units in {found.rows} rows"] if found.rows > 1 else []),
         *(["names of the columns in a comment"] if is_sample and found.names != numbered else []),
-        *(["no header: the first row is a sample"] if is_bare else []),
+        *([NO_HEADER] if is_bare else []),
     ]
     return Columns(names, read, rows, tuple(notes), units=found.units)
 

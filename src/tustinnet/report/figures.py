@@ -99,7 +99,7 @@ def free_run_figure(
         position_panels, error_panels = (panels[::2], panels[1::2]) if is_long else (panels, ())
         t = e.t - e.t[0]
         for j, (axes, coordinate) in enumerate(zip(position_panels, e.coordinates, strict=True)):
-            _plot(axes, t, e.q[:, j], color=MEASURED, label=recorded, linewidth=1.4)
+            plot_line(axes, t, e.q[:, j], color=MEASURED, label=recorded, linewidth=1.4)
             for i, (label, score) in enumerate(runs.items()):
                 colour, dash = (styles or {}).get(
                     label, (COLOURS[i % len(COLOURS)], _DASHES[i % len(_DASHES)])
@@ -111,9 +111,9 @@ def free_run_figure(
                 if not is_long:
                     axes.plot(t, line, color=colour, linestyle=dash, label=legend)
                     continue
-                _plot(axes, t, line, color=colour, label=legend, linewidth=0.7, alpha=0.8)
+                plot_line(axes, t, line, color=colour, label=legend, linewidth=0.7, alpha=0.8)
                 error = line - e.q[:, j]
-                _plot(error_panels[j], t, error, color=colour, linewidth=0.7, alpha=0.8)
+                plot_line(error_panels[j], t, error, color=colour, linewidth=0.7, alpha=0.8)
             axes.set_ylabel(f"{coordinate.name} [{coordinate.unit}]")
             if is_long:
                 error_panels[j].set_ylabel(f"error [{coordinate.unit}]")
@@ -140,7 +140,9 @@ def _draw_band(
     axes.fill_between(t[after], low, high, color=colour, alpha=0.2, linewidth=0, label=label)
 
 
-def _plot(axes: Axes, t: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"], **style: Any) -> None:
+def plot_line(
+    axes: Axes, t: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"], **style: Any
+) -> None:
     """Draws a line; of a long one only extremes of intervals narrower than a pixel of a PNG."""
     if len(y) > _LONG:
         samples = find_extremes(y[:, None], len(y) // _BINS)
@@ -227,7 +229,7 @@ def inspection_figure(
             t = e.t - e.t[0]
             for j, coordinate in enumerate(e.coordinates):
                 axes = panels[row, j]
-                _plot(axes, t, e.q[:, j], color=MEASURED, linewidth=0.8)
+                plot_line(axes, t, e.q[:, j], color=MEASURED, linewidth=0.8)
                 if report.k_bar < len(e):
                     resting = report.coordinates[j].resting
                     reach = report.coordinates[j].excursion_threshold

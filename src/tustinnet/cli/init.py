@@ -1,0 +1,201 @@
+"""`tustinnet init`: a data card from the logs themselves."""
+
+import os
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tustinnet.cli import options, terminal
+
+if TYPE_CHECKING:
+    from tustinnet.data.drafting.draft import Draft
+    from tustinnet.data.drafting.findings import Question
+
+FIGURE = "init.png"
+_LONGEST_ANSWER = 40  # characters
+
+
+def init(
+    logs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="LOGS...",
+            help="Folder of logs, or some files of one. The card dataset.toml is written into that "
+            "folder.",
+        ),
+    ],
+    yes: Annotated[
+        bool,
+        typer.Option(
+            "--yes", "-y", help="Ask nothing: assume what the logs do not say, and print it."
+        ),
+    ] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace an existing card and figure.")
+    ] = False,
+    json: options.Json = False,
+) -> None:
+    """Write a data card for a folder of logs: times, coordinates, inputs, units, splits.
+
+    It looks at names, units and numbers of all columns, asks what they do not say, and draws every
+    column of a record with what it was taken for.
+    """
+    from tustinnet.cli.inspect import print_inspection
+    from tustinnet.data.catalog import CARD_NAME, load
+    from tustinnet.data.drafting.files import list_logs
+    from tustinnet.store.files import require_outputs, require_writable_folder
+
+    folder, files = list_logs(logs)
+    outputs = [folder / CARD_NAME, folder / FIGURE]
+    require_outputs(outputs, overwrite=overwrite, read=[folder / file for file in files])
+    require_writable_folder(folder)
+    draft = make_draft(folder, files, is_asking=not yes)
+    write_draft(draft, folder)
+    if json:
+        terminal.print_json(_as_plain(draft, folder))
+    else:
+        _print_draft(draft, folder)
+        print_inspection(load(folder))
+    print_assumptions(draft)
+    draw_draft(draft, folder)
+    terminal.messages().print(
+        f"card: {folder / CARD_NAME}   figure: {folder / FIGURE}   "
+        f"next: tustinnet fit {shlex.quote(str(folder))} --out RUN"
+    )
+
+
+def make_draft(folder: Path, files: Sequence[str], *, is_asking: bool) -> "Draft":
+    """Drafts a card; asks its questions on a terminal, until nothing is open."""
+    from tustinnet.data.drafting.draft import draft_card
+
+    console = terminal.messages()
+    answers: dict[str, str] = {}
+    draft = draft_card(folder, files)
+    if is_asking and draft.questions and not terminal.can_ask():
+        console.print("no terminal to ask at: as with --yes")
+    while is_asking and draft.questions and terminal.can_ask():
+        for question in draft.questions:
+            answers[question.key] = _ask(question)
+        draft = draft_card(folder, files, answers)
+    draft.require_readable(folder)
+    return draft
+
+
+def _ask(question: "Question") -> str:
+    """The answer to a question on the terminal; an empty line takes the assumption."""
+    options = f" ({', '.join(question.options)})" if question.options else ""
+    while True:
+        answer = terminal.ask(f"{question.text}{options}", question.assumption)
+        if not answer:
+            return question.assumption
+        if question.is_number:
+            try:
+                if 0 < float(answer) < float("inf"):
+                    return answer
+            except ValueError:
+                pass
+            terminal.messages().print("a number above 0, or an empty line")
+        elif question.options and answer not in question.options:
+            terminal.messages().print(f"one of {', '.join(question.options)}, or an empty line")
+        elif len(answer) <= _LONGEST_ANSWER and answer.isprintable():
+            return answer
+
+
+def write_draft(draft: "Draft", folder: Path) -> None:
+    """Writes a drafted card into a folder."""
+    from tustinnet.data.catalog import CARD_NAME
+    from tustinnet.store.files import write_into
+
+    write_into(folder, CARD_NAME, draft.text)
+
+
+def draw_draft(draft: "Draft", folder: Path) -> None:
+    """Draws every column of a record of a draft into a folder."""
+    from tustinnet.report.draft_figure import draft_figure
+    from tustinnet.report.figures import write_figure
+
+    write_figure(draft_figure(draft), folder, FIGURE)
+
+
+def draft_into_run(folder: Path, out: Path, *, keeps: bool, overwrite: bool) -> Path:
+    """Drafts a card for logs that have none into the folder of a run, and says what it assumed.
+
+    Args:
+        folder: the logs, beside which nothing is written.
+        out: the folder of the run.
+        keeps: whether a card that an earlier run left there is used as it is.
+        overwrite: whether it may be replaced.
+
+    Returns:
+        The card.
+    """
+    from tustinnet.cli.request import require_apart
+    from tustinnet.data.catalog import CARD_NAME
+    from tustinnet.data.drafting.files import list_logs
+    from tustinnet.store.files import require_outputs, require_writable_folder
+
+    require_apart(out, folder)
+    card, console = out / CARD_NAME, terminal.messages()
+    if keeps and card.is_file():
+        console.print(f"no card in {folder}: that of the earlier run, {card}")
+        return card
+    folder, files = list_logs([folder])
+    draft = make_draft(folder, files, is_asking=False)
+    if not (card.is_file() and card.read_bytes() == draft.text.encode()):
+        require_outputs([card], overwrite=overwrite)
+    require_writable_folder(out)
+    write_draft(draft, out)
+    draw_draft(draft, out)
+    console.print(
+        f"no card in {folder}: drafted {card} (figure: {out / FIGURE}); "
+        f"`tustinnet init {shlex.quote(str(folder))}` asks, and writes one beside the logs"
+    )
+    print_assumptions(draft)
+    return card
+
+
+def print_assumptions(draft: "Draft") -> None:
+    """Prints what was assumed and remarks on the files, a line each, as messages."""
+    console = terminal.messages()
+    for note in draft.notes:
+        console.print(note if note.startswith("left out") else f"note: {note}")
+    for question in draft.questions:
+        console.print(f"assumed: {question.text}: {question.assumption}")
+    for channel in draft.choice.inputs:
+        for doubt in channel.doubts:
+            if not doubt.startswith("the unit"):  # which is among the assumptions
+                console.print(f"check: '{channel.column}' as an input: {doubt}")
+
+
+def _print_draft(draft: "Draft", folder: Path) -> None:
+    """Prints the columns with what they were taken for and why, a line each, and the splits."""
+    records = len(draft.splits.records)
+    typer.echo(f"{folder}: {records} records, every {1e3 * draft.dt:.6g} ms")
+    lines = [
+        (c.name, (f"{c.use} [{c.unit}]" if c.unit else c.use) or "not used", c.because)
+        for c in draft.columns
+    ]
+    widths = [max(len(line[k]) for line in lines) for k in range(2)]
+    for name, use, because in lines:
+        typer.echo(f"  {name:<{widths[0]}}  {use:<{widths[1]}}  {because}")
+    for sentence in draft.splits.sentences:
+        typer.echo(f"splits: {sentence}")
+
+
+def _as_plain(draft: "Draft", folder: Path) -> dict[str, object]:
+    """A draft as plain values."""
+    from tustinnet.data.catalog import CARD_NAME
+
+    return {
+        "card": os.fspath(folder / CARD_NAME),
+        "text": draft.text,
+        "columns": [
+            {"name": c.name, "role": c.role, "use": c.use, "unit": c.unit, "because": c.because}
+            for c in draft.columns
+        ],
+        "assumed": {q.text: q.assumption for q in draft.questions},
+        "notes": list(draft.notes),
+    }

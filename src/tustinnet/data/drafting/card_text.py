@@ -1,0 +1,137 @@
+"""The text of a drafted card, with comments that say why."""
+
+import json
+from collections.abc import Mapping, Sequence
+
+from tustinnet.data.columns import NUMBERED
+from tustinnet.data.drafting.findings import Choice, CoordinateChoice, InputChoice
+from tustinnet.data.drafting.logs import Clock
+from tustinnet.data.drafting.splits import DraftRecord, Splits
+
+_TOLERANCE = 0.05  # of the period, as cards accept without a key
+
+
+def write_card(
+    name: str,
+    clock: Clock,
+    dt: float,
+    choice: Choice,
+    splits: Splits | None,
+    *,
+    has_header: bool | None,
+    texts: Mapping[str, str],
+    is_period_assumed: bool,
+) -> str:
+    """The text of a data card.
+
+    Args:
+        name: name of the data set.
+        clock: the time base.
+        dt: sampling period [s].
+        choice: coordinates, inputs and columns that are not used.
+        splits: the records; None where all logs beside the card are records.
+        has_header: whether files without names of columns have a header; None with names.
+        texts: columns that hold no numbers, and what they hold.
+        is_period_assumed: whether nothing in the files says the period.
+    """
+    why = "assumed; check: how far apart are the samples?" if is_period_assumed else "mean interval"
+    lines = [
+        "# drafted from the logs; what is marked `check` is assumed",
+        "# every key: docs/reference/data.md",
+        f"name = {quote(name)}",
+        f"dt = {dt!r}  # s, {why}",
+    ]
+    if has_header is not None:
+        lines += ["", "[format]", f"header = {str(has_header).lower()}"]
+    if clock.column is not None:
+        doubt = "" if clock.sure else "; check the unit"
+        lines += [
+            "", f"# {quote(clock.column)}: {clock.because}{doubt}",
+            "[time]", f"column = {column_key(clock.column)}", f"unit = {quote(clock.unit)}",
+        ]  # fmt: skip
+        if clock.worst > _TOLERANCE * dt:
+            share = f"{100 * clock.worst / dt:.0f} %"
+            lines.append(f'irregular = "resample"  # intervals deviate by up to {share} of dt')
+    lines += [line for coordinate in choice.coordinates for line in _coordinate(coordinate)]
+    if not choice.coordinates:
+        lines += ["", "# [[coordinates]]: no column could be a position"]
+    lines += [line for channel in choice.inputs for line in _input(channel)]
+    if not choice.inputs:
+        lines += ["", "# no column looks like an input: the records are of free motion"]
+    unused = {**choice.unused, **clock.others, **texts}
+    lines += [""] if unused else []
+    lines += [f"# not used: {quote(column)}: {why}" for column, why in unused.items()]
+    return "\n".join([*lines, *_splits(splits)]) + "\n"
+
+
+def column_key(column: str) -> str:
+    """A column as cards name it: by number where it has no name."""
+    return column.removeprefix(NUMBERED) if column.startswith(NUMBERED) else quote(column)
+
+
+def quote(text: str) -> str:
+    """A text as TOML and JSON have it; TOML has no character 127."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _coordinate(c: CoordinateChoice) -> list[str]:
+    lines = ["", f"# {quote(c.column)} as a coordinate: {'; '.join(c.because)}"]
+    lines += [f"# check {doubt}" for doubt in c.doubts]
+    lines += [
+        "[[coordinates]]", f"name = {quote(c.name)}", f"column = {column_key(c.column)}",
+        f"kind = {quote(c.kind)}", f"unit = {quote(c.unit)}",
+    ]  # fmt: skip
+    if c.counts is not None:
+        lines.append(f"counts_per_revolution = {c.counts}")
+    if c.resolution is not None:
+        lines.append(f"resolution = {c.resolution!r}  # the step of its values")
+    if c.velocity is not None:
+        entry = f", unit = {quote(c.velocity.unit)}" if c.velocity.unit else ""
+        measured = str(c.velocity.measured).lower()
+        column = column_key(c.velocity.column)
+        lines += [
+            f"# {quote(c.velocity.column)}: {c.velocity.because}",
+            f"velocity = {{ column = {column}{entry}, measured = {measured} }}",
+        ]
+    return lines
+
+
+def _input(c: InputChoice) -> list[str]:
+    lines = ["", f"# {quote(c.column)} as an input: {'; '.join(c.because)}"]
+    lines += [f"# check {doubt}" for doubt in c.doubts]
+    return [
+        *lines, "[[inputs]]", f"name = {quote(c.name)}", f"column = {column_key(c.column)}",
+        f"unit = {quote(c.unit)}",
+    ]  # fmt: skip
+
+
+def _splits(splits: Splits | None) -> list[str]:
+    if splits is None:
+        return [
+            "", "# all logs beside this card are records; to choose some and what they are for:",
+            "# [splits]", '# train = ["this file"]', '# validation = ["another file"]',
+        ]  # fmt: skip
+    lines = ["", *(f"# {sentence}" for sentence in splits.sentences)]
+    by_split: dict[str, list[DraftRecord]] = {}
+    for record in splits.records:
+        by_split.setdefault(record.split or "train", []).append(record)
+    lines.append("[splits]")
+    for split in ("train", "validation", "test"):
+        if records := by_split.get(split):
+            lines.append(f"{split} = [")
+            lines += [f"    {entry}," for entry in _entries(records)]
+            lines.append("]")
+    return lines
+
+
+def _entries(records: Sequence[DraftRecord]) -> list[str]:
+    """The entries of a split; files that are whole by their name."""
+    entries = []
+    for record in records:
+        piece = record.piece
+        keys = [f"file = {quote(piece.log.file)}"]
+        keys += [] if piece.log.cell is None else [f"cell = {piece.log.cell}"]
+        keys += [] if piece.log.record is None else [f"record = {quote(piece.log.record)}"]
+        keys += [] if piece.whole else [f"rows = [{piece.rows[0]}, {piece.rows[1]}]"]
+        entries.append(quote(piece.log.file) if len(keys) == 1 else f"{{ {', '.join(keys)} }}")
+    return entries

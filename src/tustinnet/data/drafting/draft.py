@@ -1,0 +1,268 @@
+"""The draft of a data card from a folder of logs."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tustinnet.data.drafting.card_text import write_card
+from tustinnet.data.drafting.choice import choose_channels
+from tustinnet.data.drafting.findings import Choice, Findings, Question
+from tustinnet.data.drafting.logs import (
+    Clock,
+    Piece,
+    find_clock,
+    find_pieces,
+    read_logs,
+    read_names,
+)
+from tustinnet.data.drafting.numbers import Numbers, examine, unwrap
+from tustinnet.data.drafting.relations import compare_slopes
+from tustinnet.data.drafting.roles import Role, Verdict, judge_columns
+from tustinnet.data.drafting.splits import Splits, choose_splits
+from tustinnet.errors import InputError
+
+_MOST_SAMPLES = 200_000  # on which the evidence rests
+_USUAL_PERIOD = 0.01  # s, assumed where nothing says it
+_FEWEST = 6  # samples of a record
+_PERIOD = "period"
+_PLAIN_FOLDERS = {"", "logs", "log", "data", "daten", "messungen", "records", "csv", "raw"}
+
+
+@dataclass(frozen=True)
+class DraftColumn:
+    """A column of the logs and what the draft takes it for.
+
+    Attributes:
+        name: its name.
+        role: its role.
+        use: its use in the card: `time`, `coordinate`, `velocity`, `input`; empty if not used.
+        because: the reasons.
+        unit: its unit in the card, empty if not used.
+        numbers: properties of its numbers.
+    """
+
+    name: str
+    role: Role
+    use: str
+    because: str
+    unit: str
+    numbers: Numbers
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A drafted data card.
+
+    Attributes:
+        text: the card in TOML.
+        columns: every column of numbers, in the order of the files.
+        dt: sampling period [s].
+        choice: coordinates and inputs.
+        clock: the time base.
+        splits: the records and their splits.
+        questions: what the columns do not say, with what was assumed.
+        notes: remarks on how the files were read, and files that were left out.
+        texts: columns that hold no numbers, and what they hold.
+        rows: number of samples in all records.
+        is_readable: whether the card can read a record.
+    """
+
+    text: str
+    columns: tuple[DraftColumn, ...]
+    dt: float
+    choice: Choice
+    clock: Clock
+    splits: Splits
+    questions: tuple[Question, ...]
+    notes: tuple[str, ...]
+    texts: Mapping[str, str]
+    rows: int
+    is_readable: bool
+
+    def require_readable(self, folder: Path) -> None:
+        """Raises unless the card has coordinates and a record that it can read.
+
+        Raises:
+            InputError: no column could be a position, or no record could be read.
+        """
+        if not self.choice.coordinates:
+            roles = ", ".join(f"'{c.name}' ({c.role})" for c in self.columns)
+            raise InputError(folder, f"no column could be a position: {roles}", "positions")
+        if not self.is_readable:
+            expected = "records of finite numbers in which positions move"
+            raise InputError(folder, self.notes[-1], expected)
+
+    @property
+    def typical(self) -> Piece:
+        """The record to draw: of those in which most columns move, the one of median length."""
+        pieces = [record.piece for record in self.splits.records]
+        moving = [
+            sum(bool(np.ptp(np.nan_to_num(p.column(c.name)))) for c in self.columns) for p in pieces
+        ]
+        best = [p for p, n in zip(pieces, moving, strict=True) if n == max(moving)]
+        return sorted(best, key=lambda p: p.seconds)[len(best) // 2]
+
+
+def draft_card(
+    folder: Path,
+    files: Sequence[str],
+    answers: Mapping[str, str] | None = None,
+    *,
+    name: str = "",
+    has_splits: bool = True,
+) -> Draft:
+    """Drafts a data card for logs.
+
+    Args:
+        folder: the folder of the card.
+        files: the logs, below it.
+        answers: answers to questions of an earlier draft, by their keys.
+        name: name of the data set; that of the folder by default.
+        has_splits: whether the card names the files; otherwise all logs beside it are records.
+
+    Returns:
+        The draft. Its `questions` say what was assumed.
+
+    Raises:
+        InputError: no file has columns of numbers besides times.
+    """
+    answers = answers or {}
+    notes: list[str] = []
+    logs = read_logs(folder, files, notes.append)
+    notes += dict.fromkeys(note for log in logs for note in log.notes)
+    readings = read_names(logs)
+    clock = find_clock(logs, readings)
+    questions: list[Question] = []
+    dt = clock.dt
+    if dt is None:
+        text = "sampling period [s]; no column of times was found"
+        questions.append(Question(_PERIOD, text, str(_USUAL_PERIOD), is_number=True))
+        dt = float(answers.get(_PERIOD, _USUAL_PERIOD))
+    pieces = find_pieces(logs, clock, readings)
+    motion = [n for n in readings if n != clock.column and n not in clock.others]
+    shown = _choose_samples(pieces)
+    numbers = {n: examine([p.column(n) for p in shown]) for n in readings}
+    samples = {n: [unwrap(p.column(n), numbers[n].wrap) for p in shown] for n in motion}
+    if not motion:
+        raise InputError(folder, "no column besides the times", "columns of positions and inputs")
+    times = [p.t for p in shown]
+    slopes = compare_slopes(samples, times)
+    verdicts = judge_columns({n: readings[n] for n in motion}, numbers, samples, slopes, times)
+    for column in motion:
+        if (answer := answers.get(f"role {column}")) is not None:
+            verdicts[column] = Verdict(_role(answer), ("as you say",))
+    findings = Findings(readings, numbers, samples, times, slopes, verdicts, answers)
+    choice = choose_channels(findings)
+    usable = _usable_pieces(pieces, choice, notes.append)
+    pieces = usable or pieces
+    positions = {
+        c.column: [unwrap(p.column(c.column), numbers[c.column].wrap) for p in pieces]
+        for c in choice.coordinates
+    }
+    splits = choose_splits(pieces, positions, [i.column for i in choice.inputs])
+    text = write_card(
+        name or _name(folder), clock, dt, choice, splits if has_splits else None,
+        has_header=logs[0].has_header, texts=logs[0].texts,
+        is_period_assumed=clock.dt is None and _PERIOD not in answers,
+    )  # fmt: skip
+    return Draft(
+        text, tuple(_columns(readings, clock, choice, verdicts, numbers, logs[0].clocks)), dt,
+        choice, clock, splits,
+        tuple(q for q in (*questions, *choice.questions) if q.key not in answers), tuple(notes),
+        logs[0].texts, sum(map(len, logs)), bool(usable),
+    )  # fmt: skip
+
+
+def _usable_pieces(
+    pieces: Sequence[Piece], choice: Choice, on_message: Callable[[str], None]
+) -> list[Piece]:
+    """Records that a card can read: of finite numbers, whose clock rises, in which something moves.
+
+    Rows that are not finite at either end of a record are cut off.
+    """
+    coordinates = [c.column for c in choice.coordinates]
+    used = [*coordinates, *(i.column for i in choice.inputs)]
+    used += [c.velocity.column for c in choice.coordinates if c.velocity]
+    usable: list[Piece] = []
+    for piece in pieces:
+        place = piece.log.place
+        finite = np.isfinite(piece.t)
+        for name in used:
+            finite &= np.isfinite(piece.column(name))
+        rows = np.flatnonzero(finite)
+        if len(rows) < _FEWEST or not finite[rows[0] : rows[-1] + 1].all():
+            on_message(f"left out: {place}: numbers that are not finite, or too few samples")
+            continue
+        if len(rows) < len(finite):
+            on_message(
+                f"{place}: {len(finite) - len(rows)} rows at its ends are not finite; cut off"
+            )
+            piece = piece.part(int(rows[0]), int(rows[-1]) + 1, "rows are not finite")
+        if (np.diff(piece.t) <= 0).any():
+            on_message(f"left out: {place}: times that do not rise")
+        elif coordinates and not any(np.ptp(piece.column(name)) for name in coordinates):
+            on_message(f"left out: {place}: nothing moves")
+        else:
+            usable.append(piece)
+    return usable
+
+
+def _name(folder: Path) -> str:
+    """A name for the logs of a folder: its own, or that of the folder above a plain `logs`."""
+    path = folder.resolve()
+    return (
+        path.parent.name if path.name.lower() in _PLAIN_FOLDERS and path.parent.name else path.name
+    )
+
+
+def _role(answer: str) -> Role:
+    roles: dict[str, Role] = {
+        "position": "position", "velocity": "velocity", "input": "input", "set point": "set point",
+    }  # fmt: skip
+    return roles.get(answer, "other")
+
+
+def _choose_samples(pieces: Sequence[Piece]) -> list[Piece]:
+    """Records, or the middle parts of long ones, on which the evidence rests."""
+    share = max(1, _MOST_SAMPLES // len(pieces))
+    chosen: list[Piece] = []
+    for piece in pieces:
+        n = len(piece.t)
+        first = max(0, (n - share) // 2)
+        chosen.append(piece if n <= share else piece.part(first, first + share, piece.because))
+    return chosen
+
+
+def _columns(
+    readings: Mapping[str, object], clock: Clock, choice: Choice,
+    verdicts: Mapping[str, Verdict], numbers: Mapping[str, Numbers],
+    clocks: Sequence[str],
+) -> list[DraftColumn]:  # fmt: skip
+    """Every column with its role, its use and the reasons."""
+    velocities = {c.velocity.column: c.velocity for c in choice.coordinates if c.velocity}
+    coordinates = {c.column: c for c in choice.coordinates}
+    inputs = {i.column: i for i in choice.inputs}
+    columns: list[DraftColumn] = []
+    for name in readings:
+        role: Role
+        use, unit = "", ""
+        if name == clock.column:
+            role, use, because, unit = "time", "time", clock.because, clock.unit
+        elif name in clock.others:
+            role = "time" if name in clocks else "counter"
+            because = clock.others[name]
+        else:
+            role, because = verdicts[name].role, verdicts[name].because
+            if name in coordinates:
+                use, unit = "coordinate", coordinates[name].unit
+                because = "; ".join(coordinates[name].because)
+            elif name in inputs:
+                use, unit = "input", inputs[name].unit
+            elif name in velocities:
+                use, unit = "velocity", velocities[name].unit or ""
+            else:
+                because = choice.unused.get(name, because)
+        columns.append(DraftColumn(name, role, use, because, unit, numbers[name]))
+    return columns

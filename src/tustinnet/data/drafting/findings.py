@@ -1,0 +1,119 @@
+"""Everything that is known of columns, and what is chosen from it: the values of a draft."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tustinnet.channels import Kind
+from tustinnet.data.drafting.names import NameReading
+from tustinnet.data.drafting.numbers import Numbers, Values
+from tustinnet.data.drafting.relations import Slopes
+from tustinnet.data.drafting.roles import Verdict
+
+
+@dataclass(frozen=True)
+class Question:
+    """What the columns do not say.
+
+    Attributes:
+        key: name of the answer.
+        text: the question.
+        assumption: the answer that is taken without another one.
+        options: answers that are possible, () for any text or number.
+        is_number: whether the answer is a positive number.
+    """
+
+    key: str
+    text: str
+    assumption: str
+    options: tuple[str, ...] = ()
+    is_number: bool = False
+
+
+@dataclass(frozen=True)
+class VelocityChoice:
+    """The velocity column of a coordinate; attributes as in the card."""
+
+    column: str
+    unit: str | None
+    measured: bool
+    because: str
+
+
+@dataclass(frozen=True)
+class CoordinateChoice:
+    """A coordinate of the draft.
+
+    Attributes:
+        column: its column.
+        name: its name.
+        kind: angular or linear.
+        unit: its unit as the card has it.
+        counts: encoder counts in a turn, None where not known.
+        resolution: encoder count [rad or m], None where not known.
+        velocity: its velocity column, if there is one.
+        because: the reasons, a sentence each.
+        doubts: what to check, a sentence each.
+    """
+
+    column: str
+    name: str
+    kind: Kind
+    unit: str
+    counts: int | None = None
+    resolution: float | None = None
+    velocity: VelocityChoice | None = None
+    because: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class InputChoice:
+    """An input of the draft; attributes as those of a coordinate."""
+
+    column: str
+    name: str
+    unit: str
+    because: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+
+
+@dataclass
+class Choice:
+    """Coordinates, inputs, columns that are not used, and open questions.
+
+    Attributes:
+        coordinates: the coordinates in the order of their columns.
+        inputs: the inputs.
+        unused: the reason for each column that is not used.
+        questions: what the columns do not say.
+    """
+
+    coordinates: list[CoordinateChoice] = field(default_factory=list)
+    inputs: list[InputChoice] = field(default_factory=list)
+    unused: dict[str, str] = field(default_factory=dict)
+    questions: list[Question] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Findings:
+    """Everything that is known of the columns when channels are chosen."""
+
+    readings: Mapping[str, NameReading]
+    numbers: Mapping[str, Numbers]
+    samples: Mapping[str, Sequence[Values]]
+    times: Sequence[Values]
+    slopes: Slopes
+    verdicts: Mapping[str, Verdict]
+    answers: Mapping[str, str]
+
+    def columns(self, role: str) -> list[str]:
+        """The columns of a role, in the order of the file."""
+        return [name for name, verdict in self.verdicts.items() if verdict.role == role]
+
+
+def range_text(numbers: Numbers) -> str:
+    """The range of a column in words."""
+    low, high = numbers.range or (np.nan, np.nan)
+    return f"{low:.4g} .. {high:.4g}"

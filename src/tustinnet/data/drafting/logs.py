@@ -1,0 +1,415 @@
+"""Logs as they are found in files: their columns, their clock, the records in them."""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from tustinnet.channels import LONGEST_DT, SHORTEST_DT
+from tustinnet.data.columns import NUMBERED, Columns
+from tustinnet.data.drafting.names import INPUTS, NameReading, read_name
+from tustinnet.data.drafting.numbers import Values
+from tustinnet.data.readers import read_columns
+from tustinnet.data.text_file import NO_HEADER
+from tustinnet.data.units import TIME
+from tustinnet.errors import InputError
+
+_MOST_COLUMNS = 60  # that are examined
+_REGULAR = 0.5  # relative deviation of the intervals of a clock that has another name
+_ROUND = 5e-4  # relative; a period this near to one of two digits is that
+_SAYS = 3.0  # weight of a word that says a quantity
+_GAP = 10.0  # periods; a longer interval ends a record
+_SHORTEST = 20  # samples of a record
+_EPOCHS = (("s", 5e8, 5e9), ("ms", 5e11, 5e12), ("us", 5e14, 5e15), ("ns", 5e17, 5e18))
+_PERIODS = (1e-5, 2.0)  # s, that logs of mechanisms have
+_EPISODES = {"episode", "run", "trial", "versuch", "experiment", "take", "traj", "trajectory"}
+
+
+@dataclass(frozen=True)
+class Log:
+    """The columns of a file, or of one element of its cell or struct arrays.
+
+    Attributes:
+        file: the file below the folder of the card.
+        cell: number of the element, None for a whole file.
+        values: columns of numbers, all of one length.
+        texts: what the other columns are, by name.
+        notes: remarks on how the file was read.
+        has_header: whether the first row of a file whose columns have no names is a header; None
+            where they have names.
+        record: label of one of several records in the file, None for a whole file.
+        clocks: columns of times [s], of which the first has those of all samples here; empty
+            where columns have no times of their own.
+        units: units by column, where the file has them.
+    """
+
+    file: str
+    cell: int | None
+    values: Mapping[str, Values]
+    texts: Mapping[str, str]
+    notes: tuple[str, ...]
+    has_header: bool | None = None
+    record: str | None = None
+    clocks: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(next(iter(self.values.values())))
+
+    @property
+    def place(self) -> str:
+        """The file, and the part of it in brackets."""
+        label = self.cell if self.record is None else self.record
+        return self.file if label is None else f"{self.file}[{label}]"
+
+
+@dataclass(frozen=True)
+class Piece:
+    """The samples of a log that are one record.
+
+    Attributes:
+        log: the log.
+        rows: first sample and the one after the last.
+        t: its times from 0 on [s].
+        because: why it is a part of its file, empty for a whole one.
+    """
+
+    log: Log
+    rows: tuple[int, int]
+    t: Values
+    because: str = ""
+
+    def column(self, name: str) -> Values:
+        """The samples of a column in the piece."""
+        return self.log.values[name][slice(*self.rows)]
+
+    def part(self, first: int, stop: int, because: str) -> "Piece":
+        """A part of the piece, by samples of it."""
+        rows = (self.rows[0] + first, self.rows[0] + stop)
+        return replace(self, rows=rows, t=self.t[first:stop], because=because)
+
+    @property
+    def whole(self) -> bool:
+        """Whether it has all samples of its log."""
+        return self.rows == (0, len(self.log))
+
+    @property
+    def seconds(self) -> float:
+        """Its duration [s]."""
+        return float(self.t[-1] - self.t[0]) if len(self.t) > 1 else 0.0
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The time base of all logs.
+
+    Attributes:
+        column: the column of times, None without one.
+        unit: its unit.
+        because: why it is taken for that.
+        dt: period [s], None where nothing says it.
+        worst: largest deviation of an interval from it [s], gaps aside.
+        sure: whether the unit is sure.
+        others: other columns that are times or counters, with the reason.
+    """
+
+    column: str | None
+    unit: str = "s"
+    because: str = ""
+    dt: float | None = None
+    worst: float = 0.0
+    sure: bool = True
+    others: dict[str, str] = field(default_factory=dict)
+
+
+def read_logs(folder: Path, files: Sequence[str], on_message: Callable[[str], None]) -> list[Log]:
+    """Reads the logs of a folder that have the same columns as most of them.
+
+    Args:
+        folder: the folder of the card.
+        files: the files, below it.
+        on_message: called with a sentence on each file that is left out.
+
+    Raises:
+        InputError: no file has columns of numbers.
+    """
+    logs: list[Log] = []
+    errors: list[InputError] = []
+    for file in files:
+        try:
+            logs += _read_file(folder, file)
+        except InputError as error:
+            errors.append(error)
+    if not logs:
+        raise (
+            errors[0]
+            if errors
+            else InputError(folder, "no logs", "files of columns, such as .csv, .parquet or .mat")
+        )
+    for error in errors:
+        on_message(f"left out: {error}")
+    samples: Counter[tuple[str, ...]] = Counter()
+    for log in logs:
+        samples[tuple(log.values)] += len(log)
+    usual = samples.most_common(1)[0][0]
+    for log in logs:
+        # a file may have more columns than the others, and not fewer
+        if not {*usual} <= {*log.values}:
+            missing = ", ".join(sorted({*usual} - {*log.values})[:4])
+            on_message(f"left out: {log.file}: other columns than most files (no {missing})")
+    return [
+        replace(log, values={name: log.values[name] for name in usual})
+        for log in logs
+        if {*usual} <= {*log.values}
+    ]
+
+
+def _read_file(folder: Path, file: str) -> list[Log]:
+    columns = read_columns(folder / file)
+    if columns.parts:
+        parts = {label: columns.part(label) for label in columns.parts}
+        columns.fetch_parts({name for part in parts.values() for name in part.names})
+        logs = [replace(_read_log(part, file, None), record=k) for k, part in parts.items()]
+        return [replace(log, notes=(f"{file}: {len(logs)} records", *log.notes)) for log in logs]
+    if not columns.elements:
+        return [_read_log(columns, file, None)]
+    elements = [columns.element(number) for number in range(1, columns.elements + 1)]
+    columns.fetch_elements({name for element in elements for name in element.names})
+    logs = [_read_log(element, file, number) for number, element in enumerate(elements, start=1)]
+    note = f"{file}: {len(logs)} cells or structs, each a record"
+    return [replace(log, notes=(note, *log.notes)) for log in logs]
+
+
+def _read_log(columns: Columns, file: str, cell: int | None) -> Log:
+    """The columns of numbers that have the length of most of them."""
+    values: dict[str, Values] = {}
+    texts = dict(columns.others)
+    notes = list(columns.notes)
+    examined = columns.names[:_MOST_COLUMNS]
+    if len(columns.names) > _MOST_COLUMNS and columns.clocks:
+        examined = _most_telling(columns)
+        text = f"{len(examined)} of {len(columns.names)} columns are looked at"
+        notes.append(f"{text}, those named as positions and inputs first")
+    elif len(columns.names) > _MOST_COLUMNS:
+        notes.append(f"{len(columns.names)} columns; the first {_MOST_COLUMNS} are looked at")
+    for name in examined:
+        try:
+            values[name] = columns[name]
+        except InputError as error:
+            texts[name] = str(error).split(": ", 1)[-1]
+    clocks, times = columns.clocks, ()
+    if clocks:
+        values = _on_common_times(values, clocks, columns.units)
+        base = next(iter(values))
+        times = (base, *(name for name in values if name != base and name in clocks.values()))
+    lengths = Counter(len(column) for column in values.values() if len(column) > 1)
+    if not lengths:
+        raise InputError(file, "no column of numbers", "a column of times, positions or inputs")
+    usual = max(lengths, key=lambda length: (lengths[length], length))
+    for name in [name for name, column in values.items() if len(column) != usual]:
+        texts[name] = f"{len(values.pop(name))} values, where the others have {usual}"
+    is_nameless = all(name.startswith(NUMBERED) for name in columns.names)
+    has_header = NO_HEADER not in columns.notes if is_nameless else None
+    return Log(
+        file, cell, values, texts, tuple(notes), has_header, clocks=times, units=columns.units
+    )
+
+
+def _on_common_times(
+    values: Mapping[str, Values], clocks: Mapping[str, str], units: Mapping[str, str]
+) -> dict[str, Values]:
+    """Columns with times of their own at those of the column that is most likely a position."""
+
+    def likelihood(name: str) -> float:
+        reading = read_name(name.replace("/", "."), units.get(name, ""))
+        is_command = reading.qualifier == "command"
+        return 0.0 if is_command else reading.quantities.get("position", 0.0)
+
+    own = [n for n in values if n in clocks and clocks[n] != n and clocks[n] in values] or [*clocks]
+    base = clocks[max(own, key=likelihood)]
+    t = values[base]
+    common = {base: t}
+    for name in (n for n in values if n in own or n in {*clocks.values()} - {base}):
+        times, column = values[clocks[name]], values[name]
+        if clocks[name] == base or len(times) < 2:
+            common[name] = column
+        else:  # held, as inputs are
+            last = np.searchsorted(times, t, "right") - 1
+            common[name] = column[np.clip(last, 0, len(column) - 1)]
+    return common
+
+
+def _most_telling(columns: Columns) -> tuple[str, ...]:
+    """Columns that are named as positions, velocities or inputs, then others, and their times."""
+
+    def is_silent(name: str) -> bool:
+        quantities = read_name(name.replace("/", ".")).quantities
+        telling = ("position", "velocity", *INPUTS)
+        return max((quantities.get(q, 0.0) for q in telling), default=0.0) < _SAYS
+
+    own = [name for name in columns.names if columns.clocks.get(name) != name]
+    chosen = {*sorted(own, key=is_silent)[:_MOST_COLUMNS]}
+    chosen |= {columns.clocks[name] for name in chosen if name in columns.clocks}
+    return tuple(name for name in columns.names if name in chosen)
+
+
+def find_clock_of(columns: Columns) -> Clock | None:
+    """The clock in the columns of one file, None where it has none."""
+    try:
+        log = _read_log(columns, "", None)
+    except InputError:
+        return None
+    clock = find_clock([log], read_names([log]))
+    return None if clock.column is None else clock
+
+
+# --- the clock ---
+
+
+def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Clock:
+    """The column of times: it rises in every record, and has such a name or does so regularly."""
+    candidates: list[tuple[float, str]] = []
+    others: dict[str, str] = {}
+    own_times = logs[0].clocks
+    others |= dict.fromkeys(own_times[1:], "times of other columns")
+    for name, reading in readings.items():
+        if own_times and name != own_times[0]:
+            continue
+        columns = [log.values[name] for log in logs]
+        intervals = _intervals(columns)
+        if intervals is None:
+            continue
+        spread = float(np.std(intervals) / np.mean(intervals))
+        weight = reading.quantities.get("time", 0.0)
+        if reading.quantity == "counter" or (
+            weight == 0 and spread < 1e-9 and intervals[0] == 1 and (columns[0][0] in (0, 1))
+        ):
+            others[name] = "counts the samples"
+            continue
+        if weight == 0 and (spread > _REGULAR or _speaks_of_motion(reading)):
+            continue
+        # of two clocks the regular one; of two regular ones that which begins near 0
+        begins_late = abs(columns[0][0]) > 1e8
+        candidates.append((weight - 2 * min(spread, 1.0) - 0.1 * begins_late, name))
+    if not candidates:
+        return Clock(None, others=others)
+    # the first of equal ones
+    best = max(candidates, key=lambda candidate: round(candidate[0], 3))[1]
+    others |= {name: "rises as a clock does" for _, name in candidates if name != best}
+    unit, because, sure = "s", "in s, as the file says", True
+    if not own_times:
+        unit, because, sure = _time_unit(best, readings[best], [log.values[best] for log in logs])
+    reason = "by its name" if readings[best].quantities.get("time") else "it rises regularly"
+    intervals = _intervals([log.values[best] for log in logs])
+    assert intervals is not None
+    dt, worst = _period(intervals * TIME[unit])
+    if not SHORTEST_DT <= dt <= LONGEST_DT:
+        return Clock(None, others={**others, best: f"rises, but {dt:.3g} s apart"})
+    return Clock(best, unit, f"{reason}; {because}", dt, worst, sure, others)
+
+
+def _speaks_of_motion(reading: NameReading) -> bool:
+    return reading.quantity is not None and max(reading.quantities.values()) >= 3
+
+
+def _intervals(columns: Sequence[Values]) -> Values | None:
+    """The intervals of a column that rises, restarts aside; None for another one."""
+    steps = np.concatenate([np.diff(column) for column in columns])
+    if not np.isfinite(steps).all() or not len(steps):
+        return None
+    rising = steps > 0
+    # a log of several records restarts its clock; a few repeated stamps do no clock harm
+    if (steps < 0).sum() > max(2, 0.02 * len(steps)) or rising.mean() < 0.97:
+        return None
+    if (~rising).any() and max(map(len, columns)) < _SHORTEST:
+        return None
+    return steps[rising]
+
+
+def _period(intervals: Values) -> tuple[float, float]:
+    """The period of a clock, and the largest deviation from it, gaps aside."""
+    median = float(np.median(intervals))
+    near = intervals[intervals < 1.5 * median]
+    dt = float(near.mean())  # of timestamps in whole ms, 3, 3 and 4 are 3.33
+    kept = intervals[intervals <= _GAP * dt]
+    dt = next((nice for nice in (float(f"{dt:.1g}"), float(f"{dt:.2g}"))
+               if abs(dt / nice - 1) < _ROUND), float(f"{dt:.6g}"))  # fmt: skip
+    return dt, float(np.abs(kept - dt).max(initial=0.0))
+
+
+def _time_unit(name: str, reading: NameReading, columns: Sequence[Values]) -> tuple[str, str, bool]:
+    """The unit of times, the reason, and whether it is sure."""
+    if reading.unit in TIME and reading.quantity == "time":
+        return reading.unit, f"in {reading.unit} by its name", True
+    intervals = _intervals(columns)
+    assert intervals is not None
+    step, first = float(np.median(intervals)), float(columns[0][0])
+    for word, unit in (("millis", "ms"), ("micros", "us"), ("nanos", "ns"), ("ns", "ns"),
+                       ("ms", "ms"), ("us", "us"), ("nsec", "ns"), ("nsecs", "ns")):  # fmt: skip
+        if word in reading.words:
+            return unit, f"in {unit} by its name", True
+    for unit, low, high in _EPOCHS:
+        if low < first < high and _PERIODS[0] <= step * TIME[unit] <= _PERIODS[1]:
+            return unit, f"in {unit}: it begins at {first:.4g}, a time since 1970", True
+    if any((column != np.round(column)).any() for column in columns):
+        return "s", f"in s: intervals of {step:.4g}", step < _PERIODS[1]
+    fits = [unit for unit in ("ms", "us", "ns") if 5e-4 <= step * TIME[unit] <= _PERIODS[1]]
+    unit = fits[0] if fits else "s" if step < _PERIODS[1] else "ns"
+    if step == 1:
+        return "ms", "in ms? whole numbers 1 apart", False
+    return unit, f"in {unit}: whole numbers {step:.4g} apart", True
+
+
+# --- the records in the logs ---
+
+
+def find_pieces(
+    logs: Sequence[Log], clock: Clock, readings: Mapping[str, NameReading]
+) -> list[Piece]:
+    """The records in the logs: cut where the clock starts again, at gaps, and between episodes."""
+    dt = clock.dt or 0.01
+    episodes = [
+        name
+        for name, reading in readings.items()
+        if _EPISODES & {*reading.words} and _is_episode([log.values[name] for log in logs])
+    ]
+    pieces = []
+    for log in logs:
+        n = len(log)
+        t = (
+            dt * np.arange(n)
+            if clock.column is None
+            else log.values[clock.column] * TIME[clock.unit]
+        )
+        steps = np.diff(t)
+        cuts = {int(k) + 1: "the clock starts again" for k in np.flatnonzero(steps < -dt)}
+        for name in episodes:
+            changed = np.flatnonzero(np.diff(log.values[name]) != 0) + 1
+            cuts |= {int(k): f"'{name}' changes" for k in changed}
+        for k in np.flatnonzero(steps > _GAP * dt):
+            cuts.setdefault(int(k) + 1, f"a gap of {steps[k]:.3g} s")
+        edges = [0, *sorted(cuts), n]
+        for first, stop in pairwise(edges):
+            because = cuts.get(first) or (cuts.get(stop, "") if len(edges) > 2 else "")
+            pieces.append(Piece(log, (first, stop), t[first:stop] - t[first], because))
+    long = [piece for piece in pieces if len(piece.t) >= _SHORTEST]
+    return long or pieces
+
+
+def _is_episode(columns: Sequence[Values]) -> bool:
+    """Whether a column numbers records: whole numbers, few of them, which change rarely."""
+    changes = sum(int((np.diff(column) != 0).sum()) for column in columns)
+    samples = sum(map(len, columns))
+    return all((c == np.round(c)).all() for c in columns) and changes * _SHORTEST < samples
+
+
+def read_names(logs: Sequence[Log]) -> dict[str, NameReading]:
+    """The readings of the names of all columns; `column 3` of a file without names says nothing."""
+    units = logs[0].units
+    return {
+        name: read_name("" if name.startswith(NUMBERED) else name, units.get(name, ""))
+        for name in logs[0].values
+    }

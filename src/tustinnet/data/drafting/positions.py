@@ -1,0 +1,357 @@
+"""Coordinates from position columns: kind, unit, resolution, and the velocity column's unit."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from tustinnet.channels import Kind
+from tustinnet.data.drafting.findings import (
+    Choice,
+    CoordinateChoice,
+    Findings,
+    Question,
+    VelocityChoice,
+    range_text,
+)
+from tustinnet.data.drafting.numbers import Numbers, counts_in_turn, is_decimal
+from tustinnet.data.drafting.relations import find_copy
+from tustinnet.data.units import ANGLE, LENGTH, convert_to_si
+
+_SAME_FACTOR = 0.02  # relative; factors of units this near are equal
+_MOST_RADIANS = 20.0  # an angle without a unit that moves farther is in degrees
+_MOST_METRES = 5.0  # a length without a unit that moves farther is in mm
+_OVERFLOWS = (2.0**16, 2.0**32)  # where counters start again, not encoders
+_COARSE = 1e-4  # of the range; a smaller decimal step is a file's rounding, no resolution
+_USUAL_COUNTS = 4096
+_LEAST_COUNT, _MOST_COUNT = 1e-12, 1e6  # rad or m, as cards have resolutions
+# SI units in units of speeds, of angles and of lengths
+_ANGULAR_SPEEDS = {**{f"{u}/s": f for u, f in ANGLE.items()}, "rpm": 2 * np.pi / 60}
+_LINEAR_SPEEDS = {**{f"{u}/s": f for u, f in LENGTH.items()}, "km/h": 1 / 3.6}
+# counts in a turn of usual encoders, the most usual first
+_USUAL = (
+    4096, 2048, 8192, 1024, 16384, 512, 65536, 2000, 4000, 1000, 10000, 2400, 20000, 1440, 3600,
+    1200, 2880, 2500, 500, 360, 8000, 5000, 1600, 3200, 40000,
+)  # fmt: skip
+_SENSORS = {"tacho", "tachometer", "gyro", "imu", "resolver", "drehrate"}
+
+
+def describe_coordinate(
+    column: str,
+    name: str,
+    velocity: str | None,
+    input_kind: Kind | None,
+    findings: Findings,
+    choice: Choice,
+) -> CoordinateChoice:
+    """A coordinate with its kind and unit, which the first of several kinds of evidence decides.
+
+    Args:
+        column: its column.
+        name: its name.
+        velocity: its velocity column, if there is one.
+        input_kind: the kind of coordinate that the inputs move, if they say so.
+        findings: what is known of the columns.
+        choice: receives questions.
+    """
+    numbers = findings.numbers[column]
+    because = list(findings.verdicts[column].reasons)
+    doubts: list[str] = []
+    factor = findings.slopes.between(column, velocity)[1] if velocity else None
+    speed = findings.readings[velocity].unit if velocity else ""
+    kind = _find_kind(column, velocity, input_kind, findings, because)
+    unit = _find_unit(column, speed, factor, kind, findings, because)
+    if unit is None:
+        unit = _unit_by_size(column, kind, findings, choice, because, doubts)
+    kind = _kind_of_unit(unit, kind)
+    counts = resolution = None
+    if unit != "counts":
+        counts, resolution = _resolution(numbers, unit, kind)
+    elif kind == "angular":
+        counts = _counts(column, speed, factor, findings, choice, because, doubts)
+    else:
+        resolution = _length_of_count(column, speed, factor, findings, choice, doubts)
+    return CoordinateChoice(
+        column, name, kind, unit, counts, resolution,
+        _velocity(column, velocity, unit, kind, factor, findings), tuple(because), tuple(doubts),
+    )  # fmt: skip
+
+
+def _find_kind(
+    column: str, velocity: str | None, input_kind: Kind | None, findings: Findings,
+    because: list[str],
+) -> Kind | None:  # fmt: skip
+    """The kind of a position: by wraps, by its name, by its velocity's, by what drives it."""
+    reading = findings.readings[column]
+    if findings.numbers[column].wrap is not None and not reading.unit:
+        return "angular"
+    kind = reading.kind or (findings.readings[velocity].kind if velocity else None)
+    if kind is None and input_kind is not None:
+        driver = "torque" if input_kind == "angular" else "force"
+        because.append(f"{input_kind}, by the {driver} that drives it")
+        return input_kind
+    return kind
+
+
+def _find_unit(
+    column: str, speed: str, factor: float | None, kind: Kind | None, findings: Findings,
+    because: list[str],
+) -> str | None:  # fmt: skip
+    """The unit of a position: as answered, by its name, wraps, velocity, steps; else None."""
+    reading, numbers = findings.readings[column], findings.numbers[column]
+    answer = findings.answers.get(f"unit {column}")
+    if answer is not None:
+        because.append(f"in {answer} as you say")
+        return answer
+    # whole numbers are no radians: a word, as the German one for a wheel
+    is_word = reading.unit == "rad" and numbers.whole and not reading.in_brackets
+    if reading.unit and not is_word and _is_card_unit(reading.unit):
+        return reading.unit
+    if numbers.wrap is not None:
+        return _unit_of_turn(numbers.wrap)
+    if unit := _unit_by_velocity(numbers, speed, factor, kind):
+        because.append(f"in {unit} by its velocity")
+        return unit
+    if unit := _unit_by_steps(numbers, kind):
+        because.append(f"in {unit} by its steps of {numbers.count:.6g}")
+        return unit
+    return None
+
+
+def _unit_of_turn(turn: float) -> str:
+    """The unit in which a turn has a length."""
+    if turn == 360.0:
+        return "deg"
+    return "counts" if turn > 7 else "rev" if turn == 1.0 else "rad"
+
+
+def _kind_of_unit(unit: str, kind: Kind | None) -> Kind:
+    """The kind of a position in a unit; counts are of either kind."""
+    if unit == "counts":
+        return kind or "angular"
+    if unit in ANGLE:
+        return "angular"
+    try:
+        return "angular" if unit not in LENGTH and convert_to_si(unit)[1] == "rad" else "linear"
+    except ValueError:
+        return "linear"
+
+
+def _is_card_unit(unit: str) -> bool:
+    """Whether cards know a unit."""
+    if unit in (*ANGLE, *LENGTH, "counts"):
+        return True
+    try:
+        convert_to_si(unit)
+    except ValueError:
+        return False
+    return True
+
+
+def _resolution(numbers: Numbers, unit: str, kind: Kind) -> tuple[int | None, float | None]:
+    """Counts in a turn, or the step of a position [rad or m], where it moves in steps."""
+    step = numbers.count
+    if step is None or numbers.levels or numbers.range is None:
+        return None, None
+    if kind == "angular" and unit in ANGLE:
+        counts = counts_in_turn(step, 2 * np.pi / ANGLE[unit])
+        if counts is not None:
+            return counts, None
+    size = (ANGLE | LENGTH).get(unit)
+    is_coarse = step > _COARSE * (numbers.range[1] - numbers.range[0])
+    if size is None or not (is_coarse or not is_decimal(step)):
+        return None, None
+    resolution = float(f"{step * size:.6g}")
+    return None, resolution if _LEAST_COUNT < resolution < _MOST_COUNT else None
+
+
+def _unit_by_velocity(
+    numbers: Numbers, velocity_unit: str, factor: float | None, kind: Kind | None
+) -> str:
+    """The unit of a position by the factor of its velocity, empty where it says none."""
+    if factor is None or factor <= 0:
+        return ""
+    tables: list[tuple[Mapping[str, float], Mapping[str, float]]] = []
+    if kind != "linear":
+        tables.append((ANGLE, _ANGULAR_SPEEDS))
+    if kind != "angular":
+        tables.append((LENGTH, _LINEAR_SPEEDS))
+    for units, speeds in tables:
+        for unit in (u for u in units if u not in ("in", "um", "mrad")):
+            for speed, size in speeds.items():
+                # a factor of 1 without any unit says only that both have the same
+                if speed != velocity_unit and (velocity_unit or speed == f"{unit}/s"):
+                    continue
+                if abs(factor * size / units[unit] - 1) < _SAME_FACTOR:
+                    # counts may have any factor
+                    return "" if numbers.whole and not velocity_unit else unit
+    if numbers.whole and numbers.largest > 50 and _counts_by_velocity(velocity_unit, factor):
+        return "counts"
+    return ""
+
+
+def _unit_by_steps(numbers: Numbers, kind: Kind | None) -> str:
+    """The unit of a position by the step of its encoder, empty where that says none."""
+    step = numbers.count
+    if step is None:
+        return ""
+    if numbers.whole and abs(step - 1) < 1e-6:
+        return "counts"
+    if kind == "linear" or is_decimal(step):
+        return ""
+    for unit, turn in (("deg", 360.0), ("rad", 2 * np.pi), ("rev", 1.0)):
+        if counts_in_turn(step, turn) is not None:
+            return unit
+    return ""
+
+
+def _unit_by_size(
+    column: str, kind: Kind | None, findings: Findings, choice: Choice, because: list[str],
+    doubts: list[str],
+) -> str:  # fmt: skip
+    """The unit of a position by its range, with a question where that is not clear."""
+    numbers = findings.numbers[column]
+    unit, is_clear = _usual_unit(numbers, kind or "angular")
+    reason = f"in {unit} by its range {range_text(numbers)}"
+    if kind is not None and is_clear:
+        because.append(reason)
+        return unit
+    doubts.append(f"the unit: {reason}" + ("" if kind else ", if it is an angle"))
+    text = f"unit of the position '{column}' (range {range_text(numbers)})"
+    options = ("rad", "deg", "counts", "m", "mm")
+    choice.questions.append(Question(f"unit {column}", text, unit, options))
+    return unit
+
+
+def _usual_unit(numbers: Numbers, kind: Kind) -> tuple[str, bool]:
+    """The usual unit of positions of some size, and whether the size is clear."""
+    if numbers.whole and numbers.distinct > 2:
+        return "counts", True
+    if kind == "linear":
+        if numbers.largest <= _MOST_METRES:
+            return "m", numbers.largest <= 3
+        return "mm", numbers.largest > 30
+    if numbers.largest <= _MOST_RADIANS:
+        return "rad", numbers.largest <= 2.5 * np.pi
+    return "deg", 30 < numbers.largest <= 400
+
+
+def _counts_by_velocity(velocity_unit: str, factor: float | None) -> int | None:
+    """Counts in a turn, by the factor from a position in counts to a velocity in a known unit."""
+    if velocity_unit not in _ANGULAR_SPEEDS or not factor or factor <= 0:
+        return None
+    counts = 2 * np.pi / _ANGULAR_SPEEDS[velocity_unit] / factor
+    for usual in _USUAL:
+        if abs(counts / usual - 1) < _SAME_FACTOR / 2:
+            return usual
+    return round(counts) if counts >= 1 else None
+
+
+def _counts_by_copy(column: str, findings: Findings) -> int | None:
+    """Counts in a turn, by another column that is the position in rad or degrees."""
+    for other, reading in findings.readings.items():
+        if other == column or reading.unit not in ANGLE or other not in findings.samples:
+            continue
+        factor = find_copy(findings.samples[column], findings.samples[other])
+        if factor:
+            return round(2 * np.pi / ANGLE[reading.unit] / abs(factor))
+    return None
+
+
+def _counts(
+    column: str, speed: str, factor: float | None, findings: Findings, choice: Choice,
+    because: list[str], doubts: list[str],
+) -> int:  # fmt: skip
+    """Counts in a turn: as answered, by wraps, by velocity or copy, or assumed with a question."""
+    turn = findings.numbers[column].wrap
+    key = f"counts {column}"
+    if key in findings.answers:
+        because.append(f"{findings.answers[key]} counts in a turn as you say")
+        return int(float(findings.answers[key]))
+    counts = round(turn) if turn and turn not in _OVERFLOWS else None
+    counts = counts or _counts_by_velocity(speed, factor) or _counts_by_copy(column, findings)
+    if counts is not None:
+        because.append(f"{counts} counts in a turn")
+        return counts
+    overflow = f", which starts again at {turn:.0f}" if turn else ""
+    text = f"counts in a turn of the encoder '{column}'{overflow}"
+    choice.questions.append(Question(key, text, str(_USUAL_COUNTS), is_number=True))
+    doubts.append(f"counts in a turn: {_USUAL_COUNTS} is assumed")
+    return _USUAL_COUNTS
+
+
+def _length_of_count(
+    column: str, velocity_unit: str, factor: float | None, findings: Findings, choice: Choice,
+    doubts: list[str],
+) -> float:  # fmt: skip
+    """The length of a count [m], by its velocity, as answered, or as assumed with a question."""
+    key = f"resolution {column}"
+    if key in findings.answers:
+        return float(findings.answers[key])
+    if velocity_unit in _LINEAR_SPEEDS and factor:
+        return float(f"{factor * _LINEAR_SPEEDS[velocity_unit]:.4g}")
+    text = f"length of a count of '{column}' [m]"
+    choice.questions.append(Question(key, text, "1e-05", is_number=True))
+    doubts.append("the length of a count: 1e-05 m is assumed")
+    return 1e-5
+
+
+# --- velocities ---
+
+
+def _velocity(
+    column: str, velocity: str | None, unit: str, kind: Kind, factor: float | None,
+    findings: Findings,
+) -> VelocityChoice | None:  # fmt: skip
+    """The velocity column of a coordinate with its unit: by its name, else by the factor."""
+    if velocity is None or factor is None:
+        return None
+    measured, because = _is_measured(column, velocity, findings)
+    speed: str | None = findings.readings[velocity].unit or None
+    if speed is None and unit in (*ANGLE, *LENGTH):
+        units = ANGLE if kind == "angular" else LENGTH
+        speeds = _ANGULAR_SPEEDS if kind == "angular" else _LINEAR_SPEEDS
+        for candidate in (f"{unit}/s", *speeds):
+            if abs(factor * speeds[candidate] / units[unit] - 1) < 2 * _SAME_FACTOR:
+                speed = candidate
+                because += f"; in {candidate} by its size"
+                break
+    elif speed is None and unit == "counts" and kind == "angular" and abs(factor - 1) > 0.05:
+        because += "; check its unit"
+    return VelocityChoice(velocity, speed, measured, because)
+
+
+def _is_measured(position: str, velocity: str, findings: Findings) -> tuple[bool, str]:
+    """Whether a velocity column has a sensor of its own, and the reason."""
+    words = {*findings.readings[velocity].words}
+    if found := words & _SENSORS:
+        return True, f"a sensor of its own by its name ('{found.pop()}')"
+    if findings.readings[velocity].qualifier == "measured" and words & {"meas", "measured", "mess"}:
+        return True, "measured by its name"
+    a = np.concatenate([np.gradient(q) for q in findings.samples[position]])
+    b = np.concatenate(list(findings.samples[velocity]))
+    if np.ptp(a) and np.ptp(b) and np.corrcoef(a, b)[0, 1] > 0.9999:
+        return False, "computed from the positions: it is their difference"
+    return False, "taken for computed from the positions; measured = true if by a sensor of its own"
+
+
+def describe_speed(column: str, name: str, findings: Findings, choice: Choice) -> CoordinateChoice:
+    """A speed as a coordinate of its own, where no position is measured."""
+    reading, numbers = findings.readings[column], findings.numbers[column]
+    unit, doubts = reading.unit, []
+    key = f"unit {column}"
+    if key in findings.answers:
+        unit = findings.answers[key]
+    elif not unit:
+        unit = "m/s" if reading.kind == "linear" else "rpm" if numbers.largest > 300 else "rad/s"
+        doubts = [f"the unit: {unit} by its range {range_text(numbers)}"]
+        options = ("rad/s", "rpm", "deg/s", "m/s", "mm/s", "V")
+        choice.questions.append(
+            Question(
+                key, f"unit of the speed '{column}' (range {range_text(numbers)})", unit, options
+            )
+        )
+    because = (
+        *findings.verdicts[column].reasons,
+        "no position is measured, so the speed is the coordinate (docs/how-to/speed-only.md)",
+    )
+    return CoordinateChoice(column, name, "linear", unit, because=because, doubts=tuple(doubts))

@@ -1,0 +1,59 @@
+"""Figure of a drafted card: every column of a record, and what it was taken for."""
+
+import textwrap
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from tustinnet.data.drafting.draft import Draft, DraftColumn
+from tustinnet.report.figures import COLOURS, INPUT, MEASURED, figure_style, plot_line
+
+_COLOURS = {
+    "time": COLOURS[4], "coordinate": MEASURED, "velocity": COLOURS[2], "input": INPUT,
+    "set point": COLOURS[1],
+}  # fmt: skip
+_UNUSED = "#8f8f8f"
+_MOST = 30  # columns that are drawn, those of the card first
+_COLUMNS = 2
+_WIDTH = 92  # characters of a line of a title
+_LINES = 3  # of a title
+
+
+def draft_figure(draft: Draft) -> Figure:
+    """Figure of every column over time for a typical record, with the reasons for its role."""
+    piece = draft.typical
+    drawn = sorted(draft.columns, key=lambda c: not c.use)[:_MOST]
+    drawn = [column for column in draft.columns if column in drawn]
+    rows = -(-len(drawn) // _COLUMNS)
+    with figure_style():
+        figure = Figure(figsize=(11.0, 1.75 * rows + 0.9), layout="constrained")
+        panels = figure.subplots(rows, _COLUMNS, squeeze=False, sharex=True)
+        for axes, column in zip(panels.ravel(), drawn, strict=False):
+            values = piece.column(column.name)
+            is_shown = column.use or column.role == "set point"
+            colour = _COLOURS[column.use or column.role] if is_shown else _UNUSED
+            style = "steps-post" if column.use == "input" and column.numbers.levels else "default"
+            finite = np.where(np.isfinite(values), values, np.nan)
+            plot_line(axes, piece.t, finite, color=colour, linewidth=0.9, drawstyle=style)
+            axes.set_title(_title(column), loc="left", fontsize=7.5, color=colour)
+            axes.tick_params(labelsize=7)
+            axes.ticklabel_format(useOffset=False)
+        for axes in panels.ravel()[len(drawn) :]:
+            axes.set_axis_off()
+        for axes in panels.ravel()[: len(drawn)][-_COLUMNS:]:
+            axes.set_xlabel("time [s]")
+            axes.tick_params(labelbottom=True)
+        place = piece.log.place
+        rows_text = "" if piece.whole else f", rows {piece.rows[0]} to {piece.rows[1]}"
+        more = len(draft.columns) - len(drawn)
+        left_out = f"; {more} more columns are not drawn" if more else ""
+        figure.suptitle(f"{place}{rows_text}: what each column was taken for{left_out}", fontsize=9)
+        return figure
+
+
+def _title(column: DraftColumn) -> str:
+    """Name, use, unit and reasons of a column on a few lines."""
+    unit = f" [{column.unit}]" if column.unit else ""
+    text = f"{column.name}: {column.use or 'not used'}{unit}; {column.because}"
+    lines = textwrap.wrap(text, _WIDTH)
+    return "\n".join(lines[:_LINES]) + (" ..." if len(lines) > _LINES else "")

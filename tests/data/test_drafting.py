@@ -1,0 +1,108 @@
+"""Drafts of data cards for the folders of made-up laboratories."""
+
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from laboratories import EVERY, Truth
+
+import tustinnet as tn
+from tustinnet.data.drafting.draft import draft_card
+
+Laboratory = Callable[[Path], Truth]
+
+
+def draft(folder: Path) -> dict[str, Any]:
+    """The card that is drafted for all files of a folder; it is written there and loads."""
+    files = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
+    text = draft_card(folder, files).text
+    (folder / "dataset.toml").write_text(text, encoding="utf-8")
+    return tomllib.loads(text)
+
+
+def differences(card: dict[str, Any], truth: Truth, data: tn.DataSet) -> list[str]:
+    """What a card says otherwise than the truth, a sentence each."""
+    declared = {
+        "time": (str(card.get("time", {}).get("column")), card.get("time", {}).get("unit")),
+        "coordinates": {str(c["column"]): (c["kind"], c["unit"]) for c in card["coordinates"]},
+        "inputs": {str(i["column"]): i["unit"] for i in card.get("inputs", [])},
+        "velocities": {
+            str(c["column"]): str(c["velocity"]["column"])
+            for c in card["coordinates"]
+            if "velocity" in c
+        },
+    }
+    expected = {
+        "time": (str(truth.time), truth.time_unit if truth.time else None),
+        "coordinates": dict(truth.coordinates),
+        "inputs": dict(truth.inputs),
+        "velocities": dict(truth.velocities),
+    }
+    found = [
+        f"{key}: {declared[key]}, not {expected[key]}"
+        for key in expected
+        if declared[key] != expected[key]
+    ]
+    counts = {c["column"]: c.get("counts_per_revolution") for c in card["coordinates"]}
+    found += [
+        f"counts of {c}: {counts.get(c)}" for c, n in truth.counts.items() if counts.get(c) != n
+    ]
+    if abs(card["dt"] / truth.dt - 1) > 1e-3:
+        found.append(f"dt: {card['dt']}, not {truth.dt}")
+    enough = len(data) == truth.records if truth.records > 0 else len(data) >= -truth.records
+    if not enough:
+        found.append(f"{len(data)} records, not {truth.records}")
+    for kind in truth.kinds:
+        splits = {e.split for e in data if e.name.startswith(kind)}
+        if not {"train", "validation"} <= splits:
+            found.append(f"splits of '{kind}': {splits}")
+    for names in truth.together:
+        if len({e.split for e in data if e.name in names}) != 1:
+            found.append(f"{sorted(names)} in several splits")
+    return found
+
+
+@pytest.mark.parametrize("laboratory", EVERY, ids=lambda f: f.__name__)
+def test_the_draft_says_what_a_person_would_say(laboratory: Laboratory, tmp_path: Path) -> None:
+    truth = laboratory(tmp_path)
+    card = draft(tmp_path)
+    assert differences(card, truth, tn.load(tmp_path)) == []
+
+
+NAMES = [
+    "t", "time", "a", "x", "q1", "dq1", "u", "I", "pos [mm]", "n_ist [1/min]", "soll", "Flag",
+    "index", "episode_index", "theta", "thetadot", "K [°C]", "1", "", "p/bar", "tau_cmd", '"q"',
+    "ä", "a.b.c", "[x]", "/", "_deg", "v_m",
+]  # fmt: skip
+
+
+def any_columns(rng: np.random.Generator, samples: int) -> dict[str, np.ndarray]:
+    """Columns of any names and numbers, most of which make no sense."""
+    k = np.arange(samples)
+    courses = [
+        0.01 * k, 0.0 * k, rng.normal(size=samples), rng.normal(size=samples).cumsum(),
+        np.round(10 * rng.normal(size=samples).cumsum()), 1e9 * k + 1.7e18,
+        rng.integers(0, 2, samples).astype(float), 1e99 * rng.normal(size=samples),
+        np.where(rng.random(samples) < 0.1, np.nan, 0.1 * k),
+        np.repeat(rng.normal(size=samples), 9),
+    ]  # fmt: skip
+    names = rng.choice(NAMES, rng.integers(1, 9), replace=False)
+    return {str(name): courses[rng.integers(len(courses))][:samples] for name in names}
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_any_columns_make_a_card_that_loads_or_are_refused(seed: int, tmp_path: Path) -> None:
+    rng = np.random.default_rng(seed)
+    samples = int(rng.choice([2, 7, 40, 300]))
+    pl.DataFrame(any_columns(rng, samples)).write_csv(tmp_path / "log.csv")
+    try:
+        made = draft_card(tmp_path, ["log.csv"])
+        made.require_readable(tmp_path)
+    except tn.InputError:
+        return
+    (tmp_path / "dataset.toml").write_text(made.text, encoding="utf-8")
+    tn.load(tmp_path)
