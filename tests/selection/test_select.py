@@ -20,7 +20,7 @@ from tustinnet.evaluate.bands import Calibration
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.fitting.gradient.epoch import _run
 from tustinnet.selection import choice as chosen
-from tustinnet.selection import deadline, final_models, jobs, scoring
+from tustinnet.selection import deadline, final_models, halving, jobs, scoring
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.jobs import Job
 from tustinnet.selection.plan import read_plan
@@ -34,6 +34,14 @@ from tustinnet.store.header import read_header
 from tustinnet.store.model_file import read_system_name
 from tustinnet.store.run import Earlier, fit_in_folder
 from tustinnet.systems.files import find_system
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _rough_models():
+    """Networks of a few epochs are far off over whole records, by which they are judged here."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(halving, "_FAR", 1.0)
+        yield
 
 
 def selected(folder: Path, earlier: Earlier = "refuse", data=None, **changes):
