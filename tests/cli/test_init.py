@@ -114,10 +114,10 @@ def test_records_that_cannot_be_used_are_left_out(logs, capsys):
     frame = pl.read_csv(logs / "run2.csv")
     frame.with_columns(cnt=pl.lit(7)).write_csv(logs / "run6.csv")
     frame.rename({"cnt": "zaehler"}).write_csv(logs / "other.csv")
-    (logs / "notes.txt").write_text("dear diary")
+    (logs / "diary.txt").write_text("dear diary")
     code, _, err = tustinnet(capsys, "init", logs, "--yes")
     assert code == 0, err
-    for message in ("run6.csv: nothing moves", "other.csv: other columns", "notes.txt"):
+    for message in ("run6.csv: nothing moves", "other.csv: other columns", "diary.txt"):
         assert f"left out: {message}" in err or f"left out: {logs / message}" in err
     assert len(tn.load(logs)) == 5
 
