@@ -60,7 +60,8 @@ class ToyFamily(TrainedFamily):
 
     def restore(self, header, arrays, system, where):
         channels = Channels.from_header(header)
-        blank = Scaling(*(jnp.zeros(n) for n in (0, 0, channels.n_q, channels.n_u, channels.n_q)))
+        none, by_coordinate = jnp.zeros(0), jnp.zeros(channels.n_q)
+        blank = Scaling(none, none, by_coordinate, jnp.zeros(channels.n_u), by_coordinate)
         return restore_arrays(
             lambda: make(channels, blank, jax.random.key(0), header["bias"]), arrays
         )
