@@ -22,27 +22,34 @@ def read_text(path: Path, header: bool | None, delimiter: str) -> Columns:
 
     Blank lines and lines that begin with `#` are no rows. Every other line is one: a quote that
     would make one row of several lines is refused. Errors name the rows of the file as it is.
+    Where the rows begin with a sample, the last line before them that begins with `#` is the
+    header if it has a name for every column.
     """
-    lines = _lines(path, delimiter)
+    lines, comment = _lines(path, delimiter)
     table = _cells(path, lines, delimiter)
     first = [(cell or "").strip() for cell in table.row(0)]
     texts = [cell for cell in first if cell]
     is_sample = bool(texts) and all(_NUMBER.fullmatch(text) for text in texts)
-    if header and is_sample:
+    commented = _names_in(comment, delimiter, len(first)) if is_sample and header is not False else []
+    if commented:
+        lines.insert(0, (lines[0][0], comment))
+        first = commented
+    if header and is_sample and not commented:
         raise InputError(
             f"{path} row {lines[0][0]}",
             "only numbers where the names of the columns should be",
             "a header, as `header = true` says",
             "if the file has none, set `header = false` under [format], or leave it out",
         )
-    has_header = not is_sample if header is None else header
+    has_header = bool(commented) or (not is_sample if header is None else header)
     if len(lines) <= has_header:
         raise InputError(path, "the file holds no samples", "rows of numbers")
     numbered = [f"{NUMBERED}{number}" for number in range(1, table.width + 1)]
     names = [a or b for a, b in zip(first, numbered, strict=True)] if has_header else numbered
     require_different(names, path)
     index = {name: column for column, name in enumerate(names)}
-    rows, table = [row for row, _ in lines[has_header:]], table.slice(int(has_header))
+    rows = [row for row, _ in lines[has_header:]]
+    table = table.slice(int(has_header and not commented))
 
     def read(requested: list[str]) -> list[Column]:
         doubtful = next((name for name in requested if _NUMBER.fullmatch(name)), None)
@@ -58,26 +65,41 @@ def read_text(path: Path, header: bool | None, delimiter: str) -> Columns:
             for name in requested
         ]
 
-    notes = ("no header: the first row is a sample",) if header is None and is_sample else ()
+    notes = ()
+    if header is None and is_sample:
+        notes = (
+            ("the header is the line of names that begins with #",) if commented
+            else ("no header: the first row is a sample",)
+        )  # fmt: skip
     return Columns(names, read, rows, notes)
 
 
-def _lines(path: Path, delimiter: str) -> Lines:
+def _lines(path: Path, delimiter: str) -> tuple[Lines, str]:
+    """The rows of a file, and the last line before them that begins with `#`, without that."""
     content = path.read_bytes()
     if b"\0" in content or content.startswith((b"\xff\xfe", b"\xfe\xff")):  # zeros or UTF-16
         raise InputError(
             path, "not a text file in UTF-8", "rows of numbers as text", "save it as UTF-8"
         )
     text = content.decode("utf-8-sig", "replace").replace("\r\n", "\n").replace("\r", "\n")
-    lines = [
-        (row, line)
-        for row, line in enumerate(text.split("\n"), start=1)
+    lines: Lines = []
+    comment = ""
+    for row, line in enumerate(text.split("\n"), start=1):
+        if line.startswith("#"):
+            comment = comment if lines else line.lstrip("#")
         # empty cells between tabs are a row
-        if (line.strip() or (delimiter == "\t" and "\t" in line)) and not line.startswith("#")
-    ]
+        elif line.strip() or (delimiter == "\t" and "\t" in line):
+            lines.append((row, line))
     if not lines:
         raise InputError(path, "the file holds no samples", "rows of numbers")
-    return lines
+    return lines, comment
+
+
+def _names_in(comment: str, delimiter: str, width: int) -> list[str]:
+    """The names of all columns in a comment, none where it is something else."""
+    cells = [cell.strip().strip('"') for cell in comment.strip().split(delimiter)]
+    is_header = len(cells) == width and all(cells) and len(set(cells)) == width
+    return cells if is_header and not any(map(_NUMBER.fullmatch, cells)) else []
 
 
 def _cells(path: Path, lines: Lines, delimiter: str) -> "pl.DataFrame":
