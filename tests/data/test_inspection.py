@@ -8,7 +8,8 @@ import pytest
 from balancing import balanced
 
 import tustinnet as tn
-from tustinnet.data.inspection import inspect_experiment, still_coordinates, transient_end
+from tustinnet.check.report import inspect_experiment
+from tustinnet.data.inspection import still_coordinates, transient_end
 from tustinnet.systems.qube_servo2_twin import twin
 
 DT = 0.01

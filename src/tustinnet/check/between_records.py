@@ -196,7 +196,7 @@ def _delay_input(k: int) -> Callable[[np.ndarray, np.ndarray, float], Arrays]:
 
 
 def _swap_positions(i: int, j: int) -> Callable[[np.ndarray, np.ndarray, float], Arrays]:
-    def undo(q: np.ndarray, u: np.ndarray, size: float) -> Arrays:  # noqa: ARG001
+    def undo(q: np.ndarray, u: np.ndarray, size: float) -> Arrays:
         q = q.copy()
         q[:, [i, j]] = q[:, [j, i]]
         return q, u
@@ -205,7 +205,7 @@ def _swap_positions(i: int, j: int) -> Callable[[np.ndarray, np.ndarray, float],
 
 
 def _swap_inputs(i: int, j: int) -> Callable[[np.ndarray, np.ndarray, float], Arrays]:
-    def undo(q: np.ndarray, u: np.ndarray, size: float) -> Arrays:  # noqa: ARG001
+    def undo(q: np.ndarray, u: np.ndarray, size: float) -> Arrays:
         u = u.copy()
         u[:, [i, j]] = u[:, [j, i]]
         return q, u
@@ -395,7 +395,9 @@ def _describe(view: RecordView, verdict: _Verdict) -> Finding:
     names, shown = suspicion.channels, " and ".join(suspicion.channels)
     is_input = bool(names) and names[0] in {i.name for i in e.inputs}
     unit = _unit(e.channels, names[0]) if names else ""
-    drop = f"the model of the others leaves {verdict.after / verdict.before:.2g} of its residual then"
+    drop = (
+        f"the model of the others leaves {verdict.after / verdict.before:.2g} of its residual then"
+    )
     line = input_line if is_input else coordinate_line
     in_file = "in a card of its own, " if names else ""
     if suspicion.check == "sign":
@@ -428,7 +430,9 @@ def _describe(view: RecordView, verdict: _Verdict) -> Finding:
         what = "the record has another sampling period than the others"
         evidence = f"{1e3 * size * e.dt:.4g} ms against {1e3 * e.dt:.4g} ms; {drop}"
         remedy = f"in a card of its own, {top_line(f'dt = {size * e.dt:.4g}')}"
-    return view.finding(suspicion.check, "severe", what, evidence, remedy, names[0] if names else "")
+    return view.finding(
+        suspicion.check, "severe", what, evidence, remedy, names[0] if names else ""
+    )
 
 
 def _offset(block: object) -> float:

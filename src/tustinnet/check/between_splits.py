@@ -173,7 +173,9 @@ def _alike(
         return
     moving = np.array([transients.is_moving(e.q) for e in records])
     swing = np.array([e.q[:_LONGEST].std(axis=0) for e in records])
-    widest = int(np.argmax(np.median(swing * moving, axis=0) / np.maximum(swing.max(axis=0), 1e-300)))
+    widest = int(
+        np.argmax(np.median(swing * moving, axis=0) / np.maximum(swing.max(axis=0), 1e-300))
+    )
     size = 1 << int(np.ceil(np.log2(2 * max(min(len(e), _LONGEST) for e in records))))
     signals = [_whitened(e.q[:_LONGEST, widest]) for e in records]
     spectra = [np.fft.rfft(s, size) for s in signals]

@@ -8,7 +8,6 @@ from tustinnet.check import between_splits, excitation, in_record
 from tustinnet.check.between_records import compare_records
 from tustinnet.check.excitation import null_space
 from tustinnet.check.finding import Finding, merge_findings, sort_findings
-from tustinnet.check.motion_model import fit_motion_model, make_regressors
 from tustinnet.check.scale_of_angles import scale_of_angles
 from tustinnet.check.view import RecordView
 from tustinnet.data.card import Card
@@ -18,9 +17,7 @@ from tustinnet.data.experiment import Experiment
 _EXPLAINS = {"angle unit", "counter", "magnitude", "dead sensor"}
 
 
-def check_records(
-    records: Iterable[Experiment], card: Card | None = None
-) -> tuple[Finding, ...]:
+def check_records(records: Iterable[Experiment], card: Card | None = None) -> tuple[Finding, ...]:
     """Finds what is wrong with records before a model is fitted to them.
 
     Args:
@@ -70,7 +67,4 @@ def _check_together(views: Sequence[RecordView], alone: Sequence[Finding]) -> It
     if scales:
         return
     yield from compare_records(sound)
-    regressors = make_regressors(sound)
-    model = regressors and fit_motion_model(regressors, sound, np.ones(len(sound)))
-    if model is not None:
-        yield from null_space(sound, model)
+    yield from null_space(sound)

@@ -7,7 +7,7 @@ import numpy as np
 
 from tustinnet.check.card_lines import coordinate_line, input_line
 from tustinnet.check.finding import Finding, Severity
-from tustinnet.check.motion_model import MotionModel
+from tustinnet.check.motion_model import make_regressors, record_equations
 from tustinnet.check.view import RecordView
 
 _COPY = 2.0  # counts, by which two columns of one sensor differ at most
@@ -114,11 +114,13 @@ def speeds(views: Sequence[RecordView]) -> Iterator[Finding]:
         )  # fmt: skip
 
 
-def null_space(views: Sequence[RecordView], model: MotionModel) -> Iterator[Finding]:
+def null_space(views: Sequence[RecordView]) -> Iterator[Finding]:
     """Combinations of terms of equations of motion that the records do not tell apart."""
-    regressors = model.regressors
+    regressors = make_regressors(views)
+    if regressors is None:
+        return
     chosen = [k for k, name in enumerate(regressors.names) if _is_simple(name)]
-    right = np.concatenate([e.right for e in model.equations])[:, chosen]
+    right = np.concatenate([e.right for e in record_equations(regressors, views)])[:, chosen]
     names = [regressors.names[k] for k in chosen]
     # an angle and a length that stand still are said elsewhere
     size = np.sqrt(np.mean(right**2, axis=0))
@@ -155,4 +157,3 @@ def _finding(
 
 
 CHECKS = (still_inputs, poor_inputs, dependent_coordinates, speeds)
-

@@ -4,7 +4,7 @@ Every check is a generator of findings from a view of a record. `CHECKS` lists t
 the report; a new one is a function and a line there.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from typing import Literal
 
 import numpy as np
@@ -477,7 +477,9 @@ def velocities(view: RecordView) -> Iterator[Finding]:
         elif abs(gain - 1) > _OTHER_GAIN and correlation > _HIGH_CORRELATION:
             name = min(_RATIOS, key=lambda name: abs(np.log(gain / _RATIOS[name])))
             is_unit = abs(gain / _RATIOS[name] - 1) < 0.1
-            key = f'unit = "{name}"' if is_unit else f"unit: the column is {gain:.4g} times too large"
+            key = (
+                f'unit = "{name}"' if is_unit else f"unit: the column is {gain:.4g} times too large"
+            )
             yield _velocity_finding(
                 view, j, "has another unit than", f"{gain:.4g} times the slope, r = "
                 f"{correlation:.3f}", key, "severe")  # fmt: skip
@@ -585,8 +587,7 @@ def dead_band(view: RecordView) -> Iterator[Finding]:
             )  # fmt: skip
 
 
-def _list_rows(rows: Iterable[int]) -> str:
-    rows = list(rows)
+def _list_rows(rows: Int[np.ndarray, " r"]) -> str:
     return ", ".join(str(int(r)) for r in rows[:5]) + (" ..." if len(rows) > 5 else "")
 
 

@@ -204,7 +204,7 @@ def _fast_period(views: Sequence[RecordView], j: int) -> float:
 def _noise_share(views: Sequence[RecordView], half: int, moving: Sequence[int]) -> float:
     """Largest share of noise in the averaged accelerations of a coordinate, in deviations."""
     windows = Windows(half, max(1, half // 2), views[0].experiment.dt)
-    weights = windows._weights()[2]  # noqa: SLF001
+    weights = windows._weights()[2]
     noise = np.median([v.noise for v in views], axis=0) * np.sqrt(weights @ weights)
     parts = [windows.average_second_derivative(v.experiment.q[: 4 * _BLOCK]) for v in views]
     signal = np.concatenate(parts).std(axis=0)
@@ -265,9 +265,7 @@ class MotionModel:
         masks = [np.array([k == kind for k in self.regressors.kinds]) for kind in kinds]
         factors = {kind: np.ones(parameters.shape[1]) for kind in kinds}
         for i in range(parameters.shape[1]):
-            parts = np.stack(
-                [equations.right[:, m] @ parameters[m, i] for m in masks], axis=1
-            )
+            parts = np.stack([equations.right[:, m] @ parameters[m, i] for m in masks], axis=1)
             residual = equations.left[:, i] - equations.right @ parameters[:, i]
             size = np.sqrt(np.mean(parts**2, axis=0))
             size[size == 0] = 1.0
@@ -291,14 +289,10 @@ def fit_motion_model(
         weights: weights of the records; 0 for those that are known to be wrong.
 
     Returns:
-        The model; None where too few windows fit into the records.
+        The model; None of a single record, or where too few windows fit into the records.
     """
-    equations = []
-    for view in views:
-        e = view.experiment
-        blocks = split_into_blocks(e.q, e.u)
-        equations.append(regressors.equations(blocks, stride_for(blocks)))
-    if sum(len(e.left) for e in equations) < 3 * len(regressors.names):
+    equations = record_equations(regressors, views)
+    if len(views) < 2 or sum(len(e.left) for e in equations) < 3 * len(regressors.names):
         return None
     right = np.concatenate([e.right for e in equations])
     scale = np.sqrt(np.mean(right**2, axis=0))
@@ -330,6 +324,15 @@ def fit_motion_model(
         share = weights / (1 + (cost / (2 * np.median(cost[known]))) ** 2)
     own = [_solve([p], np.ones(1), scale, without=None) for p in products]
     return MotionModel(regressors, scale, noise, others, own, equations, weights)
+
+
+def record_equations(regressors: Regressors, views: Sequence[RecordView]) -> list[Equations]:
+    """The equations of each record."""
+    equations = []
+    for view in views:
+        blocks = split_into_blocks(view.experiment.q, view.experiment.u)
+        equations.append(regressors.equations(blocks, stride_for(blocks)))
+    return equations
 
 
 def stride_for(blocks: Sequence[Samples]) -> int:

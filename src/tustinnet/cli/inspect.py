@@ -1,5 +1,6 @@
 """`tustinnet inspect`: the contents of records, before anything is fitted."""
 
+import shlex
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,8 +11,14 @@ from tustinnet.cli import options, request, terminal
 
 if TYPE_CHECKING:
     from tustinnet.channels import Hold
-    from tustinnet.data.inspection import ExperimentReport
+    from tustinnet.check.finding import Finding
+    from tustinnet.check.report import ExperimentReport, Inspection
+    from tustinnet.data.card import Card
+    from tustinnet.data.dataset import DataSet
     from tustinnet.report.tables import Table
+
+_MOST_NAMED = 4  # records of a finding
+_MOST_LINES = 12  # of findings before a fit
 
 _Figure = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Draw the records (.png, .svg, .pdf).")
@@ -35,11 +42,12 @@ def inspect(
     figure: _Figure = None,
     overwrite: options.Redraw = False,
 ) -> None:
-    """Check the records: sampling, encoders, inputs, suspicious rows."""
+    """Check the records: sampling, sensors, inputs, copies, and what they can tell."""
     import dataclasses
 
-    from tustinnet.data.catalog import load
-    from tustinnet.data.inspection import inspect_experiment
+    from tustinnet.check.report import inspect_records
+    from tustinnet.data.catalog import locate
+    from tustinnet.data.loading import load_folder
     from tustinnet.data.readers import is_readable
     from tustinnet.errors import InputError
 
@@ -56,26 +64,38 @@ def inspect(
         return
     inputs = request.list_input_files(data, card)
     request.require_figures("--figure", figure, inputs, overwrite=overwrite)
-    data_set = load(data, card)
+    folder, located_card = locate(data, card)
+    data_set = load_folder(folder, located_card)
     records = request.records_of_split(data_set, split)
-    reports = [inspect_experiment(e) for e in records]
-    if strict:
-        require_sound(reports)
+    inspection = inspect_records(records, located_card)
     if json:
-        terminal.print_json(
-            {"data": data_set.name, "experiments": [dataclasses.asdict(r) for r in reports]}
-        )
+        terminal.print_json({
+            "data": data_set.name,
+            "experiments": [dataclasses.asdict(r) for r in inspection.reports],
+            "findings": [dataclasses.asdict(f) for f in inspection.findings],
+        })  # fmt: skip
     else:
-        _print_reports(reports, data_set.channels.unit)
+        _print_inspection(inspection, data_set.channels.unit)
     if figure is not None:
         from tustinnet.report.figures import inspection_figure, write_figure
 
-        write_figure(inspection_figure(list(records), reports), figure.parent, figure.name)
+        image = inspection_figure(list(records), list(inspection.reports))
+        write_figure(image, figure.parent, figure.name)
         terminal.messages().print(f"figure: {figure}")
+    if strict:
+        require_sound(inspection.findings)
 
 
-def _print_reports(reports: "list[ExperimentReport]", unit: str) -> None:
-    """Prints two tables, and a line for each remark."""
+def print_inspection(data: "DataSet", card: "Card | None" = None) -> None:
+    """Prints the inspection of all records of a data set."""
+    from tustinnet.check.report import inspect_records
+
+    _print_inspection(inspect_records(data, card), data.channels.unit)
+
+
+def _print_inspection(inspection: "Inspection", unit: str) -> None:
+    """Prints two tables, the findings by severity, and a line for each remark."""
+    reports = list(inspection.reports)
     terminal.print_tables(time_table(reports), _channel_table(reports, unit))
     unstable = (
         (r.name, f"holds an unstable position from {r.held.sample * r.dt:.1f} s on (errors grow "
@@ -90,7 +110,7 @@ def _print_reports(reports: "list[ExperimentReport]", unit: str) -> None:
     # the table has the jitter
     notes = ((r.name, text) for r in reports for text in r.notes if "jitter" not in text)
     for line in (
-        *suspicions(reports),
+        *_findings_page(inspection.findings),
         *_merge_remarks("held", unstable),
         *_merge_remarks("hold", holds),
         *_merge_remarks("note", notes),
@@ -133,20 +153,52 @@ def _inspect_file(path: Path, *, json: bool) -> None:
     typer.echo(f"\n# draft of a card; save it as dataset.toml beside the file\n{report.draft}")
 
 
-def suspicions(reports: Iterable["ExperimentReport"]) -> list[str]:
-    """Lines about suspicious rows in records; each remark once, with the names of its records."""
-    return _merge_remarks("suspicious", ((r.name, text) for r in reports for text in r.suspicious))
+def _findings_page(findings: "Iterable[Finding]") -> list[str]:
+    """Lines about all findings: what, how it shows, where, and the line of the card."""
+    lines = []
+    for finding in findings:
+        lines.append(f"{finding.severity}: {finding.what}")
+        lines.append(f"    {finding.size}")
+        if place := _place(finding):
+            lines.append(f"    in {place}")
+        lines.append(f"    mend: {finding.remedy}")
+    return lines
 
 
-def require_sound(reports: Iterable["ExperimentReport"]) -> None:
-    """Raises an error with the first remark on suspicious rows, if there are any."""
+def _place(finding: "Finding") -> str:
+    """The records, the column and the time of a finding."""
+    names = finding.records[:_MOST_NAMED]
+    more = len(finding.records) - len(names)
+    parts = [", ".join(names) + (f" and {more} more" if more else "")] if names else []
+    parts += [f"column {finding.column}"] if finding.column else []
+    parts += [f"from {finding.time:.4g} s on"] if finding.time is not None else []
+    return ", ".join(parts)
+
+
+def warning_lines(findings: "Iterable[Finding]", data: str) -> list[str]:
+    """A line for each severe finding and warning, for commands that go on; of many the first."""
+    serious = [f for f in findings if f.is_serious]
+    lines = []
+    for finding in serious[:_MOST_LINES]:
+        place = _place(finding)
+        lines.append(f"{finding.severity}: {finding.text}" + (f"  [{place}]" if place else ""))
+    if serious:
+        more = len(serious) - len(lines)
+        counted = f"{more} more findings, and how" if more else "how"
+        lines.append(f"note: {counted} to mend them: tustinnet inspect {shlex.quote(data)}")
+    return lines
+
+
+def require_sound(findings: "Iterable[Finding]") -> None:
+    """Raises an error with the first severe finding or warning, if there are any."""
     from tustinnet.errors import InputError
 
-    for r in reports:
-        if r.suspicious:
+    for finding in findings:
+        if finding.is_serious:
+            where = f"record '{finding.records[0]}'" if finding.records else "records"
             raise InputError(
-                f"record '{r.name}'", r.suspicious[0], "records without suspicious rows",
-                "repair it, or omit --strict",
+                where, finding.text, "records without severe findings and warnings",
+                f"{finding.remedy}; or omit --strict",
             )  # fmt: skip
 
 

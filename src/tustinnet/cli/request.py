@@ -166,9 +166,9 @@ def load_records_to_fit(
     data: str, card: Path | None, out: Path, console: "Console", *, strict: bool
 ) -> "DataSet":
     """Loads the records of a fit; prints which are left out, or with `strict` refuses them."""
-    from tustinnet.cli.inspect import require_sound, suspicions
+    from tustinnet.check.check import check_records
+    from tustinnet.cli.inspect import require_sound, warning_lines
     from tustinnet.data.catalog import locate
-    from tustinnet.data.inspection import inspect_experiment
     from tustinnet.data.loading import load_folder
     from tustinnet.simulate.start_rules import DerivedStart
 
@@ -178,10 +178,10 @@ def load_records_to_fit(
     if not strict:
         kept = _leave_out_short([*records], DerivedStart.usual_name(), ())
         records = replace(records, experiments=tuple(kept))
-    reports = [inspect_experiment(e) for e in records]
+    findings = check_records(records, located_card)
     if strict:
-        require_sound(reports)
-    for line in suspicions(reports):
+        require_sound(findings)
+    for line in warning_lines(findings, data):
         console.print(line)
     return records
 

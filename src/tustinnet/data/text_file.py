@@ -30,7 +30,9 @@ def read_text(path: Path, header: bool | None, delimiter: str) -> Columns:
     first = [(cell or "").strip() for cell in table.row(0)]
     texts = [cell for cell in first if cell]
     is_sample = bool(texts) and all(_NUMBER.fullmatch(text) for text in texts)
-    commented = _names_in(comment, delimiter, len(first)) if is_sample and header is not False else []
+    commented = (
+        _names_in(comment, delimiter, len(first)) if is_sample and header is not False else []
+    )
     if commented:
         lines.insert(0, (lines[0][0], comment))
         first = commented
