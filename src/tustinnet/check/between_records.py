@@ -34,16 +34,18 @@ from tustinnet.check.motion_model import (
 from tustinnet.check.view import RecordView
 
 _FEWEST_RECORDS = 3
-_FEWEST_SUSPECTS, _MOST_SUSPECTS, _MOST_TRIALS = 3, 6, 500
+_FEWEST_SUSPECTS, _MOST_SUSPECTS, _MOST_TRIALS = 2, 4, 400
 _MOST_FAULTY = 1 / 3  # of the records
 _POOR = 2.0  # times the usual residual: a record that is worth a closer look
-_DROP = 0.35  # of the residual, which a fault of a record leaves when it is undone
+_DROP = 0.45  # of the residual, which a fault of a record leaves when it is undone
 _USUAL = 3.0  # times the usual residual of the others: so well the model must hold then
+_CLEAR = 0.04  # of the residual: a drop that leaves no doubt
 _EXPLAINED = 0.3  # of the accelerations, at least, by the model when a fault is undone
 _CLEARER = 0.7  # a fault with a number must explain a record so much better than one without
 _PROMISING = 0.75  # of the residual: a size worth refining
 _COMMON = 0.9  # of the usual residual, by which a delay in all records makes it smaller
-_OTHER_MACHINE = 0.3  # of the residual, which other parameters leave
+_OTHER_MACHINE = 0.4  # of the residual, which other parameters leave
+_OTHER_FACTOR, _OTHER_RATIO = np.log(1.6), np.log(2.0)  # of forces, and between two of them
 _POORER = 3.0  # times the usual residual, at least, of a record of another machine
 _COARSE = 2  # times the stride of the fit: windows of a suspicion
 _GOLDEN = 8  # steps of the search for a number
@@ -290,12 +292,21 @@ def _usual_cost(model: MotionModel, without: int) -> float:
 
 
 def _find_suspects(model: MotionModel, suspicions: Sequence[Suspicion]) -> list[int]:
-    """Records that the parameters of the others explain poorly, the poorest first."""
-    cost = _costs(model)
+    """Records that the parameters of the others explain poorly, the poorest first.
+
+    Poor is a residual that is large, or that is a large share of the record's accelerations.
+    """
+    poorness = np.zeros(len(model.equations))
+    shares = np.array([
+        1 - model.explained(e, p) if has_windows(e) else np.nan
+        for e, p in zip(model.equations, model.others, strict=True)
+    ])  # fmt: skip
+    for value in (_costs(model), shares):
+        known = np.isfinite(value) & (model.weights > 0)
+        if known.sum() > 1:
+            poorness = np.fmax(poorness, value / max(float(np.median(value[known])), 1e-300))
     suspects = [
-        int(r)
-        for r in np.argsort(-np.nan_to_num(cost))
-        if model.weights[r] > 0 and cost[r] > _POOR * _usual_cost(model, int(r))
+        int(r) for r in np.argsort(-poorness) if model.weights[r] > 0 and poorness[r] > _POOR
     ]
     trials = sum(len(s.sizes) for s in suspicions)
     return suspects[: int(np.clip(_MOST_TRIALS // trials, _FEWEST_SUSPECTS, _MOST_SUSPECTS))]
@@ -336,9 +347,10 @@ def _judge(
             if suspicion.distance(size) < suspicion.least:
                 continue
         changed = equations(suspicion, size)
-        is_usual = model.cost(changed, parameters) < _USUAL * usual
+        # energetic motion leaves more, whatever is right about its record
+        allowed = max(_USUAL * usual, _CLEAR * before)
         if (
-            after < _DROP * before and is_usual
+            after < _DROP * before and model.cost(changed, parameters) < allowed
             and model.explained(changed, parameters) > _EXPLAINED
         ):  # fmt: skip
             verdicts.append(_Verdict(suspicion, size, before, after))
@@ -478,7 +490,11 @@ def _other_machines(model: MotionModel, views: Sequence[RecordView]) -> Iterator
         for word, kinds in (("friction", ["velocity"]), ("payload", forces)):
             parameters, factors = model.scale_groups(r, kinds)
             after = model.cost(equations, parameters)
-            if after > _OTHER_MACHINE * cost[r] or after > _USUAL * usual:
+            told = [k for k in kinds if k in ("position", "input") or word == "friction"]
+            logs = [np.log(max(f, 0.01)) for kind in told for f in factors[kind]]
+            has_changed = max(map(abs, logs)) > _OTHER_FACTOR or np.ptp(logs) > _OTHER_RATIO
+            explains = after < _OTHER_MACHINE * cost[r]
+            if not (explains and has_changed and (word == "friction" or after < _USUAL * usual)):
                 continue
             sizes = ", ".join(
                 f"{_FORCES[kind]} " + " and ".join(f"{f:.2g}" for f in factors[kind])

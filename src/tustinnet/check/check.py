@@ -56,15 +56,16 @@ def _check_together(views: Sequence[RecordView], alone: Sequence[Finding]) -> It
     """Runs the checks that need several records, or all of them."""
     for check in between_splits.CHECKS:
         yield from check(views)
-    for check in excitation.CHECKS:
-        yield from check(views)
+    excited = [f for check in excitation.CHECKS for f in check(views)]
+    yield from excited
     broken = {(f.channel, name) for f in alone if f.check in _EXPLAINS for name in f.records}
     sound = [v for v in views if not any(name == v.experiment.name for _, name in broken)]
     if len(sound) < max(1, len(views) / 2):
         return
     scales = list(scale_of_angles(sound))
     yield from scales
-    if scales:
+    # without its input, or in another unit, nothing can be asked of the motion
+    if scales or any(f.check == "still input" for f in excited):
         return
     yield from compare_records(sound)
     yield from null_space(sound)

@@ -30,10 +30,13 @@ _QUARTER, _OFTEN = np.pi / 2, 0.05  # no angle moves by this a sample, in this s
 _FARTHEST, _STRONGEST = 1e6, 1e9  # rad or m, and units of an input, which no mechanism reaches
 _OTHER_COUNT = 0.01  # relative; an encoder count this far from the declared one is another
 _LONG_GAP = 4.5  # periods; of a shorter one little motion is lost
-_FEW_SAMPLES, _FEWER_SAMPLES = 8.0, 4.0  # in a period of the strongest oscillation
+_FEW_SAMPLES, _FEWER_SAMPLES = 8.0, 5.0  # in a period of the strongest oscillation
+_RINGING = 1.5  # periods, after which an oscillation that is none has decayed
 _BITS = range(8, 33)  # of counters
+_MAIN, _MOST_JUMPS = 0.5, 0.7  # of the largest jump; of these, so many have one size
 _SAME_JUMP = 0.01  # relative
 _FROZEN = 5  # equal samples
+_SETTLED, _INTERPOLATED = 0.05, 4  # counts, and samples, of a constant that was interpolated
 _COUNTS = 5.0  # a change of so many is none of quantisation
 _BRAKING = 3.0  # times the largest change of speed elsewhere: no mechanism stops so
 _RUNS = 2  # times that a coordinate reaches a limit of its sensor
@@ -121,10 +124,9 @@ def sampling(view: RecordView) -> Iterator[Finding]:
     for j, c in enumerate(e.coordinates):
         if len(e) < 64 or not transients.is_moving(e.q)[j] or _moves_wildly(view, j):
             continue
-        if np.std(e.q[:, j]) < 10 * view.noise[j]:
-            continue
         scales = timescales([e.q[:, j]])
-        if scales.period < _FEW_SAMPLES:
+        is_noise = scales.swing < 3 * view.counts[j] or scales.decay < _RINGING * scales.period
+        if scales.period < _FEW_SAMPLES and not is_noise:
             yield view.finding(
                 "sampling", "warning" if scales.period < _FEWER_SAMPLES else "note",
                 f"{c.name} is sampled slowly for its motion",
@@ -222,7 +224,7 @@ def jumps(view: RecordView) -> Iterator[Finding]:
         if meaning is not None:
             cause, remedy = meaning
             yield view.finding(
-                "counter", "severe", f"{c.name} jumps at sample {listed}: {cause}",
+                "swap" if cause.endswith("swapped?") else "counter", "severe", f"{c.name} jumps at sample {listed}: {cause}",
                 f"{len(rows)} jumps of {worst:.5g} {c.unit}", remedy, c.name,
                 view.seconds(int(rows[0])),
             )  # fmt: skip
@@ -244,13 +246,18 @@ def _meaning_of_jumps(
     c, count = view.experiment.coordinates[j], view.counts[j]
     block = view.coordinate_card(c.name)
     size = np.abs(sizes)
-    if np.ptp(size) > 0.2 * size.max() and len(size) > 1:
-        return None
+    size = size[size > _MAIN * size.max()]  # a bad row beside a jump is no jump of its own
     typical = float(np.median(size))
+    if np.mean(np.abs(size - typical) < 0.2 * typical) < _MOST_JUMPS:
+        return None
     turn = 2 * np.pi
     if c.kind == "angular":
         if block is not None and not block.unwrap and abs(typical / turn - 1) < 0.2:
             return "an encoder that wraps", coordinate_line(c.name, "unwrap = true")
+        other = _turn_of_other(view, j, typical)
+        if other is not None:
+            return f"the turn of {other}, swapped?", coordinate_line(
+                c.name, f"column: that of {other}?")  # fmt: skip
         degrees = abs(360 - turn * round(360 / turn))
         if abs(typical / degrees - 1) < 0.15 and len(size) > 1:
             return "an angle in degrees that wraps", coordinate_line(c.name, 'unit = "deg"')
@@ -265,6 +272,21 @@ def _meaning_of_jumps(
         if jump > 3 * _COUNTS * count and abs(typical - jump) < max(3 * count, _SAME_JUMP * jump):
             remedy = "no line of the card: add the overflows to the column in the file"
             return f"a counter of {bits} bits that overflows", remedy
+    return None
+
+
+def _turn_of_other(view: RecordView, j: int, jump: float) -> str | None:
+    """The coordinate whose encoder makes jumps of this size where it is read as another one."""
+    blocks = view.card.coordinates if view.card is not None else []
+    if not blocks or not blocks[j].counts_per_revolution:
+        return None
+    for other in blocks:
+        if not other.counts_per_revolution or other.name == blocks[j].name:
+            continue
+        turns = other.counts_per_revolution / blocks[j].counts_per_revolution
+        expected = 2 * np.pi * abs(turns - round(turns))
+        if abs(jump - expected) < 0.1 * expected:
+            return other.name
     return None
 
 
@@ -285,31 +307,44 @@ def _around(view: RecordView, first: int, last: int) -> str:
     return file_line(e, f"rows = {rows}")
 
 
-def _equal_runs(q: Float[np.ndarray, " n"]) -> tuple[Int[np.ndarray, " r"], Int[np.ndarray, " r"]]:
-    """First and last samples of the runs of equal values."""
-    ends = np.flatnonzero(np.diff(q) != 0)
-    return np.r_[0, ends + 1], np.r_[ends, len(q) - 1]
+def _equal_runs(view: RecordView, j: int) -> tuple[Int[np.ndarray, " r"], Int[np.ndarray, " r"]]:
+    """First and last samples of the runs of equal values of a coordinate.
+
+    On a grid, the interpolation of a constant settles within some samples of its beginning.
+    """
+    e = view.experiment
+    allowed = 0.0 if e.recording is None else _SETTLED * max(view.counts[j], view.noise[j])
+    ends = np.flatnonzero(np.abs(np.diff(e.q[:, j])) > allowed)
+    return np.r_[0, ends + 1], np.r_[ends, len(e) - 1]
 
 
-def _speed_before(q: np.ndarray, first: np.ndarray) -> np.ndarray:
+def _margin(view: RecordView) -> int:
+    """Samples around a run of equal values that interpolation has changed."""
+    return 0 if view.experiment.recording is None else _INTERPOLATED
+
+
+def _speed_before(view: RecordView, j: int, first: np.ndarray) -> np.ndarray:
     """Change a sample over the three samples before the first one of each run."""
+    q, first = view.experiment.q[:, j], first - _margin(view)
     return (q[np.maximum(first - 1, 0)] - q[np.maximum(first - 4, 0)]) / 3
 
 
-def _speed_after(q: np.ndarray, last: np.ndarray) -> np.ndarray:
+def _speed_after(view: RecordView, j: int, last: np.ndarray) -> np.ndarray:
+    """Change a sample over the three samples after the last one of each run."""
+    q, last = view.experiment.q[:, j], last + _margin(view)
     n = len(q) - 1
     return (q[np.minimum(last + 4, n)] - q[np.minimum(last + 1, n)]) / 3
 
 
 def _standstills(view: RecordView, j: int) -> list[tuple[int, int]]:
     """Runs of equal values in the middle of motion, after which the position catches up."""
-    q = view.experiment.q[:, j]
-    first, last = _equal_runs(q)
-    length = last - first + 1
-    inside = (length >= _FROZEN) & (first >= 4) & (last < len(q) - 5)
+    q, margin = view.experiment.q[:, j], _margin(view)
+    first, last = _equal_runs(view, j)
+    length = last - first + 1 + margin
+    inside = (length >= _FROZEN + margin) & (first >= 4) & (last < len(q) - 5 - margin)
     first, last, length = first[inside], last[inside], length[inside]
-    before, after = _speed_before(q, first), _speed_after(q, last)
-    missed = q[last + 1] - q[last] if len(last) else np.zeros(0)
+    before, after = _speed_before(view, j, first), _speed_after(view, j, last)
+    missed = q[last + 1 + margin] - q[last] if len(last) else np.zeros(0)
     expected = (before + after) / 2 * length
     noise = _COUNTS * max(view.counts[j], view.noise[j])
     faster = np.maximum(np.abs(before), np.abs(after))
@@ -322,7 +357,7 @@ def _standstills(view: RecordView, j: int) -> list[tuple[int, int]]:
 
 def _follows_standstill(view: RecordView, j: int, rows: np.ndarray) -> np.ndarray:
     """Mask of jumps that end a standstill of the sensor, which `frozen_sensor` reports."""
-    ends = [b + 1 for _, b in _standstills(view, j)]
+    ends = [b + k for _, b in _standstills(view, j) for k in range(1, 2 + _margin(view))]
     return np.isin(rows, ends)
 
 
@@ -348,7 +383,7 @@ def frozen_sensor(view: RecordView) -> Iterator[Finding]:
 def _stops_at_ends(view: RecordView, j: int) -> list[tuple[int, int]]:
     """Runs of equal values at the ends of a record that begin or end at full speed."""
     q, n = view.experiment.q[:, j], len(view.experiment)
-    first, last = _equal_runs(q)
+    first, last = _equal_runs(view, j)
     if len(first) < 10:
         return []
     change = np.abs(np.diff(q))
@@ -356,12 +391,13 @@ def _stops_at_ends(view: RecordView, j: int) -> list[tuple[int, int]]:
     runs, fast = [], np.quantile(change, 0.9)
     noise = _COUNTS * max(view.counts[j], view.noise[j])
     tail, head = (int(first[-1]), n - 1), (0, int(last[0]))
-    speeds = (_speed_before(q, first[-1:])[0], _speed_after(q, last[:1])[0])
+    speeds = (_speed_before(view, j, first[-1:])[0], _speed_after(view, j, last[:1])[0])
     for run, speed in zip((tail, head), speeds, strict=True):
         if run[1] - run[0] < max(_FROZEN, n // 50):
             continue
         own = np.zeros(len(bend), bool)
-        own[max(run[0] - 4, 0) : run[1] + 4] = True
+        reach = 4 + 2 * _margin(view)
+        own[max(run[0] - reach, 0) : run[1] + reach] = True
         usual = bend[~own].max(initial=0.0)
         if abs(speed) > max(0.3 * fast, noise / 3) and abs(speed) > _BRAKING * usual:
             runs.append(run)
@@ -375,12 +411,12 @@ def clipped_sensor(view: RecordView) -> Iterator[Finding]:
         q = e.q[:, j]
         if not transients.is_moving(e.q)[j] or len(e) < 20:
             continue
-        first, last = _equal_runs(q)
+        first, last = _equal_runs(view, j)
         rows = (last - first + 1 >= _CLIPPED) & (first >= 2) & (last < len(q) - 2)
         first, last = first[rows], last[rows]
         noise = max(view.counts[j], view.noise[j])
         for extreme in (q.min(), q.max()):
-            at = q[first] == extreme
+            at = np.abs(q[first] - extreme) <= noise * (e.recording is not None)
             a, b = first[at], last[at]
             into, out = np.abs(q[a] - q[a - 1]), np.abs(q[b + 1] - q[b])
             # the last change before a limit is only a part of one

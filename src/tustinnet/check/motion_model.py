@@ -22,15 +22,16 @@ from tustinnet.signals.spectra import welch
 
 _MOST_SAMPLES, _BLOCK = 16_000, 1000  # of a longer record some blocks are taken
 _WINDOWS = 250  # of a record, about
-_SHARE = 0.2  # half the width of a window, in periods of the fast part of the motion
+_SHARE = 0.1  # half the width of a window, in periods of the fast part of the motion
 _FAST_SHARE, _SEGMENT = 0.1, 1024  # of the power; samples of a spectrum
 _NARROWEST, _WIDEST = 4, 60  # samples
-_NOISE = 0.1  # share of the noise in averaged accelerations that windows are widened to
-_WIDENED = 0.5  # periods, no wider
+_NOISE = 0.2  # share of the noise in averaged accelerations that windows are widened to
+_WIDENED = 0.4  # periods, no wider
 _SMALL_RANGE = 3.0  # rad; a spring may hold an angle that stays within
 _FEW_COORDINATES = 2  # so many have products of velocities, too
 _CREEP = 0.03  # of the usual speed: sign(v) is smooth within
 _RIDGE = 1e-5  # of the mean square of a regressor
+_MATTERS = 0.05  # of the accelerations: a force that matters
 _STIFF = 1e-3  # the same, of groups of regressors that are scaled
 _FEWEST_WINDOWS = 12
 
@@ -259,7 +260,8 @@ class MotionModel:
         """Parameters of the others, those of some kinds scaled by factors that fit a record.
 
         Returns:
-            The parameters, and the factors of each kind in each equation.
+            The parameters, and the factors of each kind in each equation, 1 where it is a small
+            part of the accelerations.
         """
         equations, parameters = self.equations[index], self.others[index].copy()
         masks = [np.array([k == kind for k in self.regressors.kinds]) for kind in kinds]
@@ -274,6 +276,8 @@ class MotionModel:
             change = np.linalg.solve(gram, unit.T @ residual) / size
             for kind, mask, step in zip(kinds, masks, change, strict=True):
                 parameters[mask, i] *= 1 + step
+            matters = size > _MATTERS * np.sqrt(np.mean(equations.left[:, i] ** 2))
+            for kind, step in zip([k for k, m in zip(kinds, matters) if m], change[matters]):
                 factors[kind][i] = 1 + step
         return parameters, factors
 

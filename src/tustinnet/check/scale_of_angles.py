@@ -19,6 +19,8 @@ _RECORDS = 5  # of them, from everywhere in the list
 _SCALES = {  # of the true angle to the declared one
     "deg": np.pi / 180, "rad": 180 / np.pi, "twice": 2.0, "half": 0.5, "four": 4.0, "quarter": 0.25,
 }  # fmt: skip
+_UNITS = ("deg", "rad")
+_FEW_COORDINATES = 2  # of more the model is too poor for other scales
 _DROP = 0.4  # of what the model leaves, which the true scale leaves
 _POOR = 0.5  # so much the model must explain with the true scale
 _LEAST = 0.01  # of the accelerations: a model that leaves less needs no other scale
@@ -40,8 +42,9 @@ def scale_of_angles(views: Sequence[RecordView]) -> Iterator[Finding]:
     for j, c in enumerate(channels.coordinates):
         if c.kind != "angular" or not transients.is_moving(q)[j]:
             continue
+        tried = _SCALES if channels.n_q <= _FEW_COORDINATES else {k: _SCALES[k] for k in _UNITS}
         shares = {
-            name: _scaled_share(regressors, some, q, j, scale) for name, scale in _SCALES.items()
+            name: _scaled_share(regressors, some, q, j, scale) for name, scale in tried.items()
         }
         best = min(shares, key=lambda name: shares[name])
         if shares[best] > _DROP * plain or shares[best] > 1 - _POOR:
@@ -52,7 +55,7 @@ def scale_of_angles(views: Sequence[RecordView]) -> Iterator[Finding]:
             f"{plain:.2%}"
         )
         card = views[0].coordinate_card(c.name)
-        if best in ("deg", "rad"):
+        if best in _UNITS:
             what, key = f"{c.name} is not in the declared unit", f'unit = "{best}"'
         else:
             counts = card.counts_per_revolution if card is not None else None
