@@ -13,7 +13,6 @@ from tustinnet.check.card_lines import file_line, without_record
 from tustinnet.check.finding import Finding, Severity
 from tustinnet.check.view import RecordView
 from tustinnet.data.experiment import Experiment
-from tustinnet.signals import transients
 
 _RUN = 16  # samples of a stretch that is looked up
 _CHANGES = 8  # of them, at least, in which something moves
@@ -60,6 +59,8 @@ def logged_rows(e: Experiment) -> tuple[int, int]:
 
 def copies(views: Sequence[RecordView]) -> Iterator[Finding]:
     """Records of different files with equal stretches, or that are nearly equal throughout."""
+    if len(views) < 2:
+        return
     records = [v.experiment for v in views]
     found: set[tuple[int, int]] = set()
     for (i, j), (length, start, other_start) in _equal_stretches(records).items():
@@ -171,11 +172,8 @@ def _alike(
     ]
     if not pairs or len(pairs) > _MOST_PAIRS:
         return
-    moving = np.array([transients.is_moving(e.q) for e in records])
     swing = np.array([e.q[:_LONGEST].std(axis=0) for e in records])
-    widest = int(
-        np.argmax(np.median(swing * moving, axis=0) / np.maximum(swing.max(axis=0), 1e-300))
-    )
+    widest = int(np.argmax(np.median(swing, axis=0) / np.maximum(swing.max(axis=0), 1e-300)))
     size = 1 << int(np.ceil(np.log2(2 * max(min(len(e), _LONGEST) for e in records))))
     signals = [_whitened(e.q[:_LONGEST, widest]) for e in records]
     spectra = [np.fft.rfft(s, size) for s in signals]

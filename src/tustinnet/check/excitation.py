@@ -108,8 +108,8 @@ def speeds(views: Sequence[RecordView]) -> Iterator[Finding]:
         low, high = _SPEEDS[1] * largest, largest
         yield _finding(
             views, "rare speeds", "note", f"{c.name} moves fast in few samples",
-            f"{slow:.0%} of them below {_SPEEDS[0] * largest:.3g} {c.unit}/s, {1 - medium:.2%} from "
-            f"{low:.3g} to {high:.3g}",
+            f"{slow:.0%} of them below {_SPEEDS[0] * largest:.3g} {c.unit}/s, {1 - medium:.2%} "
+            f"from {low:.3g} to {high:.3g}",
             f"record more motion of {c.name} at {low:.3g} to {high:.3g} {c.unit}/s", c.name,
         )  # fmt: skip
 

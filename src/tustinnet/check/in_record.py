@@ -21,7 +21,7 @@ from tustinnet.check.card_lines import (
 from tustinnet.check.finding import Finding
 from tustinnet.check.view import RecordView
 from tustinnet.check.weak_form import Windows
-from tustinnet.signals import outliers, transients
+from tustinnet.signals import outliers
 from tustinnet.signals.timescales import timescales
 
 _OTHER_PERIOD = 0.003  # relative; velocities and accelerations are wrong by it, and by twice it
@@ -122,7 +122,7 @@ def sampling(view: RecordView) -> Iterator[Finding]:
     """Samples in a period of the strongest oscillation."""
     e = view.experiment
     for j, c in enumerate(e.coordinates):
-        if len(e) < 64 or not transients.is_moving(e.q)[j] or _moves_wildly(view, j):
+        if len(e) < 64 or not view.moving[j] or _moves_wildly(view, j):
             continue
         scales = timescales([e.q[:, j]])
         is_noise = scales.swing < 3 * view.counts[j] or scales.decay < _RINGING * scales.period
@@ -144,7 +144,7 @@ def dead_sensor(view: RecordView) -> Iterator[Finding]:
     """Coordinates that never change, or flicker between two neighbouring counts."""
     e = view.experiment
     for j, c in enumerate(e.coordinates):
-        if not transients.is_moving(e.q)[j]:
+        if not view.moving[j]:
             yield view.finding(
                 "dead sensor", "warning", f"{c.name} never changes",
                 f"{e.q[0, j]:.4g} {c.unit} in all {len(e)} samples",
@@ -211,7 +211,7 @@ def jumps(view: RecordView) -> Iterator[Finding]:
     """Jumps of positions: spikes, lost counts, counters that overflow, wraps of another unit."""
     e = view.experiment
     for j, c in enumerate(e.coordinates):
-        if _moves_wildly(view, j) or not transients.is_moving(e.q)[j]:
+        if _moves_wildly(view, j) or not view.moving[j]:
             continue
         rows = outliers.find_jumps(e.t, e.q[:, j], c.resolution or view.recording.counts[j] or 0.0)
         rows = rows[~_follows_standstill(view, j, rows)]
@@ -223,8 +223,9 @@ def jumps(view: RecordView) -> Iterator[Finding]:
         meaning = _meaning_of_jumps(view, j, sizes)
         if meaning is not None:
             cause, remedy = meaning
+            check = "swap" if cause.endswith("swapped?") else "counter"
             yield view.finding(
-                "swap" if cause.endswith("swapped?") else "counter", "severe", f"{c.name} jumps at sample {listed}: {cause}",
+                check, "severe", f"{c.name} jumps at sample {listed}: {cause}",
                 f"{len(rows)} jumps of {worst:.5g} {c.unit}", remedy, c.name,
                 view.seconds(int(rows[0])),
             )  # fmt: skip
@@ -365,7 +366,7 @@ def frozen_sensor(view: RecordView) -> Iterator[Finding]:
     """Sensors that repeat a value in the middle of motion, or to the end of the record."""
     e = view.experiment
     for j, c in enumerate(e.coordinates):
-        if not transients.is_moving(e.q)[j] or len(e) < 20:
+        if not view.moving[j] or len(e) < 20:
             continue
         runs = _standstills(view, j) or _stops_at_ends(view, j)
         if not runs:
@@ -409,7 +410,7 @@ def clipped_sensor(view: RecordView) -> Iterator[Finding]:
     e = view.experiment
     for j, c in enumerate(e.coordinates):
         q = e.q[:, j]
-        if not transients.is_moving(e.q)[j] or len(e) < 20:
+        if not view.moving[j] or len(e) < 20:
             continue
         first, last = _equal_runs(view, j)
         rows = (last - first + 1 >= _CLIPPED) & (first >= 2) & (last < len(q) - 2)
@@ -504,8 +505,8 @@ def velocities(view: RecordView) -> Iterator[Finding]:
         elif best != j and others[best] > _HIGH_CORRELATION and correlation < others[best] - 0.1:
             other = e.coordinates[best].name
             yield _velocity_finding(
-                view, j, f"is that of {other}, not", f"r = {correlation:.2f}, with {other} "
-                f"{others[best]:.3f}", "column: that of the other coordinate", "severe")  # fmt: skip
+                view, j, f"is that of {other}, not",
+                f"r = {correlation:.2f}, with {other} {others[best]:.3f}", "column: that of the other coordinate", "severe")  # fmt: skip
         elif correlation < _LOW_CORRELATION:
             yield _velocity_finding(
                 view, j, "disagrees with", f"r = {correlation:.2f}",

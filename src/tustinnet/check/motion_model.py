@@ -17,7 +17,6 @@ from jaxtyping import Bool, Float
 from tustinnet.channels import Channels
 from tustinnet.check.view import RecordView
 from tustinnet.check.weak_form import Windows
-from tustinnet.signals import transients
 from tustinnet.signals.spectra import welch
 
 _MOST_SAMPLES, _BLOCK = 16_000, 1000  # of a longer record some blocks are taken
@@ -173,7 +172,7 @@ def make_regressors(views: Sequence[RecordView]) -> Regressors | None:
     """
     first = views[0].experiment
     q = [v.experiment.q for v in views]
-    moving = [j for j in range(first.channels.n_q) if any(transients.is_moving(x)[j] for x in q)]
+    moving = [j for j in range(first.channels.n_q) if any(v.moving[j] for v in views)]
     long = [v for v in views if len(v.experiment) >= 8 * _NARROWEST]
     if not moving or not long:
         return None
@@ -184,7 +183,7 @@ def make_regressors(views: Sequence[RecordView]) -> Regressors | None:
         half += max(1, half // 4)
     speed = np.median([np.std(v.velocity, axis=0) for v in views], axis=0)
     speed = np.maximum(speed, 1e-12)
-    span = np.ptp(np.concatenate(q), axis=0)
+    span = np.max([x.max(axis=0) for x in q], axis=0) - np.min([x.min(axis=0) for x in q], axis=0)
     angular = first.channels.angular
     regressors = Regressors(
         first.channels, Windows(half, 1, first.dt), _CREEP * speed,
@@ -274,11 +273,12 @@ class MotionModel:
             unit = parts / size
             gram = unit.T @ unit + _STIFF * len(unit) * np.eye(len(kinds))
             change = np.linalg.solve(gram, unit.T @ residual) / size
-            for kind, mask, step in zip(kinds, masks, change, strict=True):
+            for mask, step in zip(masks, change, strict=True):
                 parameters[mask, i] *= 1 + step
             matters = size > _MATTERS * np.sqrt(np.mean(equations.left[:, i] ** 2))
-            for kind, step in zip([k for k, m in zip(kinds, matters) if m], change[matters]):
-                factors[kind][i] = 1 + step
+            for kind, step, counts in zip(kinds, change, matters, strict=True):
+                if counts:
+                    factors[kind][i] = 1 + step
         return parameters, factors
 
 

@@ -13,7 +13,6 @@ from tustinnet.check.card_lines import coordinate_line
 from tustinnet.check.finding import Finding
 from tustinnet.check.motion_model import Regressors, make_regressors, unexplained_share
 from tustinnet.check.view import RecordView
-from tustinnet.signals import transients
 
 _RECORDS = 5  # of them, from everywhere in the list
 _SCALES = {  # of the true angle to the declared one
@@ -40,7 +39,7 @@ def scale_of_angles(views: Sequence[RecordView]) -> Iterator[Finding]:
     if plain < _LEAST:
         return
     for j, c in enumerate(channels.coordinates):
-        if c.kind != "angular" or not transients.is_moving(q)[j]:
+        if c.kind != "angular" or not any(v.moving[j] for v in some):
             continue
         tried = _SCALES if channels.n_q <= _FEW_COORDINATES else {k: _SCALES[k] for k in _UNITS}
         shares = {

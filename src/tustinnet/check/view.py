@@ -6,12 +6,13 @@ from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from tustinnet.check.finding import Finding, Severity
 from tustinnet.data.card import Card, CoordinateCard, InputCard
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.recording import Recording, describe_recording
+from tustinnet.signals import transients
 
 _STENCIL = 5  # samples, fewer have no velocities
 _THIRD_DIFFERENCE = np.sqrt(20.0)  # standard deviation of that of white noise of 1
@@ -45,8 +46,13 @@ class RecordView:
         return e.velocities("stencil") if len(e) >= _STENCIL else np.zeros_like(e.q)
 
     @cached_property
+    def moving(self) -> Bool[np.ndarray, " n_q"]:
+        """Mask of the coordinates that move."""
+        return transients.is_moving(self.experiment.q)
+
+    @cached_property
     def counts(self) -> list[float]:
-        """Encoder count of each coordinate: that of the positions, else the declared one, else 0."""
+        """Encoder count of each coordinate: found in the positions, else as declared, else 0."""
         declared = [c.resolution for c in self.experiment.coordinates]
         return [a or b or 0.0 for a, b in zip(self.recording.counts, declared, strict=True)]
 

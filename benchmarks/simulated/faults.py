@@ -1,7 +1,7 @@
 """Folders of logs with one planted fault each, and what the check should say of it.
 
-Simulated machines of `benchmarks/simulated` are logged once; a fault changes a copy of the logs or
-of the card. `FAULTS` were written with the check, `LATE_FAULTS` after it was finished.
+The machines are logged once; a fault changes a copy of the logs or of the card. `FAULTS` were
+written with the check, `LATE_FAULTS` after it was finished.
 """
 
 import shutil
@@ -11,8 +11,10 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+
 from simulated import machines
-from simulated.measurement import Machine, Motion, Run, measure, simulate
+from simulated.measurement import Machine, Run, measure, simulate
+from tustinnet.check.finding import Finding
 
 MACHINES: dict[str, Callable[[], Machine]] = {
     "double-pendulum": machines.double_pendulum, "cart-pole": machines.cart_pole,
@@ -172,7 +174,6 @@ class Fault:
         checks: names of the checks that find it.
         records: records that must be named; () where it concerns all.
         channels: coordinates or inputs one of which must be named; () where it concerns none.
-        is_note: whether a note suffices.
     """
 
     name: str
@@ -181,7 +182,6 @@ class Fault:
     checks: tuple[str, ...]
     records: tuple[str, ...] = ()
     channels: tuple[str, ...] = ()
-    is_note: bool = False
 
     def write(self, folder: Path) -> Path:
         """Writes the logs with the fault."""
@@ -189,21 +189,22 @@ class Fault:
         self.plant(logs)
         return logs.write(folder)
 
-    def is_found(self, findings: Sequence[object]) -> bool:
+    def is_found(self, findings: Sequence[Finding]) -> bool:
         """Whether a finding names it at the right record and channel."""
-        return any(self._matches(f) for f in findings)
+        return any(self.is_named_by(f) for f in findings)
 
-    def _matches(self, finding: object) -> bool:
-        check, severity = getattr(finding, "check"), getattr(finding, "severity")  # noqa: B009
-        records, channel = getattr(finding, "records"), getattr(finding, "channel")  # noqa: B009
-        what = str(getattr(finding, "what"))  # noqa: B009
+    def is_named_by(self, f: Finding) -> bool:
+        """Whether a finding is about it."""
+        is_right_record = not self.records or set(self.records) <= {*f.records}
+        is_right_channel = (
+            not self.channels or f.channel in self.channels
+            or any(c in f.what for c in self.channels)
+        )  # fmt: skip
+        # a fault of one record that is said of several is not located
+        is_located = len(self.records) != 1 or len(f.records) == 1
         return (
-            check in self.checks
-            and (self.is_note or severity != "note")
-            and (not self.records or set(self.records) <= set(records))
-            and (len(self.records) != 1 or len(records) == 1)
-            and (not self.channels or channel in self.channels
-                 or any(c in what for c in self.channels))
+            f.check in self.checks and f.is_serious
+            and is_right_record and is_right_channel and is_located
         )  # fmt: skip
 
 
@@ -227,7 +228,7 @@ def wrap(logs: Logs, log: str, name: str, values: np.ndarray) -> None:
 # --- faults in a record ---
 
 
-def stretch_time(factor: float, *only: str) -> Callable[[Logs], None]:
+def _stretch_time(factor: float, *only: str) -> Callable[[Logs], None]:
     def plant(logs: Logs) -> None:
         logs.edit_card('irregular = "resample"\n', "tolerance = 0.2\n")
         for log in only or logs.tables:
@@ -236,32 +237,32 @@ def stretch_time(factor: float, *only: str) -> Callable[[Logs], None]:
     return plant
 
 
-def time_in_ms(logs: Logs) -> None:
+def _time_in_ms(logs: Logs) -> None:
     logs.edit_card(f"dt = {logs.machine.dt:.9g}\n", "")
     logs.edit_card('irregular = "resample"\n', "tolerance = 0.6\n")
     for log in logs.tables:
         logs.column(log, "time")[:] = np.round(1e3 * logs.column(log, "time"))
 
 
-def drop_rows(log: str, first: int, count: int) -> Callable[[Logs], None]:
+def _drop_rows(log: str, first: int, count: int) -> Callable[[Logs], None]:
     def plant(logs: Logs) -> None:
         logs.tables[log] = np.delete(logs.tables[log], np.s_[first : first + count], axis=0)
 
     return plant
 
 
-def overflow(log: str, column: str, span: float) -> Callable[[Logs], None]:
+def _overflow(log: str, column: str, span: float) -> Callable[[Logs], None]:
     def plant(logs: Logs) -> None:
         logs.column(log, column)[:] = np.mod(unwrapped(logs, log, column), span)
 
     return plant
 
 
-def set_card(old: str, new: str) -> Callable[[Logs], None]:
+def _set_card(old: str, new: str) -> Callable[[Logs], None]:
     return lambda logs: logs.edit_card(old, new)
 
 
-def scale_column(column: str, factor: float, *only: str) -> Callable[[Logs], None]:
+def _scale_column(column: str, factor: float, *only: str) -> Callable[[Logs], None]:
     def plant(logs: Logs) -> None:
         for log in only or logs.tables:
             logs.column(log, column)[:] *= factor
@@ -269,7 +270,7 @@ def scale_column(column: str, factor: float, *only: str) -> Callable[[Logs], Non
     return plant
 
 
-def freeze(log: str, column: str, first: int, last: int) -> Callable[[Logs], None]:
+def _freeze(log: str, column: str, first: int, last: int) -> Callable[[Logs], None]:
     def plant(logs: Logs) -> None:
         values = logs.column(log, column)
         values[first:last] = values[first]
@@ -277,7 +278,7 @@ def freeze(log: str, column: str, first: int, last: int) -> Callable[[Logs], Non
     return plant
 
 
-def clip(log: str, column: str, share: float) -> Callable[[Logs], None]:
+def _clip(log: str, column: str, share: float) -> Callable[[Logs], None]:
     def plant(logs: Logs) -> None:
         values = logs.column(log, column)
         middle, half = (values.max() + values.min()) / 2, np.ptp(values) / 2
@@ -286,7 +287,7 @@ def clip(log: str, column: str, share: float) -> Callable[[Logs], None]:
     return plant
 
 
-def die(log: str, column: str, step: float) -> Callable[[Logs], None]:
+def _die(log: str, column: str, step: float) -> Callable[[Logs], None]:
     def plant(logs: Logs) -> None:
         values = logs.column(log, column)
         flicker = np.random.default_rng(3).uniform(size=len(values)) < 0.02
@@ -295,14 +296,14 @@ def die(log: str, column: str, step: float) -> Callable[[Logs], None]:
     return plant
 
 
-def spike(log: str, column: str, row: int, size: float) -> Callable[[Logs], None]:
+def _spike(log: str, column: str, row: int, size: float) -> Callable[[Logs], None]:
     def plant(logs: Logs) -> None:
         logs.column(log, column)[row] += size
 
     return plant
 
 
-def shift_from(log: str, column: str, row: int, size: float) -> Callable[[Logs], None]:
+def _shift_from(log: str, column: str, row: int, size: float) -> Callable[[Logs], None]:
     def plant(logs: Logs) -> None:
         values = unwrapped(logs, log, column)
         values[row:] += size
@@ -311,7 +312,7 @@ def shift_from(log: str, column: str, row: int, size: float) -> Callable[[Logs],
     return plant
 
 
-def edit_velocity(
+def _edit_velocity(
     edit: Callable[[np.ndarray, float], np.ndarray], column: str, *only: str
 ) -> Callable[[Logs], None]:
     def plant(logs: Logs) -> None:
@@ -323,7 +324,7 @@ def edit_velocity(
     return plant
 
 
-def low_pass(seconds: float) -> Callable[[np.ndarray, float], np.ndarray]:
+def _low_pass(seconds: float) -> Callable[[np.ndarray, float], np.ndarray]:
     def edit(values: np.ndarray, dt: float) -> np.ndarray:
         share, state, out = dt / (seconds + dt), values[0], []
         for value in values:
@@ -334,27 +335,27 @@ def low_pass(seconds: float) -> Callable[[np.ndarray, float], np.ndarray]:
     return edit
 
 
-def late(samples: int) -> Callable[[np.ndarray, float], np.ndarray]:
-    def edit(values: np.ndarray, dt: float) -> np.ndarray:  # noqa: ARG001
+def _late(samples: int) -> Callable[[np.ndarray, float], np.ndarray]:
+    def edit(values: np.ndarray, dt: float) -> np.ndarray:
         return np.r_[np.full(samples, values[0]), values[:-samples]]
 
     return edit
 
 
-def pad(values: np.ndarray, dt: float) -> np.ndarray:  # noqa: ARG001
+def _pad(values: np.ndarray, dt: float) -> np.ndarray:
     values[:40] = 0
     return values
 
 
-def swap_velocities(a: str, b: str) -> Callable[[Logs], None]:
+def _swap_velocities(a: str, b: str) -> Callable[[Logs], None]:
     def plant(logs: Logs) -> None:
         with_velocities(logs)
-        swap_columns(a, b)(logs)
+        _swap_columns(a, b)(logs)
 
     return plant
 
 
-def decimate(step: int, *only: str) -> Callable[[Logs], None]:
+def _decimate(step: int, *only: str) -> Callable[[Logs], None]:
     def plant(logs: Logs) -> None:
         logs.edit_card(f"dt = {logs.machine.dt:.9g}", f"dt = {step * logs.machine.dt:.9g}")
         for log in only or logs.tables:
@@ -363,7 +364,7 @@ def decimate(step: int, *only: str) -> Callable[[Logs], None]:
     return plant
 
 
-def still_input(column: str) -> Callable[[Logs], None]:
+def _still_input(column: str) -> Callable[[Logs], None]:
     def plant(logs: Logs) -> None:
         for log in logs.tables:
             logs.column(log, column)[:] = 0.0
@@ -374,7 +375,7 @@ def still_input(column: str) -> Callable[[Logs], None]:
 # --- faults between records ---
 
 
-def reverse(log: str, column: str) -> Callable[[Logs], None]:
+def _reverse(log: str, column: str) -> Callable[[Logs], None]:
     def plant(logs: Logs) -> None:
         if any(s.column == column for s in logs.machine.sensors):
             wrap(logs, log, column, -unwrapped(logs, log, column))
@@ -384,7 +385,7 @@ def reverse(log: str, column: str) -> Callable[[Logs], None]:
     return plant
 
 
-def gain(log: str, column: str, factor: float) -> Callable[[Logs], None]:
+def _gain(log: str, column: str, factor: float) -> Callable[[Logs], None]:
     def plant(logs: Logs) -> None:
         if any(s.column == column for s in logs.machine.sensors):
             wrap(logs, log, column, factor * unwrapped(logs, log, column))
@@ -394,19 +395,19 @@ def gain(log: str, column: str, factor: float) -> Callable[[Logs], None]:
     return plant
 
 
-def offset(log: str, column: str, size: float) -> Callable[[Logs], None]:
+def _offset(log: str, column: str, size: float) -> Callable[[Logs], None]:
     return lambda logs: wrap(logs, log, column, unwrapped(logs, log, column) + size)
 
 
-def lag(log: str, column: str, samples: int) -> Callable[[Logs], None]:
+def _lag(log: str, column: str, samples: int) -> Callable[[Logs], None]:
     def plant(logs: Logs) -> None:
         values = logs.column(log, column)
-        values[:] = late(samples)(values.copy(), 0.0)
+        values[:] = _late(samples)(values.copy(), 0.0)
 
     return plant
 
 
-def swap_columns(a: str, b: str, *only: str) -> Callable[[Logs], None]:
+def _swap_columns(a: str, b: str, *only: str) -> Callable[[Logs], None]:
     def plant(logs: Logs) -> None:
         i, j = logs.names.index(a), logs.names.index(b)
         for log in only or logs.tables:
@@ -415,9 +416,7 @@ def swap_columns(a: str, b: str, *only: str) -> Callable[[Logs], None]:
     return plant
 
 
-def other_machine(
-    log: str, change: Callable[[dict[str, float]], None]
-) -> Callable[[Logs], None]:
+def _other_machine(log: str, change: Callable[[dict[str, float]], None]) -> Callable[[Logs], None]:
     def plant(logs: Logs) -> None:
         logs.tables[log] = _changed(logs.machine.name, log, change)
 
@@ -428,7 +427,7 @@ def _changed(name: str, log: str, change: Callable[[dict[str, float]], None]) ->
     return simulate_logs(name, change=change).tables[log]
 
 
-def multiply(**factors: float) -> Callable[[dict[str, float]], None]:
+def _multiply(**factors: float) -> Callable[[dict[str, float]], None]:
     def change(parameters: dict[str, float]) -> None:
         for key, factor in factors.items():
             parameters[key] *= factor
@@ -449,7 +448,7 @@ def without_time(step: int, log: str) -> Callable[[Logs], None]:
 # --- faults between splits ---
 
 
-def copy_log(
+def _copy_log(
     log: str, name: str, split: str, newline: str = "\n", digits: int = 9, first: int = 0,
     noise: float = 0.0, later: float = 0.0,
 ) -> Callable[[Logs], None]:  # fmt: skip
@@ -465,14 +464,14 @@ def copy_log(
     return plant
 
 
-def entries(**lists: str) -> Callable[[Logs], None]:
+def _entries(**lists: str) -> Callable[[Logs], None]:
     def plant(logs: Logs) -> None:
         logs.entries |= lists
 
     return plant
 
 
-def same_column(channel: str, column: str) -> Callable[[Logs], None]:
+def _same_column(channel: str, column: str) -> Callable[[Logs], None]:
     def plant(logs: Logs) -> None:
         block = next(s for s in logs.machine.sensors if s.name == channel)
         logs.edit_card(f'column = "{block.column}"', f'column = "{column}"')
@@ -485,126 +484,127 @@ _falls = tuple(f"fall{i}" for i in range(6))
 
 FAULTS: tuple[Fault, ...] = (
     # time
-    Fault("log at 10.4 ms in a card of 10 ms", "cart-pole", stretch_time(1.04), ("period",)),
-    Fault("one log at another period", "two-mass-drive", stretch_time(1.02, "moves1"),
+    Fault("log at 10.4 ms in a card of 10 ms", "cart-pole", _stretch_time(1.04), ("period",)),
+    Fault("one log at another period", "two-mass-drive", _stretch_time(1.02, "moves1"),
           ("period",), ("moves1",)),
-    Fault("times in ms declared as s", "positioning-axis", time_in_ms, ("time unit",)),
-    Fault("a gap", "double-pendulum", drop_rows("fall3", 300, 12), ("gap",), ("fall3",)),
-    Fault("a long gap", "gantry-crane", drop_rows("travel2", 150, 40), ("gap",), ("travel2",)),
-    Fault("sampled too slowly", "flexible-beam", decimate(10), ("sampling",),
+    Fault("times in ms declared as s", "positioning-axis", _time_in_ms, ("time unit",)),
+    Fault("a gap", "double-pendulum", _drop_rows("fall3", 300, 12), ("gap",), ("fall3",)),
+    Fault("a long gap", "gantry-crane", _drop_rows("travel2", 150, 40), ("gap",), ("travel2",)),
+    Fault("sampled too slowly", "flexible-beam", _decimate(10), ("sampling",),
           channels=("deflection",)),
     # counters and units
-    Fault("a counter of 11 bits", "reaction-wheel", overflow("levels1", "wheel_counts", 2048),
+    Fault("a counter of 11 bits", "reaction-wheel", _overflow("levels1", "wheel_counts", 2048),
           ("counter",), ("levels1",), ("wheel",)),
     Fault("wraps that are kept", "double-pendulum",
-          set_card('column = "upper_counts"\n', 'column = "upper_counts"\nunwrap = false\n'),
+          _set_card('column = "upper_counts"\n', 'column = "upper_counts"\nunwrap = false\n'),
           ("counter",), channels=("upper",)),
     Fault("another count than declared", "unbalanced-disc",
-          set_card(f'column = "{_deg}"\n', f'column = "{_deg}"\ncounts_per_revolution = 3600\n'),
+          _set_card(f'column = "{_deg}"\n', f'column = "{_deg}"\ncounts_per_revolution = 3600\n'),
           ("encoder count",), channels=("disc",)),
     Fault("degrees that wrap declared as radians", "unbalanced-disc",
-          set_card('unit = "deg"', 'unit = "rad"'), ("counter", "angle unit"), channels=("disc",)),
+          _set_card('unit = "deg"', 'unit = "rad"'), ("counter", "angle unit"), channels=("disc",)),
     Fault("degrees declared as radians", "gantry-crane",
-          set_card('unit = "deg"', 'unit = "rad"'), ("angle unit",), channels=("load",)),
-    Fault("radians declared as degrees", "unbalanced-disc", scale_column(_deg, np.pi / 180),
+          _set_card('unit = "deg"', 'unit = "rad"'), ("angle unit",), channels=("load",)),
+    Fault("radians declared as degrees", "unbalanced-disc", _scale_column(_deg, np.pi / 180),
           ("angle unit", "counter"), channels=("disc",)),
     Fault("half of the counts in a turn", "double-pendulum",
-          set_card("counts_per_revolution = 2400", "counts_per_revolution = 1200"),
+          _set_card("counts_per_revolution = 2400", "counts_per_revolution = 1200"),
           ("angle unit", "counter"), channels=("lower",)),
     # sensors
-    Fault("a sensor that freezes", "cart-pole", freeze("sines1", "cart_mm", 300, 340),
+    Fault("a sensor that freezes", "cart-pole", _freeze("sines1", "cart_mm", 300, 340),
           ("frozen sensor",), ("sines1",), ("cart",)),
     Fault("a sensor that freezes to the end", "double-pendulum",
-          lambda logs: freeze("fall2", "upper_counts", _fastest(logs, "fall2", "upper_counts"),
+          lambda logs: _freeze("fall2", "upper_counts", _fastest(logs, "fall2", "upper_counts"),
                               801)(logs),
           ("frozen sensor",), ("fall2",), ("upper",)),
-    Fault("a clipped sensor", "gantry-crane", clip("travel1", "load_deg", 0.6),
+    Fault("a clipped sensor", "gantry-crane", _clip("travel1", "load_deg", 0.6),
           ("clipped sensor",), ("travel1",), ("load",)),
-    Fault("a dead encoder", "cart-pole", die("sines2", "pole_counts", 1.0), ("dead sensor",),
+    Fault("a dead encoder", "cart-pole", _die("sines2", "pole_counts", 1.0), ("dead sensor",),
           ("sines2",), ("pole",)),
-    Fault("a column that never changes", "ball-on-beam", scale_column("ball_mm", 0.0, "sines0"),
+    Fault("a column that never changes", "ball-on-beam", _scale_column("ball_mm", 0.0, "sines0"),
           ("dead sensor",), ("sines0",), ("ball",)),
-    Fault("a spike of a position", "positioning-axis", spike("moves2", "carriage_mm", 700, 5.0),
+    Fault("a spike of a position", "positioning-axis", _spike("moves2", "carriage_mm", 700, 5.0),
           ("jump",), ("moves2",), ("carriage",)),
-    Fault("a spike of a few counts", "two-mass-drive", spike("sines0", "motor_counts", 500, 60.0),
+    Fault("a spike of a few counts", "two-mass-drive", _spike("sines0", "motor_counts", 500, 60.0),
           ("jump",), ("sines0",), ("motor",)),
-    Fault("a spike of an input", "unbalanced-disc", spike("sines3", "voltage", 200, 400.0),
+    Fault("a spike of an input", "unbalanced-disc", _spike("sines3", "voltage", 200, 400.0),
           ("spike",), ("sines3",), ("voltage",)),
-    Fault("lost counts", "reaction-wheel", shift_from("sines1", "pendulum_counts", 400, 150.0),
+    Fault("lost counts", "reaction-wheel", _shift_from("sines1", "pendulum_counts", 400, 150.0),
           ("jump",), ("sines1",), ("pendulum",)),
     # velocity columns
     Fault("a velocity of the opposite sign", "double-pendulum",
-          edit_velocity(lambda v, _: -v, "lower_rate"), ("velocity",), channels=("lower",)),
+          _edit_velocity(lambda v, _: -v, "lower_rate"), ("velocity",), channels=("lower",)),
     Fault("a velocity in deg/s", "reaction-wheel",
-          edit_velocity(lambda v, _: np.rad2deg(v), "pendulum_rate"), ("velocity",),
+          _edit_velocity(lambda v, _: np.rad2deg(v), "pendulum_rate"), ("velocity",),
           channels=("pendulum",)),
-    Fault("a velocity that is late", "gantry-crane", edit_velocity(late(3), "trolley_rate"),
+    Fault("a velocity that is late", "gantry-crane", _edit_velocity(_late(3), "trolley_rate"),
           ("velocity",), channels=("trolley",)),
-    Fault("a velocity behind a filter", "cart-pole", edit_velocity(low_pass(0.05), "cart_rate"),
+    Fault("a velocity behind a filter", "cart-pole", _edit_velocity(_low_pass(0.05), "cart_rate"),
           ("velocity",), channels=("cart",)),
     Fault("velocities that are swapped", "double-pendulum",
-          swap_velocities("upper_rate", "lower_rate"), ("velocity",), channels=("upper", "lower")),
+          _swap_velocities("upper_rate", "lower_rate"), ("velocity",), channels=("upper", "lower")),
     Fault("measured velocities that are padded", "unbalanced-disc",
-          edit_velocity(pad, "disc_rate"), ("padded velocity",)),
+          _edit_velocity(_pad, "disc_rate"), ("padded velocity",)),
     # inputs
     Fault("an input beyond its limits", "unbalanced-disc",
           lambda logs: logs.add_key("voltage", "limits = [-3.0, 3.0]"), ("limits",),
           channels=("voltage",)),
     Fault("an input that moves in no record", "propeller-pendulum",
-          lambda logs: still_input(logs.machine.actuators[0].name)(logs), ("still input",),
+          lambda logs: _still_input(logs.machine.actuators[0].name)(logs), ("still input",),
           channels=("command",)),
     # records against one another
-    Fault("a reversed sensor", "cart-pole", reverse("moves1", "pole_counts"), ("sign",),
+    Fault("a reversed sensor", "cart-pole", _reverse("moves1", "pole_counts"), ("sign",),
           ("moves1",), ("pole",)),
-    Fault("a reversed sensor of a free swing", "double-pendulum", reverse("fall4", "upper_counts"),
+    Fault("a reversed sensor of a free swing", "double-pendulum", _reverse("fall4", "upper_counts"),
           ("sign",), ("fall4",), ("upper", "lower")),
-    Fault("a reversed input", "unbalanced-disc", reverse("sines2", "voltage"), ("sign",),
+    Fault("a reversed input", "unbalanced-disc", _reverse("sines2", "voltage"), ("sign",),
           ("sines2",), ("voltage", "disc")),
-    Fault("a reversed input under control", "cart-pole", reverse("sines0", "voltage"), ("sign",),
+    Fault("a reversed input under control", "cart-pole", _reverse("sines0", "voltage"), ("sign",),
           ("sines0",), ("voltage",)),
-    Fault("an input of another gain", "gantry-crane", gain("travel3", "voltage", 1.5), ("gain",),
+    Fault("an input of another gain", "gantry-crane", _gain("travel3", "voltage", 1.5), ("gain",),
           ("travel3",), ("voltage",)),
-    Fault("a sensor of another gain", "double-pendulum", gain("fall1", "lower_counts", 0.8),
+    Fault("a sensor of another gain", "double-pendulum", _gain("fall1", "lower_counts", 0.8),
           ("gain",), ("fall1",), ("lower",)),
     Fault("degrees in one record", "reaction-wheel",
-          gain("levels2", "pendulum_counts", 180 / np.pi), ("gain", "angle unit"), ("levels2",),
+          _gain("levels2", "pendulum_counts", 180 / np.pi), ("gain", "angle unit"), ("levels2",),
           ("pendulum",)),
-    Fault("another zero", "unbalanced-disc", offset("sines1", _deg, 20.0), ("offset",),
+    Fault("another zero", "unbalanced-disc", _offset("sines1", _deg, 20.0), ("offset",),
           ("sines1",), ("disc",)),
-    Fault("another zero of a pole", "cart-pole", offset("moves1", "pole_counts", 60.0),
+    Fault("another zero of a pole", "cart-pole", _offset("moves1", "pole_counts", 60.0),
           ("offset",), ("moves1",), ("pole",)),
-    Fault("an input that is logged late", "reaction-wheel", lag("sines1", "current", 5), ("lag",),
+    Fault("an input that is logged late", "reaction-wheel", _lag("sines1", "current", 5), ("lag",),
           ("sines1",), ("current",)),
-    Fault("a sensor that is late", "gantry-crane", lag("sines0", "load_deg", 4), ("lag",),
+    Fault("a sensor that is late", "gantry-crane", _lag("sines0", "load_deg", 4), ("lag",),
           ("sines0",), ("load", "trolley")),
-    Fault("swapped sensors", "two-mass-drive", swap_columns("motor_counts", "load_counts", "sines1"),
+    Fault("swapped sensors", "two-mass-drive",
+          _swap_columns("motor_counts", "load_counts", "sines1"),
           ("swap", "gain"), ("sines1",), ("motor", "load")),
-    Fault("swapped inputs", "planar-arm", swap_columns("torque1", "torque2", "moves2"), ("swap",),
+    Fault("swapped inputs", "planar-arm", _swap_columns("torque1", "torque2", "moves2"), ("swap",),
           ("moves2",), ("torque1", "torque2")),
     Fault("another payload", "unbalanced-disc",
-          other_machine("sines4", multiply(gravity=1.5, gain=0.7)), ("payload", "gain"),
+          _other_machine("sines4", _multiply(gravity=1.5, gain=0.7)), ("payload", "gain"),
           ("sines4",)),
     Fault("another friction", "reaction-wheel",
-          other_machine("levels3", multiply(pivot=12.0, bearing=4.0)), ("friction", "payload"),
+          _other_machine("levels3", _multiply(pivot=12.0, bearing=4.0)), ("friction", "payload"),
           ("levels3",)),
     Fault("a record of another period without times", "ball-on-beam", without_time(2, "moves1"),
           ("record period",), ("moves1",)),
     # splits
     Fault("a copy of a training record in the test", "cart-pole",
-          copy_log("moves0", "fresh", "test"), ("copy",), ("moves0", "fresh")),
+          _copy_log("moves0", "fresh", "test"), ("copy",), ("moves0", "fresh")),
     Fault("a copy with other line ends and fewer digits", "positioning-axis",
-          copy_log("moves0", "fresh", "test", newline="\r\n", digits=6), ("copy",),
+          _copy_log("moves0", "fresh", "test", newline="\r\n", digits=6), ("copy",),
           ("moves0", "fresh")),
     Fault("a part of a record under another name, later", "reaction-wheel",
-          copy_log("sines0", "fresh", "test", first=200, later=100.0), ("copy",),
+          _copy_log("sines0", "fresh", "test", first=200, later=100.0), ("copy",),
           ("sines0", "fresh")),
     Fault("rows in two splits", "gantry-crane",
-          entries(train='{ file = "travel0.csv", name = "head", rows = [0, 300] }, "travel1.csv", '
+          _entries(train='{ file = "travel0.csv", name = "head", rows = [0, 300] }, "travel1.csv", '
                         '"travel2.csv", "travel3.csv"',
                   test='{ file = "travel0.csv", name = "tail", rows = [250, 401] }'),
           ("overlap",), ("head", "tail")),
     Fault("two columns of one sensor", "two-mass-drive",
-          lambda logs: (same_column("load", "motor_counts")(logs),
+          lambda logs: (_same_column("load", "motor_counts")(logs),
                         logs.edit_card("counts_per_revolution = 2400",
                                        "counts_per_revolution = 4096"))[0],
           ("same sensor",), channels=("load",)),
@@ -619,5 +619,3 @@ def _fastest(logs: Logs, log: str, column: str) -> int:
 
 
 LATE_FAULTS: tuple[Fault, ...] = ()
-
-__all__ = ["FAULTS", "LATE_FAULTS", "Fault", "Logs", "Motion", "logs_of", "simulate_logs"]
