@@ -564,7 +564,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault("an input of another gain", "gantry-crane", _gain("travel3", "voltage", 1.5), ("gain",),
           ("travel3",), ("voltage",)),
     Fault("a sensor of another gain", "double-pendulum", _gain("fall1", "lower_counts", 0.8),
-          ("gain",), ("fall1",), ("lower",)),
+          ("gain", "encoder count"), ("fall1",), ("lower",)),
     Fault("degrees in one record", "reaction-wheel",
           _gain("levels2", "pendulum_counts", 180 / np.pi), ("gain", "angle unit"), ("levels2",),
           ("pendulum",)),
@@ -618,4 +618,25 @@ def _fastest(logs: Logs, log: str, column: str) -> int:
     return start + int(np.argmax(np.abs(np.diff(values[start : 2 * len(values) // 3]))))
 
 
-LATE_FAULTS: tuple[Fault, ...] = ()
+LATE_FAULTS: tuple[Fault, ...] = (
+    Fault("a reversed sensor of a crane", "gantry-crane", _reverse("travel1", "load_deg"),
+          ("sign",), ("travel1",), ("load",)),
+    Fault("a reversed input of a wheel", "reaction-wheel", _reverse("levels0", "current"),
+          ("sign",), ("levels0",), ("current",)),
+    Fault("a load that is read in radians", "gantry-crane", _gain("travel2", "load_deg",
+          np.pi / 180), ("gain", "encoder count"), ("travel2",), ("load",)),
+    Fault("an input of half the gain", "cart-pole", _gain("moves2", "voltage", 0.5), ("gain",),
+          ("moves2",), ("voltage",)),
+    Fault("another zero of a ball", "ball-on-beam", _offset("sines2", "beam_counts", 150.0),
+          ("offset",), ("sines2",), ("beam",)),
+    Fault("a log at 9.6 ms", "reaction-wheel", _stretch_time(0.96), ("period",)),
+    Fault("a frozen load", "two-mass-drive", _freeze("moves2", "motor_counts", 600, 680),
+          ("frozen sensor", "jump"), ("moves2",), ("motor",)),
+    Fault("a velocity in rpm", "cart-pole",
+          _edit_velocity(lambda v, _: v * 30 / np.pi, "pole_rate"), ("velocity",),
+          channels=("pole",)),
+    Fault("a rounded copy in the test", "ball-on-beam",
+          _copy_log("moves1", "fresh", "test", digits=4), ("copy",), ("moves1", "fresh")),
+    Fault("swapped torques", "planar-arm", _swap_columns("torque3", "torque4", "moves1"),
+          ("swap",), ("moves1",), ("torque3", "torque4")),
+)  # fmt: skip

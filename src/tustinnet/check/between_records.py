@@ -37,7 +37,8 @@ _FEWEST_RECORDS = 3
 _FEWEST_SUSPECTS, _MOST_SUSPECTS, _MOST_TRIALS = 2, 4, 400
 _MOST_FAULTY = 1 / 3  # of the records
 _POOR = 2.0  # times the usual residual: a record that is worth a closer look
-_DROP = 0.45  # of the residual, which a fault of a record leaves when it is undone
+_GAIN_DROP = 0.2  # the same, of a gain, which the curve of an actuator looks like
+_DROP = 0.3  # of the residual, which a fault of a record leaves when it is undone
 _USUAL = 3.0  # times the usual residual of the others: so well the model must hold then
 _CLEAR = 0.04  # of the residual: a drop that leaves no doubt
 _EXPLAINED = 0.3  # of the accelerations, at least, by the model when a fault is undone
@@ -350,7 +351,7 @@ def _judge(
         # energetic motion leaves more, whatever is right about its record
         allowed = max(_USUAL * usual, _CLEAR * before)
         if (
-            after < _DROP * before and model.cost(changed, parameters) < allowed
+            after < (_GAIN_DROP if suspicion.check == "gain" else _DROP) * before and model.cost(changed, parameters) < allowed
             and model.explained(changed, parameters) > _EXPLAINED
         ):  # fmt: skip
             verdicts.append(_Verdict(suspicion, size, before, after))

@@ -191,7 +191,7 @@ def _alike(
             yield i, j, difference, share, -lag
 
 
-def _whitened(q: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+def _whitened(q: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
     """A smoothed slope, which neither offsets nor counts dominate."""
     width = min(5, len(q))
     smooth = np.convolve(q, np.ones(width) / width, "valid")

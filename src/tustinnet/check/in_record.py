@@ -37,6 +37,7 @@ _MAIN, _MOST_JUMPS = 0.5, 0.7  # of the largest jump; of these, so many have one
 _SAME_JUMP = 0.01  # relative
 _FROZEN = 5  # equal samples
 _SETTLED, _INTERPOLATED = 0.05, 4  # counts, and samples, of a constant that was interpolated
+_STEP = 5.0  # times the changes that an input rarely exceeds
 _COUNTS = 5.0  # a change of so many is none of quantisation
 _BRAKING = 3.0  # times the largest change of speed elsewhere: no mechanism stops so
 _RUNS = 2  # times that a coordinate reaches a limit of its sensor
@@ -214,7 +215,7 @@ def jumps(view: RecordView) -> Iterator[Finding]:
         if _moves_wildly(view, j) or not view.moving[j]:
             continue
         rows = outliers.find_jumps(e.t, e.q[:, j], c.resolution or view.recording.counts[j] or 0.0)
-        rows = rows[~_follows_standstill(view, j, rows)]
+        rows = rows[~_follows_standstill(view, j, rows) & ~_follows_step(view, rows)]
         if not len(rows):
             continue
         sizes = _jump_sizes(e.q[:, j], rows)
@@ -342,7 +343,7 @@ def _standstills(view: RecordView, j: int) -> list[tuple[int, int]]:
     q, margin = view.experiment.q[:, j], _margin(view)
     first, last = _equal_runs(view, j)
     length = last - first + 1 + margin
-    inside = (length >= _FROZEN + margin) & (first >= 4) & (last < len(q) - 5 - margin)
+    inside = (length >= _FROZEN + 3 * margin) & (first >= 4) & (last < len(q) - 5 - margin)
     first, last, length = first[inside], last[inside], length[inside]
     before, after = _speed_before(view, j, first), _speed_after(view, j, last)
     missed = q[last + 1 + margin] - q[last] if len(last) else np.zeros(0)
@@ -360,6 +361,15 @@ def _follows_standstill(view: RecordView, j: int, rows: np.ndarray) -> np.ndarra
     """Mask of jumps that end a standstill of the sensor, which `frozen_sensor` reports."""
     ends = [b + k for _, b in _standstills(view, j) for k in range(1, 2 + _margin(view))]
     return np.isin(rows, ends)
+
+
+def _follows_step(view: RecordView, rows: Int[np.ndarray, " r"]) -> np.ndarray:
+    """Mask of jumps that follow a step of an input, which moves a stiff mechanism as fast."""
+    change = np.abs(np.diff(view.experiment.u, axis=0, prepend=view.experiment.u[:1]))
+    if not change.size or not len(rows):
+        return np.zeros(len(rows), bool)
+    is_step = np.any(change > _STEP * np.maximum(np.quantile(change, 0.9, axis=0), 1e-300), axis=1)
+    return np.any(is_step[np.maximum(rows[:, None] - [1, 2, 3], 0)], axis=1)
 
 
 def frozen_sensor(view: RecordView) -> Iterator[Finding]:
