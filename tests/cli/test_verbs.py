@@ -213,7 +213,7 @@ def test_strict_refuses_records_in_which_something_looks_wrong(
     assert tustinnet(capsys, "inspect", folder, "--strict")[0] == 0
     assert tustinnet(capsys, *fit, "--out", tmp_path / "sound", "--strict")[0] == 0
     spoil(folder)
-    told = "record 'fall2': angle jumps at sample 100, 101 (by 1.75 rad, 1138 counts: bad rows?)"
+    told = "record 'fall2': angle jumps at sample 100, 101 (by 1.75 rad, 1142 counts: bad rows?)"
     validate = ("cross-validate", folder, "--recipe", tiny_recipe, "--folds", 3)
     for verb in (
         ("inspect", folder),

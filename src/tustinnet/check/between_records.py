@@ -350,8 +350,9 @@ def _judge(
         changed = equations(suspicion, size)
         # energetic motion leaves more, whatever is right about its record
         allowed = max(_USUAL * usual, _CLEAR * before)
+        drop = _GAIN_DROP if suspicion.check == "gain" else _DROP
         if (
-            after < (_GAIN_DROP if suspicion.check == "gain" else _DROP) * before and model.cost(changed, parameters) < allowed
+            after < drop * before and model.cost(changed, parameters) < allowed
             and model.explained(changed, parameters) > _EXPLAINED
         ):  # fmt: skip
             verdicts.append(_Verdict(suspicion, size, before, after))

@@ -31,7 +31,8 @@ def check_records(records: Iterable[Experiment], card: Card | None = None) -> tu
     if not views:
         return ()
     findings = [f for view in views for f in check_view(view)]
-    findings += _check_together(views, findings)
+    with np.errstate(all="ignore"):  # as in `check_view`; a generator would leave it at once
+        findings += [*_check_together(views, findings)]
     return sort_findings(merge_findings(findings))
 
 
@@ -51,7 +52,6 @@ def check_view(view: RecordView) -> list[Finding]:
     return [finding for check in in_record.CHECKS for finding in check(view)]
 
 
-@np.errstate(all="ignore")
 def _check_together(views: Sequence[RecordView], alone: Sequence[Finding]) -> Iterator[Finding]:
     """Runs the checks that need several records, or all of them."""
     for check in between_splits.CHECKS:

@@ -34,6 +34,7 @@ _FEW_SAMPLES, _FEWER_SAMPLES = 8.0, 5.0  # in a period of the strongest oscillat
 _RINGING = 1.5  # periods, after which an oscillation that is none has decayed
 _BITS = range(8, 33)  # of counters
 _MAIN, _MOST_JUMPS = 0.5, 0.7  # of the largest jump; of these, so many have one size
+_SAME_WRAP = 0.05  # relative; a bad row there and back has two jumps of a size, no more
 _SAME_JUMP = 0.01  # relative
 _FROZEN = 5  # equal samples
 _SETTLED, _INTERPOLATED = 0.05, 4  # counts, and samples, of a constant that was interpolated
@@ -261,9 +262,9 @@ def _meaning_of_jumps(
             return f"the turn of {other}, swapped?", coordinate_line(
                 c.name, f"column: that of {other}?")  # fmt: skip
         degrees = abs(360 - turn * round(360 / turn))
-        if abs(typical / degrees - 1) < 0.15 and len(size) > 1:
+        if abs(typical / degrees - 1) < _SAME_WRAP and len(size) > 2:
             return "an angle in degrees that wraps", coordinate_line(c.name, 'unit = "deg"')
-        if abs(typical / np.deg2rad(turn) - 1) < 0.15 and len(size) > 1:
+        if abs(typical / np.deg2rad(turn) - 1) < _SAME_WRAP and len(size) > 2:
             return "an angle in radians that wraps", coordinate_line(c.name, 'unit = "rad"')
     if not count:
         return None
@@ -516,7 +517,8 @@ def velocities(view: RecordView) -> Iterator[Finding]:
             other = e.coordinates[best].name
             yield _velocity_finding(
                 view, j, f"is that of {other}, not",
-                f"r = {correlation:.2f}, with {other} {others[best]:.3f}", "column: that of the other coordinate", "severe")  # fmt: skip
+                f"r = {correlation:.2f}, with {other} {others[best]:.3f}",
+                "column: that of the other coordinate", "severe")  # fmt: skip
         elif correlation < _LOW_CORRELATION:
             yield _velocity_finding(
                 view, j, "disagrees with", f"r = {correlation:.2f}",
