@@ -104,7 +104,7 @@ def _equal_stretches(
     best: dict[tuple[int, int], tuple[int, int, int]] = {}
     for i, (e, x) in enumerate(zip(records, everything, strict=True)):
         steps = np.rint(np.diff(x, axis=0) / (extent * _DIGITS)).astype(np.int64)
-        keys = _stretch_keys(steps[:, : e.channels.n_q])
+        keys = _stretch_keys(steps[:, e.channels.position])
         position = 0
         for k, key in keys:
             if k < position:
