@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -44,10 +45,10 @@ def test_clean_logs_have_no_severe_finding_and_no_warning(machine: str, tmp_path
 # --- what is no fault ---
 
 
-def arm(q: np.ndarray, v: np.ndarray | None = None, **record: object) -> tn.Experiment:
+def arm(q: np.ndarray, v: np.ndarray | None = None, **record: Any) -> tn.Experiment:
     return tn.from_arrays(
         q, v=v, dt=DT, coordinates=[tn.Coordinate("arm", "angular", COUNT)], **record
-    )  # pyright: ignore[reportArgumentType]
+    )
 
 
 def swing(samples: int = 800) -> np.ndarray:

@@ -167,7 +167,7 @@ def _is_one_count(view: RecordView, j: int) -> bool:
     if count:
         return bool(np.ptp(e.q[:, j]) < 1.5 * count)
     # a coordinate that goes from one place to another changes once or twice
-    return np.count_nonzero(np.diff(e.q[:, j])) > 2
+    return int(np.count_nonzero(np.diff(e.q[:, j]))) > 2
 
 
 def magnitude(view: RecordView) -> Iterator[Finding]:
@@ -281,12 +281,13 @@ def _meaning_of_jumps(
 def _turn_of_other(view: RecordView, j: int, jump: float) -> str | None:
     """The coordinate whose encoder makes jumps of this size where it is read as another one."""
     blocks = view.card.coordinates if view.card is not None else []
-    if not blocks or not blocks[j].counts_per_revolution:
+    own = blocks[j].counts_per_revolution if blocks else None
+    if not own:
         return None
     for other in blocks:
         if not other.counts_per_revolution or other.name == blocks[j].name:
             continue
-        turns = other.counts_per_revolution / blocks[j].counts_per_revolution
+        turns = other.counts_per_revolution / own
         expected = 2 * np.pi * abs(turns - round(turns))
         if abs(jump - expected) < 0.1 * expected:
             return other.name

@@ -308,7 +308,7 @@ def fit_motion_model(
         )
         for e in equations
     ]  # fmt: skip
-    share = weights.copy()
+    share, others = weights.copy(), []
     n_q = regressors.channels.n_q
     noise = np.ones(n_q)
     for _ in range(3):
