@@ -203,8 +203,8 @@ write_card("LOGS", SPLITS)
 #
 # [The reference](../reference/data.md#of-a-data-set) explains the other columns.
 #
-# Below the tables are two messages. `suspicious` is a bad sign: the angle of `sweep2` jumps within
-# one sample. `hold` is a reminder: the voltage changes fast, so it matters what it does between two
+# Below the tables are [findings](../reference/findings.md) and remarks. A `warning` is a bad sign: the
+# angle of `sweep2` jumps within one sample. `hold` is a reminder: the voltage changes fast, so it matters what it does between two
 # rows. We know that our logger keeps it constant, as `hold = "zero-order"` says.
 #
 # Now look at the curves.

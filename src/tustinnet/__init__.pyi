@@ -1,11 +1,11 @@
 from .channels import Channels as Channels
 from .channels import Coordinate as Coordinate
 from .channels import Input as Input
+from .check.report import inspect_experiment as inspect_experiment
 from .data.catalog import load as load
 from .data.dataset import DataSet as DataSet
 from .data.dataset import from_arrays as from_arrays
 from .data.experiment import Experiment as Experiment
-from .data.inspection import inspect_experiment as inspect_experiment
 from .data.loading import from_frame as from_frame
 from .errors import InputError as InputError
 from .evaluate.ahead import rmse_ahead as rmse_ahead

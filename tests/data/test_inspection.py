@@ -8,7 +8,8 @@ import pytest
 from balancing import balanced
 
 import tustinnet as tn
-from tustinnet.data.inspection import inspect_experiment, still_coordinates, transient_end
+from tustinnet.check.report import inspect_experiment
+from tustinnet.data.inspection import still_coordinates, transient_end
 from tustinnet.systems.qube_servo2_twin import twin
 
 DT = 0.01
@@ -184,19 +185,19 @@ def test_a_sound_record_is_not_suspicious() -> None:
 def test_padded_velocities_are_suspicious() -> None:
     q, v = swing(rate=0.1)
     v[:2] = v[-3:] = 0
-    assert "zero rows (2 at the beginning, 3 at the end)" in suspicious(record(q, v))
+    assert "zero rows (2 at the beginning, 3 at the end:" in suspicious(record(q, v))
 
 
 def test_a_jump_is_suspicious_with_its_sample() -> None:
     q, _ = swing()
     q[300] += 1.0
-    assert "angle jumps at sample 300, 301 (bad rows" in suspicious(record(quantised(q)))
+    assert "angle jumps at sample 300, 301 (by 1 rad" in suspicious(record(quantised(q)))
 
 
 def test_a_jump_in_a_short_record_is_suspicious() -> None:
     q, _ = swing(60)
     q[33:] += 1000.0
-    assert "angle jumps at sample 33 (bad rows, or lost counts?)" in suspicious(record(q))
+    assert "angle jumps at sample 33 (by 0.973 rad" in suspicious(record(q))
 
 
 def test_degrees_declared_as_radians_are_suspicious() -> None:
@@ -238,17 +239,19 @@ def test_velocities_of_another_unit_or_sign_are_suspicious(factor: float, padded
     q, v = swing(rate=0.1)
     if padded:
         v[:2] = v[-2:] = 0
-    assert "angle: the velocity column disagrees" in suspicious(record(q, factor * v))
+    told = suspicious(record(q, factor * v))
+    expected = "the opposite sign of" if factor < 0 else "another unit than"
+    assert f"angle: the velocity column has {expected}" in told
 
 
 def test_another_count_than_declared_is_suspicious() -> None:
     told = suspicious(record(quantised(swing()[0]), resolution=COUNT / 1.5))
-    assert "encoder count 0.001534 rad found, 0.0010227 rad declared" in told
+    assert "encoder count 0.001534 rad found (0.0010227 rad declared, 1.5 times)" in told
 
 
 def test_a_multiple_of_the_declared_count_is_suspicious_too() -> None:
     found = suspicious(record(quantised(swing()[0], 2 * COUNT)))
-    assert "encoder count 0.003068 rad found, 0.001534 rad declared" in found
+    assert "encoder count 0.003068 rad found (0.001534 rad declared, 2 times)" in found
 
 
 def test_a_few_levels_are_no_count_of_an_encoder() -> None:
@@ -261,7 +264,7 @@ def test_a_coordinate_that_never_changes_is_suspicious() -> None:
     e = tn.from_arrays(
         np.stack([q, 0 * q], 1), dt=DT, coordinates={"moving": "angular", "still": "angular"}
     )
-    assert inspect_experiment(e).suspicious == ("still never changes",)
+    assert inspect_experiment(e).suspicious == ("still never changes (0 rad in all 800 samples)",)
     assert still_coordinates([e]) == ["still"]
     assert still_coordinates([e, replace(e, q=e.q[:, ::-1])]) == []
 

@@ -8,7 +8,7 @@ from conftest import DT, SYSTEM
 from spoilt_records import BEGIN, END, HAND, SAMPLES, records, simulate, write
 
 import tustinnet as tn
-from tustinnet.data.inspection import inspect_experiment
+from tustinnet.data.inspection import held_equilibrium
 from tustinnet.data.spoiled import card_entry, find_without_model, leave_out, spoiled_stretch
 from tustinnet.evaluate.spoiled import find_by_model, find_spoiled
 
@@ -27,7 +27,7 @@ def fit(spoilt: str, system_file):
 def test_clean_records_raise_no_alarm(system_file):
     assert find_by_model(fit("", system_file), records()) == []
     for e in records():
-        assert find_without_model(e, inspect_experiment(e)) == []
+        assert find_without_model(e, held_equilibrium(e)) == []
 
 
 def test_a_hand_is_named_at_its_record_and_time(system_file):
@@ -111,13 +111,13 @@ def pushed(*, from_rest: bool) -> tn.Experiment:
 
 def test_motion_from_rest_without_an_input_is_a_hand():
     e = pushed(from_rest=True)
-    (part,) = find_without_model(e, inspect_experiment(e))
+    (part,) = find_without_model(e, held_equilibrium(e))
     assert (part.cause, part.is_left_out) == ("unlogged force", True)
     assert part.seconds is not None
     assert 6.4 < part.seconds[0] < 7.1
     assert part.seconds[1] == pytest.approx(10.0, abs=0.1)
     quiet = pushed(from_rest=False)
-    assert find_without_model(quiet, inspect_experiment(quiet)) == []
+    assert find_without_model(quiet, held_equilibrium(quiet)) == []
 
 
 def test_inputs_beyond_or_at_their_limits_are_named_with_the_value():
@@ -125,14 +125,14 @@ def test_inputs_beyond_or_at_their_limits_are_named_with_the_value():
     limited = replace(
         e, channels=replace(e.channels, inputs=(tn.Input("torque", "N m", limits=(-2.5, 2.5)),))
     )
-    (part,) = find_without_model(limited, inspect_experiment(limited))
+    (part,) = find_without_model(limited, held_equilibrium(limited))
     assert part.cause == "saturated input"
     assert "beyond its limits of -2.5 and 2.5 N m" in part.reason
     assert not part.is_left_out
     t = e.t
     sine = np.clip(3 * np.sin(2 * t)[:, None], -2.0, 2.0)
     stuck = replace(e, u=sine)
-    (part,) = find_without_model(stuck, inspect_experiment(stuck))
+    (part,) = find_without_model(stuck, held_equilibrium(stuck))
     assert part.card == "limits = [-2, 2]  # of the input torque"
 
 
@@ -173,7 +173,7 @@ def test_an_unstable_phase_under_control_is_named_from_its_beginning_on():
     e = tn.from_arrays(
         q, u, dt=DT, coordinates={"angle": "angular"}, inputs={"torque": "N m"}, name="raised"
     )
-    (part,) = find_without_model(replace(e, source="raised.csv"), inspect_experiment(e))
+    (part,) = find_without_model(replace(e, source="raised.csv"), held_equilibrium(e))
     assert (part.cause, part.is_left_out) == ("unstable phase", False)
     assert part.seconds is not None
     assert 3.0 < part.seconds[0] < 4.5

@@ -41,10 +41,10 @@ def demo(
     how the command works, not how accurate the models are on a real device.
     """
     terminal.prepare_jax(device)
+    from tustinnet.check.report import inspect_experiment
     from tustinnet.cli.automatic_report import AutomaticReport, require_report
     from tustinnet.cli.inspect import time_table
     from tustinnet.data.catalog import load
-    from tustinnet.data.inspection import inspect_experiment
     from tustinnet.evaluate.scores import mean_rmse, rmse_by_record
     from tustinnet.report.page.fit_reports import write_scored_report
     from tustinnet.store.data_set_folder import write_data_set

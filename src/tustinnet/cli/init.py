@@ -44,8 +44,9 @@ def init(
     column of a record with what it was taken for.
     """
     from tustinnet.cli.inspect import print_inspection
-    from tustinnet.data.catalog import CARD_NAME, load
+    from tustinnet.data.catalog import CARD_NAME, locate
     from tustinnet.data.drafting.files import list_logs
+    from tustinnet.data.loading import load_folder
     from tustinnet.store.files import require_outputs, require_writable_folder
 
     folder, files = list_logs(logs)
@@ -58,7 +59,8 @@ def init(
         terminal.print_json(_as_plain(draft, folder))
     else:
         _print_draft(draft, folder)
-        print_inspection(load(folder))
+        place, card = locate(folder)
+        print_inspection(load_folder(place, card), card)
     print_assumptions(draft)
     draw_draft(draft, folder)
     terminal.messages().print(

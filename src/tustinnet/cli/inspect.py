@@ -1,5 +1,6 @@
 """`tustinnet inspect`: the contents of records, before anything is fitted."""
 
+import shlex
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,12 +13,16 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from tustinnet.channels import Hold
+    from tustinnet.check.finding import Finding
+    from tustinnet.check.report import ExperimentReport, Inspection
+    from tustinnet.data.card import Card
     from tustinnet.data.dataset import DataSet
     from tustinnet.data.experiment import Experiment
-    from tustinnet.data.inspection import ExperimentReport
     from tustinnet.report.tables import Table
+    from tustinnet.signals.equilibria import HeldEquilibrium
 
 _MOST_NAMED, _FIRST_NAMED = 6, 3  # records that a line names: all of so many, or the first ones
+_MOST_LINES = 12  # of findings before a fit
 
 _Figure = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Draw the records (.png, .svg, .pdf).")
@@ -42,11 +47,12 @@ def inspect(
     figure: _Figure = None,
     overwrite: options.Redraw = False,
 ) -> None:
-    """Check the records: sampling, encoders, inputs, suspicious rows."""
+    """Check the records: sampling, sensors, inputs, copies, and what they can tell."""
     import dataclasses
 
-    from tustinnet.data.catalog import load
-    from tustinnet.data.inspection import inspect_experiment
+    from tustinnet.check.report import inspect_records
+    from tustinnet.data.catalog import locate
+    from tustinnet.data.loading import load_folder
     from tustinnet.data.readers import is_readable
     from tustinnet.data.spoiled import find_without_model
     from tustinnet.errors import InputError
@@ -64,39 +70,43 @@ def inspect(
         return
     inputs = request.list_input_files(data, card)
     request.require_figures("--figure", figure, inputs, overwrite=overwrite)
-    data_set = load(data, card, follow_links=follow_links)
+    folder, located_card = locate(data, card)
+    data_set = load_folder(folder, located_card, follow_links=follow_links)
     records = request.records_of_split(data_set, split)
-    reports = [inspect_experiment(e) for e in records]
-    if strict:
-        require_sound(reports)
+    inspection = inspect_records(records, located_card)
     if json:
         experiments = [
             dataclasses.asdict(r)
-            | {"spoiled": [part.as_plain() for part in find_without_model(e, r)]}
-            for e, r in zip(records, reports, strict=True)
+            | {"spoiled": [part.as_plain() for part in find_without_model(e, r.held)]}
+            for e, r in zip(records, inspection.reports, strict=True)
         ]
-        terminal.print_json({"data": data_set.name, "experiments": experiments})
+        findings = [dataclasses.asdict(f) for f in inspection.findings]
+        terminal.print_json(
+            {"data": data_set.name, "experiments": experiments, "findings": findings}
+        )
     else:
-        _print_reports(reports, data_set.channels.unit)
-        for line in spoiled_lines(records, reports):
-            typer.echo(line)
+        _print_inspection(records, inspection)
     if figure is not None:
         from tustinnet.report.figures import inspection_figure, write_figure
 
-        write_figure(inspection_figure(list(records), reports), figure.parent, figure.name)
+        image = inspection_figure(list(records), list(inspection.reports))
+        write_figure(image, figure.parent, figure.name)
         terminal.messages().print(f"figure: {figure}")
+    if strict:
+        require_sound(inspection.findings)
 
 
-def print_inspection(data: "DataSet") -> None:
+def print_inspection(data: "DataSet", card: "Card | None" = None) -> None:
     """Prints the inspection of all records of a data set."""
-    from tustinnet.data.inspection import inspect_experiment
+    from tustinnet.check.report import inspect_records
 
-    _print_reports([inspect_experiment(e) for e in data], data.channels.unit)
+    _print_inspection(data, inspect_records(data, card))
 
 
-def _print_reports(reports: "list[ExperimentReport]", unit: str) -> None:
-    """Prints two tables, and a line for each remark."""
-    terminal.print_tables(time_table(reports), _channel_table(reports, unit))
+def _print_inspection(records: "DataSet", inspection: "Inspection") -> None:
+    """Prints two tables, the findings by severity, and a line for each remark."""
+    reports = list(inspection.reports)
+    terminal.print_tables(time_table(reports), _channel_table(reports, records.channels.unit))
     unstable = (
         (r.name, f"holds an unstable position from {r.held.sample * r.dt:.1f} s on (errors grow "
          f"e-fold in {r.held.e_fold:.2g} s): score it over a horizon")
@@ -110,10 +120,11 @@ def _print_reports(reports: "list[ExperimentReport]", unit: str) -> None:
     # the table has the jitter
     notes = ((r.name, text) for r in reports for text in r.notes if "jitter" not in text)
     for line in (
-        *suspicions(reports),
+        *_findings_page(inspection.findings, len(reports)),
         *_merge_remarks("held", unstable, len(reports)),
         *_merge_remarks("hold", holds, len(reports)),
         *_merge_remarks("note", notes, len(reports)),
+        *spoiled_lines(records, [r.held for r in reports]),
     ):
         typer.echo(line)
 
@@ -153,34 +164,79 @@ def _inspect_file(path: Path, *, json: bool) -> None:
                f"folder: tustinnet init {path.parent}\n{report.draft}")  # fmt: skip
 
 
-def suspicions(reports: "Sequence[ExperimentReport]") -> list[str]:
-    """Lines about suspicious rows in records; each remark once, with the names of its records."""
-    remarks = ((r.name, text) for r in reports for text in r.suspicious)
-    return _merge_remarks("suspicious", remarks, len(reports))
+def _findings_page(findings: "Iterable[Finding]", total: int) -> list[str]:
+    """Lines about findings in some records: what, how it shows, where, and the line of the card."""
+    lines = []
+    for finding in findings:
+        lines.append(f"{finding.severity}: {finding.what}")
+        lines.append(f"    {finding.size}")
+        if place := _place(finding, total):
+            lines.append(f"    in {place}")
+        lines.append(f"    mend: {finding.remedy}")
+    return lines
+
+
+def _place(finding: "Finding", total: int) -> str:
+    """The records, of so many in total, the column and the time of a finding."""
+    parts = [_list_records(finding.records, total)] if finding.records else []
+    parts += [f"column {finding.column}"] if finding.column else []
+    parts += [f"from {finding.time:.4g} s on"] if finding.time is not None else []
+    return ", ".join(parts)
+
+
+def warning_lines(
+    findings: "Iterable[Finding]", total: int, data: str, card: Path | None
+) -> list[str]:
+    """Lines about severe findings and warnings, for commands that go on; of many the first ones.
+
+    Args:
+        findings: the findings.
+        total: number of all records.
+        data: the data set as `inspect` takes it.
+        card: its card, if it was named.
+    """
+    serious = [f for f in findings if f.is_serious]
+    lines = []
+    for finding in serious[:_MOST_LINES]:
+        place = _place(finding, total)
+        lines.append(f"{finding.severity}: {finding.text}" + (f"  [{place}]" if place else ""))
+    if serious:
+        more = len(serious) - len(lines)
+        counted = f"{more} more findings, and how" if more else "how"
+        command = f"tustinnet inspect {shlex.quote(data)}"
+        command += f" --card {shlex.quote(str(card))}" if card else ""
+        lines.append(f"note: {counted} to mend them: {command}")
+    return lines
 
 
 def spoiled_lines(
-    records: "Iterable[Experiment]", reports: "Iterable[ExperimentReport]"
+    records: "Iterable[Experiment]", held: "Iterable[HeldEquilibrium | None]"
 ) -> list[str]:
-    """Lines about parts of records that spoil a fit and show without a model."""
+    """Lines about parts of records that spoil a fit and show without a model.
+
+    Args:
+        records: the records.
+        held: the unstable equilibrium that is held to the end of each, if any.
+    """
     from tustinnet.data.spoiled import find_without_model
 
     return [
         f"spoiled: {part.sentence}"
-        for e, report in zip(records, reports, strict=True)
-        for part in find_without_model(e, report)
+        for e, equilibrium in zip(records, held, strict=True)
+        for part in find_without_model(e, equilibrium)
     ]
 
 
-def require_sound(reports: Iterable["ExperimentReport"]) -> None:
-    """Raises an error with the first remark on suspicious rows, if there are any."""
+def require_sound(findings: "Iterable[Finding]") -> None:
+    """Raises an error with the first severe finding or warning, if there are any."""
     from tustinnet.errors import InputError
 
-    for r in reports:
-        if r.suspicious:
+    for finding in findings:
+        if finding.is_serious:
+            where = f"record '{finding.records[0]}'" if finding.records else "records"
             raise InputError(
-                f"record '{r.name}'", r.suspicious[0], "records without suspicious rows",
-                "repair it, or omit --strict",
+                where, finding.text, "records without severe findings and warnings",
+                f"{finding.remedy}; or omit --strict",
             )  # fmt: skip
 
 

@@ -126,7 +126,9 @@ JudgedHorizon = Annotated[
         "else whole records.",
     ),
 ]
-Strict = Annotated[bool, typer.Option("--strict", help="Refuse records with suspicious rows.")]
+Strict = Annotated[
+    bool, typer.Option("--strict", help="Refuse records with severe findings or warnings.")
+]
 LeaveOutSpoiled = Annotated[
     bool,
     typer.Option(

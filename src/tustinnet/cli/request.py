@@ -174,9 +174,10 @@ def load_records_to_fit(
     follow_links: bool,
 ) -> "DataSet":
     """Loads the records of a fit; prints which are left out, or with `strict` refuses them."""
-    from tustinnet.cli.inspect import require_sound, spoiled_lines, suspicions
+    from tustinnet.check.check import check_records
+    from tustinnet.cli.inspect import require_sound, spoiled_lines, warning_lines
     from tustinnet.data.catalog import locate
-    from tustinnet.data.inspection import inspect_experiment
+    from tustinnet.data.inspection import held_equilibrium
     from tustinnet.data.loading import load_folder
     from tustinnet.simulate.start_rules import DerivedStart
     from tustinnet.store.files import require_outputs
@@ -193,20 +194,21 @@ def load_records_to_fit(
     if not strict:
         kept = _leave_out_short([*records], DerivedStart.usual_name(), ())
         records = replace(records, experiments=tuple(kept))
-    reports = [inspect_experiment(e) for e in records]
+    findings = check_records(records, located_card)
     if strict:
-        require_sound(reports)
-    for line in (*suspicions(reports), *spoiled_lines(records, reports)):
+        require_sound(findings)
+    lines = warning_lines(findings, len(records), data, card)
+    for line in (*lines, *spoiled_lines(records, map(held_equilibrium, records))):
         console.print(line, highlight=False, soft_wrap=True)
     return records
 
 
 def leave_out_visible(records: "DataSet", console: "Console") -> "tuple[DataSet, tuple[str, ...]]":
     """Leaves out the parts that show to spoil a fit without a model; prints and returns which."""
-    from tustinnet.data.inspection import inspect_experiment
+    from tustinnet.data.inspection import held_equilibrium
     from tustinnet.data.spoiled import find_without_model, leave_out
 
-    parts = [part for e in records for part in find_without_model(e, inspect_experiment(e))]
+    parts = [part for e in records for part in find_without_model(e, held_equilibrium(e))]
     records, sentences = leave_out(records, parts)
     for sentence in sentences:
         console.print(sentence, highlight=False, soft_wrap=True)

@@ -18,6 +18,8 @@ VelocitySource = Literal["auto", "file", "stencil", "savgol", "kalman", "wiener"
 
 LARGEST = 1e100  # of a position, input or velocity; squares of larger ones overflow
 _STENCIL_SAMPLES = 5
+_FEW_PADDED = 10  # rows: fewer are the ends of a difference, more may be an arm at rest
+_FLICKER = 2.5  # steps of a position at rest
 
 
 def unwrap_angles(
@@ -384,18 +386,42 @@ class Experiment(HasChannels):
         """Rows at the beginning and the end whose stored velocities are zero padding.
 
         Rows of exact zeros in every velocity column count as padding where the positions say
-        that the system was moving.
+        that the system was moving, faster than the smallest velocity that the columns show.
         """
         if self.v is None or len(self) < 5:
             return (0, 0)
         zero = np.all(self.v == 0, axis=1)
         lead = len(zero) if zero.all() else int(np.argmin(zero))
         trail = len(zero) if zero.all() else int(np.argmin(zero[::-1]))
-        moving = np.any(np.diff(self.q, axis=0) != 0, axis=1)
         # one zero row may be a release from rest: motion counts between padded rows only
-        lead = lead if moving[: max(lead - 1, 0)].any() else 0
-        trail = trail if moving[len(moving) - max(trail - 1, 0) :].any() else 0
+        lead = lead if self._moves_unseen(slice(0, max(lead - 1, 0) + 1)) else 0
+        trail = trail if self._moves_unseen(slice(len(self) - max(trail - 1, 0) - 1, None)) else 0
         return lead, trail
+
+    def _moves_unseen(self, rows: slice) -> bool:
+        """Whether positions move in rows of zero velocities by more than these could hide.
+
+        An encoder of an arm at rest flickers by a count, and a sensor shows nothing below its
+        smallest velocity.
+        """
+        assert self.v is not None
+        q = self.q[rows]
+        if len(q) < 2 or not np.any(np.diff(q, axis=0) != 0):
+            return False
+        if len(q) <= _FEW_PADDED:
+            return True
+        size = np.abs(self.v)
+        smallest = np.min(size, axis=0, initial=np.inf, where=size > 0)
+        smallest[~np.isfinite(smallest)] = 0.0
+        hidden = np.maximum(smallest * self.dt * (len(q) - 1), _FLICKER * self._steps())
+        return bool(np.any(np.ptp(q, axis=0) > hidden))
+
+    def _steps(self) -> Float[np.ndarray, " n_q"]:
+        """The smallest step of each position, its encoder's count or that of its rounding."""
+        steps = np.abs(np.diff(self.q, axis=0))
+        scale = 1e-9 * np.abs(self.q).max(axis=0)
+        smallest = np.min(steps, axis=0, initial=np.inf, where=steps > scale)
+        return np.where(np.isfinite(smallest), smallest, 0.0)
 
 
 def moving_coordinates(experiments: Sequence[Experiment]) -> Bool[np.ndarray, " n_q"]:

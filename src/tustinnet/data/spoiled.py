@@ -12,9 +12,11 @@ from typing import Any, Literal
 
 import numpy as np
 
+from tustinnet.channels import Input
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
-from tustinnet.data.inspection import ExperimentReport
+from tustinnet.data.inspection import saturated_share
+from tustinnet.signals.equilibria import HeldEquilibrium
 from tustinnet.signals.transients import is_slow, rest_thresholds
 
 Cause = Literal["unlogged force", "other conditions", "saturated input", "unstable phase"]
@@ -165,39 +167,33 @@ def leave_out(data: DataSet, parts: Sequence[SpoiledPart]) -> tuple[DataSet, tup
     return replace(data, experiments=tuple(experiments)), tuple(sentences)
 
 
-def find_without_model(e: Experiment, report: ExperimentReport) -> list[SpoiledPart]:
+def find_without_model(e: Experiment, held: HeldEquilibrium | None) -> list[SpoiledPart]:
     """The parts of a record that spoil a fit, as far as they show without a model.
 
     Args:
         e: the record.
-        report: its inspection.
+        held: the unstable equilibrium that is held to its end (`held_equilibrium`), if any.
     """
     parts = _moved_by_hand(e)
-    if report.held is not None and report.held.sample >= FEWEST:
-        first = report.held.sample
+    if held is not None and held.sample >= FEWEST:
+        first = held.sample
         reason = (
             f"a controller holds an unstable position; errors of a simulation grow e-fold in "
-            f"{report.held.e_fold:.2g} s: judge it over a horizon (--horizon "
-            f"{4 * report.held.e_fold:.2g}), or leave it out"
+            f"{held.e_fold:.2g} s: judge it over a horizon (--horizon "
+            f"{4 * held.e_fold:.2g}), or leave it out"
         )
         parts.append(replace(
             spoiled_stretch(e, first, len(e), "unstable phase", reason), is_left_out=False
         ))  # fmt: skip
     for i, u in zip(e.inputs, e.u.T, strict=True):
-        part = _at_limits(e, i.name, i.unit, i.limits, u, _saturated_share(report, i.name))
+        part = _at_limits(e, i, u)
         parts += [] if part is None else [part]
     return parts
 
 
-def _saturated_share(report: ExperimentReport, name: str) -> float:
-    return next(i.saturated for i in report.inputs if i.name == name)
-
-
-def _at_limits(
-    e: Experiment, name: str, unit: str, limits: tuple[float, float] | None, u: np.ndarray,
-    share: float,
-) -> SpoiledPart | None:  # fmt: skip
+def _at_limits(e: Experiment, channel: Input, u: np.ndarray) -> SpoiledPart | None:
     """An input beyond the declared limits of its actuator, or often at an extreme value."""
+    name, unit, limits = channel.name, channel.unit, channel.limits
     if limits is not None:
         beyond = float(np.mean((u < limits[0]) | (u > limits[1])))
         if not beyond:
@@ -208,6 +204,7 @@ def _at_limits(
             "gave, or clip the column"
         )
         return SpoiledPart(e.name, "saturated input", None, None, reason, is_left_out=False)
+    share = saturated_share(u, limits)
     if share < _OFTEN:
         return None
     low, high = float(u.min()), float(u.max())

@@ -14,8 +14,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tustinnet.channels import Channels
+from tustinnet.check.report import ExperimentReport
 from tustinnet.data.experiment import Experiment
-from tustinnet.data.inspection import ExperimentReport
 from tustinnet.evaluate.bands import Band
 from tustinnet.evaluate.scores import Score
 from tustinnet.report.page.signals import bounded, find_extremes

@@ -7,7 +7,7 @@ before the rounds, by the cheapest model that can tell: the system that is given
 from collections.abc import Callable
 
 from tustinnet.data.dataset import DataSet
-from tustinnet.data.inspection import inspect_experiment
+from tustinnet.data.inspection import held_equilibrium
 from tustinnet.data.spoiled import find_without_model, leave_out
 from tustinnet.errors import error_message
 from tustinnet.evaluate.spoiled import find_spoiled
@@ -36,7 +36,7 @@ def leave_out_spoiled(
         deadline: when the search for them has to end.
         on_message: called with what is being done.
     """
-    visible = [part for e in data for part in find_without_model(e, inspect_experiment(e))]
+    visible = [part for e in data for part in find_without_model(e, held_equilibrium(e))]
     data, sentences = leave_out(data, visible)
     by = "a mechanism" if system is None else "the system"
     on_message(f"parts of records that spoil fits: searched for by {by}")

@@ -9,6 +9,7 @@ _USUAL_RANK = 24  # of them deviate less than is usual nearby: six may be jumps 
 _LARGE = 8.0  # times that
 _FAST = 2.0  # times the largest change nearby that does not stick out
 _COUNTS = 5.0
+_REACH = 3  # samples around a jump, which are bent by it
 _ROUNDING = 1e-9  # of the largest position
 _MANY, _MANY_SHARE = 10, 0.05  # more jumps than this, and than this share of all changes
 
@@ -28,7 +29,8 @@ def find_jumps(
     Changes from sample to sample are compared with the median of five of them, which follows
     smooth motion, turning points, quantised rest and the changes of speed of impacts alike. What
     sticks out is a jump where it is large compared with what else sticks out nearby, with how
-    fast the position moves there, and with the encoder's count.
+    fast the position moves there, with how much it bends anywhere else, and with the encoder's
+    count.
 
     Args:
         t: timestamps [s].
@@ -46,9 +48,21 @@ def find_jumps(
     least = max(_COUNTS * count, _ROUNDING * float(np.abs(q).max()))
     threshold = np.maximum(np.maximum(_LARGE * others, _FAST * fast), least)
     jumps = np.flatnonzero(deviation > threshold) + 1
+    jumps = jumps[deviation[jumps - 1] > _largest_bend(change, jumps)]
     # a log that is faster than its sensor moves by jumps alone
     is_usual = len(jumps) > _MANY and len(jumps) > _MANY_SHARE * np.count_nonzero(change)
     return jumps[:0] if is_usual else jumps
+
+
+def _largest_bend(change: Float[np.ndarray, " m"], jumps: Int[np.ndarray, " jumps"]) -> float:
+    """The largest change of the speed, a sample, away from jumps.
+
+    A mechanism that is driven to and fro, or runs through a dead band, bends its motion as much.
+    """
+    bend = np.abs(np.diff(change))
+    near = (jumps[:, None] + np.arange(-_REACH - 2, _REACH)).ravel()
+    bend[near[(near >= 0) & (near < len(bend))]] = 0.0
+    return float(bend.max(initial=0.0))
 
 
 def _rank_filter(x: Float[np.ndarray, " n"], width: int, rank: int) -> Float[np.ndarray, " n"]:

@@ -1,0 +1,158 @@
+"""The check of records on planted faults, and on clean folders, where every finding is an alarm.
+
+python benchmarks/check.py [faults|late|clean|time] [DATA]
+
+Without a word all of it. DATA is a folder with the measured data sets (`qube_servo2`,
+`double_pendulum_dfki`, `emps`), which are clean, too; without it there are fewer clean folders.
+"""
+
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from simulated.faults import FAULTS, LATE_FAULTS, MACHINES, Fault, simulate_logs
+
+import tustinnet as tn
+from tustinnet.check.check import check_records
+from tustinnet.check.finding import Finding
+from tustinnet.data.catalog import locate
+from tustinnet.data.loading import load_folder
+from tustinnet.report.tables import Table
+
+_SEEDS = (1, 2, 3)  # of the clean machines; faults are planted into those of seed 0
+_TWINS = range(6)
+_EXAMPLES = Path(__file__).parents[1] / "examples"
+_LONG = 10**6  # samples
+
+
+def check_folder(folder: Path, card: Path | None = None) -> tuple[tuple[Finding, ...], float]:
+    """Findings in a folder of logs, and the seconds that the check takes."""
+    place, content = locate(folder, card)
+    return _timed(load_folder(place, content), content)
+
+
+def _timed(records: tn.DataSet, card: object = None) -> tuple[tuple[Finding, ...], float]:
+    begun = time.perf_counter()
+    findings = check_records(records, card)  # pyright: ignore[reportArgumentType]
+    return findings, time.perf_counter() - begun
+
+
+def run_faults(faults: Sequence[Fault]) -> Table:
+    """A row for each fault: whether it is named, by which finding, and what else is said."""
+    rows, found, others = [], 0, 0
+    with tempfile.TemporaryDirectory() as place:
+        for k, fault in enumerate(faults):
+            findings, seconds = check_folder(fault.write(Path(place) / str(k)))
+            named = [f for f in findings if fault.is_named_by(f)]
+            more = sum(f.is_serious for f in findings) - len(named)
+            found, others = found + bool(named), others + more
+            text = f"{named[0].severity}: {named[0].size}" if named else "–"
+            rows.append(
+                [fault.name, fault.machine, "yes" if named else "NO", text[:70], str(more),
+                 f"{seconds:.2f}"]
+            )  # fmt: skip
+    title = f"{found} of {len(faults)} planted faults named; {others} other findings beside them"
+    return Table(["fault", "machine", "named", "finding", "others", "s"], rows, title=title)
+
+
+def clean_folders(data: Path | None, place: Path) -> Iterator[tuple[str, Path, Path | None]]:
+    """Names, folders and cards of clean logs."""
+    for name in MACHINES:
+        for seed in _SEEDS:
+            logs = simulate_logs(name, seed, fit=8, held_out=3, longest=12.0)
+            yield f"{name} {seed}", logs.write(place / f"{name}-{seed}"), None
+    if data is not None:
+        for card in sorted(_EXAMPLES.glob("*.toml")):
+            stem = "emps" if card.stem.startswith("emps") else card.stem
+            if (data / stem).is_dir():
+                yield card.stem, data / stem, card
+
+
+def clean_sets(data: Path | None) -> Iterator[tuple[str, tn.DataSet]]:
+    """Names and records of clean data that are made or cut in memory."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    from tustinnet.systems.qube_servo2_twin import twin
+
+    for seed in _TWINS:
+        yield f"twin {seed}", twin(seed)
+    if data is not None and (data / "qube_servo2").is_dir():
+        qube = tn.load(data / "qube_servo2")
+        yield "qube", qube
+        for split in qube.splits:
+            yield f"qube {split}", qube.split(split)
+        # of falls alone the check says, rightly, that the voltage never moves
+        yield "qube later half", replace(qube, experiments=qube.experiments[len(qube) // 2 :])
+        yield "qube noise", replace(qube, experiments=tuple(e for e in qube if e.forced))
+
+
+def run_clean(data: Path | None) -> Table:
+    """A row for each clean folder with findings of the two upper severities."""
+    rows, folders, alarms, longest = [], 0, 0, 0.0
+    with tempfile.TemporaryDirectory() as place:
+        results = [
+            *((n, *check_folder(f, c)) for n, f, c in clean_folders(data, Path(place))),
+            *((n, *_timed(records)) for n, records in clean_sets(data)),
+        ]
+    for name, findings, seconds in results:
+        folders, longest = folders + 1, max(longest, seconds)
+        serious = [f for f in findings if f.is_serious]
+        alarms += bool(serious)
+        rows += [[name, f.severity, ", ".join(f.records), f.text[:90]] for f in serious]
+    title = f"{alarms} of {folders} clean folders with a false alarm; at most {longest:.1f} s"
+    return Table(["folder", "severity", "records", "alarm"], rows, title=title)
+
+
+def run_times() -> Table:
+    """Seconds of the check of 21 records of 1,000 samples, and of a record of a million."""
+    rng = np.random.default_rng(0)
+
+    def record(name: str, samples: int) -> tn.Experiment:
+        drive = np.repeat(rng.uniform(-3, 3, samples // 20 + 1), 20)[:samples]
+        return tn.from_arrays(
+            *_swing(drive), dt=0.01, coordinates={"a": "angular", "b": "angular"},
+            inputs={"u": "V"}, name=name,
+        )  # fmt: skip
+
+    rows = []
+    for count, samples in ((21, 1000), (1, _LONG)):
+        records = tn.DataSet("times", tuple(record(f"r{k}", samples) for k in range(count)))
+        _, seconds = _timed(records)
+        rows.append([str(count), str(samples), f"{seconds:.2f}"])
+    return Table(["records", "samples", "s"], rows, title="Seconds of the check")
+
+
+def _swing(drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two coupled pendulums that are driven, their angles by encoders, and the drive."""
+    dt, count = 0.01, 2 * np.pi / 4096
+    a = b = v = w = 0.0
+    q = np.empty((len(drive), 2))
+    for k, u in enumerate(drive):
+        q[k] = a, b
+        twist = 8.0 * (a - b)
+        v += dt * (-20 * np.sin(a) - twist - 0.8 * v + 6 * u)
+        w += dt * (-30 * np.sin(b) + twist - 0.5 * w)
+        a, b = a + dt * v, b + dt * w
+    return np.round(q / count) * count, drive
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Prints the tables that are asked for."""
+    words = ("faults", "late", "clean", "time")
+    chosen = [a for a in arguments if a in words] or [*words]
+    folder = next((Path(a) for a in arguments if a not in words), None)
+    tables = {
+        "faults": lambda: run_faults(FAULTS), "late": lambda: run_faults(LATE_FAULTS),
+        "clean": lambda: run_clean(folder), "time": run_times,
+    }  # fmt: skip
+    for word in chosen:
+        print(tables[word]().markdown(), flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,41 @@
+"""Lines of a data card that mend a finding, as texts with the table that they belong to."""
+
+from tustinnet.data.experiment import Experiment
+
+
+def top_line(entry: str) -> str:
+    """A line above the tables of the card."""
+    return f"at the top: {entry}"
+
+
+def time_line(entry: str) -> str:
+    """A line of the table of times."""
+    return f"under [time]: {entry}"
+
+
+def coordinate_line(name: str, entry: str) -> str:
+    """A line in the block of a coordinate."""
+    return f"under [[coordinates]] {name}: {entry}"
+
+
+def input_line(name: str, entry: str) -> str:
+    """A line in the block of an input."""
+    return f"under [[inputs]] {name}: {entry}"
+
+
+def file_line(e: Experiment, entry: str) -> str:
+    """An entry of a record's file in its split, with a key."""
+    return f'under [splits] {_split(e)}: {{ file = "{_file(e)}", {entry} }}'
+
+
+def without_record(e: Experiment) -> str:
+    """The advice to leave a record out of its split."""
+    return f'under [splits] {_split(e)}: leave out "{_file(e)}"'
+
+
+def _split(e: Experiment) -> str:
+    return e.split or "train"
+
+
+def _file(e: Experiment) -> str:
+    return e.source or e.name

@@ -1,0 +1,651 @@
+"""Checks of a single record: time base, sensors, velocity columns, inputs.
+
+Every check is a generator of findings from a view of a record. `CHECKS` lists them in the order of
+the report; a new one is a function and a line there.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from tustinnet.check.card_lines import (
+    coordinate_line,
+    file_line,
+    input_line,
+    time_line,
+    top_line,
+    without_record,
+)
+from tustinnet.check.finding import Finding
+from tustinnet.check.view import RecordView
+from tustinnet.check.weak_form import Windows
+from tustinnet.signals import outliers
+from tustinnet.signals.timescales import timescales
+
+_OTHER_PERIOD = 0.003  # relative; velocities and accelerations are wrong by it, and by twice it
+_FAR_PERIOD = 0.02
+_QUARTER, _OFTEN = np.pi / 2, 0.05  # no angle moves by this a sample, in this share of the samples
+_FARTHEST, _STRONGEST = 1e6, 1e9  # rad or m, and units of an input, which no mechanism reaches
+_OTHER_COUNT = 0.01  # relative; an encoder count this far from the declared one is another
+_FEWEST_COUNTS = 10  # levels of a position that tell the count of its encoder
+_LONG_GAP = 4.5  # periods; of a shorter one little motion is lost
+_FEW_SAMPLES, _FEWER_SAMPLES = 8.0, 5.0  # in a period of the strongest oscillation
+_RINGING = 1.5  # periods, after which an oscillation that is none has decayed
+_BITS = range(8, 33)  # of counters
+_MAIN, _MOST_JUMPS = 0.5, 0.7  # of the largest jump; of these, so many have one size
+_SAME_WRAP = 0.05  # relative; a bad row there and back has two jumps of a size, no more
+_SAME_JUMP = 0.01  # relative
+_FROZEN = 5  # equal samples
+_SETTLED, _INTERPOLATED = 0.05, 4  # counts, and samples, of a constant that was interpolated
+_STEP = 5.0  # times the changes that an input rarely exceeds
+_COUNTS = 5.0  # a change of so many is none of quantisation
+_BRAKING = 3.0  # times the largest change of speed elsewhere: no mechanism stops so
+_RUNS = 2  # times that a coordinate reaches a limit of its sensor
+_CLIPPED = 4  # equal samples at a limit
+_LAG_SAMPLES, _LAG_TIME = 0.8, 0.01  # of a velocity, in samples and in periods of the motion
+_GAIN = 0.05  # relative, of a velocity
+_OTHER_GAIN = 0.2
+_LOW_CORRELATION, _HIGH_CORRELATION = 0.5, 0.9
+_BEYOND = 0.01  # of the range of limits
+_MOST_LAGS = 12  # samples
+_LONGEST_CLOCK = 5e-5  # s; a mechanism that needs a shorter period is rare
+
+_RATIOS = {  # of a velocity column to the slope: what it may mean
+    "deg/s": np.rad2deg(1.0), "rad/s": np.deg2rad(1.0), "rpm": 30 / np.pi,
+    "rev/s": 1 / (2 * np.pi), "mm/s": 1e3, "cm/s": 1e2, "m/s": 1e-3,
+}  # fmt: skip
+
+
+# --- time ---
+
+
+def period(view: RecordView) -> Iterator[Finding]:
+    """Period of the log against that of the card."""
+    e = view.experiment
+    if e.recording is not None or view.card is None or view.card.dt is None:
+        return
+    intervals = np.diff(e.t)
+    usual = intervals[np.abs(intervals / np.median(intervals) - 1) < 0.5]
+    mean, error = float(usual.mean()), float(usual.std() / np.sqrt(len(usual)))
+    deviation = mean / e.dt - 1
+    if abs(deviation) < _OTHER_PERIOD or abs(mean - e.dt) < 4 * error:
+        return
+    yield view.finding(
+        "period", "severe" if abs(deviation) > _FAR_PERIOD else "warning",
+        "the log has another sampling period than the card",
+        f"{1e3 * mean:.5g} ms against dt = {1e3 * e.dt:.5g} ms: {deviation:+.1%}",
+        top_line(f"dt = {mean:.6g}"),
+    )  # fmt: skip
+
+
+def time_unit(view: RecordView) -> Iterator[Finding]:
+    """Unit of the timestamps, where no period in the card says how large they are."""
+    card, e = view.card, view.experiment
+    if card is None or card.time is None or card.dt is not None:
+        return
+    median = view.recording.median_dt
+    step = median / card.time.factor()
+    is_whole = bool(np.all(np.abs(np.diff(e.t) / card.time.factor() % 1) < 1e-6))
+    if card.time.unit == "s" and is_whole and step >= 1:
+        unit = "ms" if step < 1e3 else "us" if step < 1e6 else "ns"
+    elif card.time.unit != "s" and not is_whole and step < 1 and median < _LONGEST_CLOCK:
+        unit = "s"
+    else:
+        return
+    yield view.finding(
+        "time unit", "severe", f"the timestamps look like {unit}, not {card.time.unit}",
+        f"they are {step:.4g} apart, which makes a period of {median:.3g} s",
+        time_line(f'unit = "{unit}"'),
+    )  # fmt: skip
+
+
+def gaps(view: RecordView) -> Iterator[Finding]:
+    """Gaps of the log, which are intervals of several periods."""
+    e, recording = view.experiment, view.recording
+    lengths = [(stop - start) / recording.median_dt for start, stop in recording.gaps]
+    if not lengths or max(lengths) < _LONG_GAP:
+        return
+    worst = int(np.argmax(lengths))
+    start, stop = recording.gaps[worst]
+    row = int(np.searchsorted(e.t, start + recording.median_dt / 2)) + e.first_row
+    count = f"{len(lengths)} gaps, the longest" if len(lengths) > 1 else "a gap"
+    treatment = "filled by interpolation" if e.recording is not None else "left as it is"
+    rows = f"rows = [{e.first_row}, {row}]"
+    yield view.finding(
+        "gap", "warning", "samples are missing",
+        f"{count} of {1e3 * (stop - start):.4g} ms, {lengths[worst] - 1:.0f} samples, {treatment}",
+        f"{file_line(e, rows)}, and the rows from {row} on as another entry",
+        time=start - float(e.t[0]),
+    )  # fmt: skip
+
+
+def sampling(view: RecordView) -> Iterator[Finding]:
+    """Samples in a period of the strongest oscillation."""
+    e = view.experiment
+    for j, c in enumerate(e.coordinates):
+        if len(e) < 64 or not view.moving[j] or _moves_wildly(view, j):
+            continue
+        scales = timescales([e.q[:, j]])
+        is_noise = scales.swing < 3 * view.counts[j] or scales.decay < _RINGING * scales.period
+        if scales.period < _FEW_SAMPLES and not is_noise:
+            yield view.finding(
+                "sampling", "warning" if scales.period < _FEWER_SAMPLES else "note",
+                f"{c.name} is sampled slowly for its motion",
+                f"{scales.period:.1f} samples in a period of {1e3 * scales.period * e.dt:.3g} ms, "
+                f"10 or more are usual",
+                "record with a shorter period; no line of the card mends it",
+                c.name,
+            )  # fmt: skip
+
+
+# --- positions ---
+
+
+def dead_sensor(view: RecordView) -> Iterator[Finding]:
+    """Coordinates that never change, or flicker between two neighbouring counts."""
+    e = view.experiment
+    for j, c in enumerate(e.coordinates):
+        if not view.moving[j]:
+            yield view.finding(
+                "dead sensor", "warning", f"{c.name} never changes",
+                f"{e.q[0, j]:.4g} {c.unit} in all {len(e)} samples",
+                coordinate_line(c.name, "column: is it the right one?"), c.name,
+            )  # fmt: skip
+        elif len(np.unique(e.q[:, j])) == 2 and _is_one_count(view, j):
+            yield view.finding(
+                "dead sensor", "warning", f"{c.name} never changes by more than one count",
+                f"{np.ptp(e.q[:, j]):.4g} {c.unit} in all {len(e)} samples",
+                coordinate_line(c.name, "column: is it the right one?"), c.name,
+            )  # fmt: skip
+
+
+def _is_one_count(view: RecordView, j: int) -> bool:
+    """Whether both values of a coordinate are neighbours as far as its count is known."""
+    e = view.experiment
+    count = e.coordinates[j].resolution
+    if count:
+        return bool(np.ptp(e.q[:, j]) < 1.5 * count)
+    # a coordinate that goes from one place to another changes once or twice
+    return int(np.count_nonzero(np.diff(e.q[:, j]))) > 2
+
+
+def magnitude(view: RecordView) -> Iterator[Finding]:
+    """Positions and inputs that no mechanism reaches."""
+    e = view.experiment
+    for j, c in enumerate(e.coordinates):
+        if c.unit in ("rad", "m") and (size := np.abs(e.q[:, j]).max()) > _FARTHEST:
+            yield view.finding(
+                "magnitude", "severe", f"{c.name} reaches {size:.3g} {c.unit}",
+                "unit or a bad row?", coordinate_line(c.name, "unit: which one?"), c.name,
+                view.seconds(int(np.abs(e.q[:, j]).argmax())),
+            )  # fmt: skip
+    for i, u in zip(e.inputs, e.u.T, strict=True):
+        if (size := np.abs(u).max()) > _STRONGEST:
+            yield view.finding(
+                "magnitude", "severe", f"{i.name} reaches {size:.3g} {i.unit}",
+                "unit or a bad row?", input_line(i.name, "scale: which one?"), i.name,
+                view.seconds(int(np.abs(u).argmax())),
+            )  # fmt: skip
+
+
+def wild_angle(view: RecordView) -> Iterator[Finding]:
+    """Angles that move more than a quarter turn from sample to sample."""
+    e = view.experiment
+    for j, c in enumerate(e.coordinates):
+        if _moves_wildly(view, j):
+            share = np.mean(np.abs(np.diff(e.q[:, j])) > _QUARTER)
+            yield view.finding(
+                "angle unit", "severe",
+                f"{c.name} moves more than a quarter turn in {share:.0%} of the periods",
+                "wrong unit, or sampled too slowly?",
+                coordinate_line(c.name, 'unit = "deg"'), c.name,
+            )  # fmt: skip
+
+
+def _moves_wildly(view: RecordView, j: int) -> bool:
+    e = view.experiment
+    is_angle = e.coordinates[j].kind == "angular"
+    return is_angle and bool(np.mean(np.abs(np.diff(e.q[:, j])) > _QUARTER) > _OFTEN)
+
+
+def jumps(view: RecordView) -> Iterator[Finding]:
+    """Jumps of positions: spikes, lost counts, counters that overflow, wraps of another unit."""
+    e = view.experiment
+    for j, c in enumerate(e.coordinates):
+        if _moves_wildly(view, j) or not view.moving[j]:
+            continue
+        rows = outliers.find_jumps(e.t, e.q[:, j], c.resolution or view.recording.counts[j] or 0.0)
+        rows = rows[~_follows_standstill(view, j, rows) & ~_follows_step(view, rows)]
+        if not len(rows):
+            continue
+        sizes = _jump_sizes(e.q[:, j], rows)
+        worst = float(np.abs(sizes).max())
+        listed = _list_rows(rows)
+        meaning = _meaning_of_jumps(view, j, sizes)
+        if meaning is not None:
+            cause, remedy = meaning
+            check = "swap" if cause.endswith("swapped?") else "counter"
+            yield view.finding(
+                check, "severe", f"{c.name} jumps at sample {listed}: {cause}",
+                f"{len(rows)} jumps of {worst:.5g} {c.unit}", remedy, c.name,
+                view.seconds(int(rows[0])),
+            )  # fmt: skip
+            continue
+        is_spike = len(rows) > 1 and abs(sizes.sum()) < 0.2 * np.abs(sizes).sum()
+        in_counts = f", {worst / view.counts[j]:.0f} counts" if view.counts[j] else ""
+        yield view.finding(
+            "jump", "warning", f"{c.name} jumps at sample {listed}",
+            f"by {worst:.3g} {c.unit}{in_counts}: " + ("bad rows?" if is_spike else
+                                                      "bad rows, or lost counts?"),
+            _around(view, int(rows[0]), int(rows[-1])), c.name, view.seconds(int(rows[0])),
+        )  # fmt: skip
+
+
+def _meaning_of_jumps(
+    view: RecordView, j: int, sizes: Float[np.ndarray, " jumps"]
+) -> tuple[str, str] | None:
+    """Cause and remedy of jumps of a size that counters and units have, None of others."""
+    c, count = view.experiment.coordinates[j], view.counts[j]
+    block = view.coordinate_card(c.name)
+    size = np.abs(sizes)
+    size = size[size > _MAIN * size.max()]  # a bad row beside a jump is no jump of its own
+    typical = float(np.median(size))
+    if np.mean(np.abs(size - typical) < 0.2 * typical) < _MOST_JUMPS:
+        return None
+    turn = 2 * np.pi
+    if c.kind == "angular":
+        if block is not None and not block.unwrap and abs(typical / turn - 1) < 0.2:
+            return "an encoder that wraps", coordinate_line(c.name, "unwrap = true")
+        other = _turn_of_other(view, j, typical)
+        if other is not None:
+            return f"the turn of {other}, swapped?", coordinate_line(
+                c.name, f"column: that of {other}?")  # fmt: skip
+        degrees = abs(360 - turn * round(360 / turn))
+        if abs(typical / degrees - 1) < _SAME_WRAP and len(size) > 2:
+            return "an angle in degrees that wraps", coordinate_line(c.name, 'unit = "deg"')
+        if abs(typical / np.deg2rad(turn) - 1) < _SAME_WRAP and len(size) > 2:
+            return "an angle in radians that wraps", coordinate_line(c.name, 'unit = "rad"')
+    if not count:
+        return None
+    for bits in _BITS:
+        jump = 2**bits * count
+        if c.kind == "angular" and (block is None or block.unwrap):
+            jump = abs(jump - turn * round(jump / turn))
+        if jump > 3 * _COUNTS * count and abs(typical - jump) < max(3 * count, _SAME_JUMP * jump):
+            remedy = "no line of the card: add the overflows to the column in the file"
+            return f"a counter of {bits} bits that overflows", remedy
+    return None
+
+
+def _turn_of_other(view: RecordView, j: int, jump: float) -> str | None:
+    """The coordinate whose encoder makes jumps of this size where it is read as another one."""
+    blocks = view.card.coordinates if view.card is not None else []
+    own = blocks[j].counts_per_revolution if blocks else None
+    if not own:
+        return None
+    for other in blocks:
+        if not other.counts_per_revolution or other.name == blocks[j].name:
+            continue
+        turns = other.counts_per_revolution / own
+        expected = 2 * np.pi * abs(turns - round(turns))
+        if abs(jump - expected) < 0.1 * expected:
+            return other.name
+    return None
+
+
+def _jump_sizes(q: Float[np.ndarray, " n"], rows: Int[np.ndarray, " r"]) -> np.ndarray:
+    """Changes at some rows without those of the motion around them."""
+    change = np.diff(q)
+    near = [np.r_[max(k - 4, 0) : k - 1, k : min(k + 3, len(change))] for k in rows]
+    return np.array([change[k - 1] - np.median(change[n]) for k, n in zip(rows, near, strict=True)])
+
+
+def _around(view: RecordView, first: int, last: int) -> str:
+    """The advice to use the rows before or after some bad ones."""
+    e = view.experiment
+    start, stop = e.first_row, e.first_row + len(e)
+    rows = [start, start + first] if first > len(e) - last else [start + last + 1, stop]
+    if rows[1] - rows[0] < 10:
+        return without_record(e)
+    return file_line(e, f"rows = {rows}")
+
+
+def _equal_runs(view: RecordView, j: int) -> tuple[Int[np.ndarray, " r"], Int[np.ndarray, " r"]]:
+    """First and last samples of the runs of equal values of a coordinate.
+
+    On a grid, the interpolation of a constant settles within some samples of its beginning.
+    """
+    e = view.experiment
+    allowed = 0.0 if e.recording is None else _SETTLED * max(view.counts[j], view.noise[j])
+    ends = np.flatnonzero(np.abs(np.diff(e.q[:, j])) > allowed)
+    return np.r_[0, ends + 1], np.r_[ends, len(e) - 1]
+
+
+def _margin(view: RecordView) -> int:
+    """Samples around a run of equal values that interpolation has changed."""
+    return 0 if view.experiment.recording is None else _INTERPOLATED
+
+
+def _speed_before(view: RecordView, j: int, first: np.ndarray) -> np.ndarray:
+    """Change a sample over the three samples before the first one of each run."""
+    q, first = view.experiment.q[:, j], first - _margin(view)
+    return (q[np.maximum(first - 1, 0)] - q[np.maximum(first - 4, 0)]) / 3
+
+
+def _speed_after(view: RecordView, j: int, last: np.ndarray) -> np.ndarray:
+    """Change a sample over the three samples after the last one of each run."""
+    q, last = view.experiment.q[:, j], last + _margin(view)
+    n = len(q) - 1
+    return (q[np.minimum(last + 4, n)] - q[np.minimum(last + 1, n)]) / 3
+
+
+def _standstills(view: RecordView, j: int) -> list[tuple[int, int]]:
+    """Runs of equal values in the middle of motion, after which the position catches up."""
+    q, margin = view.experiment.q[:, j], _margin(view)
+    first, last = _equal_runs(view, j)
+    length = last - first + 1 + margin
+    inside = (length >= _FROZEN + 3 * margin) & (first >= 4) & (last < len(q) - 5 - margin)
+    first, last, length = first[inside], last[inside], length[inside]
+    before, after = _speed_before(view, j, first), _speed_after(view, j, last)
+    missed = q[last + 1 + margin] - q[last] if len(last) else np.zeros(0)
+    expected = (before + after) / 2 * length
+    noise = _COUNTS * max(view.counts[j], view.noise[j])
+    faster = np.maximum(np.abs(before), np.abs(after))
+    caught = (
+        (np.abs(missed) > noise) & (np.abs(missed) > 3 * faster) & (np.abs(expected) > noise)
+        & (np.abs(missed - expected) < 0.6 * np.abs(missed) + noise)
+    )  # fmt: skip
+    return [(int(a), int(b)) for a, b in zip(first[caught], last[caught], strict=True)]
+
+
+def _follows_standstill(view: RecordView, j: int, rows: np.ndarray) -> np.ndarray:
+    """Mask of jumps that end a standstill of the sensor, which `frozen_sensor` reports."""
+    ends = [b + k for _, b in _standstills(view, j) for k in range(1, 2 + _margin(view))]
+    return np.isin(rows, ends)
+
+
+def _follows_step(view: RecordView, rows: Int[np.ndarray, " r"]) -> np.ndarray:
+    """Mask of jumps that follow a step of an input, which moves a stiff mechanism as fast."""
+    change = np.abs(np.diff(view.experiment.u, axis=0, prepend=view.experiment.u[:1]))
+    if not change.size or not len(rows):
+        return np.zeros(len(rows), bool)
+    is_step = np.any(change > _STEP * np.maximum(np.quantile(change, 0.9, axis=0), 1e-300), axis=1)
+    return np.any(is_step[np.maximum(rows[:, None] - [1, 2, 3], 0)], axis=1)
+
+
+def frozen_sensor(view: RecordView) -> Iterator[Finding]:
+    """Sensors that repeat a value in the middle of motion, or to the end of the record."""
+    e = view.experiment
+    for j, c in enumerate(e.coordinates):
+        if not view.moving[j] or len(e) < 20:
+            continue
+        runs = _standstills(view, j) or _stops_at_ends(view, j)
+        if not runs:
+            continue
+        longest = max(runs, key=lambda run: run[1] - run[0])
+        total = sum(b - a + 1 for a, b in runs)
+        times = f"{len(runs)} times, " if len(runs) > 1 else ""
+        yield view.finding(
+            "frozen sensor", "warning", f"{c.name} repeats a value while it moves",
+            f"{times}{total} samples, {1e3 * (longest[1] - longest[0]) * e.dt:.4g} ms at a stretch",
+            _around(view, *longest), c.name, view.seconds(longest[0]),
+        )  # fmt: skip
+
+
+def _stops_at_ends(view: RecordView, j: int) -> list[tuple[int, int]]:
+    """Runs of equal values at the ends of a record that begin or end at full speed."""
+    q, n = view.experiment.q[:, j], len(view.experiment)
+    first, last = _equal_runs(view, j)
+    if len(first) < 10:
+        return []
+    change = np.abs(np.diff(q))
+    bend = np.abs(np.diff(q, 2))
+    runs, fast = [], np.quantile(change, 0.9)
+    noise = _COUNTS * max(view.counts[j], view.noise[j])
+    tail, head = (int(first[-1]), n - 1), (0, int(last[0]))
+    speeds = (_speed_before(view, j, first[-1:])[0], _speed_after(view, j, last[:1])[0])
+    for run, speed in zip((tail, head), speeds, strict=True):
+        if run[1] - run[0] < max(_FROZEN, n // 50):
+            continue
+        own = np.zeros(len(bend), bool)
+        reach = 4 + 2 * _margin(view)
+        own[max(run[0] - reach, 0) : run[1] + reach] = True
+        usual = bend[~own].max(initial=0.0)
+        if abs(speed) > max(0.3 * fast, noise / 3) and abs(speed) > _BRAKING * usual:
+            runs.append(run)
+    return runs
+
+
+def clipped_sensor(view: RecordView) -> Iterator[Finding]:
+    """Sensors at the limit of their range: flat tops that are entered and left at speed."""
+    e = view.experiment
+    for j, c in enumerate(e.coordinates):
+        q = e.q[:, j]
+        if not view.moving[j] or len(e) < 20:
+            continue
+        first, last = _equal_runs(view, j)
+        rows = (last - first + 1 >= _CLIPPED) & (first >= 2) & (last < len(q) - 2)
+        first, last = first[rows], last[rows]
+        noise = max(view.counts[j], view.noise[j])
+        for extreme in (q.min(), q.max()):
+            at = np.abs(q[first] - extreme) <= noise * (e.recording is not None)
+            a, b = first[at], last[at]
+            into, out = np.abs(q[a] - q[a - 1]), np.abs(q[b + 1] - q[b])
+            # the last change before a limit is only a part of one
+            into = np.maximum(into, np.abs(q[a - 1] - q[a - 2]))
+            out = np.maximum(out, np.abs(q[b + 2] - q[b + 1]))
+            # a turning point that lasts so long is left at a speed of half of this
+            smooth = 2 * _largest_bend(q, a, b) * (b - a + 1)
+            sharp = (np.minimum(into, out) > _COUNTS * noise) & (np.minimum(into, out) > smooth)
+            if sharp.sum() < _RUNS:
+                continue
+            samples = int(np.sum((b - a + 1)[sharp]))
+            yield view.finding(
+                "clipped sensor", "warning", f"{c.name} is clipped at {extreme:.5g} {c.unit}",
+                f"{sharp.sum()} times, {samples} samples, {samples / len(q):.1%} of them",
+                "no line of the card: the sensor's range is too small", c.name,
+                view.seconds(int(a[sharp][0])),
+            )  # fmt: skip
+
+
+def _largest_bend(q: np.ndarray, first: np.ndarray, last: np.ndarray) -> float:
+    """The change of speed from sample to sample that most of a record stays below."""
+    bend = np.abs(np.diff(q, 2))
+    return float(np.quantile(bend, 0.5)) if len(bend) else 0.0
+
+
+def encoder(view: RecordView) -> Iterator[Finding]:
+    """Encoder count of the positions against the declared one."""
+    e = view.experiment
+    for c, q, count in zip(e.coordinates, e.q.T, view.recording.counts, strict=True):
+        if not (c.resolution and count) or abs(count / c.resolution - 1) <= _OTHER_COUNT:
+            continue
+        if len(np.unique(q)) < _FEWEST_COUNTS:  # a few levels have a common step by chance
+            continue
+        block, key = view.coordinate_card(c.name), f"resolution = {count:.5g}"
+        if block is not None and block.counts_per_revolution is not None:
+            key = f"counts_per_revolution = {2 * np.pi / count:.6g}"
+        yield view.finding(
+            "encoder count", "warning",
+            f"{c.name}: encoder count {count:.5g} {c.unit} found",
+            f"{c.resolution:.5g} {c.unit} declared, {count / c.resolution:.4g} times",
+            coordinate_line(c.name, key), c.name,
+        )  # fmt: skip
+
+
+# --- velocity columns ---
+
+
+def padded_velocities(view: RecordView) -> Iterator[Finding]:
+    """Velocity columns with rows of zeros at the ends, while the positions move."""
+    e = view.experiment
+    lead, trail = e.padded_rows
+    if lead or trail:
+        yield view.finding(
+            "padded velocity", "warning" if e.v_measured else "note",
+            "velocity columns are padded with zero rows",
+            f"{lead} at the beginning, {trail} at the end: not measured"
+            + (", so that all are taken from the positions" if e.v_measured else ""),
+            "velocity = { ..., measured = false }" if e.v_measured
+            else "none is needed: velocities come from the positions",
+        )  # fmt: skip
+
+
+def velocities(view: RecordView) -> Iterator[Finding]:
+    """Velocity columns against the slope of the positions: sign, unit, gain, lag, another one's."""
+    e = view.experiment
+    lead, trail = e.padded_rows
+    usable = slice(lead, len(e) - trail)
+    if e.v is None or usable.stop - usable.start < 40:
+        return
+    q, v = e.q[usable], e.v[usable]
+    windows = Windows(4, 1, e.dt)
+    slopes, columns = windows.average_derivative(q), windows.average(v)
+    for j, c in enumerate(e.coordinates):
+        x, y = slopes[:, j], columns[:, j]
+        if not np.std(x) > 3 * view.noise[j] / (2 * windows.half * e.dt):
+            continue
+        if not np.std(y):
+            yield _velocity_finding(view, j, "never changes", f"{y[0]:.3g} {c.unit}/s",
+                                    "column: is it the right one?", "severe")  # fmt: skip
+            continue
+        lag, correlation, gain = _best_lag(x, y)
+        others = [abs(np.corrcoef(s, y)[0, 1]) if np.std(s) else 0.0 for s in slopes.T]
+        best = int(np.argmax(others))
+        if correlation < -_LOW_CORRELATION:
+            yield _velocity_finding(
+                view, j, "has the opposite sign of", f"gain {gain:.3g}, r = {correlation:.3f}",
+                "column, with its sign turned in the file", "severe")  # fmt: skip
+        elif best != j and others[best] > _HIGH_CORRELATION and correlation < others[best] - 0.1:
+            other = e.coordinates[best].name
+            yield _velocity_finding(
+                view, j, f"is that of {other}, not",
+                f"r = {correlation:.2f}, with {other} {others[best]:.3f}",
+                "column: that of the other coordinate", "severe")  # fmt: skip
+        elif correlation < _LOW_CORRELATION:
+            yield _velocity_finding(
+                view, j, "disagrees with", f"r = {correlation:.2f}",
+                "column: is it the right one?", "severe")  # fmt: skip
+        elif abs(gain - 1) > _OTHER_GAIN and correlation > _HIGH_CORRELATION:
+            name = min(_RATIOS, key=lambda name: abs(np.log(gain / _RATIOS[name])))
+            is_unit = abs(gain / _RATIOS[name] - 1) < 0.1
+            key = (
+                f'unit = "{name}"' if is_unit else f"unit: the column is {gain:.4g} times too large"
+            )
+            yield _velocity_finding(
+                view, j, "has another unit than", f"{gain:.4g} times the slope, r = "
+                f"{correlation:.3f}", key, "severe")  # fmt: skip
+        elif abs(gain - 1) > _GAIN and correlation > _HIGH_CORRELATION:
+            yield _velocity_finding(
+                view, j, "has another gain than", f"{gain:.4g} times the slope",
+                "unit: is the sensor calibrated?", "warning" if e.v_measured else "note",
+            )  # fmt: skip
+        if correlation > _HIGH_CORRELATION and lag > _LAG_SAMPLES:
+            period = timescales([e.q[usable][:, j]]).period
+            is_long = lag > max(_LAG_SAMPLES, _LAG_TIME * min(period, 400.0))
+            if is_long:
+                yield _velocity_finding(
+                    view, j, "lags behind", f"{1e3 * lag * e.dt:.3g} ms, {lag:.1f} samples",
+                    "measured = false", "warning" if e.v_measured else "note")  # fmt: skip
+
+
+def _best_lag(x: Float[np.ndarray, " m"], y: Float[np.ndarray, " m"]) -> tuple[float, float, float]:
+    """Lag of `y` behind `x` in samples, and correlation and gain at it."""
+    lags = range(-3, min(_MOST_LAGS, len(x) // 4) + 1)
+    pairs = [(x[max(0, -k) : len(x) - max(k, 0)], y[max(k, 0) : len(y) + min(k, 0)]) for k in lags]
+    r = np.array([np.corrcoef(a, b)[0, 1] if np.std(a) and np.std(b) else 0.0 for a, b in pairs])
+    best = int(np.argmax(np.abs(r)))
+    a, b = pairs[best]
+    a, b = a - a.mean(), b - b.mean()
+    shift = 0.0
+    if 0 < best < len(r) - 1:
+        left, middle, right = np.abs(r[best - 1 : best + 2])
+        shift = 0.5 * (left - right) / (left - 2 * middle + right) if middle < 1 else 0.0
+    return lags[best] + float(np.clip(shift, -0.5, 0.5)), float(r[best]), float(a @ b / (a @ a))
+
+
+def _velocity_finding(
+    view: RecordView, j: int, relation: str, size: str, key: str,
+    severity: Literal["severe", "warning", "note"],
+) -> Finding:  # fmt: skip
+    """A finding about the velocity column of a coordinate."""
+    c = view.experiment.coordinates[j]
+    return view.finding(
+        "velocity", severity,
+        f"{c.name}: the velocity column {relation} the change of the positions",
+        size, coordinate_line(c.name, f"velocity = {{ {key} }}"), c.name, is_velocity=True,
+    )  # fmt: skip
+
+
+# --- inputs ---
+
+
+def input_spikes(view: RecordView) -> Iterator[Finding]:
+    """Inputs with single samples that are huge compared with all others."""
+    e = view.experiment
+    for i, u in zip(e.inputs, e.u.T, strict=True):
+        if len(rows := outliers.find_spikes(u)):
+            size = float(np.abs(u[rows] - np.median(u)).max())
+            yield view.finding(
+                "spike", "warning", f"{i.name} has spikes at sample {_list_rows(rows)}",
+                f"by {size:.3g} {i.unit}, others stay within {_usual_size(u, rows):.3g}: bad rows?",
+                _around(view, int(rows[0]), int(rows[-1])), i.name, view.seconds(int(rows[0])),
+            )  # fmt: skip
+
+
+def _usual_size(u: np.ndarray, rows: np.ndarray) -> float:
+    return float(np.abs(np.delete(u, rows) - np.median(u)).max())
+
+
+def limits(view: RecordView) -> Iterator[Finding]:
+    """Inputs beyond the declared limits of their actuators."""
+    e = view.experiment
+    for i, u in zip(e.inputs, e.u.T, strict=True):
+        if i.limits is None:
+            continue
+        low, high = i.limits
+        margin = _BEYOND * (high - low)
+        beyond = (u < low - margin) | (u > high + margin)
+        if beyond.any():
+            reach = max(low - u.min(), u.max() - high)
+            wide = f"limits = [{min(low, u.min()):.4g}, {max(high, u.max()):.4g}]"
+            yield view.finding(
+                "limits", "warning", f"{i.name} goes beyond its limits",
+                f"by {reach:.3g} {i.unit} in {beyond.sum()} samples, {beyond.mean():.1%}",
+                input_line(i.name, wide), i.name, view.seconds(int(np.argmax(beyond))),
+            )  # fmt: skip
+
+
+def dead_band(view: RecordView) -> Iterator[Finding]:
+    """Inputs that change while nothing moves: a dead band of the actuator, or dry friction."""
+    e = view.experiment
+    if not e.forced or len(e) < 50:
+        return
+    speed = np.abs(view.velocity)
+    still = np.all(np.diff(e.q, axis=0) == 0, axis=1)
+    width = max(5, round(0.1 / e.dt))
+    runs = np.convolve(still, np.ones(width), "valid") == width
+    rests = np.flatnonzero(runs) + width - 1  # nothing moved for a while up to here
+    if len(rests) < 0.02 * len(e) or not speed.max():
+        return
+    for i, u in zip(e.inputs, e.u.T, strict=True):
+        largest = float(np.quantile(np.abs(u[rests]), 0.95))
+        if np.ptp(u[rests]) > 0 and 0.02 * np.abs(u).max() < largest < 0.7 * np.abs(u).max():
+            yield view.finding(
+                "dead band", "note", f"nothing moves under small values of {i.name}",
+                f"up to {largest:.3g} {i.unit}, for {len(rests) * e.dt:.2g} s",
+                "no line of the card: a model needs dry friction or a dead zone", i.name,
+                view.seconds(int(rests[0])),
+            )  # fmt: skip
+
+
+def _list_rows(rows: Int[np.ndarray, " r"]) -> str:
+    return ", ".join(str(int(r)) for r in rows[:5]) + (" ..." if len(rows) > 5 else "")
+
+
+CHECKS: tuple[Callable[[RecordView], Iterator[Finding]], ...] = (
+    period, time_unit, gaps, sampling, dead_sensor, magnitude, wild_angle, jumps, frozen_sensor,
+    clipped_sensor, encoder, padded_velocities, velocities, input_spikes, limits, dead_band,
+)  # fmt: skip

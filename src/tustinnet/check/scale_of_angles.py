@@ -1,0 +1,81 @@
+"""Check of the scale of an angle by gravity, whose force has the period of a turn.
+
+Sines of an angle in degrees, or of one whose encoder has other counts in a turn than declared, fit
+the motion worse than those of the true angle. Small swings do not tell: their sine is straight.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tustinnet.check.card_lines import coordinate_line
+from tustinnet.check.finding import Finding
+from tustinnet.check.motion_model import Regressors, make_regressors, unexplained_share
+from tustinnet.check.view import RecordView
+
+_RECORDS = 5  # of them, from everywhere in the list
+_SCALES = {  # of the true angle to the declared one
+    "deg": np.pi / 180, "rad": 180 / np.pi, "twice": 2.0, "half": 0.5, "four": 4.0, "quarter": 0.25,
+}  # fmt: skip
+_UNITS = ("deg", "rad")
+_FEW_COORDINATES = 2  # of more the model is too poor for other scales
+_DROP = 0.4  # of what the model leaves, which the true scale leaves
+_POOR = 0.5  # so much the model must explain with the true scale
+_LEAST = 0.01  # of the accelerations: a model that leaves less needs no other scale
+_SMALL_RANGE = 3.0  # rad; a spring may hold an angle that stays within
+
+
+def scale_of_angles(views: Sequence[RecordView]) -> Iterator[Finding]:
+    """Angles that gravity, or another force with the period of a turn, shows in another scale."""
+    step = max(1, len(views) // _RECORDS)
+    some = views[::step][:_RECORDS]
+    regressors = make_regressors(some)
+    if regressors is None:
+        return
+    channels = some[0].experiment.channels
+    q = np.concatenate([v.experiment.q for v in some])
+    plain = unexplained_share(regressors, some, np.ones(channels.n_q))
+    if plain < _LEAST:
+        return
+    for j, c in enumerate(channels.coordinates):
+        if c.kind != "angular" or not any(v.moving[j] for v in some):
+            continue
+        tried = _SCALES if channels.n_q <= _FEW_COORDINATES else {k: _SCALES[k] for k in _UNITS}
+        shares = {
+            name: _scaled_share(regressors, some, q, j, scale) for name, scale in tried.items()
+        }
+        best = min(shares, key=lambda name: shares[name])
+        if shares[best] > _DROP * plain or shares[best] > 1 - _POOR:
+            continue
+        evidence = (
+            f"its range is {np.ptp(q[:, j]):.3g} rad; gravity fits {1 / _SCALES[best]:.3g} times "
+            f"smaller angles: the model leaves {shares[best]:.2%} of the accelerations, not "
+            f"{plain:.2%}"
+        )
+        card = views[0].coordinate_card(c.name)
+        if best in _UNITS:
+            what, key = f"{c.name} is not in the declared unit", f'unit = "{best}"'
+        else:
+            counts = card.counts_per_revolution if card is not None else None
+            what = f"{c.name} has another scale than declared"
+            key = (
+                f"counts_per_revolution = {counts / _SCALES[best]:.6g}" if counts
+                else f"unit: its numbers are {1 / _SCALES[best]:.3g} times too large"
+            )  # fmt: skip
+        finding = views[0].finding("angle unit", "severe", what, evidence,
+                                   coordinate_line(c.name, key), c.name)  # fmt: skip
+        yield replace(finding, records=())
+
+
+def _scaled_share(
+    regressors: Regressors, views: Sequence[RecordView], q: np.ndarray, j: int, scale: float
+) -> float:
+    """What the model leaves of the accelerations where an angle has another scale."""
+    scales = np.ones(q.shape[1])
+    scales[j] = scale
+    held = regressors.held.copy()
+    held[j] = np.ptp(q[:, j]) * scale < _SMALL_RANGE
+    scaled = replace(regressors, held=held, creep=regressors.creep * scales)
+    first = views[0].experiment
+    return unexplained_share(scaled.with_names(first.q[:2], first.u[:2]), views, scales)

@@ -1,0 +1,124 @@
+"""A record as the checks look at it: with its velocities, its noise, and its lines in the card."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from tustinnet.check.finding import Finding, Severity
+from tustinnet.data.card import Card, CoordinateCard, InputCard
+from tustinnet.data.experiment import Experiment
+from tustinnet.data.recording import Recording, describe_recording
+from tustinnet.signals import transients
+
+_STENCIL = 5  # samples, fewer have no velocities
+_THIRD_DIFFERENCE = np.sqrt(20.0)  # standard deviation of that of white noise of 1
+_TO_DEVIATION = 1.4826
+
+Block = TypeVar("Block", CoordinateCard, InputCard)
+
+
+@dataclass(frozen=True)
+class RecordView:
+    """A record with what several checks compute from it.
+
+    Attributes:
+        experiment: the record.
+        card: its data card, None for a record that was made from arrays.
+    """
+
+    experiment: Experiment
+    card: Card | None = None
+
+    @cached_property
+    def recording(self) -> Recording:
+        """The time base and the encoders as logged."""
+        e = self.experiment
+        return e.recording or describe_recording(e.t, e.q, e.dt)
+
+    @cached_property
+    def velocity(self) -> Float[np.ndarray, "n n_q"]:
+        """Velocities from the positions by the five-point stencil, (n, n_q)."""
+        e = self.experiment
+        return e.velocities("stencil") if len(e) >= _STENCIL else np.zeros_like(e.q)
+
+    @cached_property
+    def moving(self) -> Bool[np.ndarray, " n_q"]:
+        """Mask of the coordinates that move."""
+        return transients.is_moving(self.experiment.q)
+
+    @cached_property
+    def counts(self) -> list[float]:
+        """Encoder count of each coordinate: found in the positions, else as declared, else 0."""
+        declared = [c.resolution for c in self.experiment.coordinates]
+        return [a or b or 0.0 for a, b in zip(self.recording.counts, declared, strict=True)]
+
+    @cached_property
+    def noise(self) -> Float[np.ndarray, " n_q"]:
+        """Standard deviation of the white part of each coordinate, (n_q,) [rad or m]."""
+        q = self.experiment.q
+        if len(q) < _STENCIL:
+            return np.array(self.counts)
+        rough = np.median(np.abs(np.diff(q, 3, axis=0)), axis=0) * _TO_DEVIATION / _THIRD_DIFFERENCE
+        return np.maximum(rough, np.array(self.counts) / np.sqrt(12))
+
+    def seconds(self, sample: int) -> float:
+        """Time of a sample from the first one on [s]."""
+        t = self.experiment.t
+        return float(t[min(sample, len(t) - 1)] - t[0])
+
+    def coordinate_card(self, name: str) -> CoordinateCard | None:
+        """The block of a coordinate in the card."""
+        return find_block(self.card.coordinates, name) if self.card else None
+
+    def input_card(self, name: str) -> InputCard | None:
+        """The block of an input in the card."""
+        return find_block(self.card.inputs, name) if self.card else None
+
+    def finding(
+        self,
+        check: str,
+        severity: Severity,
+        what: str,
+        size: str,
+        remedy: str,
+        channel: str = "",
+        time: float | None = None,
+        *,
+        is_velocity: bool = False,
+    ) -> Finding:
+        """A finding in this record, with the column of its channel.
+
+        Args:
+            check: name of the check.
+            severity: its severity.
+            what: the property.
+            size: how it shows.
+            remedy: the line of the card.
+            channel: name of a coordinate or input.
+            time: where it begins [s].
+            is_velocity: whether it concerns the velocity column of the coordinate.
+        """
+        column = column_of(self.card, channel, is_velocity=is_velocity)
+        return Finding(
+            check, severity, what, size, remedy, (self.experiment.name,), channel, column, time
+        )
+
+
+def find_block(blocks: Sequence[Block], name: str) -> Block | None:
+    """The block of a card with a name."""
+    return next((block for block in blocks if block.name == name), None)
+
+
+def column_of(card: Card | None, channel: str, *, is_velocity: bool = False) -> str:
+    """The column of a coordinate or input as the card names it, empty without a card."""
+    if card is None:
+        return ""
+    coordinate = find_block(card.coordinates, channel)
+    if coordinate is not None and is_velocity and coordinate.velocity is not None:
+        return str(coordinate.velocity.column)
+    block = coordinate or find_block(card.inputs, channel)
+    return "" if block is None else str(block.column)

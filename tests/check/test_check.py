@@ -1,0 +1,135 @@
+"""The check of records: planted faults are named, clean logs are not."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from simulated.faults import FAULTS, Fault, logs_of
+
+import tustinnet as tn
+from tustinnet.check.check import check_record, check_records
+from tustinnet.check.finding import Finding, merge_findings, sort_findings
+from tustinnet.data.catalog import locate
+from tustinnet.data.loading import load_folder
+
+DT, COUNT = 0.01, 2 * np.pi / 4096
+# machines that are simulated in a second; `benchmarks/check.py` runs all faults
+QUICK = [f for f in FAULTS if f.machine in ("unbalanced-disc", "positioning-axis")]
+
+
+def check_folder(folder: Path) -> tuple[Finding, ...]:
+    place, card = locate(folder)
+    return check_records(load_folder(place, card), card)
+
+
+def serious(findings: tuple[Finding, ...]) -> list[str]:
+    return [f.text for f in findings if f.is_serious]
+
+
+@pytest.mark.parametrize("fault", QUICK, ids=lambda f: f.name)
+def test_a_planted_fault_is_named_at_its_record_and_channel(fault: Fault, tmp_path: Path) -> None:
+    findings = check_folder(fault.write(tmp_path / "logs"))
+    assert fault.is_found(findings), [f.text for f in findings]
+    named = next(f for f in findings if fault.is_named_by(f))
+    assert any(c.isdigit() for c in named.text)
+    assert named.remedy
+
+
+@pytest.mark.parametrize("machine", ["unbalanced-disc", "positioning-axis"])
+def test_clean_logs_have_no_severe_finding_and_no_warning(machine: str, tmp_path: Path) -> None:
+    assert serious(check_folder(logs_of(machine).write(tmp_path / "logs"))) == []
+
+
+# --- what is no fault ---
+
+
+def arm(q: np.ndarray, v: np.ndarray | None = None, **record: Any) -> tn.Experiment:
+    return tn.from_arrays(
+        q, v=v, dt=DT, coordinates=[tn.Coordinate("arm", "angular", COUNT)], **record
+    )
+
+
+def swing(samples: int = 800) -> np.ndarray:
+    return np.cos(6 * np.arange(samples) * DT) * np.exp(-0.1 * np.arange(samples) * DT)
+
+
+def test_velocities_of_an_arm_that_rests_are_no_padding() -> None:
+    rng = np.random.default_rng(0)
+    rest = COUNT * np.round(rng.uniform(-0.6, 0.6, 428))  # an encoder that flickers
+    t = np.arange(600) * DT
+    motion = 1 - np.cos(2 * t)
+    q = np.concatenate([rest, np.round(motion / COUNT) * COUNT])
+    v = np.concatenate([np.zeros(428), np.round(2 * np.sin(2 * t) / 0.01) * 0.01])
+    e = arm(q, v)
+    assert e.padded_rows == (0, 0)
+    assert serious(check_record(e)) == []
+
+
+def test_padded_velocities_that_no_fit_uses_are_a_note() -> None:
+    q = swing()
+    v = np.gradient(q, DT)
+    v[:3] = 0
+    computed, measured = (check_record(arm(q, v, v_measured=m)) for m in (False, True))
+    assert [f.severity for f in computed if f.check == "padded velocity"] == ["note"]
+    assert [f.severity for f in measured if f.check == "padded velocity"] == ["warning"]
+
+
+@pytest.mark.parametrize("rate", [2.0, 20.0, 60.0])
+def test_a_reversal_at_a_dead_band_is_no_jump(rate: float) -> None:
+    # a load behind backlash: it rests at each reversal, and then moves at once at full speed
+    motor = 0.5 * np.sin(rate * np.arange(800) * DT)
+    load = np.zeros(800)
+    for k in range(1, 800):
+        load[k] = np.clip(load[k - 1], motor[k] - 0.2, motor[k] + 0.2)
+    e = arm(np.round(load / COUNT) * COUNT)
+    assert not {"jump", "counter", "frozen sensor"} & {f.check for f in check_record(e)}
+
+
+def test_two_values_a_count_apart_are_a_dead_encoder() -> None:
+    flicker = np.cumsum(np.random.default_rng(1).uniform(size=800) < 0.02) % 2
+    q = np.stack([swing(), COUNT * flicker], axis=1)
+    e = tn.from_arrays(
+        q, dt=DT,
+        coordinates=[tn.Coordinate(n, "angular", COUNT) for n in ("arm", "other")],
+    )  # fmt: skip
+    (finding,) = [f for f in check_record(e) if f.is_serious]
+    assert (finding.check, finding.channel) == ("dead sensor", "other")
+    assert "more than one count" in finding.what
+
+
+# --- findings ---
+
+
+def test_findings_are_sorted_by_severity_and_equal_ones_are_merged() -> None:
+    note = Finding("a", "note", "what", "1 s", "none", ("r1",), time=1.0)
+    severe = replace(note, severity="severe")
+    merged = merge_findings([note, severe, replace(note, records=("r2",), time=2.0)])
+    assert [f.severity for f in sort_findings(merged)] == ["severe", "note"]
+    assert sort_findings(merged)[1].records == ("r1", "r2")
+    assert sort_findings(merged)[1].time is None
+
+
+def test_no_records_have_no_findings() -> None:
+    assert check_records([]) == ()
+
+
+@pytest.mark.real
+def test_faults_in_copies_of_the_measured_records_are_named(real_data: Path) -> None:
+    records = list(tn.load(real_data))
+    assert serious(check_records(records)) == []
+    k = next(k for k, e in enumerate(records) if e.name == "wN_3V_1")
+    for check, channel, changed in (
+        ("sign", "voltage", replace(records[k], u=-records[k].u)),
+        ("lag", "voltage", replace(records[k], u=np.roll(records[k].u, 6, axis=0))),
+        ("gain", "voltage", replace(records[k], u=0.5 * records[k].u)),
+        ("swap", "alpha", replace(records[k], q=records[k].q[:, ::-1])),
+    ):
+        found = check_records([*records[:k], changed, *records[k + 1 :]])
+        named = [f for f in found if f.check == check and f.records == ("wN_3V_1",)]
+        assert named, (check, [f.text for f in found])
+        assert named[0].channel == channel
+    copy = replace(records[0], name="fresh", split="test", sha256="")
+    (found_copy,) = [f for f in check_records([*records, copy]) if f.is_serious]
+    assert (found_copy.check, found_copy.severity) == ("copy", "severe")
