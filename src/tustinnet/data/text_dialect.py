@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from tustinnet.data.text_dates import is_date
 from tustinnet.data.units import ANGLE, LENGTH, TIME
 from tustinnet.errors import InputError, describe_error
 
@@ -184,7 +185,7 @@ def _score(sample: list[str], delimiter: str) -> tuple[float, bool]:
     (width, count), *_ = Counter(map(len, rows)).most_common(1)
     cells = [cell for row in rows if len(row) == width for cell in row if cell]
     pattern = _ANYWHERE if width > 1 else NUMBER  # "1,5" alone is two columns
-    numbers = sum(pattern.fullmatch(cell) is not None for cell in cells)
+    numbers = sum(pattern.fullmatch(cell) is not None or is_date(cell) for cell in cells)
     return round(count / len(rows) * numbers / max(len(cells), 1), 2), width > 1
 
 

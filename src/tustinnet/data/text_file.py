@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Int
 
 from tustinnet.data.columns import NUMBERED, Column, Columns, require_different
+from tustinnet.data.text_dates import is_date, read_dates
 from tustinnet.data.text_dialect import (
     BLANKS,
     NUMBER,
@@ -55,7 +56,10 @@ def read_text(
         header = True
     table = _cells(path, lines, dialect)
     first = _texts(table, 0)
-    is_sample = any(first) and all(dialect.is_number(cell) for cell in first if cell)
+    # a date alone is no sample: it may stand above the table
+    is_sample = any(map(dialect.is_number, first)) and all(
+        dialect.is_number(cell) or is_date(cell) for cell in first if cell
+    )
     if header and is_sample:
         raise InputError(
             f"{path} row {lines[0][0]}",
@@ -76,6 +80,7 @@ def read_text(
     require_different(names, path)
     index = {name: column for column, name in enumerate(names)}
     rows, first_row = all_rows[found.rows :], lines[0][0]
+    dates = [n for n, cell in zip(names, _texts(table, found.rows), strict=True) if is_date(cell)]
 
     def read(requested: list[str]) -> list[Column]:
         doubtful = next((name for name in requested if NUMBER.fullmatch(name)), None)
@@ -113,8 +118,10 @@ def read_text(
         *([f"names and units in {found.rows} rows"] if found.rows > 1 else []),
         *(["names of the columns in a comment"] if is_sample and found.names != numbered else []),
         *([NO_HEADER] if is_bare else []),
+        *(f"'{name}': dates or times of day, read as seconds since midnight" for name in dates),
     ]
-    return Columns(names, read, rows, tuple(notes), units=found.units)
+    units = found.units | dict.fromkeys(dates, "s")
+    return Columns(names, read, rows, tuple(notes), units=units)
 
 
 @dataclass(frozen=True)
@@ -349,6 +356,9 @@ def _numbers(
     numbers = cells.cast(pl.Float64, strict=False) if is_plain else pl.Series([None])
     if numbers.null_count():
         numbers = _plain(cells.str.strip_chars(), dialect).cast(pl.Float64, strict=False)
+    has_dates = is_date((cells[0] or "").strip())
+    if has_dates and numbers.null_count():
+        numbers = read_dates(cells)
     if numbers.null_count():
         sample = int(np.flatnonzero(numbers.is_null().to_numpy())[0])
         text = (cells[sample] or "").strip()
@@ -359,7 +369,7 @@ def _numbers(
             remedy += ', or set `decimal = ","` or `"."` under [format]'
         raise InputError(
             where.format(rows[sample]), f"the text '{text[:40]}'" if text else "an empty cell",
-            "a number", remedy,
+            "a date or time, as in the first row" if has_dates else "a number", remedy,
         )  # fmt: skip
     return numbers.to_numpy()
 

@@ -1,7 +1,7 @@
 """Logs as they are found in files: their columns, their clock, the records in them."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from tustinnet.channels import LONGEST_DT, SHORTEST_DT
+from tustinnet.data.alignment import find_covered
 from tustinnet.data.columns import NUMBERED, Columns
 from tustinnet.data.drafting.names import INPUTS, NameReading, read_name
 from tustinnet.data.drafting.numbers import Values
@@ -44,6 +45,8 @@ class Log:
         clocks: columns of times [s], of which the first has those of all samples here; empty
             where columns have no times of their own.
         units: units by column, where the file has them.
+        clock_of: the column of the times of each column that has times of its own.
+        spans: first and last time of each of these columns in the file [s].
     """
 
     file: str
@@ -55,6 +58,8 @@ class Log:
     record: str | None = None
     clocks: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
+    clock_of: Mapping[str, str] = field(default_factory=dict)
+    spans: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(next(iter(self.values.values())))
@@ -64,6 +69,22 @@ class Log:
         """The file, and the part of it in brackets."""
         label = self.cell if self.record is None else self.record
         return self.file if label is None else f"{self.file}[{label}]"
+
+    def trim(self, motion: Collection[str], inputs: Collection[str]) -> "Log":
+        """The samples at which all columns of a card have values, as loading takes them.
+
+        Args:
+            motion: columns of positions and velocities.
+            inputs: columns of inputs, which keep their last value.
+        """
+        used = {self.clock_of[name] for name in (*motion, *inputs) if name in self.clock_of}
+        spans = {clock: self.spans[clock] for clock in {*used, *self.clocks[:1]}}
+        if len(spans) < 2:
+            return self
+        held = spans.keys() - {self.clock_of.get(name) for name in motion} - {self.clocks[0]}
+        is_covered = find_covered(self.values[self.clocks[0]], spans, held)
+        values = {name: column[is_covered] for name, column in self.values.items()}
+        return replace(self, values=values)
 
 
 @dataclass(frozen=True)
@@ -200,8 +221,10 @@ def _read_log(columns: Columns, file: str, cell: int | None) -> Log:
             values[name] = columns[name]
         except InputError as error:
             texts[name] = str(error).split(": ", 1)[-1]
-    clocks, times = columns.clocks, ()
+    clocks, times, spans = columns.clocks, (), {}
     if clocks:
+        own = {clocks[name] for name in values if name in clocks and clocks[name] in values}
+        spans = {c: (float(values[c][0]), float(values[c][-1])) for c in own if len(values[c])}
         values = _on_common_times(values, clocks, columns.units)
         base = next(iter(values))
         times = (base, *(name for name in values if name != base and name in clocks.values()))
@@ -214,8 +237,9 @@ def _read_log(columns: Columns, file: str, cell: int | None) -> Log:
     is_nameless = all(name.startswith(NUMBERED) for name in columns.names)
     has_header = NO_HEADER not in columns.notes if is_nameless else None
     return Log(
-        file, cell, values, texts, tuple(notes), has_header, clocks=times, units=columns.units
-    )
+        file, cell, values, texts, tuple(notes), has_header, clocks=times, units=columns.units,
+        clock_of={name: clocks[name] for name in values if clocks.get(name) in spans}, spans=spans,
+    )  # fmt: skip
 
 
 def _on_common_times(
