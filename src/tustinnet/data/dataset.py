@@ -169,7 +169,7 @@ def from_arrays(
     median = float(np.median(np.diff(times))) if n > 1 else dt
     if dt > 0 and np.isfinite(dt) and not abs(median / dt - 1) < _OTHER_PERIOD:
         raise InputError(
-            name, f"median interval {median:g} s", f"dt = {dt:g} s", "times in seconds"
+            name, f"samples {median:g} s apart", f"dt = {dt:g} s", "times in seconds"
         )
     experiment = Experiment(
         name=name,

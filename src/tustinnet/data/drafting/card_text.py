@@ -34,7 +34,7 @@ def write_card(
         texts: columns that hold no numbers, and what they hold.
         is_period_assumed: whether nothing in the files says the period.
     """
-    why = "assumed; check: how far apart are the samples?" if is_period_assumed else "mean interval"
+    why = "assumed; check: how far apart are the samples?" if is_period_assumed else "the mean time between samples"
     lines = [
         "# drafted from the logs; what is marked `check` is assumed",
         "# every key: docs/reference/data.md",
