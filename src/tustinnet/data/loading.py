@@ -204,7 +204,7 @@ def _load_file(
     form = card.format
     columns = read_columns(
         path, header=form.header, delimiter=form.delimiter, decimal=form.decimal,
-        encoding=form.encoding,
+        encoding=form.encoding, skips_damaged=form.damaged_rows == "skip",
     )  # fmt: skip
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()

@@ -166,7 +166,8 @@ def draft_card(
     splits = choose_splits(pieces, positions, [i.column for i in choice.inputs])
     text = write_card(
         name or _name(folder), clock, dt, choice, splits if has_splits else None,
-        has_header=logs[0].has_header, texts=logs[0].texts,
+        has_header=logs[0].has_header,
+        has_damaged_rows=any(log.has_damaged_rows for log in logs), texts=logs[0].texts,
         is_period_assumed=clock.dt is None and _PERIOD not in answers,
     )  # fmt: skip
     return Draft(
